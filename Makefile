@@ -1,0 +1,26 @@
+# `make run` and `make test` are all that a fresh clone needs; both set up first.
+
+# The spec's own quick settings (minutes). `make run QUICK=` runs at the paper's scale (hours).
+QUICK = --quick
+
+.DEFAULT_GOAL := help
+.PHONY: help setup run test lint
+
+help: ## show this list
+	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 8
+
+setup: ## make .venv with MuJoCo in it; check EGL and Rust
+	@setup/setup.sh
+
+run: setup ## run the main experiment; `make run QUICK=` at full scale
+	cargo run -- run experiments/multi_to_multi.yaml $(QUICK)
+
+test: ## run every test
+	@setup/setup.sh --test
+	cargo test
+
+lint: setup ## check formatting, and clippy without warnings
+	@cargo fmt --version >/dev/null && cargo clippy --version >/dev/null \
+		|| { echo 'lint: rustfmt or clippy is missing; install both: rustup component add rustfmt clippy' >&2; exit 1; }
+	cargo fmt --check
+	cargo clippy --all-targets -- -D warnings

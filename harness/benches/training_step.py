@@ -1,0 +1,94 @@
+"""Times one PyTorch training step of the harness's CVAE on the CPU, to set beside the harness's own.
+
+A step is what the harness's trainer does for one batch: draw the noise, forward, loss, backward, fused Adam
+(1e-3). Inputs and targets are random, standardised f32. Run it on an otherwise idle machine:
+
+    python -m venv /tmp/benches
+    /tmp/benches/bin/pip install -r harness/benches/requirements.txt
+    /tmp/benches/bin/python harness/benches/training_step.py --architecture convolutional --latent 64
+
+Prints JSON; the times are wall-clock seconds.
+"""
+
+import argparse
+import json
+import statistics
+import sys
+import time
+from pathlib import Path
+
+import torch
+
+sys.path.append(str(Path(__file__).parents[2] / "tests" / "fixtures"))
+from twin import Cvae, Dimensions, loss_terms, random_batch  # noqa: E402
+
+WARM_UP_STEPS = 3
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Times one PyTorch training step of the harness's CVAE.")
+    parser.add_argument(
+        "--architecture", choices=["convolutional", "fully_connected"], default="convolutional"
+    )
+    parser.add_argument("--mode", choices=["eager", "compile"], default="eager")
+    parser.add_argument("--latent", type=int, default=64)
+    parser.add_argument("--hidden", type=int, default=256)
+    parser.add_argument("--channels", type=int, default=16)
+    parser.add_argument("--batch", type=int, default=1024)
+    parser.add_argument("--steps", type=int, default=10, help=f"timed steps, after {WARM_UP_STEPS} not timed")
+    parser.add_argument("--threads", type=int, default=2)
+    return parser.parse_args()
+
+
+def timed_steps(options: argparse.Namespace) -> list[float]:
+    """Seconds of each step, the warm-up (which compiles, where asked to) left out."""
+    frame_channels = 3 if options.architecture == "convolutional" else 0
+    sizes = Dimensions(
+        channels_in=frame_channels,
+        channels_out=frame_channels,
+        channels=options.channels,
+        hidden=options.hidden,
+        latent=options.latent,
+    )
+    model = Cvae(sizes)
+    batch = random_batch(sizes, options.batch)
+    modalities = [name.removeprefix("target.") for name in batch if name.startswith("target.")]
+    weights = dict.fromkeys(modalities, 1.0)
+    optimiser = torch.optim.Adam(model.parameters(), lr=1e-3, fused=True)
+
+    def total_loss(batch: dict[str, torch.Tensor]) -> torch.Tensor:
+        return loss_terms(model(batch), batch, weights, kl_weight=0.01)["loss.total"]
+
+    if options.mode == "compile":
+        total_loss = torch.compile(total_loss)
+
+    seconds = []
+    for _ in range(WARM_UP_STEPS + options.steps):
+        start = time.perf_counter()
+        batch["noise"].normal_()
+        optimiser.zero_grad()
+        loss = total_loss(batch)
+        loss.backward()
+        optimiser.step()
+        loss.item()
+        seconds.append(time.perf_counter() - start)
+    return seconds[WARM_UP_STEPS:]
+
+
+def main() -> None:
+    options = arguments()
+    torch.set_num_threads(options.threads)
+    torch.manual_seed(0)
+    seconds = timed_steps(options)
+    report = {
+        "median_seconds": statistics.median(seconds),
+        "min_seconds": min(seconds),
+        "max_seconds": max(seconds),
+        "threads": torch.get_num_threads(),
+        "torch": torch.__version__,
+    }
+    print(json.dumps(vars(options) | report))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+//! One training step of the paper's networks on random data, timed; the twin of training_step.py.
+//!
+//!     cargo run --example training_step -- --architecture convolutional --latent 64 --steps 20
+//!
+//! Prints one line of JSON: median, least and greatest seconds a step.
+
+use candle_core::{Device, Tensor};
+use clap::Parser;
+use harness::dataset::frames::{DenseFrames, Frames};
+use harness::learning::network::{Decoder, Encoder, Observation, Parameters, Sizes, Targets};
+use harness::learning::ops::Adam;
+use harness::learning::random::{Random, Stream};
+use harness::spec::{ARM_JOINTS, Architecture, Modality, Task};
+use std::sync::Arc;
+use std::time::Instant;
+
+#[derive(Parser)]
+struct Arguments {
+    /// convolutional or fully_connected
+    #[arg(long, default_value = "convolutional")]
+    architecture: String,
+    #[arg(long, default_value_t = 64)]
+    latent: usize,
+    #[arg(long, default_value_t = 256)]
+    hidden: usize,
+    #[arg(long, default_value_t = 16)]
+    channels: usize,
+    #[arg(long, default_value_t = 1024)]
+    batch: usize,
+    #[arg(long, default_value_t = 20)]
+    steps: usize,
+}
+
+fn main() -> candle_core::Result<()> {
+    let arguments = Arguments::parse();
+    let frames = arguments.architecture == Architecture::Convolutional.name();
+    let only = |modalities: &[Modality]| -> Vec<Modality> {
+        modalities.iter().copied().filter(|modality| frames || !modality.is_frame()).collect()
+    };
+    let sizes = Sizes {
+        input: only(&[Modality::Proprioception, Modality::Vision]),
+        output: only(&[Modality::Proprioception, Modality::ContactForce, Modality::FrameDifference]),
+        latent: arguments.latent,
+        hidden: arguments.hidden,
+        channels: arguments.channels,
+        action: ARM_JOINTS,
+    };
+    let batch = arguments.batch;
+    let mut random = Random::new(0, Stream::Parameters(Task::Prediction));
+    let mut parameters = Parameters::new();
+    let encoder = Encoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu)?;
+    let decoder = Decoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu)?;
+    let mut adam = Adam::new(parameters.values().cloned().collect(), 1e-3)?;
+    let mut matrix = |width: usize| Tensor::from_vec(random.normal(batch * width), (batch, width), &Device::Cpu);
+    let (vector, action, noise, target) = (matrix(20)?, matrix(ARM_JOINTS)?, matrix(sizes.latent)?, matrix(40)?);
+    let mut picture = || -> candle_core::Result<Arc<dyn Frames>> {
+        let values = random.normal(batch * 3 * 64 * 64);
+        Ok(Arc::new(DenseFrames::new(&Tensor::from_vec(values, (batch, 3, 64, 64), &Device::Cpu)?)?))
+    };
+    let observation = Observation { vector: Some(vector), frames: frames.then(&mut picture).transpose()? };
+    let targets = Targets {
+        vector: Some(target),
+        frames: frames.then(&mut picture).transpose()?.map(|f| (Modality::FrameDifference, f)).into_iter().collect(),
+    };
+    let mut seconds = Vec::with_capacity(arguments.steps);
+    for _ in 0..arguments.steps + 2 {
+        let begin = Instant::now();
+        let posterior = encoder.encode(&observation)?;
+        let latent = posterior.sample(&noise)?;
+        let mut loss = (posterior.divergence()? * 1e-3)?;
+        for term in decoder.losses(&latent, Some(&action), &targets)? {
+            loss = (loss + term.value)?;
+        }
+        adam.step(&loss.backward()?)?;
+        seconds.push(begin.elapsed().as_secs_f64());
+    }
+    // The first two warm up caches and the allocator.
+    let mut seconds = seconds.split_off(2);
+    seconds.sort_by(f64::total_cmp);
+    println!(
+        "{}",
+        serde_json::json!({
+            "architecture": arguments.architecture, "latent": arguments.latent, "batch": batch,
+            "median_seconds": seconds[seconds.len() / 2], "min": seconds[0], "max": seconds[seconds.len() - 1],
+            "threads": rayon::current_num_threads(),
+        })
+    );
+    Ok(())
+}

@@ -1,0 +1,88 @@
+//! Making the episodes that a dataset lacks, on all cores.
+
+use super::{Dataset, DatasetError};
+use crate::files::UNFINISHED;
+use crate::progress::Progress;
+use crate::simulation::{Scene, Simulator};
+use std::fs::File;
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Simulates the missing episodes of `dataset` on `threads` threads, each with a simulator and a renderer of
+/// its own, and writes each as it is finished. Returns how many were made.
+///
+/// Another process that collects the same dataset is waited for.
+///
+/// # Errors
+/// When an episode diverges or can't be written: the others in progress stop at their next sample, those
+/// already written stay.
+pub fn collect(
+    dataset: &Dataset,
+    scene: &Scene,
+    threads: usize,
+    progress: &dyn Progress,
+) -> Result<usize, DatasetError> {
+    dataset.describe()?;
+    let lock = dataset.folder().join(format!("{UNFINISHED}lock"));
+    let _held = hold(lock)?;
+    let missing = dataset.missing();
+    if missing.is_empty() {
+        return Ok(0);
+    }
+    let samples = missing.len() * dataset.spec().samples_per_episode();
+    progress.begin(&format!("collecting {}", dataset.name()), samples as u64, "samples");
+    let work = Work { dataset, scene, missing: &missing, next: AtomicUsize::new(0), failure: Mutex::new(None), progress };
+    std::thread::scope(|scope| {
+        for _ in 0..threads.clamp(1, missing.len()) {
+            scope.spawn(|| work.take_part());
+        }
+    });
+    progress.end();
+    match work.failure.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner()) {
+        Some(error) => Err(error),
+        None => Ok(missing.len()),
+    }
+}
+
+/// Holds a lock file until it is dropped; the system lets go of it when its holder dies.
+fn hold(path: PathBuf) -> Result<File, DatasetError> {
+    let file = File::create(&path).and_then(|file| file.lock().map(|()| file));
+    file.map_err(|source| DatasetError::Lock { path, source })
+}
+
+/// What the threads share.
+struct Work<'a> {
+    dataset: &'a Dataset,
+    scene: &'a Scene,
+    missing: &'a [u32],
+    next: AtomicUsize,
+    failure: Mutex<Option<DatasetError>>,
+    progress: &'a dyn Progress,
+}
+
+impl Work<'_> {
+    /// Makes episodes until none is left or one failed.
+    fn take_part(&self) {
+        if let Err(error) = self.make_episodes() {
+            self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).get_or_insert(error);
+        }
+    }
+
+    fn stopping(&self) -> bool {
+        self.progress.cancelled() || self.failure.lock().is_ok_and(|failure| failure.is_some())
+    }
+
+    fn make_episodes(&self) -> Result<(), DatasetError> {
+        let mut simulator = Simulator::new(self.scene, self.dataset.spec())?;
+        while let Some(index) = self.missing.get(self.next.fetch_add(1, Ordering::Relaxed)) {
+            let episode = simulator.run(*index, &mut || {
+                self.progress.advance(1);
+                if self.stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            })?;
+            self.dataset.save(&episode)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,62 @@
+//! Batches of frames that are made into network inputs one at a time, where they are needed.
+//!
+//! A batch of 1024 standardised frames takes 50 MB; an op that asks for one frame at a time keeps it in the
+//! processor's cache instead, and nothing has to be assembled beforehand.
+
+use candle_core::{Device, Result, Tensor};
+
+/// A batch of standardised frames, `[channels, side, side]` each.
+pub trait Frames: Send + Sync {
+    /// Frames in the batch.
+    fn batch(&self) -> usize;
+    /// Channels of a frame.
+    fn channels(&self) -> usize;
+    /// Side of a frame, pixels.
+    fn side(&self) -> usize;
+    /// Writes frame `index`, `[channels, side, side]`.
+    fn write(&self, index: usize, frame: &mut [f32]);
+
+    /// Values of a frame.
+    fn frame_len(&self) -> usize {
+        self.channels() * self.side() * self.side()
+    }
+
+    /// The whole batch as a tensor `[batch, channels, side, side]`.
+    fn tensor(&self, device: &Device) -> Result<Tensor> {
+        let mut values = vec![0.0; self.batch() * self.frame_len()];
+        for (index, frame) in values.chunks_exact_mut(self.frame_len()).enumerate() {
+            self.write(index, frame);
+        }
+        Tensor::from_vec(values, (self.batch(), self.channels(), self.side(), self.side()), device)
+    }
+}
+
+/// Frames that already lie in memory as `f32`, `[batch, channels, side, side]`.
+pub struct DenseFrames {
+    values: Vec<f32>,
+    channels: usize,
+    side: usize,
+}
+
+impl DenseFrames {
+    /// From a tensor `[batch, channels, side, side]`.
+    pub fn new(frames: &Tensor) -> Result<Self> {
+        let (_, channels, side, _) = frames.dims4()?;
+        Ok(Self { values: frames.flatten_all()?.to_vec1()?, channels, side })
+    }
+}
+
+impl Frames for DenseFrames {
+    fn batch(&self) -> usize {
+        self.values.len() / self.frame_len()
+    }
+    fn channels(&self) -> usize {
+        self.channels
+    }
+    fn side(&self) -> usize {
+        self.side
+    }
+    fn write(&self, index: usize, frame: &mut [f32]) {
+        frame.copy_from_slice(&self.values[index * self.frame_len()..][..self.frame_len()]);
+    }
+}

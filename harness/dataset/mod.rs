@@ -1,0 +1,33 @@
+//! Datasets: made once, found by what decides their content, and read by every experiment that needs them.
+//! Tensors begin here.
+
+mod collect;
+pub mod frames;
+mod samples;
+mod standard;
+mod store;
+
+pub use collect::collect;
+pub use samples::{Partition, Samples};
+pub use standard::{Scale, Standard, frame_difference};
+pub use store::{Dataset, episode_scan};
+
+use crate::files::WriteError;
+use crate::simulation::SimulationError;
+use crate::tables::TableError;
+use std::path::PathBuf;
+
+/// Why a dataset could not be made or read.
+#[derive(Debug, thiserror::Error)]
+pub enum DatasetError {
+    #[error(transparent)]
+    Simulation(#[from] SimulationError),
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    #[error(transparent)]
+    Table(#[from] TableError),
+    #[error("{} is damaged: {problem}", path.display())]
+    Damaged { path: PathBuf, problem: String },
+    #[error("can't lock {}: {source}", path.display())]
+    Lock { path: PathBuf, source: std::io::Error },
+}

@@ -1,0 +1,34 @@
+//! Networks, their own candle ops, and their training. Knows tensors and datasets, not MuJoCo.
+
+pub mod checkpoint;
+pub mod kernels;
+pub mod network;
+pub mod objective;
+pub mod ops;
+pub mod predict;
+pub mod random;
+pub mod state;
+pub mod training;
+
+use crate::files::WriteError;
+use crate::spec::Task;
+use std::path::PathBuf;
+use training::Losses;
+
+/// Why a training ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum LearningError {
+    #[error(
+        "the loss of the {task:?} was no longer finite in epoch {epoch} ({losses:?}); \
+         try a smaller training.learning_rate"
+    )]
+    NotFinite { task: Task, epoch: usize, losses: Losses },
+    #[error("the training was cancelled; the same command goes on from the last saved state")]
+    Cancelled,
+    #[error("{} is damaged ({reason}); delete it and run the same command again", path.display())]
+    Damaged { path: PathBuf, reason: String },
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    #[error("candle: {0}")]
+    Candle(#[from] candle_core::Error),
+}

@@ -1,0 +1,300 @@
+//! The conditional variational auto-encoder: encoder, posterior, decoder.
+//!
+//! Source: the paper's learning architecture (sections II and IV-A). The encoder maps an observation to a
+//! diagonal Gaussian over the latent state; the decoder maps a latent state and an action to the next
+//! observation. Vectors pass two fully connected layers on each side; frames pass a 4 x 4 convolution of
+//! stride 2 before them, and its transpose after them.
+
+use super::ops::{frame_decoder, frame_encoder, frame_loss, linear};
+use super::random::Random;
+use crate::dataset::frames::Frames;
+use crate::spec::{FRAME_SIDE, Modality};
+use candle_core::{DType, Device, Result, Tensor, Var};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Named parameters, in the order of their names.
+pub type Parameters = BTreeMap<String, Var>;
+
+/// Sizes that decide a network's parameters.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Sizes {
+    /// What the encoder is given.
+    pub input: Vec<Modality>,
+    /// What the decoder predicts.
+    pub output: Vec<Modality>,
+    pub latent: usize,
+    /// Units of the hidden layer on each side.
+    pub hidden: usize,
+    /// Channels of the convolution on each side.
+    pub channels: usize,
+    /// Width of the condition; 0 for a decoder without one.
+    pub action: usize,
+}
+
+impl Sizes {
+    fn vector(modalities: &[Modality]) -> usize {
+        modalities.iter().filter(|modality| !modality.is_frame()).map(|modality| modality.width()).sum()
+    }
+
+    fn frame_channels(modalities: &[Modality]) -> usize {
+        modalities.iter().filter(|modality| modality.is_frame()).count() * crate::spec::FRAME_CHANNELS
+    }
+
+    /// Values that the convolution makes of a frame.
+    fn coarse(&self) -> usize {
+        self.channels * (FRAME_SIDE / 2) * (FRAME_SIDE / 2)
+    }
+}
+
+/// An observation of a batch, standardised: vectors side by side `[batch, width]`, frames stacked by channel.
+#[derive(Clone)]
+pub struct Observation {
+    pub vector: Option<Tensor>,
+    pub frames: Option<Arc<dyn Frames>>,
+}
+
+/// A diagonal Gaussian over the latent state, `[batch, latent]` each.
+pub struct Posterior {
+    pub mean: Tensor,
+    pub log_variance: Tensor,
+}
+
+impl Posterior {
+    /// `mean + exp(log_variance / 2) * noise` (Kingma & Welling, 2014, equation 10).
+    pub fn sample(&self, noise: &Tensor) -> Result<Tensor> {
+        &self.mean + ((&self.log_variance * 0.5)?.exp()? * noise)?
+    }
+
+    /// Kullback-Leibler divergence from the standard normal distribution, nats, summed over the latent state
+    /// and averaged over the batch (Kingma & Welling, 2014, appendix B); a scalar.
+    pub fn divergence(&self) -> Result<Tensor> {
+        let batch = self.mean.dim(0)? as f64;
+        let terms = (self.mean.sqr()? + self.log_variance.exp()?)? - (&self.log_variance + 1.0)?;
+        terms?.sum_all()? * (0.5 / batch)
+    }
+}
+
+/// Weight and bias of a layer.
+struct Layer {
+    weight: Tensor,
+    bias: Tensor,
+}
+
+impl Layer {
+    fn detached(&self) -> Self {
+        Self { weight: self.weight.detach(), bias: self.bias.detach() }
+    }
+}
+
+/// Makes a network's parameters.
+struct Builder<'a> {
+    parameters: &'a mut Parameters,
+    random: &'a mut Random,
+    device: &'a Device,
+    prefix: &'static str,
+}
+
+impl Builder<'_> {
+    /// A parameter, uniform in ±1/√`fan_in`: PyTorch's default for linear and convolutional layers.
+    fn parameter(&mut self, name: &str, shape: &[usize], fan_in: usize) -> Result<Tensor> {
+        let values = self.random.uniform(shape.iter().product(), 1.0 / (fan_in as f32).sqrt());
+        let var = Var::from_tensor(&Tensor::from_vec(values, shape, self.device)?)?;
+        let tensor = var.as_tensor().clone();
+        self.parameters.insert(format!("{}.{name}", self.prefix), var);
+        Ok(tensor)
+    }
+
+    fn layer(&mut self, name: &str, shape: &[usize], bias: usize, fan_in: usize) -> Result<Layer> {
+        Ok(Layer {
+            weight: self.parameter(&format!("{name}.weight"), shape, fan_in)?,
+            bias: self.parameter(&format!("{name}.bias"), &[bias], fan_in)?,
+        })
+    }
+
+    fn linear(&mut self, name: &str, outputs: usize, inputs: usize) -> Result<Layer> {
+        self.layer(name, &[outputs, inputs], outputs, inputs)
+    }
+}
+
+/// From an observation to a posterior.
+pub struct Encoder {
+    convolution: Option<Layer>,
+    /// The hidden layer's weights for the frames and for the vectors: one fully connected layer in two blocks.
+    hidden_frame: Option<Tensor>,
+    hidden_vector: Option<Tensor>,
+    hidden_bias: Tensor,
+    posterior: Layer,
+    latent: usize,
+}
+
+impl Encoder {
+    /// A new encoder; its parameters join `parameters` as `encoder.…`.
+    pub fn new(sizes: &Sizes, parameters: &mut Parameters, random: &mut Random, device: &Device) -> Result<Self> {
+        let mut build = Builder { parameters, random, device, prefix: "encoder" };
+        let vector = Sizes::vector(&sizes.input);
+        let channels = Sizes::frame_channels(&sizes.input);
+        let coarse = if channels > 0 { sizes.coarse() } else { 0 };
+        let fan_in = vector + coarse;
+        let convolution = (channels > 0)
+            .then(|| build.layer("conv", &[sizes.channels, channels, 4, 4], sizes.channels, channels * 16))
+            .transpose()?;
+        let hidden = sizes.hidden;
+        Ok(Self {
+            convolution,
+            hidden_frame: (channels > 0)
+                .then(|| build.parameter("hidden_frame.weight", &[hidden, coarse], fan_in))
+                .transpose()?,
+            hidden_vector: (vector > 0)
+                .then(|| build.parameter("hidden_vector.weight", &[hidden, vector], fan_in))
+                .transpose()?,
+            hidden_bias: build.parameter("hidden.bias", &[hidden], fan_in)?,
+            posterior: build.linear("posterior", 2 * sizes.latent, hidden)?,
+            latent: sizes.latent,
+        })
+    }
+
+    /// The same encoder over the same parameters, for which no gradients are computed.
+    pub fn detached(&self) -> Self {
+        Self {
+            convolution: self.convolution.as_ref().map(Layer::detached),
+            hidden_frame: self.hidden_frame.as_ref().map(Tensor::detach),
+            hidden_vector: self.hidden_vector.as_ref().map(Tensor::detach),
+            hidden_bias: self.hidden_bias.detach(),
+            posterior: self.posterior.detached(),
+            latent: self.latent,
+        }
+    }
+
+    /// The posterior of a batch.
+    pub fn encode(&self, observation: &Observation) -> Result<Posterior> {
+        let mut hidden = None;
+        if let (Some(vector), Some(weight)) = (&observation.vector, &self.hidden_vector) {
+            hidden = Some(linear(vector, weight, &self.hidden_bias, false)?);
+        }
+        if let (Some(frames), Some(convolution), Some(weight)) =
+            (&observation.frames, &self.convolution, &self.hidden_frame)
+        {
+            let Layer { weight: kernel, bias } = convolution;
+            let seen = frame_encoder(frames.clone(), kernel, bias, weight, self.hidden_bias.device())?;
+            hidden = Some(match hidden {
+                Some(hidden) => (hidden + seen)?,
+                None => seen.broadcast_add(&self.hidden_bias)?,
+            });
+        }
+        let Some(hidden) = hidden else { candle_core::bail!("the observation lacks what the encoder is given") };
+        let posterior = linear(&hidden.relu()?, &self.posterior.weight, &self.posterior.bias, false)?;
+        Ok(Posterior {
+            mean: posterior.narrow(1, 0, self.latent)?,
+            log_variance: posterior.narrow(1, self.latent, self.latent)?,
+        })
+    }
+}
+
+/// From a latent state, and an action, to an observation.
+pub struct Decoder {
+    output: Vec<Modality>,
+    hidden: Layer,
+    vector: Option<Layer>,
+    frame: Option<Layer>,
+    convolution: Option<Layer>,
+}
+
+/// One named term of a loss: the mean squared error of a modality, a scalar.
+pub struct Term {
+    pub modality: Modality,
+    pub value: Tensor,
+}
+
+impl Decoder {
+    /// A new decoder; its parameters join `parameters` as `decoder.…`.
+    pub fn new(sizes: &Sizes, parameters: &mut Parameters, random: &mut Random, device: &Device) -> Result<Self> {
+        let mut build = Builder { parameters, random, device, prefix: "decoder" };
+        let vector = Sizes::vector(&sizes.output);
+        let channels = Sizes::frame_channels(&sizes.output);
+        let hidden = build.linear("hidden", sizes.hidden, sizes.latent + sizes.action)?;
+        let vector = (vector > 0).then(|| build.linear("vector", vector, sizes.hidden)).transpose()?;
+        let frame =
+            (channels > 0).then(|| build.linear("frame", sizes.coarse(), sizes.hidden)).transpose()?;
+        // A transposed convolution's fan-in, as PyTorch counts it, is taken over its output channels.
+        let convolution = (channels > 0)
+            .then(|| build.layer("conv", &[sizes.channels, channels, 4, 4], channels, channels * 16))
+            .transpose()?;
+        Ok(Self { output: sizes.output.clone(), hidden, vector, frame, convolution })
+    }
+
+    /// The same decoder over the same parameters, for which no gradients are computed.
+    pub fn detached(&self) -> Self {
+        Self {
+            output: self.output.clone(),
+            hidden: self.hidden.detached(),
+            vector: self.vector.as_ref().map(Layer::detached),
+            frame: self.frame.as_ref().map(Layer::detached),
+            convolution: self.convolution.as_ref().map(Layer::detached),
+        }
+    }
+
+    /// The hidden layer, given `latent` `[batch, latent]` and the action `[batch, action]` if it has one.
+    fn hidden(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Tensor> {
+        let condition = match action {
+            Some(action) => Tensor::cat(&[latent, action], 1)?,
+            None => latent.clone(),
+        };
+        linear(&condition, &self.hidden.weight, &self.hidden.bias, true)
+    }
+
+    /// The standardised observation: vectors `[batch, width]` and frames `[batch, channels, 64, 64]`.
+    pub fn decode(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<(Option<Tensor>, Option<Tensor>)> {
+        let hidden = self.hidden(latent, action)?;
+        let vector =
+            self.vector.as_ref().map(|layer| linear(&hidden, &layer.weight, &layer.bias, false)).transpose()?;
+        let frames = match (&self.frame, &self.convolution) {
+            (Some(frame), Some(convolution)) => {
+                let coarse = linear(&hidden, &frame.weight, &frame.bias, false)?;
+                Some(frame_decoder(&coarse, &convolution.weight, &convolution.bias, FRAME_SIDE)?)
+            }
+            _ => None,
+        };
+        Ok((vector, frames))
+    }
+
+    /// The mean squared error of every output modality against `targets`, on standardised values.
+    ///
+    /// `targets` holds the vectors side by side, and the frames of each frame modality on their own, all in
+    /// the order of the output.
+    pub fn losses(&self, latent: &Tensor, action: Option<&Tensor>, targets: &Targets) -> Result<Vec<Term>> {
+        let hidden = self.hidden(latent, action)?;
+        let mut terms = Vec::with_capacity(self.output.len());
+        if let (Some(layer), Some(target)) = (&self.vector, &targets.vector) {
+            let errors = (linear(&hidden, &layer.weight, &layer.bias, false)? - target)?.sqr()?;
+            let mut first = 0;
+            for modality in self.output.iter().copied().filter(|modality| !modality.is_frame()) {
+                let value = errors.narrow(1, first, modality.width())?.mean_all()?;
+                terms.push(Term { modality, value });
+                first += modality.width();
+            }
+        }
+        if let (Some(frame), Some(convolution)) = (&self.frame, &self.convolution) {
+            let coarse = linear(&hidden, &frame.weight, &frame.bias, false)?;
+            for (index, (modality, target)) in targets.frames.iter().enumerate() {
+                let channels = target.channels();
+                let kernel = convolution.weight.narrow(1, index * channels, channels)?.contiguous()?;
+                let bias = convolution.bias.narrow(0, index * channels, channels)?;
+                let value = frame_loss(&coarse, &kernel, &bias, target.clone())?;
+                terms.push(Term { modality: *modality, value });
+            }
+        }
+        Ok(terms)
+    }
+}
+
+/// What a decoder should have predicted, standardised.
+pub struct Targets {
+    pub vector: Option<Tensor>,
+    pub frames: Vec<(Modality, Arc<dyn Frames>)>,
+}
+
+/// The value of a scalar tensor.
+pub fn scalar(tensor: &Tensor) -> Result<f64> {
+    tensor.to_dtype(DType::F64)?.to_scalar()
+}

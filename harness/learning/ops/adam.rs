@@ -1,0 +1,153 @@
+//! Adam as one pass over a parameter and its moments, in place.
+
+use super::slice;
+use crate::learning::kernels::{self, AdamStep};
+use candle_core::backprop::GradStore;
+use candle_core::{CpuStorage, Device, InplaceOp2, Layout, Result, Tensor, Var};
+use std::sync::Mutex;
+
+const BETA_MEAN: f64 = 0.9;
+const BETA_SQUARE: f64 = 0.999;
+const EPSILON: f64 = 1e-8;
+
+/// Adam (Kingma & Ba, 2015, algorithm 1) with its usual constants, over a fixed list of parameters.
+pub struct Adam {
+    learning_rate: f64,
+    steps: u64,
+    slots: Vec<Slot>,
+}
+
+struct Slot {
+    parameter: Var,
+    moments: Moments,
+}
+
+/// Running means of a parameter's gradient and of its square.
+enum Moments {
+    /// Written in place.
+    Cpu { mean: Vec<f32>, square: Vec<f32> },
+    /// Made anew at each step by candle's tensor operations.
+    Device { mean: Tensor, square: Tensor },
+}
+
+impl Adam {
+    /// For `parameters`, with moments at zero.
+    pub fn new(parameters: Vec<Var>, learning_rate: f64) -> Result<Self> {
+        let slots = parameters.into_iter().map(|parameter| {
+            let zeros = parameter.zeros_like()?;
+            let moments = Moments::new(&zeros, &zeros)?;
+            Ok(Slot { parameter, moments })
+        });
+        Ok(Self { learning_rate, steps: 0, slots: slots.collect::<Result<_>>()? })
+    }
+
+    /// Steps taken so far.
+    pub fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    /// The two moments (mean, square) of every parameter, shaped like it and in the order of the parameters.
+    pub fn moments(&self) -> Result<Vec<(Tensor, Tensor)>> {
+        self.slots.iter().map(|slot| slot.moments.tensors(&slot.parameter)).collect()
+    }
+
+    /// Goes on where another Adam stopped: after its steps, with its moments in the order of the parameters.
+    pub fn restore(&mut self, steps: u64, moments: &[(Tensor, Tensor)]) -> Result<()> {
+        if moments.len() != self.slots.len() {
+            candle_core::bail!("{} pairs of moments for {} parameters", moments.len(), self.slots.len());
+        }
+        self.steps = steps;
+        for (slot, (mean, square)) in self.slots.iter_mut().zip(moments) {
+            if mean.shape() != slot.parameter.shape() || square.shape() != slot.parameter.shape() {
+                candle_core::bail!("moments of shape {:?} for {:?}", mean.shape(), slot.parameter.shape());
+            }
+            slot.moments = Moments::new(mean, square)?;
+        }
+        Ok(())
+    }
+
+    /// One step down `gradients`; parameters without a gradient stay as they are.
+    pub fn step(&mut self, gradients: &GradStore) -> Result<()> {
+        self.steps += 1;
+        let correction = |beta: f64| (1.0 / (1.0 - beta.powf(self.steps as f64))) as f32;
+        let step = AdamStep {
+            learning_rate: self.learning_rate as f32,
+            beta_mean: BETA_MEAN as f32,
+            beta_square: BETA_SQUARE as f32,
+            epsilon: EPSILON as f32,
+            mean_correction: correction(BETA_MEAN),
+            square_correction: correction(BETA_SQUARE),
+        };
+        for slot in &mut self.slots {
+            if let Some(grad) = gradients.get(&slot.parameter) {
+                slot.moments.step(step, &slot.parameter, grad)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Moments {
+    fn new(mean: &Tensor, square: &Tensor) -> Result<Self> {
+        if mean.device().is_cpu() {
+            let values = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<f32>();
+            return Ok(Self::Cpu { mean: values(mean)?, square: values(square)? });
+        }
+        Ok(Self::Device { mean: mean.clone(), square: square.clone() })
+    }
+
+    fn tensors(&self, parameter: &Var) -> Result<(Tensor, Tensor)> {
+        let tensor = |values: &[f32]| Tensor::from_slice(values, parameter.shape(), &Device::Cpu);
+        match self {
+            Self::Cpu { mean, square } => Ok((tensor(mean)?, tensor(square)?)),
+            Self::Device { mean, square } => Ok((mean.clone(), square.clone())),
+        }
+    }
+
+    fn step(&mut self, step: AdamStep, parameter: &Var, grad: &Tensor) -> Result<()> {
+        match self {
+            Self::Cpu { mean, square } => {
+                parameter.inplace_op2(&grad.contiguous()?, &AdamOp { step, moments: Mutex::new((mean, square)) })
+            }
+            Self::Device { mean, square } => {
+                let (keep_mean, keep_square) = (f64::from(step.beta_mean), f64::from(step.beta_square));
+                *mean = ((&*mean * keep_mean)? + (grad * (1.0 - keep_mean))?)?;
+                *square = ((&*square * keep_square)? + (grad.sqr()? * (1.0 - keep_square))?)?;
+                let spread = (&*square * f64::from(step.square_correction))?.sqrt()?;
+                let change = (&*mean * f64::from(step.learning_rate * step.mean_correction))?;
+                let change = change.div(&(spread + f64::from(step.epsilon))?)?;
+                parameter.set(&parameter.as_tensor().detach().sub(&change)?)
+            }
+        }
+    }
+}
+
+struct AdamOp<'a> {
+    step: AdamStep,
+    /// candle gives an op only shared access to itself; nobody else holds the lock.
+    moments: Mutex<(&'a mut [f32], &'a mut [f32])>,
+}
+
+impl InplaceOp2 for AdamOp<'_> {
+    fn name(&self) -> &'static str {
+        "adam"
+    }
+
+    fn cpu_fwd(
+        &self,
+        parameter: &mut CpuStorage,
+        parameter_layout: &Layout,
+        grad: &CpuStorage,
+        grad_layout: &Layout,
+    ) -> Result<()> {
+        let (CpuStorage::F32(parameter), Some((start, end))) =
+            (parameter, parameter_layout.contiguous_offsets())
+        else {
+            candle_core::bail!("Adam works on contiguous f32 parameters");
+        };
+        let mut moments = self.moments.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let (mean, square) = &mut *moments;
+        kernels::adam(self.step, &mut parameter[start..end], slice(grad, grad_layout)?, mean, square);
+        Ok(())
+    }
+}

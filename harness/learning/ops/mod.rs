@@ -1,0 +1,45 @@
+//! The network's own candle ops.
+//!
+//! candle's convolution gradients copy and its element-wise chains allocate; each op here does forward and
+//! backward in as few passes over memory as the arithmetic allows. On a device other than the CPU the same
+//! functions compose candle's own tensor operations, whose gradients candle knows.
+
+mod adam;
+mod frame_encoder;
+mod frame_loss;
+mod linear;
+
+pub use adam::Adam;
+pub use frame_encoder::frame_encoder;
+pub use frame_loss::{frame_decoder, frame_loss};
+pub use linear::linear;
+
+use candle_core::{CpuStorage, Layout, Result, Storage, Tensor};
+
+/// The values of a contiguous f32 tensor in CPU memory.
+fn slice<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
+    let (start, end) = layout
+        .contiguous_offsets()
+        .ok_or_else(|| candle_core::Error::RequiresContiguous { op: "harness op" }.bt())?;
+    Ok(&storage.as_slice::<f32>()?[start..end])
+}
+
+/// Gives `read` the values of a contiguous f32 CPU tensor.
+fn with_values<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> Result<T>) -> Result<T> {
+    let tensor = tensor.contiguous()?;
+    let (storage, layout) = tensor.storage_and_layout();
+    match &*storage {
+        Storage::Cpu(storage) => read(slice(storage, layout)?),
+        _ => candle_core::bail!("a CPU op was given a tensor of another device"),
+    }
+}
+
+/// A CPU tensor around `values`.
+fn tensor(values: Vec<f32>, shape: impl Into<candle_core::Shape>) -> Result<Tensor> {
+    Tensor::from_vec(values, shape.into(), &candle_core::Device::Cpu)
+}
+
+/// Threads that a matrix product may use: those of the pool that the caller runs in.
+fn threads() -> usize {
+    rayon::current_num_threads()
+}

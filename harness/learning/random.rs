@@ -1,0 +1,53 @@
+//! The random numbers of a run. candle's CPU generator can't be seeded, so none of its own are used.
+
+use crate::spec::Task;
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal, Uniform};
+
+/// Independent streams of one run's seed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stream {
+    /// Initial parameters of what a task trains.
+    Parameters(Task),
+    /// Order of the samples and latent noise of one epoch, counted from 0.
+    Epoch { task: Task, index: usize },
+}
+
+/// A generator for one purpose of a run: results depend on the seed alone, not on what was drawn before.
+pub struct Random(ChaCha8Rng);
+
+impl Random {
+    pub fn new(seed: u64, stream: Stream) -> Self {
+        let mut generator = ChaCha8Rng::seed_from_u64(seed);
+        let (task, number) = match stream {
+            Stream::Parameters(task) => (task, 0),
+            Stream::Epoch { task, index } => (task, 1 + index as u64),
+        };
+        let block = match task {
+            Task::Prediction => 0,
+            Task::Reconstruction => 1 << 32,
+        };
+        generator.set_stream(block + number);
+        Self(generator)
+    }
+
+    /// `len` draws from the standard normal distribution.
+    pub fn normal(&mut self, len: usize) -> Vec<f32> {
+        StandardNormal.sample_iter(&mut self.0).take(len).collect()
+    }
+
+    /// `len` draws, uniform in `[-bound, bound]`.
+    pub fn uniform(&mut self, len: usize, bound: f32) -> Vec<f32> {
+        match Uniform::new_inclusive(-bound, bound) {
+            Ok(uniform) => uniform.sample_iter(&mut self.0).take(len).collect(),
+            Err(_) => vec![0.0; len],
+        }
+    }
+
+    /// `values` in a random order.
+    pub fn shuffle<T>(&mut self, values: &mut [T]) {
+        values.shuffle(&mut self.0);
+    }
+}

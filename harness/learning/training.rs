@@ -1,0 +1,156 @@
+//! The training loop: epochs of Adam steps, validation, early stopping, and a state to go on from.
+
+use super::LearningError;
+use super::network::{Parameters, scalar};
+use super::objective::{Draw, Objective, Weighted};
+use super::ops::Adam;
+use super::random::{Random, Stream};
+use super::state::{State, StateFile};
+use crate::dataset::Partition;
+use crate::progress::Progress;
+use crate::spec::{Task, Training};
+use candle_core::{Result as CandleResult, Tensor};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+/// Mean of every term of the loss over a split, on standardised values and before weighting; `total` is the
+/// weighted sum.
+pub type Losses = BTreeMap<String, f64>;
+
+/// Name of the weighted sum of all terms.
+pub const TOTAL: &str = "total";
+
+/// What one epoch gave.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Epoch {
+    /// Counted from 1.
+    pub epoch: usize,
+    pub train: Losses,
+    pub validation: Losses,
+    pub seconds: f64,
+}
+
+/// A training to its end.
+pub struct Fit<'a> {
+    pub task: Task,
+    pub training: &'a Training,
+    pub seed: u64,
+    pub partition: &'a Partition,
+    /// Where to save the state on the way, and to look for one to go on from.
+    pub state: &'a StateFile,
+    pub progress: &'a dyn Progress,
+}
+
+impl Fit<'_> {
+    /// Trains `parameters` on `objective`; they end as those of the best validation epoch, or of the last
+    /// where early stopping is off.
+    ///
+    /// # Errors
+    /// When a loss is no longer finite, the state can't be saved or read, or the caller cancels.
+    pub fn run(&self, objective: &dyn Objective, parameters: &Parameters) -> Result<Vec<Epoch>, LearningError> {
+        let mut adam = Adam::new(parameters.values().cloned().collect(), self.training.learning_rate)?;
+        let mut state = self.state.resume(parameters, &mut adam)?.unwrap_or_default();
+        let stage = match self.task {
+            Task::Prediction => "prediction",
+            Task::Reconstruction => "reconstruction",
+        };
+        self.progress.begin(stage, self.training.epochs as u64, "epochs");
+        self.progress.advance(state.epochs.len() as u64);
+        while !self.finished(&state) {
+            let epoch = self.epoch(objective, &mut adam, state.epochs.len())?;
+            self.progress.advance(1);
+            self.progress.note(&describe(&epoch));
+            state.record(epoch, parameters)?;
+            self.state.save_now_and_then(&state, parameters, &adam)?;
+        }
+        if self.training.patience.is_some() {
+            state.restore_best(parameters)?;
+        }
+        self.progress.end();
+        Ok(state.epochs)
+    }
+
+    fn finished(&self, state: &State) -> bool {
+        let done = state.epochs.len();
+        done >= self.training.epochs
+            || self.training.patience.is_some_and(|patience| done >= state.best_epoch() + patience)
+    }
+
+    fn epoch(&self, objective: &dyn Objective, adam: &mut Adam, index: usize) -> Result<Epoch, LearningError> {
+        let begin = Instant::now();
+        let mut random = Random::new(self.seed, Stream::Epoch { task: self.task, index });
+        let mut order = self.partition.training.clone();
+        random.shuffle(&mut order);
+        let mut train = Sums::default();
+        for at in order.chunks(self.training.batch_size) {
+            if self.progress.cancelled() {
+                return Err(LearningError::Cancelled);
+            }
+            let terms = objective.terms(at, Draw::Sample(&mut random))?;
+            let total = total(&terms)?;
+            train.add(&terms, &total, at.len())?;
+            adam.step(&total.backward()?)?;
+        }
+        let validation = self.validate(objective)?;
+        let epoch =
+            Epoch { epoch: index + 1, train: train.means(), validation, seconds: begin.elapsed().as_secs_f64() };
+        let finite = |losses: &Losses| losses.values().all(|value| value.is_finite());
+        if finite(&epoch.train) && finite(&epoch.validation) {
+            Ok(epoch)
+        } else {
+            Err(LearningError::NotFinite { task: self.task, epoch: epoch.epoch, losses: epoch.train })
+        }
+    }
+
+    fn validate(&self, objective: &dyn Objective) -> CandleResult<Losses> {
+        let objective = objective.detached();
+        let mut sums = Sums::default();
+        for at in self.partition.validation.chunks(self.training.batch_size) {
+            let terms = objective.terms(at, Draw::Mean)?;
+            sums.add(&terms, &total(&terms)?, at.len())?;
+        }
+        Ok(sums.means())
+    }
+}
+
+/// The weighted sum of the terms, a scalar.
+fn total(terms: &[Weighted]) -> CandleResult<Tensor> {
+    let mut total: Option<Tensor> = None;
+    for term in terms {
+        // Multiplying by one would cost the gradient a pass for nothing.
+        let value = if term.weight == 1.0 { term.value.clone() } else { (&term.value * term.weight)? };
+        total = Some(match total {
+            Some(total) => (total + value)?,
+            None => value,
+        });
+    }
+    total.ok_or_else(|| candle_core::Error::Msg("a loss without terms".into()))
+}
+
+/// Sums of a loss's terms over batches, each weighted by its samples.
+#[derive(Default)]
+struct Sums {
+    samples: f64,
+    sums: Losses,
+}
+
+impl Sums {
+    fn add(&mut self, terms: &[Weighted], total: &Tensor, samples: usize) -> CandleResult<()> {
+        self.samples += samples as f64;
+        let named = terms.iter().map(|term| (term.name.as_str(), &term.value)).chain([(TOTAL, total)]);
+        for (name, value) in named {
+            *self.sums.entry(name.to_owned()).or_default() += scalar(value)? * samples as f64;
+        }
+        Ok(())
+    }
+
+    fn means(self) -> Losses {
+        self.sums.into_iter().map(|(name, sum)| (name, sum / self.samples)).collect()
+    }
+}
+
+fn describe(epoch: &Epoch) -> String {
+    let of = |losses: &Losses| losses.get(TOTAL).copied().unwrap_or(f64::NAN);
+    format!("train {:.4}, validation {:.4}", of(&epoch.train), of(&epoch.validation))
+}

@@ -1,0 +1,14 @@
+//! A research harness for multi-modal perception of a soft robot.
+//!
+//! Data flows one way, and each room may use only those before it:
+//! spec, simulation, dataset, learning, metrics, registry. The story of an experiment is in [`experiment`].
+
+pub mod dataset;
+pub mod files;
+pub mod learning;
+pub mod metrics;
+pub mod progress;
+pub mod schema;
+pub mod simulation;
+pub mod spec;
+pub mod tables;

@@ -1,0 +1,302 @@
+//! Predictions that need no network: what any trained model has to beat.
+
+use super::error::{MetricsError, check_finite, check_samples, rows};
+use crate::spec::{FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, Modality};
+use rayon::prelude::*;
+use std::borrow::Cow;
+
+/// Side of the square that [`downsample_frame`] makes, pixels.
+pub const GREY_SIDE: usize = 16;
+/// Values in it.
+pub const GREY_LEN: usize = GREY_SIDE * GREY_SIDE;
+
+/// Rows that ridge regression turns to f64 at a time; a batch of frames takes 25 MB so.
+const CHUNK_ROWS: usize = 256;
+
+/// Predicts that the next observation equals this one, `now`; of a frame difference, that nothing changes.
+///
+/// `now` is row-major `[samples, width]`, the modality that is predicted as it was sensed at the sample itself.
+/// The difference at a sample already holds the next frame, so zero stands for it.
+pub fn persistence(modality: Modality, now: &[f32]) -> Cow<'_, [f32]> {
+    match modality {
+        Modality::FrameDifference => Cow::Owned(vec![0.0; now.len()]),
+        _ => Cow::Borrowed(now),
+    }
+}
+
+/// Predicts the mean of the training samples, column by column.
+#[derive(Debug, Clone)]
+pub struct TrainingMean {
+    sums: Vec<f64>,
+    samples: usize,
+}
+
+impl TrainingMean {
+    /// A mean of rows of `width` values.
+    pub fn new(width: usize) -> Self {
+        Self { sums: vec![0.0; width], samples: 0 }
+    }
+
+    /// Adds training samples, row-major `[samples, width]`.
+    ///
+    /// # Errors
+    /// The values are no whole number of rows, or not finite; nothing is added then.
+    pub fn add(&mut self, values: &[f32]) -> Result<(), MetricsError> {
+        let width = self.sums.len();
+        let samples = rows("the training mean's batch", values, width)?;
+        check_finite("the training mean's batch", values, width)?;
+        self.samples += samples.len();
+        for sample in samples {
+            self.sums.iter_mut().zip(sample).for_each(|(sum, &value)| *sum += f64::from(value));
+        }
+        Ok(())
+    }
+
+    /// The mean, once for each of `samples`: row-major `[samples, width]`.
+    ///
+    /// # Errors
+    /// No training sample was added.
+    pub fn predict(&self, samples: usize) -> Result<Vec<f32>, MetricsError> {
+        if self.samples == 0 {
+            return Err(MetricsError::NoSamples { what: "the training mean" });
+        }
+        let mean: Vec<f32> = self.sums.iter().map(|sum| (sum / self.samples as f64) as f32).collect();
+        Ok(mean.repeat(samples))
+    }
+}
+
+/// Training samples of a ridge regression, reduced to its normal equations: memory doesn't grow with them.
+///
+/// A column of ones before the inputs carries the intercept.
+#[derive(Debug, Clone)]
+pub struct RidgeSums {
+    inputs: usize,
+    outputs: usize,
+    /// [1 X]ᵀ [1 X], row-major `[inputs + 1, inputs + 1]`
+    gram: Vec<f64>,
+    /// Yᵀ [1 X], row-major `[outputs, inputs + 1]`
+    cross: Vec<f64>,
+}
+
+impl RidgeSums {
+    /// No samples yet, of `inputs` and `outputs` values each.
+    pub fn new(inputs: usize, outputs: usize) -> Self {
+        let size = inputs + 1;
+        Self { inputs, outputs, gram: vec![0.0; size * size], cross: vec![0.0; outputs * size] }
+    }
+
+    /// Adds training samples: standardised inputs `x`, row-major `[samples, inputs]`, and what is to be
+    /// predicted, `y`, `[samples, outputs]`, in any unit.
+    ///
+    /// # Errors
+    /// The shapes don't match, or a value isn't finite; nothing is added then.
+    pub fn add(&mut self, x: &[f32], y: &[f32]) -> Result<(), MetricsError> {
+        let samples = rows("ridge regression's x", x, self.inputs)?.len();
+        let targets = rows("ridge regression's y", y, self.outputs)?.len();
+        check_samples(("ridge regression's x", samples), ("its y", targets))?;
+        check_finite("ridge regression's x", x, self.inputs)?;
+        check_finite("ridge regression's y", y, self.outputs)?;
+        let size = self.inputs + 1;
+        for (x, y) in x.chunks(CHUNK_ROWS * self.inputs).zip(y.chunks(CHUNK_ROWS * self.outputs)) {
+            let x = with_ones(x, self.inputs);
+            let y: Vec<f64> = y.iter().map(|&value| f64::from(value)).collect();
+            let x = Matrix::new(&x, size);
+            add_product(&mut self.gram, x.transposed(), x);
+            add_product(&mut self.cross, Matrix::new(&y, self.outputs).transposed(), x);
+        }
+        Ok(())
+    }
+
+    /// Minimises `‖y - x w - b‖² + alpha ‖w‖²` over the samples, the intercept b unpenalised, as
+    /// scikit-learn's `Ridge(alpha)` does.
+    ///
+    /// # Errors
+    /// `alpha` is negative or not finite, no sample was added, or the inputs are linearly dependent and
+    /// `alpha` is too small to settle which of them counts.
+    pub fn solve(&self, alpha: f64) -> Result<Ridge, MetricsError> {
+        if !(alpha.is_finite() && alpha >= 0.0) {
+            return Err(MetricsError::Alpha(alpha));
+        }
+        let size = self.inputs + 1;
+        if self.gram[0] == 0.0 {
+            return Err(MetricsError::NoSamples { what: "ridge regression" });
+        }
+        let mut factor = self.gram.clone();
+        (1..size).for_each(|i| factor[i * size + i] += alpha);
+        cholesky(&mut factor, size).map_err(|column| MetricsError::Singular { column: column - 1, alpha })?;
+        let mut weights = self.cross.clone();
+        weights.par_chunks_exact_mut(size).for_each(|output| solve_factored(&factor, output));
+        Ok(Ridge { inputs: self.inputs, outputs: self.outputs, weights })
+    }
+}
+
+/// A fitted ridge regression.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ridge {
+    inputs: usize,
+    outputs: usize,
+    /// Row-major `[outputs, inputs + 1]`: of each output the intercept, then the coefficients.
+    weights: Vec<f64>,
+}
+
+impl Ridge {
+    /// Fits samples that fit in memory: `x`, row-major `[samples, inputs]`, to `y`, `[samples, outputs]`.
+    ///
+    /// # Errors
+    /// Those of [`RidgeSums::add`] and [`RidgeSums::solve`].
+    pub fn fit(
+        x: &[f32],
+        inputs: usize,
+        y: &[f32],
+        outputs: usize,
+        alpha: f64,
+    ) -> Result<Self, MetricsError> {
+        let mut sums = RidgeSums::new(inputs, outputs);
+        sums.add(x, y)?;
+        sums.solve(alpha)
+    }
+
+    /// The intercept and the coefficients of one output.
+    ///
+    /// # Panics
+    /// There is no such output.
+    pub fn weights(&self, output: usize) -> (f64, &[f64]) {
+        let weights = &self.weights[output * (self.inputs + 1)..][..self.inputs + 1];
+        (weights[0], &weights[1..])
+    }
+
+    /// Predicts from inputs standardised as in the fit: `[samples, inputs]` to `[samples, outputs]`.
+    ///
+    /// # Errors
+    /// `x` is no whole number of rows.
+    pub fn predict(&self, x: &[f32]) -> Result<Vec<f32>, MetricsError> {
+        let samples = rows("ridge regression's x", x, self.inputs)?.len();
+        let size = self.inputs + 1;
+        let mut predicted = Vec::with_capacity(samples * self.outputs);
+        for x in x.chunks(CHUNK_ROWS * self.inputs) {
+            let x = with_ones(x, self.inputs);
+            let mut y = vec![0.0; x.len() / size * self.outputs];
+            add_product(&mut y, Matrix::new(&x, size), Matrix::new(&self.weights, size).transposed());
+            predicted.extend(y.iter().map(|&value| value as f32));
+        }
+        Ok(predicted)
+    }
+}
+
+/// Grey 16 x 16 picture of a camera frame, or of a difference of two, as inputs of ridge regression.
+///
+/// `frame` is row-major `[64, 64, 3]`; each value of the result is the mean of 4 x 4 pixels and their three
+/// channels, in the frame's own unit.
+///
+/// # Errors
+/// `frame` is not one frame long.
+pub fn downsample_frame<T: Copy + Into<f32>>(frame: &[T]) -> Result<[f32; GREY_LEN], MetricsError> {
+    if frame.len() != FRAME_LEN {
+        return Err(MetricsError::Shape { what: "the camera frame", values: frame.len(), width: FRAME_LEN });
+    }
+    const BLOCK: usize = FRAME_SIDE / GREY_SIDE;
+    let mut grey = [0.0; GREY_LEN];
+    for (pixel, channels) in frame.chunks_exact(FRAME_CHANNELS).enumerate() {
+        let (row, column) = (pixel / FRAME_SIDE, pixel % FRAME_SIDE);
+        let sum: f32 = channels.iter().map(|&value| value.into()).sum();
+        grey[row / BLOCK * GREY_SIDE + column / BLOCK] += sum;
+    }
+    Ok(grey.map(|sum| sum / (BLOCK * BLOCK * FRAME_CHANNELS) as f32))
+}
+
+/// `[samples, inputs]` in f64, with a column of ones before the first.
+fn with_ones(x: &[f32], inputs: usize) -> Vec<f64> {
+    x.chunks_exact(inputs)
+        .flat_map(|row| [1.0].into_iter().chain(row.iter().map(|&v| f64::from(v))))
+        .collect()
+}
+
+/// A view of a row-major matrix, or of its transpose.
+#[derive(Clone, Copy)]
+struct Matrix<'a> {
+    values: &'a [f64],
+    shape: [usize; 2],
+    strides: [isize; 2],
+}
+
+impl<'a> Matrix<'a> {
+    fn new(values: &'a [f64], columns: usize) -> Self {
+        assert!(values.len().is_multiple_of(columns), "{} values in rows of {columns}", values.len());
+        Self { values, shape: [values.len() / columns, columns], strides: [columns as isize, 1] }
+    }
+
+    fn transposed(self) -> Self {
+        let ([rows, columns], [down, right]) = (self.shape, self.strides);
+        Self { values: self.values, shape: [columns, rows], strides: [right, down] }
+    }
+}
+
+/// Adds the matrix product `left right` to the row-major `sum`.
+fn add_product(sum: &mut [f64], left: Matrix, right: Matrix) {
+    let ([rows, inner], [right_rows, columns]) = (left.shape, right.shape);
+    assert!(inner == right_rows && sum.len() == rows * columns, "shapes of a product don't match");
+    // SAFETY: the shapes match, and each view's shape and strides stay within its slice.
+    unsafe {
+        gemm::gemm(
+            rows,
+            columns,
+            inner,
+            sum.as_mut_ptr(),
+            1,
+            columns as isize,
+            true,
+            left.values.as_ptr(),
+            left.strides[1],
+            left.strides[0],
+            right.values.as_ptr(),
+            right.strides[1],
+            right.strides[0],
+            1.0,
+            1.0,
+            false,
+            false,
+            false,
+            gemm::Parallelism::Rayon(0),
+        );
+    }
+}
+
+/// Replaces a symmetric positive definite matrix `[size, size]` by its Cholesky factor L, and Lᵀ above the
+/// diagonal. `Err` names the first column that depends on those before it, to rounding.
+fn cholesky(matrix: &mut [f64], size: usize) -> Result<(), usize> {
+    for j in 0..size {
+        let (above, below) = matrix.split_at_mut(j * size);
+        let original = below[j];
+        for k in 0..j {
+            let upper = &above[k * size..][j..size];
+            let scale = upper[0];
+            below[j..size].iter_mut().zip(upper).for_each(|(value, factor)| *value -= scale * factor);
+        }
+        if below[j] <= original * size as f64 * f64::EPSILON {
+            return Err(j);
+        }
+        let pivot = below[j].sqrt();
+        below[j..size].iter_mut().for_each(|value| *value /= pivot);
+        for i in j + 1..size {
+            matrix[i * size + j] = matrix[j * size + i];
+        }
+    }
+    Ok(())
+}
+
+/// Solves `L Lᵀ w = b` in place, with both factors in `factor` as [`cholesky`] leaves them.
+fn solve_factored(factor: &[f64], b: &mut [f64]) {
+    let size = b.len();
+    for i in 0..size {
+        let row = &factor[i * size..][..size];
+        b[i] /= row[i];
+        let solved = b[i];
+        b[i + 1..].iter_mut().zip(&row[i + 1..]).for_each(|(value, factor)| *value -= solved * factor);
+    }
+    for i in (0..size).rev() {
+        let row = &factor[i * size..][..size];
+        b[i] /= row[i];
+        let solved = b[i];
+        b[..i].iter_mut().zip(&row[..i]).for_each(|(value, factor)| *value -= solved * factor);
+    }
+}

@@ -1,0 +1,27 @@
+//! How long work tells its caller how far it is. The library reports; only the command line draws.
+
+/// Receives the progress of one command. Calls may come from several threads.
+pub trait Progress: Sync {
+    /// A stage of `total` steps begins; `unit` names one step ("samples", "epochs").
+    fn begin(&self, stage: &str, total: u64, unit: &str);
+    /// `steps` more are done.
+    fn advance(&self, steps: u64);
+    /// A short note on the current stage, such as the latest losses.
+    fn note(&self, text: &str);
+    /// The stage is over.
+    fn end(&self);
+    /// Whether the caller wants the work to stop at the next step.
+    fn cancelled(&self) -> bool {
+        false
+    }
+}
+
+/// Reports to nobody.
+pub struct Silent;
+
+impl Progress for Silent {
+    fn begin(&self, _stage: &str, _total: u64, _unit: &str) {}
+    fn advance(&self, _steps: u64) {}
+    fn note(&self, _text: &str) {}
+    fn end(&self) {}
+}

@@ -1,0 +1,48 @@
+//! What is random about an episode: how the arm moves, and where the boxes stand.
+
+use super::SimulationError;
+use super::motion::{Motion, Timing, rest};
+use super::placement::place_boxes;
+use super::scene::Scene;
+use crate::spec::{ARM_JOINTS, Simulation};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use sha2::{Digest, Sha256};
+
+/// Position (m) and orientation (unit quaternion w, x, y, z) of a box.
+pub type Pose = [f64; 7];
+
+/// All that decides an episode, given its scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Course {
+    /// The episode's index in the dataset.
+    pub episode: u32,
+    /// Where each box starts.
+    pub boxes: Vec<Pose>,
+    motion: Motion,
+}
+
+impl Course {
+    /// Draws the course of the episode of that index.
+    ///
+    /// # Errors
+    /// When the spec's rates do not suit the scene's step, or the boxes find no place.
+    pub fn draw(scene: &Scene, spec: &Simulation, index: u32) -> Result<Self, SimulationError> {
+        let timing = Timing::new(spec, scene.step_s())?;
+        let mut rng = episode_stream(scene, spec.seed, index);
+        let motion = Motion::draw(spec, &timing, rest(spec), &mut rng);
+        let boxes = place_boxes(scene, spec, index, &mut rng)?;
+        Ok(Self { episode: index, boxes, motion })
+    }
+
+    /// The arm's commanded rotation (rad), lift (m) and extension (m) during a simulation step.
+    pub fn setpoint(&self, step: usize) -> [f64; ARM_JOINTS] {
+        self.motion.setpoint(step)
+    }
+}
+
+/// The episode's own random stream: independent of every other's, whichever thread runs it and when.
+fn episode_stream(scene: &Scene, seed: u64, index: u32) -> ChaCha8Rng {
+    let identity = format!("harness episode: seed {seed}, scenario {}, index {index}", scene.scenario());
+    ChaCha8Rng::from_seed(Sha256::digest(identity).into())
+}

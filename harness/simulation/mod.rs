@@ -1,0 +1,80 @@
+//! The simulated world: MuJoCo scenes, the arm's motion, what the robot senses, and the camera's frames.
+//!
+//! A [`Scene`] is a compiled model, shared by all threads; a [`Simulator`] steps and films it on one thread and
+//! yields [`Episode`]s. An episode depends on the spec, the scene and its own index, on nothing else.
+
+mod camera;
+mod course;
+mod episode;
+mod motion;
+mod physics;
+mod placement;
+mod scene;
+mod sensors;
+
+pub use camera::{Camera, Portrait, prepare_rendering, renderer_name};
+pub use course::{Course, Pose};
+pub use episode::{Episode, Simulator, replay};
+pub use scene::{BOXES, Scene};
+pub use sensors::{LinkForces, link_forces};
+
+use mujoco_rs::prelude::RendererError;
+use std::path::PathBuf;
+
+/// The MuJoCo release that the bindings, the models and the published numbers are for.
+pub const MUJOCO_VERSION: &str = "3.17.0";
+
+/// The version of the MuJoCo library that this process runs.
+pub fn mujoco_version() -> &'static str {
+    mujoco_rs::mujoco_version()
+}
+
+/// Why a scene, an episode or a picture could not be made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SimulationError {
+    #[error("MuJoCo {found} is linked, but this program is built for {MUJOCO_VERSION}: run `make setup`")]
+    Version { found: String },
+
+    #[error("cannot read the scene {}", path.display())]
+    Read { path: PathBuf, source: std::io::Error },
+
+    #[error("{scene} does not compile: {message}")]
+    Compile { scene: String, message: String },
+
+    #[error("{scene} has no {kind} named `{name}`; models/README.md lists the names a scene must have")]
+    Missing { scene: String, kind: &'static str, name: String },
+
+    #[error("{scene}: {problem}")]
+    Unsuitable { scene: String, problem: String },
+
+    #[error("simulation.{field}: {problem}")]
+    Spec { field: &'static str, problem: String },
+
+    #[error(
+        "episode {episode}: no free place for box {placed} of {boxes} after {attempts} draws; \
+         widen simulation.rotation_range_rad or extension_range_m, or lower simulation.box_clearance_m"
+    )]
+    Placement { episode: u32, placed: usize, boxes: usize, attempts: usize },
+
+    #[error("episode {episode} of {scene} diverged {time_s:.3} s after its start: {what}")]
+    Diverged { scene: String, episode: u32, time_s: f64, what: String },
+
+    #[error("episode {episode} was cancelled")]
+    Cancelled { episode: u32 },
+
+    #[error(
+        "no OpenGL context for offscreen rendering: EGL says {cause}; install an EGL driver \
+         (Debian: apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri)"
+    )]
+    NoRenderer { cause: String },
+
+    #[error("rendering failed")]
+    Render(#[source] RendererError),
+
+    #[error("a picture of {width} x {height} pixels is out of range: each side must be 1 to {max}")]
+    PictureSize { width: u32, height: u32, max: u32 },
+
+    #[error("a state of {found} values does not fit {scene}, which has {expected} position coordinates")]
+    StateSize { scene: String, found: usize, expected: usize },
+}

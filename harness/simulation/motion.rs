@@ -1,0 +1,165 @@
+//! The arm's commanded motion: smoothstep moves between random setpoints, on an exact time grid.
+
+use super::SimulationError;
+use super::scene::Scene;
+use crate::spec::{ARM_JOINTS, Simulation};
+use rand::{Rng, RngExt};
+
+/// Steps, samples and actuations of an episode; whole numbers, so that no instant is off by a rounding.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Timing {
+    /// Duration of a step, s.
+    pub step_s: f64,
+    pub steps_per_sample: usize,
+    pub steps_per_actuation: usize,
+    /// Samples an episode.
+    pub samples: usize,
+}
+
+impl Timing {
+    /// # Errors
+    /// When a sampling interval is not a whole number of steps, or an actuation not of samples.
+    pub fn new(spec: &Simulation, step_s: f64) -> Result<Self, SimulationError> {
+        let steps_per_sample = whole(1.0 / (spec.sample_rate_hz * step_s)).ok_or_else(|| SimulationError::Spec {
+            field: "sample_rate_hz",
+            problem: format!(
+                "a whole number of steps of {step_s} s must fit between samples, which {} Hz does not give",
+                spec.sample_rate_hz
+            ),
+        })?;
+        let samples_per_actuation =
+            whole(spec.actuation_seconds * spec.sample_rate_hz).ok_or_else(|| SimulationError::Spec {
+                field: "actuation_seconds",
+                problem: format!(
+                    "{} s must hold a whole number of samples at {} Hz",
+                    spec.actuation_seconds, spec.sample_rate_hz
+                ),
+            })?;
+        Ok(Self {
+            step_s,
+            steps_per_sample,
+            steps_per_actuation: samples_per_actuation * steps_per_sample,
+            samples: spec.actuations_per_episode as usize * samples_per_actuation,
+        })
+    }
+}
+
+/// The nearest whole number, when `value` is one but for rounding, and positive.
+fn whole(value: f64) -> Option<usize> {
+    let nearest = value.round();
+    let is_whole = nearest >= 1.0 && nearest < 1e9 && (value - nearest).abs() < 1e-6 * nearest;
+    is_whole.then_some(nearest as usize)
+}
+
+/// The arm's setpoint as a function of time.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Motion {
+    /// Where the moves start and end: rotation (rad), lift (m), extension (m).
+    waypoints: Vec<[f64; ARM_JOINTS]>,
+    steps_per_move: usize,
+}
+
+impl Motion {
+    /// Draws as many uniformly random waypoints as the spec has actuations, and starts at `rest`.
+    pub fn draw(spec: &Simulation, timing: &Timing, rest: [f64; ARM_JOINTS], rng: &mut impl Rng) -> Self {
+        let random = |_| ranges(spec).map(|[low, high]| rng.random_range(low..=high));
+        let waypoints = std::iter::once(rest).chain((0..spec.actuations_per_episode).map(random)).collect();
+        Self { waypoints, steps_per_move: timing.steps_per_actuation }
+    }
+
+    /// The setpoint at the start of a step; the last waypoint after the last move.
+    pub fn setpoint(&self, step: usize) -> [f64; ARM_JOINTS] {
+        let index = step / self.steps_per_move;
+        let [from, to] = [index, index + 1].map(|i| self.waypoints[i.min(self.waypoints.len() - 1)]);
+        let done = smoothstep((step % self.steps_per_move) as f64 / self.steps_per_move as f64);
+        std::array::from_fn(|joint| from[joint] + done * (to[joint] - from[joint]))
+    }
+}
+
+/// 3 u^2 - 2 u^3: from 0 to 1 with no velocity at either end.
+fn smoothstep(u: f64) -> f64 {
+    u * u * (3.0 - 2.0 * u)
+}
+
+/// The arm's ranges, in the order of the `arm` modality.
+pub(super) fn ranges(spec: &Simulation) -> [[f64; 2]; ARM_JOINTS] {
+    [spec.rotation_range_rad, spec.lift_range_m, spec.extension_range_m]
+}
+
+/// Where every episode starts: turned to the middle, lifted, retracted.
+pub(super) fn rest(spec: &Simulation) -> [f64; ARM_JOINTS] {
+    let [low, high] = spec.rotation_range_rad;
+    [0.5 * (low + high), spec.lift_range_m[1], spec.extension_range_m[0]]
+}
+
+/// Refuses ranges that the scene's joints or actuators would clip.
+///
+/// # Errors
+/// Names the range, and what the scene allows.
+pub(super) fn check_ranges(spec: &Simulation, scene: &Scene) -> Result<(), SimulationError> {
+    let fields = ["rotation_range_rad", "lift_range_m", "extension_range_m"];
+    for ((field, [low, high]), joint) in fields.into_iter().zip(ranges(spec)).zip(&scene.arm) {
+        let [min, max] = joint.limits;
+        // A limit written in a few decimals may round to inside the range it was meant for.
+        let slack = 1e-6;
+        if !(low <= high && low >= min - slack && high <= max + slack) {
+            let problem = format!(
+                "[{low}, {high}] must ascend and lie within [{min}, {max}], as {} allows",
+                scene.name
+            );
+            return Err(SimulationError::Spec { field, problem });
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    fn timing() -> Timing {
+        Timing::new(&Simulation::default(), 1e-3).unwrap()
+    }
+
+    #[test]
+    fn time_grid_of_the_defaults() {
+        let expected =
+            Timing { step_s: 1e-3, steps_per_sample: 100, steps_per_actuation: 1000, samples: 1000 };
+        assert_eq!(timing(), expected);
+    }
+
+    #[test]
+    fn rates_off_the_grid_are_refused() {
+        let spec = Simulation { sample_rate_hz: 300.0, ..Default::default() };
+        assert!(Timing::new(&spec, 1e-3).unwrap_err().to_string().contains("sample_rate_hz"));
+        let spec = Simulation { actuation_seconds: 0.25, ..Default::default() };
+        assert!(Timing::new(&spec, 1e-3).unwrap_err().to_string().contains("actuation_seconds"));
+    }
+
+    #[test]
+    fn moves_are_continuous_within_the_ranges_and_half_way_at_half_time() {
+        let spec = Simulation::default();
+        let rest = rest(&spec);
+        let motion = Motion::draw(&spec, &timing(), rest, &mut ChaCha8Rng::seed_from_u64(7));
+        assert_eq!(motion.setpoint(0), rest);
+        let (first, second) = (motion.setpoint(1000), motion.setpoint(2000));
+        assert_ne!(first, second);
+        for joint in 0..ARM_JOINTS {
+            assert!((motion.setpoint(1500)[joint] - 0.5 * (first[joint] + second[joint])).abs() < 1e-12);
+            // smoothstep(1/4) = 5/32
+            let quarter = first[joint] + 5.0 / 32.0 * (second[joint] - first[joint]);
+            assert!((motion.setpoint(1250)[joint] - quarter).abs() < 1e-12);
+        }
+        for step in 0..100_000 {
+            let (here, next) = (motion.setpoint(step), motion.setpoint(step + 1));
+            for (joint, [low, high]) in ranges(&spec).into_iter().enumerate() {
+                assert!((low..=high).contains(&here[joint]));
+                // The smoothstep's steepest slope is 1.5 spans a move.
+                assert!((next[joint] - here[joint]).abs() <= 1.5 * (high - low) / 1000.0 + 1e-12);
+            }
+        }
+        assert_eq!(motion.setpoint(100_000), motion.setpoint(123_456));
+    }
+}

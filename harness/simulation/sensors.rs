@@ -1,0 +1,82 @@
+//! What is read off the state after each step: contact forces, and signs that the simulation went wrong.
+
+use super::scene::Scene;
+use crate::spec::JOINTS;
+use mujoco_rs::prelude::*;
+use mujoco_rs::wrappers::mj_auxiliary::MjContact;
+
+/// Normal contact forces of the links, base to tip, N.
+pub type LinkForces = [f64; JOINTS];
+
+/// For each finger link, the sum of the normal components of its contacts, N.
+///
+/// The finger does not collide with itself, so no contact belongs to two links.
+pub fn link_forces(scene: &Scene, data: &MjData<&MjModel>) -> LinkForces {
+    let mut forces = [0.0; JOINTS];
+    for contact in data.contact() {
+        let links = contact.geom.map(|geom| scene.link_of_geom.get(geom as usize).copied().flatten());
+        if let [Some(link), _] | [_, Some(link)] = links {
+            forces[link] += normal_force(scene, data, contact);
+        }
+    }
+    forces
+}
+
+/// The normal component of a contact's force, N, as `mj_contactForce` gives it, without the friction.
+fn normal_force(scene: &Scene, data: &MjData<&MjModel>, contact: &MjContact) -> f64 {
+    // Contacts without constraint rows (within the margin, or excluded) have no force.
+    let Ok(first) = usize::try_from(contact.efc_address) else { return 0.0 };
+    let rows = match contact.dim as usize {
+        // A pyramid's edges each carry a share of the normal force: the rows add up to it.
+        dim if dim > 1 && scene.model.is_pyramidal() => 2 * (dim - 1),
+        _ => 1,
+    };
+    // SAFETY: the step that made this contact has also solved for the forces of its rows.
+    let efc_force = unsafe { data.efc_force() };
+    efc_force[first..first + rows].iter().sum()
+}
+
+/// The mean of the link forces since the last [`MeanForces::take`].
+#[derive(Debug, Default)]
+pub(super) struct MeanForces {
+    sum: LinkForces,
+    steps: usize,
+}
+
+impl MeanForces {
+    pub fn add(&mut self, forces: &LinkForces) {
+        for (sum, force) in self.sum.iter_mut().zip(forces) {
+            *sum += force;
+        }
+        self.steps += 1;
+    }
+
+    /// The mean over the steps added, N; starts anew.
+    pub fn take(&mut self) -> LinkForces {
+        let Self { sum, steps } = std::mem::take(self);
+        sum.map(|force| force / steps as f64)
+    }
+}
+
+/// What went wrong with the simulation so far, if anything did.
+///
+/// MuJoCo counts a warning when positions, velocities or accelerations are not finite or huge (and then resets
+/// the state, which must not be taken for data), or when contacts or constraints did not fit its memory.
+pub(super) fn divergence(data: &MjData<&MjModel>) -> Option<String> {
+    data.warning()
+        .iter()
+        .zip(WARNINGS)
+        .find(|(warning, _)| warning.number > 0)
+        .map(|(warning, (name, cause))| format!("{cause} (MuJoCo's warning {name}, {})", warning.lastinfo))
+}
+
+/// MuJoCo's warnings in the order of `mjtWarning`.
+const WARNINGS: [(&str, &str); MjtWarning::mjNWARNING as usize] = [
+    ("INERTIA", "the inertia matrix is nearly singular"),
+    ("CONTACTFULL", "too many contacts for the model's memory"),
+    ("CNSTRFULL", "too many constraints for the model's memory"),
+    ("BADQPOS", "a position is not finite or huge"),
+    ("BADQVEL", "a velocity is not finite or huge"),
+    ("BADQACC", "an acceleration is not finite or huge"),
+    ("BADCTRL", "a control is not finite or huge"),
+];

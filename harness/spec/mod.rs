@@ -1,0 +1,85 @@
+//! What an experiment asks for: the types of a YAML spec, its validation, and the runs it expands to.
+//!
+//! The types are strict: unknown keys, wrong types and impossible values are refused with file, line and
+//! column. A loaded [`Experiment`] is resolved: overrides applied, every default explicit, modalities in the
+//! order of [`Modality`], `quick` dealt with and empty, so that two specs that mean the same are equal.
+//! Derived values are kept out.
+
+mod cells;
+mod error;
+mod overrides;
+mod parse;
+mod schema;
+mod types;
+mod validate;
+
+pub use cells::RunSpec;
+pub use error::SpecError;
+pub use schema::{schema, setting_names};
+pub use types::*;
+
+use error::Problem;
+use parse::{Node, Value};
+use std::path::Path;
+
+/// Reads a spec, applies its own `quick` settings if `quick` says so, then `overrides` (`KEY=VALUE`, the key
+/// dotted and the value YAML), and resolves it.
+///
+/// # Errors
+/// The first fault of the spec as it stands in the file, of its `quick` settings, even when they are not
+/// applied, or of the overrides.
+pub fn load(path: &Path, overrides: &[String], quick: bool) -> Result<Experiment, SpecError> {
+    let text = parse::read(path)?;
+    load_text(&text, overrides, quick).map_err(|problem| problem.in_file(&path.display().to_string()))
+}
+
+fn load_text(text: &str, overrides: &[String], quick: bool) -> Result<Experiment, Problem> {
+    let mut tree = parse::parse(text)?;
+    if matches!(tree.value, Value::Null) {
+        return Err(Problem::new(
+            &tree.origin,
+            "the file is empty; see `harness schema` for what a spec holds",
+        ));
+    }
+    resolve(&tree)?;
+    let mut quick_tree = tree.clone();
+    if let Some(Node { value: Value::Section(settings), .. }) = tree.get("quick") {
+        overrides::apply(&mut quick_tree, settings);
+        resolve(&quick_tree).map_err(|problem| problem.after("applying 'quick'"))?;
+    }
+    if quick {
+        tree = quick_tree;
+    }
+    let overrides = overrides.iter().map(|text| overrides::read(text)).collect::<Result<Vec<_>, _>>()?;
+    overrides::apply(&mut tree, &overrides);
+    resolve(&tree).map_err(|problem| problem.after("applying the overrides"))
+}
+
+/// The experiment that a tree describes, checked, with every default explicit.
+fn resolve(tree: &Node) -> Result<Experiment, Problem> {
+    schema::check(tree)?;
+    let mut experiment: Experiment = serde_json::from_value(tree.to_json())
+        .map_err(|error| Problem::new(&tree.origin, error.to_string()))?;
+    validate::validate(&experiment)
+        .map_err(|fault| Problem::new(tree.origin_of(&fault.path), fault.message))?;
+    experiment.make_canonical();
+    Ok(experiment)
+}
+
+impl Experiment {
+    /// Gives specs that mean the same the same value: the order of modalities and a weight of 1 left out
+    /// make no difference, and `quick` has been dealt with.
+    fn make_canonical(&mut self) {
+        self.input.sort();
+        self.output.sort();
+        for &modality in &self.output {
+            self.training.loss_weights.entry(modality).or_insert(1.0);
+        }
+        self.quick.clear();
+    }
+
+    /// The spec as YAML with every value explicit; loading it gives an equal experiment.
+    pub fn to_yaml(&self) -> String {
+        serde_yaml::to_string(self).expect("a spec is plain data, which YAML can hold")
+    }
+}

@@ -1,0 +1,52 @@
+//! Changes to single settings: `training.batch_size=512` on the command line, and a spec's own `quick`.
+
+use super::error::{Origin, Problem};
+use super::parse::{self, Entry, Node, Value};
+use super::schema;
+
+/// Reads `KEY=VALUE`: the dotted key of a setting, and its value in YAML.
+pub(super) fn read(text: &str) -> Result<Entry, Problem> {
+    let origin = Origin::Override(parse::shorten(text));
+    let Some((key, value)) = text.split_once('=') else {
+        return Err(Problem::new(&origin, "has no '='; write KEY=VALUE, as in training.epochs=3"));
+    };
+    let key = key.trim();
+    let names = schema::setting_names();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    if !names.contains(&key) {
+        return Err(Problem::new(&origin, not_a_setting(key, &names)));
+    }
+    let node = parse::parse(value).map_err(|problem| Problem::new(&origin, problem.message))?;
+    Ok(Entry { key: key.to_owned(), key_origin: origin.clone(), node: node.attributed_to(&origin) })
+}
+
+fn not_a_setting(key: &str, names: &[&str]) -> String {
+    let prefix = format!("{key}.");
+    let section: Vec<&str> = names.iter().filter(|name| name.starts_with(&prefix)).copied().collect();
+    if section.is_empty() {
+        return schema::unknown("key", key, "", names);
+    }
+    format!("'{key}' is a section; override its keys one by one: {}", section.join(", "))
+}
+
+/// Applies settings to a tree that has passed the checks; of two for the same key, the later one stands.
+pub(super) fn apply(tree: &mut Node, settings: &[Entry]) {
+    for setting in settings {
+        set(tree, &setting.key, setting);
+    }
+}
+
+/// Sets the value at `path`, and makes the sections on the way.
+fn set(section: &mut Node, path: &str, setting: &Entry) {
+    let (key, rest) = path.split_once('.').map_or((path, None), |(key, rest)| (key, Some(rest)));
+    let Value::Section(entries) = &mut section.value else { return };
+    let index = entries.iter().position(|entry| entry.key == key).unwrap_or_else(|| {
+        let node = Node { origin: setting.key_origin.clone(), value: Value::Section(Vec::new()) };
+        entries.push(Entry { key: key.to_owned(), key_origin: setting.key_origin.clone(), node });
+        entries.len() - 1
+    });
+    match rest {
+        Some(rest) => set(&mut entries[index].node, rest, setting),
+        None => entries[index].node = setting.node.clone(),
+    }
+}

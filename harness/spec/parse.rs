@@ -1,0 +1,230 @@
+//! YAML text to a tree in which every value knows where it was written.
+
+use super::error::{Origin, Problem, SpecError};
+use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
+use serde_yaml::options::NonFiniteFloatPolicy;
+use serde_yaml::{MessageFormatter, Spanned, UserMessageFormatter};
+use std::fmt;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+/// The largest spec that is read, bytes.
+const MAX_FILE_BYTES: u64 = 1 << 20;
+
+/// A YAML value and where it was written.
+#[derive(Debug, Clone)]
+pub(super) struct Node {
+    pub origin: Origin,
+    pub value: Value,
+}
+
+/// A YAML value; a mapping is called a section.
+#[derive(Debug, Clone)]
+pub(super) enum Value {
+    Null,
+    Bool(bool),
+    Integer(i128),
+    Float(f64),
+    Text(String),
+    List(Vec<Node>),
+    Section(Vec<Entry>),
+}
+
+/// One `key: value` of a section.
+#[derive(Debug, Clone)]
+pub(super) struct Entry {
+    pub key: String,
+    pub key_origin: Origin,
+    pub node: Node,
+}
+
+impl Node {
+    /// The value of `key`, if this is a section that has it.
+    pub fn get(&self, key: &str) -> Option<&Node> {
+        match &self.value {
+            Value::Section(entries) => entries.iter().find(|entry| entry.key == key).map(|entry| &entry.node),
+            _ => None,
+        }
+    }
+
+    /// Where the value at a dotted path was written; where it was not, the nearest section around it.
+    /// A number in the path is an index into a list.
+    pub fn origin_of(&self, path: &str) -> &Origin {
+        let mut node = self;
+        for step in path.split('.') {
+            let child = match &node.value {
+                Value::List(items) => step.parse().ok().and_then(|index: usize| items.get(index)),
+                _ => node.get(step),
+            };
+            let Some(child) = child else { break };
+            node = child;
+        }
+        &node.origin
+    }
+
+    /// The same value, said to come from `origin` altogether.
+    pub fn attributed_to(mut self, origin: &Origin) -> Node {
+        self.origin = origin.clone();
+        self.value = match self.value {
+            Value::List(items) => {
+                Value::List(items.into_iter().map(|item| item.attributed_to(origin)).collect())
+            }
+            Value::Section(entries) => Value::Section(
+                entries
+                    .into_iter()
+                    .map(|entry| Entry {
+                        key: entry.key,
+                        key_origin: origin.clone(),
+                        node: entry.node.attributed_to(origin),
+                    })
+                    .collect(),
+            ),
+            scalar => scalar,
+        };
+        self
+    }
+
+    /// The value as JSON; a number that JSON cannot hold becomes null, so check the tree first.
+    pub fn to_json(&self) -> serde_json::Value {
+        match &self.value {
+            Value::Null => serde_json::Value::Null,
+            Value::Bool(value) => (*value).into(),
+            Value::Integer(value) => serde_json::Number::from_i128(*value).into(),
+            Value::Float(value) => (*value).into(),
+            Value::Text(value) => value.as_str().into(),
+            Value::List(items) => items.iter().map(Node::to_json).collect(),
+            Value::Section(entries) => {
+                entries.iter().map(|entry| (entry.key.clone(), entry.node.to_json())).collect()
+            }
+        }
+    }
+}
+
+impl fmt::Display for Value {
+    /// As a message names what was found.
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Value::Null => write!(f, "nothing"),
+            Value::Bool(value) => write!(f, "{value}"),
+            Value::Integer(value) => write!(f, "{value}"),
+            Value::Float(value) => write!(f, "{value:?}"),
+            Value::Text(text) => write!(f, "the text '{}'", shorten(text)),
+            Value::List(items) if items.is_empty() => write!(f, "an empty list"),
+            Value::List(items) => write!(f, "a list of {}", items.len()),
+            Value::Section(_) => write!(f, "a section of keys"),
+        }
+    }
+}
+
+/// A text from a file as a message quotes it: on one line, and not endless.
+pub(super) fn shorten(text: &str) -> String {
+    const LONGEST: usize = 60;
+    let shown: String = text.chars().take(LONGEST).flat_map(char::escape_debug).collect();
+    if text.chars().nth(LONGEST).is_some() { shown + "…" } else { shown }
+}
+
+/// The text of a spec file.
+pub(super) fn read(path: &Path) -> Result<String, SpecError> {
+    let unreadable = |message: String| SpecError::Unreadable { path: path.display().to_string(), message };
+    if path.is_dir() {
+        return Err(unreadable("is a directory; name a YAML file in it".into()));
+    }
+    let file = File::open(path).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => unreadable("there is no such file".into()),
+        _ => unreadable(format!("can't be opened: {error}")),
+    })?;
+    let mut bytes = Vec::new();
+    // One byte more than allowed tells an oversized file, also where metadata has no size (a pipe, a device).
+    file.take(MAX_FILE_BYTES + 1)
+        .read_to_end(&mut bytes)
+        .map_err(|error| unreadable(format!("can't be read: {error}")))?;
+    if bytes.len() as u64 > MAX_FILE_BYTES {
+        return Err(unreadable("is larger than 1 MiB; a spec is a short text".into()));
+    }
+    String::from_utf8(bytes).map_err(|error| {
+        let valid = &error.as_bytes()[..error.utf8_error().valid_up_to()];
+        let line = valid.iter().filter(|&&byte| byte == b'\n').count() + 1;
+        unreadable(format!("is not UTF-8 text: the first bad byte is on line {line}"))
+    })
+}
+
+/// The tree of one YAML document.
+pub(super) fn parse(text: &str) -> Result<Node, Problem> {
+    let options = serde_yaml::options! {
+        with_snippet: false,
+        strict_booleans: true,
+        non_finite_float_policy: NonFiniteFloatPolicy::PassThrough,
+        // A spec is small: anything near these limits is a mistake or an attack by nested aliases.
+        budget: serde_yaml::budget! { max_depth: 16, max_nodes: 100_000 },
+        alias_limits: serde_yaml::alias_limits! { max_total_replayed_events: 10_000 },
+    };
+    serde_yaml::from_str_with_options(text, options).map_err(|error| {
+        let origin = error.location().map_or(Origin::START, Origin::at);
+        let message = UserMessageFormatter.format_message(error.without_snippet());
+        Problem { origin, message: format!("broken YAML: {message}") }
+    })
+}
+
+impl<'de> Deserialize<'de> for Node {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let spanned = Spanned::<Value>::deserialize(deserializer)?;
+        Ok(Node { origin: Origin::at(spanned.referenced), value: spanned.value })
+    }
+}
+
+impl<'de> Deserialize<'de> for Value {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(ValueVisitor)
+    }
+}
+
+struct ValueVisitor;
+
+impl<'de> Visitor<'de> for ValueVisitor {
+    type Value = Value;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "a YAML value")
+    }
+
+    fn visit_unit<E>(self) -> Result<Value, E> {
+        Ok(Value::Null)
+    }
+
+    fn visit_bool<E>(self, value: bool) -> Result<Value, E> {
+        Ok(Value::Bool(value))
+    }
+
+    fn visit_i64<E>(self, value: i64) -> Result<Value, E> {
+        Ok(Value::Integer(value.into()))
+    }
+
+    fn visit_u64<E>(self, value: u64) -> Result<Value, E> {
+        Ok(Value::Integer(value.into()))
+    }
+
+    fn visit_f64<E>(self, value: f64) -> Result<Value, E> {
+        Ok(Value::Float(value))
+    }
+
+    fn visit_str<E>(self, value: &str) -> Result<Value, E> {
+        Ok(Value::Text(value.to_owned()))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Value, A::Error> {
+        let mut list = Vec::new();
+        while let Some(item) = items.next_element()? {
+            list.push(item);
+        }
+        Ok(Value::List(list))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Value, A::Error> {
+        let mut section = Vec::new();
+        while let Some((key, node)) = entries.next_entry::<Spanned<String>, Node>()? {
+            section.push(Entry { key: key.value, key_origin: Origin::at(key.referenced), node });
+        }
+        Ok(Value::Section(section))
+    }
+}

@@ -1,0 +1,302 @@
+//! The JSON schema of a spec, for editors, and the checks that follow from it: keys, types, choices, bounds.
+
+use super::error::Problem;
+use super::parse::{Entry, Node, Value, shorten};
+use super::types::Experiment;
+use serde_json::{Value as Json, json};
+use std::sync::LazyLock;
+
+/// How a message calls a string.
+const TEXT: &str = "a text";
+
+static SCHEMA: LazyLock<Json> = LazyLock::new(build);
+
+/// The JSON schema of an experiment, with descriptions, defaults and bounds.
+///
+/// `quick` lists every setting by its dotted key, so that editors complete those as well.
+pub fn schema() -> Json {
+    SCHEMA.clone()
+}
+
+/// The dotted keys of all settings, which an override or `quick` may change.
+pub fn setting_names() -> Vec<String> {
+    properties(&SCHEMA["properties"]["quick"]).map(|(name, _)| name.clone()).collect()
+}
+
+fn build() -> Json {
+    let mut schema = schemars::schema_for!(Experiment).to_value();
+    let mut settings = serde_json::Map::new();
+    collect_settings(&schema, &schema, "", &mut settings);
+    settings.remove("quick");
+    let quick = &mut schema["properties"]["quick"];
+    quick["properties"] = Json::Object(settings);
+    quick["additionalProperties"] = json!(false);
+    schema
+}
+
+/// Adds what `schema` describes, down to the values that are no sections, by dotted key.
+fn collect_settings(root: &Json, schema: &Json, prefix: &str, settings: &mut serde_json::Map<String, Json>) {
+    for (name, property) in properties(schema) {
+        let path = join(prefix, name);
+        let definition = resolve(root, property).0;
+        if definition.get("properties").is_some() {
+            collect_settings(root, definition, &path, settings);
+        } else {
+            settings.insert(path, property.clone());
+        }
+    }
+}
+
+/// Refuses a tree that the schema does not allow.
+pub(super) fn check(tree: &Node) -> Result<(), Problem> {
+    check_node(&SCHEMA, tree, "")
+}
+
+fn check_node(schema: &Json, node: &Node, path: &str) -> Result<(), Problem> {
+    let (schema, definition) = resolve(&SCHEMA, schema);
+    if let Some(choices) = choices(schema) {
+        return check_choice(&choices, &definition.to_lowercase(), node, path);
+    }
+    if !has_type(schema, &node.value) || !is_within_bounds(schema, &node.value) {
+        return Err(Problem::new(&node.origin, unexpected(&expected(schema), &node.value, path)));
+    }
+    match &node.value {
+        Value::List(items) => check_items(schema, items, path),
+        Value::Section(entries) => check_keys(schema, node, entries, path),
+        _ => Ok(()),
+    }
+}
+
+fn check_choice(choices: &[&str], what: &str, node: &Node, path: &str) -> Result<(), Problem> {
+    match &node.value {
+        Value::Text(text) if choices.contains(&text.as_str()) => Ok(()),
+        Value::Text(text) => Err(Problem::new(&node.origin, unknown(what, text, path, choices))),
+        other => Err(Problem::new(
+            &node.origin,
+            unexpected(&format!("one of {}", choices.join(", ")), other, path),
+        )),
+    }
+}
+
+fn check_items(schema: &Json, items: &[Node], path: &str) -> Result<(), Problem> {
+    for (index, item) in items.iter().enumerate() {
+        check_node(&schema["items"], item, path)?;
+        let value = item.to_json();
+        if schema["uniqueItems"] == true && items[..index].iter().any(|earlier| earlier.to_json() == value) {
+            return Err(Problem::new(&item.origin, format!("{value} stands twice in '{path}'")));
+        }
+    }
+    Ok(())
+}
+
+fn check_keys(schema: &Json, section: &Node, entries: &[Entry], path: &str) -> Result<(), Problem> {
+    let names: Vec<&str> = properties(schema).map(|(name, _)| name.as_str()).collect();
+    for entry in entries {
+        if !names.contains(&entry.key.as_str()) {
+            return Err(Problem::new(&entry.key_origin, unknown("key", &entry.key, path, &names)));
+        }
+    }
+    let required = schema["required"].as_array().into_iter().flatten().filter_map(Json::as_str);
+    let missing: Vec<String> = required
+        .filter(|key| section.get(key).is_none())
+        .map(|key| format!("'{}'", join(path, key)))
+        .collect();
+    if !missing.is_empty() {
+        return Err(Problem::new(&section.origin, format!("missing {}", missing.join(", "))));
+    }
+    entries.iter().try_for_each(|entry| {
+        check_node(&schema["properties"][&entry.key], &entry.node, &join(path, &entry.key))
+    })
+}
+
+fn unexpected(expected: &str, found: &Value, path: &str) -> String {
+    let place = if path.is_empty() { String::new() } else { format!("'{path}': ") };
+    let hint = if expected == TEXT { "; put a text that looks like something else in quotes" } else { "" };
+    format!("{place}expected {expected}, found {found}{hint}")
+}
+
+/// Says that a name is not known, which one may have been meant, and which there are.
+pub(super) fn unknown(what: &str, found: &str, path: &str, names: &[&str]) -> String {
+    let mut message = format!("unknown {what} '{}'", shorten(found));
+    if !path.is_empty() {
+        message += &format!(" in '{path}'");
+    }
+    if let Some(name) = nearest(found, names) {
+        message += &format!("; did you mean '{name}'?");
+    } else {
+        message += ".";
+    }
+    // Of dotted keys only those of the section that was named, if it exists.
+    let section = found.rfind('.').map_or("", |dot| &found[..=dot]);
+    let is_near = |name: &&&str| name.starts_with(section);
+    let near: Vec<&str> = names.iter().filter(is_near).copied().collect();
+    let allowed = if near.is_empty() { names } else { &near };
+    message + &format!(" Allowed: {}", allowed.join(", "))
+}
+
+/// The name that differs by the fewest typing errors, if they are few; of a dotted key, the last part will do.
+fn nearest<'a>(found: &str, names: &[&'a str]) -> Option<&'a str> {
+    let found = found.to_lowercase();
+    let distance = |name: &str| {
+        let last = name.rsplit('.').next().unwrap_or(name);
+        strsim::damerau_levenshtein(&found, name).min(strsim::damerau_levenshtein(&found, last))
+    };
+    let tolerated = (found.chars().count() / 3).max(1);
+    let (errors, name) =
+        names.iter().map(|name| (distance(name), *name)).min_by_key(|(errors, _)| *errors)?;
+    (errors <= tolerated).then_some(name)
+}
+
+/// Follows a reference into the definitions: the schema meant, and the definition's name.
+fn resolve<'a>(root: &'a Json, schema: &'a Json) -> (&'a Json, &'a str) {
+    let name = schema["$ref"].as_str().and_then(|reference| reference.strip_prefix("#/$defs/"));
+    name.map_or((schema, ""), |name| (&root["$defs"][name], name))
+}
+
+fn properties(schema: &Json) -> impl Iterator<Item = (&String, &Json)> {
+    schema["properties"].as_object().into_iter().flatten()
+}
+
+/// The values of an enumeration, which the schema gives one by one with their descriptions.
+fn choices(schema: &Json) -> Option<Vec<&str>> {
+    Some(schema["oneOf"].as_array()?.iter().filter_map(|choice| choice["const"].as_str()).collect())
+}
+
+fn types(schema: &Json) -> Vec<&str> {
+    match &schema["type"] {
+        Json::Array(types) => types.iter().filter_map(Json::as_str).collect(),
+        other => other.as_str().into_iter().collect(),
+    }
+}
+
+fn has_type(schema: &Json, value: &Value) -> bool {
+    let types = types(schema);
+    let is = |name| types.contains(&name);
+    match value {
+        Value::Null => is("null"),
+        Value::Bool(_) => is("boolean"),
+        Value::Integer(_) => is("integer") || is("number"),
+        Value::Float(_) => is("number"),
+        Value::Text(_) => is("string"),
+        Value::List(_) => is("array"),
+        Value::Section(_) => is("object"),
+    }
+}
+
+fn is_within_bounds(schema: &Json, value: &Value) -> bool {
+    let bound = |keyword: &str| schema[keyword].as_f64();
+    let is_number_within = |number: f64| {
+        number.is_finite()
+            && bound("minimum").is_none_or(|minimum| number >= minimum)
+            && bound("maximum").is_none_or(|maximum| number <= maximum)
+            && bound("exclusiveMinimum").is_none_or(|minimum| number > minimum)
+            && bound("exclusiveMaximum").is_none_or(|maximum| number < maximum)
+    };
+    match value {
+        // Every integer bound is below 2^53, so the rounding of larger values does not matter.
+        Value::Integer(integer) => is_number_within(*integer as f64),
+        Value::Float(float) => is_number_within(*float),
+        Value::List(items) => {
+            bound("minItems").is_none_or(|minimum| items.len() as f64 >= minimum)
+                && bound("maxItems").is_none_or(|maximum| items.len() as f64 <= maximum)
+        }
+        _ => true,
+    }
+}
+
+/// What a schema allows, in words.
+fn expected(schema: &Json) -> String {
+    let (schema, _) = resolve(&SCHEMA, schema);
+    if let Some(choices) = choices(schema) {
+        return format!("one of {}", choices.join(", "));
+    }
+    let name = |name: &str| match name {
+        "integer" => format!("an integer{}", expected_bounds(schema)),
+        "number" => format!("a finite number{}", expected_bounds(schema)),
+        "string" => TEXT.into(),
+        "array" => format!("a list of {}, each {}", expected_length(schema), expected(&schema["items"])),
+        "object" => "a section of keys".into(),
+        other => other.into(),
+    };
+    types(schema).into_iter().map(name).collect::<Vec<_>>().join(" or ")
+}
+
+fn expected_bounds(schema: &Json) -> String {
+    let words = [
+        ("minimum", "of at least"),
+        ("exclusiveMinimum", "above"),
+        ("maximum", "at most"),
+        ("exclusiveMaximum", "below"),
+    ];
+    let bounds: Vec<String> = words
+        .iter()
+        .filter_map(|(key, word)| schema[key].as_f64().map(|bound| format!("{word} {bound}")))
+        .collect();
+    if bounds.is_empty() { String::new() } else { format!(" {}", bounds.join(" and ")) }
+}
+
+fn expected_length(schema: &Json) -> String {
+    match (schema["minItems"].as_u64(), schema["maxItems"].as_u64()) {
+        (Some(minimum), Some(maximum)) if minimum == maximum => format!("{minimum} items"),
+        (Some(1), None) => "at least one item".into(),
+        (minimum, maximum) => unreachable!("no list of the spec has {minimum:?} to {maximum:?} items"),
+    }
+}
+
+fn join(prefix: &str, name: &str) -> String {
+    if prefix.is_empty() { name.to_owned() } else { format!("{prefix}.{name}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A keyword that `check` overlooks would bind editors alone, so each must be one it knows.
+    #[test]
+    fn the_checks_know_every_keyword_of_the_schema() {
+        const ANNOTATIONS: &[&str] = &["$schema", "title", "description", "default", "format"];
+        // `pattern` stands for the name's rule in `validate`; `additionalProperties` is always false.
+        const CHECKED: &[&str] = &[
+            "$defs",
+            "$ref",
+            "type",
+            "properties",
+            "required",
+            "additionalProperties",
+            "items",
+            "minItems",
+            "maxItems",
+            "uniqueItems",
+            "minimum",
+            "maximum",
+            "exclusiveMinimum",
+            "exclusiveMaximum",
+            "oneOf",
+            "const",
+            "pattern",
+        ];
+        fn visit(schema: &Json) {
+            for (keyword, value) in schema.as_object().unwrap() {
+                let keyword = keyword.as_str();
+                assert!(ANNOTATIONS.contains(&keyword) || CHECKED.contains(&keyword), "{keyword}: {value}");
+                match keyword {
+                    "$defs" | "properties" => value.as_object().unwrap().values().for_each(visit),
+                    "items" => visit(value),
+                    "oneOf" => value.as_array().unwrap().iter().for_each(visit),
+                    "additionalProperties" => assert_eq!(value, false),
+                    _ => {}
+                }
+            }
+        }
+        visit(&SCHEMA);
+    }
+
+    /// `expected` has words for every part of the schema.
+    #[test]
+    fn every_setting_can_be_described() {
+        for (name, property) in properties(&SCHEMA["properties"]["quick"]) {
+            let words = expected(property);
+            assert!(words.starts_with("a") || words.starts_with("one of "), "{name}: {words}");
+        }
+    }
+}

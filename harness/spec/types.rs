@@ -1,0 +1,344 @@
+//! The types of a spec. Their bounds stand in the `schemars` attributes, and nowhere else: the JSON schema
+//! that editors read and the checks that a spec goes through are both made from them.
+
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt;
+
+/// Joints, and links, of the finger.
+pub const JOINTS: usize = 20;
+/// Degrees of freedom of the arm: rotation (rad), lift (m), extension (m).
+pub const ARM_JOINTS: usize = 3;
+/// Side of the square camera frame, pixels.
+pub const FRAME_SIDE: usize = 64;
+/// Colour channels of the camera frame.
+pub const FRAME_CHANNELS: usize = 3;
+/// Values in one camera frame.
+pub const FRAME_LEN: usize = FRAME_SIDE * FRAME_SIDE * FRAME_CHANNELS;
+/// Steps of the simulation a second, Hz.
+pub const STEP_RATE_HZ: f64 = 1000.0;
+
+/// The largest seed, 2^53 - 1: up to here every reader of JSON and Parquet keeps an integer exact.
+pub const MAX_SEED: u64 = (1 << 53) - 1;
+
+/// Gives an enum its list and its names, which are also serde's (a test compares them).
+macro_rules! names {
+    ($type:ident { $($variant:ident => $name:literal),+ $(,)? }) => {
+        impl $type {
+            /// Every value, in the order of declaration.
+            pub const ALL: &'static [Self] = &[$(Self::$variant),+];
+
+            /// The name in specs, tables and file names.
+            pub const fn name(self) -> &'static str {
+                match self { $(Self::$variant => $name),+ }
+            }
+        }
+
+        impl fmt::Display for $type {
+            fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.pad(self.name())
+            }
+        }
+    };
+}
+
+/// The world an episode takes place in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Scenario {
+    /// Finger, arm and ground alone.
+    Empty,
+    /// Eight movable boxes besides, placed at random over the swept sector.
+    Cluttered,
+}
+names!(Scenario { Empty => "empty", Cluttered => "cluttered" });
+
+/// What is sensed at a sample. The order is that in which modalities are packed, whatever a spec's order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Modality {
+    /// The finger's 20 joint angles, rad, base to tip; even joints flexion/extension, odd adduction/abduction.
+    Proprioception,
+    /// The arm's rotation (rad), lift (m) and extension (m).
+    Arm,
+    /// Normal contact force of each of the 20 links at the sampling instant, N.
+    ContactForce,
+    /// The same, averaged over the sampling interval that ends at the instant, N.
+    ContactForceMean,
+    /// The external camera's frame, 64 x 64 x 3.
+    Vision,
+    /// The frame at the next sample minus the frame at this one, in [-1, 1]; the paper calls it optical flow.
+    FrameDifference,
+}
+names!(Modality {
+    Proprioception => "proprioception",
+    Arm => "arm",
+    ContactForce => "contact_force",
+    ContactForceMean => "contact_force_mean",
+    Vision => "vision",
+    FrameDifference => "frame_difference",
+});
+
+impl Modality {
+    /// Whether it is an image, 64 x 64 x 3, rather than a vector.
+    pub const fn is_frame(self) -> bool {
+        matches!(self, Self::Vision | Self::FrameDifference)
+    }
+}
+
+/// How the arm's commanded motion conditions the decoder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Action {
+    /// The change of the arm's setpoint from this sample to the next.
+    Increment,
+    /// The arm's setpoint at the next sample.
+    Target,
+}
+names!(Action { Increment => "increment", Target => "target" });
+
+/// What a network is trained for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Task {
+    /// Encoder and decoder together: the next observation, given this one and the action.
+    Prediction,
+    /// A new decoder on the frozen encoder of the prediction: this observation again, without action.
+    Reconstruction,
+}
+names!(Task { Prediction => "prediction", Reconstruction => "reconstruction" });
+
+/// The paper's two architectures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Architecture {
+    /// Two fully connected layers on each side, for vectors alone.
+    FullyConnected,
+    /// A 4 x 4 convolution of stride 2 on the frames, then two fully connected layers; the decoder mirrors it.
+    Convolutional,
+}
+names!(Architecture { FullyConnected => "fully_connected", Convolutional => "convolutional" });
+
+/// One experiment: a question that a YAML file asks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Experiment {
+    /// Names the folder of the results: 1 to 64 letters, digits, `_` and `-`.
+    #[schemars(regex(pattern = "^[A-Za-z0-9_-]{1,64}$"))]
+    pub name: String,
+    /// The question, in a sentence.
+    #[serde(default)]
+    pub description: String,
+    /// The worlds to simulate; each makes cells of its own.
+    #[schemars(length(min = 1), extend("uniqueItems" = true))]
+    pub scenarios: Vec<Scenario>,
+    /// What the encoder is given. The order does not matter.
+    #[schemars(length(min = 1), extend("uniqueItems" = true))]
+    pub input: Vec<Modality>,
+    /// What the decoder predicts. The order does not matter.
+    #[schemars(length(min = 1), extend("uniqueItems" = true))]
+    pub output: Vec<Modality>,
+    /// Sizes of the latent state; each makes cells of its own.
+    #[schemars(length(min = 1), inner(range(min = 1, max = 4096)), extend("uniqueItems" = true))]
+    pub latent: Vec<usize>,
+    /// Seeds of the runs (initial weights, sampling, order of batches); each makes a run of its own.
+    #[serde(default = "default_seeds")]
+    #[schemars(length(min = 1), inner(range(min = 0, max = MAX_SEED)), extend("uniqueItems" = true))]
+    pub seeds: Vec<u64>,
+    /// What is trained in every run, in this order; reconstruction needs prediction before it.
+    #[serde(default = "default_tasks")]
+    #[schemars(length(min = 1), extend("uniqueItems" = true))]
+    pub tasks: Vec<Task>,
+    /// The decoder's condition.
+    #[serde(default = "default_action")]
+    pub action: Action,
+    pub network: Network,
+    #[serde(default)]
+    pub simulation: Simulation,
+    #[serde(default)]
+    pub split: Split,
+    #[serde(default)]
+    pub training: Training,
+    /// Overrides that `--quick` applies, by dotted key as on the command line: `training.epochs: 3`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub quick: BTreeMap<String, serde_json::Value>,
+}
+
+/// Architecture and widths of the network; the paper does not give the widths.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Network {
+    pub architecture: Architecture,
+    /// Units of the hidden fully connected layer, on each side.
+    #[serde(default = "default_hidden")]
+    #[schemars(range(min = 1, max = 16384))]
+    pub hidden: usize,
+    /// Channels of the convolution, on each side; without effect on a fully connected network.
+    #[serde(default = "default_channels")]
+    #[schemars(range(min = 1, max = 512))]
+    pub channels: usize,
+}
+
+/// How episodes are simulated. Everything here decides a dataset's content, and so its hash.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Simulation {
+    /// Seed of the dataset; an episode's stream is derived from it, the scenario and the episode's index.
+    #[schemars(range(min = 0, max = MAX_SEED))]
+    pub seed: u64,
+    /// Independent episodes, each from rest.
+    #[schemars(range(min = 3, max = 1_000_000))]
+    pub episodes: u32,
+    /// Commanded arm moves an episode.
+    #[schemars(range(min = 1, max = 100_000))]
+    pub actuations_per_episode: u32,
+    /// Duration of one arm move, s; a whole number of samples.
+    #[schemars(range(max = 60.0), extend("exclusiveMinimum" = 0.0))]
+    pub actuation_seconds: f64,
+    /// Samples recorded a second, Hz; a whole number of 1 ms simulation steps must fit between two.
+    #[schemars(range(max = STEP_RATE_HZ), extend("exclusiveMinimum" = 0.0))]
+    pub sample_rate_hz: f64,
+    /// Range of the arm's rotation, rad: lowest, highest.
+    pub rotation_range_rad: [f64; 2],
+    /// Range of the arm's lift, m: lowest, highest.
+    pub lift_range_m: [f64; 2],
+    /// Range of the arm's extension, m: lowest, highest.
+    pub extension_range_m: [f64; 2],
+    /// A box that is drawn nearer than this to another is drawn again, m (cluttered).
+    #[schemars(range(min = 0.0, max = 0.2))]
+    pub box_clearance_m: f64,
+}
+
+/// Shares of the episodes, by episode so that no test sample has neighbours in training.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Split {
+    /// Share for validation, in (0, 1); rounded to whole episodes, at least one.
+    #[schemars(extend("exclusiveMinimum" = 0.0, "exclusiveMaximum" = 1.0))]
+    pub validation: f64,
+    /// Share for the test, in (0, 1); rounded to whole episodes, at least one.
+    #[schemars(extend("exclusiveMinimum" = 0.0, "exclusiveMaximum" = 1.0))]
+    pub test: f64,
+}
+
+/// How a network is trained.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Training {
+    /// Adam's step size.
+    #[schemars(range(max = 1.0), extend("exclusiveMinimum" = 0.0))]
+    pub learning_rate: f64,
+    /// Samples a step.
+    #[schemars(range(min = 1, max = 65536))]
+    pub batch_size: usize,
+    /// Epochs at most.
+    #[schemars(range(min = 1, max = 100_000))]
+    pub epochs: usize,
+    /// Epochs without a better validation loss before training stops; `null` never stops early.
+    #[schemars(range(min = 1, max = 100_000))]
+    pub patience: Option<usize>,
+    /// Weight of the Kullback-Leibler divergence beside the mean squared errors.
+    #[schemars(range(min = 0.0, max = 1e6))]
+    pub kl_weight: f64,
+    /// Weight of an output modality's mean squared error; 1 where none is given.
+    #[schemars(schema_with = "loss_weights_schema")]
+    pub loss_weights: BTreeMap<Modality, f64>,
+}
+
+impl Simulation {
+    /// Simulation steps from one sample to the next.
+    pub fn steps_per_sample(&self) -> usize {
+        (STEP_RATE_HZ / self.sample_rate_hz).round() as usize
+    }
+
+    /// Samples recorded during one actuation.
+    pub fn samples_per_actuation(&self) -> usize {
+        (self.actuation_seconds * self.sample_rate_hz).round() as usize
+    }
+
+    /// Samples recorded in one episode.
+    pub fn samples_per_episode(&self) -> usize {
+        self.actuations_per_episode as usize * self.samples_per_actuation()
+    }
+}
+
+impl Split {
+    /// Episodes of each kind among `episodes`, or `None` where none would be left for training.
+    pub fn counts(&self, episodes: usize) -> Option<SplitCounts> {
+        let share = |fraction: f64| ((episodes as f64 * fraction).round() as usize).max(1);
+        let (validation, test) = (share(self.validation), share(self.test));
+        let training = episodes.checked_sub(validation + test).filter(|&n| n > 0)?;
+        Some(SplitCounts { training, validation, test })
+    }
+}
+
+/// Numbers of episodes, each at least 1; they add up to all episodes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SplitCounts {
+    pub training: usize,
+    pub validation: usize,
+    pub test: usize,
+}
+
+impl Default for Simulation {
+    fn default() -> Self {
+        use std::f64::consts::PI;
+        Self {
+            seed: 0,
+            episodes: 40,
+            actuations_per_episode: 100,
+            actuation_seconds: 1.0,
+            sample_rate_hz: 10.0,
+            rotation_range_rad: [0.75 * PI, 1.25 * PI],
+            lift_range_m: [-1.0, 0.0],
+            extension_range_m: [0.0, 1.5],
+            box_clearance_m: 0.05,
+        }
+    }
+}
+
+impl Default for Split {
+    fn default() -> Self {
+        Self { validation: 0.1, test: 0.1 }
+    }
+}
+
+impl Default for Training {
+    fn default() -> Self {
+        Self {
+            learning_rate: 1e-3,
+            batch_size: 1024,
+            epochs: 200,
+            patience: Some(20),
+            kl_weight: 1e-3,
+            loss_weights: BTreeMap::new(),
+        }
+    }
+}
+
+fn default_seeds() -> Vec<u64> {
+    vec![0]
+}
+fn default_tasks() -> Vec<Task> {
+    vec![Task::Prediction, Task::Reconstruction]
+}
+fn default_action() -> Action {
+    Action::Increment
+}
+fn default_hidden() -> usize {
+    256
+}
+fn default_channels() -> usize {
+    16
+}
+
+/// One weight a modality. Derived, the schema would allow any key, since `Modality`'s has a description a value.
+fn loss_weights_schema(_: &mut SchemaGenerator) -> Schema {
+    let weight = json_schema!({ "type": "number", "minimum": 0.0, "maximum": 1e6 });
+    let properties: serde_json::Map<_, _> = Modality::ALL
+        .iter()
+        .map(|modality| (modality.name().to_owned(), weight.clone().to_value()))
+        .collect();
+    json_schema!({ "type": "object", "properties": properties, "additionalProperties": false })
+}

@@ -1,0 +1,200 @@
+//! What the schema cannot say: rules that tie several settings together.
+
+use super::types::{
+    Architecture, Experiment, FRAME_SIDE, Modality, Network, STEP_RATE_HZ, Simulation, Task, Training,
+};
+
+/// Largest tensor of a network, values: 1 GiB in single precision.
+const MAX_TENSOR_LEN: usize = 1 << 28;
+/// Most samples of one scenario; a frame is 12 KiB before compression.
+const MAX_SAMPLES: usize = 100_000_000;
+
+/// A broken rule.
+#[derive(Debug)]
+pub(super) struct Fault {
+    /// Dotted path of the value at fault; a number is an index into a list.
+    pub path: String,
+    pub message: String,
+}
+
+fn fault(path: impl Into<String>, message: impl Into<String>) -> Result<(), Fault> {
+    Err(Fault { path: path.into(), message: message.into() })
+}
+
+/// Refuses an experiment that cannot be run, or that would not mean what it says.
+pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
+    name(&experiment.name)?;
+    tasks(&experiment.tasks)?;
+    frames(experiment)?;
+    tensors(&experiment.network, &experiment.training)?;
+    loss_weights(experiment)?;
+    ranges(&experiment.simulation)?;
+    timing(&experiment.simulation)?;
+    samples(&experiment.simulation)?;
+    split(experiment)
+}
+
+fn name(name: &str) -> Result<(), Fault> {
+    let is_allowed = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    if (1..=64).contains(&name.len()) && name.chars().all(is_allowed) {
+        return Ok(());
+    }
+    let name = super::parse::shorten(name);
+    fault("name", format!("'{name}' can't name a folder; use 1 to 64 ASCII letters, digits, '_' and '-'"))
+}
+
+fn tasks(tasks: &[Task]) -> Result<(), Fault> {
+    let position = |task| tasks.iter().position(|&other| other == task);
+    let Some(reconstruction) = position(Task::Reconstruction) else { return Ok(()) };
+    if position(Task::Prediction).is_some_and(|prediction| prediction < reconstruction) {
+        return Ok(());
+    }
+    fault(
+        format!("tasks.{reconstruction}"),
+        "reconstruction uses the encoder that prediction trains; put prediction before it",
+    )
+}
+
+fn frames(experiment: &Experiment) -> Result<(), Fault> {
+    let lists = [("input", &experiment.input), ("output", &experiment.output)];
+    let frame = lists.iter().find_map(|(list, modalities)| {
+        let index = modalities.iter().position(|modality| modality.is_frame())?;
+        Some((format!("{list}.{index}"), modalities[index]))
+    });
+    match (experiment.network.architecture, frame) {
+        (Architecture::FullyConnected, Some((path, modality))) => fault(
+            path,
+            format!(
+                "'{modality}' is a frame, and a fully_connected network takes vectors alone; \
+                     leave it out or use network.architecture: convolutional"
+            ),
+        ),
+        (Architecture::Convolutional, None) => fault(
+            "network.architecture",
+            "a convolutional network needs vision or frame_difference in 'input' or 'output'; \
+             use fully_connected",
+        ),
+        _ => Ok(()),
+    }
+}
+
+/// Bounds the largest tensors of the convolution: a layer's weights, and a batch of its activations.
+fn tensors(network: &Network, training: &Training) -> Result<(), Fault> {
+    if network.architecture != Architecture::Convolutional {
+        return Ok(());
+    }
+    let activations = network.channels * (FRAME_SIDE / 2).pow(2);
+    for (path, factor) in [("network.hidden", network.hidden), ("training.batch_size", training.batch_size)] {
+        if activations * factor > MAX_TENSOR_LEN {
+            let largest = MAX_TENSOR_LEN / activations;
+            let channels = network.channels;
+            return fault(
+                path,
+                format!(
+                    "a tensor of the network would pass 1 GiB: with {channels} channels, \
+                         '{path}' can be {largest} at most, found {factor}"
+                ),
+            );
+        }
+    }
+    Ok(())
+}
+
+fn loss_weights(experiment: &Experiment) -> Result<(), Fault> {
+    let weights = &experiment.training.loss_weights;
+    if let Some(modality) = weights.keys().find(|modality| !experiment.output.contains(modality)) {
+        return fault(
+            format!("training.loss_weights.{modality}"),
+            format!("'{modality}' has a loss weight but is no output; outputs: {}", list(&experiment.output)),
+        );
+    }
+    let weight = |modality| weights.get(modality).copied().unwrap_or(1.0);
+    if experiment.output.iter().all(|modality| weight(modality) == 0.0) {
+        return fault("training.loss_weights", "every output has weight 0, so there is nothing to learn");
+    }
+    Ok(())
+}
+
+fn list(modalities: &[Modality]) -> String {
+    modalities.iter().map(|modality| modality.name()).collect::<Vec<_>>().join(", ")
+}
+
+fn ranges(simulation: &Simulation) -> Result<(), Fault> {
+    let ranges = [
+        ("rotation_range_rad", simulation.rotation_range_rad),
+        ("lift_range_m", simulation.lift_range_m),
+        ("extension_range_m", simulation.extension_range_m),
+    ];
+    for (key, [low, high]) in ranges {
+        if low > high {
+            return fault(
+                format!("simulation.{key}"),
+                format!("the range [{low}, {high}] is reversed; write [{high}, {low}]"),
+            );
+        }
+    }
+    Ok(())
+}
+
+fn timing(simulation: &Simulation) -> Result<(), Fault> {
+    let Simulation { actuation_seconds: seconds, sample_rate_hz: rate, .. } = *simulation;
+    if !is_positive_whole(STEP_RATE_HZ / rate) {
+        return fault(
+            "simulation.sample_rate_hz",
+            format!(
+                "{rate} Hz does not divide the simulation's {STEP_RATE_HZ} Hz; use one that does, \
+                     as 10, 20, 50 or 100"
+            ),
+        );
+    }
+    if !is_positive_whole(seconds * rate) {
+        let interval = 1.0 / rate;
+        return fault(
+            "simulation.actuation_seconds",
+            format!(
+                "{seconds} s is not a whole number of samples at {rate} Hz; use a multiple of {interval} s"
+            ),
+        );
+    }
+    Ok(())
+}
+
+fn is_positive_whole(value: f64) -> bool {
+    value.round() >= 1.0 && (value - value.round()).abs() < 1e-9 * value
+}
+
+fn samples(simulation: &Simulation) -> Result<(), Fault> {
+    let an_episode = simulation.samples_per_episode();
+    if an_episode < 2 {
+        return fault(
+            "simulation.actuations_per_episode",
+            "an episode of one sample has no next observation to predict; use at least 2 samples",
+        );
+    }
+    let all = an_episode * simulation.episodes as usize;
+    if all > MAX_SAMPLES {
+        return fault(
+            "simulation.episodes",
+            format!(
+                "{all} samples a scenario are more than the {MAX_SAMPLES} that are allowed; \
+                     use fewer or shorter episodes"
+            ),
+        );
+    }
+    Ok(())
+}
+
+fn split(experiment: &Experiment) -> Result<(), Fault> {
+    let episodes = experiment.simulation.episodes as usize;
+    if experiment.split.counts(episodes).is_some() {
+        return Ok(());
+    }
+    let (validation, test) = (experiment.split.validation, experiment.split.test);
+    fault(
+        "split",
+        format!(
+            "validation {validation} and test {test} of {episodes} episodes leave none for training; \
+                 use smaller shares or more episodes"
+        ),
+    )
+}

@@ -1,0 +1,93 @@
+//! Parquet tables: written whole, stamped with what made them, with units in their metadata.
+
+use crate::files::{WriteError, write_whole};
+use crate::schema::Column;
+use polars::prelude::*;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+/// Key of the columns' units and meanings in a file's metadata, as JSON.
+pub const COLUMNS_KEY: &str = "harness.columns";
+
+/// What made a table, by key; written into the file's metadata.
+pub type Stamp = BTreeMap<String, String>;
+
+/// Why a table could not be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum TableError {
+    #[error("{} can't be read ({reason})", path.display())]
+    Read { path: PathBuf, reason: String },
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    #[error("a table could not be made: {0}")]
+    Polars(#[from] PolarsError),
+}
+
+/// Writes a table whose columns are those of `columns`, in their order.
+pub fn write_table(
+    path: &Path,
+    mut table: DataFrame,
+    columns: &[Column],
+    stamp: &Stamp,
+) -> Result<(), TableError> {
+    let expected: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
+    let found: Vec<&str> = table.get_column_names().into_iter().map(|name| name.as_str()).collect();
+    if found != expected {
+        let message = format!("the table has the columns {found:?}, its schema {expected:?}");
+        return Err(PolarsError::SchemaMismatch(message.into()).into());
+    }
+    let described = serde_json::to_string(columns).map_err(|error| PolarsError::ComputeError(error.to_string().into()))?;
+    let mut metadata = vec![(COLUMNS_KEY.to_owned(), described)];
+    metadata.extend(stamp.iter().map(|(key, value)| (format!("harness.{key}"), value.clone())));
+    write_whole(path, |file| {
+        ParquetWriter::new(File::create(file)?)
+            .with_key_value_metadata(Some(KeyValueMetadata::from_static(metadata.clone())))
+            // Tables are written from threads of their own; more threads for each would only compete.
+            .set_parallel(false)
+            .finish(&mut table)
+            .map_err(std::io::Error::other)?;
+        Ok(())
+    })?;
+    Ok(())
+}
+
+/// What a file's metadata say, without the table itself.
+pub struct Footer {
+    pub rows: usize,
+    pub stamp: Stamp,
+}
+
+/// Reads a file's footer.
+pub fn read_footer(path: &Path) -> Result<Footer, TableError> {
+    let file = File::open(path).map_err(|error| unreadable(path, error))?;
+    let mut reader = ParquetReader::new(file);
+    let metadata = reader.get_metadata().map_err(|error| unreadable(path, error))?;
+    let pairs = metadata.key_value_metadata().clone().unwrap_or_default();
+    let stamp = pairs.into_iter().filter_map(|pair| {
+        let key = pair.key.strip_prefix("harness.")?.to_owned();
+        Some((key, pair.value?))
+    });
+    Ok(Footer { rows: metadata.num_rows, stamp: stamp.collect() })
+}
+
+/// Reads a table, all of its columns or those named.
+pub fn read_table(path: &Path, columns: Option<Vec<String>>) -> Result<DataFrame, TableError> {
+    let file = File::open(path).map_err(|error| unreadable(path, error))?;
+    ParquetReader::new(file).with_columns(columns).finish().map_err(|error| unreadable(path, error))
+}
+
+fn unreadable(path: &Path, error: impl std::fmt::Display) -> TableError {
+    TableError::Read { path: path.to_owned(), reason: error.to_string() }
+}
+
+/// The tables at `paths` one after the other, lazily and cut down to `columns`; `None` if there are none.
+pub fn scan(paths: &[PathBuf], columns: &[Column]) -> PolarsResult<Option<LazyFrame>> {
+    let wanted: Vec<Expr> = columns.iter().map(|column| col(column.name.as_str())).collect();
+    let tables = paths.iter().map(|path| {
+        let path = PlRefPath::try_from_path(path)?;
+        Ok(LazyFrame::scan_parquet(path, ScanArgsParquet::default())?.select(wanted.clone()))
+    });
+    let tables = tables.collect::<PolarsResult<Vec<_>>>()?;
+    if tables.is_empty() { Ok(None) } else { concat(tables, UnionArgs::default()).map(Some) }
+}

@@ -1,0 +1,269 @@
+"""Composes the scenes `empty` and `cluttered` with PyMJCF and writes them as plain MJCF.
+
+    python models/compose.py           # writes models/empty.xml and models/cluttered.xml
+    python models/compose.py --check   # writes nothing; exit 1 and a diff where the files differ
+
+SI units throughout; angles in radians. models/README.md tells why each value is what it is.
+"""
+
+import argparse
+import difflib
+import math
+import pathlib
+import sys
+
+from dm_control import mjcf
+from lxml import etree
+
+SCENES = ("empty", "cluttered")
+PRECISION = 9  # significant digits in the files
+HERE = pathlib.Path(__file__).resolve().parent
+
+# Finger: 20 equal links and joints with alternating axes, as in the paper; it gives no numbers.
+JOINTS = 20
+LINK_LENGTH = 0.05  # m, from hinge to hinge: a finger of 1 m, the scale of the paper's strokes
+LINK_RADIUS = 0.045  # m, 2 to 3 pixels of a 64 x 64 frame across
+LINK_MASS = 0.01  # kg, 31 kg/m3: soft foam
+JOINT_STIFFNESS = 20.0  # N m/rad
+JOINT_DAMPING = 3.0  # N m s/rad, the released finger settles fastest (0.28 s)
+JOINT_ARMATURE = 1e-3  # kg m2, keeps the explicit joint springs far from instability at 1 kHz
+JOINT_RANGE = math.radians(60)  # rad, to either side
+FINGER_FRICTION = 0.8  # sliding, rubber on a floor
+FINGER_SOLIMP = (0, 0.95, 0.01, 0.5, 2)  # the contact's stiffness grows from nothing over 0.01 m: a soft skin
+
+# Arm: cylindrical (rotation, lift, extension). The ranges are the paper's.
+ROTATION_RANGE = (0.75 * math.pi, 1.25 * math.pi)  # rad
+LIFT_RANGE = (-1.0, 0.0)  # m
+EXTENSION_RANGE = (0.0, 1.5)  # m
+ROTATION_REST = math.pi  # rad, the middle of the range: the arm points along -x
+MOUNT_RADIUS = 0.7  # m, from the shaft to the finger at extension 0
+MOUNT_HEIGHT = 1.5  # m, of the first hinge at lift 0: the last link ends 0.5 m above the ground
+SHAFT_MASS = 5.0  # kg
+CARRIAGE_MASS = 2.0  # kg
+BEAM_MASS = 1.0  # kg
+# Position gains, kp = m w^2 and kv = 2 m w: critically damped at w = 300 rad/s, with m what the joint moves
+# (3.3 kg m2 at full extension, 3.2 kg, 1.2 kg). The arm follows its setpoint with a lag of kv / kp = 7 ms.
+ROTATION_GAINS = (3e5, 2e3)  # N m/rad, N m s/rad
+LIFT_GAINS = (3e5, 2e3)  # N/m, N s/m
+EXTENSION_GAINS = (1.2e5, 800)  # N/m, N s/m
+
+# Boxes of the cluttered scene.
+BOX_SIZE = (0.24, 0.24, 0.30)  # m, full
+BOX_MASS = 1.0  # kg
+BOX_FRICTION = 0.5  # sliding, against the ground and each other
+BOX_PARKING = [(radius, math.radians(angle)) for radius in (1.05, 1.75) for angle in (147, 169, 191, 213)]
+
+TIMESTEP = 1e-3  # s, the design's 1 kHz
+
+CAMERA_POSITION = (-3.8, -2.55, 3.55)  # m
+CAMERA_TARGET = (-0.79, 0.44, 0.0)  # m
+CAMERA_FOVY = 34  # degrees
+
+GROUND_SIDE = 20.0  # m, drawn; it collides without end. Drawn infinite, it costs 3 times as much a frame
+
+# Collision bits: the finger meets ground, boxes and column, never itself; the arm meets nothing.
+FINGER_BIT, BOX_BIT = 1, 2
+
+GROUND_RGBA = (0.85, 0.85, 0.82, 1)
+ARM_RGBA = (0.25, 0.28, 0.33, 1)
+BASE_RGB, TIP_RGB = (1.0, 0.75, 0.0), (0.85, 0.0, 0.35)  # the finger's colour runs from base to tip
+ODD_LINK_SHADE = 0.85  # odd links are darker, which shows the links in a large picture
+BOX_RGBA = ((0.30, 0.50, 1.0, 1), (0.20, 0.75, 0.65, 1))  # even, odd boxes
+
+
+def finger(mount):
+    """Hangs the finger below the body `mount`: a chain of links along -z, one hinge each.
+
+    Even joints turn about the arm's tangent (flexion/extension: the finger bends along the arm), odd ones
+    about the arm itself (adduction/abduction: it bends sideways).
+    """
+    defaults = mount.root.default.add("default", dclass="finger")
+    defaults.joint.set_attributes(
+        stiffness=JOINT_STIFFNESS,
+        damping=JOINT_DAMPING,
+        armature=JOINT_ARMATURE,
+        range=(-JOINT_RANGE, JOINT_RANGE),
+    )
+    defaults.geom.set_attributes(
+        type="capsule",
+        fromto=(0, 0, 0, 0, 0, -LINK_LENGTH),
+        size=[LINK_RADIUS],
+        mass=LINK_MASS,
+        priority=1,  # friction and softness of a contact are the finger's, whatever it touches
+        friction=[FINGER_FRICTION],
+        solimp=FINGER_SOLIMP,
+        contype=FINGER_BIT,
+        conaffinity=0,
+    )
+    parent = mount
+    for link in range(JOINTS):
+        body = parent.add("body", name=f"finger_link_{link:02}")
+        if link == 0:
+            body.childclass = "finger"
+        else:
+            body.pos = (0, 0, -LINK_LENGTH)
+        body.add("joint", name=f"finger_joint_{link:02}", axis=(1, 0, 0) if link % 2 else (0, 1, 0))
+        body.add("geom", name=f"finger_link_{link:02}", rgba=link_rgba(link))
+        parent = body
+
+
+def link_rgba(link):
+    """Colour of a link: its place along the finger, odd links darker."""
+    place = link / (JOINTS - 1)
+    shade = ODD_LINK_SHADE if link % 2 else 1
+    return [shade * ((1 - place) * base + place * tip) for base, tip in zip(BASE_RGB, TIP_RGB)] + [1]
+
+
+def arm(world):
+    """Stands the arm at the world's origin, with its actuators; returns the beam, which carries the finger.
+
+    In its rest pose the arm points along -x with rotation `ROTATION_REST`, lift 0 and extension 0.
+    """
+    defaults = world.root.default.add("default", dclass="arm")
+    defaults.geom.set_attributes(rgba=ARM_RGBA, contype=0, conaffinity=0)
+    world.add(
+        "geom",
+        name="arm_column",
+        dclass="arm",
+        type="cylinder",
+        size=(0.12, 0.15),
+        pos=(0, 0, 0.15),
+        conaffinity=FINGER_BIT | BOX_BIT,
+    )
+    shaft = world.add("body", name="arm_shaft", childclass="arm", euler=(0, 0, ROTATION_REST), gravcomp=1)
+    shaft.add("joint", name="arm_rotation", type="hinge", axis=(0, 0, 1), ref=ROTATION_REST)
+    shaft.add("geom", name="arm_shaft", type="cylinder", size=(0.05, 0.7), pos=(0, 0, 1.0), mass=SHAFT_MASS)
+    carriage = shaft.add("body", name="arm_carriage", pos=(0, 0, MOUNT_HEIGHT), gravcomp=1)
+    carriage.add("joint", name="arm_lift", type="slide", axis=(0, 0, 1))
+    carriage.add("geom", name="arm_carriage", type="box", size=(0.12, 0.09, 0.09), mass=CARRIAGE_MASS)
+    beam = carriage.add("body", name="arm_beam", pos=(MOUNT_RADIUS, 0, 0), gravcomp=1)
+    beam.add("joint", name="arm_extension", type="slide", axis=(1, 0, 0))
+    beam.add("geom", name="arm_beam", type="box", size=(0.8, 0.025, 0.025), pos=(-0.8, 0, 0), mass=BEAM_MASS)
+
+    actuators = world.root.actuator
+    for joint, gains, ctrlrange in (
+        ("arm_rotation", ROTATION_GAINS, ROTATION_RANGE),
+        ("arm_lift", LIFT_GAINS, LIFT_RANGE),
+        ("arm_extension", EXTENSION_GAINS, EXTENSION_RANGE),
+    ):
+        kp, kv = gains
+        actuators.add("position", name=joint, joint=joint, kp=kp, kv=kv, ctrlrange=ctrlrange)
+    return beam
+
+
+def boxes(world):
+    """Adds the movable boxes, parked in two arcs of the swept sector."""
+    defaults = world.root.default.add("default", dclass="box")
+    defaults.geom.set_attributes(
+        type="box",
+        size=[side / 2 for side in BOX_SIZE],
+        mass=BOX_MASS,
+        friction=[BOX_FRICTION],
+        contype=BOX_BIT,
+        conaffinity=FINGER_BIT | BOX_BIT,
+    )
+    for index, (radius, angle) in enumerate(BOX_PARKING):
+        body = world.add(
+            "body",
+            name=f"box_{index}",
+            childclass="box",
+            pos=(radius * math.cos(angle), radius * math.sin(angle), BOX_SIZE[2] / 2),
+            euler=(0, 0, angle),
+        )
+        body.add("freejoint", name=f"box_{index}")
+        body.add("geom", name=f"box_{index}", rgba=BOX_RGBA[index % 2])
+
+
+def scene(name):
+    """The whole scene, `empty` or `cluttered`, as a PyMJCF model."""
+    root = mjcf.RootElement(model=name)
+    root.compiler.set_attributes(angle="radian", autolimits=True)
+    # Elliptic cones: with pyramidal ones the force peaks of a finger that is about to buckle doubled.
+    root.option.set_attributes(timestep=TIMESTEP, integrator="implicitfast", cone="elliptic")
+    # A small software-rendered frame costs what its vertices, shadows and MSAA cost. A picture for people
+    # sets the usual quality and buffer size before its renderer exists; the light then casts shadows too.
+    root.visual.quality.set_attributes(shadowsize=0, offsamples=0, numslices=12, numstacks=6, numquads=1)
+    getattr(root.visual, "global").set_attributes(offwidth=64, offheight=64)
+
+    world = root.worldbody
+    world.add("light", name="sun", type="directional", pos=(-2, 1, 4), dir=(0.4, -0.25, -1))
+    camera_axes = look_at(CAMERA_POSITION, CAMERA_TARGET)
+    world.add("camera", name="external", pos=CAMERA_POSITION, xyaxes=camera_axes, fovy=CAMERA_FOVY)
+    world.add(
+        "geom",
+        name="ground",
+        type="plane",
+        size=(GROUND_SIDE / 2, GROUND_SIDE / 2, 1),
+        rgba=GROUND_RGBA,
+        friction=[BOX_FRICTION],
+        contype=0,
+        conaffinity=FINGER_BIT | BOX_BIT,
+    )
+    finger(arm(world))
+    if name == "cluttered":
+        root.option.flag.sleep = "enable"  # boxes at rest cost nothing; the actuated arm never sleeps
+        boxes(world)
+    root.keyframe.add("key", name="rest", ctrl=(ROTATION_REST, 0, 0))
+    return root
+
+
+def look_at(position, target):
+    """`xyaxes` of a camera at `position` (m) that looks at `target` (m) with the world's z upwards."""
+    dx, dy, dz = (t - p for t, p in zip(target, position))
+    flat = math.hypot(dx, dy)
+    length = math.hypot(flat, dz)
+    right = (dy / flat, -dx / flat, 0)
+    up = (-dz * dx / flat / length, -dz * dy / flat / length, flat / length)
+    return right + up
+
+
+def to_mjcf(root):
+    """The model as plain MJCF text, without the root class `/` that PyMJCF puts around all defaults."""
+    tree = root.to_xml(precision=PRECISION)
+    for element in tree.iter():
+        if element.get("class") == "/":
+            del element.attrib["class"]
+    defaults = tree.find("default")
+    (wrapper,) = defaults
+    defaults[:] = list(wrapper)
+    etree.indent(tree)
+    comment = "<!-- Written by models/compose.py; edit that, and see models/README.md for every value. -->\n"
+    return comment + etree.tostring(tree, encoding="unicode") + "\n"
+
+
+def difference(path, text):
+    """Unified diff from the file at `path` (empty where it is missing) to `text`; empty where they agree."""
+    checked_in = path.read_text() if path.exists() else ""
+    lines = difflib.unified_diff(
+        checked_in.splitlines(keepends=True),
+        text.splitlines(keepends=True),
+        str(path),
+        f"compose.py's {path.name}",
+    )
+    return "".join(lines)
+
+
+def main():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing; exit 1 with a diff where files differ"
+    )
+    check = parser.parse_args().check
+
+    differs = False
+    for name in SCENES:
+        path = HERE / f"{name}.xml"
+        text = to_mjcf(scene(name))
+        if check:
+            diff = difference(path, text)
+            sys.stdout.write(diff)
+            differs |= bool(diff)
+        else:
+            path.write_text(text)
+    return 1 if differs else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,111 @@
+#!/bin/sh
+# Sets up what cargo cannot: a virtual environment with MuJoCo, the links to its library, an EGL driver.
+# Does only what is missing, so running it again takes about a second.
+#
+#   setup/setup.sh          what the harness needs
+#   setup/setup.sh --test   and what its tests need besides
+set -eu
+cd "$(dirname "$0")/.."
+
+# Wheels of everything in requirements.txt exist for these versions; the first is preferred.
+pythons='3.11 3.12'
+mujoco_library=libmujoco.so.3.17.0
+
+say() { echo "setup: $*" >&2; }
+
+fail() {
+    say "$@"
+    exit 1
+}
+
+# Runs a command as root: directly, or through sudo where that asks for no password.
+as_root() {
+    if [ "$(id -u)" -eq 0 ]; then
+        "$@"
+    else
+        sudo -n "$@"
+    fi
+}
+
+can_install() { command -v apt-get >/dev/null && as_root true 2>/dev/null; }
+
+apt_install() {
+    say "installing $* with apt-get"
+    as_root apt-get update -qq
+    as_root env DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends "$@" >/dev/null
+}
+
+check_rust() {
+    needed=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
+    command -v cargo >/dev/null && command -v rustc >/dev/null ||
+        fail "cargo or rustc is missing; install Rust $needed or newer (https://rustup.rs)"
+    found=$(rustc --version | cut -d ' ' -f 2)
+    [ "$(printf '%s\n%s\n' "$needed" "$found" | sort -V | head -n 1)" = "$needed" ] ||
+        fail "rustc $found is too old; install Rust $needed or newer (rustup update stable)"
+}
+
+# Prints the first interpreter of a version that will do.
+find_python() {
+    for version in $pythons; do
+        for name in "python$version" python3 "/usr/bin/python$version"; do
+            if "$name" -c "import sys; sys.exit('%d.%d' % sys.version_info[:2] != '$version')" 2>/dev/null; then
+                echo "$name"
+                return
+            fi
+        done
+    done
+    fail "no Python found; install one of: $pythons"
+}
+
+make_venv() {
+    # A copied or interrupted environment has an interpreter that doesn't run or lacks pip.
+    .venv/bin/python -c 'import pip' 2>/dev/null && return
+    python=$(find_python)
+    if ! "$python" -c 'import venv, ensurepip' 2>/dev/null; then
+        package=$("$python" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')
+        can_install || fail "$python cannot make virtual environments; install it as root: apt-get install $package"
+        apt_install "$package"
+    fi
+    say "making .venv with $("$python" --version)"
+    "$python" -m venv --clear .venv
+}
+
+# Installs a lock file, unless .venv already holds exactly what it lists.
+install_packages() {
+    lock=setup/$1
+    installed=.venv/installed-$1
+    cmp -s "$lock" "$installed" && return
+    say "installing the Python packages of $lock"
+    .venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r "$lock"
+    cp "$lock" "$installed"
+}
+
+# The wheel's library has only its versioned name; the mujoco-rs crate also looks for libmujoco.so.
+link_mujoco() {
+    library=$(cd .venv && echo lib/python3*/site-packages/mujoco/$mujoco_library)
+    [ -e ".venv/$library" ] || fail ".venv holds no $mujoco_library; remove .venv and run setup again"
+    mkdir -p .venv/mujoco
+    for name in libmujoco.so $mujoco_library; do
+        [ "$(readlink ".venv/mujoco/$name")" = "../$library" ] || ln -sfn "../$library" ".venv/mujoco/$name"
+    done
+}
+
+# Makes an OpenGL context without a display, as the harness does.
+egl_works() {
+    MUJOCO_GL=egl .venv/bin/python -c 'import mujoco; mujoco.GLContext(8, 8).make_current()' 2>/dev/null
+}
+
+check_egl() {
+    packages='libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0'
+    egl_works && return
+    # shellcheck disable=SC2086 # a list of packages
+    if can_install; then apt_install $packages || true; fi
+    egl_works || fail "no EGL driver answers, so frames can't be rendered; install one as root: apt-get install $packages"
+}
+
+check_rust
+make_venv
+install_packages requirements.txt
+link_mujoco
+if [ "${1-}" = --test ]; then install_packages requirements-test.txt; fi
+check_egl

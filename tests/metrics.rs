@@ -1,0 +1,413 @@
+//! The metrics against hand-worked values and scikit-learn's, and the baselines beside them.
+
+use harness::metrics::baselines::{
+    GREY_LEN, GREY_SIDE, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence,
+};
+use harness::metrics::series::{error_relative_to_mean, error_relative_to_zero, mae, r2, rmse, smape, wmape};
+use harness::metrics::{Direction, Evaluation, Metric, MetricsError, Row, Series, evaluate};
+use harness::spec::{ARM_JOINTS, FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, JOINTS, Modality};
+use rand::seq::SliceRandom;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::{Value, json};
+use std::io::Write;
+use std::process::{Command, Stdio};
+
+type Formula = fn(&[Series]) -> Option<f64>;
+const FUNCTIONS: [Formula; 7] = [smape, wmape, r2, rmse, mae, error_relative_to_zero, error_relative_to_mean];
+
+fn series(reference: &[f32], predicted: &[f32]) -> [Series; 1] {
+    assert_eq!(reference.len(), predicted.len());
+    [reference.iter().copied().zip(predicted.iter().copied()).collect()]
+}
+
+#[track_caller]
+fn assert_close(value: impl Into<Option<f64>>, expected: f64) {
+    let value = value.into().expect("the metric is defined");
+    let tolerance = 1e-9 * expected.abs().max(1.0);
+    assert!((value - expected).abs() <= tolerance, "{value} is not {expected}");
+}
+
+/// `samples` values around `offset`, and predictions of them with an error of about a tenth of their spread.
+fn random_pairs(seed: u64, samples: usize, offset: f32) -> (Vec<f32>, Vec<f32>) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let reference: Vec<f32> = (0..samples).map(|_| offset + rng.random_range(-1.0..1.0)).collect();
+    let predicted = reference.iter().map(|r| r + rng.random_range(-0.2..0.2)).collect();
+    (reference, predicted)
+}
+
+fn find(rows: &[Row], metric: Metric, direction: Option<Direction>, index: Option<u32>) -> &Row {
+    let mut found =
+        rows.iter().filter(|row| (row.metric, row.direction, row.index) == (metric, direction, index));
+    let row = found.next().expect("the row is there");
+    assert!(found.next().is_none(), "{row:?} is there twice");
+    row
+}
+
+/// What scikit-learn and NumPy answer to `request`.
+fn python(request: &Value) -> Value {
+    let root = env!("CARGO_MANIFEST_DIR");
+    let mut child = Command::new(format!("{root}/.venv/bin/python"))
+        .arg(format!("{root}/tests/python/reference_metrics.py"))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("the virtual environment of the tests is there: `make test` sets it up");
+    child.stdin.take().unwrap().write_all(request.to_string().as_bytes()).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success(), "reference_metrics.py failed");
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// Columns `columns` of a row-major matrix as nested lists, exact in f64.
+fn nested(matrix: &[f32], width: usize, columns: impl Iterator<Item = usize> + Clone) -> Value {
+    matrix
+        .chunks_exact(width)
+        .map(|row| columns.clone().map(|column| f64::from(row[column])).collect::<Vec<_>>())
+        .collect()
+}
+
+// --- formulas ---
+
+#[test]
+fn formulas_give_hand_worked_values() {
+    // Errors 0, 1, 0, 2; the reference's mean is 1.75, its squared deviations add up to 8.75.
+    let pairs = series(&[1.0, 2.0, 0.0, 4.0], &[1.0, 1.0, 0.0, 6.0]);
+    assert_close(smape(&pairs), 100.0 / 4.0 * (1.0 / 3.0 + 2.0 / 10.0));
+    assert_close(wmape(&pairs), 100.0 * 3.0 / 7.0);
+    assert_close(r2(&pairs), 1.0 - 5.0 / 8.75);
+    assert_close(rmse(&pairs), 1.25_f64.sqrt());
+    assert_close(mae(&pairs), 0.75);
+    assert_close(error_relative_to_zero(&pairs), 5.0 / 21.0);
+    assert_close(error_relative_to_mean(&pairs), 5.0 / 8.75);
+}
+
+#[test]
+fn smape_lies_between_0_and_100() {
+    assert_close(smape(&series(&[0.0, 3.0], &[0.0, 3.0])), 0.0);
+    assert_close(smape(&series(&[1.0, -2.0, 0.0], &[-1.0, 5.0, 0.1])), 100.0);
+}
+
+#[test]
+fn undefined_metrics_are_none() {
+    assert!(FUNCTIONS.iter().all(|metric| metric(&[]).is_none() && metric(&[Series::default()]).is_none()));
+    let untouched = series(&[0.0; 3], &[0.0, 0.5, 0.0]);
+    assert_eq!(wmape(&untouched), None);
+    assert_eq!(r2(&untouched), None);
+    assert_eq!(error_relative_to_zero(&untouched), None);
+    assert_eq!(error_relative_to_mean(&untouched), None);
+    assert_close(mae(&untouched), 0.5 / 3.0);
+    // 0.1 has no exact binary form: rounding must not make a constant look as if it varied.
+    assert_eq!(r2(&series(&[0.1; 1000], &[0.2; 1000])), None);
+}
+
+#[test]
+fn pooling_adds_the_sums_of_the_series() {
+    let varying = series(&[1.0, 3.0], &[1.0, 2.0])[0];
+    let constant = series(&[5.0, 5.0], &[5.0, 8.0])[0];
+    let both = [varying, constant];
+    assert_close(smape(&both), 100.0 / 4.0 * (1.0 / 5.0 + 3.0 / 13.0));
+    assert_close(wmape(&both), 100.0 * 4.0 / 14.0);
+    assert_close(rmse(&both), 2.5_f64.sqrt());
+    assert_close(mae(&both), 1.0);
+    assert_close(r2(&both), 1.0 - 1.0 / 2.0);
+    assert_close(error_relative_to_mean(&both), 10.0 / 2.0);
+    // Each series keeps its own mean: far-apart levels add no variance to explain.
+    let high = series(&[101.0, 103.0], &[101.0, 102.0])[0];
+    assert_close(r2(&[varying, high]), 1.0 - 2.0 / 4.0);
+}
+
+#[test]
+fn ratios_ignore_scale_and_r2_ignores_offset() {
+    let (reference, predicted) = random_pairs(1, 500, 0.5);
+    let pairs = series(&reference, &predicted);
+    // A power of two scales without rounding.
+    let scale = |values: &[f32]| values.iter().map(|value| value * 1024.0).collect::<Vec<_>>();
+    let scaled = series(&scale(&reference), &scale(&predicted));
+    for metric in [smape, wmape, r2, error_relative_to_zero, error_relative_to_mean] {
+        assert_close(metric(&scaled), metric(&pairs).unwrap());
+    }
+    for metric in [rmse, mae] {
+        assert_close(metric(&scaled), 1024.0 * metric(&pairs).unwrap());
+    }
+    let shift = |values: &[f32]| values.iter().map(|value| value + 1.0).collect::<Vec<_>>();
+    let shifted = r2(&series(&shift(&reference), &shift(&predicted))).unwrap();
+    assert!((shifted - r2(&pairs).unwrap()).abs() < 1e-6);
+}
+
+#[test]
+fn metrics_ignore_the_order_of_samples() {
+    let (reference, predicted) = random_pairs(2, 500, 0.1);
+    let mut order: Vec<usize> = (0..reference.len()).collect();
+    order.shuffle(&mut ChaCha8Rng::seed_from_u64(3));
+    let shuffled: Series = order.iter().map(|&i| (reference[i], predicted[i])).collect();
+    for metric in FUNCTIONS {
+        assert_close(metric(&[shuffled]), metric(&series(&reference, &predicted)).unwrap());
+    }
+}
+
+// --- evaluation of a modality ---
+
+#[test]
+fn evaluation_agrees_with_scikit_learn() {
+    // The offset makes the variance a small part of the squares, where a careless sum loses digits.
+    for (modality, metrics, offset) in [
+        (Modality::Proprioception, [Metric::Smape, Metric::R2, Metric::Rmse, Metric::Mae], 0.0),
+        (Modality::ContactForceMean, [Metric::Wmape, Metric::R2, Metric::Rmse, Metric::Mae], 1000.0),
+    ] {
+        let (reference, predicted) = random_pairs(4, 300 * JOINTS, offset);
+        let rows = evaluate(modality, &reference, &predicted).unwrap();
+        let compare = |direction, index, columns: Vec<usize>| {
+            let expected = python(&json!({
+                "reference": nested(&reference, JOINTS, columns.iter().copied()),
+                "predicted": nested(&predicted, JOINTS, columns.iter().copied()),
+            }));
+            for metric in metrics {
+                let value = find(&rows, metric, direction, index).value;
+                assert_close(value, expected[metric.name()].as_f64().unwrap());
+            }
+        };
+        compare(None, None, (0..JOINTS).collect());
+        compare(Some(Direction::FlexionExtension), None, (0..JOINTS).step_by(2).collect());
+        compare(Some(Direction::AdductionAbduction), Some(7), vec![7]);
+    }
+}
+
+#[test]
+fn finger_rows_name_joints_directions_and_units() {
+    let (reference, predicted) = random_pairs(5, 10 * JOINTS, 0.0);
+    let rows = evaluate(Modality::Proprioception, &reference, &predicted).unwrap();
+    assert_eq!(rows.len(), 4 * (1 + 2 + JOINTS));
+    assert!(rows.iter().all(|row| row.modality == Modality::Proprioception && row.value.is_some()));
+    for joint in 0..JOINTS {
+        let direction = if joint % 2 == 0 { "fe" } else { "aa" };
+        let rows: Vec<_> = rows.iter().filter(|row| row.index == Some(joint as u32)).collect();
+        assert!(rows.iter().all(|row| row.direction.unwrap().name() == direction));
+        assert_eq!(
+            rows.iter().map(|row| row.metric.name()).collect::<Vec<_>>(),
+            ["smape", "r2", "rmse", "mae"]
+        );
+        assert_eq!(rows.iter().map(|row| row.unit()).collect::<Vec<_>>(), ["%", "1", "rad", "rad"]);
+    }
+}
+
+#[test]
+fn untouched_links_have_no_wmape() {
+    // Only the last link is touched; every prediction is off by 0.5 N.
+    let reference: Vec<f32> =
+        (0..5 * JOINTS).map(|i| if i % JOINTS == JOINTS - 1 { (i / JOINTS) as f32 } else { 0.0 }).collect();
+    let predicted: Vec<f32> = reference.iter().map(|force| force + 0.5).collect();
+    let rows = evaluate(Modality::ContactForce, &reference, &predicted).unwrap();
+    let value = |metric, direction, index| find(&rows, metric, direction, index).value;
+    let (fe, aa) = (Some(Direction::FlexionExtension), Some(Direction::AdductionAbduction));
+    for metric in [Metric::Wmape, Metric::R2] {
+        assert_eq!(value(metric, fe, Some(0)), None);
+        assert_eq!(value(metric, fe, None), None);
+    }
+    assert_close(value(Metric::Mae, fe, Some(0)), 0.5);
+    // Forces 0 to 4 N add up to 10 N; phantom forces on the other links count in the pooled error.
+    assert_close(value(Metric::Wmape, aa, Some(19)), 100.0 * 2.5 / 10.0);
+    assert_close(value(Metric::Wmape, aa, None), 100.0 * 25.0 / 10.0);
+    assert_close(value(Metric::Wmape, None, None), 100.0 * 50.0 / 10.0);
+    assert_close(value(Metric::R2, None, None), 1.0 - 1.25 / 10.0);
+    assert!(rows.iter().all(|row| row.value.is_none_or(f64::is_finite)));
+    assert_eq!(find(&rows, Metric::Rmse, None, None).unit(), "N");
+}
+
+#[test]
+fn arm_joints_are_never_pooled() {
+    let (reference, predicted) = random_pairs(6, 10 * ARM_JOINTS, 0.0);
+    let rows = evaluate(Modality::Arm, &reference, &predicted).unwrap();
+    let seen: Vec<_> = rows.iter().map(|row| (row.index, row.metric.name(), row.unit())).collect();
+    let of =
+        |joint, unit| [(Some(joint), "r2", "1"), (Some(joint), "rmse", unit), (Some(joint), "mae", unit)];
+    assert_eq!(seen, [of(0, "rad"), of(1, "m"), of(2, "m")].concat());
+    assert!(rows.iter().all(|row| row.direction.is_none()));
+}
+
+#[test]
+fn frame_difference_is_compared_with_no_change() {
+    let mut reference = vec![0.0; 2 * FRAME_LEN];
+    reference[5] = 0.5;
+    reference[FRAME_LEN + 7] = -0.5;
+    let relative_error = |predicted: &[f32]| {
+        let rows = evaluate(Modality::FrameDifference, &reference, predicted).unwrap();
+        assert_eq!(
+            rows.iter().map(|row| row.metric.name()).collect::<Vec<_>>(),
+            ["relative_error", "rmse", "mae"]
+        );
+        assert!(rows.iter().all(|row| row.unit() == "1" && row.index.is_none() && row.direction.is_none()));
+        find(&rows, Metric::RelativeError, None, None).value
+    };
+    assert_close(relative_error(&reference), 0.0);
+    assert_close(relative_error(&persistence(Modality::FrameDifference, &reference)), 1.0);
+    let mut half = reference.clone();
+    half[5] = 0.0;
+    assert_close(relative_error(&half), 0.5);
+    let still = vec![0.0; FRAME_LEN];
+    let rows = evaluate(Modality::FrameDifference, &still, &reference[..FRAME_LEN]).unwrap();
+    assert_eq!(find(&rows, Metric::RelativeError, None, None).value, None);
+    assert_close(find(&rows, Metric::Mae, None, None).value, 0.5 / FRAME_LEN as f64);
+}
+
+#[test]
+fn vision_is_compared_with_the_mean_picture() {
+    let (reference, _) = random_pairs(7, 4 * FRAME_LEN, 0.5);
+    let mut mean = TrainingMean::new(FRAME_LEN);
+    mean.add(&reference).unwrap();
+    let rows = evaluate(Modality::Vision, &reference, &mean.predict(4).unwrap()).unwrap();
+    let relative_error = find(&rows, Metric::RelativeError, None, None).value.unwrap();
+    assert!((relative_error - 1.0).abs() < 1e-6, "{relative_error}");
+}
+
+#[test]
+fn batches_add_up_to_the_whole() {
+    let (reference, predicted) = random_pairs(8, 50 * JOINTS, 0.0);
+    let mut evaluation = Evaluation::new(Modality::Proprioception);
+    for (reference, predicted) in reference.chunks(7 * JOINTS).zip(predicted.chunks(7 * JOINTS)) {
+        evaluation.add(reference, predicted).unwrap();
+    }
+    assert_eq!(evaluation.rows(), evaluate(Modality::Proprioception, &reference, &predicted).unwrap());
+}
+
+#[test]
+fn bad_batches_are_refused_and_add_nothing() {
+    let good = vec![1.0; 2 * JOINTS];
+    let mut evaluation = Evaluation::new(Modality::Proprioception);
+    evaluation.add(&good, &good).unwrap();
+    let before = evaluation.rows();
+
+    let error = evaluation.add(&good[1..], &good).unwrap_err();
+    assert_eq!(error, MetricsError::Shape { what: "the reference", values: 39, width: 20 });
+    let error = evaluation.add(&good, &good[..JOINTS]).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "the reference has 2 samples and the prediction has 1; both must cover the same samples"
+    );
+    let mut diverged = good.clone();
+    diverged[JOINTS + 3] = f32::NAN;
+    let error = evaluation.add(&good, &diverged).unwrap_err();
+    assert!(error.to_string().starts_with("the prediction is NaN at row 1, column 3"), "{error}");
+    diverged[JOINTS + 3] = f32::INFINITY;
+    assert!(evaluation.add(&diverged, &good).is_err());
+
+    assert_eq!(evaluation.rows(), before);
+}
+
+// --- baselines ---
+
+#[test]
+fn persistence_repeats_what_is_sensed() {
+    let now = [0.1, -0.2, 0.3];
+    assert_eq!(persistence(Modality::Arm, &now)[..], now);
+    assert_eq!(persistence(Modality::FrameDifference, &now)[..], [0.0; 3]);
+}
+
+#[test]
+fn training_mean_is_predicted_for_every_sample() {
+    let mut mean = TrainingMean::new(2);
+    assert_eq!(mean.predict(1), Err(MetricsError::NoSamples { what: "the training mean" }));
+    mean.add(&[1.0, 10.0, 2.0, 20.0]).unwrap();
+    mean.add(&[6.0, 0.0]).unwrap();
+    assert!(mean.add(&[1.0]).is_err() && mean.add(&[f32::NAN, 0.0]).is_err());
+    assert_eq!(mean.predict(2).unwrap(), [3.0, 10.0, 3.0, 10.0]);
+}
+
+#[test]
+fn ridge_gives_hand_worked_weights() {
+    // Centred: Σ x y = 3 and Σ x² = 2, so the coefficient is 3 / (2 + alpha).
+    let (x, y) = ([-1.0, 0.0, 1.0], [1.0, 2.0, 4.0]);
+    let ridge = Ridge::fit(&x, 1, &y, 1, 1.0).unwrap();
+    let (intercept, coefficients) = ridge.weights(0);
+    assert_close(intercept, 7.0 / 3.0);
+    assert_close(coefficients[0], 1.0);
+    assert_eq!(ridge.predict(&[2.0, 0.0]).unwrap(), [13.0 / 3.0, 7.0 / 3.0]);
+    let (intercept, coefficients) =
+        Ridge::fit(&x, 1, &y, 1, 0.0).map(|r| (r.weights(0).0, r.weights(0).1[0])).unwrap();
+    assert_close(intercept, 7.0 / 3.0);
+    assert_close(coefficients, 1.5);
+}
+
+#[test]
+fn ridge_agrees_with_scikit_learn() {
+    const INPUTS: usize = 7;
+    const OUTPUTS: usize = 3;
+    const ALPHA: f64 = 2.5;
+    let samples = 600; // more than are turned to f64 at a time
+    let (x, noise) = random_pairs(9, samples * INPUTS, 0.3);
+    let y: Vec<f32> = x
+        .chunks_exact(INPUTS)
+        .zip(noise.chunks_exact(INPUTS))
+        .flat_map(|(x, noise)| [x[0] - 2.0 * x[3] + noise[1], 40.0 * noise[2], 5.0 + x[6] * noise[4]])
+        .collect();
+    let ridge = Ridge::fit(&x, INPUTS, &y, OUTPUTS, ALPHA).unwrap();
+    let answer = python(&json!({"ridge": {
+        "x": nested(&x, INPUTS, 0..INPUTS), "y": nested(&y, OUTPUTS, 0..OUTPUTS), "alpha": ALPHA
+    }}));
+    let predicted = ridge.predict(&x).unwrap();
+    for output in 0..OUTPUTS {
+        let (intercept, coefficients) = ridge.weights(output);
+        assert_close(intercept, answer["ridge"]["intercept"][output].as_f64().unwrap());
+        for (input, &coefficient) in coefficients.iter().enumerate() {
+            assert_close(coefficient, answer["ridge"]["coefficients"][output][input].as_f64().unwrap());
+        }
+        for (x, predicted) in x.chunks_exact(INPUTS).zip(predicted.chunks_exact(OUTPUTS)) {
+            let expected: f64 = coefficients.iter().zip(x).map(|(w, &x)| w * f64::from(x)).sum();
+            assert!((f64::from(predicted[output]) - intercept - expected).abs() < 1e-5);
+        }
+    }
+}
+
+#[test]
+fn ridge_fits_batches_as_the_whole() {
+    let (x, y) = random_pairs(10, 400, 0.0);
+    let mut sums = RidgeSums::new(4, 2);
+    for (x, y) in x.chunks(36).zip(y[..200].chunks(18)) {
+        sums.add(x, y).unwrap();
+    }
+    let (whole, batches) = (Ridge::fit(&x, 4, &y[..200], 2, 0.1).unwrap(), sums.solve(0.1).unwrap());
+    for output in 0..2 {
+        assert_close(batches.weights(output).0, whole.weights(output).0);
+        for (batch, whole) in batches.weights(output).1.iter().zip(whole.weights(output).1) {
+            assert_close(*batch, *whole);
+        }
+    }
+}
+
+#[test]
+fn ridge_refuses_what_has_no_answer() {
+    let (x, y) = ([1.0, 2.0, 2.0, 4.0, 3.0, 6.0], [1.0, 2.0, 3.0]);
+    let fit = |alpha| Ridge::fit(&x, 2, &y, 1, alpha);
+    assert_eq!(fit(0.0), Err(MetricsError::Singular { column: 1, alpha: 0.0 }));
+    assert!(fit(1e-3).is_ok());
+    assert_eq!(fit(-1.0), Err(MetricsError::Alpha(-1.0)));
+    assert!(fit(f64::NAN).is_err());
+    // A constant input says what the intercept says already.
+    let constant = Ridge::fit(&[0.5, 0.5, 0.5], 1, &y, 1, 0.0);
+    assert_eq!(constant, Err(MetricsError::Singular { column: 0, alpha: 0.0 }));
+    assert_eq!(RidgeSums::new(2, 1).solve(1.0), Err(MetricsError::NoSamples { what: "ridge regression" }));
+    assert!(Ridge::fit(&x, 2, &y[..2], 1, 1.0).is_err());
+    assert!(Ridge::fit(&[f32::NAN; 6], 2, &y, 1, 1.0).is_err());
+    assert!(fit(1.0).unwrap().predict(&x[..3]).is_err());
+}
+
+#[test]
+fn downsampling_averages_blocks_of_pixels() {
+    const BLOCK: usize = FRAME_SIDE / GREY_SIDE;
+    let mut frame = vec![10_u8; FRAME_LEN];
+    // The whole block in row 2, column 15, and one channel of one pixel of the block in row 0, column 1.
+    for row in 2 * BLOCK..3 * BLOCK {
+        let start = (row * FRAME_SIDE + 15 * BLOCK) * FRAME_CHANNELS;
+        frame[start..start + BLOCK * FRAME_CHANNELS].fill(255);
+    }
+    frame[BLOCK * FRAME_CHANNELS] = 10 + 48;
+    let grey = downsample_frame(&frame).unwrap();
+    let mut expected = [10.0_f32; GREY_LEN];
+    expected[2 * GREY_SIDE + 15] = 255.0;
+    expected[1] = 11.0;
+    assert_eq!(grey, expected);
+
+    let difference: Vec<f32> = frame.iter().map(|&value| -f32::from(value)).collect();
+    assert_eq!(downsample_frame(&difference).unwrap(), expected.map(|value| -value));
+    assert!(downsample_frame(&frame[1..]).is_err());
+}

@@ -1,0 +1,444 @@
+//! The simulated world against MuJoCo's own sensors, Python's `mujoco`, and what a user may get wrong.
+
+use harness::simulation::{
+    BOXES, Course, Episode, Portrait, Scene, SimulationError, Simulator, link_forces, replay,
+};
+use harness::spec::{ARM_JOINTS, FRAME_LEN, FRAME_SIDE, JOINTS, Scenario, Simulation};
+use mujoco_rs::prelude::*;
+use std::ffi::OsStr;
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::process::Command;
+
+const STEPS_PER_SAMPLE: usize = 100;
+
+fn scene(scenario: Scenario) -> Scene {
+    Scene::load(scenario, None).unwrap()
+}
+
+/// Ten seconds an episode, of which there are three.
+fn short() -> Simulation {
+    Simulation { episodes: 3, actuations_per_episode: 10, ..Default::default() }
+}
+
+fn simulate(scene: &Scene, spec: &Simulation, index: u32) -> Episode {
+    Simulator::new(scene, spec).unwrap().run(index, &mut || ControlFlow::Continue(())).unwrap()
+}
+
+fn columns(values: &[f32], width: usize) -> Vec<Vec<f32>> {
+    (0..width).map(|column| values.iter().skip(column).step_by(width).copied().collect()).collect()
+}
+
+fn varies(values: &[f32]) -> bool {
+    values.iter().any(|value| *value != values[0])
+}
+
+#[test]
+fn every_scenario_records_finite_varying_observations_of_the_right_shape() {
+    for &scenario in Scenario::ALL {
+        let (scene, spec) = (scene(scenario), short());
+        let episode = simulate(&scene, &spec, 0);
+        let n = 100;
+        assert_eq!((episode.index, episode.samples), (0, n));
+        let arrays = [
+            ("proprioception", &episode.proprioception, JOINTS),
+            ("arm", &episode.arm, ARM_JOINTS),
+            ("setpoint", &episode.setpoint, ARM_JOINTS),
+            ("contact_force", &episode.contact_force, JOINTS),
+            ("contact_force_mean", &episode.contact_force_mean, JOINTS),
+        ];
+        for (name, values, width) in arrays {
+            assert_eq!(values.len(), n * width, "{scenario} {name}");
+            assert!(values.iter().all(|value| value.is_finite()), "{scenario} {name}");
+            for (index, column) in columns(values, width).iter().enumerate() {
+                // Upper links may stay untouched; the tip does not.
+                let must_vary = !name.starts_with("contact") || index == JOINTS - 1;
+                assert!(varies(column) || !must_vary, "{scenario} {name} {index} is constant");
+            }
+        }
+        assert!(episode.contact_force.iter().all(|force| *force >= 0.0), "normal forces only push");
+        assert_eq!(episode.vision.len(), n * FRAME_LEN);
+        let frames: Vec<_> = episode.vision.chunks(FRAME_LEN).collect();
+        let moving = frames.windows(2).filter(|pair| pair[0] != pair[1]).count();
+        assert!(moving > 9 * n / 10, "{scenario}: only {moving} of {n} frames differ from the one before");
+        assert_eq!(episode.boxes.len(), if scenario == Scenario::Cluttered { BOXES } else { 0 });
+        assert!(!episode.renderer.is_empty() && episode.renderer != "unknown");
+    }
+}
+
+#[test]
+fn an_episode_starts_at_rest_and_the_arm_follows_its_setpoint() {
+    for &scenario in Scenario::ALL {
+        let (scene, spec) = (scene(scenario), short());
+        let episode = simulate(&scene, &spec, 1);
+        assert_eq!(episode.proprioception[..JOINTS], [0.0; JOINTS]);
+        assert_eq!(episode.contact_force[..JOINTS], [0.0; JOINTS]);
+        assert_eq!(episode.arm[..ARM_JOINTS], episode.setpoint[..ARM_JOINTS]);
+        assert_eq!(episode.setpoint[..ARM_JOINTS], [std::f32::consts::PI, 0.0, 0.0]);
+        let course = Course::draw(&scene, &spec, 1).unwrap();
+        for (sample, row) in episode.setpoint.chunks(ARM_JOINTS).enumerate() {
+            assert_eq!(row, course.setpoint(sample * STEPS_PER_SAMPLE).map(|value| value as f32));
+        }
+        for (arm, setpoint) in episode.arm.iter().zip(&episode.setpoint) {
+            assert!(
+                (arm - setpoint).abs() < 0.05,
+                "{scenario}: the arm is at {arm}, commanded to {setpoint}"
+            );
+        }
+    }
+}
+
+#[test]
+fn an_episode_depends_on_its_seed_scenario_and_index_alone() {
+    for &scenario in Scenario::ALL {
+        let (scene, spec) = (scene(scenario), Simulation { actuations_per_episode: 4, ..short() });
+        let alone = simulate(&scene, &spec, 2);
+        let after_others = std::thread::scope(|threads| {
+            let worker = threads.spawn(|| {
+                let mut simulator = Simulator::new(&scene, &spec).unwrap();
+                [0, 1, 2].map(|index| simulator.run(index, &mut || ControlFlow::Continue(())).unwrap())
+            });
+            worker.join().unwrap()
+        });
+        assert!(alone == after_others[2], "{scenario}: the same episode differs between two simulators");
+        assert_ne!(after_others[0].setpoint, after_others[1].setpoint);
+        let reseeded = simulate(&scene, &Simulation { seed: 1, ..spec }, 2);
+        assert_ne!(alone.setpoint, reseeded.setpoint);
+    }
+    let setpoints = Scenario::ALL.iter().map(|&scenario| simulate(&scene(scenario), &short(), 0).setpoint);
+    let setpoints: Vec<_> = setpoints.collect();
+    assert_ne!(setpoints[0], setpoints[1]);
+}
+
+/// The scenario's model with a touch sensor over each link, and the given friction cone.
+fn scene_with_touch_sensors(scenario: Scenario, cone: MjtCone) -> Scene {
+    let mut spec = MjSpec::from_xml_string(scene(scenario).xml()).unwrap();
+    spec.option_mut().cone = cone as i32;
+    for link in 0..JOINTS {
+        let name = format!("touch_{link:02}");
+        let body = spec.world_body_mut().child_mut(&format!("finger_link_{link:02}")).unwrap();
+        // Large enough to hold any contact of the link; it counts only this body's.
+        body.add_site().with_name(&name).with_size([0.2; 3]);
+        let sensor = spec.add_sensor().with_name(&name).with_objname(&name);
+        sensor.with_type(MjtSensor::mjSENS_TOUCH).with_objtype(MjtObjBase::mjOBJ_SITE);
+    }
+    spec.compile().unwrap();
+    let xml = spec.save_xml_string(1 << 20).unwrap();
+    Scene::from_xml(scenario, &xml, "a scene with touch sensors".to_owned()).unwrap()
+}
+
+#[test]
+fn contact_forces_are_those_of_mujocos_touch_sensors() {
+    // Pressed on the ground for the whole episode but its start.
+    let spec = Simulation { lift_range_m: [-1.0, -0.8], actuations_per_episode: 6, ..Default::default() };
+    for cone in [MjtCone::mjCONE_PYRAMIDAL, MjtCone::mjCONE_ELLIPTIC] {
+        for &scenario in Scenario::ALL {
+            let scene = scene_with_touch_sensors(scenario, cone);
+            let course = Course::draw(&scene, &spec, 0).unwrap();
+            let episode = simulate(&scene, &spec, 0);
+            let mut data = MjData::new(scene.model());
+            data.qpos_mut().copy_from_slice(&replay(&scene, &spec, 0).unwrap()[0]);
+            let mut sums = [0.0; JOINTS];
+            let mut touched = [0; JOINTS];
+            for step in 0..=(episode.samples - 1) * STEPS_PER_SAMPLE {
+                data.ctrl_mut().copy_from_slice(&course.setpoint(step));
+                data.step();
+                let forces = link_forces(&scene, &data);
+                for link in 0..JOINTS {
+                    let touch = data.sensordata()[link];
+                    let error = (forces[link] - touch).abs();
+                    assert!(
+                        error <= 1e-9 * touch,
+                        "link {link}, step {step}: {} N, touch {touch} N",
+                        forces[link]
+                    );
+                    sums[link] += touch;
+                    touched[link] += usize::from(touch > 0.0);
+                }
+                if step % STEPS_PER_SAMPLE == 0 {
+                    let sample = step / STEPS_PER_SAMPLE;
+                    let steps = if sample == 0 { 1 } else { STEPS_PER_SAMPLE };
+                    for link in 0..JOINTS {
+                        let at = sample * JOINTS + link;
+                        let mean = sums[link] / steps as f64;
+                        assert_close(episode.contact_force[at], data.sensordata()[link]);
+                        assert_close(episode.contact_force_mean[at], mean);
+                    }
+                    sums = [0.0; JOINTS];
+                }
+            }
+            assert!(touched[JOINTS - 1] > 1000, "{scenario}: the tip hardly touches anything: {touched:?}");
+        }
+    }
+}
+
+/// Equal up to the rounding of a 32-bit float.
+fn assert_close(recorded: f32, expected: f64) {
+    let error = (f64::from(recorded) - expected).abs();
+    assert!(error <= 1e-6 * expected.abs(), "recorded {recorded}, expected {expected}");
+}
+
+#[test]
+fn a_finger_that_hangs_free_feels_nothing() {
+    let spec = Simulation { lift_range_m: [-0.2, 0.0], ..short() };
+    let episode = simulate(&scene(Scenario::Empty), &spec, 0);
+    assert!(episode.contact_force.iter().chain(&episode.contact_force_mean).all(|force| *force == 0.0));
+}
+
+#[test]
+fn boxes_keep_their_clearance_and_leave_the_finger_room() {
+    let (scene, spec) = (scene(Scenario::Cluttered), Simulation::default());
+    let geom = |name: &str| scene.model().name_to_id(MjtObjBase::mjOBJ_GEOM, name).unwrap();
+    let boxes: Vec<_> = (0..BOXES).map(|index| geom(&format!("box_{index}"))).collect();
+    let finger: Vec<_> = (0..JOINTS).map(|link| geom(&format!("finger_link_{link:02}"))).collect();
+    let single = Simulation { actuations_per_episode: 1, sample_rate_hz: 1.0, ..spec.clone() };
+    let mut layouts = Vec::new();
+    for episode in 0..100 {
+        let mut data = MjData::new(scene.model());
+        data.qpos_mut().copy_from_slice(&replay(&scene, &single, episode).unwrap()[0]);
+        data.forward();
+        for (index, &one) in boxes.iter().enumerate() {
+            let others = boxes[index + 1..].iter().chain(&finger);
+            for &other in others {
+                let distance = data.geom_distance(one, other, 1.0, None);
+                assert!(distance >= spec.box_clearance_m - 1e-6, "episode {episode}: {distance} m");
+            }
+            // On the ground, and under a place the finger can reach.
+            let [x, y, z] = data.geom_xpos()[one];
+            let (radius, bearing) = (x.hypot(y), y.atan2(x).rem_euclid(std::f64::consts::TAU));
+            assert!((z - 0.15).abs() < 1e-9 && (0.7..=2.2).contains(&radius), "{x} {y} {z}");
+            let [low, high] = spec.rotation_range_rad;
+            assert!((low - 1e-9..=high + 1e-9).contains(&bearing), "bearing {bearing}");
+        }
+        layouts.push(Course::draw(&scene, &single, episode).unwrap().boxes);
+    }
+    assert!(layouts.windows(2).all(|pair| pair[0] != pair[1]));
+}
+
+#[test]
+fn boxes_that_cannot_be_placed_are_an_error() {
+    let spec = Simulation { box_clearance_m: 2.0, ..Default::default() };
+    let error = Course::draw(&scene(Scenario::Cluttered), &spec, 5).unwrap_err().to_string();
+    assert!(error.contains("episode 5") && error.contains("box_clearance_m"), "{error}");
+}
+
+#[test]
+fn a_bent_finger_comes_to_rest_without_swinging() {
+    let scene = scene(Scenario::Empty);
+    let mut data = MjData::new(scene.model());
+    let start = replay(&scene, &short(), 0).unwrap().swap_remove(0);
+    let ctrl = Course::draw(&scene, &short(), 0).unwrap().setpoint(0);
+    data.qpos_mut().copy_from_slice(&start);
+    data.ctrl_mut().copy_from_slice(&ctrl);
+    let id = |kind, name: &str| scene.model().name_to_id(kind, name).unwrap();
+    let tip = id(MjtObjBase::mjOBJ_GEOM, "finger_link_19");
+    data.forward();
+    let hanging = data.geom_xpos()[tip];
+    for joint in (0..JOINTS).step_by(2) {
+        let joint = id(MjtObjBase::mjOBJ_JOINT, &format!("finger_joint_{joint:02}"));
+        data.qpos_mut()[scene.model().jnt_qposadr()[joint] as usize] = 0.1;
+    }
+    data.forward();
+    // The finger bends about y: x tells on which side of its rest the tip is.
+    let offset = |data: &MjData<&MjModel>| data.geom_xpos()[tip][0] - hanging[0];
+    let bent = offset(&data);
+    assert!(bent.abs() > 0.3, "bent by {bent} m only");
+    let offsets: Vec<f64> = (0..3000)
+        .map(|_| {
+            data.step();
+            offset(&data) / bent
+        })
+        .collect();
+    let overshoot = offsets.iter().fold(0.0, |worst: f64, offset| worst.max(-offset));
+    let settled = offsets.iter().rposition(|offset| offset.abs() > 0.05).unwrap() + 1;
+    println!("settles to 5 % in {settled} ms, overshoots by {overshoot:.4} of the bend");
+    assert!(overshoot < 0.1, "swings to the other side by {overshoot} of the bend");
+    assert!(settled < 500, "needs {settled} ms to settle: half an actuation");
+}
+
+/// Runs a script of tests/python in the project's virtual environment.
+fn python(script: &str, arguments: &[&dyn AsRef<OsStr>]) {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let output = Command::new(root.join(".venv/bin/python"))
+        .arg(root.join("tests/python").join(script))
+        .args(arguments.iter().map(|argument| argument.as_ref()))
+        .output()
+        .expect("the virtual environment is there: run `make setup`");
+    assert!(output.status.success(), "{script}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+fn write_floats<'a>(path: &Path, values: impl IntoIterator<Item = &'a f64>) {
+    let bytes: Vec<u8> = values.into_iter().flat_map(|value| value.to_le_bytes()).collect();
+    std::fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn a_trajectory_is_pythons_bit_by_bit() {
+    for &scenario in Scenario::ALL {
+        let (scene, spec) = (scene(scenario), short());
+        let states = replay(&scene, &spec, 0).unwrap();
+        let course = Course::draw(&scene, &spec, 0).unwrap();
+        let steps = (states.len() - 1) * STEPS_PER_SAMPLE + 1;
+        let controls: Vec<_> = (0..steps).flat_map(|step| course.setpoint(step)).collect();
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        std::fs::write(file("model.xml"), scene.xml()).unwrap();
+        write_floats(&file("start"), &states[0]);
+        write_floats(&file("controls"), &controls);
+        let paths = ["model.xml", "start", "controls", "positions"].map(file);
+        let every = STEPS_PER_SAMPLE.to_string();
+        python("trajectory.py", &[&paths[0], &paths[1], &paths[2], &every, &paths[3]]);
+        let theirs = std::fs::read(&paths[3]).unwrap();
+        let ours: Vec<u8> = states.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
+        assert_eq!(states.len(), 100);
+        assert!(ours == theirs, "{scenario}: the trajectories differ");
+    }
+}
+
+#[test]
+fn frames_are_those_of_pythons_renderer() {
+    for &scenario in Scenario::ALL {
+        let (scene, spec) = (scene(scenario), short());
+        let states = replay(&scene, &spec, 0).unwrap();
+        let episode = simulate(&scene, &spec, 0);
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        std::fs::write(file("model.xml"), scene.xml()).unwrap();
+        write_floats(&file("positions"), states.iter().flatten());
+        let paths = ["model.xml", "positions", "frames"].map(file);
+        python("render_frames.py", &[&paths[0], &paths[1], &FRAME_SIDE.to_string(), &paths[2]]);
+        let theirs = std::fs::read(&paths[2]).unwrap();
+        assert_eq!(episode.vision.len(), theirs.len());
+        let worst = episode.vision.iter().zip(&theirs).map(|(a, b)| a.abs_diff(*b)).max();
+        assert!(worst <= Some(1), "{scenario}: a pixel differs by {worst:?}");
+    }
+}
+
+/// The error of an episode in which the edited empty scene goes wrong.
+fn failure_of(edit: impl FnOnce(&mut MjSpec)) -> SimulationError {
+    let mut spec = MjSpec::from_xml_string(scene(Scenario::Empty).xml()).unwrap();
+    edit(&mut spec);
+    spec.compile().unwrap();
+    let xml = spec.save_xml_string(1 << 20).unwrap();
+    let scene = Scene::from_xml(Scenario::Empty, &xml, "edited.xml".to_owned()).unwrap();
+    let spec = Simulation { lift_range_m: [-1.0, -0.9], ..short() };
+    Simulator::new(&scene, &spec).unwrap().run(2, &mut || ControlFlow::Continue(())).unwrap_err()
+}
+
+#[test]
+fn a_diverged_simulation_is_an_error_that_says_when_and_how() {
+    let error = failure_of(|spec| spec.option_mut().timestep = 0.1);
+    let SimulationError::Diverged { episode: 2, time_s, ref what, .. } = error else { panic!("{error}") };
+    assert!(what.contains("BADQ"), "{what}");
+    assert!((0.0..10.0).contains(&time_s), "{time_s}");
+    assert!(error.to_string().contains("edited.xml"), "{error}");
+}
+
+#[test]
+fn contacts_that_do_not_fit_the_memory_are_an_error() {
+    let error = failure_of(|spec| spec.set_memory(90_000));
+    let SimulationError::Diverged { what, .. } = error else { panic!("{error}") };
+    assert!(what.contains("FULL"), "{what}");
+}
+
+fn load_error(xml: &str) -> String {
+    Scene::from_xml(Scenario::Cluttered, xml, "my.xml".to_owned()).unwrap_err().to_string()
+}
+
+#[test]
+fn models_that_do_not_compile_are_refused_with_mujocos_message() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("empty.xml");
+    let load = || Scene::load(Scenario::Empty, Some(folder.path())).unwrap_err().to_string();
+    assert!(load().contains(path.to_str().unwrap()), "{}", load());
+    std::fs::write(&path, "<mujoco>\n<worldbody><geom tpye='box'/></worldbody></mujoco>").unwrap();
+    let message = load();
+    assert!(message.contains(path.to_str().unwrap()), "{message}");
+    assert!(message.contains("tpye") && message.contains("line 2"), "{message}");
+    std::fs::write(&path, "").unwrap();
+    assert!(load().contains("does not compile: "), "{}", load());
+}
+
+#[test]
+fn models_that_lack_a_name_or_a_property_are_refused() {
+    let good = scene(Scenario::Cluttered).xml().to_owned();
+    assert_eq!(Scene::from_xml(Scenario::Cluttered, &good, String::new()).unwrap().xml(), good);
+    let cases = [
+        ("joint name=\"finger_joint_07\"", "joint name=\"knuckle\"", "no joint named `finger_joint_07`"),
+        ("geom name=\"finger_link_19\"", "geom name=\"tip\"", "no geom named `finger_link_19`"),
+        ("geom name=\"ground\"", "geom name=\"floor\"", "no geom named `ground`"),
+        ("camera name=\"external\"", "camera name=\"c\"", "no camera named `external`"),
+        ("position name=\"arm_lift\"", "position name=\"lift\"", "no actuator named `arm_lift`"),
+        ("body name=\"box_7\"", "body name=\"crate\"", "no body named `box_7`"),
+        ("joint=\"arm_lift\"", "joint=\"arm_extension\"", "actuator `arm_lift` does not drive"),
+        ("<freejoint name=\"box_3\"/>", "", "body `box_3` must have a free joint"),
+    ];
+    for (old, new, expected) in cases {
+        assert!(good.contains(old), "the model has no {old}");
+        let message = load_error(&good.replacen(old, new, 1));
+        assert!(message.starts_with("my.xml") && message.contains(expected), "{message}");
+    }
+}
+
+#[test]
+fn specs_that_do_not_suit_the_scene_are_refused() {
+    let scene = scene(Scenario::Empty);
+    let error_of = |spec: Simulation| Simulator::new(&scene, &spec).err().unwrap().to_string();
+    let message = error_of(Simulation { lift_range_m: [-1.2, 0.0], ..Default::default() });
+    assert!(message.contains("simulation.lift_range_m") && message.contains("[-1, 0]"), "{message}");
+    let message = error_of(Simulation { extension_range_m: [1.0, 0.5], ..Default::default() });
+    assert!(message.contains("simulation.extension_range_m"), "{message}");
+    let message = error_of(Simulation { sample_rate_hz: 7.0, ..Default::default() });
+    assert!(message.contains("simulation.sample_rate_hz"), "{message}");
+}
+
+#[test]
+fn an_episode_can_be_cancelled() {
+    let scene = scene(Scenario::Empty);
+    let mut samples = 0;
+    let result = Simulator::new(&scene, &short()).unwrap().run(1, &mut || {
+        samples += 1;
+        if samples == 5 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    });
+    assert!(matches!(result, Err(SimulationError::Cancelled { episode: 1 })));
+    assert_eq!(samples, 5);
+}
+
+#[test]
+fn a_portrait_shows_what_the_camera_saw() {
+    let (scene, spec) = (scene(Scenario::Cluttered), Simulation { actuations_per_episode: 3, ..short() });
+    let states = replay(&scene, &spec, 0).unwrap();
+    let episode = simulate(&scene, &spec, 0);
+    let side = 4 * FRAME_SIDE as u32;
+    let mut portrait = Portrait::new(&scene, side, side).unwrap();
+    let picture = portrait.draw(&states[25]).unwrap();
+    assert_eq!(picture.dimensions(), (side, side));
+    // Shrunk to the camera's resolution, it differs by shadows and smoother edges alone.
+    let small = image::imageops::thumbnail(&picture, FRAME_SIDE as u32, FRAME_SIDE as u32);
+    let frame = &episode.vision[25 * FRAME_LEN..26 * FRAME_LEN];
+    let far = small.as_raw().iter().zip(frame).filter(|(a, b)| a.abs_diff(**b) > 40).count();
+    assert!(far < FRAME_LEN / 10, "{far} of {FRAME_LEN} values differ");
+    assert_ne!(portrait.draw(&states[5]).unwrap(), picture);
+    assert!(matches!(portrait.draw(&[0.0; 3]), Err(SimulationError::StateSize { found: 3, .. })));
+    for (width, height) in [(0, 64), (64, 10_000)] {
+        let refused = Portrait::new(&scene, width, height).err().unwrap();
+        assert!(matches!(refused, SimulationError::PictureSize { .. }), "{refused}");
+    }
+}
+
+/// EGL keeps its drivers once it has found them, so this test runs itself again in a process without any.
+#[test]
+fn without_a_driver_rendering_is_an_error() {
+    const DRIVERS: &str = "__EGL_VENDOR_LIBRARY_FILENAMES";
+    if std::env::var_os(DRIVERS).is_some_and(|drivers| drivers == "/nonexistent") {
+        let error = Simulator::new(&scene(Scenario::Empty), &short()).err().unwrap();
+        assert!(matches!(error, SimulationError::NoRenderer { .. }), "{error}");
+        assert!(error.to_string().contains("libegl"), "{error}");
+        return;
+    }
+    let status = Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "without_a_driver_rendering_is_an_error"])
+        .env(DRIVERS, "/nonexistent")
+        .status();
+    assert!(status.unwrap().success());
+}

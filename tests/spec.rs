@@ -1,0 +1,808 @@
+//! Specs as their authors meet them: what loads, what is refused and how it is said, and what makes two runs
+//! the same.
+
+use harness::spec::{
+    self, Action, Architecture, Experiment, Modality, Network, Scenario, Simulation, Split, SplitCounts,
+    Task, Training,
+};
+use rand::seq::{IndexedRandom, SliceRandom};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::fs;
+use std::path::Path;
+
+/// A valid spec of 6 lines; what a test adds begins on line 7.
+const BASE: &str = "\
+name: base
+scenarios: [empty, cluttered]
+input: [proprioception, arm]
+output: [proprioception, contact_force]
+latent: [2, 4]
+network: {architecture: fully_connected}
+";
+
+fn load_with(text: impl AsRef<[u8]>, overrides: &[&str], quick: bool) -> Result<Experiment, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("spec.yaml");
+    fs::write(&path, text).unwrap();
+    let overrides: Vec<String> = overrides.iter().map(|text| text.to_string()).collect();
+    let prefix = format!("{}/", folder.path().display());
+    spec::load(&path, &overrides, quick).map_err(|error| error.to_string().replace(&prefix, ""))
+}
+
+fn load(text: &str) -> Experiment {
+    load_with(text, &[], false).unwrap()
+}
+
+/// The message that refuses a spec.
+fn refusal(text: impl AsRef<[u8]>) -> String {
+    load_with(text, &[], false).unwrap_err()
+}
+
+/// The message that refuses an override of the valid spec.
+fn override_refusal(text: &str) -> String {
+    load_with(BASE, &[text], false).unwrap_err()
+}
+
+/// The valid spec with one line replaced.
+fn base_with(line: &str) -> String {
+    let key = line.split_once(':').unwrap().0;
+    let lines = BASE.lines().map(|old| if old.starts_with(&format!("{key}:")) { line } else { old });
+    lines.flat_map(|line| [line, "\n"]).collect()
+}
+
+fn assert_refused(cases: &[(&str, &str)]) {
+    for (addition, expected) in cases {
+        assert_eq!(refusal(format!("{BASE}{addition}")), *expected, "after adding {addition:?}");
+    }
+}
+
+#[test]
+fn what_is_left_out_gets_its_default() {
+    let expected = Experiment {
+        name: "base".into(),
+        description: String::new(),
+        scenarios: vec![Scenario::Empty, Scenario::Cluttered],
+        input: vec![Modality::Proprioception, Modality::Arm],
+        output: vec![Modality::Proprioception, Modality::ContactForce],
+        latent: vec![2, 4],
+        seeds: vec![0],
+        tasks: vec![Task::Prediction, Task::Reconstruction],
+        action: Action::Increment,
+        network: Network { architecture: Architecture::FullyConnected, hidden: 256, channels: 16 },
+        simulation: Simulation::default(),
+        split: Split::default(),
+        training: Training {
+            loss_weights: [(Modality::Proprioception, 1.0), (Modality::ContactForce, 1.0)].into(),
+            ..Training::default()
+        },
+        quick: Default::default(),
+    };
+    assert_eq!(load(BASE), expected);
+}
+
+#[test]
+fn null_patience_never_stops_early() {
+    assert_eq!(load(BASE).training.patience, Some(20));
+    assert_eq!(load(&format!("{BASE}training: {{patience: null}}")).training.patience, None);
+}
+
+#[test]
+fn files_that_are_no_text_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let message = |path: &Path| spec::load(path, &[], false).unwrap_err().to_string();
+    let missing = folder.path().join("none.yaml");
+    assert_eq!(message(&missing), format!("{}: there is no such file", missing.display()));
+    let directory = folder.path();
+    assert_eq!(
+        message(directory),
+        format!("{}: is a directory; name a YAML file in it", directory.display())
+    );
+    assert_eq!(
+        refusal(b"name: a\ndescription: \xff\n"),
+        "spec.yaml: is not UTF-8 text: the first bad byte is on line 2"
+    );
+    assert_eq!(
+        refusal("# a comment\n".repeat(100_000)),
+        "spec.yaml: is larger than 1 MiB; a spec is a short text"
+    );
+    for empty in ["", "\n\n", "# only a comment\n", "---\n"] {
+        assert!(refusal(empty).ends_with("the file is empty; see `harness schema` for what a spec holds"));
+    }
+}
+
+#[test]
+fn broken_yaml_is_refused() {
+    let cases = [
+        ("name: [a", "spec.yaml:1:7: broken YAML: unclosed bracket '['"),
+        ("name: a\nname: b\n", "spec.yaml:2:1: broken YAML: duplicate mapping key: name not allowed here"),
+        (
+            "name: a\n---\nname: b\n",
+            "spec.yaml:3:1: broken YAML: only single YAML document expected but multiple found",
+        ),
+        ("name: *other\n", "spec.yaml:1:7: broken YAML: reference to unknown value"),
+        ("just text\n", "spec.yaml:1:1: expected a section of keys, found the text 'just text'"),
+        ("- a list\n", "spec.yaml:1:1: expected a section of keys, found a list of 1"),
+    ];
+    for (text, expected) in cases {
+        assert_eq!(refusal(text), expected, "for {text:?}");
+    }
+}
+
+#[test]
+fn nested_aliases_and_deep_nesting_are_refused_at_once() {
+    let mut bomb = String::from("a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n");
+    for level in 1..10 {
+        let alias = format!("*a{}", level - 1);
+        bomb += &format!("a{level}: &a{level} [{}]\n", vec![alias; 10].join(", "));
+    }
+    let start = std::time::Instant::now();
+    assert!(refusal(bomb).contains("broken YAML"));
+    assert!(refusal("[".repeat(500_000)).contains("broken YAML"));
+    assert!(refusal("a: ".repeat(1_000)).contains("broken YAML"));
+    assert!(start.elapsed().as_secs() < 5);
+}
+
+#[test]
+fn unknown_keys_are_refused_with_the_nearest_name() {
+    assert_refused(&[
+        (
+            "training:\n  bacth_size: 5\n",
+            "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
+             learning_rate, batch_size, epochs, patience, kl_weight, loss_weights",
+        ),
+        (
+            "split: {holdout: 0.1}\n",
+            "spec.yaml:7:9: unknown key 'holdout' in 'split'. Allowed: validation, test",
+        ),
+        (
+            "training: {loss_weights: {force: 2}}\n",
+            "spec.yaml:7:27: unknown key 'force' in 'training.loss_weights'. Allowed: proprioception, arm, \
+             contact_force, contact_force_mean, vision, frame_difference",
+        ),
+        (
+            "seed: 1\n",
+            "spec.yaml:7:1: unknown key 'seed'; did you mean 'seeds'? Allowed: name, description, scenarios, \
+             input, output, latent, seeds, tasks, action, network, simulation, split, training, quick",
+        ),
+    ]);
+}
+
+#[test]
+fn unknown_names_are_refused_with_the_nearest_one() {
+    let cases = [
+        (
+            "input: [proprioception, visoin]",
+            "spec.yaml:3:25: unknown modality 'visoin' in 'input'; did you mean 'vision'? Allowed: \
+             proprioception, arm, contact_force, contact_force_mean, vision, frame_difference",
+        ),
+        (
+            "output: [optical_flow]",
+            "spec.yaml:4:10: unknown modality 'optical_flow' in 'output'. Allowed: \
+             proprioception, arm, contact_force, contact_force_mean, vision, frame_difference",
+        ),
+        (
+            "scenarios: [clutter]",
+            "spec.yaml:2:13: unknown scenario 'clutter' in 'scenarios'; did you mean 'cluttered'? Allowed: \
+             empty, cluttered",
+        ),
+        (
+            "network: {architecture: Fully_Connected}",
+            "spec.yaml:6:25: unknown architecture 'Fully_Connected' in 'network.architecture'; \
+             did you mean 'fully_connected'? Allowed: fully_connected, convolutional",
+        ),
+    ];
+    for (line, expected) in cases {
+        assert_eq!(refusal(base_with(line)), expected);
+    }
+    assert_refused(&[
+        (
+            "tasks: [predict]\n",
+            "spec.yaml:7:9: unknown task 'predict' in 'tasks'. Allowed: prediction, reconstruction",
+        ),
+        ("action: 3\n", "spec.yaml:7:9: 'action': expected one of increment, target, found 3"),
+    ]);
+}
+
+#[test]
+fn missing_keys_are_named_together() {
+    assert_eq!(
+        refusal("name: a\nlatent: [2]\n"),
+        "spec.yaml:1:1: missing 'scenarios', 'input', 'output', 'network'"
+    );
+    assert_eq!(refusal(base_with("network: {hidden: 8}")), "spec.yaml:6:10: missing 'network.architecture'");
+}
+
+#[test]
+fn wrong_types_and_values_out_of_bounds_are_refused() {
+    assert_refused(&[
+        (
+            "training:\n  epochs: ten\n",
+            "spec.yaml:8:11: 'training.epochs': expected an integer of at least 1 and at most 100000, \
+             found the text 'ten'",
+        ),
+        (
+            "training: {batch_size: 0}\n",
+            "spec.yaml:7:24: 'training.batch_size': expected an integer of at least 1 and at most 65536, found 0",
+        ),
+        (
+            "training: {batch_size: 2.5}\n",
+            "spec.yaml:7:24: 'training.batch_size': expected an integer of at least 1 and at most 65536, \
+             found 2.5",
+        ),
+        (
+            "training: {epochs: 0}\n",
+            "spec.yaml:7:20: 'training.epochs': expected an integer of at least 1 and at most 100000, found 0",
+        ),
+        (
+            "training: {patience: 0}\n",
+            "spec.yaml:7:22: 'training.patience': expected an integer of at least 1 and at most 100000 or null, \
+             found 0",
+        ),
+        (
+            "training: {learning_rate: 0}\n",
+            "spec.yaml:7:27: 'training.learning_rate': expected a finite number above 0 and at most 1, found 0",
+        ),
+        (
+            "training: {learning_rate: .nan}\n",
+            "spec.yaml:7:27: 'training.learning_rate': expected a finite number above 0 and at most 1, \
+             found NaN",
+        ),
+        (
+            "training: {learning_rate: 1e999}\n",
+            "spec.yaml:7:27: 'training.learning_rate': expected a finite number above 0 and at most 1, \
+             found inf",
+        ),
+        (
+            "training: {kl_weight: -1}\n",
+            "spec.yaml:7:23: 'training.kl_weight': expected a finite number of at least 0 and at most 1000000, \
+             found -1",
+        ),
+        (
+            "training: {loss_weights: {contact_force: -1}}\n",
+            "spec.yaml:7:42: 'training.loss_weights.contact_force': expected a finite number of at least 0 \
+             and at most 1000000, found -1",
+        ),
+        ("training:\n", "spec.yaml:7:9: 'training': expected a section of keys, found nothing"),
+        (
+            "simulation: {episodes: 2}\n",
+            "spec.yaml:7:24: 'simulation.episodes': expected an integer of at least 3 and at most 1000000, \
+             found 2",
+        ),
+        (
+            "simulation: {lift_range_m: [-1, 0, 1]}\n",
+            "spec.yaml:7:28: 'simulation.lift_range_m': expected a list of 2 items, each a finite number, \
+             found a list of 3",
+        ),
+        (
+            "simulation: {lift_range_m: [-.inf, 0]}\n",
+            "spec.yaml:7:29: 'simulation.lift_range_m': expected a finite number, found -inf",
+        ),
+        (
+            "split: {test: 1.0}\n",
+            "spec.yaml:7:15: 'split.test': expected a finite number above 0 and below 1, found 1.0",
+        ),
+        (
+            "seeds: [-1]\n",
+            "spec.yaml:7:9: 'seeds': expected an integer of at least 0 and at most 9007199254740991, found -1",
+        ),
+        (
+            "seeds: [18446744073709551616]\n",
+            "spec.yaml:7:9: 'seeds': expected an integer of at least 0 and at most 9007199254740991, \
+             found 1.8446744073709552e19",
+        ),
+        (
+            "tasks: []\n",
+            "spec.yaml:7:8: 'tasks': expected a list of at least one item, each one of prediction, \
+             reconstruction, found an empty list",
+        ),
+        (
+            "description: 2024\n",
+            "spec.yaml:7:14: 'description': expected a text, found 2024; \
+             put a text that looks like something else in quotes",
+        ),
+    ]);
+    let cases = [
+        (
+            "latent: [2, 0]",
+            "spec.yaml:5:13: 'latent': expected an integer of at least 1 and at most 4096, found 0",
+        ),
+        (
+            "latent: [5000]",
+            "spec.yaml:5:10: 'latent': expected an integer of at least 1 and at most 4096, found 5000",
+        ),
+        (
+            "latent: 16",
+            "spec.yaml:5:9: 'latent': expected a list of at least one item, each an integer of at least 1 and \
+             at most 4096, found 16",
+        ),
+        (
+            "network: {architecture: fully_connected, hidden: 1000000}",
+            "spec.yaml:6:50: 'network.hidden': expected an integer of at least 1 and at most 16384, found 1000000",
+        ),
+        ("input: [arm, vision, arm]", "spec.yaml:3:22: \"arm\" stands twice in 'input'"),
+        ("latent: [2, 4, 2]", "spec.yaml:5:16: 2 stands twice in 'latent'"),
+    ];
+    for (line, expected) in cases {
+        assert_eq!(refusal(base_with(line)), expected);
+    }
+}
+
+#[test]
+fn an_alias_is_blamed_where_it_is_used() {
+    let text = format!("{BASE}split: {{test: &share 0.2}}\ntraining: {{batch_size: *share}}\n");
+    assert!(refusal(text).starts_with("spec.yaml:8:24: 'training.batch_size': "));
+}
+
+#[test]
+fn names_that_are_no_folder_names_are_refused() {
+    let long = "a".repeat(65);
+    for name in ["''", "a/b", "..", "a b", "é", "'a\n\n  b'", long.as_str()] {
+        let message = refusal(base_with(&format!("name: {name}")));
+        assert!(message.starts_with("spec.yaml:1:7: '"), "{message}");
+        assert!(message.ends_with("use 1 to 64 ASCII letters, digits, '_' and '-'"), "{message}");
+        assert!(!message.contains('\n'), "{message}");
+    }
+    assert_eq!(load(&base_with(&format!("name: {}", &long[1..]))).name, &long[1..]);
+}
+
+#[test]
+fn frames_and_architecture_must_fit() {
+    for (line, position, frame) in [
+        ("input: [arm, vision]", "3:14", "vision"),
+        ("output: [frame_difference]", "4:10", "frame_difference"),
+    ] {
+        assert_eq!(
+            refusal(base_with(line)),
+            format!(
+                "spec.yaml:{position}: '{frame}' is a frame, and a fully_connected network takes vectors alone; \
+                 leave it out or use network.architecture: convolutional"
+            )
+        );
+    }
+    assert_eq!(
+        refusal(base_with("network: {architecture: convolutional}")),
+        "spec.yaml:6:25: a convolutional network needs vision or frame_difference in 'input' or 'output'; \
+         use fully_connected"
+    );
+    let convolutional = base_with("network: {architecture: convolutional}");
+    for line in ["input: [vision]", "output: [vision]", "output: [arm, frame_difference]"] {
+        let key = line.split_once(':').unwrap().0;
+        let text = convolutional.lines().map(|old| if old.starts_with(key) { line } else { old });
+        load(&text.collect::<Vec<_>>().join("\n"));
+    }
+}
+
+#[test]
+fn rules_that_tie_settings_together_are_checked() {
+    assert_refused(&[
+        (
+            "tasks: [reconstruction]\n",
+            "spec.yaml:7:9: reconstruction uses the encoder that prediction trains; put prediction before it",
+        ),
+        (
+            "tasks: [reconstruction, prediction]\n",
+            "spec.yaml:7:9: reconstruction uses the encoder that prediction trains; put prediction before it",
+        ),
+        (
+            "training: {loss_weights: {vision: 1}}\n",
+            "spec.yaml:7:35: 'vision' has a loss weight but is no output; outputs: proprioception, contact_force",
+        ),
+        (
+            "training: {loss_weights: {proprioception: 0, contact_force: 0}}\n",
+            "spec.yaml:7:26: every output has weight 0, so there is nothing to learn",
+        ),
+        (
+            "simulation:\n  extension_range_m: [1.5, 0]\n",
+            "spec.yaml:8:22: the range [1.5, 0] is reversed; write [0, 1.5]",
+        ),
+        (
+            "simulation: {sample_rate_hz: 30}\n",
+            "spec.yaml:7:30: 30 Hz does not divide the simulation's 1000 Hz; use one that does, \
+             as 10, 20, 50 or 100",
+        ),
+        (
+            "simulation: {actuation_seconds: 0.25}\n",
+            "spec.yaml:7:33: 0.25 s is not a whole number of samples at 10 Hz; use a multiple of 0.1 s",
+        ),
+        (
+            "simulation: {actuation_seconds: 0.1, actuations_per_episode: 1}\n",
+            "spec.yaml:7:62: an episode of one sample has no next observation to predict; use at least 2 samples",
+        ),
+        (
+            "simulation: {episodes: 1000000, actuations_per_episode: 1000}\n",
+            "spec.yaml:7:24: 10000000000 samples a scenario are more than the 100000000 that are allowed; \
+             use fewer or shorter episodes",
+        ),
+        (
+            "split: {validation: 0.6, test: 0.4}\n",
+            "spec.yaml:7:8: validation 0.6 and test 0.4 of 40 episodes leave none for training; \
+             use smaller shares or more episodes",
+        ),
+    ]);
+    let wide = "name: wide\nscenarios: [empty]\ninput: [vision]\noutput: [arm]\nlatent: [2]\n";
+    assert_eq!(
+        refusal(format!("{wide}network:\n  architecture: convolutional\n  channels: 256\n  hidden: 2048\n")),
+        "spec.yaml:9:11: a tensor of the network would pass 1 GiB: with 256 channels, \
+         'network.hidden' can be 1024 at most, found 2048"
+    );
+}
+
+#[test]
+fn shares_become_whole_episodes_of_each_kind() {
+    let counts = |episodes| Split { validation: 0.1, test: 0.2 }.counts(episodes);
+    assert_eq!(counts(40), Some(SplitCounts { training: 28, validation: 4, test: 8 }));
+    assert_eq!(counts(3), Some(SplitCounts { training: 1, validation: 1, test: 1 }));
+    assert_eq!(counts(2), None);
+}
+
+#[test]
+fn timing_in_samples_and_steps() {
+    let simulation = load(BASE).simulation;
+    assert_eq!(simulation.steps_per_sample(), 100);
+    assert_eq!(simulation.samples_per_actuation(), 10);
+    assert_eq!(simulation.samples_per_episode() * simulation.episodes as usize, 40_000);
+    let text = format!("{BASE}simulation: {{sample_rate_hz: 100, actuation_seconds: 0.07}}");
+    assert_eq!(load(&text).simulation.samples_per_actuation(), 7);
+}
+
+#[test]
+fn overrides_replace_single_settings() {
+    let overrides = [
+        "training.batch_size=512",
+        "latent=[8, 16]",
+        "training.loss_weights.contact_force=2",
+        "training.patience=null",
+        "description=a: b=c",
+        "training.batch_size=256",
+    ];
+    // The value of `description` is YAML, in which `a: b=c` is a section.
+    assert_eq!(
+        load_with(BASE, &overrides, false).unwrap_err(),
+        "override 'description=a: b=c': 'description': expected a text, found a section of keys; \
+         put a text that looks like something else in quotes"
+    );
+    let overrides =
+        overrides.map(|text| if text.starts_with("desc") { "description='a: b=c'" } else { text });
+    let mut expected = load(BASE);
+    expected.training.batch_size = 256;
+    expected.training.patience = None;
+    expected.training.loss_weights.insert(Modality::ContactForce, 2.0);
+    expected.latent = vec![8, 16];
+    expected.description = "a: b=c".into();
+    assert_eq!(load_with(BASE, &overrides, false).unwrap(), expected);
+}
+
+#[test]
+fn bad_overrides_are_refused_by_name() {
+    let cases = [
+        (
+            "training.epochs=ten",
+            "override 'training.epochs=ten': 'training.epochs': expected an integer of at least 1 and at most \
+             100000, found the text 'ten'",
+        ),
+        (
+            "training.epochs",
+            "override 'training.epochs': has no '='; write KEY=VALUE, as in training.epochs=3",
+        ),
+        (
+            "split.tset=0.2",
+            "override 'split.tset=0.2': unknown key 'split.tset'; did you mean 'split.test'? \
+             Allowed: split.validation, split.test",
+        ),
+        (
+            "split={test: 0.2}",
+            "override 'split={test: 0.2}': 'split' is a section; override its keys one by one: \
+             split.validation, split.test",
+        ),
+        ("latent=[8", "override 'latent=[8': broken YAML: unclosed bracket '['"),
+        (
+            "latent=",
+            "override 'latent=': 'latent': expected a list of at least one item, each an integer of at least 1 \
+             and at most 4096, found nothing",
+        ),
+        (
+            "input=[vision]",
+            "override 'input=[vision]': 'vision' is a frame, and a fully_connected network takes vectors alone; \
+             leave it out or use network.architecture: convolutional",
+        ),
+        (
+            "simulation.lift_range_m=[0, -1]",
+            "override 'simulation.lift_range_m=[0, -1]': the range [0, -1] is reversed; write [-1, 0]",
+        ),
+    ];
+    for (text, expected) in cases {
+        assert_eq!(override_refusal(text), expected);
+    }
+    let message = override_refusal("batch_size=512");
+    assert!(
+        message.starts_with(
+            "override 'batch_size=512': unknown key 'batch_size'; did you mean 'training.batch_size'? Allowed: \
+             name, description, "
+        ),
+        "{message}"
+    );
+    assert!(override_refusal("quick={}").starts_with("override 'quick={}': unknown key 'quick'"));
+}
+
+#[test]
+fn a_file_that_an_override_makes_impossible_is_blamed_with_it() {
+    let text = format!("{BASE}training: {{loss_weights: {{contact_force: 2}}}}\n");
+    assert_eq!(
+        load_with(text, &["output=[arm]"], false).unwrap_err(),
+        "spec.yaml:7:42: 'contact_force' has a loss weight but is no output; outputs: arm \
+         (after applying the overrides)"
+    );
+}
+
+#[test]
+fn quick_settings_apply_when_asked_and_before_overrides() {
+    let text = format!("{BASE}quick:\n  training.epochs: 5\n  simulation.episodes: 6\n");
+    assert_eq!(load(&text), load(BASE));
+    let mut expected = load(BASE);
+    expected.training.epochs = 5;
+    expected.simulation.episodes = 6;
+    assert_eq!(load_with(&text, &[], true).unwrap(), expected);
+    expected.training.epochs = 7;
+    assert_eq!(load_with(&text, &["training.epochs=7"], true).unwrap(), expected);
+}
+
+#[test]
+fn quick_settings_are_checked_even_when_not_applied() {
+    assert_refused(&[
+        (
+            "quick:\n  split.tets: 0.3\n",
+            "spec.yaml:8:3: unknown key 'split.tets' in 'quick'; did you mean 'split.test'? \
+             Allowed: split.validation, split.test",
+        ),
+        (
+            "quick:\n  training.epochs: 0\n",
+            "spec.yaml:8:20: 'quick.training.epochs': expected an integer of at least 1 and at most 100000, found 0",
+        ),
+        (
+            "quick:\n  network.architecture: convolutional\n",
+            "spec.yaml:8:25: a convolutional network needs vision or frame_difference in 'input' or 'output'; \
+             use fully_connected (after applying 'quick')",
+        ),
+    ]);
+}
+
+#[test]
+fn runs_expand_by_scenario_then_latent_then_seed() {
+    let runs = load(&format!("{BASE}seeds: [7, 3]\n")).runs();
+    let labels: Vec<String> = runs.iter().map(|run| run.label()).collect();
+    assert_eq!(
+        labels,
+        [
+            "empty-z2-seed7",
+            "empty-z2-seed3",
+            "empty-z4-seed7",
+            "empty-z4-seed3",
+            "cluttered-z2-seed7",
+            "cluttered-z2-seed3",
+            "cluttered-z4-seed7",
+            "cluttered-z4-seed3",
+        ]
+    );
+    assert_eq!(runs[6].cell(), "cluttered-z4");
+}
+
+fn first_hash(text: &str) -> String {
+    load(text).runs()[0].hash()
+}
+
+#[test]
+fn the_hash_depends_on_what_decides_the_result_alone() {
+    let same = "# A comment\n\
+        training: {\"batch_size\": 1024, learning_rate: 0.001, loss_weights: {contact_force: 1}}\n\
+        output: [contact_force, proprioception]\n\
+        input:\n- arm\n- proprioception\n\
+        network:\n    hidden: 0x100\n    architecture: fully_connected\n\
+        latent: [2]\n\
+        name: another\n\
+        description: Other words.\n\
+        scenarios: [empty]\n\
+        quick: {training.epochs: 1}\n";
+    let hash = first_hash(BASE);
+    assert_eq!(first_hash(same), hash);
+    assert!(hash.len() == 16 && hash.chars().all(|c| c.is_ascii_hexdigit()), "{hash}");
+
+    let changes = [
+        "scenarios=[cluttered]",
+        "input=[arm]",
+        "output=[proprioception]",
+        "latent=[3]",
+        "seeds=[1]",
+        "tasks=[prediction]",
+        "action=target",
+        "network.hidden=255",
+        "simulation.seed=1",
+        "simulation.lift_range_m=[-1, -0.001]",
+        "split.test=0.2",
+        "training.kl_weight=0.002",
+        "training.loss_weights.contact_force=2",
+    ];
+    let mut hashes: Vec<String> =
+        changes.iter().map(|change| load_with(BASE, &[change], false).unwrap().runs()[0].hash()).collect();
+    hashes.push(hash);
+    hashes.sort();
+    hashes.dedup();
+    assert_eq!(hashes.len(), changes.len() + 1);
+}
+
+/// Results are found again by their hash, so it must not change unnoticed: from one version to the next, from
+/// one platform to another.
+#[test]
+fn the_hash_is_stable() {
+    assert_eq!(first_hash(BASE), "15802c2adff908fb");
+}
+
+#[test]
+fn a_run_survives_json() {
+    let run = load(BASE).runs().remove(0);
+    let json = serde_json::to_string(&run).unwrap();
+    assert_eq!(serde_json::from_str::<spec::RunSpec>(&json).unwrap(), run);
+}
+
+fn some<T: Copy>(values: &[T], random: &mut impl Rng) -> Vec<T> {
+    let mut values = values.to_vec();
+    values.shuffle(random);
+    values.truncate(random.random_range(1..=values.len()));
+    values
+}
+
+/// A valid experiment with everything drawn at random, as `load` would leave it.
+fn random_experiment(random: &mut impl Rng) -> Experiment {
+    const NAMES: [&str; 8] = ["a", "123", "1e3", "null", "true", "no", "0x1F", "-_-"];
+    const TEXTS: [&str; 6] = ["", "a: b # c", "two\nlines\n", "'\"\\ \t", "ünï ✓", "- [x, {y"];
+    let mut input = some(Modality::ALL, random);
+    let mut output = some(Modality::ALL, random);
+    input.sort();
+    output.sort();
+    let has_frame = input.iter().chain(&output).any(|modality| modality.is_frame());
+    let network = Network {
+        architecture: if has_frame { Architecture::Convolutional } else { Architecture::FullyConnected },
+        hidden: random.random_range(1..=1024),
+        channels: random.random_range(1..=64),
+    };
+    let mut range = || {
+        let (a, b): (f64, f64) = (random.random_range(-3.0..3.0), random.random_range(-3.0..3.0));
+        [a.min(b), a.max(b)]
+    };
+    let ranges = [range(), range(), range()];
+    let loss_weights = output.iter().map(|&modality| (modality, random.random_range(0.1..10.0))).collect();
+    Experiment {
+        name: NAMES.choose(random).unwrap().to_string(),
+        description: TEXTS.choose(random).unwrap().to_string(),
+        scenarios: some(Scenario::ALL, random),
+        input,
+        output,
+        latent: some(&[1, 2, 16, 4096], random),
+        seeds: some(&[0, 1, spec::MAX_SEED], random),
+        tasks: if random.random() { vec![Task::Prediction] } else { Task::ALL.to_vec() },
+        action: *Action::ALL.choose(random).unwrap(),
+        network,
+        simulation: Simulation {
+            seed: random.random_range(0..=spec::MAX_SEED),
+            episodes: random.random_range(3..=1000),
+            actuations_per_episode: random.random_range(2..=100),
+            actuation_seconds: f64::from(random.random_range(1..=20)) / 10.0,
+            sample_rate_hz: *[10.0, 20.0, 100.0].choose(random).unwrap(),
+            rotation_range_rad: ranges[0],
+            lift_range_m: ranges[1],
+            extension_range_m: ranges[2],
+            box_clearance_m: random.random_range(0.0..=0.2),
+        },
+        split: Split { validation: random.random_range(0.01..0.3), test: random.random_range(0.01..0.3) },
+        training: Training {
+            learning_rate: 10f64.powf(random.random_range(-12.0..0.0)),
+            batch_size: random.random_range(1..=4096),
+            epochs: random.random_range(1..=1000),
+            patience: if random.random() { Some(random.random_range(1..=100)) } else { None },
+            kl_weight: random.random_range(0.0..1e6),
+            loss_weights,
+        },
+        quick: Default::default(),
+    }
+}
+
+#[test]
+fn a_resolved_spec_loads_as_the_same_experiment() {
+    let mut random = ChaCha8Rng::seed_from_u64(0);
+    for _ in 0..300 {
+        let experiment = random_experiment(&mut random);
+        let yaml = experiment.to_yaml();
+        let loaded = load_with(&yaml, &[], false).unwrap_or_else(|error| panic!("{error}\n{yaml}"));
+        assert_eq!(loaded, experiment, "{yaml}");
+    }
+}
+
+#[test]
+fn a_damaged_spec_is_refused_in_one_line_without_panic() {
+    let text = fs::read_to_string(experiments().join("multi_to_multi.yaml")).unwrap();
+    let body = &text[text.find("name:").unwrap()..];
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let mut refused = 0;
+    for _ in 0..2000 {
+        let mut damaged = body.as_bytes().to_vec();
+        for _ in 0..random.random_range(1..=3) {
+            let position = random.random_range(0..damaged.len());
+            damaged[position] = *b"\n\t -:,[]{}&*!|>'\"#%@09.ea\xff".choose(&mut random).unwrap();
+        }
+        if random.random_bool(0.1) {
+            damaged.truncate(random.random_range(0..damaged.len()));
+        }
+        if let Err(message) = load_with(&damaged, &[], true) {
+            refused += 1;
+            assert!(message.starts_with("spec.yaml:") && !message.contains('\n'), "{message:?}");
+        }
+    }
+    assert!(refused > 1000, "{refused}");
+}
+
+#[test]
+fn names_are_those_of_serde() {
+    fn check<T: Copy + serde::Serialize + std::fmt::Display>(all: &[T]) {
+        for value in all {
+            assert_eq!(serde_json::to_value(value).unwrap(), value.to_string());
+        }
+    }
+    check(Scenario::ALL);
+    check(Modality::ALL);
+    check(Action::ALL);
+    check(Task::ALL);
+    check(Architecture::ALL);
+}
+
+fn experiments() -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments")
+}
+
+#[test]
+fn every_experiment_here_loads_under_its_file_name() {
+    let mut names = Vec::new();
+    for entry in fs::read_dir(experiments()).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|extension| extension == "yaml") {
+            for quick in [false, true] {
+                let experiment = spec::load(&path, &[], quick).unwrap_or_else(|error| panic!("{error}"));
+                assert_eq!(path.file_stem().unwrap().to_str().unwrap(), experiment.name);
+            }
+            names.push(path);
+        }
+    }
+    assert!(names.len() >= 3, "{names:?}");
+}
+
+/// A quick run must show every stage and table of the full one, so it may be smaller but not another experiment.
+#[test]
+fn the_papers_experiments_are_the_papers_also_when_quick() {
+    let expected = [("single_to_multi", [2, 4, 16]), ("multi_to_multi", [16, 64, 128])];
+    for (name, latent) in expected {
+        let path = experiments().join(format!("{name}.yaml"));
+        let full = spec::load(&path, &[], false).unwrap();
+        assert_eq!(full.latent, latent);
+        assert_eq!(full.scenarios, Scenario::ALL);
+        let samples = full.simulation.samples_per_episode() * full.simulation.episodes as usize;
+        let training = &full.training;
+        assert_eq!((samples, training.batch_size, training.epochs), (40_000, 1024, 200));
+        assert_eq!(training.learning_rate, 1e-3);
+
+        let quick = spec::load(&path, &[], true).unwrap();
+        assert!(quick.training.epochs < full.training.epochs);
+        let resized =
+            Experiment { simulation: full.simulation.clone(), training: full.training.clone(), ..quick };
+        assert_eq!(resized, full);
+    }
+}
+
+/// Editors read this file. `harness schema > experiments/schema.json` writes it anew.
+#[test]
+fn the_schema_for_editors_is_up_to_date() {
+    let file = fs::read_to_string(experiments().join("schema.json")).unwrap();
+    let schema = serde_json::to_string_pretty(&spec::schema()).unwrap() + "\n";
+    assert!(
+        file == schema,
+        "experiments/schema.json is out of date: harness schema > experiments/schema.json"
+    );
+}
