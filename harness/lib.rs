@@ -4,10 +4,12 @@
 //! spec, simulation, dataset, learning, metrics, registry. The story of an experiment is in [`experiment`].
 
 pub mod dataset;
+pub mod experiment;
 pub mod files;
 pub mod learning;
 pub mod metrics;
 pub mod progress;
+pub mod registry;
 pub mod schema;
 pub mod simulation;
 pub mod spec;

@@ -6,8 +6,10 @@ pub trait Progress: Sync {
     fn begin(&self, stage: &str, total: u64, unit: &str);
     /// `steps` more are done.
     fn advance(&self, steps: u64);
-    /// A short note on the current stage, such as the latest losses.
+    /// A short note on the current stage, such as the latest losses; the next one replaces it.
     fn note(&self, text: &str);
+    /// Something that a person should read even when the stage is long over.
+    fn say(&self, text: &str);
     /// The stage is over.
     fn end(&self);
     /// Whether the caller wants the work to stop at the next step.
@@ -23,5 +25,6 @@ impl Progress for Silent {
     fn begin(&self, _stage: &str, _total: u64, _unit: &str) {}
     fn advance(&self, _steps: u64) {}
     fn note(&self, _text: &str) {}
+    fn say(&self, _text: &str) {}
     fn end(&self) {}
 }

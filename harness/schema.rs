@@ -7,8 +7,21 @@ use serde::Serialize;
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Column {
     pub name: String,
+    pub kind: Kind,
+    /// SI unit; "1" for a count or a ratio, empty where there is none.
     pub unit: &'static str,
     pub meaning: String,
+}
+
+/// What a column holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    Text,
+    Integer,
+    Real,
+    Flag,
+    Bytes,
 }
 
 /// The tables that can be queried.
@@ -67,105 +80,117 @@ impl Table {
     }
 }
 
-fn column(name: &str, unit: &'static str, meaning: &str) -> Column {
-    Column { name: name.to_owned(), unit, meaning: meaning.to_owned() }
+fn column(name: &str, kind: Kind, unit: &'static str, meaning: &str) -> Column {
+    Column { name: name.to_owned(), kind, unit, meaning: meaning.to_owned() }
+}
+
+fn text(name: &str, meaning: &str) -> Column {
+    column(name, Kind::Text, "", meaning)
+}
+
+fn integer(name: &str, meaning: &str) -> Column {
+    column(name, Kind::Integer, "1", meaning)
+}
+
+fn real(name: &str, unit: &'static str, meaning: &str) -> Column {
+    column(name, Kind::Real, unit, meaning)
 }
 
 /// What tells one run from another; the first columns of every table of runs.
 fn run_key() -> Vec<Column> {
     vec![
-        column("experiment", "", "name of the experiment"),
-        column("run", "", "run id: scenario, latent size, seed and the first digits of the spec's hash"),
-        column("scenario", "", "empty or cluttered"),
-        column("input", "", "modalities given to the encoder, joined by +"),
-        column("output", "", "modalities predicted, joined by +"),
-        column("architecture", "", "fully_connected or convolutional"),
-        column("latent", "1", "size of the latent state"),
-        column("seed", "", "seed of the run"),
+        text("experiment", "name of the experiment"),
+        text("run", "run id: scenario, latent size, seed and the first digits of the spec's hash"),
+        text("scenario", "empty or cluttered"),
+        text("input", "modalities given to the encoder, joined by +"),
+        text("output", "modalities predicted, joined by +"),
+        text("architecture", "fully_connected or convolutional"),
+        integer("latent", "size of the latent state"),
+        integer("seed", "seed of the run"),
     ]
 }
 
 fn run_details() -> Vec<Column> {
     vec![
-        column("status", "", "running, done or failed"),
-        column("reason", "", "why a run failed; null otherwise"),
-        column("spec_hash", "", "hash of everything that decides the run"),
-        column("dataset", "", "the dataset's folder"),
-        column("started", "", "start, UTC"),
-        column("collect_seconds", "s", "wall time spent on collecting and loading the dataset"),
-        column("prediction_seconds", "s", "wall time of training the prediction"),
-        column("reconstruction_seconds", "s", "wall time of training the reconstruction; null without one"),
-        column("evaluation_seconds", "s", "wall time of the metrics"),
-        column("peak_memory_bytes", "B", "largest memory of the process up to the end of the run"),
-        column("parameters", "1", "trained parameters of the prediction"),
-        column("git_commit", "", "commit of the source tree; null outside one"),
-        column("git_dirty", "", "whether the source tree had uncommitted changes; null outside one"),
-        column("harness_version", "", "version of this program"),
-        column("mujoco_version", "", "version of MuJoCo"),
-        column("candle_version", "", "version of candle"),
-        column("host", "", "name of the machine"),
-        column("processor", "", "the machine's processor"),
-        column("threads", "1", "threads used"),
-        column("command", "", "the command line"),
+        text("status", "running, done or failed"),
+        text("reason", "why a run failed; null otherwise"),
+        text("spec_hash", "hash of everything that decides the run"),
+        text("dataset", "the dataset's folder"),
+        text("started", "start, UTC"),
+        real("collect_seconds", "s", "wall time spent on collecting and loading the dataset"),
+        real("prediction_seconds", "s", "wall time of training the prediction"),
+        real("reconstruction_seconds", "s", "wall time of training the reconstruction; null without one"),
+        real("evaluation_seconds", "s", "wall time of the metrics"),
+        column("peak_memory_bytes", Kind::Integer, "B", "largest memory of the process up to the end of the run"),
+        integer("parameters", "trained parameters of the prediction"),
+        text("git_commit", "commit of the source tree; null outside one"),
+        column("git_dirty", Kind::Flag, "", "whether the source tree had uncommitted changes; null outside one"),
+        text("harness_version", "version of this program"),
+        text("mujoco_version", "version of MuJoCo"),
+        text("candle_version", "version of candle"),
+        text("host", "name of the machine"),
+        text("processor", "the machine's processor"),
+        integer("threads", "threads used"),
+        text("command", "the command line"),
     ]
 }
 
 fn epoch_values() -> Vec<Column> {
     vec![
-        column("task", "", "prediction or reconstruction"),
-        column("epoch", "1", "counted from 1"),
-        column("split", "", "train or validation"),
-        column("term", "", "total, kl, or the mean squared error of a modality"),
-        column("value", "1", "mean of the term over the split, on standardised values, before weighting"),
-        column("seconds", "s", "wall time of the epoch"),
+        text("task", "prediction or reconstruction"),
+        integer("epoch", "counted from 1"),
+        text("split", "train or validation"),
+        text("term", "total, kl, or the mean squared error of a modality"),
+        real("value", "1", "mean of the term over the split, on standardised values, before weighting"),
+        real("seconds", "s", "wall time of the epoch"),
     ]
 }
 
 fn metric_values() -> Vec<Column> {
     vec![
-        column("task", "", "prediction or reconstruction"),
-        column("model", "", "network, or a baseline: persistence, training_mean, ridge"),
-        column("modality", "", "what is predicted"),
-        column("direction", "", "flexion_extension or adduction_abduction; null where neither or both"),
-        column("index", "1", "joint or link, 0 at the base; null for an aggregate"),
-        column("metric", "", "smape, wmape, r2, rmse, mae or relative_error"),
-        column("value", "", "the metric; null where it is not defined"),
-        column("unit", "", "unit of the value"),
+        text("task", "prediction or reconstruction"),
+        text("model", "network, or a baseline: persistence, training_mean, ridge"),
+        text("modality", "what is predicted"),
+        text("direction", "fe (flexion/extension) or aa (adduction/abduction); null where neither or both"),
+        integer("index", "joint or link, 0 at the base; null for an aggregate"),
+        text("metric", "smape, wmape, r2, rmse, mae or relative_error"),
+        real("value", "", "the metric; null where it is not defined"),
+        text("unit", "unit of the value"),
     ]
 }
 
 fn prediction_values() -> Vec<Column> {
     vec![
-        column("task", "", "prediction or reconstruction"),
-        column("modality", "", "proprioception, contact_force or contact_force_mean"),
-        column("episode", "1", "episode of the dataset"),
-        column("sample", "1", "the instant that is predicted, counted from 0 within its episode"),
-        column("index", "1", "joint or link, 0 at the base"),
-        column("reference", "rad or N", "the simulation's value"),
-        column("predicted", "rad or N", "the network's value"),
+        text("task", "prediction or reconstruction"),
+        text("modality", "proprioception, contact_force or contact_force_mean"),
+        integer("episode", "episode of the dataset"),
+        integer("sample", "the instant that is predicted, counted from 0 within its episode"),
+        integer("index", "joint or link, 0 at the base"),
+        real("reference", "rad or N", "the simulation's value"),
+        real("predicted", "rad or N", "the network's value"),
     ]
 }
 
 /// The scalar columns of an episode file, in order; the frames' column follows them there.
 pub fn sample_columns() -> Vec<Column> {
     let mut columns = vec![
-        column("dataset", "", "the dataset's folder"),
-        column("scenario", "", "empty or cluttered"),
-        column("episode", "1", "episode of the dataset"),
-        column("sample", "1", "counted from 0 within the episode"),
-        column("time", "s", "simulated time since the episode's start"),
+        text("dataset", "the dataset's folder"),
+        text("scenario", "empty or cluttered"),
+        integer("episode", "episode of the dataset"),
+        integer("sample", "counted from 0 within the episode"),
+        real("time", "s", "simulated time since the episode's start"),
     ];
     let per_link = |name: &str, unit, meaning: &str| -> Vec<Column> {
         (0..crate::spec::JOINTS)
-            .map(|index| column(&format!("{name}_{index:02}"), unit, &format!("{meaning} {index}")))
+            .map(|index| real(&format!("{name}_{index:02}"), unit, &format!("{meaning} {index}")))
             .collect()
     };
     columns.extend(per_link("proprioception", "rad", "angle of finger joint"));
     for (name, unit) in ARM {
-        columns.push(column(&format!("arm_{name}"), unit, &format!("{name} of the arm")));
+        columns.push(real(&format!("arm_{name}"), unit, &format!("{name} of the arm")));
     }
     for (name, unit) in ARM {
-        columns.push(column(&format!("setpoint_{name}"), unit, &format!("commanded {name} of the arm")));
+        columns.push(real(&format!("setpoint_{name}"), unit, &format!("commanded {name} of the arm")));
     }
     columns.extend(per_link("contact_force", "N", "normal contact force, at the instant, on link"));
     columns.extend(per_link(
@@ -178,5 +203,5 @@ pub fn sample_columns() -> Vec<Column> {
 
 /// The column of an episode file that holds the camera frames.
 pub fn frame_column() -> Column {
-    column("vision", "", "camera frame, 64 x 64 x 3 bytes: rows from the top, pixels from the left, RGB")
+    column("vision", Kind::Bytes, "", "camera frame, 64 x 64 x 3 bytes: rows from the top, pixels from the left, RGB")
 }

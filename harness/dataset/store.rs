@@ -172,10 +172,12 @@ impl Dataset {
         Ok(episode)
     }
 
-    /// Removes one episode's file, so that it is made again.
-    pub fn discard(&self, index: u32) {
-        // What can't be removed can't be replaced either, and that is where the reason is reported.
-        let _ = std::fs::remove_file(self.episode_path(index));
+    /// Removes the files of episodes that can't be read as they were written, so that they are made again.
+    pub fn discard_damaged(&self, frames: bool) {
+        for index in (0..self.spec.episodes).filter(|index| self.read(*index, frames).is_err()) {
+            // What can't be removed can't be replaced either, and that is where the reason is reported.
+            let _ = std::fs::remove_file(self.episode_path(index));
+        }
     }
 }
 

@@ -4,7 +4,7 @@ mod evaluate;
 
 pub use evaluate::{MetricRow, PredictionRow, physical};
 
-use crate::dataset::{Dataset, DatasetError, Partition, Samples, Standard, collect};
+use crate::dataset::{Dataset, DatasetError, Partition, Standard, collect};
 use crate::learning::network::{Decoder, Encoder, Parameters, Sizes};
 use crate::learning::objective::{Prediction, Reconstruction, View};
 use crate::learning::random::{Random, Stream};
@@ -93,7 +93,7 @@ impl Laboratory<'_> {
         let mut summary = Summary::default();
         let mut material: Option<Material> = None;
         for planned in self.plan(experiment)? {
-            if let Decision::Skip { .. } = planned.decision {
+            if planned.decision == Decision::Skip {
                 summary.skipped += 1;
                 continue;
             }
@@ -107,7 +107,7 @@ impl Laboratory<'_> {
                 Err(error) => {
                     let reason = describe(&error);
                     self.registry.fail(&planned.folder, &planned.spec, self.provenance, &reason)?;
-                    self.progress.note(&format!("{} failed: {reason}", planned.folder.id()));
+                    self.progress.say(&format!("{} failed: {reason}", planned.folder.id()));
                     summary.failed.push((planned.folder.id().to_owned(), reason));
                 }
             }
@@ -137,7 +137,7 @@ impl Laboratory<'_> {
         let frames = modalities.iter().any(|modality| modality.is_frame());
         let samples = match dataset.load(frames) {
             Err(DatasetError::Damaged { path, problem }) => {
-                self.progress.note(&format!("{} is damaged ({problem}) and is made again", path.display()));
+                self.progress.say(&format!("{} is damaged ({problem}) and is made again", path.display()));
                 dataset.discard_damaged(frames);
                 collect(&dataset, &scene, self.threads, self.progress)?;
                 dataset.load(frames)?

@@ -29,6 +29,11 @@ pub enum LearningError {
     Damaged { path: PathBuf, reason: String },
     #[error(transparent)]
     Write(#[from] WriteError),
-    #[error("candle: {0}")]
+    #[error("candle: {}", first_line(.0))]
     Candle(#[from] candle_core::Error),
+}
+
+/// candle's errors carry a backtrace below their first line where one was asked for.
+fn first_line(error: &candle_core::Error) -> String {
+    error.to_string().lines().next().unwrap_or_default().to_owned()
 }

@@ -12,7 +12,7 @@ const BATCH: usize = 256;
 pub fn encode(view: &View, encoder: &Encoder, input: &[Modality], at: &[usize]) -> Result<Tensor> {
     let encoder = encoder.detached();
     let means = at.chunks(BATCH).map(|at| Ok(encoder.encode(&view.observation(at, input)?)?.mean));
-    Tensor::cat(&means.collect::<Result<Vec<_>>>()?, 0)
+    Tensor::cat(&means.collect::<Result<Vec<_>>>()?, 0)?.contiguous()
 }
 
 /// One output modality of a batch: `[batch, width]` in physical units, frames channel by channel.

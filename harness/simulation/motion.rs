@@ -47,7 +47,7 @@ impl Timing {
 /// The nearest whole number, when `value` is one but for rounding, and positive.
 fn whole(value: f64) -> Option<usize> {
     let nearest = value.round();
-    let is_whole = nearest >= 1.0 && nearest < 1e9 && (value - nearest).abs() < 1e-6 * nearest;
+    let is_whole = (1.0..1e9).contains(&nearest) && (value - nearest).abs() < 1e-6 * nearest;
     is_whole.then_some(nearest as usize)
 }
 

@@ -141,6 +141,11 @@ impl Scene {
         self.model.opt().timestep
     }
 
+    /// The generalised positions of the scene at rest.
+    pub fn rest(&self) -> &[f64] {
+        self.model.qpos0()
+    }
+
     /// The compiled model.
     pub fn model(&self) -> &MjModel {
         &self.model

@@ -80,3 +80,30 @@ const WARNINGS: [(&str, &str); MjtWarning::mjNWARNING as usize] = [
     ("BADQACC", "an acceleration is not finite or huge"),
     ("BADCTRL", "a control is not finite or huge"),
 ];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_mean_is_over_the_steps_since_it_was_taken() {
+        let mut mean = MeanForces::default();
+        mean.add(&[1.0; JOINTS]);
+        mean.add(&[4.0; JOINTS]);
+        assert_eq!(mean.take(), [2.5; JOINTS]);
+        mean.add(&[7.0; JOINTS]);
+        assert_eq!(mean.take(), [7.0; JOINTS]);
+    }
+
+    #[test]
+    fn each_of_mujocos_warnings_is_named() {
+        let model = MjModel::from_xml_string("<mujoco/>").unwrap();
+        let mut data = MjData::new(&model);
+        assert_eq!(divergence(&data), None);
+        for (index, (name, _)) in WARNINGS.into_iter().enumerate() {
+            data.reset();
+            data.warning_mut()[index].number = 1;
+            assert!(divergence(&data).unwrap().contains(name));
+        }
+    }
+}

@@ -66,6 +66,11 @@ impl RunSpec {
         digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
     }
 
+    /// The run's spec as YAML with every value explicit.
+    pub fn to_yaml(&self) -> String {
+        serde_yaml::to_string(self).expect("a run's spec is plain data, which YAML can hold")
+    }
+
     /// The cell in short, `cluttered-z64`; unique within an experiment.
     pub fn cell(&self) -> String {
         format!("{}-z{}", self.scenario, self.latent)

@@ -1,0 +1,95 @@
+//! `harness query`, `ls`, `show` and `schema`.
+
+use super::DONE;
+use super::table::{print, shown};
+use anyhow::Result;
+use clap::Args;
+use harness::registry::{self, Registry};
+use harness::schema::Table;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[derive(Args)]
+pub struct Query {
+    /// The query, in Polars' SQL
+    sql: String,
+    /// Write the answer to a file instead: .parquet, .csv or .json
+    #[arg(long, short, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+impl Query {
+    pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        let mut answer = registry::query(registry, &self.sql)?;
+        match self.output {
+            Some(path) => {
+                registry::save(&mut answer, &path)?;
+                println!("{} rows in {}", answer.height(), shown(&path));
+            }
+            None => print(&answer),
+        }
+        Ok(ExitCode::from(DONE))
+    }
+}
+
+/// Prints every run with how it went.
+pub fn list(registry: &Registry) -> Result<ExitCode> {
+    let sql = "select experiment, run, status, started, \
+               collect_seconds + prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds \
+               as seconds, reason from runs order by experiment, run";
+    print(&registry::query(registry, sql)?);
+    Ok(ExitCode::from(DONE))
+}
+
+#[derive(Args)]
+pub struct Show {
+    /// The run's id, or enough of its beginning
+    run: String,
+}
+
+impl Show {
+    pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        let (folder, record) = registry.find(&self.run)?;
+        println!("{}/{}: {}", record.experiment, record.run, record.status.name());
+        if let Some(reason) = &record.reason {
+            println!("reason  {reason}");
+        }
+        println!("folder  {}", shown(folder.path()));
+        println!("\n{}", record.spec.to_yaml());
+        let runs = registry::query(registry, &format!("select * from runs where run = '{}'", record.run))?;
+        for column in runs.columns().iter().skip(8) {
+            let value = column.get(0).map_or(String::new(), |value| value.str_value().into_owned());
+            println!("{:<24} {value}", column.name());
+        }
+        let metrics = format!(
+            "select task, model, modality, direction, metric, value, unit from metrics where run = '{}' \
+             and experiment = '{}' and index is null order by task, modality, direction, metric, model",
+            record.run, record.experiment
+        );
+        print(&registry::query(registry, &metrics)?);
+        Ok(ExitCode::from(DONE))
+    }
+}
+
+#[derive(Args)]
+pub struct Schema {
+    /// The columns of the result tables instead
+    #[arg(long)]
+    tables: bool,
+}
+
+impl Schema {
+    pub fn execute(self) -> Result<ExitCode> {
+        if !self.tables {
+            println!("{}", serde_json::to_string_pretty(&harness::spec::schema())?);
+            return Ok(ExitCode::from(DONE));
+        }
+        for table in Table::ALL {
+            println!("{}: {}", table.name(), table.meaning());
+            for column in table.columns() {
+                println!("  {:<24} {:<8} {}", column.name, column.unit, column.meaning);
+            }
+        }
+        Ok(ExitCode::from(DONE))
+    }
+}

@@ -1,0 +1,110 @@
+//! Commands and their arguments.
+
+mod doctor;
+mod inspect;
+mod progress;
+mod render;
+mod run;
+mod table;
+
+use clap::{Parser, Subcommand};
+use harness::experiment::describe;
+use harness::registry::{QueryError, Registry};
+use harness::spec::SpecError;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// A research harness for multi-modal perception of a soft robot.
+///
+/// An experiment is a YAML file; its results are Parquet tables, queried with SQL.
+#[derive(Parser)]
+#[command(version, after_help = "Examples:
+  harness run experiments/multi_to_multi.yaml --quick
+  harness query \"select latent, avg(value) from metrics where metric = 'wmape' group by latent\"
+  harness render cluttered --output scene.png")]
+pub struct Arguments {
+    /// Folder of datasets and runs
+    #[arg(long, global = true, value_name = "DIR", default_value = "results")]
+    results: PathBuf,
+    /// Threads for simulation and training [default: all processors]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Do every run of an experiment that isn't done yet
+    #[command(after_help = "Examples:
+  harness run experiments/multi_to_multi.yaml
+  harness run experiments/multi_to_multi.yaml --quick --dry-run
+  harness run experiments/single_to_multi.yaml training.batch_size=512 latent=[8,16]")]
+    Run(run::Run),
+    /// Check a spec and list the runs it stands for
+    #[command(after_help = "Example:\n  harness validate experiments/smoke.yaml training.epochs=3")]
+    Validate(run::Validate),
+    /// Answer a question in SQL over the tables runs, epochs, metrics, predictions and episodes
+    #[command(after_help = "Examples:
+  harness query \"select run, status, prediction_seconds from runs\"
+  harness query \"select latent, avg(value) from metrics where metric = 'wmape' group by latent\"
+  harness query \"select * from epochs where term = 'total'\" --output curves.csv
+
+`harness schema --tables` lists the columns.")]
+    Query(inspect::Query),
+    /// List all runs
+    Ls,
+    /// Show one run: its spec, provenance, times and metrics
+    #[command(after_help = "Example:\n  harness show cluttered-z64-seed0")]
+    Show(inspect::Show),
+    /// Print the JSON schema of experiment specs, for editors, or the columns of the tables
+    Schema(inspect::Schema),
+    /// Draw a scene, or an instant or a clip of an episode, in good quality
+    #[command(after_help = "Examples:
+  harness render cluttered --output scene.png
+  harness render cluttered --episode 3 --sample 250 --width 1600 --height 1000 --output push.png
+  harness render empty --episode 0 --output clip.gif")]
+    Render(render::Render),
+    /// Check what this machine offers: rendering, MuJoCo, threads, memory, disk
+    Doctor,
+}
+
+/// Everything went well, or was done before.
+const DONE: u8 = 0;
+/// Some run failed, or something could not be read or written.
+const FAILED: u8 = 1;
+/// The spec or the arguments are wrong; nothing was done.
+const USAGE: u8 = 2;
+
+/// Runs a command and reports its error, once.
+pub fn main(arguments: Arguments) -> ExitCode {
+    let threads = arguments.threads.map_or_else(all_threads, usize::from);
+    // Fails only if a pool exists already, and this is the first use.
+    let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
+    let registry = Registry::new(&arguments.results);
+    let outcome = match arguments.command {
+        Command::Run(run) => run.execute(&registry, threads),
+        Command::Validate(validate) => validate.execute(),
+        Command::Query(query) => query.execute(&registry),
+        Command::Ls => inspect::list(&registry),
+        Command::Show(show) => show.execute(&registry),
+        Command::Schema(schema) => schema.execute(),
+        Command::Render(render) => render.execute(),
+        Command::Doctor => doctor::execute(&registry, threads),
+    };
+    outcome.unwrap_or_else(|error| {
+        eprintln!("error: {}", describe(error.as_ref()));
+        ExitCode::from(if is_usage(&error) { USAGE } else { FAILED })
+    })
+}
+
+fn all_threads() -> usize {
+    std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
+}
+
+/// Whether the user asked for something that can't be; then the exit code is 2, as for unknown arguments.
+fn is_usage(error: &anyhow::Error) -> bool {
+    error.is::<SpecError>()
+        || error.is::<render::RenderError>()
+        || matches!(error.downcast_ref(), Some(QueryError::Sql(_) | QueryError::Format(_)))
+}

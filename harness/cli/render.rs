@@ -1,0 +1,131 @@
+//! `harness render`: pictures and clips for people.
+
+use super::DONE;
+use super::progress::Bars;
+use super::table::shown;
+use anyhow::Result;
+use clap::Args;
+use harness::files::write_whole;
+use harness::progress::Progress;
+use harness::simulation::{Portrait, Scene, replay};
+use harness::spec::{self, Scenario, Simulation};
+use image::codecs::gif::{GifEncoder, Repeat};
+use image::{Delay, DynamicImage, Frame, ImageFormat};
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+#[derive(Args)]
+pub struct Render {
+    /// empty or cluttered
+    #[arg(value_parser = scenario)]
+    scenario: Scenario,
+    /// The picture (.png) or clip (.gif) to write
+    #[arg(long, short, value_name = "FILE")]
+    output: PathBuf,
+    /// Simulate this episode of the dataset again and draw it [default: the scene at rest]
+    #[arg(long, value_name = "N")]
+    episode: Option<u32>,
+    /// The sample of the episode that a picture shows
+    #[arg(long, value_name = "K", default_value_t = 0)]
+    sample: usize,
+    /// Samples that a clip shows, from --sample on
+    #[arg(long, value_name = "N", default_value_t = 100)]
+    samples: usize,
+    /// The experiment whose dataset it is [default: the paper's simulation]
+    #[arg(long, value_name = "SPEC")]
+    spec: Option<PathBuf>,
+    /// Pixels
+    #[arg(long, default_value_t = 1280)]
+    width: u32,
+    /// Pixels
+    #[arg(long, default_value_t = 800)]
+    height: u32,
+    /// Folder with MJCF files to use instead of the built-in models
+    #[arg(long, value_name = "DIR")]
+    models: Option<PathBuf>,
+}
+
+/// Why a picture can't be drawn as asked.
+#[derive(Debug, thiserror::Error)]
+pub enum RenderError {
+    #[error("can't write a picture to '{}': its name must end in .png or .gif", .0.display())]
+    Format(PathBuf),
+    #[error("the episode has {samples} samples, so there is no sample {sample}")]
+    Sample { sample: usize, samples: usize },
+}
+
+fn scenario(name: &str) -> Result<Scenario, String> {
+    let found = Scenario::ALL.iter().copied().find(|scenario| scenario.name() == name);
+    let names = Scenario::ALL.iter().map(|scenario| scenario.name()).collect::<Vec<_>>().join(", ");
+    found.ok_or_else(|| format!("the scenarios are {names}"))
+}
+
+/// What a file name's ending asks for.
+#[derive(Clone, Copy)]
+enum Output {
+    Picture,
+    Clip,
+}
+
+impl Render {
+    pub fn execute(self) -> Result<ExitCode> {
+        let output = match self.output.extension().and_then(|ending| ending.to_str()) {
+            Some("png") => Output::Picture,
+            Some("gif") => Output::Clip,
+            _ => return Err(RenderError::Format(self.output).into()),
+        };
+        let simulation = match &self.spec {
+            Some(path) => spec::load(path, &[], false)?.simulation,
+            None => Simulation::default(),
+        };
+        let scene = Scene::load(self.scenario, self.models.as_deref())?;
+        let states = self.states(&scene, &simulation)?;
+        let mut portrait = Portrait::new(&scene, self.width, self.height)?;
+        match output {
+            Output::Picture => {
+                let picture = portrait.draw(&states[0])?;
+                write_whole(&self.output, |file| {
+                    picture.save_with_format(file, ImageFormat::Png).map_err(std::io::Error::other)
+                })?;
+            }
+            Output::Clip => self.clip(&mut portrait, &states, simulation.sample_rate_hz)?,
+        }
+        println!("{}", shown(&self.output));
+        Ok(ExitCode::from(DONE))
+    }
+
+    /// The positions to draw, from the sample that was asked for on.
+    fn states(&self, scene: &Scene, simulation: &Simulation) -> Result<Vec<Vec<f64>>> {
+        let mut states = match self.episode {
+            Some(episode) => replay(scene, simulation, episode)?,
+            None => vec![scene.rest().to_vec()],
+        };
+        if self.sample >= states.len() {
+            return Err(RenderError::Sample { sample: self.sample, samples: states.len() }.into());
+        }
+        Ok(states.split_off(self.sample))
+    }
+
+    fn clip(&self, portrait: &mut Portrait, states: &[Vec<f64>], sample_rate_hz: f64) -> Result<()> {
+        let states = &states[..states.len().min(self.samples)];
+        let bars = Bars::default();
+        bars.begin("drawing", states.len() as u64, "frames");
+        let mut frames = Vec::with_capacity(states.len());
+        let delay = Delay::from_numer_denom_ms((1000.0 / sample_rate_hz).round() as u32, 1);
+        for state in states {
+            let picture = DynamicImage::from(portrait.draw(state)?).into_rgba8();
+            frames.push(Frame::from_parts(picture, 0, 0, delay));
+            bars.advance(1);
+        }
+        bars.end();
+        write_whole(&self.output, |file| encode(file, frames).map_err(std::io::Error::other))?;
+        Ok(())
+    }
+}
+
+fn encode(path: &Path, frames: Vec<Frame>) -> image::ImageResult<()> {
+    let mut encoder = GifEncoder::new_with_speed(File::create(path)?, 10);
+    encoder.set_repeat(Repeat::Infinite)?;
+    encoder.encode_frames(frames)
+}

@@ -1,0 +1,130 @@
+//! `harness run` and `harness validate`.
+
+use super::progress::Bars;
+use super::table::{print, shown};
+use super::{DONE, FAILED};
+use anyhow::Result;
+use clap::Args;
+use harness::experiment::{Laboratory, Planned, Summary};
+use harness::registry::{Decision, Provenance, Registry, query};
+use harness::spec::{self, Experiment};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// A spec and what to change in it.
+#[derive(Args)]
+pub struct Spec {
+    /// The experiment's YAML file
+    #[arg(value_name = "SPEC")]
+    path: PathBuf,
+    /// Settings to change, as key=value: training.epochs=5 latent=[8,16]
+    #[arg(value_name = "KEY=VALUE")]
+    overrides: Vec<String>,
+    /// Apply the spec's own `quick` settings: minutes instead of hours
+    #[arg(long)]
+    quick: bool,
+}
+
+impl Spec {
+    fn load(&self) -> Result<Experiment> {
+        Ok(spec::load(&self.path, &self.overrides, self.quick)?)
+    }
+}
+
+#[derive(Args)]
+pub struct Run {
+    #[command(flatten)]
+    spec: Spec,
+    /// Say for each run whether it will be done, and why, and do nothing
+    #[arg(long)]
+    dry_run: bool,
+    /// Folder with MJCF files to use instead of the built-in models: DIR/empty.xml, DIR/cluttered.xml
+    #[arg(long, value_name = "DIR")]
+    models: Option<PathBuf>,
+}
+
+impl Run {
+    pub fn execute(self, registry: &Registry, threads: usize) -> Result<ExitCode> {
+        let experiment = self.spec.load()?;
+        let command = std::env::args().collect::<Vec<_>>().join(" ");
+        let provenance = Provenance::gather(threads, command);
+        let bars = Bars::default();
+        let laboratory =
+            Laboratory { registry, models: self.models, threads, provenance: &provenance, progress: &bars };
+        let plan = laboratory.plan(&experiment)?;
+        if self.dry_run {
+            print_plan(&plan);
+            return Ok(ExitCode::from(DONE));
+        }
+        registry.check_writable()?;
+        let summary = laboratory.run(&experiment)?;
+        print_results(registry, &experiment, &plan)?;
+        print_summary(registry, &experiment, &summary);
+        Ok(ExitCode::from(if summary.failed.is_empty() { DONE } else { FAILED }))
+    }
+}
+
+fn print_plan(plan: &[Planned]) {
+    for planned in plan {
+        let (verb, reason) = match &planned.decision {
+            Decision::Run { reason } => ("run", reason.as_str()),
+            Decision::Resume => ("resume", "a saved state of its training is there"),
+            Decision::Skip => ("skip", "it is done"),
+        };
+        println!("{verb:<7} {:<36} {reason}", planned.folder.id());
+    }
+}
+
+/// The aggregate metrics of the plan's runs, averaged over seeds, beside the baselines.
+fn print_results(registry: &Registry, experiment: &Experiment, plan: &[Planned]) -> Result<()> {
+    let runs = plan.iter().map(|planned| format!("'{}'", planned.folder.id())).collect::<Vec<_>>().join(", ");
+    let model = |name: &str| format!("avg(case when model = '{name}' then value end) as {name}");
+    let answer = query(
+        registry,
+        &format!(
+            "select task, scenario, latent, modality, metric, {}, {}, {}, {} from metrics \
+             where experiment = '{}' and run in ({runs}) and direction is null and index is null \
+             and metric in ('smape', 'wmape', 'r2', 'relative_error') \
+             group by task, scenario, latent, modality, metric \
+             order by task, scenario desc, modality, metric, latent",
+            model("network"),
+            model("persistence"),
+            model("ridge"),
+            model("training_mean"),
+            experiment.name,
+        ),
+    )?;
+    print(&answer);
+    Ok(())
+}
+
+fn print_summary(registry: &Registry, experiment: &Experiment, summary: &Summary) {
+    for (run, reason) in &summary.failed {
+        eprintln!("failed: {run}: {reason}");
+    }
+    let Summary { done, skipped, failed } = summary;
+    println!("{done} done, {skipped} done before, {} failed", failed.len());
+    let root = registry.root();
+    println!("runs      {}", shown(&root.join("runs").join(&experiment.name)));
+    println!("datasets  {}", shown(&registry.datasets()));
+    let option = if root.as_os_str() == "results" { String::new() } else { format!(" --results {}", root.display()) };
+    println!("queries   harness query{option} \"select * from metrics where experiment = '{}'\"", experiment.name);
+}
+
+#[derive(Args)]
+pub struct Validate {
+    #[command(flatten)]
+    spec: Spec,
+}
+
+impl Validate {
+    pub fn execute(self) -> Result<ExitCode> {
+        let experiment = self.spec.load()?;
+        let runs = experiment.runs();
+        println!("{} is valid: {} runs", self.spec.path.display(), runs.len());
+        for run in runs {
+            println!("  {}", run.label());
+        }
+        Ok(ExitCode::from(DONE))
+    }
+}

@@ -1,0 +1,59 @@
+//! Tables on the terminal.
+
+use comfy_table::{CellAlignment, Table, presets};
+use polars::prelude::{AnyValue, DataFrame};
+use std::path::Path;
+
+/// Rows that are printed; more are for `--output`.
+const MOST_ROWS: usize = 200;
+
+/// Prints a table, numbers to the right and rounded to four digits.
+pub fn print(table: &DataFrame) {
+    let mut out = Table::new();
+    out.load_preset(presets::UTF8_HORIZONTAL_ONLY);
+    out.set_header(table.get_column_names().into_iter().map(|name| name.to_string()));
+    let rows = table.height().min(MOST_ROWS);
+    for row in 0..rows {
+        out.add_row(table.columns().iter().map(|column| column.get(row).map_or(String::new(), cell)));
+    }
+    for (index, column) in table.columns().iter().enumerate() {
+        if column.dtype().is_numeric()
+            && let Some(column) = out.column_mut(index)
+        {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    println!("{out}");
+    if rows < table.height() {
+        println!("{} more rows; write all of them with --output FILE.csv", table.height() - rows);
+    }
+}
+
+fn cell(value: AnyValue) -> String {
+    match value {
+        AnyValue::Null => "-".into(),
+        AnyValue::String(text) => text.into(),
+        AnyValue::StringOwned(text) => text.to_string(),
+        AnyValue::Float64(value) => rounded(value),
+        AnyValue::Float32(value) => rounded(value.into()),
+        other => other.to_string(),
+    }
+}
+
+/// A number to four significant digits.
+fn rounded(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return value.to_string();
+    }
+    let magnitude = value.abs().log10().floor() as i32;
+    if !(-4..9).contains(&magnitude) {
+        return format!("{value:.3e}");
+    }
+    let decimals = (3 - magnitude).clamp(0, 8) as usize;
+    format!("{value:.decimals$}")
+}
+
+/// A path as it is shown: absolute where that can be found out.
+pub fn shown(path: &Path) -> String {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned()).display().to_string()
+}

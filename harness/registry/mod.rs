@@ -1,0 +1,284 @@
+//! Runs on disk: a folder each, found by what decides the run, with its tables and a record of how it went.
+//!
+//! ```text
+//! results/datasets/<scenario>-<hash>/episode_00000.parquet …
+//! results/runs/<experiment>/<run id>/spec.yaml, run.json, uncommitted.diff,
+//!     epochs.parquet, metrics.parquet, predictions.parquet, prediction.safetensors, reconstruction.safetensors
+//! ```
+
+mod provenance;
+mod query;
+mod record;
+
+pub use provenance::{Provenance, peak_memory_bytes};
+pub use query::{QueryError, query, save, table};
+pub use record::{Outcome, RunRecord, Status, Timings};
+
+use crate::files::{WriteError, write_bytes};
+use crate::spec::{RunSpec, Task};
+use crate::tables::TableError;
+use sha2::{Digest, Sha256};
+use std::path::{Path, PathBuf};
+
+/// Raised whenever the same spec on the same data would train or be judged differently than before.
+const REVISION: u32 = 1;
+/// The file that says how a run went; one that says it is done was written after everything else.
+const RECORD: &str = "run.json";
+
+/// Why the registry could not be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum RegistryError {
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    #[error(transparent)]
+    Table(#[from] TableError),
+    #[error("{} is no record of a run ({reason}); delete the folder and run the experiment again", path.display())]
+    Record { path: PathBuf, reason: String },
+    #[error("no run matches '{wanted}'{}; `harness ls` lists them", nearest.as_ref().map(|n| format!(", the nearest is '{n}'")).unwrap_or_default())]
+    Unknown { wanted: String, nearest: Option<String> },
+    #[error("'{wanted}' matches several runs: {}", matches.join(", "))]
+    Ambiguous { wanted: String, matches: Vec<String> },
+}
+
+/// What will happen to a run, and why.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Decision {
+    Run { reason: String },
+    /// A saved state of its training is there.
+    Resume,
+    Skip,
+}
+
+/// The results folder.
+#[derive(Debug, Clone)]
+pub struct Registry {
+    root: PathBuf,
+}
+
+/// The place of one run.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RunFolder {
+    path: PathBuf,
+    experiment: String,
+    id: String,
+    dataset: String,
+}
+
+impl Registry {
+    pub fn new(root: impl Into<PathBuf>) -> Self {
+        Self { root: root.into() }
+    }
+
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The folder of all datasets.
+    pub fn datasets(&self) -> PathBuf {
+        self.root.join("datasets")
+    }
+
+    fn runs(&self) -> PathBuf {
+        self.root.join("runs")
+    }
+
+    /// The place of a run; two runs share it only if they must have the same result.
+    pub fn run(&self, experiment: &str, spec: &RunSpec, dataset: &str) -> RunFolder {
+        let identity = format!("{} {dataset} {REVISION}", spec.hash());
+        let digest = Sha256::digest(identity);
+        let hash: String = digest.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
+        let id = format!("{}-{hash}", spec.label());
+        let path = self.runs().join(experiment).join(&id);
+        RunFolder { path, experiment: experiment.to_owned(), id, dataset: dataset.to_owned() }
+    }
+
+    /// Checks that something can be written below the root.
+    pub fn check_writable(&self) -> Result<(), WriteError> {
+        let probe = self.root.join(".writable");
+        write_bytes(&probe, b"")?;
+        std::fs::remove_file(&probe).map_err(|source| WriteError { path: probe, source })
+    }
+
+    /// What is to be done about a run.
+    pub fn decide(&self, folder: &RunFolder, spec: &RunSpec) -> Result<Decision, RegistryError> {
+        let resumable = [Task::Prediction, Task::Reconstruction].iter().any(|task| folder.state(*task).exists());
+        Ok(match folder.record()? {
+            Some(record) if record.status == Status::Done => Decision::Skip,
+            _ if resumable => Decision::Resume,
+            Some(record) if record.status == Status::Failed => Decision::Run {
+                reason: format!("it failed before: {}", record.reason.unwrap_or_default()),
+            },
+            Some(_) => Decision::Run { reason: "it was interrupted".into() },
+            None => Decision::Run { reason: self.why_new(folder, spec)? },
+        })
+    }
+
+    /// Why a run isn't one of those that are there: what differs from the nearest of them.
+    fn why_new(&self, folder: &RunFolder, spec: &RunSpec) -> Result<String, RegistryError> {
+        let mut nearest: Option<(Vec<String>, String)> = None;
+        for record in self.records()? {
+            if record.experiment != folder.experiment || record.label() != spec.label() {
+                continue;
+            }
+            let mut differences = differences(&record.spec, spec);
+            if record.dataset != folder.dataset && differences.is_empty() {
+                differences.push("the model or MuJoCo differs".into());
+            }
+            if nearest.as_ref().is_none_or(|(fewest, _)| differences.len() < fewest.len()) {
+                nearest = Some((differences, record.run));
+            }
+        }
+        Ok(match nearest {
+            Some((differences, run)) => format!("new; {run} differs in {}", differences.join(", ")),
+            None => "new".into(),
+        })
+    }
+
+    /// Every run's record, by experiment and id.
+    pub fn records(&self) -> Result<Vec<RunRecord>, RegistryError> {
+        let folders = self.run_folders();
+        folders.iter().filter_map(|folder| RunRecord::read(&folder.join(RECORD)).transpose()).collect()
+    }
+
+    /// The folders of all runs, sorted.
+    fn run_folders(&self) -> Vec<PathBuf> {
+        let inside = |folder: &Path| -> Vec<PathBuf> {
+            let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+            entries.map(|entry| entry.path()).filter(|path| path.is_dir()).collect()
+        };
+        let mut folders: Vec<PathBuf> =
+            inside(&self.runs()).iter().flat_map(|experiment| inside(experiment)).collect();
+        folders.sort();
+        folders
+    }
+
+    /// The one run whose id, or `experiment/id`, begins with `wanted`.
+    pub fn find(&self, wanted: &str) -> Result<(RunFolder, RunRecord), RegistryError> {
+        let records = self.records()?;
+        let name = |record: &RunRecord| format!("{}/{}", record.experiment, record.run);
+        let matches: Vec<&RunRecord> = records
+            .iter()
+            .filter(|record| record.run.starts_with(wanted) || name(record).starts_with(wanted))
+            .collect();
+        match matches.as_slice() {
+            [record] => {
+                let folder = RunFolder {
+                    path: self.runs().join(&record.experiment).join(&record.run),
+                    experiment: record.experiment.clone(),
+                    id: record.run.clone(),
+                    dataset: record.dataset.clone(),
+                };
+                Ok((folder, (*record).clone()))
+            }
+            [] => {
+                let nearest = records.iter().map(|record| record.run.clone());
+                let nearest = nearest.max_by(|a, b| {
+                    strsim::jaro_winkler(wanted, a).total_cmp(&strsim::jaro_winkler(wanted, b))
+                });
+                Err(RegistryError::Unknown { wanted: wanted.to_owned(), nearest })
+            }
+            several => Err(RegistryError::Ambiguous {
+                wanted: wanted.to_owned(),
+                matches: several.iter().map(|record| name(record)).collect(),
+            }),
+        }
+    }
+
+    /// Writes that a run has begun: its resolved spec, its provenance, and a record without an end.
+    pub fn begin(&self, folder: &RunFolder, spec: &RunSpec, by: &Provenance) -> Result<(), RegistryError> {
+        write_bytes(&folder.path.join("spec.yaml"), spec.to_yaml().as_bytes())?;
+        if let Some(diff) = &by.uncommitted {
+            write_bytes(&folder.path.join("uncommitted.diff"), diff.as_bytes())?;
+        }
+        RunRecord::new(folder, spec, by, Status::Running).write(&folder.path.join(RECORD))
+    }
+
+    /// Writes that a run failed, and why.
+    pub fn fail(
+        &self,
+        folder: &RunFolder,
+        spec: &RunSpec,
+        by: &Provenance,
+        reason: &str,
+    ) -> Result<(), RegistryError> {
+        let record = RunRecord::new(folder, spec, by, Status::Failed);
+        RunRecord { reason: Some(reason.to_owned()), ..record }.write(&folder.path.join(RECORD))
+    }
+
+    /// Writes a run's tables, then that it is done.
+    pub fn finish(
+        &self,
+        folder: &RunFolder,
+        spec: &RunSpec,
+        by: &Provenance,
+        outcome: Outcome,
+    ) -> Result<(), RegistryError> {
+        let record = RunRecord::new(folder, spec, by, Status::Done).with(&outcome);
+        outcome.write_tables(folder, &record)?;
+        record.write(&folder.path.join(RECORD))?;
+        for task in [Task::Prediction, Task::Reconstruction] {
+            // A state that stays behind does no harm but takes room: the run is done.
+            let _ = std::fs::remove_file(folder.state(task));
+        }
+        Ok(())
+    }
+}
+
+impl RunFolder {
+    pub fn id(&self) -> &str {
+        &self.id
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Where the trained network of a task goes.
+    pub fn checkpoint(&self, task: Task) -> PathBuf {
+        self.path.join(format!("{}.safetensors", task.name()))
+    }
+
+    /// Where the state of an unfinished training is kept.
+    pub fn state(&self, task: Task) -> PathBuf {
+        self.path.join(format!("{}.state.safetensors", task.name()))
+    }
+
+    fn record(&self) -> Result<Option<RunRecord>, RegistryError> {
+        RunRecord::read(&self.path.join(RECORD))
+    }
+}
+
+/// The settings in which two specs differ, as `training.epochs (5, now 200)`.
+fn differences(before: &RunSpec, now: &RunSpec) -> Vec<String> {
+    let leaves = |spec: &RunSpec| {
+        let mut leaves = std::collections::BTreeMap::new();
+        collect_leaves("", &serde_json::to_value(spec).unwrap_or_default(), &mut leaves);
+        leaves
+    };
+    let (before, now) = (leaves(before), leaves(now));
+    let keys: std::collections::BTreeSet<&String> = before.keys().chain(now.keys()).collect();
+    let shown = |value: Option<&String>| value.cloned().unwrap_or_else(|| "unset".into());
+    keys.into_iter()
+        .filter(|key| before.get(*key) != now.get(*key))
+        .map(|key| format!("{key} ({}, now {})", shown(before.get(key)), shown(now.get(key))))
+        .collect()
+}
+
+/// Every value of a tree that is no object, under its dotted key.
+fn collect_leaves(
+    key: &str,
+    value: &serde_json::Value,
+    leaves: &mut std::collections::BTreeMap<String, String>,
+) {
+    match value {
+        serde_json::Value::Object(entries) => {
+            for (name, value) in entries {
+                let key = if key.is_empty() { name.clone() } else { format!("{key}.{name}") };
+                collect_leaves(&key, value, leaves);
+            }
+        }
+        other => {
+            leaves.insert(key.to_owned(), other.to_string());
+        }
+    }
+}

@@ -1,0 +1,90 @@
+//! SQL over the tables of a results folder.
+
+use super::record::runs_table;
+use super::{Registry, RegistryError};
+use crate::dataset::episode_scan;
+use crate::files::{WriteError, write_whole};
+use crate::schema::{Column, Kind, Table};
+use crate::tables::{TableError, scan};
+use polars::prelude::*;
+use polars::sql::SQLContext;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+/// Why a query gave no answer.
+#[derive(Debug, thiserror::Error)]
+pub enum QueryError {
+    #[error(transparent)]
+    Registry(#[from] RegistryError),
+    #[error("the query can't be answered: {0}")]
+    Sql(PolarsError),
+    #[error("can't write to '{}': its name must end in .parquet, .csv or .json", .0.display())]
+    Format(PathBuf),
+    #[error(transparent)]
+    Write(#[from] WriteError),
+}
+
+/// Answers a query in Polars' SQL over the tables `runs`, `epochs`, `metrics`, `predictions` and `episodes`.
+///
+/// # Errors
+/// When the SQL is not understood, names what isn't there, or a table can't be read.
+pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
+    let mut context = SQLContext::new();
+    for table in Table::ALL {
+        // Only what the query may be about is looked up: the folders of thousands of runs take a while.
+        if sql.to_lowercase().contains(table.name()) {
+            context.register(table.name(), self::table(registry, table)?);
+        }
+    }
+    context.execute(sql).and_then(LazyFrame::collect).map_err(QueryError::Sql)
+}
+
+/// One of the tables, over everything in the results folder.
+pub fn table(registry: &Registry, table: Table) -> Result<LazyFrame, QueryError> {
+    let columns = table.columns();
+    let found = match table {
+        Table::Runs => {
+            let records = registry.records()?;
+            if records.is_empty() { None } else { Some(runs_table(&records).map_err(TableError::from).map_err(RegistryError::from)?.lazy()) }
+        }
+        Table::Episodes => episode_scan(&registry.datasets()).map_err(QueryError::Sql)?,
+        Table::Epochs | Table::Metrics | Table::Predictions => {
+            let name = format!("{}.parquet", table.name());
+            let paths: Vec<PathBuf> =
+                registry.run_folders().into_iter().map(|folder| folder.join(&name)).filter(|path| path.exists()).collect();
+            scan(&paths, &columns).map_err(QueryError::Sql)?
+        }
+    };
+    match found {
+        Some(found) => Ok(found),
+        None => empty(&columns).map_err(QueryError::Sql),
+    }
+}
+
+/// A table without rows, so that a query of an empty results folder has an empty answer.
+fn empty(columns: &[Column]) -> PolarsResult<LazyFrame> {
+    let columns = columns.iter().map(|column| {
+        let kind = match column.kind {
+            Kind::Text => DataType::String,
+            Kind::Integer => DataType::Int64,
+            Kind::Real => DataType::Float64,
+            Kind::Flag => DataType::Boolean,
+            Kind::Bytes => DataType::Binary,
+        };
+        polars::prelude::Column::new_empty(column.name.as_str().into(), &kind)
+    });
+    Ok(DataFrame::new(0, columns.collect())?.lazy())
+}
+
+/// Writes an answer as Parquet, CSV or JSON, by the ending of the file's name.
+pub fn save(answer: &mut DataFrame, path: &Path) -> Result<(), QueryError> {
+    let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_lowercase();
+    let write: fn(&mut DataFrame, File) -> PolarsResult<()> = match ending.as_str() {
+        "parquet" => |answer, file| ParquetWriter::new(file).finish(answer).map(|_| ()),
+        "csv" => |answer, file| CsvWriter::new(file).finish(answer),
+        "json" => |answer, file| JsonWriter::new(file).with_json_format(JsonFormat::Json).finish(answer),
+        _ => return Err(QueryError::Format(path.to_owned())),
+    };
+    write_whole(path, |file| write(answer, File::create(file)?).map_err(std::io::Error::other))?;
+    Ok(())
+}
