@@ -10,7 +10,7 @@ const MOST_ROWS: usize = 200;
 /// Prints a table, numbers to the right and rounded to four digits.
 pub fn print(table: &DataFrame) {
     let mut out = Table::new();
-    out.load_preset(presets::UTF8_HORIZONTAL_ONLY);
+    out.load_preset(presets::UTF8_BORDERS_ONLY);
     out.set_header(table.get_column_names().into_iter().map(|name| name.to_string()));
     let rows = table.height().min(MOST_ROWS);
     for row in 0..rows {
