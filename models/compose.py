@@ -136,6 +136,8 @@ def arm(world):
     carriage = shaft.add("body", name="arm_carriage", pos=(0, 0, MOUNT_HEIGHT), gravcomp=1)
     carriage.add("joint", name="arm_lift", type="slide", axis=(0, 0, 1))
     carriage.add("geom", name="arm_carriage", type="box", size=(0.12, 0.09, 0.09), mass=CARRIAGE_MASS)
+    # Keeps the beam's rear end covered at full extension; for the eye only.
+    carriage.add("geom", name="arm_sleeve", type="box", size=(0.27, 0.035, 0.035), pos=(0.37, 0, 0), mass=0)
     beam = carriage.add("body", name="arm_beam", pos=(MOUNT_RADIUS, 0, 0), gravcomp=1)
     beam.add("joint", name="arm_extension", type="slide", axis=(1, 0, 0))
     beam.add("geom", name="arm_beam", type="box", size=(0.8, 0.025, 0.025), pos=(-0.8, 0, 0), mass=BEAM_MASS)
