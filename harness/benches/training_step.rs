@@ -14,6 +14,10 @@ use harness::spec::{ARM_JOINTS, Architecture, Modality, Task};
 use std::sync::Arc;
 use std::time::Instant;
 
+/// As in the harness itself, see main.rs.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 #[derive(Parser)]
 struct Arguments {
     /// convolutional or fully_connected
@@ -32,6 +36,8 @@ struct Arguments {
 }
 
 fn main() -> candle_core::Result<()> {
+    // SAFETY: option 15 is the purge delay, a number that may be set at any time.
+    unsafe { libmimalloc_sys::mi_option_set(15, -1) };
     let arguments = Arguments::parse();
     let frames = arguments.architecture == Architecture::Convolutional.name();
     let only = |modalities: &[Modality]| -> Vec<Modality> {

@@ -41,6 +41,9 @@ enum Command {
   harness run experiments/multi_to_multi.yaml --quick --dry-run
   harness run experiments/single_to_multi.yaml training.batch_size=512 latent=[8,16]")]
     Run(run::Run),
+    /// Simulate what is missing of an experiment's datasets, without training
+    #[command(after_help = "Example:\n  harness collect experiments/multi_to_multi.yaml scenarios=[cluttered]")]
+    Collect(run::Collect),
     /// Check a spec and list the runs it stands for
     #[command(after_help = "Example:\n  harness validate experiments/smoke.yaml training.epochs=3")]
     Validate(run::Validate),
@@ -84,6 +87,7 @@ pub fn main(arguments: Arguments) -> ExitCode {
     let registry = Registry::new(&arguments.results);
     let outcome = match arguments.command {
         Command::Run(run) => run.execute(&registry, threads),
+        Command::Collect(collect) => collect.execute(&registry, threads),
         Command::Validate(validate) => validate.execute(),
         Command::Query(query) => query.execute(&registry),
         Command::Ls => inspect::list(&registry),

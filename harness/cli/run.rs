@@ -5,8 +5,10 @@ use super::table::{print, shown};
 use super::{DONE, FAILED};
 use anyhow::Result;
 use clap::Args;
+use harness::dataset::{Dataset, collect};
 use harness::experiment::{Laboratory, Planned, Summary};
 use harness::registry::{Decision, Provenance, Registry, query};
+use harness::simulation::Scene;
 use harness::spec::{self, Experiment};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -61,6 +63,29 @@ impl Run {
         print_results(registry, &experiment, &plan)?;
         print_summary(registry, &experiment, &summary);
         Ok(ExitCode::from(if summary.failed.is_empty() { DONE } else { FAILED }))
+    }
+}
+
+#[derive(Args)]
+pub struct Collect {
+    #[command(flatten)]
+    spec: Spec,
+    /// Folder with MJCF files to use instead of the built-in models
+    #[arg(long, value_name = "DIR")]
+    models: Option<PathBuf>,
+}
+
+impl Collect {
+    pub fn execute(self, registry: &Registry, threads: usize) -> Result<ExitCode> {
+        let experiment = self.spec.load()?;
+        registry.check_writable()?;
+        for scenario in experiment.scenarios {
+            let scene = Scene::load(scenario, self.models.as_deref())?;
+            let dataset = Dataset::new(&registry.datasets(), &scene, &experiment.simulation);
+            let episodes = collect(&dataset, &scene, threads, &Bars::default())?;
+            println!("{}: {episodes} episodes made, {} samples in all", shown(dataset.folder()), dataset.len());
+        }
+        Ok(ExitCode::from(DONE))
     }
 }
 
