@@ -21,17 +21,6 @@ pub struct Samples {
     vision: Vec<u8>,
 }
 
-impl Modality {
-    /// Values of one sample.
-    pub fn width(self) -> usize {
-        match self {
-            Modality::Arm => ARM_JOINTS,
-            Modality::Proprioception | Modality::ContactForce | Modality::ContactForceMean => JOINTS,
-            Modality::Vision | Modality::FrameDifference => FRAME_LEN,
-        }
-    }
-}
-
 impl Samples {
     /// An empty dataset with room for `samples`, with frames if `frames`.
     pub fn with_capacity(samples: usize, frames: bool) -> Self {

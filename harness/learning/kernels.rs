@@ -120,17 +120,18 @@ pub fn add_bias(rows: &mut [f32], bias: &[f32], relu: bool) {
     });
 }
 
-/// `grad` where `output` is above zero: the gradient before a ReLU, given the one after it.
-pub fn relu_gradient(grad: &[f32], output: &[f32]) -> Vec<f32> {
-    let mut masked = scratch(grad.len());
+/// Cuts `grad` to zero where a ReLU's `output` is zero: the gradient before it, given the one after it.
+pub fn mask(grad: &mut [f32], output: &[f32]) {
+    for (grad, output) in grad.iter_mut().zip(output) {
+        *grad = if *output > 0.0 { *grad } else { 0.0 };
+    }
+}
+
+/// [`mask`] on a copy, in parallel.
+pub fn masked(grad: &[f32], output: &[f32]) -> Vec<f32> {
+    let mut masked = grad.to_vec();
     let part = grad.len().div_ceil(PARTS).max(1);
-    masked.par_chunks_mut(part).zip(grad.par_chunks(part)).zip(output.par_chunks(part)).for_each(
-        |((masked, grad), output)| {
-            for ((masked, grad), output) in masked.iter_mut().zip(grad).zip(output) {
-                *masked = if *output > 0.0 { *grad } else { 0.0 };
-            }
-        },
-    );
+    masked.par_chunks_mut(part).zip(output.par_chunks(part)).for_each(|(grad, output)| mask(grad, output));
     masked
 }
 

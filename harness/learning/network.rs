@@ -266,10 +266,11 @@ impl Decoder {
         let hidden = self.hidden(latent, action)?;
         let mut terms = Vec::with_capacity(self.output.len());
         if let (Some(layer), Some(target)) = (&self.vector, &targets.vector) {
-            let errors = (linear(&hidden, &layer.weight, &layer.bias, false)? - target)?.sqr()?;
+            let predicted = linear(&hidden, &layer.weight, &layer.bias, false)?;
             let mut first = 0;
             for modality in self.output.iter().copied().filter(|modality| !modality.is_frame()) {
-                let value = errors.narrow(1, first, modality.width())?.mean_all()?;
+                let columns = |tensor: &Tensor| tensor.narrow(1, first, modality.width());
+                let value = candle_nn::loss::mse(&columns(&predicted)?, &columns(target)?)?;
                 terms.push(Term { modality, value });
                 first += modality.width();
             }

@@ -185,21 +185,22 @@ impl Ridge {
 
 /// Grey 16 x 16 picture of a camera frame, or of a difference of two, as inputs of ridge regression.
 ///
-/// `frame` is row-major `[64, 64, 3]`; each value of the result is the mean of 4 x 4 pixels and their three
-/// channels, in the frame's own unit.
+/// `frame` is `[channel, row, column]`, 3 x 64 x 64; each value of the result is the mean of 4 x 4 pixels and
+/// their three channels, in the frame's own unit.
 ///
 /// # Errors
 /// `frame` is not one frame long.
-pub fn downsample_frame<T: Copy + Into<f32>>(frame: &[T]) -> Result<[f32; GREY_LEN], MetricsError> {
+pub fn downsample_frame(frame: &[f32]) -> Result<[f32; GREY_LEN], MetricsError> {
     if frame.len() != FRAME_LEN {
         return Err(MetricsError::Shape { what: "the camera frame", values: frame.len(), width: FRAME_LEN });
     }
     const BLOCK: usize = FRAME_SIDE / GREY_SIDE;
     let mut grey = [0.0; GREY_LEN];
-    for (pixel, channels) in frame.chunks_exact(FRAME_CHANNELS).enumerate() {
-        let (row, column) = (pixel / FRAME_SIDE, pixel % FRAME_SIDE);
-        let sum: f32 = channels.iter().map(|&value| value.into()).sum();
-        grey[row / BLOCK * GREY_SIDE + column / BLOCK] += sum;
+    for channel in frame.chunks_exact(FRAME_SIDE * FRAME_SIDE) {
+        for (pixel, value) in channel.iter().enumerate() {
+            let (row, column) = (pixel / FRAME_SIDE, pixel % FRAME_SIDE);
+            grey[row / BLOCK * GREY_SIDE + column / BLOCK] += value;
+        }
     }
     Ok(grey.map(|sum| sum / (BLOCK * BLOCK * FRAME_CHANNELS) as f32))
 }

@@ -12,7 +12,7 @@ pub use error::MetricsError;
 use error::{check_finite, check_samples, rows};
 pub use series::Series;
 
-use crate::spec::{ARM_JOINTS, FRAME_LEN, JOINTS, Modality};
+use crate::spec::Modality;
 
 /// The axis a joint of the finger bends about; a link's direction is that of the joint at its base.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -135,7 +135,7 @@ pub struct Evaluation {
 
 impl Evaluation {
     pub fn new(modality: Modality) -> Self {
-        Self { modality, columns: vec![Series::default(); width(modality)] }
+        Self { modality, columns: vec![Series::default(); modality.width()] }
     }
 
     /// Adds a batch: `reference` and `predicted`, each row-major `[samples, width of the modality]`.
@@ -217,13 +217,4 @@ pub fn evaluate(modality: Modality, reference: &[f32], predicted: &[f32]) -> Res
 
 fn is_finger(modality: Modality) -> bool {
     matches!(modality, Modality::Proprioception | Modality::ContactForce | Modality::ContactForceMean)
-}
-
-/// Values of the modality in one sample.
-fn width(modality: Modality) -> usize {
-    match modality {
-        Modality::Proprioception | Modality::ContactForce | Modality::ContactForceMean => JOINTS,
-        Modality::Arm => ARM_JOINTS,
-        Modality::Vision | Modality::FrameDifference => FRAME_LEN,
-    }
 }

@@ -85,6 +85,15 @@ impl Modality {
     pub const fn is_frame(self) -> bool {
         matches!(self, Self::Vision | Self::FrameDifference)
     }
+
+    /// Values of one sample.
+    pub const fn width(self) -> usize {
+        match self {
+            Modality::Arm => ARM_JOINTS,
+            Modality::Proprioception | Modality::ContactForce | Modality::ContactForceMean => JOINTS,
+            Modality::Vision | Modality::FrameDifference => FRAME_LEN,
+        }
+    }
 }
 
 /// How the arm's commanded motion conditions the decoder.

@@ -84,7 +84,7 @@ impl FrameEncoder {
                 let images =
                     grad.chunks_exact_mut(patches.coarse_len()).zip(active.chunks_exact(patches.coarse_len()));
                 for (index, (grad, active)) in images.enumerate() {
-                    mask(grad, active);
+                    kernels::mask(grad, active);
                     self.frames.write(part_index * part + index, &mut frame);
                     patches.cut(&frame, &mut cut);
                     product(
@@ -102,13 +102,6 @@ impl FrameEncoder {
             });
         let (kernel, bias): (Vec<_>, Vec<_>) = sums.collect::<Vec<_>>().into_iter().unzip();
         (kernels::sum_in_order(kernel, patches.weight_len()), kernels::sum_in_order(bias, coarse))
-    }
-}
-
-/// Cuts `grad` to zero where the ReLU's output is zero.
-pub(super) fn mask(grad: &mut [f32], active: &[f32]) {
-    for (grad, active) in grad.iter_mut().zip(active) {
-        *grad = if *active > 0.0 { *grad } else { 0.0 };
     }
 }
 

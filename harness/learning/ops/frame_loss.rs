@@ -3,7 +3,6 @@
 //! Predicted frames and their gradients exist one image at a time, in cache. Since a loss is a scalar, its
 //! gradients are known up to a factor as soon as it is, and are computed in the forward pass.
 
-use super::frame_encoder::mask;
 use super::{slice, tensor};
 use crate::dataset::frames::Frames;
 use crate::learning::kernels::{self, Into, Matrix, PARTS, Patches, product};
@@ -165,7 +164,7 @@ impl Part {
         patches.cut(&image.frame, &mut image.cut);
         let cut = Matrix::plain(&image.cut, patch, positions);
         product(Matrix::plain(kernel, coarse, patch), cut, grad_coarse, Into::Overwrite, 1);
-        mask(grad_coarse, &image.active);
+        kernels::mask(grad_coarse, &image.active);
         product(
             Matrix::plain(&image.active, coarse, positions),
             Matrix::transposed(&image.cut, patch, positions),

@@ -55,7 +55,7 @@ impl CustomOp3 for Linear {
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         with_values(grad, |grad| {
             if self.relu {
-                let masked = with_values(y, |y| Ok(kernels::relu_gradient(grad, y)))?;
+                let masked = with_values(y, |y| Ok(kernels::masked(grad, y)))?;
                 gradients(x, w, &masked)
             } else {
                 gradients(x, w, grad)
