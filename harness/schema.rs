@@ -121,10 +121,20 @@ fn run_details() -> Vec<Column> {
         real("prediction_seconds", "s", "wall time of training the prediction"),
         real("reconstruction_seconds", "s", "wall time of training the reconstruction; null without one"),
         real("evaluation_seconds", "s", "wall time of the metrics"),
-        column("peak_memory_bytes", Kind::Integer, "B", "largest memory of the process up to the end of the run"),
+        column(
+            "peak_memory_bytes",
+            Kind::Integer,
+            "B",
+            "largest memory of the process up to the end of the run",
+        ),
         integer("parameters", "trained parameters of the prediction"),
         text("git_commit", "commit of the source tree; null outside one"),
-        column("git_dirty", Kind::Flag, "", "whether the source tree had uncommitted changes; null outside one"),
+        column(
+            "git_dirty",
+            Kind::Flag,
+            "",
+            "whether the source tree had uncommitted changes; null outside one",
+        ),
         text("harness_version", "version of this program"),
         text("mujoco_version", "version of MuJoCo"),
         text("candle_version", "version of candle"),
@@ -203,5 +213,10 @@ pub fn sample_columns() -> Vec<Column> {
 
 /// The column of an episode file that holds the camera frames.
 pub fn frame_column() -> Column {
-    column("vision", Kind::Bytes, "", "camera frame, 64 x 64 x 3 bytes: rows from the top, pixels from the left, RGB")
+    column(
+        "vision",
+        Kind::Bytes,
+        "",
+        "camera frame, 64 x 64 x 3 bytes: rows from the top, pixels from the left, RGB",
+    )
 }

@@ -37,7 +37,8 @@ pub fn write_table(
         let message = format!("the table has the columns {found:?}, its schema {expected:?}");
         return Err(PolarsError::SchemaMismatch(message.into()).into());
     }
-    let described = serde_json::to_string(columns).map_err(|error| PolarsError::ComputeError(error.to_string().into()))?;
+    let described = serde_json::to_string(columns)
+        .map_err(|error| PolarsError::ComputeError(error.to_string().into()))?;
     let mut metadata = vec![(COLUMNS_KEY.to_owned(), described)];
     metadata.extend(stamp.iter().map(|(key, value)| (format!("harness.{key}"), value.clone())));
     write_whole(path, |file| {

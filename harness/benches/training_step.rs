@@ -57,8 +57,10 @@ fn main() -> candle_core::Result<()> {
     let encoder = Encoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu)?;
     let decoder = Decoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu)?;
     let mut adam = Adam::new(parameters.values().cloned().collect(), 1e-3)?;
-    let mut matrix = |width: usize| Tensor::from_vec(random.normal(batch * width), (batch, width), &Device::Cpu);
-    let (vector, action, noise, target) = (matrix(20)?, matrix(ARM_JOINTS)?, matrix(sizes.latent)?, matrix(40)?);
+    let mut matrix =
+        |width: usize| Tensor::from_vec(random.normal(batch * width), (batch, width), &Device::Cpu);
+    let (vector, action, noise, target) =
+        (matrix(20)?, matrix(ARM_JOINTS)?, matrix(sizes.latent)?, matrix(40)?);
     let mut picture = || -> candle_core::Result<Arc<dyn Frames>> {
         let values = random.normal(batch * 3 * 64 * 64);
         Ok(Arc::new(DenseFrames::new(&Tensor::from_vec(values, (batch, 3, 64, 64), &Device::Cpu)?)?))
@@ -66,7 +68,12 @@ fn main() -> candle_core::Result<()> {
     let observation = Observation { vector: Some(vector), frames: frames.then(&mut picture).transpose()? };
     let targets = Targets {
         vector: Some(target),
-        frames: frames.then(&mut picture).transpose()?.map(|f| (Modality::FrameDifference, f)).into_iter().collect(),
+        frames: frames
+            .then(&mut picture)
+            .transpose()?
+            .map(|f| (Modality::FrameDifference, f))
+            .into_iter()
+            .collect(),
     };
     let mut seconds = Vec::with_capacity(arguments.steps);
     for _ in 0..arguments.steps + 2 {

@@ -49,7 +49,11 @@ fn memory() -> String {
     let mut system = System::new();
     system.refresh_memory();
     let gigabytes = |bytes: u64| bytes as f64 / 1e9;
-    format!("{:.1} GB free of {:.1} GB", gigabytes(system.available_memory()), gigabytes(system.total_memory()))
+    format!(
+        "{:.1} GB free of {:.1} GB",
+        gigabytes(system.available_memory()),
+        gigabytes(system.total_memory())
+    )
 }
 
 /// Whether the results folder can be written, and the room on its disk.

@@ -18,10 +18,13 @@ use std::process::ExitCode;
 ///
 /// An experiment is a YAML file; its results are Parquet tables, queried with SQL.
 #[derive(Parser)]
-#[command(version, after_help = "Examples:
+#[command(
+    version,
+    after_help = "Examples:
   harness run experiments/multi_to_multi.yaml --quick
   harness query \"select latent, avg(value) from metrics where metric = 'wmape' group by latent\"
-  harness render cluttered --output scene.png")]
+  harness render cluttered --output scene.png"
+)]
 pub struct Arguments {
     /// Folder of datasets and runs
     #[arg(long, global = true, value_name = "DIR", default_value = "results")]
@@ -42,7 +45,9 @@ enum Command {
   harness run experiments/single_to_multi.yaml training.batch_size=512 latent=[8,16]")]
     Run(run::Run),
     /// Simulate what is missing of an experiment's datasets, without training
-    #[command(after_help = "Example:\n  harness collect experiments/multi_to_multi.yaml scenarios=[cluttered]")]
+    #[command(
+        after_help = "Example:\n  harness collect experiments/multi_to_multi.yaml scenarios=[cluttered]"
+    )]
     Collect(run::Collect),
     /// Check a spec and list the runs it stands for
     #[command(after_help = "Example:\n  harness validate experiments/smoke.yaml training.epochs=3")]

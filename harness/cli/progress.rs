@@ -39,7 +39,12 @@ impl Stage {
         let left = indicatif::HumanDuration(self.bar.eta());
         let note = self.bar.message();
         let note = if note.is_empty() { note } else { format!(", {note}") };
-        eprintln!("{}: {done}/{total} {}, {:.1}/s, {left:#} left{note}", self.name, self.unit, self.bar.per_sec());
+        eprintln!(
+            "{}: {done}/{total} {}, {:.1}/s, {left:#} left{note}",
+            self.name,
+            self.unit,
+            self.bar.per_sec()
+        );
     }
 }
 
@@ -48,7 +53,8 @@ impl Progress for Bars {
         let lines = !std::io::stderr().is_terminal();
         let bar = if lines { ProgressBar::hidden() } else { ProgressBar::new(total) };
         bar.set_length(total);
-        let style = format!("{{prefix}} {{bar:30}} {{pos}}/{{len}} {unit} {{per_sec}} {{eta}} left {{wide_msg}}");
+        let style =
+            format!("{{prefix}} {{bar:30}} {{pos}}/{{len}} {unit} {{per_sec}} {{eta}} left {{wide_msg}}");
         if let Ok(style) = ProgressStyle::with_template(&style) {
             bar.set_style(style);
         }
@@ -88,7 +94,11 @@ impl Progress for Bars {
                     stage.bar.position(),
                     stage.unit,
                     stage.bar.elapsed().as_secs_f64(),
-                    if stage.bar.message().is_empty() { String::new() } else { format!(", {}", stage.bar.message()) }
+                    if stage.bar.message().is_empty() {
+                        String::new()
+                    } else {
+                        format!(", {}", stage.bar.message())
+                    }
                 );
             }
             stage.bar.finish();

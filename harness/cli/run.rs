@@ -83,7 +83,11 @@ impl Collect {
             let scene = Scene::load(scenario, self.models.as_deref())?;
             let dataset = Dataset::new(&registry.datasets(), &scene, &experiment.simulation);
             let episodes = collect(&dataset, &scene, threads, &Bars::default())?;
-            println!("{}: {episodes} episodes made, {} samples in all", shown(dataset.folder()), dataset.len());
+            println!(
+                "{}: {episodes} episodes made, {} samples in all",
+                shown(dataset.folder()),
+                dataset.len()
+            );
         }
         Ok(ExitCode::from(DONE))
     }
@@ -132,8 +136,12 @@ fn print_summary(registry: &Registry, experiment: &Experiment, summary: &Summary
     let root = registry.root();
     println!("runs      {}", shown(&root.join("runs").join(&experiment.name)));
     println!("datasets  {}", shown(&registry.datasets()));
-    let option = if root.as_os_str() == "results" { String::new() } else { format!(" --results {}", root.display()) };
-    println!("queries   harness query{option} \"select * from metrics where experiment = '{}'\"", experiment.name);
+    let option =
+        if root.as_os_str() == "results" { String::new() } else { format!(" --results {}", root.display()) };
+    println!(
+        "queries   harness query{option} \"select * from metrics where experiment = '{}'\"",
+        experiment.name
+    );
 }
 
 #[derive(Args)]

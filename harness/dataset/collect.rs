@@ -33,7 +33,14 @@ pub fn collect(
     }
     let samples = missing.len() * dataset.spec().samples_per_episode();
     progress.begin(&format!("collecting {}", dataset.name()), samples as u64, "samples");
-    let work = Work { dataset, scene, missing: &missing, next: AtomicUsize::new(0), failure: Mutex::new(None), progress };
+    let work = Work {
+        dataset,
+        scene,
+        missing: &missing,
+        next: AtomicUsize::new(0),
+        failure: Mutex::new(None),
+        progress,
+    };
     std::thread::scope(|scope| {
         for _ in 0..threads.clamp(1, missing.len()) {
             scope.spawn(|| work.take_part());

@@ -91,7 +91,8 @@ fn deviation(variance: f64) -> f32 {
 impl Standard {
     /// Statistics of `modalities` and of the action over `transitions`.
     pub fn fit(samples: &Samples, transitions: &[usize], modalities: &[Modality], action: Action) -> Self {
-        let scales = modalities.iter().map(|modality| (*modality, fit_modality(samples, transitions, *modality)));
+        let scales =
+            modalities.iter().map(|modality| (*modality, fit_modality(samples, transitions, *modality)));
         let mut moments = Moments::new(ARM_JOINTS);
         for sample in transitions {
             moments.add(samples.action(action, *sample).into_iter());
@@ -100,8 +101,14 @@ impl Standard {
     }
 
     /// A vector `[batch, width]` of several modalities side by side, standardised; `None` if there are none.
-    pub fn vectors(&self, samples: &Samples, at: &[usize], modalities: &[Modality]) -> Option<Result<Tensor>> {
-        let modalities: Vec<Modality> = modalities.iter().copied().filter(|modality| !modality.is_frame()).collect();
+    pub fn vectors(
+        &self,
+        samples: &Samples,
+        at: &[usize],
+        modalities: &[Modality],
+    ) -> Option<Result<Tensor>> {
+        let modalities: Vec<Modality> =
+            modalities.iter().copied().filter(|modality| !modality.is_frame()).collect();
         let width: usize = modalities.iter().map(|modality| modality.width()).sum();
         if width == 0 {
             return None;
@@ -110,7 +117,8 @@ impl Standard {
         for sample in at {
             for modality in &modalities {
                 let scale = &self.scales[modality];
-                let physical = samples.vector(*modality, *sample).iter().zip(&scale.mean).zip(&scale.deviation);
+                let physical =
+                    samples.vector(*modality, *sample).iter().zip(&scale.mean).zip(&scale.deviation);
                 values.extend(physical.map(|((value, mean), deviation)| (value - mean) / deviation));
             }
         }
@@ -128,7 +136,12 @@ impl Standard {
     }
 
     /// The frames of several modalities stacked channel-wise, standardised when read; `None` if there are none.
-    pub fn frames(&self, samples: &Arc<Samples>, at: &[usize], modalities: &[Modality]) -> Option<Arc<dyn Frames>> {
+    pub fn frames(
+        &self,
+        samples: &Arc<Samples>,
+        at: &[usize],
+        modalities: &[Modality],
+    ) -> Option<Arc<dyn Frames>> {
         let scales: Vec<(Modality, Scale)> = modalities
             .iter()
             .filter(|modality| modality.is_frame())

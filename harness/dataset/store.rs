@@ -119,7 +119,11 @@ impl Dataset {
         let times = (0..samples).map(|sample| sample as f64 / self.spec.sample_rate_hz);
         let mut columns: Vec<Column> = vec![
             Column::new_scalar("dataset".into(), Scalar::from(PlSmallStr::from_str(&self.name)), samples),
-            Column::new_scalar("scenario".into(), Scalar::from(PlSmallStr::from_str(self.scenario.name())), samples),
+            Column::new_scalar(
+                "scenario".into(),
+                Scalar::from(PlSmallStr::from_str(self.scenario.name())),
+                samples,
+            ),
             Column::new_scalar("episode".into(), Scalar::from(episode.index), samples),
             Column::new("sample".into(), (0..samples as u32).collect::<Vec<_>>()),
             Column::new("time".into(), times.collect::<Vec<_>>()),

@@ -43,7 +43,9 @@ pub fn physical(samples: &Samples, modality: Modality, at: &[usize]) -> Vec<f32>
     let mut values = Vec::with_capacity(at.len() * modality.width());
     for sample in at.iter().copied() {
         match modality {
-            Modality::Vision => values.extend(samples.frame_bytes(sample).iter().map(|byte| f32::from(*byte) / 255.0)),
+            Modality::Vision => {
+                values.extend(samples.frame_bytes(sample).iter().map(|byte| f32::from(*byte) / 255.0))
+            }
             Modality::FrameDifference => values.extend(frame_difference(samples, sample)),
             _ => values.extend_from_slice(samples.vector(modality, sample)),
         }
@@ -133,7 +135,9 @@ pub fn baselines(
     let mut rows = Vec::new();
     for modality in output.iter().copied() {
         let mean = training_mean(view, partition, task, modality)?;
-        rows.extend(judge(view, partition, task, modality, "training_mean", |at| Ok(mean.predict(at.len())?))?);
+        rows.extend(judge(view, partition, task, modality, "training_mean", |at| {
+            Ok(mean.predict(at.len())?)
+        })?);
         if task == Task::Prediction {
             rows.extend(judge(view, partition, task, modality, "persistence", |at| {
                 Ok(persistence(modality, &physical(&view.samples, modality, at)).into_owned())
@@ -199,7 +203,8 @@ fn ridge(
     for modality in vectors.iter().copied() {
         rows.extend(judge(view, partition, Task::Prediction, modality, "ridge", |at| {
             let predicted = ridge.predict(&ridge_inputs(view, input, at)?)?;
-            let columns = predicted.chunks_exact(widths).flat_map(|row| &row[first..first + modality.width()]);
+            let columns =
+                predicted.chunks_exact(widths).flat_map(|row| &row[first..first + modality.width()]);
             Ok(columns.copied().collect())
         })?);
         first += modality.width();
@@ -218,9 +223,11 @@ fn side_by_side(view: &View, vectors: &[Modality], at: &[usize]) -> Vec<f32> {
 
 /// The encoder's input and the action, standardised, with frames as small grey pictures; `[at, inputs]`.
 fn ridge_inputs(view: &View, input: &[Modality], at: &[usize]) -> Result<Vec<f32>, ExperimentError> {
-    let learning = |error: candle_core::Error| ExperimentError::from(crate::learning::LearningError::from(error));
+    let learning =
+        |error: candle_core::Error| ExperimentError::from(crate::learning::LearningError::from(error));
     let table = |tensor: Tensor| tensor.to_device(&candle_core::Device::Cpu)?.to_vec2::<f32>();
-    let vectors = view.observation(at, input).map_err(learning)?.vector.map(table).transpose().map_err(learning)?;
+    let vectors =
+        view.observation(at, input).map_err(learning)?.vector.map(table).transpose().map_err(learning)?;
     let actions = view.actions(at).and_then(table).map_err(learning)?;
     let mut rows = Vec::with_capacity(at.len() * (actions[0].len() + GREY_LEN));
     for (row, (sample, action)) in at.iter().zip(&actions).enumerate() {
@@ -229,7 +236,8 @@ fn ridge_inputs(view: &View, input: &[Modality], at: &[usize]) -> Result<Vec<f32
         for modality in input.iter().copied().filter(|modality| modality.is_frame()) {
             let scale = &view.standard.scales[&modality];
             let frame = physical(&view.samples, modality, &[*sample]);
-            let centred = frame.iter().zip(&scale.mean).map(|(value, mean)| (value - mean) / scale.deviation[0]);
+            let centred =
+                frame.iter().zip(&scale.mean).map(|(value, mean)| (value - mean) / scale.deviation[0]);
             rows.extend(downsample_frame(&centred.collect::<Vec<_>>())?);
         }
     }

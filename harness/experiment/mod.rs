@@ -132,8 +132,11 @@ impl Laboratory<'_> {
         let scene = self.scene(spec.scenario)?;
         let dataset = self.dataset(&scene, spec);
         collect(&dataset, &scene, self.threads, self.progress)?;
-        let modalities: Vec<Modality> =
-            Modality::ALL.iter().copied().filter(|m| spec.input.contains(m) || spec.output.contains(m)).collect();
+        let modalities: Vec<Modality> = Modality::ALL
+            .iter()
+            .copied()
+            .filter(|m| spec.input.contains(m) || spec.output.contains(m))
+            .collect();
         let frames = modalities.iter().any(|modality| modality.is_frame());
         let samples = match dataset.load(frames) {
             Err(DatasetError::Damaged { path, problem }) => {
@@ -206,7 +209,10 @@ struct Trainee<'a> {
 
 impl Trainee<'_> {
     fn run(&self) -> Result<Outcome, ExperimentError> {
-        let mut outcome = Outcome { timings: Timings { collect: self.material.seconds, ..Timings::default() }, ..Outcome::default() };
+        let mut outcome = Outcome {
+            timings: Timings { collect: self.material.seconds, ..Timings::default() },
+            ..Outcome::default()
+        };
         outcome.metrics.extend(self.material.baselines.iter().cloned());
         let (encoder, parameters) = self.predict(&mut outcome)?;
         outcome.parameters = parameters.values().map(|var| var.elem_count()).sum();
@@ -253,8 +259,10 @@ impl Trainee<'_> {
         let sizes = self.sizes(task);
         let objective = Prediction {
             view,
-            encoder: Encoder::new(&sizes, &mut parameters, &mut random, &view.device).map_err(LearningError::from)?,
-            decoder: Decoder::new(&sizes, &mut parameters, &mut random, &view.device).map_err(LearningError::from)?,
+            encoder: Encoder::new(&sizes, &mut parameters, &mut random, &view.device)
+                .map_err(LearningError::from)?,
+            decoder: Decoder::new(&sizes, &mut parameters, &mut random, &view.device)
+                .map_err(LearningError::from)?,
             input: &spec.input,
             output: &spec.output,
             kl_weight: spec.training.kl_weight,
@@ -267,7 +275,8 @@ impl Trainee<'_> {
         let begin = Instant::now();
         let latent = predict::encode(view, &objective.encoder, &spec.input, &partition.test);
         let latent = latent.map_err(LearningError::from)?;
-        let evaluated = evaluate::network(view, task, &objective.decoder, &spec.output, &latent, &partition.test)?;
+        let evaluated =
+            evaluate::network(view, task, &objective.decoder, &spec.output, &latent, &partition.test)?;
         outcome.add(task, epochs, evaluated);
         outcome.timings.evaluation += begin.elapsed().as_secs_f64();
         Ok((objective.encoder, parameters))
@@ -295,7 +304,8 @@ impl Trainee<'_> {
         checkpoint::save(&self.folder.checkpoint(task), &parameters, &view.standard)?;
         let begin = Instant::now();
         let test = crate::learning::objective::rows(&latent, &partition.test).map_err(LearningError::from)?;
-        let evaluated = evaluate::network(view, task, &objective.decoder, &spec.input, &test, &partition.test)?;
+        let evaluated =
+            evaluate::network(view, task, &objective.decoder, &spec.input, &test, &partition.test)?;
         outcome.add(task, epochs, evaluated);
         outcome.timings.evaluation += begin.elapsed().as_secs_f64();
         Ok(())

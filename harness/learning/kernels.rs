@@ -157,7 +157,13 @@ pub fn add_to(sum: &mut [f32], values: &[f32]) {
 
 /// The sum of equally long vectors, from the first to the last.
 pub fn sum_in_order(parts: Vec<Vec<f32>>, len: usize) -> Vec<f32> {
-    parts.into_iter().reduce(|mut sum, part| { add_to(&mut sum, &part); sum }).unwrap_or_else(|| vec![0.0; len])
+    parts
+        .into_iter()
+        .reduce(|mut sum, part| {
+            add_to(&mut sum, &part);
+            sum
+        })
+        .unwrap_or_else(|| vec![0.0; len])
 }
 
 /// Sizes of a stride-2 convolution with a 4 x 4 kernel and a padding of one pixel, or of its transpose.

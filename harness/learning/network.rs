@@ -130,7 +130,12 @@ pub struct Encoder {
 
 impl Encoder {
     /// A new encoder; its parameters join `parameters` as `encoder.…`.
-    pub fn new(sizes: &Sizes, parameters: &mut Parameters, random: &mut Random, device: &Device) -> Result<Self> {
+    pub fn new(
+        sizes: &Sizes,
+        parameters: &mut Parameters,
+        random: &mut Random,
+        device: &Device,
+    ) -> Result<Self> {
         let mut build = Builder { parameters, random, device, prefix: "encoder" };
         let vector = Sizes::vector(&sizes.input);
         let channels = Sizes::frame_channels(&sizes.input);
@@ -182,7 +187,9 @@ impl Encoder {
                 None => seen.broadcast_add(&self.hidden_bias)?,
             });
         }
-        let Some(hidden) = hidden else { candle_core::bail!("the observation lacks what the encoder is given") };
+        let Some(hidden) = hidden else {
+            candle_core::bail!("the observation lacks what the encoder is given")
+        };
         let posterior = linear(&hidden.relu()?, &self.posterior.weight, &self.posterior.bias, false)?;
         Ok(Posterior {
             mean: posterior.narrow(1, 0, self.latent)?,
@@ -208,7 +215,12 @@ pub struct Term {
 
 impl Decoder {
     /// A new decoder; its parameters join `parameters` as `decoder.…`.
-    pub fn new(sizes: &Sizes, parameters: &mut Parameters, random: &mut Random, device: &Device) -> Result<Self> {
+    pub fn new(
+        sizes: &Sizes,
+        parameters: &mut Parameters,
+        random: &mut Random,
+        device: &Device,
+    ) -> Result<Self> {
         let mut build = Builder { parameters, random, device, prefix: "decoder" };
         let vector = Sizes::vector(&sizes.output);
         let channels = Sizes::frame_channels(&sizes.output);
@@ -244,10 +256,17 @@ impl Decoder {
     }
 
     /// The standardised observation: vectors `[batch, width]` and frames `[batch, channels, 64, 64]`.
-    pub fn decode(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<(Option<Tensor>, Option<Tensor>)> {
+    pub fn decode(
+        &self,
+        latent: &Tensor,
+        action: Option<&Tensor>,
+    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
         let hidden = self.hidden(latent, action)?;
-        let vector =
-            self.vector.as_ref().map(|layer| linear(&hidden, &layer.weight, &layer.bias, false)).transpose()?;
+        let vector = self
+            .vector
+            .as_ref()
+            .map(|layer| linear(&hidden, &layer.weight, &layer.bias, false))
+            .transpose()?;
         let frames = match (&self.frame, &self.convolution) {
             (Some(frame), Some(convolution)) => {
                 let coarse = linear(&hidden, &frame.weight, &frame.bias, false)?;

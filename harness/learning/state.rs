@@ -79,7 +79,9 @@ impl StateFile {
         let bytes = std::fs::read(path).map_err(|error| damaged(error.to_string()))?;
         let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|error| damaged(error.to_string()))?;
         let metadata = header.metadata().as_ref();
-        let epochs = metadata.and_then(|metadata| metadata.get(EPOCHS_KEY)).ok_or_else(|| damaged("no epochs".into()))?;
+        let epochs = metadata
+            .and_then(|metadata| metadata.get(EPOCHS_KEY))
+            .ok_or_else(|| damaged("no epochs".into()))?;
         let steps = metadata
             .and_then(|metadata| metadata.get("steps")?.parse().ok())
             .ok_or_else(|| damaged("no step count".into()))?;
@@ -130,14 +132,13 @@ impl StateFile {
             tensors.insert(format!("square.{name}"), square);
         }
         tensors.extend(state.best.iter().map(|(name, tensor)| (format!("best.{name}"), tensor.clone())));
-        let epochs = serde_json::to_string(&state.epochs).map_err(|error| LearningError::Damaged {
-            path: path.clone(),
-            reason: error.to_string(),
-        })?;
+        let epochs = serde_json::to_string(&state.epochs)
+            .map_err(|error| LearningError::Damaged { path: path.clone(), reason: error.to_string() })?;
         let metadata =
             HashMap::from([(EPOCHS_KEY.to_owned(), epochs), ("steps".to_owned(), adam.steps().to_string())]);
         write_whole(path, |file| {
-            safetensors::serialize_to_file(&tensors, Some(metadata.clone()), file).map_err(std::io::Error::other)
+            safetensors::serialize_to_file(&tensors, Some(metadata.clone()), file)
+                .map_err(std::io::Error::other)
         })?;
         Ok(())
     }

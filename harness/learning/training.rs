@@ -48,7 +48,11 @@ impl Fit<'_> {
     ///
     /// # Errors
     /// When a loss is no longer finite, the state can't be saved or read, or the caller cancels.
-    pub fn run(&self, objective: &dyn Objective, parameters: &Parameters) -> Result<Vec<Epoch>, LearningError> {
+    pub fn run(
+        &self,
+        objective: &dyn Objective,
+        parameters: &Parameters,
+    ) -> Result<Vec<Epoch>, LearningError> {
         let mut adam = Adam::new(parameters.values().cloned().collect(), self.training.learning_rate)?;
         let mut state = self.state.resume(parameters, &mut adam)?.unwrap_or_default();
         let stage = match self.task {
@@ -77,7 +81,12 @@ impl Fit<'_> {
             || self.training.patience.is_some_and(|patience| done >= state.best_epoch() + patience)
     }
 
-    fn epoch(&self, objective: &dyn Objective, adam: &mut Adam, index: usize) -> Result<Epoch, LearningError> {
+    fn epoch(
+        &self,
+        objective: &dyn Objective,
+        adam: &mut Adam,
+        index: usize,
+    ) -> Result<Epoch, LearningError> {
         let begin = Instant::now();
         let mut random = Random::new(self.seed, Stream::Epoch { task: self.task, index });
         let mut order = self.partition.training.clone();
@@ -93,8 +102,12 @@ impl Fit<'_> {
             adam.step(&total.backward()?)?;
         }
         let validation = self.validate(objective)?;
-        let epoch =
-            Epoch { epoch: index + 1, train: train.means(), validation, seconds: begin.elapsed().as_secs_f64() };
+        let epoch = Epoch {
+            epoch: index + 1,
+            train: train.means(),
+            validation,
+            seconds: begin.elapsed().as_secs_f64(),
+        };
         let finite = |losses: &Losses| losses.values().all(|value| value.is_finite());
         if finite(&epoch.train) && finite(&epoch.validation) {
             Ok(epoch)

@@ -43,7 +43,9 @@ pub enum RegistryError {
 /// What will happen to a run, and why.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Decision {
-    Run { reason: String },
+    Run {
+        reason: String,
+    },
     /// A saved state of its training is there.
     Resume,
     Skip,
@@ -101,13 +103,14 @@ impl Registry {
 
     /// What is to be done about a run.
     pub fn decide(&self, folder: &RunFolder, spec: &RunSpec) -> Result<Decision, RegistryError> {
-        let resumable = [Task::Prediction, Task::Reconstruction].iter().any(|task| folder.state(*task).exists());
+        let resumable =
+            [Task::Prediction, Task::Reconstruction].iter().any(|task| folder.state(*task).exists());
         Ok(match folder.record()? {
             Some(record) if record.status == Status::Done => Decision::Skip,
             _ if resumable => Decision::Resume,
-            Some(record) if record.status == Status::Failed => Decision::Run {
-                reason: format!("it failed before: {}", record.reason.unwrap_or_default()),
-            },
+            Some(record) if record.status == Status::Failed => {
+                Decision::Run { reason: format!("it failed before: {}", record.reason.unwrap_or_default()) }
+            }
             Some(_) => Decision::Run { reason: "it was interrupted".into() },
             None => Decision::Run { reason: self.why_new(folder, spec)? },
         })

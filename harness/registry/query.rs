@@ -45,13 +45,21 @@ pub fn table(registry: &Registry, table: Table) -> Result<LazyFrame, QueryError>
     let found = match table {
         Table::Runs => {
             let records = registry.records()?;
-            if records.is_empty() { None } else { Some(runs_table(&records).map_err(TableError::from).map_err(RegistryError::from)?.lazy()) }
+            if records.is_empty() {
+                None
+            } else {
+                Some(runs_table(&records).map_err(TableError::from).map_err(RegistryError::from)?.lazy())
+            }
         }
         Table::Episodes => episode_scan(&registry.datasets()).map_err(QueryError::Sql)?,
         Table::Epochs | Table::Metrics | Table::Predictions => {
             let name = format!("{}.parquet", table.name());
-            let paths: Vec<PathBuf> =
-                registry.run_folders().into_iter().map(|folder| folder.join(&name)).filter(|path| path.exists()).collect();
+            let paths: Vec<PathBuf> = registry
+                .run_folders()
+                .into_iter()
+                .map(|folder| folder.join(&name))
+                .filter(|path| path.exists())
+                .collect();
             scan(&paths, &columns).map_err(QueryError::Sql)?
         }
     };

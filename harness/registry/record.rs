@@ -109,7 +109,10 @@ impl RunRecord {
     }
 
     pub(super) fn write(&self, path: &Path) -> Result<(), RegistryError> {
-        let damaged = |error: serde_json::Error| RegistryError::Record { path: path.to_owned(), reason: error.to_string() };
+        let damaged = |error: serde_json::Error| RegistryError::Record {
+            path: path.to_owned(),
+            reason: error.to_string(),
+        };
         let text = serde_json::to_string_pretty(self).map_err(damaged)?;
         Ok(write_bytes(path, format!("{text}\n").as_bytes())?)
     }
@@ -160,10 +163,11 @@ pub(super) fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
     let keys = records.iter().map(|record| DataFrame::new(1, record.key_columns(1))?.lazy().collect());
     let keys = keys.collect::<PolarsResult<Vec<_>>>()?;
     let rows = records.len();
-    let mut columns: Vec<Column> = match concat(keys.into_iter().map(IntoLazy::lazy).collect::<Vec<_>>(), UnionArgs::default()) {
-        Ok(keys) => keys.collect()?.columns().to_vec(),
-        Err(_) => Vec::new(),
-    };
+    let mut columns: Vec<Column> =
+        match concat(keys.into_iter().map(IntoLazy::lazy).collect::<Vec<_>>(), UnionArgs::default()) {
+            Ok(keys) => keys.collect()?.columns().to_vec(),
+            Err(_) => Vec::new(),
+        };
     let by = |record: &RunRecord| record.provenance.clone();
     macro_rules! add {
         ($($name:literal => $value:expr),+ $(,)?) => {
@@ -241,12 +245,20 @@ impl Outcome {
         vec![
             Column::new("task".into(), rows.iter().map(|row| row.task.name()).collect::<Vec<_>>()),
             Column::new("model".into(), rows.iter().map(|row| row.model).collect::<Vec<_>>()),
-            Column::new("modality".into(), rows.iter().map(|row| row.row.modality.name()).collect::<Vec<_>>()),
+            Column::new(
+                "modality".into(),
+                rows.iter().map(|row| row.row.modality.name()).collect::<Vec<_>>(),
+            ),
             Column::new(
                 "direction".into(),
-                rows.iter().map(|row| row.row.direction.map(|direction| direction.name())).collect::<Vec<_>>(),
+                rows.iter()
+                    .map(|row| row.row.direction.map(|direction| direction.name()))
+                    .collect::<Vec<_>>(),
             ),
-            Column::new("index".into(), rows.iter().map(|row| row.row.index.map(i64::from)).collect::<Vec<_>>()),
+            Column::new(
+                "index".into(),
+                rows.iter().map(|row| row.row.index.map(i64::from)).collect::<Vec<_>>(),
+            ),
             Column::new("metric".into(), rows.iter().map(|row| row.row.metric.name()).collect::<Vec<_>>()),
             Column::new("value".into(), rows.iter().map(|row| row.row.value).collect::<Vec<_>>()),
             Column::new("unit".into(), rows.iter().map(|row| row.row.unit()).collect::<Vec<_>>()),

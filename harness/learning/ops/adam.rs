@@ -106,9 +106,8 @@ impl Moments {
 
     fn step(&mut self, step: AdamStep, parameter: &Var, grad: &Tensor) -> Result<()> {
         match self {
-            Self::Cpu { mean, square } => {
-                parameter.inplace_op2(&grad.contiguous()?, &AdamOp { step, moments: Mutex::new((mean, square)) })
-            }
+            Self::Cpu { mean, square } => parameter
+                .inplace_op2(&grad.contiguous()?, &AdamOp { step, moments: Mutex::new((mean, square)) }),
             Self::Device { mean, square } => {
                 let (keep_mean, keep_square) = (f64::from(step.beta_mean), f64::from(step.beta_square));
                 *mean = ((&*mean * keep_mean)? + (grad * (1.0 - keep_mean))?)?;

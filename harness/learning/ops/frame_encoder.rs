@@ -29,7 +29,8 @@ pub fn frame_encoder(
     }
     let frames = frames.tensor(device)?;
     let channels = kernel.dim(0)?;
-    let active = frames.conv2d(kernel, 1, 2, 1, 1)?.broadcast_add(&bias.reshape((1, channels, 1, 1))?)?.relu()?;
+    let active =
+        frames.conv2d(kernel, 1, 2, 1, 1)?.broadcast_add(&bias.reshape((1, channels, 1, 1))?)?.relu()?;
     active.flatten_from(1)?.matmul(&hidden.t()?)
 }
 
@@ -81,8 +82,9 @@ impl FrameEncoder {
                 let mut frame = kernels::scratch(patches.fine_len());
                 let mut cut = kernels::scratch(patch * positions);
                 let (mut grad_kernel, mut grad_bias) = (vec![0.0; patches.weight_len()], vec![0.0; coarse]);
-                let images =
-                    grad.chunks_exact_mut(patches.coarse_len()).zip(active.chunks_exact(patches.coarse_len()));
+                let images = grad
+                    .chunks_exact_mut(patches.coarse_len())
+                    .zip(active.chunks_exact(patches.coarse_len()));
                 for (index, (grad, active)) in images.enumerate() {
                     kernels::mask(grad, active);
                     self.frames.write(part_index * part + index, &mut frame);

@@ -14,11 +14,20 @@ use std::sync::{Arc, Mutex};
 ///
 /// `coarse` is `[batch, channels * (side / 2)²]`; `kernel` `[channels, frame channels, 4, 4]` and `bias`
 /// `[frame channels]` make the transposed convolution (stride 2, padding 1).
-pub fn frame_loss(coarse: &Tensor, kernel: &Tensor, bias: &Tensor, target: Arc<dyn Frames>) -> Result<Tensor> {
+pub fn frame_loss(
+    coarse: &Tensor,
+    kernel: &Tensor,
+    bias: &Tensor,
+    target: Arc<dyn Frames>,
+) -> Result<Tensor> {
     if coarse.device().is_cpu() {
         let patches = patches_of(kernel, target.side())?;
         let trained = [coarse, kernel, bias].iter().any(|tensor| tensor.track_op());
-        return coarse.apply_op3(kernel, bias, FrameLoss { target, patches, trained, gradients: Mutex::new(None) });
+        return coarse.apply_op3(
+            kernel,
+            bias,
+            FrameLoss { target, patches, trained, gradients: Mutex::new(None) },
+        );
     }
     let predicted = compose(coarse, kernel, bias, target.side())?;
     (predicted - target.tensor(coarse.device())?)?.sqr()?.mean_all()
@@ -136,7 +145,14 @@ struct Part {
 
 impl FrameLoss {
     /// One part of the batch, from image `first` on; writes the gradient of `coarse` into `grad_coarse`.
-    fn part(&self, first: usize, coarse: &[f32], grad_coarse: &mut [f32], kernel: &[f32], bias: &[f32]) -> Part {
+    fn part(
+        &self,
+        first: usize,
+        coarse: &[f32],
+        grad_coarse: &mut [f32],
+        kernel: &[f32],
+        bias: &[f32],
+    ) -> Part {
         let patches = self.patches;
         let coarse_len = patches.coarse_len();
         let scale = 2.0 / (self.target.batch() * patches.fine_len()) as f32;
@@ -150,7 +166,12 @@ impl FrameLoss {
             part.squared_error += subtract(&mut image.frame, &target);
             if self.trained {
                 image.frame.iter_mut().for_each(|error| *error *= scale);
-                part.gradients(patches, &mut image, &mut grad_coarse[index * coarse_len..][..coarse_len], kernel);
+                part.gradients(
+                    patches,
+                    &mut image,
+                    &mut grad_coarse[index * coarse_len..][..coarse_len],
+                    kernel,
+                );
             }
         }
         part
