@@ -1,7 +1,7 @@
 //! Parquet tables: written whole, stamped with what made them, with units in their metadata.
 
 use crate::files::{WriteError, write_whole};
-use crate::schema::Column;
+use crate::schema::{Column, Kind};
 use polars::prelude::*;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -22,6 +22,17 @@ pub enum TableError {
     Write(#[from] WriteError),
     #[error("a table could not be made: {0}")]
     Polars(#[from] PolarsError),
+}
+
+/// How Polars holds what a column is.
+pub fn data_type(kind: Kind) -> DataType {
+    match kind {
+        Kind::Text => DataType::String,
+        Kind::Integer => DataType::Int64,
+        Kind::Real => DataType::Float64,
+        Kind::Flag => DataType::Boolean,
+        Kind::Bytes => DataType::Binary,
+    }
 }
 
 /// Writes a table whose columns are those of `columns`, in their order.

@@ -101,29 +101,36 @@ impl Laboratory<'_> {
                 // The other scenario's frames make room before this one's are loaded.
                 drop(material.take());
             }
-            match self.one(&planned, &mut material) {
-                Ok(()) => summary.done += 1,
+            let Planned { spec, folder, .. } = &planned;
+            let record = self.registry.begin(folder, spec, self.provenance)?;
+            match self.train(spec, folder, &mut material) {
+                Ok(outcome) => {
+                    self.registry.finish(folder, record, &outcome)?;
+                    summary.done += 1;
+                }
                 Err(error) if error.is_cancelled() => return Err(error),
                 Err(error) => {
                     let reason = describe(&error);
-                    self.registry.fail(&planned.folder, &planned.spec, self.provenance, &reason)?;
-                    self.progress.say(&format!("{} failed: {reason}", planned.folder.id()));
-                    summary.failed.push((planned.folder.id().to_owned(), reason));
+                    self.registry.fail(folder, record, &reason)?;
+                    self.progress.say(&format!("{} failed: {reason}", folder.id()));
+                    summary.failed.push((folder.id().to_owned(), reason));
                 }
             }
         }
         Ok(summary)
     }
 
-    fn one(&self, planned: &Planned, material: &mut Option<Material>) -> Result<(), ExperimentError> {
-        let Planned { spec, folder, .. } = planned;
-        self.registry.begin(folder, spec, self.provenance)?;
+    fn train(
+        &self,
+        spec: &RunSpec,
+        folder: &RunFolder,
+        material: &mut Option<Material>,
+    ) -> Result<Outcome, ExperimentError> {
         let material = match material {
             Some(material) => material,
             None => material.insert(self.prepare(spec)?),
         };
-        let results = Trainee { spec, folder, material, progress: self.progress }.run()?;
-        Ok(self.registry.finish(folder, spec, self.provenance, results)?)
+        Trainee { spec, folder, material, progress: self.progress }.run()
     }
 
     /// Collects what is missing of the run's dataset and makes it ready for training.

@@ -188,35 +188,24 @@ impl Registry {
     }
 
     /// Writes that a run has begun: its resolved spec, its provenance, and a record without an end.
-    pub fn begin(&self, folder: &RunFolder, spec: &RunSpec, by: &Provenance) -> Result<(), RegistryError> {
+    pub fn begin(&self, folder: &RunFolder, spec: &RunSpec, by: &Provenance) -> Result<RunRecord, RegistryError> {
         write_bytes(&folder.path.join("spec.yaml"), spec.to_yaml().as_bytes())?;
         if let Some(diff) = &by.uncommitted {
             write_bytes(&folder.path.join("uncommitted.diff"), diff.as_bytes())?;
         }
-        RunRecord::new(folder, spec, by, Status::Running).write(&folder.path.join(RECORD))
+        let record = RunRecord::new(folder, spec, by);
+        record.write(&folder.path.join(RECORD))?;
+        Ok(record)
     }
 
     /// Writes that a run failed, and why.
-    pub fn fail(
-        &self,
-        folder: &RunFolder,
-        spec: &RunSpec,
-        by: &Provenance,
-        reason: &str,
-    ) -> Result<(), RegistryError> {
-        let record = RunRecord::new(folder, spec, by, Status::Failed);
-        RunRecord { reason: Some(reason.to_owned()), ..record }.write(&folder.path.join(RECORD))
+    pub fn fail(&self, folder: &RunFolder, record: RunRecord, reason: &str) -> Result<(), RegistryError> {
+        record.failed(reason).write(&folder.path.join(RECORD))
     }
 
     /// Writes a run's tables, then that it is done.
-    pub fn finish(
-        &self,
-        folder: &RunFolder,
-        spec: &RunSpec,
-        by: &Provenance,
-        outcome: Outcome,
-    ) -> Result<(), RegistryError> {
-        let record = RunRecord::new(folder, spec, by, Status::Done).with(&outcome);
+    pub fn finish(&self, folder: &RunFolder, record: RunRecord, outcome: &Outcome) -> Result<(), RegistryError> {
+        let record = record.done(outcome);
         outcome.write_tables(folder, &record)?;
         record.write(&folder.path.join(RECORD))?;
         for task in [Task::Prediction, Task::Reconstruction] {

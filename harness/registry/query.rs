@@ -4,8 +4,8 @@ use super::record::runs_table;
 use super::{Registry, RegistryError};
 use crate::dataset::episode_scan;
 use crate::files::{WriteError, write_whole};
-use crate::schema::{Column, Kind, Table};
-use crate::tables::{TableError, scan};
+use crate::schema::{Column, Table};
+use crate::tables::{TableError, data_type, scan};
 use polars::prelude::*;
 use polars::sql::SQLContext;
 use std::fs::File;
@@ -72,14 +72,7 @@ pub fn table(registry: &Registry, table: Table) -> Result<LazyFrame, QueryError>
 /// A table without rows, so that a query of an empty results folder has an empty answer.
 fn empty(columns: &[Column]) -> PolarsResult<LazyFrame> {
     let columns = columns.iter().map(|column| {
-        let kind = match column.kind {
-            Kind::Text => DataType::String,
-            Kind::Integer => DataType::Int64,
-            Kind::Real => DataType::Float64,
-            Kind::Flag => DataType::Boolean,
-            Kind::Bytes => DataType::Binary,
-        };
-        polars::prelude::Column::new_empty(column.name.as_str().into(), &kind)
+        polars::prelude::Column::new_empty(column.name.as_str().into(), &data_type(column.kind))
     });
     Ok(DataFrame::new(0, columns.collect())?.lazy())
 }

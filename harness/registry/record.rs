@@ -6,7 +6,7 @@ use crate::files::write_bytes;
 use crate::learning::training::Epoch;
 use crate::schema::Table;
 use crate::spec::{Modality, RunSpec, Task};
-use crate::tables::{Stamp, TableError, write_table};
+use crate::tables::{Stamp, TableError, data_type, write_table};
 use jiff::Timestamp;
 use polars::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -72,25 +72,36 @@ pub struct RunRecord {
 }
 
 impl RunRecord {
-    pub(super) fn new(folder: &RunFolder, spec: &RunSpec, by: &Provenance, status: Status) -> Self {
+    pub(super) fn new(folder: &RunFolder, spec: &RunSpec, by: &Provenance) -> Self {
         Self {
             experiment: folder.experiment.clone(),
             run: folder.id.clone(),
-            status,
+            status: Status::Running,
             reason: None,
             spec_hash: spec.hash(),
             dataset: folder.dataset.clone(),
             started: Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
             timings: None,
-            peak_memory_bytes: peak_memory_bytes(),
+            peak_memory_bytes: None,
             parameters: None,
             provenance: by.clone(),
             spec: spec.clone(),
         }
     }
 
-    pub(super) fn with(self, outcome: &Outcome) -> Self {
-        Self { timings: Some(outcome.timings), parameters: Some(outcome.parameters), ..self }
+    pub(super) fn failed(self, reason: &str) -> Self {
+        let peak_memory_bytes = peak_memory_bytes();
+        Self { status: Status::Failed, reason: Some(reason.to_owned()), peak_memory_bytes, ..self }
+    }
+
+    pub(super) fn done(self, outcome: &Outcome) -> Self {
+        Self {
+            status: Status::Done,
+            timings: Some(outcome.timings),
+            parameters: Some(outcome.parameters),
+            peak_memory_bytes: peak_memory_bytes(),
+            ..self
+        }
     }
 
     /// The run in short, without its hash.
@@ -135,23 +146,64 @@ impl RunRecord {
         ])
     }
 
-    /// The columns that tell the run from others, `rows` high.
-    fn key_columns(&self, rows: usize) -> Vec<Column> {
+    /// What tells the run from others: the values of the first columns of every table of runs.
+    fn key(&self) -> Vec<AnyValue<'static>> {
         let spec = &self.spec;
-        let text = |name: &str, value: &str| {
-            Column::new_scalar(name.into(), Scalar::from(PlSmallStr::from_str(value)), rows)
-        };
         vec![
-            text("experiment", &self.experiment),
-            text("run", &self.run),
-            text("scenario", spec.scenario.name()),
-            text("input", &joined(&spec.input)),
-            text("output", &joined(&spec.output)),
-            text("architecture", spec.network.architecture.name()),
-            Column::new_scalar("latent".into(), Scalar::from(spec.latent as i64), rows),
-            Column::new_scalar("seed".into(), Scalar::from(spec.seed as i64), rows),
+            text(&self.experiment),
+            text(&self.run),
+            text(spec.scenario.name()),
+            text(joined(&spec.input)),
+            text(joined(&spec.output)),
+            text(spec.network.architecture.name()),
+            count(spec.latent as u64),
+            count(spec.seed),
         ]
     }
+
+    /// The run's row in the `runs` table, in the order of its columns.
+    fn row(&self) -> Vec<AnyValue<'static>> {
+        let by = &self.provenance;
+        let seconds = |of: fn(&Timings) -> Option<f64>| {
+            self.timings.as_ref().and_then(of).map_or(AnyValue::Null, AnyValue::Float64)
+        };
+        let mut row = self.key();
+        row.extend([
+            text(self.status.name()),
+            optional(&self.reason),
+            text(&self.spec_hash),
+            text(&self.dataset),
+            text(&self.started),
+            seconds(|timings| Some(timings.collect)),
+            seconds(|timings| Some(timings.prediction)),
+            seconds(|timings| timings.reconstruction),
+            seconds(|timings| Some(timings.evaluation)),
+            self.peak_memory_bytes.map_or(AnyValue::Null, count),
+            self.parameters.map_or(AnyValue::Null, |parameters| count(parameters as u64)),
+            optional(&by.git_commit),
+            by.git_dirty.map_or(AnyValue::Null, AnyValue::Boolean),
+            text(&by.harness_version),
+            text(&by.mujoco_version),
+            text(&by.candle_version),
+            text(&by.host),
+            text(&by.processor),
+            count(by.threads as u64),
+            text(&by.command),
+        ]);
+        row
+    }
+}
+
+fn text(value: impl AsRef<str>) -> AnyValue<'static> {
+    AnyValue::StringOwned(value.as_ref().into())
+}
+
+fn optional(value: &Option<String>) -> AnyValue<'static> {
+    value.as_ref().map_or(AnyValue::Null, text)
+}
+
+fn count(value: u64) -> AnyValue<'static> {
+    AnyValue::Int64(value as i64)
 }
 
 fn joined(modalities: &[Modality]) -> String {
@@ -160,43 +212,13 @@ fn joined(modalities: &[Modality]) -> String {
 
 /// The `runs` table.
 pub(super) fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
-    let keys = records.iter().map(|record| DataFrame::new(1, record.key_columns(1))?.lazy().collect());
-    let keys = keys.collect::<PolarsResult<Vec<_>>>()?;
-    let rows = records.len();
-    let mut columns: Vec<Column> =
-        match concat(keys.into_iter().map(IntoLazy::lazy).collect::<Vec<_>>(), UnionArgs::default()) {
-            Ok(keys) => keys.collect()?.columns().to_vec(),
-            Err(_) => Vec::new(),
-        };
-    let by = |record: &RunRecord| record.provenance.clone();
-    macro_rules! add {
-        ($($name:literal => $value:expr),+ $(,)?) => {
-            $(columns.push(Column::new($name.into(), records.iter().map($value).collect::<Vec<_>>()));)+
-        };
-    }
-    add! {
-        "status" => |record: &RunRecord| record.status.name(),
-        "reason" => |record: &RunRecord| record.reason.clone(),
-        "spec_hash" => |record: &RunRecord| record.spec_hash.clone(),
-        "dataset" => |record: &RunRecord| record.dataset.clone(),
-        "started" => |record: &RunRecord| record.started.clone(),
-        "collect_seconds" => |record: &RunRecord| record.timings.map(|t| t.collect),
-        "prediction_seconds" => |record: &RunRecord| record.timings.map(|t| t.prediction),
-        "reconstruction_seconds" => |record: &RunRecord| record.timings.and_then(|t| t.reconstruction),
-        "evaluation_seconds" => |record: &RunRecord| record.timings.map(|t| t.evaluation),
-        "peak_memory_bytes" => |record: &RunRecord| record.peak_memory_bytes.map(|bytes| bytes as i64),
-        "parameters" => |record: &RunRecord| record.parameters.map(|count| count as i64),
-        "git_commit" => |record: &RunRecord| by(record).git_commit,
-        "git_dirty" => |record: &RunRecord| by(record).git_dirty,
-        "harness_version" => |record: &RunRecord| by(record).harness_version,
-        "mujoco_version" => |record: &RunRecord| by(record).mujoco_version,
-        "candle_version" => |record: &RunRecord| by(record).candle_version,
-        "host" => |record: &RunRecord| by(record).host,
-        "processor" => |record: &RunRecord| by(record).processor,
-        "threads" => |record: &RunRecord| by(record).threads as i64,
-        "command" => |record: &RunRecord| by(record).command,
-    }
-    DataFrame::new(rows, columns)
+    let rows: Vec<Vec<AnyValue>> = records.iter().map(RunRecord::row).collect();
+    let columns = Table::Runs.columns().into_iter().enumerate().map(|(index, column)| {
+        let values: Vec<AnyValue> = rows.iter().map(|row| row[index].clone()).collect();
+        let series = Series::from_any_values_and_dtype(column.name.into(), &values, &data_type(column.kind), true)?;
+        Ok(series.into())
+    });
+    DataFrame::new(rows.len(), columns.collect::<PolarsResult<Vec<Column>>>()?)
 }
 
 impl Outcome {
@@ -208,7 +230,10 @@ impl Outcome {
         ];
         for (table, columns) in tables {
             let rows = columns.first().map_or(0, Column::len);
-            let columns = [record.key_columns(rows), columns].concat();
+            let key = table.columns().into_iter().zip(record.key()).map(|(column, value)| {
+                Column::new_scalar(column.name.into(), Scalar::new(data_type(column.kind), value), rows)
+            });
+            let columns = key.chain(columns).collect();
             let frame = DataFrame::new(rows, columns).map_err(TableError::from)?;
             let path = folder.path.join(format!("{}.parquet", table.name()));
             write_table(&path, frame, &table.columns(), &record.stamp())?;
