@@ -17,6 +17,8 @@ const NEVER: std::ffi::c_long = -1;
 fn main() -> ExitCode {
     // SAFETY: nothing has started a thread yet, and the option is a number that may be set at any time.
     unsafe {
+        // Rust ignores the signal, and `harness query … | head` would end in a panic.
+        libc::signal(libc::SIGPIPE, libc::SIG_DFL);
         harness::simulation::prepare_rendering();
         libmimalloc_sys::mi_option_set(PURGE_DELAY, NEVER);
     }

@@ -95,11 +95,12 @@ fn unreadable(path: &Path, error: impl std::fmt::Display) -> TableError {
 
 /// The tables at `paths` one after the other, lazily and cut down to `columns`; `None` if there are none.
 pub fn scan(paths: &[PathBuf], columns: &[Column]) -> PolarsResult<Option<LazyFrame>> {
+    if paths.is_empty() {
+        return Ok(None);
+    }
     let wanted: Vec<Expr> = columns.iter().map(|column| col(column.name.as_str())).collect();
-    let tables = paths.iter().map(|path| {
-        let path = PlRefPath::try_from_path(path)?;
-        Ok(LazyFrame::scan_parquet(path, ScanArgsParquet::default())?.select(wanted.clone()))
-    });
-    let tables = tables.collect::<PolarsResult<Vec<_>>>()?;
-    if tables.is_empty() { Ok(None) } else { concat(tables, UnionArgs::default()).map(Some) }
+    let paths = paths.iter().map(|path| PlRefPath::try_from_path(path)).collect::<PolarsResult<_>>()?;
+    // The paths are names of files, whatever characters are in them, and no patterns.
+    let options = ScanArgsParquet { glob: false, ..ScanArgsParquet::default() };
+    Ok(Some(LazyFrame::scan_parquet_files(paths, options)?.select(wanted)))
 }

@@ -9,7 +9,8 @@ mod table;
 
 use clap::{Parser, Subcommand};
 use harness::experiment::describe;
-use harness::registry::{QueryError, Registry};
+use harness::registry::{QueryError, Registry, RegistryError};
+use harness::simulation::SimulationError;
 use harness::spec::SpecError;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -116,4 +117,9 @@ fn is_usage(error: &anyhow::Error) -> bool {
     error.is::<SpecError>()
         || error.is::<render::RenderError>()
         || matches!(error.downcast_ref(), Some(QueryError::Sql(_) | QueryError::Format(_)))
+        || matches!(error.downcast_ref(), Some(SimulationError::PictureSize { .. }))
+        || matches!(
+            error.downcast_ref(),
+            Some(RegistryError::Unknown { .. } | RegistryError::Ambiguous { .. })
+        )
 }

@@ -51,14 +51,12 @@ impl Stage {
 impl Progress for Bars {
     fn begin(&self, name: &str, total: u64, unit: &str) {
         let lines = !std::io::stderr().is_terminal();
-        let bar = if lines { ProgressBar::hidden() } else { ProgressBar::new(total) };
-        bar.set_length(total);
+        let bar = if lines { ProgressBar::hidden() } else { ProgressBar::no_length() };
         let style =
-            format!("{{prefix}} {{bar:30}} {{pos}}/{{len}} {unit} {{per_sec}} {{eta}} left {{wide_msg}}");
-        if let Ok(style) = ProgressStyle::with_template(&style) {
-            bar.set_style(style);
-        }
-        bar.set_prefix(name.to_owned());
+            format!("{{prefix}} {{bar:20}} {{pos}}/{{len}} {unit} {{per_sec}} {{eta}} left {{wide_msg}}");
+        let style = ProgressStyle::with_template(&style).unwrap_or_else(|_| ProgressStyle::default_bar());
+        let bar = bar.with_style(style).with_prefix(name.to_owned());
+        bar.set_length(total);
         let stage = Stage { name: name.into(), unit: unit.into(), bar, lines, last_line: Instant::now() };
         *self.stage.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(stage);
     }

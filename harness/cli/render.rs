@@ -70,7 +70,8 @@ enum Output {
 
 impl Render {
     pub fn execute(self) -> Result<ExitCode> {
-        let output = match self.output.extension().and_then(|ending| ending.to_str()) {
+        let ending = self.output.extension().unwrap_or_default().to_ascii_lowercase();
+        let output = match ending.to_str() {
             Some("png") => Output::Picture,
             Some("gif") => Output::Clip,
             _ => return Err(RenderError::Format(self.output).into()),

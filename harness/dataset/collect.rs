@@ -32,7 +32,7 @@ pub fn collect(
         return Ok(0);
     }
     let samples = missing.len() * dataset.spec().samples_per_episode();
-    progress.begin(&format!("collecting {}", dataset.name()), samples as u64, "samples");
+    progress.begin(&format!("collecting {}", scene.scenario()), samples as u64, "samples");
     let work = Work {
         dataset,
         scene,

@@ -5,7 +5,7 @@ use crate::files::write_bytes;
 use crate::schema::{ARM, frame_column, sample_columns};
 use crate::simulation::{Episode, Scene, mujoco_version};
 use crate::spec::{ARM_JOINTS, FRAME_LEN, JOINTS, Scenario, Simulation};
-use crate::tables::{Stamp, read_footer, read_table, write_table};
+use crate::tables::{Stamp, TableError, read_footer, read_table, write_table};
 use polars::prelude::*;
 use serde_json::json;
 use sha2::{Digest, Sha256};
@@ -110,7 +110,7 @@ impl Dataset {
             (DIGEST.into(), digest(episode)),
         ]);
         let columns = [sample_columns(), vec![frame_column()]].concat();
-        let table = self.table(episode).map_err(crate::tables::TableError::from)?;
+        let table = self.table(episode).map_err(TableError::from)?;
         Ok(write_table(&self.episode_path(episode.index), table, &columns, &stamp)?)
     }
 
@@ -155,10 +155,14 @@ impl Dataset {
     /// Reads one episode, with or without its frames; with them, its content is compared with its digest.
     pub fn read(&self, index: u32, frames: bool) -> Result<Episode, DatasetError> {
         let path = self.episode_path(index);
-        let footer = read_footer(&path)?;
         let damaged = |problem: &str| DatasetError::Damaged { path: path.clone(), problem: problem.into() };
+        let unreadable = |error: TableError| match error {
+            TableError::Read { path, reason } => DatasetError::Damaged { path, problem: reason },
+            other => other.into(),
+        };
+        let footer = read_footer(&path).map_err(unreadable)?;
         let wanted = (!frames).then(|| sample_columns().into_iter().map(|column| column.name).collect());
-        let table = read_table(&path, wanted)?;
+        let table = read_table(&path, wanted).map_err(unreadable)?;
         let mut episode = Episode { index, samples: table.height(), ..Episode::default() };
         for (name, width, values) in vectors_mut(&mut episode) {
             *values = interleave(&table, name, width).map_err(|_| damaged("a column is missing"))?;

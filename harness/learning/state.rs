@@ -58,18 +58,24 @@ pub fn copies(parameters: &Parameters) -> CandleResult<BTreeMap<String, Tensor>>
 /// Where a training's state is kept.
 pub struct StateFile {
     path: Option<PathBuf>,
+    interval: Duration,
     saved: Cell<Instant>,
 }
 
 impl StateFile {
     /// In a file.
     pub fn at(path: PathBuf) -> Self {
-        Self { path: Some(path), saved: Cell::new(Instant::now()) }
+        Self { path: Some(path), ..Self::none() }
     }
 
     /// Nowhere: the training can't be resumed.
     pub fn none() -> Self {
-        Self { path: None, saved: Cell::new(Instant::now()) }
+        Self { path: None, interval: SAVE_INTERVAL, saved: Cell::new(Instant::now()) }
+    }
+
+    /// Saved this often, instead of once a minute.
+    pub fn every(self, interval: Duration) -> Self {
+        Self { interval, ..self }
     }
 
     /// Loads the state of an unfinished training into `parameters` and `adam`, if there is one.
@@ -115,7 +121,7 @@ impl StateFile {
         parameters: &Parameters,
         adam: &Adam,
     ) -> Result<(), LearningError> {
-        if self.saved.get().elapsed() < SAVE_INTERVAL {
+        if self.saved.get().elapsed() < self.interval {
             return Ok(());
         }
         self.save(state, parameters, adam)?;

@@ -188,7 +188,12 @@ impl Registry {
     }
 
     /// Writes that a run has begun: its resolved spec, its provenance, and a record without an end.
-    pub fn begin(&self, folder: &RunFolder, spec: &RunSpec, by: &Provenance) -> Result<RunRecord, RegistryError> {
+    pub fn begin(
+        &self,
+        folder: &RunFolder,
+        spec: &RunSpec,
+        by: &Provenance,
+    ) -> Result<RunRecord, RegistryError> {
         write_bytes(&folder.path.join("spec.yaml"), spec.to_yaml().as_bytes())?;
         if let Some(diff) = &by.uncommitted {
             write_bytes(&folder.path.join("uncommitted.diff"), diff.as_bytes())?;
@@ -204,7 +209,12 @@ impl Registry {
     }
 
     /// Writes a run's tables, then that it is done.
-    pub fn finish(&self, folder: &RunFolder, record: RunRecord, outcome: &Outcome) -> Result<(), RegistryError> {
+    pub fn finish(
+        &self,
+        folder: &RunFolder,
+        record: RunRecord,
+        outcome: &Outcome,
+    ) -> Result<(), RegistryError> {
         let record = record.done(outcome);
         outcome.write_tables(folder, &record)?;
         record.write(&folder.path.join(RECORD))?;

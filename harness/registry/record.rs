@@ -113,7 +113,7 @@ impl RunRecord {
     pub(super) fn read(path: &Path) -> Result<Option<Self>, RegistryError> {
         let damaged = |reason: String| RegistryError::Record { path: path.to_owned(), reason };
         match std::fs::read(path) {
-            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+            Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
             Err(error) => Err(damaged(error.to_string())),
             Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|error| damaged(error.to_string())),
         }
@@ -215,7 +215,8 @@ pub(super) fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
     let rows: Vec<Vec<AnyValue>> = records.iter().map(RunRecord::row).collect();
     let columns = Table::Runs.columns().into_iter().enumerate().map(|(index, column)| {
         let values: Vec<AnyValue> = rows.iter().map(|row| row[index].clone()).collect();
-        let series = Series::from_any_values_and_dtype(column.name.into(), &values, &data_type(column.kind), true)?;
+        let series =
+            Series::from_any_values_and_dtype(column.name.into(), &values, &data_type(column.kind), true)?;
         Ok(series.into())
     });
     DataFrame::new(rows.len(), columns.collect::<PolarsResult<Vec<Column>>>()?)

@@ -273,7 +273,8 @@ fn try_array<T, const N: usize>(
 
 fn compile_error(scene: &str, error: MjModelError) -> SimulationError {
     let message = match error {
-        MjModelError::LoadFailed(message) => message.trim().to_owned(),
+        // MuJoCo puts the element and its line below what is wrong with it.
+        MjModelError::LoadFailed(message) => message.trim().replace('\n', "; "),
         other => other.to_string(),
     };
     SimulationError::Compile { scene: scene.to_owned(), message }

@@ -1,0 +1,551 @@
+//! Own ops against finite differences and candle's own operations, the network against its PyTorch twin, and
+//! training: deterministic, resumable, stopped early.
+
+use candle_core::{Device, Result, Tensor, Var};
+use harness::dataset::frames::{DenseFrames, Frames};
+use harness::dataset::{Partition, Samples, Standard};
+use harness::learning::kernels::Patches;
+use harness::learning::network::{Decoder, Encoder, Observation, Parameters, Sizes, Targets, scalar};
+use harness::learning::objective::{Prediction, View};
+use harness::learning::ops::{Adam, frame_decoder, frame_encoder, frame_loss, linear};
+use harness::learning::random::{Random, Stream};
+use harness::learning::state::StateFile;
+use harness::learning::training::{Epoch, Fit, TOTAL};
+use harness::learning::{LearningError, checkpoint};
+use harness::progress::Progress;
+use harness::simulation::Episode;
+use harness::spec::{ARM_JOINTS, Action, FRAME_LEN, JOINTS, Modality, Split, Task, Training};
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+fn random(seed: u64) -> Random {
+    Random::new(seed, Stream::Parameters(Task::Prediction))
+}
+
+fn normal(random: &mut Random, shape: &[usize]) -> Tensor {
+    Tensor::from_vec(random.normal(shape.iter().product()), shape, &Device::Cpu).unwrap()
+}
+
+fn variable(random: &mut Random, shape: &[usize]) -> Var {
+    Var::from_tensor(&normal(random, shape)).unwrap()
+}
+
+fn dense(frames: &Tensor) -> Arc<dyn Frames> {
+    Arc::new(DenseFrames::new(frames).unwrap())
+}
+
+fn dot(a: &Tensor, b: &Tensor) -> f64 {
+    let values = |tensor: &Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+    values(a).iter().zip(values(b)).map(|(a, b)| f64::from(*a) * f64::from(b)).sum()
+}
+
+/// Compares the gradient of every argument, along a random direction, with the central difference of `function`.
+fn assert_gradients(arguments: &[Var], function: impl Fn(&[Tensor]) -> Result<Tensor>) {
+    // Small, because a ReLU that switches between the two sides counts as an error.
+    const STEP: f64 = 1e-3;
+    let mut random = random(99);
+    let tensors: Vec<Tensor> = arguments.iter().map(|var| var.as_tensor().clone()).collect();
+    let output = function(&tensors).unwrap();
+    // A random weighting of the outputs makes a scalar that depends on every one of them.
+    let weights = normal(&mut random, output.dims());
+    let gradients = (&output * &weights).unwrap().sum_all().unwrap().backward().unwrap();
+    for (index, argument) in arguments.iter().enumerate() {
+        let direction = normal(&mut random, argument.dims());
+        let at = |step: f64| {
+            let mut moved: Vec<Tensor> = tensors.iter().map(Tensor::detach).collect();
+            moved[index] = (&moved[index] + (&direction * step).unwrap()).unwrap();
+            dot(&function(&moved).unwrap(), &weights)
+        };
+        let expected = (at(STEP) - at(-STEP)) / (2.0 * STEP);
+        let found = dot(gradients.get(argument).expect("a gradient"), &direction);
+        let scale = expected.abs().max(0.1);
+        assert!((found - expected).abs() < 2e-2 * scale, "argument {index}: {found} instead of {expected}");
+    }
+}
+
+fn assert_close(found: &Tensor, expected: &Tensor, tolerance: f64, what: &str) {
+    assert_eq!(found.dims(), expected.dims(), "shape of {what}");
+    let largest = |tensor: &Tensor| {
+        let values = tensor.abs().unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        values.into_iter().map(f64::from).fold(0.0, f64::max)
+    };
+    let error = largest(&(found - expected).unwrap());
+    let scale = largest(expected).max(1e-6);
+    assert!(error <= tolerance * scale, "{what} is off by {error}, of {scale}");
+}
+
+#[test]
+fn gradients_of_linear_are_those_of_finite_differences() {
+    let mut random = random(1);
+    let arguments =
+        [variable(&mut random, &[5, 7]), variable(&mut random, &[4, 7]), variable(&mut random, &[4])];
+    for relu in [false, true] {
+        assert_gradients(&arguments, |args| linear(&args[0], &args[1], &args[2], relu));
+    }
+}
+
+#[test]
+fn gradients_of_the_frame_encoder_are_those_of_finite_differences() {
+    let mut random = random(2);
+    let frames = dense(&normal(&mut random, &[3, 2, 8, 8]));
+    let arguments = [
+        variable(&mut random, &[3, 2, 4, 4]),
+        variable(&mut random, &[3]),
+        variable(&mut random, &[5, 3 * 4 * 4]),
+    ];
+    assert_gradients(&arguments, |args| {
+        frame_encoder(frames.clone(), &args[0], &args[1], &args[2], &Device::Cpu)
+    });
+}
+
+#[test]
+fn gradients_of_the_frame_loss_are_those_of_finite_differences() {
+    let mut random = random(3);
+    let target = dense(&normal(&mut random, &[3, 2, 8, 8]));
+    let arguments = [
+        variable(&mut random, &[3, 3 * 4 * 4]),
+        variable(&mut random, &[3, 2, 4, 4]),
+        variable(&mut random, &[2]),
+    ];
+    assert_gradients(&arguments, |args| {
+        // A factor other than one comes from upstream when a term is weighted.
+        frame_loss(&args[0], &args[1], &args[2], target.clone())? * 3.0
+    });
+}
+
+#[test]
+fn cutting_and_pasting_patches_are_transposes_of_each_other() {
+    let patches = Patches { fine_channels: 2, coarse_channels: 1, side: 6 };
+    let mut random = random(4);
+    let image = random.normal(patches.fine_len());
+    let columns = random.normal(patches.patch_len() * patches.positions());
+    let mut cut = vec![0.0; columns.len()];
+    patches.cut(&image, &mut cut);
+    let mut pasted = vec![0.0; image.len()];
+    patches.paste(&columns, &[0.0; 2], &mut pasted);
+    let dot = |a: &[f32], b: &[f32]| -> f64 { a.iter().zip(b).map(|(a, b)| f64::from(a * b)).sum() };
+    assert!((dot(&cut, &columns) - dot(&image, &pasted)).abs() < 1e-4);
+}
+
+#[test]
+fn own_ops_agree_with_candles_operations() {
+    let mut random = random(5);
+    let frames = normal(&mut random, &[3, 3, 16, 16]);
+    let (kernel, bias) = (normal(&mut random, &[4, 3, 4, 4]), normal(&mut random, &[4]));
+    let hidden = normal(&mut random, &[6, 4 * 64]);
+    let found = frame_encoder(dense(&frames), &kernel, &bias, &hidden, &Device::Cpu).unwrap();
+    let convolved = frames.conv2d(&kernel, 1, 2, 1, 1).unwrap();
+    let active = convolved.broadcast_add(&bias.reshape((1, 4, 1, 1)).unwrap()).unwrap().relu().unwrap();
+    let expected = active.flatten_from(1).unwrap().matmul(&hidden.t().unwrap()).unwrap();
+    assert_close(&found, &expected, 1e-5, "the frame encoder");
+
+    let coarse = normal(&mut random, &[3, 4 * 64]);
+    let bias = normal(&mut random, &[3]);
+    let found = frame_decoder(&coarse, &kernel, &bias, 16).unwrap();
+    let images = coarse.relu().unwrap().reshape((3, 4, 8, 8)).unwrap();
+    let expected = images.conv_transpose2d(&kernel, 1, 0, 2, 1).unwrap();
+    let expected = expected.broadcast_add(&bias.reshape((1, 3, 1, 1)).unwrap()).unwrap();
+    assert_close(&found, &expected, 1e-5, "the frame decoder");
+
+    let target = normal(&mut random, &[3, 3, 16, 16]);
+    let found = frame_loss(&coarse, &kernel, &bias, dense(&target)).unwrap();
+    let mean = (expected - target).unwrap().sqr().unwrap().mean_all().unwrap();
+    assert_close(&found, &mean, 1e-5, "the frame loss");
+}
+
+/// What tests/fixtures/twin.py wrote: the same network in PyTorch.
+struct Twin {
+    tensors: HashMap<String, Tensor>,
+    weights: BTreeMap<Modality, f64>,
+    kl_weight: f64,
+    sizes: Sizes,
+}
+
+impl Twin {
+    fn load(name: &str, frames: bool) -> Self {
+        let path =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/fixtures/twin_{name}.safetensors"));
+        let bytes = std::fs::read(&path).unwrap();
+        let (_, header) = safetensors::SafeTensors::read_metadata(&bytes).unwrap();
+        let settings = &header.metadata().as_ref().unwrap()["settings"];
+        let settings: serde_json::Value = serde_json::from_str(settings).unwrap();
+        let size = |key: &str| settings[key].as_u64().unwrap() as usize;
+        let only = |modalities: &[Modality]| -> Vec<Modality> {
+            modalities.iter().copied().filter(|modality| frames || !modality.is_frame()).collect()
+        };
+        Self {
+            tensors: candle_core::safetensors::load_buffer(&bytes, &Device::Cpu).unwrap(),
+            weights: serde_json::from_value(settings["weights"].clone()).unwrap(),
+            kl_weight: settings["kl_weight"].as_f64().unwrap(),
+            sizes: Sizes {
+                input: only(&[Modality::Proprioception, Modality::Vision]),
+                output: only(&[Modality::Proprioception, Modality::ContactForce, Modality::FrameDifference]),
+                latent: size("latent"),
+                hidden: size("hidden"),
+                channels: size("channels"),
+                action: ARM_JOINTS,
+            },
+        }
+    }
+
+    fn get(&self, name: &str) -> &Tensor {
+        self.tensors.get(name).unwrap_or_else(|| panic!("the fixture has '{name}'"))
+    }
+
+    fn frames(&self, name: &str) -> Option<Arc<dyn Frames>> {
+        self.tensors.get(name).map(dense)
+    }
+}
+
+fn assert_agrees_with_its_twin(name: &str, frames: bool) {
+    const TOLERANCE: f64 = 1e-4;
+    let twin = Twin::load(name, frames);
+    let mut parameters = Parameters::new();
+    let encoder = Encoder::new(&twin.sizes, &mut parameters, &mut random(0), &Device::Cpu).unwrap();
+    let decoder = Decoder::new(&twin.sizes, &mut parameters, &mut random(0), &Device::Cpu).unwrap();
+    for (name, parameter) in &parameters {
+        parameter.set(twin.get(name)).unwrap();
+    }
+    let observation =
+        Observation { vector: Some(twin.get("input.vector").clone()), frames: twin.frames("input.frame") };
+    let targets = Targets {
+        vector: Some(
+            Tensor::cat(&[twin.get("target.proprioception"), twin.get("target.contact_force")], 1).unwrap(),
+        ),
+        frames: twin
+            .frames("target.frame_difference")
+            .map(|frames| (Modality::FrameDifference, frames))
+            .into_iter()
+            .collect(),
+    };
+    let mut adam = Adam::new(parameters.values().cloned().collect(), 1e-3).unwrap();
+    for step in 0..3 {
+        let posterior = encoder.encode(&observation).unwrap();
+        let latent = posterior.sample(twin.get("noise")).unwrap();
+        let divergence = posterior.divergence().unwrap();
+        let mut total = (&divergence * twin.kl_weight).unwrap();
+        let terms = decoder.losses(&latent, Some(twin.get("action")), &targets).unwrap();
+        for term in &terms {
+            total = (total + (&term.value * twin.weights[&term.modality]).unwrap()).unwrap();
+        }
+        let gradients = total.backward().unwrap();
+        if step == 0 {
+            let found = Tensor::cat(&[&posterior.mean, &posterior.log_variance], 1).unwrap();
+            assert_close(&found, twin.get("output.posterior"), TOLERANCE, "the posterior");
+            let (vector, predicted) = decoder.decode(&latent, Some(twin.get("action"))).unwrap();
+            assert_close(&vector.unwrap(), twin.get("output.vector"), TOLERANCE, "the predicted vectors");
+            if frames {
+                assert_close(
+                    &predicted.unwrap(),
+                    twin.get("output.frame"),
+                    TOLERANCE,
+                    "the predicted frames",
+                );
+            }
+            let kl = ("kl".to_owned(), divergence.clone());
+            let named = terms.iter().map(|term| (term.modality.name().to_owned(), term.value.clone()));
+            for (name, value) in named.chain([kl, ("total".to_owned(), total.clone())]) {
+                let expected = twin.get(&format!("loss.{name}"));
+                assert_close(
+                    &value.reshape(1).unwrap(),
+                    expected,
+                    TOLERANCE,
+                    &format!("the loss term {name}"),
+                );
+            }
+            for (name, parameter) in &parameters {
+                let found = gradients.get(parameter).unwrap_or_else(|| panic!("a gradient of {name}"));
+                assert_close(
+                    found,
+                    twin.get(&format!("grad.{name}")),
+                    TOLERANCE,
+                    &format!("the gradient of {name}"),
+                );
+            }
+        }
+        adam.step(&gradients).unwrap();
+    }
+    for (name, parameter) in &parameters {
+        // Adam divides a gradient by its own size, so where it is all but zero rounding decides its sign; such
+        // parameters may differ by a part of the three steps of 1e-3.
+        let error = (parameter.as_tensor() - twin.get(&format!("adam3.{name}"))).unwrap().abs().unwrap();
+        let errors = error.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        let far = errors.iter().filter(|error| **error > 2e-5).count();
+        assert!(
+            far * 1000 <= errors.len(),
+            "{far} of {} values of {name} differ after three steps",
+            errors.len()
+        );
+    }
+}
+
+#[test]
+fn reference_the_convolutional_network_agrees_with_its_pytorch_twin() {
+    assert_agrees_with_its_twin("convolutional", true);
+}
+
+#[test]
+fn reference_the_fully_connected_network_agrees_with_its_pytorch_twin() {
+    assert_agrees_with_its_twin("fully_connected", false);
+}
+
+/// Random walks in place of a simulation, which these tests are not about.
+fn walks(episodes: u32, samples: usize) -> Samples {
+    let mut all = Samples::with_capacity(episodes as usize * samples, true);
+    for index in 0..episodes {
+        let mut random = random(u64::from(index) + 100);
+        let mut walk = |width: usize| -> Vec<f32> {
+            let mut at = vec![0.0; width];
+            let rows = (0..samples).flat_map(|_| {
+                at.iter_mut().zip(random.normal(width)).for_each(|(value, step)| *value += 0.1 * step);
+                at.clone()
+            });
+            rows.collect()
+        };
+        let arm = walk(ARM_JOINTS);
+        let bytes = |value: f32| ((value + 3.0) * 40.0).clamp(0.0, 255.0) as u8;
+        all.push(&Episode {
+            index,
+            samples,
+            proprioception: walk(JOINTS),
+            setpoint: arm.clone(),
+            arm,
+            contact_force: walk(JOINTS),
+            contact_force_mean: walk(JOINTS),
+            vision: walk(FRAME_LEN).into_iter().map(bytes).collect(),
+            ..Episode::default()
+        });
+    }
+    all
+}
+
+const INPUT: [Modality; 2] = [Modality::Proprioception, Modality::Vision];
+const OUTPUT: [Modality; 3] = [Modality::Proprioception, Modality::ContactForce, Modality::FrameDifference];
+
+/// A small experiment in training.
+struct Bench {
+    view: View,
+    partition: Partition,
+    training: Training,
+    weights: BTreeMap<Modality, f64>,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let samples = walks(4, 12);
+        let partition = samples.partition(&Split::default()).unwrap();
+        let modalities = Modality::ALL;
+        let standard = Standard::fit(&samples, &partition.training, modalities, Action::Increment);
+        let view = View {
+            samples: Arc::new(samples),
+            standard: Arc::new(standard),
+            action: Action::Increment,
+            device: Device::Cpu,
+        };
+        let training = Training { batch_size: 8, epochs: 4, patience: None, ..Training::default() };
+        Self { view, partition, training, weights: BTreeMap::from([(Modality::ContactForce, 2.0)]) }
+    }
+
+    /// Trains from scratch, or from `state` on, and returns the epochs and the parameters.
+    fn train(
+        &self,
+        seed: u64,
+        state: &StateFile,
+        progress: &dyn Progress,
+    ) -> std::result::Result<(Vec<Epoch>, Parameters), LearningError> {
+        let sizes = Sizes {
+            input: INPUT.to_vec(),
+            output: OUTPUT.to_vec(),
+            latent: 3,
+            hidden: 8,
+            channels: 2,
+            action: ARM_JOINTS,
+        };
+        let mut parameters = Parameters::new();
+        let mut random = random(seed);
+        let objective = Prediction {
+            view: &self.view,
+            encoder: Encoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu)?,
+            decoder: Decoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu)?,
+            input: &INPUT,
+            output: &OUTPUT,
+            kl_weight: self.training.kl_weight,
+            loss_weights: &self.weights,
+        };
+        let partition = &self.partition;
+        let fit = Fit { task: Task::Prediction, training: &self.training, seed, partition, state, progress };
+        let epochs = fit.run(&objective, &parameters)?;
+        Ok((epochs, parameters))
+    }
+
+    fn train_undisturbed(&self, seed: u64) -> (Vec<Epoch>, Parameters) {
+        self.train(seed, &StateFile::none(), &harness::progress::Silent).unwrap()
+    }
+}
+
+fn bits(parameters: &Parameters) -> Vec<u32> {
+    let values = |var: &Var| var.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+    parameters.values().flat_map(values).map(f32::to_bits).collect()
+}
+
+fn losses(epochs: &[Epoch]) -> Vec<u64> {
+    let values = epochs.iter().flat_map(|epoch| epoch.train.values().chain(epoch.validation.values()));
+    values.map(|value| value.to_bits()).collect()
+}
+
+#[test]
+fn a_training_depends_on_its_seed_alone() {
+    let bench = Bench::new();
+    let with_threads = |threads: usize, seed: u64| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let (epochs, parameters) = pool.install(|| bench.train_undisturbed(seed));
+        (losses(&epochs), bits(&parameters))
+    };
+    let once = with_threads(1, 7);
+    assert!(once == with_threads(1, 7), "the same again");
+    assert!(once == with_threads(3, 7), "on three threads");
+    assert!(once != with_threads(1, 8), "another seed");
+}
+
+/// Cancels after so many steps are asked for.
+struct Impatient(AtomicUsize);
+
+impl Progress for Impatient {
+    fn begin(&self, _: &str, _: u64, _: &str) {}
+    fn advance(&self, _: u64) {}
+    fn note(&self, _: &str) {}
+    fn say(&self, _: &str) {}
+    fn end(&self) {}
+    fn cancelled(&self) -> bool {
+        self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1)).is_err()
+    }
+}
+
+#[test]
+fn an_interrupted_training_ends_as_an_undisturbed_one() {
+    let bench = Bench::new();
+    let (epochs, parameters) = bench.train_undisturbed(7);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("state.safetensors");
+    let state = || StateFile::at(path.clone()).every(Duration::ZERO);
+    let steps_per_epoch = bench.partition.training.len().div_ceil(bench.training.batch_size);
+    // In the middle of the second epoch, so that part of it is lost.
+    let stopped = bench.train(7, &state(), &Impatient(AtomicUsize::new(steps_per_epoch + 1)));
+    assert!(matches!(stopped, Err(LearningError::Cancelled)));
+    assert!(path.exists(), "the first epoch was saved");
+    let (resumed_epochs, resumed) = bench.train(7, &state(), &harness::progress::Silent).unwrap();
+    assert_eq!(losses(&epochs), losses(&resumed_epochs));
+    assert!(bits(&parameters) == bits(&resumed));
+}
+
+#[test]
+fn a_damaged_state_is_named_and_not_used() {
+    let bench = Bench::new();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("state.safetensors");
+    std::fs::write(&path, b"not a state").unwrap();
+    let error = bench.train(7, &StateFile::at(path.clone()), &harness::progress::Silent).err().unwrap();
+    assert!(error.to_string().starts_with(&format!("{} is damaged", path.display())), "{error}");
+}
+
+#[test]
+fn early_stopping_keeps_the_best_epoch() {
+    let mut bench = Bench::new();
+    // Steps this large make the validation loss rise after few epochs.
+    bench.training =
+        Training { epochs: 60, patience: Some(3), learning_rate: 0.05, batch_size: 8, ..Training::default() };
+    let (epochs, parameters) = bench.train_undisturbed(7);
+    let loss = |epoch: &Epoch| epoch.validation[TOTAL];
+    let best = epochs.iter().min_by(|a, b| loss(a).total_cmp(&loss(b))).unwrap().epoch;
+    assert!(epochs.len() < 60, "it stopped early");
+    assert_eq!(epochs.len(), best + 3);
+    let shorter = Training { epochs: best, patience: None, ..bench.training.clone() };
+    let (_, best_parameters) = Bench { training: shorter, ..bench }.train_undisturbed(7);
+    assert!(bits(&parameters) == bits(&best_parameters));
+}
+
+#[test]
+fn a_loss_that_is_not_finite_ends_the_training() {
+    let mut bench = Bench::new();
+    bench.training.learning_rate = 1e30;
+    let error = bench.train(7, &StateFile::none(), &harness::progress::Silent).err().unwrap();
+    assert!(matches!(error, LearningError::NotFinite { .. }), "{error}");
+}
+
+#[test]
+fn checkpoints_bring_back_parameters_and_scales() {
+    let bench = Bench::new();
+    let (_, trained) = bench.train_undisturbed(7);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("network.safetensors");
+    checkpoint::save(&path, &trained, &bench.view.standard).unwrap();
+    let (_, other) = bench.train_undisturbed(8);
+    assert!(bits(&trained) != bits(&other));
+    let standard = checkpoint::load(&path, &other).unwrap();
+    assert!(bits(&trained) == bits(&other));
+    assert_eq!(standard, *bench.view.standard);
+    let bytes = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+    let error = checkpoint::load(&path, &other).unwrap_err();
+    assert!(error.to_string().contains("network.safetensors is damaged"), "{error}");
+}
+
+#[test]
+fn standardised_values_have_no_mean_and_one_deviation_and_restore_to_what_they_were() {
+    let bench = Bench::new();
+    let at = &bench.partition.training;
+    let standard = &bench.view.standard;
+    let table = standard.vectors(&bench.view.samples, at, &[Modality::Arm]).unwrap().unwrap();
+    let mean = table.mean(0).unwrap().to_vec1::<f32>().unwrap();
+    let square = table.sqr().unwrap().mean(0).unwrap().to_vec1::<f32>().unwrap();
+    assert!(mean.iter().all(|mean| mean.abs() < 1e-4), "{mean:?}");
+    assert!(square.iter().all(|square| (square - 1.0).abs() < 1e-3), "{square:?}");
+    let mut values = table.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+    standard.scales[&Modality::Arm].restore(&mut values);
+    let physical = at.iter().flat_map(|sample| bench.view.samples.vector(Modality::Arm, *sample).to_vec());
+    assert!(values.iter().zip(physical).all(|(value, physical)| (value - physical).abs() < 1e-5));
+}
+
+#[test]
+fn a_frame_difference_is_what_changed_since_the_sample_before() {
+    let samples = walks(2, 3);
+    let first = samples.episodes()[1].start;
+    assert!(harness::dataset::frame_difference(&samples, first).all(|change| change == 0.0));
+    let change: Vec<f32> = harness::dataset::frame_difference(&samples, first + 1).collect();
+    let (now, before) = (samples.frame_bytes(first + 1), samples.frame_bytes(first));
+    assert_eq!(change[5], (f32::from(now[5]) - f32::from(before[5])) / 255.0);
+    assert!(change.iter().any(|change| *change != 0.0));
+}
+
+#[test]
+fn transitions_never_cross_episodes_and_splits_never_share_one() {
+    let samples = walks(5, 6);
+    let Partition { training, validation, test } = samples.partition(&Split::default()).unwrap();
+    let episode = |transitions: &[usize]| -> Vec<usize> {
+        transitions.iter().map(|sample| samples.place(*sample).0).collect()
+    };
+    assert_eq!(training.len(), 3 * 5);
+    assert!(episode(&training).iter().all(|episode| *episode < 3));
+    assert!(episode(&validation).iter().all(|episode| *episode == 3));
+    assert!(episode(&test).iter().all(|episode| *episode == 4));
+    for sample in training.iter().chain(&validation).chain(&test) {
+        assert_eq!(samples.place(*sample).0, samples.place(sample + 1).0);
+    }
+}
+
+#[test]
+fn a_term_of_the_loss_is_a_finite_scalar() {
+    let bench = Bench::new();
+    let (epochs, _) = bench.train_undisturbed(7);
+    let last = epochs.last().unwrap();
+    let names: Vec<&str> = last.train.keys().map(String::as_str).collect();
+    assert_eq!(names, ["contact_force", "frame_difference", "kl", "proprioception", "total"]);
+    let term = |name: &str| last.train[name];
+    let sum =
+        term("proprioception") + 2.0 * term("contact_force") + term("frame_difference") + 1e-3 * term("kl");
+    assert!((sum - term(TOTAL)).abs() < 1e-4 * sum, "{sum} is not {}", term(TOTAL));
+    assert_eq!(scalar(&Tensor::new(2.5f32, &Device::Cpu).unwrap()).unwrap(), 2.5);
+}
