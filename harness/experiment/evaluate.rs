@@ -5,8 +5,9 @@ use crate::dataset::{Partition, Samples, frame_difference};
 use crate::learning::network::Decoder;
 use crate::learning::objective::View;
 use crate::learning::predict::{Predicted, decode};
+use crate::metrics::Evaluation;
 use crate::metrics::baselines::{GREY_LEN, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
-use crate::metrics::{Evaluation, Row};
+use crate::registry::{MetricRow, PredictionRow};
 use crate::spec::{Modality, Task};
 use candle_core::Tensor;
 use std::collections::BTreeMap;
@@ -15,28 +16,6 @@ use std::collections::BTreeMap;
 const RIDGE_ALPHA: f64 = 1.0;
 /// Test transitions that are evaluated at once; bounds the memory that frames take.
 const BATCH: usize = 256;
-
-/// A row of the metrics table, but for the run's own columns.
-#[derive(Debug, Clone)]
-pub struct MetricRow {
-    pub task: Task,
-    /// `network`, or the baseline's name.
-    pub model: &'static str,
-    pub row: Row,
-}
-
-/// A row of the predictions table, but for the run's own columns.
-#[derive(Debug, Clone, Copy)]
-pub struct PredictionRow {
-    pub task: Task,
-    pub modality: Modality,
-    pub episode: u32,
-    /// The instant that is predicted.
-    pub sample: u32,
-    pub index: u32,
-    pub reference: f32,
-    pub predicted: f32,
-}
 
 /// The values of `modality` at the samples `at`, in physical units, `[at, width]`, frames channel by channel.
 pub fn physical(samples: &Samples, modality: Modality, at: &[usize]) -> Vec<f32> {

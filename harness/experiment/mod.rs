@@ -2,7 +2,7 @@
 
 mod evaluate;
 
-pub use evaluate::{MetricRow, PredictionRow, physical};
+pub use evaluate::physical;
 
 use crate::dataset::{Dataset, DatasetError, Partition, Standard, collect};
 use crate::learning::network::{Decoder, Encoder, Parameters, Sizes};
@@ -13,7 +13,9 @@ use crate::learning::training::{Epoch, Fit};
 use crate::learning::{LearningError, checkpoint, predict};
 use crate::metrics::MetricsError;
 use crate::progress::Progress;
-use crate::registry::{Decision, Outcome, Provenance, Registry, RegistryError, RunFolder, Timings};
+use crate::registry::{
+    Decision, MetricRow, Outcome, PredictionRow, Provenance, Registry, RegistryError, RunFolder, Timings,
+};
 use crate::simulation::{Scene, SimulationError};
 use crate::spec::{Experiment, Modality, RunSpec, Scenario, Task};
 use candle_core::Device;

@@ -12,7 +12,7 @@ mod record;
 
 pub use provenance::{Provenance, peak_memory_bytes};
 pub use query::{QueryError, query, save, table};
-pub use record::{Outcome, RunRecord, Status, Timings};
+pub use record::{MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings};
 
 use crate::files::{WriteError, write_bytes};
 use crate::spec::{RunSpec, Task};

@@ -1,9 +1,9 @@
 //! The record of a run, and its tables.
 
 use super::{Provenance, RegistryError, RunFolder, peak_memory_bytes};
-use crate::experiment::{MetricRow, PredictionRow};
 use crate::files::write_bytes;
 use crate::learning::training::Epoch;
+use crate::metrics::Row;
 use crate::schema::Table;
 use crate::spec::{Modality, RunSpec, Task};
 use crate::tables::{Stamp, TableError, data_type, write_table};
@@ -40,6 +40,28 @@ pub struct Timings {
     pub prediction: f64,
     pub reconstruction: Option<f64>,
     pub evaluation: f64,
+}
+
+/// A row of the metrics table, but for the run's own columns.
+#[derive(Debug, Clone)]
+pub struct MetricRow {
+    pub task: Task,
+    /// `network`, or the baseline's name.
+    pub model: &'static str,
+    pub row: Row,
+}
+
+/// A row of the predictions table, but for the run's own columns.
+#[derive(Debug, Clone, Copy)]
+pub struct PredictionRow {
+    pub task: Task,
+    pub modality: Modality,
+    pub episode: u32,
+    /// The instant that is predicted.
+    pub sample: u32,
+    pub index: u32,
+    pub reference: f32,
+    pub predicted: f32,
 }
 
 /// What a run that came to its end has to show.

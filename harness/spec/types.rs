@@ -68,8 +68,8 @@ pub enum Modality {
     ContactForceMean,
     /// The external camera's frame, 64 x 64 x 3.
     Vision,
-    /// This frame minus the one a sample before, in [-1, 1]; zero at an episode's first sample. The paper predicts
-    /// it for the next sample and calls it optical flow.
+    /// This frame minus the one a sample before, in [-1, 1]; zero at an episode's first sample. The paper
+    /// predicts it for the next sample and calls it optical flow.
     FrameDifference,
 }
 names!(Modality {

@@ -1,0 +1,516 @@
+//! The program as its users meet it: a whole experiment, every command, and what happens to bad input.
+
+mod common;
+
+use common::{Answer, SMOKE, finish, harness, smoke_run, succeed};
+use harness::files::UNFINISHED;
+use harness::tables::read_footer;
+use image::AnimationDecoder;
+use predicates::prelude::*;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::sync::LazyLock;
+use std::time::{Duration, Instant};
+
+/// Results that tests only read.
+static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| smoke_run("cli"));
+/// One short run of the smoke experiment.
+const ONE: [&str; 5] =
+    ["run", SMOKE, "scenarios=[empty]", "training.epochs=1", "simulation.actuations_per_episode=2"];
+
+/// A folder for one test.
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn write(&self, name: &str, content: &str) -> String {
+        let path = self.path(name);
+        std::fs::write(&path, content).unwrap();
+        path.display().to_string()
+    }
+}
+
+/// Every file below a folder, sorted.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).into_iter().flatten() {
+        let path = entry.unwrap().path();
+        if path.is_dir() { files.extend(self::files(&path)) } else { files.push(path) }
+    }
+    files.sort();
+    files
+}
+
+/// Checks that nothing in a folder is half-written.
+#[track_caller]
+fn assert_whole(folder: &Path) {
+    for path in files(folder) {
+        let name = path.file_name().unwrap().to_string_lossy();
+        assert!(!name.starts_with(UNFINISHED) || name.ends_with("-lock"), "{} is left", path.display());
+        if name.ends_with(".parquet") {
+            read_footer(&path).unwrap();
+        }
+    }
+}
+
+fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    files(folder).into_iter().map(|path| (path.clone(), std::fs::read(path).unwrap())).collect()
+}
+
+/// The error that a command prints, which must be a single line, without its `error: `.
+#[track_caller]
+fn error(answer: &Answer, code: i32) -> String {
+    assert_eq!(answer.code, code, "{}{}", answer.stdout, answer.stderr);
+    let line = answer.stderr.strip_suffix('\n').and_then(|text| text.strip_prefix("error: "));
+    let line = line.unwrap_or_else(|| panic!("no error alone: {}", answer.stderr));
+    assert!(!line.contains('\n'), "several lines: {line}");
+    assert_eq!(answer.stdout, "");
+    line.to_owned()
+}
+
+/// The error of a command on the results of the smoke run.
+#[track_caller]
+fn refusal(arguments: &[&str], code: i32) -> String {
+    error(&finish(&mut harness(&RESULTS, arguments)), code)
+}
+
+// --- an experiment ---
+
+#[test]
+fn an_experiment_writes_everything_and_a_second_run_does_nothing() {
+    let runs = std::fs::read_dir(RESULTS.join("runs/smoke")).unwrap();
+    let runs: Vec<PathBuf> = runs.map(|entry| entry.unwrap().path()).collect();
+    assert_eq!(runs.len(), 2);
+    for run in &runs {
+        let names = files(run).iter().map(|path| path.file_name().unwrap().to_owned()).collect::<Vec<_>>();
+        let expected = [
+            "epochs.parquet",
+            "metrics.parquet",
+            "prediction.safetensors",
+            "predictions.parquet",
+            "reconstruction.safetensors",
+            "run.json",
+            "spec.yaml",
+        ];
+        for name in expected {
+            assert!(names.iter().any(|found| found == name), "{} lacks {name}", run.display());
+        }
+        assert!(!names.iter().any(|name| name.to_string_lossy().contains(".state.")), "{names:?}");
+    }
+    assert_whole(&RESULTS);
+
+    let before = contents(&RESULTS);
+    let said = succeed(&RESULTS, &["run", SMOKE]);
+    assert!(said.contains("0 done, 2 done before, 0 failed"), "{said}");
+    assert!(said.contains("persistence") && said.contains("relative_error"), "the results: {said}");
+    assert!(contents(&RESULTS) == before, "nothing was written");
+}
+
+#[test]
+fn a_dry_run_says_what_would_be_done_and_why_and_does_nothing() {
+    let before = contents(&RESULTS);
+    let done = succeed(&RESULTS, &["run", SMOKE, "--dry-run"]);
+    let skip = predicate::str::is_match(r"(?m)^skip +empty-z4-seed0-[0-9a-f]{8} +it is done$").unwrap();
+    assert!(skip.eval(&done), "{done}");
+    let changed = succeed(&RESULTS, &["run", SMOKE, "--dry-run", "training.epochs=3", "latent=[4,5]"]);
+    let line = |run: &str| changed.lines().find(|line| line.contains(run)).unwrap().to_owned();
+    assert!(line("cluttered-z4").starts_with("run "), "{changed}");
+    assert!(line("cluttered-z4").ends_with("differs in training.epochs (2, now 3)"), "{changed}");
+    assert!(line("cluttered-z5").ends_with(" new"), "{changed}");
+    assert!(contents(&RESULTS) == before);
+
+    let nowhere = Folder::new().path("results");
+    succeed(&nowhere, &["run", SMOKE, "--dry-run"]);
+    assert!(!nowhere.exists());
+}
+
+#[test]
+fn a_run_gives_the_same_tables_whatever_the_threads() {
+    let folder = Folder::new();
+    let networks = ["1", "2"].map(|threads| {
+        let results = folder.path(threads);
+        succeed(&results, &[&ONE[..], &["--threads", threads]].concat());
+        let query = "select task, model, modality, direction, index, metric, value from metrics";
+        let metrics = folder.path("metrics.csv");
+        succeed(&results, &["query", query, "--output", metrics.to_str().unwrap()]);
+        let checkpoints = files(&results).into_iter().filter(|path| path.ends_with("prediction.safetensors"));
+        (
+            std::fs::read(metrics).unwrap(),
+            checkpoints.map(|path| std::fs::read(path).unwrap()).collect::<Vec<_>>(),
+        )
+    });
+    assert_eq!(networks[0].1.len(), 1);
+    assert!(networks[0] == networks[1]);
+}
+
+#[test]
+fn a_damaged_episode_is_made_again_and_said_so() {
+    let folder = Folder::new();
+    let results = folder.path("results");
+    succeed(&results, &ONE);
+    let episode = files(&results).into_iter().find(|path| path.ends_with("episode_00002.parquet")).unwrap();
+    let whole = std::fs::read(&episode).unwrap();
+    let mut damaged = whole.clone();
+    // The pages of the first joints.
+    damaged[whole.len() / 8..whole.len() / 4].fill(0xAA);
+    std::fs::write(&episode, damaged).unwrap();
+    let answer = finish(&mut harness(&results, &[&ONE[..], &["seeds=[1]"]].concat()));
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    let said = predicate::str::contains("episode_00002.parquet is damaged")
+        .and(predicate::str::contains("made again"));
+    assert!(said.eval(&answer.stderr), "{}", answer.stderr);
+    assert!(std::fs::read(&episode).unwrap() == whole);
+}
+
+/// Starts a command and ends it without a warning once it is `ready`.
+fn kill_when(mut command: std::process::Command, ready: impl Fn() -> bool) {
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let begin = Instant::now();
+    while !ready() {
+        assert!(begin.elapsed() < Duration::from_secs(60), "it never got so far");
+        assert!(child.try_wait().unwrap().is_none(), "it ended before it could be killed");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
+/// The program on a results folder, to be left running.
+fn spawnable(results: &Path, arguments: &[&str]) -> std::process::Command {
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_harness"));
+    command.current_dir(env!("CARGO_MANIFEST_DIR")).arg("--results").arg(results).args(arguments);
+    command
+}
+
+#[test]
+fn a_killed_collection_leaves_whole_episodes_and_goes_on_from_them() {
+    let folder = Folder::new();
+    let results = folder.path("results");
+    let collect = ["collect", SMOKE, "scenarios=[empty]", "simulation.episodes=40", "--threads", "1"];
+    let episodes =
+        || files(&results).into_iter().filter(|path| path.extension().is_some_and(|end| end == "parquet"));
+    kill_when(spawnable(&results, &collect), || episodes().count() >= 2);
+    let made = episodes().count();
+    assert!((2..40).contains(&made));
+    let said = succeed(&results, &collect);
+    assert!(said.contains(&format!("{} episodes made, 1200 samples in all", 40 - made)), "{said}");
+    // The smoke run made the first four of the same dataset, undisturbed.
+    for episode in episodes().take(4) {
+        let undisturbed = RESULTS.join(episode.strip_prefix(&results).unwrap());
+        assert!(
+            std::fs::read(&episode).unwrap() == std::fs::read(undisturbed).unwrap(),
+            "{}",
+            episode.display()
+        );
+    }
+}
+
+#[test]
+fn a_killed_run_is_listed_as_running_and_planned_again() {
+    let folder = Folder::new();
+    let results = folder.path("results");
+    let long = ["run", SMOKE, "scenarios=[empty]", "training.epochs=100000", "training.patience=null"];
+    let begun = || files(&results).iter().any(|path| path.ends_with("run.json"));
+    kill_when(spawnable(&results, &long), begun);
+    let plan = succeed(&results, &[&long[..], &["--dry-run"]].concat());
+    assert!(plan.starts_with("run ") && plan.trim_end().ends_with("it was interrupted"), "{plan}");
+    assert!(succeed(&results, &["ls"]).contains("running"));
+}
+
+// --- the other commands ---
+
+#[test]
+fn queries_print_or_write_their_answer() {
+    let folder = Folder::new();
+    let query = "select scenario, count(*) as samples, max(time) as last from episodes group by scenario order by scenario";
+    let printed = succeed(&RESULTS, &["query", query]);
+    assert!(printed.contains("cluttered       120   2.900"), "{printed}");
+    for ending in ["parquet", "csv", "json", "JSON"] {
+        let path = folder.path(&format!("answer.{ending}"));
+        let said = succeed(&RESULTS, &["query", query, "--output", path.to_str().unwrap()]);
+        assert_eq!(said, format!("2 rows in {}\n", path.display()));
+    }
+    let csv = std::fs::read_to_string(folder.path("answer.csv")).unwrap();
+    assert!(csv.starts_with("scenario,samples,last\ncluttered,120,2.9"), "{csv}");
+    let json: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(folder.path("answer.json")).unwrap()).unwrap();
+    assert_eq!(json[1]["scenario"], "empty");
+    assert_eq!(json[1]["samples"], 120);
+    assert_whole(folder.0.path());
+}
+
+#[test]
+fn rows_can_be_counted_in_every_table() {
+    for table in harness::schema::Table::ALL {
+        let name = table.name();
+        let counted = succeed(&RESULTS, &["query", &format!("select count(*) from {name}")]);
+        let grouped = succeed(&RESULTS, &["query", &format!("select count(scenario) from {name}")]);
+        let number = |answer: &str| answer.chars().filter(char::is_ascii_digit).collect::<String>();
+        assert!(!number(&counted).is_empty() && number(&counted) != "0", "{counted}");
+        assert_eq!(number(&counted), number(&grouped), "{name}");
+    }
+}
+
+#[test]
+fn tables_are_found_in_folders_of_any_name() {
+    let folder = Folder::new();
+    let results = folder.path("my results [2*]");
+    succeed(&results, &ONE);
+    assert!(succeed(&results, &["query", "select count(*) from episodes"]).contains(" 80 "));
+    assert!(succeed(&results, &["query", "select distinct run from metrics"]).contains("empty-z4-seed0-"));
+    assert_whole(&results);
+}
+
+#[test]
+fn an_empty_results_folder_has_empty_answers() {
+    let nowhere = Folder::new().path("nothing");
+    for table in harness::schema::Table::ALL {
+        let answer = succeed(&nowhere, &["query", &format!("select * from {}", table.name())]);
+        assert!(answer.contains("scenario"), "{answer}");
+    }
+    assert!(succeed(&nowhere, &["ls"]).contains("experiment"));
+    assert!(!nowhere.exists());
+}
+
+#[test]
+fn runs_are_listed_and_shown() {
+    let list = succeed(&RESULTS, &["ls"]);
+    assert_eq!(
+        list.lines().filter(|line| line.contains("smoke") && line.contains("done")).count(),
+        2,
+        "{list}"
+    );
+    let shown = succeed(&RESULTS, &["show", "cluttered"]);
+    for part in ["smoke/cluttered-z4-seed0-", ": done", "epochs: 2", "mujoco_version", "3.17.0", "wmape"] {
+        assert!(shown.contains(part), "no {part} in {shown}");
+    }
+}
+
+#[test]
+fn a_spec_is_validated_with_its_overrides() {
+    let said = succeed(&RESULTS, &["validate", SMOKE, "latent=[2,3]", "seeds=[5]"]);
+    assert!(said.starts_with("experiments/smoke.yaml is valid: 4 runs\n  empty-z2-seed5\n"), "{said}");
+}
+
+#[test]
+fn the_schema_for_editors_is_the_checked_in_one() {
+    let printed: serde_json::Value = serde_json::from_str(&succeed(&RESULTS, &["schema"])).unwrap();
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments/schema.json");
+    let checked_in: serde_json::Value = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
+    assert!(printed == checked_in, "run `harness schema > experiments/schema.json`");
+}
+
+#[test]
+fn pictures_and_clips_have_the_size_and_length_asked_for() {
+    let folder = Folder::new();
+    let path = |name: &str| folder.path(name).display().to_string();
+    let size = ["--width", "160", "--height", "100"];
+    let episode = ["--spec", SMOKE, "--episode", "1"];
+    let (rest, instant, clip) = (path("rest.png"), path("instant.PNG"), path("clip.gif"));
+    let said = succeed(&RESULTS, &[&["render", "cluttered", "--output", &rest], &size[..]].concat());
+    assert_eq!(said, format!("{rest}\n"));
+    let at = ["--sample", "20"];
+    succeed(&RESULTS, &[&["render", "cluttered", "--output", &instant], &size[..], &episode, &at].concat());
+    let last = ["--sample", "26", "--samples", "9"];
+    succeed(&RESULTS, &[&["render", "cluttered", "--output", &clip], &size[..], &episode, &last].concat());
+
+    let rest = image::open(rest).unwrap().into_rgb8();
+    let instant = image::open(instant).unwrap().into_rgb8();
+    assert_eq!((rest.dimensions(), instant.dimensions()), ((160, 100), (160, 100)));
+    assert!(rest != instant, "the finger has moved");
+    let colours = rest.pixels().collect::<std::collections::HashSet<_>>().len();
+    assert!(colours > 100, "a picture, not a surface: {colours} colours");
+    let clip = std::io::BufReader::new(std::fs::File::open(clip).unwrap());
+    let frames = image::codecs::gif::GifDecoder::new(clip).unwrap().into_frames().collect_frames().unwrap();
+    assert_eq!(frames.len(), 4, "the episode has 30 samples");
+    assert_eq!(frames[0].buffer().dimensions(), (160, 100));
+    assert_eq!(frames[0].delay().numer_denom_ms(), (100, 1), "10 samples a second");
+    assert_whole(folder.0.path());
+}
+
+#[test]
+fn the_doctor_names_what_is_there_and_what_is_not() {
+    let healthy = succeed(&RESULTS, &["doctor"]);
+    assert!(healthy.lines().all(|line| line.starts_with("ok ")) && healthy.contains("3.17.0"), "{healthy}");
+    let ill = finish(harness(Path::new("/proc/nope"), &["doctor"]).env(DRIVERS, "/nonexistent.json"));
+    assert_eq!(ill.code, 1);
+    let failed: Vec<&str> = ill.stdout.lines().filter(|line| line.starts_with("FAIL ")).collect();
+    assert_eq!(failed.len(), 2, "{}", ill.stdout);
+    assert!(failed[0].contains("rendering  no OpenGL context"), "{}", ill.stdout);
+    assert!(failed[1].contains("can't write /proc/nope"), "{}", ill.stdout);
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_failure() {
+    for arguments in [&["schema"][..], &["schema", "--tables"], &["ls"], &["query", "select * from epochs"]] {
+        let mut child =
+            spawnable(&RESULTS, arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        drop(child.stdout.take());
+        let output = child.wait_with_output().unwrap();
+        assert_eq!(String::from_utf8_lossy(&output.stderr), "", "{arguments:?}");
+    }
+}
+
+// --- bad input ---
+
+#[test]
+fn bad_specs_are_refused_with_file_line_and_reason_and_nothing_is_written() {
+    let (folder, results) = (Folder::new(), Folder::new().path("results"));
+    let smoke = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(SMOKE)).unwrap();
+    let edited = |name: &str, old: &str, new: &str| {
+        assert!(smoke.contains(old));
+        folder.write(name, &smoke.replacen(old, new, 1))
+    };
+    let cases = [
+        (folder.path("missing.yaml").display().to_string(), ": there is no such file"),
+        (folder.write("nothing.yaml", ""), ":1:1: the file is empty; see `harness schema`"),
+        (folder.write("broken.yaml", "name: ["), ":1:7: broken YAML: "),
+        (
+            edited("key.yaml", "latent:", "latnt:"),
+            ":12:1: unknown key 'latnt'; did you mean 'latent'? Allowed: ",
+        ),
+        (
+            edited("type.yaml", "epochs: 2", "epochs: two"),
+            ":21:11: 'training.epochs': expected an integer of at least 1 and at most 100000, found the text 'two'",
+        ),
+        (
+            edited("modality.yaml", ", vision]", ", vison]"),
+            ":10:25: unknown modality 'vison' in 'input'; did you mean 'vision'? Allowed: proprioception, ",
+        ),
+        (folder.0.path().display().to_string(), ": is a directory"),
+    ];
+    for command in ["run", "collect", "validate"] {
+        for (path, expected) in &cases {
+            let message = error(&finish(&mut harness(&results, &[command, path])), 2);
+            assert!(message.starts_with(&format!("{path}{expected}")), "{message}");
+        }
+    }
+    assert!(!results.exists());
+}
+
+#[test]
+fn bad_overrides_are_refused() {
+    let cases = [
+        ("training.epochs", "has no '='; write KEY=VALUE, as in training.epochs=3"),
+        ("training.epohcs=3", "unknown key 'training.epohcs'; did you mean 'training.epochs'?"),
+        (
+            "training.epochs=0",
+            "'training.epochs': expected an integer of at least 1 and at most 100000, found 0",
+        ),
+        ("latent=[", "broken YAML: "),
+    ];
+    for (text, expected) in cases {
+        let message = refusal(&["run", SMOKE, text], 2);
+        assert!(message.starts_with(&format!("override '{text}': {expected}")), "{message}");
+    }
+}
+
+#[test]
+fn bad_questions_and_names_are_refused() {
+    let folder = Folder::new();
+    let cases: [(&[&str], &str); 7] = [
+        (&["query", "selct 1"], "the query can't be answered: sql parser error: "),
+        (&["query", "select nope from runs"], "the query can't be answered: not found: "),
+        (&["query", "select * from nope"], "the query can't be answered: relation 'nope' was not found"),
+        (&["show", "emptz-z4"], "no run matches 'emptz-z4', the nearest is 'empty-z4-seed0-"),
+        (&["show", ""], "'' matches several runs: smoke/cluttered-z4-seed0-"),
+        (
+            &["render", "empty", "--output", "a.png", "--width", "0"],
+            "a picture of 0 x 800 pixels is out of range",
+        ),
+        (
+            &["render", "empty", "--output", "a.png", "--spec", SMOKE, "--episode", "0", "--sample", "30"],
+            "the episode has 30 samples, so there is no sample 30",
+        ),
+    ];
+    for (arguments, expected) in cases {
+        let message = refusal(arguments, 2);
+        assert!(message.starts_with(expected), "{arguments:?}: {message}");
+    }
+    let table = folder.path("answer.xlsx").display().to_string();
+    let message = refusal(&["query", "select * from runs", "--output", &table], 2);
+    assert_eq!(message, format!("can't write to '{table}': its name must end in .parquet, .csv or .json"));
+    let picture = folder.path("scene.jpg").display().to_string();
+    let message = refusal(&["render", "empty", "--output", &picture], 2);
+    assert_eq!(message, format!("can't write a picture to '{picture}': its name must end in .png or .gif"));
+    assert_eq!(files(folder.0.path()), [PathBuf::new(); 0]);
+    for arguments in [&["render", "void", "--output", "a.png"][..], &["--threads", "0", "ls"], &["rum"]] {
+        let answer = finish(&mut harness(&RESULTS, arguments));
+        assert_eq!(answer.code, 2, "{arguments:?}");
+        assert!(answer.stderr.starts_with("error: "), "{}", answer.stderr);
+    }
+}
+
+#[test]
+fn models_that_cannot_be_used_are_named() {
+    let (folder, results) = (Folder::new(), Folder::new().path("results"));
+    let models = folder.0.path().to_str().unwrap();
+    let run = |code| error(&finish(&mut harness(&results, &["run", SMOKE, "--models", models])), code);
+    let path = folder.path("empty.xml").display().to_string();
+    assert!(run(1).starts_with(&format!("cannot read the scene {path}: ")), "{}", run(1));
+    folder.write("empty.xml", "<mujoco>\n<worldbody><geom tpye='box'/></worldbody></mujoco>");
+    let message = run(1);
+    assert!(message.starts_with(&format!("{path} does not compile: ")), "{message}");
+    assert!(message.contains("unrecognized attribute: 'tpye'") && message.contains("line 2"), "{message}");
+    assert!(!results.exists());
+}
+
+#[test]
+fn results_that_cannot_be_written_are_named() {
+    let folder = Folder::new();
+    let file = PathBuf::from(folder.write("file", "not a folder"));
+    for results in [file.clone(), file.join("below"), PathBuf::from("/proc/nope")] {
+        for command in ["run", "collect"] {
+            let message = error(&finish(&mut harness(&results, &[command, SMOKE])), 1);
+            let expected = format!("can't write {}/.writable: ", results.display());
+            assert!(message.starts_with(&expected), "{message}");
+        }
+    }
+    for output in [file.join("answer.csv"), PathBuf::from("/proc/nope/answer.csv")] {
+        let message = refusal(&["query", "select * from runs", "--output", output.to_str().unwrap()], 1);
+        assert!(message.starts_with(&format!("can't write {}: ", output.display())), "{message}");
+    }
+    let output = file.join("scene.png");
+    let message = refusal(&["render", "empty", "--output", output.to_str().unwrap()], 1);
+    assert!(message.starts_with(&format!("can't write {}: ", output.display())), "{message}");
+    assert_eq!(std::fs::read_to_string(file).unwrap(), "not a folder");
+}
+
+/// Where EGL looks for its drivers.
+const DRIVERS: &str = "__EGL_VENDOR_LIBRARY_FILENAMES";
+
+#[test]
+fn without_a_renderer_runs_fail_with_the_reason_and_leave_no_episode() {
+    let folder = Folder::new();
+    let results = folder.path("results");
+    let failing = finish(harness(&results, &["run", SMOKE]).env(DRIVERS, "/nonexistent.json"));
+    assert_eq!(failing.code, 1);
+    assert!(failing.stdout.contains("0 done, 0 done before, 2 failed"), "{}", failing.stdout);
+    assert!(failing.stderr.contains("failed: cluttered-z4-seed0-"), "{}", failing.stderr);
+    assert_whole(&results);
+    assert!(!files(&results).iter().any(|path| path.extension().is_some_and(|ending| ending == "parquet")));
+
+    let json = folder.path("runs.json").display().to_string();
+    succeed(&results, &["query", "select status, reason from runs", "--output", &json]);
+    let rows: serde_json::Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+    assert_eq!(rows.as_array().unwrap().len(), 2);
+    for row in rows.as_array().unwrap() {
+        assert_eq!(row["status"], "failed");
+        let reason = row["reason"].as_str().unwrap();
+        assert!(reason.starts_with("no OpenGL context for offscreen rendering: EGL says "), "{reason}");
+        assert!(reason.contains("apt-get install libegl1"), "{reason}");
+    }
+    let plan = succeed(&results, &["run", SMOKE, "--dry-run"]);
+    assert!(plan.lines().all(|line| line.contains("it failed before: no OpenGL context")), "{plan}");
+    // With a driver it goes on as if nothing had been.
+    assert!(succeed(&results, &["run", SMOKE]).contains("2 done, 0 done before, 0 failed"));
+    assert_whole(&results);
+}

@@ -1,0 +1,120 @@
+"""Reads every Parquet table of a results folder with independent readers, and computes its metrics again.
+
+    read_tables.py RESULTS
+
+prints JSON:
+
+    {"files": [{"path", "rows": {reader: rows}, "columns": [...], "metadata": {key: text}}],
+     "metrics": [{"run", "task", "modality", "direction", "index", "metric", "table", "computed"}]}
+
+`table` is the value of the network in metrics.parquet, `computed` the one that scikit-learn and NumPy make of
+predictions.parquet; both are null where the metric is not defined. The frames' metrics can't be computed
+again, since frames are not in the predictions.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import duckdb
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow.parquet as pq
+from sklearn.metrics import mean_absolute_error, r2_score, root_mean_squared_error
+
+FINGER = ("proprioception", "contact_force", "contact_force_mean")
+KEY = ["run", "task", "modality", "direction", "index", "metric"]
+
+
+def describe(path: Path) -> dict:
+    """What each reader makes of a file; all of them read it whole."""
+    arrow = pq.read_table(path)
+    frame = pd.read_parquet(path)
+    names = list(frame.columns)
+    assert names == arrow.column_names == pl.read_parquet(path).columns
+    duck = duckdb.from_parquet(str(path))
+    assert duck.columns == names
+    # The same cells, whoever reads them.
+    for column in frame.select_dtypes("number"):
+        np.testing.assert_array_equal(duck.fetchnumpy()[column], frame[column].to_numpy(), err_msg=column)
+    metadata = {key.decode(): text.decode() for key, text in pq.read_metadata(path).metadata.items()}
+    return {
+        "path": str(path),
+        "rows": {
+            "pyarrow": arrow.num_rows,
+            "pandas": len(frame),
+            "duckdb": len(duck.fetchall()),
+            "polars": pl.read_parquet(path).height,
+        },
+        "columns": names,
+        "metadata": {key: text for key, text in metadata.items() if key.startswith("harness.")},
+    }
+
+
+def scores(reference: np.ndarray, predicted: np.ndarray, modality: str) -> dict[str, float | None]:
+    """The metrics of [samples, columns], columns pooled."""
+    error, magnitude = np.abs(reference - predicted), np.abs(reference) + np.abs(predicted)
+    varying = np.ptp(reference, axis=0) > 0
+    found = {
+        "rmse": root_mean_squared_error(reference.ravel(), predicted.ravel()),
+        "mae": mean_absolute_error(reference.ravel(), predicted.ravel()),
+        "r2": r2_score(reference[:, varying], predicted[:, varying], multioutput="variance_weighted")
+        if varying.any()
+        else None,
+    }
+    if modality == "proprioception":
+        ratio = np.divide(error, magnitude, out=np.zeros_like(error), where=magnitude > 0)
+        found["smape"] = 100 * ratio.mean()
+    else:
+        found["wmape"] = 100 * error.sum() / np.abs(reference).sum() if reference.any() else None
+    return found
+
+
+def groups(width: int) -> list[tuple[str | None, int | None, list[int]]]:
+    """Direction, index and columns of every group of joints or links that has metrics."""
+    joints = list(range(width))
+    pooled = [(None, None, joints), ("fe", None, joints[0::2]), ("aa", None, joints[1::2])]
+    return pooled + [("fe" if joint % 2 == 0 else "aa", joint, [joint]) for joint in joints]
+
+
+def computed(predictions: pd.DataFrame) -> dict[tuple, float | None]:
+    """Every metric that the predictions of one run allow, by the columns of `KEY`."""
+    values = {}
+    for (run, task, modality), rows in predictions.groupby(["run", "task", "modality"]):
+        wide = rows.pivot(index=["episode", "sample"], columns="index", values=["reference", "predicted"])
+        reference, predicted = (wide[name].to_numpy(float) for name in ("reference", "predicted"))
+        for direction, index, columns in groups(reference.shape[1]):
+            found = scores(reference[:, columns], predicted[:, columns], modality)
+            for metric, value in found.items():
+                values[run, task, modality, direction, index, metric] = value
+    return values
+
+
+def written(metrics: pd.DataFrame) -> dict[tuple, float | None]:
+    """The network's metrics of one run as the table has them, by the columns of `KEY`."""
+    rows = metrics[(metrics["model"] == "network") & metrics["modality"].isin(FINGER)]
+    rows = rows[[*KEY, "value"]].astype(object)
+    rows = rows.where(rows.notna(), None)
+    values = {tuple(key): value for *key, value in rows.itertuples(index=False)}
+    assert len(values) == len(rows), "a metric is there twice"
+    return values
+
+
+def compare(run: Path) -> list[dict]:
+    ours = computed(pd.read_parquet(run / "predictions.parquet"))
+    theirs = written(pd.read_parquet(run / "metrics.parquet"))
+    assert ours.keys() == theirs.keys(), sorted(map(str, ours.keys() ^ theirs.keys()))
+    return [dict(zip(KEY, key)) | {"table": theirs[key], "computed": ours[key]} for key in ours]
+
+
+def main(results: Path) -> None:
+    answer = {
+        "files": [describe(path) for path in sorted(results.glob("**/*.parquet"))],
+        "metrics": [row for run in sorted(results.glob("runs/*/*")) for row in compare(run)],
+    }
+    json.dump(answer, sys.stdout, default=lambda number: number.item())
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,187 @@
+//! The result tables as other programs read them: pyarrow, pandas, DuckDB, Polars, scikit-learn.
+
+mod common;
+
+use common::{smoke_run, succeed};
+use harness::schema::{Column, Table, frame_column};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::LazyLock;
+
+/// What tests/python/read_tables.py says about a results folder.
+#[derive(Deserialize)]
+struct Answer {
+    files: Vec<File>,
+    metrics: Vec<Metric>,
+}
+
+#[derive(Deserialize)]
+struct File {
+    path: PathBuf,
+    /// By reader.
+    rows: BTreeMap<String, usize>,
+    columns: Vec<String>,
+    metadata: BTreeMap<String, String>,
+}
+
+/// A metric from the table, and as scikit-learn and NumPy compute it from the predictions.
+#[derive(Debug, Deserialize)]
+struct Metric {
+    run: String,
+    task: String,
+    modality: String,
+    direction: Option<String>,
+    index: Option<u32>,
+    metric: String,
+    table: Option<f64>,
+    computed: Option<f64>,
+}
+
+static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| smoke_run("tables"));
+static ANSWER: LazyLock<Answer> = LazyLock::new(|| {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let output = Command::new(root.join(".venv/bin/python"))
+        .arg(root.join("tests/python/read_tables.py"))
+        .arg(&*RESULTS)
+        .output()
+        .expect("the virtual environment of the tests is there: `make test` sets it up");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+});
+
+impl File {
+    fn table(&self) -> Table {
+        let name = self.path.file_stem().unwrap().to_str().unwrap();
+        let table = Table::ALL.into_iter().find(|table| table.name() == name);
+        table.unwrap_or_else(|| {
+            assert!(name.starts_with("episode_"), "{name}");
+            Table::Episodes
+        })
+    }
+
+    /// The columns that the file must have.
+    fn expected_columns(&self) -> Vec<Column> {
+        let mut columns = self.table().columns();
+        if self.table() == Table::Episodes {
+            columns.push(frame_column());
+        }
+        columns
+    }
+}
+
+#[test]
+fn every_table_opens_in_every_reader_with_the_same_rows() {
+    // Two scenarios of four episodes, and two runs of three tables.
+    assert_eq!(ANSWER.files.len(), 2 * 4 + 2 * 3);
+    for File { path, rows, .. } in &ANSWER.files {
+        assert_eq!(rows.keys().collect::<Vec<_>>(), ["duckdb", "pandas", "polars", "pyarrow"]);
+        let first = rows["pyarrow"];
+        assert!(rows.values().all(|count| *count == first) && first > 0, "{}: {rows:?}", path.display());
+    }
+    for file in ANSWER.files.iter().filter(|file| file.table() == Table::Episodes) {
+        assert_eq!(file.rows["pyarrow"], 30);
+    }
+    // 10 transitions a second for 3 s of the one test episode; 20 joints twice, and once more.
+    for file in ANSWER.files.iter().filter(|file| file.table() == Table::Predictions) {
+        assert_eq!(file.rows["pyarrow"], 29 * 20 * 3);
+    }
+}
+
+#[test]
+fn every_file_describes_its_columns_with_units() {
+    for file in &ANSWER.files {
+        let described: serde_json::Value = serde_json::from_str(&file.metadata["harness.columns"]).unwrap();
+        let expected = file.expected_columns();
+        assert_eq!(described, serde_json::to_value(&expected).unwrap(), "{}", file.path.display());
+        let names: Vec<&str> = expected.iter().map(|column| column.name.as_str()).collect();
+        assert_eq!(file.columns, names, "{}", file.path.display());
+    }
+}
+
+#[test]
+fn the_printed_schema_says_the_same_as_the_files() {
+    let printed = succeed(&RESULTS, &["schema", "--tables"]);
+    let mut tables: BTreeMap<&str, Vec<(String, String, String)>> = BTreeMap::new();
+    let mut table = "";
+    for line in printed.lines() {
+        match line.strip_prefix("  ") {
+            None => table = line.split_once(": ").unwrap().0,
+            Some(column) => {
+                let (name, rest) = column.split_once(' ').unwrap();
+                let rest = &rest[24 - name.len()..];
+                let (unit, meaning) = rest.split_at(9);
+                let row = (name.to_owned(), unit.trim().to_owned(), meaning.to_owned());
+                tables.entry(table).or_default().push(row);
+            }
+        }
+    }
+    for table in Table::ALL {
+        let columns = table.columns().into_iter();
+        let expected: Vec<_> =
+            columns.map(|column| (column.name, column.unit.to_owned(), column.meaning)).collect();
+        assert_eq!(tables[table.name()], expected, "{}", table.name());
+    }
+    assert_eq!(tables.len(), Table::ALL.len());
+}
+
+#[test]
+fn every_file_says_what_made_it() {
+    for file in &ANSWER.files {
+        let keys: &[&str] = match file.table() {
+            Table::Episodes => &["dataset", "episode", "episode_sha256", "renderer", "simulation_seed"],
+            _ => {
+                &["run", "spec_hash", "dataset", "seed", "git_commit", "git_dirty", "candle_version", "host"]
+            }
+        };
+        for key in keys.iter().chain(&["harness_version", "mujoco_version"]) {
+            let value = file.metadata.get(&format!("harness.{key}"));
+            assert!(value.is_some_and(|value| !value.is_empty()), "{}: {key}", file.path.display());
+        }
+        assert_eq!(file.metadata["harness.mujoco_version"], "3.17.0");
+        let folder = file.path.parent().unwrap().file_name().unwrap().to_str().unwrap();
+        let named = if file.table() == Table::Episodes { "harness.dataset" } else { "harness.run" };
+        assert_eq!(file.metadata[named], folder);
+    }
+}
+
+#[test]
+fn the_metrics_are_those_of_scikit_learn_on_the_written_predictions() {
+    for metric in &ANSWER.metrics {
+        match (metric.table, metric.computed) {
+            (Some(table), Some(computed)) => {
+                assert!((table - computed).abs() <= 1e-6 * computed.abs().max(1.0), "{metric:?}");
+            }
+            (table, computed) => assert!(table.is_none() && computed.is_none(), "{metric:?}"),
+        }
+    }
+    // For each of two runs, two modalities of the prediction and one of the reconstruction; overall, by
+    // direction and by joint or link; four metrics.
+    assert_eq!(ANSWER.metrics.len(), 2 * 3 * (1 + 2 + 20) * 4);
+    let overall = |metric: &&Metric| metric.direction.is_none() && metric.index.is_none();
+    let defined = |metric: &Metric| metric.table.is_some();
+    assert!(ANSWER.metrics.iter().filter(overall).all(defined), "the overall metrics are defined");
+    let one = |task: &str, modality: &str, name: &str| {
+        ANSWER.metrics.iter().any(|metric| {
+            metric.run.starts_with("cluttered-z4-seed0-")
+                && (metric.task.as_str(), metric.modality.as_str(), metric.metric.as_str())
+                    == (task, modality, name)
+        })
+    };
+    assert!(one("prediction", "proprioception", "smape") && one("prediction", "contact_force", "wmape"));
+    assert!(one("reconstruction", "proprioception", "r2"));
+}
+
+#[test]
+fn an_answer_written_to_a_file_opens_elsewhere_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("runs.parquet");
+    succeed(&RESULTS, &["query", "select * from runs", "--output", path.to_str().unwrap()]);
+    let script = "import duckdb, sys; print(duckdb.from_parquet(sys.argv[1]).columns)";
+    let python = Path::new(env!("CARGO_MANIFEST_DIR")).join(".venv/bin/python");
+    let output = Command::new(python).args(["-c", script]).arg(&path).output().unwrap();
+    let printed = String::from_utf8_lossy(&output.stdout).replace('\'', "\"");
+    let names: Vec<String> = serde_json::from_str(&printed).unwrap();
+    assert_eq!(names, Table::Runs.columns().into_iter().map(|column| column.name).collect::<Vec<_>>());
+}
