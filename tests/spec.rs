@@ -540,6 +540,7 @@ fn quick_settings_apply_when_asked_and_before_overrides() {
     let text = format!("{BASE}quick:\n  training.epochs: 5\n  simulation.episodes: 6\n");
     assert_eq!(load(&text), load(BASE));
     let mut expected = load(BASE);
+    expected.name += "-quick";
     expected.training.epochs = 5;
     expected.simulation.episodes = 6;
     assert_eq!(load_with(&text, &[], true).unwrap(), expected);
@@ -766,7 +767,8 @@ fn every_experiment_here_loads_under_its_file_name() {
         if path.extension().is_some_and(|extension| extension == "yaml") {
             for quick in [false, true] {
                 let experiment = spec::load(&path, &[], quick).unwrap_or_else(|error| panic!("{error}"));
-                assert_eq!(path.file_stem().unwrap().to_str().unwrap(), experiment.name);
+                let stem = path.file_stem().unwrap().to_str().unwrap();
+                assert_eq!(experiment.name, if quick { format!("{stem}-quick") } else { stem.to_owned() });
             }
             names.push(path);
         }
@@ -789,9 +791,14 @@ fn the_papers_experiments_are_the_papers_also_when_quick() {
         assert_eq!(training.learning_rate, 1e-3);
 
         let quick = spec::load(&path, &[], true).unwrap();
+        assert_eq!(quick.name, format!("{name}-quick"), "results of their own");
         assert!(quick.training.epochs < full.training.epochs);
-        let resized =
-            Experiment { simulation: full.simulation.clone(), training: full.training.clone(), ..quick };
+        let resized = Experiment {
+            name: full.name.clone(),
+            simulation: full.simulation.clone(),
+            training: full.training.clone(),
+            ..quick
+        };
         assert_eq!(resized, full);
     }
 }

@@ -38,6 +38,9 @@ pub fn list(registry: &Registry) -> Result<ExitCode> {
                collect_seconds + prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds \
                as seconds, reason from runs order by experiment, run";
     print(&registry::query(registry, sql)?);
+    for error in registry.damaged() {
+        eprintln!("damaged: {error}");
+    }
     Ok(ExitCode::from(DONE))
 }
 

@@ -23,7 +23,7 @@ use std::process::ExitCode;
     version,
     after_help = "Examples:
   harness run experiments/multi_to_multi.yaml --quick
-  harness query \"select latent, avg(value) from metrics where metric = 'wmape' group by latent\"
+  harness query \"select scenario, latent, value from metrics where model = 'network' and metric = 'wmape' and index is null\"
   harness render cluttered --output scene.png"
 )]
 pub struct Arguments {
@@ -56,7 +56,7 @@ enum Command {
     /// Answer a question in SQL over the tables runs, epochs, metrics, predictions and episodes
     #[command(after_help = "Examples:
   harness query \"select run, status, prediction_seconds from runs\"
-  harness query \"select latent, avg(value) from metrics where metric = 'wmape' group by latent\"
+  harness query \"select scenario, latent, value from metrics where model = 'network' and metric = 'wmape' and index is null\"
   harness query \"select * from epochs where term = 'total'\" --output curves.csv
 
 `harness schema --tables` lists the columns.")]

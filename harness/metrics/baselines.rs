@@ -16,7 +16,7 @@ const CHUNK_ROWS: usize = 256;
 /// Predicts that the next observation equals this one, `now`; of a frame difference, that nothing changes.
 ///
 /// `now` is row-major `[samples, width]`, the modality that is predicted as it was sensed at the sample itself.
-/// The difference at a sample already holds the next frame, so zero stands for it.
+/// The picture stays as it is, so its difference is zero; repeating the last one would say that motion goes on.
 pub fn persistence(modality: Modality, now: &[f32]) -> Cow<'_, [f32]> {
     match modality {
         Modality::FrameDifference => Cow::Owned(vec![0.0; now.len()]),

@@ -112,14 +112,14 @@ impl Registry {
                 Decision::Run { reason: format!("it failed before: {}", record.reason.unwrap_or_default()) }
             }
             Some(_) => Decision::Run { reason: "it was interrupted".into() },
-            None => Decision::Run { reason: self.why_new(folder, spec)? },
+            None => Decision::Run { reason: self.why_new(folder, spec) },
         })
     }
 
     /// Why a run isn't one of those that are there: what differs from the nearest of them.
-    fn why_new(&self, folder: &RunFolder, spec: &RunSpec) -> Result<String, RegistryError> {
+    fn why_new(&self, folder: &RunFolder, spec: &RunSpec) -> String {
         let mut nearest: Option<(Vec<String>, String)> = None;
-        for record in self.records()? {
+        for record in self.records() {
             if record.experiment != folder.experiment || record.label() != spec.label() {
                 continue;
             }
@@ -131,16 +131,20 @@ impl Registry {
                 nearest = Some((differences, record.run));
             }
         }
-        Ok(match nearest {
+        match nearest {
             Some((differences, run)) => format!("new; {run} differs in {}", differences.join(", ")),
             None => "new".into(),
-        })
+        }
     }
 
-    /// Every run's record, by experiment and id.
-    pub fn records(&self) -> Result<Vec<RunRecord>, RegistryError> {
-        let folders = self.run_folders();
-        folders.iter().filter_map(|folder| RunRecord::read(&folder.join(RECORD)).transpose()).collect()
+    /// Every run's record, by experiment and id; those that can't be read are left out, see [`Registry::damaged`].
+    pub fn records(&self) -> Vec<RunRecord> {
+        self.run_folders().iter().filter_map(|folder| RunRecord::read(&folder.join(RECORD)).ok()?).collect()
+    }
+
+    /// Why records can't be read, one error each.
+    pub fn damaged(&self) -> Vec<RegistryError> {
+        self.run_folders().iter().filter_map(|folder| RunRecord::read(&folder.join(RECORD)).err()).collect()
     }
 
     /// The folders of all runs, sorted.
@@ -157,7 +161,7 @@ impl Registry {
 
     /// The one run whose id, or `experiment/id`, begins with `wanted`.
     pub fn find(&self, wanted: &str) -> Result<(RunFolder, RunRecord), RegistryError> {
-        let records = self.records()?;
+        let records = self.records();
         let name = |record: &RunRecord| format!("{}/{}", record.experiment, record.run);
         let matches: Vec<&RunRecord> = records
             .iter()

@@ -44,7 +44,7 @@ pub fn table(registry: &Registry, table: Table) -> Result<LazyFrame, QueryError>
     let columns = table.columns();
     let found = match table {
         Table::Runs => {
-            let records = registry.records()?;
+            let records = registry.records();
             if records.is_empty() {
                 None
             } else {

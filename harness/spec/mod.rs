@@ -23,14 +23,20 @@ use parse::{Node, Value};
 use std::path::Path;
 
 /// Reads a spec, applies its own `quick` settings if `quick` says so, then `overrides` (`KEY=VALUE`, the key
-/// dotted and the value YAML), and resolves it.
+/// dotted and the value YAML), and resolves it. With `quick` its name ends in `-quick`, so that small results
+/// never stand among those that count.
 ///
 /// # Errors
 /// The first fault of the spec as it stands in the file, of its `quick` settings, even when they are not
 /// applied, or of the overrides.
 pub fn load(path: &Path, overrides: &[String], quick: bool) -> Result<Experiment, SpecError> {
     let text = parse::read(path)?;
-    load_text(&text, overrides, quick).map_err(|problem| problem.in_file(&path.display().to_string()))
+    let mut experiment =
+        load_text(&text, overrides, quick).map_err(|problem| problem.in_file(&path.display().to_string()))?;
+    if quick {
+        experiment.name.push_str("-quick");
+    }
+    Ok(experiment)
 }
 
 fn load_text(text: &str, overrides: &[String], quick: bool) -> Result<Experiment, Problem> {
