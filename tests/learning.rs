@@ -6,7 +6,7 @@ use harness::dataset::frames::{DenseFrames, Frames};
 use harness::dataset::{Partition, Samples, Standard};
 use harness::learning::kernels::Patches;
 use harness::learning::network::{Decoder, Encoder, Observation, Parameters, Sizes, Targets, scalar};
-use harness::learning::objective::{Prediction, View};
+use harness::learning::objective::{Draw, Objective, Prediction, View, Weighted};
 use harness::learning::ops::{Adam, frame_decoder, frame_encoder, frame_loss, linear};
 use harness::learning::random::{Random, Stream};
 use harness::learning::state::StateFile;
@@ -15,6 +15,7 @@ use harness::learning::{LearningError, checkpoint};
 use harness::progress::Progress;
 use harness::simulation::Episode;
 use harness::spec::{ARM_JOINTS, Action, FRAME_LEN, JOINTS, Modality, Split, Task, Training};
+use std::cell::RefCell;
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 use std::sync::Arc;
@@ -154,6 +155,31 @@ fn own_ops_agree_with_candles_operations() {
     let found = frame_loss(&coarse, &kernel, &bias, dense(&target)).unwrap();
     let mean = (expected - target).unwrap().sqr().unwrap().mean_all().unwrap();
     assert_close(&found, &mean, 1e-5, "the frame loss");
+}
+
+#[test]
+fn adam_takes_the_steps_of_its_algorithm() {
+    // Gradients of changing size and sign, so that both moments and their corrections show.
+    let gradients = [[1.0f32, -0.01], [-3.0, 0.5], [0.1, 0.0], [20.0, -2.0]];
+    let parameter = Var::new(&[0.5f32, -0.25], &Device::Cpu).unwrap();
+    let mut adam = Adam::new(vec![parameter.clone()], 1e-2).unwrap();
+    let (mut expected, mut mean, mut square) = ([0.5f64, -0.25], [0.0f64; 2], [0.0f64; 2]);
+    for (step, gradient) in gradients.iter().enumerate() {
+        let slope = Tensor::new(gradient, &Device::Cpu).unwrap();
+        let loss = (parameter.as_tensor() * slope).unwrap().sum_all().unwrap();
+        adam.step(&loss.backward().unwrap()).unwrap();
+        for index in 0..2 {
+            let gradient = f64::from(gradient[index]);
+            mean[index] = 0.9 * mean[index] + 0.1 * gradient;
+            square[index] = 0.999 * square[index] + 0.001 * gradient * gradient;
+            let corrected = |moment: f64, beta: f64| moment / (1.0 - beta.powi(step as i32 + 1));
+            let spread = corrected(square[index], 0.999).sqrt();
+            expected[index] -= 1e-2 * corrected(mean[index], 0.9) / (spread + 1e-8);
+        }
+        for (found, expected) in parameter.to_vec1::<f32>().unwrap().into_iter().zip(expected) {
+            assert!((f64::from(found) - expected).abs() < 1e-6, "step {step}: {found} instead of {expected}");
+        }
+    }
 }
 
 /// What tests/fixtures/twin.py wrote: the same network in PyTorch.
@@ -422,6 +448,69 @@ impl Progress for Impatient {
     fn cancelled(&self) -> bool {
         self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1)).is_err()
     }
+}
+
+/// Writes down which transitions it is asked about, and how; there is nothing to learn.
+struct Protocol {
+    parameter: Tensor,
+    asked: RefCell<Vec<(bool, Vec<usize>)>>,
+}
+
+impl Protocol {
+    /// The transitions of training or validation, in the order they were asked for.
+    fn asked(&self, training: bool) -> Vec<usize> {
+        let asked = self.asked.borrow();
+        asked.iter().filter(|(sampled, _)| *sampled == training).flat_map(|(_, at)| at.clone()).collect()
+    }
+}
+
+impl Objective for Protocol {
+    fn terms(&self, at: &[usize], draw: Draw) -> Result<Vec<Weighted>> {
+        self.asked.borrow_mut().push((matches!(draw, Draw::Sample(_)), at.to_vec()));
+        Ok(vec![Weighted { name: "nothing".into(), weight: 1.0, value: self.parameter.sqr()? }])
+    }
+
+    fn detached(&self) -> Box<dyn Objective + '_> {
+        Box::new(self)
+    }
+}
+
+impl Objective for &Protocol {
+    fn terms(&self, at: &[usize], draw: Draw) -> Result<Vec<Weighted>> {
+        (*self).terms(at, draw)
+    }
+
+    fn detached(&self) -> Box<dyn Objective + '_> {
+        (*self).detached()
+    }
+}
+
+#[test]
+fn every_epoch_visits_every_transition_once_in_an_order_of_its_own() {
+    let parameter = Var::new(1.0f32, &Device::Cpu).unwrap();
+    let protocol = Protocol { parameter: parameter.as_tensor().clone(), asked: RefCell::default() };
+    let parameters = Parameters::from([("parameter".to_owned(), parameter)]);
+    let partition = Partition { training: (0..10).collect(), validation: vec![20, 21, 22], test: vec![30] };
+    let training = Training { epochs: 3, batch_size: 4, patience: None, ..Training::default() };
+    let (state, progress) = (StateFile::none(), &harness::progress::Silent);
+    let task = Task::Prediction;
+    let fit = Fit { task, training: &training, seed: 0, partition: &partition, state: &state, progress };
+    fit.run(&protocol, &parameters).unwrap();
+    let orders: Vec<Vec<usize>> = protocol.asked(true).chunks(10).map(<[usize]>::to_vec).collect();
+    assert_eq!(orders.len(), 3);
+    for order in &orders {
+        let mut sorted = order.clone();
+        sorted.sort();
+        assert_eq!(sorted, partition.training);
+        assert_eq!(orders.iter().filter(|other| *other == order).count(), 1, "{orders:?}");
+    }
+    assert_eq!(
+        protocol.asked(false),
+        [20, 21, 22].repeat(3),
+        "validation uses the mean, and nothing of the test"
+    );
+    let sizes: Vec<usize> = protocol.asked.borrow().iter().map(|(_, at)| at.len()).collect();
+    assert_eq!(sizes, [4, 4, 2, 3].repeat(3));
 }
 
 #[test]

@@ -62,7 +62,7 @@ impl Run {
         let summary = laboratory.run(&experiment)?;
         print_results(registry, &experiment, &plan)?;
         print_summary(registry, &experiment, &summary);
-        Ok(ExitCode::from(if summary.failed.is_empty() { DONE } else { FAILED }))
+        Ok(ExitCode::from(if summary.failed == 0 { DONE } else { FAILED }))
     }
 }
 
@@ -128,11 +128,9 @@ fn print_results(registry: &Registry, experiment: &Experiment, plan: &[Planned])
 }
 
 fn print_summary(registry: &Registry, experiment: &Experiment, summary: &Summary) {
-    for (run, reason) in &summary.failed {
-        eprintln!("failed: {run}: {reason}");
-    }
     let Summary { done, skipped, failed } = summary;
-    println!("{done} done, {skipped} done before, {} failed", failed.len());
+    let why = if *failed > 0 { ", `harness ls` says why" } else { "" };
+    println!("{done} done, {skipped} done before, {failed} failed{why}");
     let root = registry.root();
     println!("runs      {}", shown(&root.join("runs").join(&experiment.name)));
     println!("datasets  {}", shown(&registry.datasets()));
