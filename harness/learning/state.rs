@@ -148,12 +148,4 @@ impl StateFile {
         })?;
         Ok(())
     }
-
-    /// Forgets the state: the training is over.
-    pub fn remove(&self) -> std::io::Result<()> {
-        match &self.path {
-            Some(path) if path.exists() => std::fs::remove_file(path),
-            _ => Ok(()),
-        }
-    }
 }
