@@ -20,6 +20,7 @@ fn main() -> ExitCode {
         // Rust ignores the signal, and `harness query … | head` would end in a panic.
         libc::signal(libc::SIGPIPE, libc::SIG_DFL);
         harness::simulation::prepare_rendering();
+        harness::learning::prepare_threads();
         libmimalloc_sys::mi_option_set(PURGE_DELAY, NEVER);
     }
     cli::main(cli::Arguments::parse())

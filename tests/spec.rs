@@ -74,6 +74,7 @@ fn what_is_left_out_gets_its_default() {
         split: Split::default(),
         training: Training {
             loss_weights: [(Modality::Proprioception, 1.0), (Modality::ContactForce, 1.0)].into(),
+            precision: harness::spec::Precision::F32,
             ..Training::default()
         },
         quick: Default::default(),
@@ -149,7 +150,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         (
             "training:\n  bacth_size: 5\n",
             "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
-             learning_rate, batch_size, epochs, patience, kl_weight, loss_weights",
+             learning_rate, batch_size, epochs, patience, kl_weight, loss_weights, precision",
         ),
         (
             "split: {holdout: 0.1}\n",
@@ -635,7 +636,7 @@ fn the_hash_depends_on_what_decides_the_result_alone() {
 /// one platform to another.
 #[test]
 fn the_hash_is_stable() {
-    assert_eq!(first_hash(BASE), "15802c2adff908fb");
+    assert_eq!(first_hash(BASE), "3d1821331d2d3c35");
 }
 
 #[test]
@@ -702,6 +703,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             patience: if random.random() { Some(random.random_range(1..=100)) } else { None },
             kl_weight: random.random_range(0.0..1e6),
             loss_weights,
+            precision: harness::spec::Precision::F32,
         },
         quick: Default::default(),
     }

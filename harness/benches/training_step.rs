@@ -8,9 +8,9 @@ use candle_core::{Device, Tensor};
 use clap::Parser;
 use harness::dataset::frames::{DenseFrames, Frames};
 use harness::learning::network::{Decoder, Encoder, Observation, Parameters, Sizes, Targets};
-use harness::learning::ops::Adam;
+use harness::learning::ops::{Adam, backward};
 use harness::learning::random::{Random, Stream};
-use harness::spec::{ARM_JOINTS, Architecture, Modality, Task};
+use harness::spec::{ARM_JOINTS, Architecture, Modality, Precision, Task};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -33,11 +33,22 @@ struct Arguments {
     batch: usize,
     #[arg(long, default_value_t = 20)]
     steps: usize,
+    /// f32 or bf16
+    #[arg(long, default_value = "f32", value_parser = precision)]
+    precision: Precision,
+}
+
+fn precision(name: &str) -> Result<Precision, String> {
+    let found = Precision::ALL.iter().copied().find(|precision| precision.name() == name);
+    found.ok_or_else(|| format!("'{name}' is neither f32 nor bf16"))
 }
 
 fn main() -> candle_core::Result<()> {
-    // SAFETY: option 15 is the purge delay, a number that may be set at any time.
-    unsafe { libmimalloc_sys::mi_option_set(15, -1) };
+    // SAFETY: nothing has started a thread yet; option 15 is the purge delay, a number that may be set at any time.
+    unsafe {
+        harness::learning::prepare_threads();
+        libmimalloc_sys::mi_option_set(15, -1);
+    }
     let arguments = Arguments::parse();
     let frames = arguments.architecture == Architecture::Convolutional.name();
     let only = |modalities: &[Modality]| -> Vec<Modality> {
@@ -50,6 +61,7 @@ fn main() -> candle_core::Result<()> {
         hidden: arguments.hidden,
         channels: arguments.channels,
         action: ARM_JOINTS,
+        precision: arguments.precision,
     };
     let batch = arguments.batch;
     let mut random = Random::new(0, Stream::Parameters(Task::Prediction));
@@ -84,7 +96,7 @@ fn main() -> candle_core::Result<()> {
         for term in decoder.losses(&latent, Some(&action), &targets)? {
             loss = (loss + term.value)?;
         }
-        adam.step(&loss.backward()?)?;
+        adam.step(&backward(&loss)?)?;
         seconds.push(begin.elapsed().as_secs_f64());
     }
     // The first two warm up caches and the allocator.

@@ -244,6 +244,7 @@ impl Trainee<'_> {
             hidden: spec.network.hidden,
             channels: spec.network.channels,
             action,
+            precision: spec.training.precision,
         }
     }
 

@@ -15,6 +15,19 @@ use crate::spec::Task;
 use std::path::PathBuf;
 use training::Losses;
 
+/// Keeps candle from starting threads of its own beside rayon's: they wait for work without sleeping, and what is left
+/// to them is short. A value of `CANDLE_NUM_THREADS` that the user set is kept.
+///
+/// # Safety
+/// To be called before any other thread exists: the environment belongs to the whole process.
+pub unsafe fn prepare_threads() {
+    const THREADS: &str = "CANDLE_NUM_THREADS";
+    if std::env::var_os(THREADS).is_none() {
+        // SAFETY: the caller vouches that this thread is the only one.
+        unsafe { std::env::set_var(THREADS, "1") };
+    }
+}
+
 /// Why a training ended early.
 #[derive(Debug, thiserror::Error)]
 pub enum LearningError {

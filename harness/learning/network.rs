@@ -5,10 +5,10 @@
 //! observation. Vectors pass two fully connected layers on each side; frames pass a 4 x 4 convolution of
 //! stride 2 before them, and its transpose after them.
 
-use super::ops::{frame_decoder, frame_encoder, frame_loss, linear};
+use super::ops::{self, FrameDecoder, frame_decoder, frame_encoder, frame_loss, linear, squared_errors};
 use super::random::Random;
 use crate::dataset::frames::Frames;
-use crate::spec::{FRAME_SIDE, Modality};
+use crate::spec::{FRAME_SIDE, Modality, Precision};
 use candle_core::{DType, Device, Result, Tensor, Var};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use std::sync::Arc;
 /// Named parameters, in the order of their names.
 pub type Parameters = BTreeMap<String, Var>;
 
-/// Sizes that decide a network's parameters.
+/// What decides a network's parameters, and how it is computed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sizes {
     /// What the encoder is given.
@@ -30,6 +30,8 @@ pub struct Sizes {
     pub channels: usize,
     /// Width of the condition; 0 for a decoder without one.
     pub action: usize,
+    /// Of the products of the two large layers, beside the convolutions.
+    pub precision: Precision,
 }
 
 impl Sizes {
@@ -54,24 +56,30 @@ pub struct Observation {
     pub frames: Option<Arc<dyn Frames>>,
 }
 
-/// A diagonal Gaussian over the latent state, `[batch, latent]` each.
-pub struct Posterior {
-    pub mean: Tensor,
-    pub log_variance: Tensor,
-}
+/// A diagonal Gaussian over the latent state: means beside log-variances, `[batch, 2 * latent]`.
+pub struct Posterior(Tensor);
 
 impl Posterior {
-    /// `mean + exp(log_variance / 2) * noise` (Kingma & Welling, 2014, equation 10).
-    pub fn sample(&self, noise: &Tensor) -> Result<Tensor> {
-        &self.mean + ((&self.log_variance * 0.5)?.exp()? * noise)?
+    /// `[batch, latent]`.
+    pub fn mean(&self) -> Result<Tensor> {
+        let latent = self.0.dim(1)? / 2;
+        self.0.narrow(1, 0, latent)?.contiguous()
     }
 
-    /// Kullback-Leibler divergence from the standard normal distribution, nats, summed over the latent state
-    /// and averaged over the batch (Kingma & Welling, 2014, appendix B); a scalar.
+    /// `[batch, latent]`.
+    pub fn log_variance(&self) -> Result<Tensor> {
+        let latent = self.0.dim(1)? / 2;
+        self.0.narrow(1, latent, latent)?.contiguous()
+    }
+
+    /// Latent states `[batch, latent]` for standard normal `noise` of that shape.
+    pub fn sample(&self, noise: &Tensor) -> Result<Tensor> {
+        ops::sample(&self.0, noise)
+    }
+
+    /// Divergence from the standard normal distribution, nats, averaged over the batch; a scalar.
     pub fn divergence(&self) -> Result<Tensor> {
-        let batch = self.mean.dim(0)? as f64;
-        let terms = (self.mean.sqr()? + self.log_variance.exp()?)? - (&self.log_variance + 1.0)?;
-        terms?.sum_all()? * (0.5 / batch)
+        ops::divergence(&self.0)
     }
 }
 
@@ -125,7 +133,7 @@ pub struct Encoder {
     hidden_vector: Option<Tensor>,
     hidden_bias: Tensor,
     posterior: Layer,
-    latent: usize,
+    precision: Precision,
 }
 
 impl Encoder {
@@ -155,7 +163,7 @@ impl Encoder {
                 .transpose()?,
             hidden_bias: build.parameter("hidden.bias", &[hidden], fan_in)?,
             posterior: build.linear("posterior", 2 * sizes.latent, hidden)?,
-            latent: sizes.latent,
+            precision: sizes.precision,
         })
     }
 
@@ -167,34 +175,37 @@ impl Encoder {
             hidden_vector: self.hidden_vector.as_ref().map(Tensor::detach),
             hidden_bias: self.hidden_bias.detach(),
             posterior: self.posterior.detached(),
-            latent: self.latent,
+            precision: self.precision,
         }
+    }
+
+    /// Size of the latent state.
+    pub fn latent(&self) -> Result<usize> {
+        Ok(self.posterior.bias.dim(0)? / 2)
     }
 
     /// The posterior of a batch.
     pub fn encode(&self, observation: &Observation) -> Result<Posterior> {
-        let mut hidden = None;
-        if let (Some(vector), Some(weight)) = (&observation.vector, &self.hidden_vector) {
-            hidden = Some(linear(vector, weight, &self.hidden_bias, false)?);
-        }
-        if let (Some(frames), Some(convolution), Some(weight)) =
+        let vector = observation.vector.as_ref().zip(self.hidden_vector.as_ref());
+        // Without frames, the ReLU is part of the layer.
+        let only_vector = self.convolution.is_none();
+        let mut hidden = vector
+            .map(|(vector, weight)| linear(vector, weight, &self.hidden_bias, only_vector))
+            .transpose()?;
+        if let (Some(frames), Some(Layer { weight: kernel, bias }), Some(weight)) =
             (&observation.frames, &self.convolution, &self.hidden_frame)
         {
-            let Layer { weight: kernel, bias } = convolution;
-            let seen = frame_encoder(frames.clone(), kernel, bias, weight, self.hidden_bias.device())?;
-            hidden = Some(match hidden {
+            let seen = frame_encoder(frames.clone(), kernel, bias, weight, self.precision)?;
+            let sum = match hidden {
                 Some(hidden) => (hidden + seen)?,
                 None => seen.broadcast_add(&self.hidden_bias)?,
-            });
+            };
+            hidden = Some(sum.relu()?);
         }
         let Some(hidden) = hidden else {
             candle_core::bail!("the observation lacks what the encoder is given")
         };
-        let posterior = linear(&hidden.relu()?, &self.posterior.weight, &self.posterior.bias, false)?;
-        Ok(Posterior {
-            mean: posterior.narrow(1, 0, self.latent)?,
-            log_variance: posterior.narrow(1, self.latent, self.latent)?,
-        })
+        Ok(Posterior(linear(&hidden, &self.posterior.weight, &self.posterior.bias, false)?))
     }
 }
 
@@ -205,6 +216,7 @@ pub struct Decoder {
     vector: Option<Layer>,
     frame: Option<Layer>,
     convolution: Option<Layer>,
+    precision: Precision,
 }
 
 /// One named term of a loss: the mean squared error of a modality, a scalar.
@@ -232,7 +244,14 @@ impl Decoder {
         let convolution = (channels > 0)
             .then(|| build.layer("conv", &[sizes.channels, channels, 4, 4], channels, channels * 16))
             .transpose()?;
-        Ok(Self { output: sizes.output.clone(), hidden, vector, frame, convolution })
+        Ok(Self {
+            output: sizes.output.clone(),
+            hidden,
+            vector,
+            frame,
+            convolution,
+            precision: sizes.precision,
+        })
     }
 
     /// The same decoder over the same parameters, for which no gradients are computed.
@@ -243,6 +262,7 @@ impl Decoder {
             vector: self.vector.as_ref().map(Layer::detached),
             frame: self.frame.as_ref().map(Layer::detached),
             convolution: self.convolution.as_ref().map(Layer::detached),
+            precision: self.precision,
         }
     }
 
@@ -267,14 +287,21 @@ impl Decoder {
             .as_ref()
             .map(|layer| linear(&hidden, &layer.weight, &layer.bias, false))
             .transpose()?;
-        let frames = match (&self.frame, &self.convolution) {
-            (Some(frame), Some(convolution)) => {
-                let coarse = linear(&hidden, &frame.weight, &frame.bias, false)?;
-                Some(frame_decoder(&coarse, &convolution.weight, &convolution.bias, FRAME_SIDE)?)
-            }
-            _ => None,
-        };
-        Ok((vector, frames))
+        let channels = Sizes::frame_channels(&self.output);
+        let frames = self.frame_decoder(0, channels)?;
+        Ok((vector, frames.map(|decoder| frame_decoder(&hidden, &decoder, FRAME_SIDE)).transpose()?))
+    }
+
+    /// The way from the hidden layer to `channels` channels of the frames, from `first` on.
+    fn frame_decoder(&self, first: usize, channels: usize) -> Result<Option<FrameDecoder>> {
+        let (Some(frame), Some(convolution)) = (&self.frame, &self.convolution) else { return Ok(None) };
+        Ok(Some(FrameDecoder {
+            weight: frame.weight.clone(),
+            bias: frame.bias.clone(),
+            kernel: convolution.weight.narrow(1, first, channels)?.contiguous()?,
+            kernel_bias: convolution.bias.narrow(0, first, channels)?,
+            precision: self.precision,
+        }))
     }
 
     /// The mean squared error of every output modality against `targets`, on standardised values.
@@ -286,23 +313,22 @@ impl Decoder {
         let mut terms = Vec::with_capacity(self.output.len());
         if let (Some(layer), Some(target)) = (&self.vector, &targets.vector) {
             let predicted = linear(&hidden, &layer.weight, &layer.bias, false)?;
-            let mut first = 0;
-            for modality in self.output.iter().copied().filter(|modality| !modality.is_frame()) {
-                let columns = |tensor: &Tensor| tensor.narrow(1, first, modality.width());
-                let value = candle_nn::loss::mse(&columns(&predicted)?, &columns(target)?)?;
-                terms.push(Term { modality, value });
-                first += modality.width();
+            let modalities: Vec<Modality> =
+                self.output.iter().copied().filter(|modality| !modality.is_frame()).collect();
+            let widths: Vec<usize> = modalities.iter().map(|modality| modality.width()).collect();
+            let errors = squared_errors(&predicted, target, &widths)?;
+            for (index, modality) in modalities.into_iter().enumerate() {
+                terms.push(Term { modality, value: errors.get(index)? });
             }
         }
-        if let (Some(frame), Some(convolution)) = (&self.frame, &self.convolution) {
-            let coarse = linear(&hidden, &frame.weight, &frame.bias, false)?;
-            for (index, (modality, target)) in targets.frames.iter().enumerate() {
-                let channels = target.channels();
-                let kernel = convolution.weight.narrow(1, index * channels, channels)?.contiguous()?;
-                let bias = convolution.bias.narrow(0, index * channels, channels)?;
-                let value = frame_loss(&coarse, &kernel, &bias, target.clone())?;
-                terms.push(Term { modality: *modality, value });
+        let mut first = 0;
+        for (modality, target) in &targets.frames {
+            let channels = target.channels();
+            if let Some(decoder) = self.frame_decoder(first, channels)? {
+                terms
+                    .push(Term { modality: *modality, value: frame_loss(&hidden, decoder, target.clone())? });
             }
+            first += channels;
         }
         Ok(terms)
     }

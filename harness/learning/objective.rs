@@ -81,11 +81,11 @@ impl Objective for Prediction<'_> {
         let posterior = self.encoder.encode(&self.view.observation(at, self.input)?)?;
         let latent = match draw {
             Draw::Sample(random) => {
-                let shape = posterior.mean.shape();
-                let noise = Tensor::from_vec(random.normal(shape.elem_count()), shape, &Device::Cpu)?;
+                let shape = (at.len(), self.encoder.latent()?);
+                let noise = Tensor::from_vec(random.normal(shape.0 * shape.1), shape, &Device::Cpu)?;
                 posterior.sample(&noise.to_device(&self.view.device)?)?
             }
-            Draw::Mean => posterior.mean.clone(),
+            Draw::Mean => posterior.mean()?,
         };
         let next: Vec<usize> = at.iter().map(|sample| sample + 1).collect();
         let targets = self.view.targets(&next, self.output)?;

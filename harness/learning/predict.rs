@@ -11,7 +11,7 @@ const BATCH: usize = 256;
 /// The posterior's mean for every transition in `at`, `[at, latent]`.
 pub fn encode(view: &View, encoder: &Encoder, input: &[Modality], at: &[usize]) -> Result<Tensor> {
     let encoder = encoder.detached();
-    let means = at.chunks(BATCH).map(|at| Ok(encoder.encode(&view.observation(at, input)?)?.mean));
+    let means = at.chunks(BATCH).map(|at| encoder.encode(&view.observation(at, input)?)?.mean());
     Tensor::cat(&means.collect::<Result<Vec<_>>>()?, 0)?.contiguous()
 }
 

@@ -3,7 +3,7 @@
 use super::LearningError;
 use super::network::{Parameters, scalar};
 use super::objective::{Draw, Objective, Weighted};
-use super::ops::Adam;
+use super::ops::{Adam, backward};
 use super::random::{Random, Stream};
 use super::state::{State, StateFile};
 use crate::dataset::Partition;
@@ -99,7 +99,7 @@ impl Fit<'_> {
             let terms = objective.terms(at, Draw::Sample(&mut random))?;
             let total = total(&terms)?;
             train.add(&terms, &total, at.len())?;
-            adam.step(&total.backward()?)?;
+            adam.step(&backward(&total)?)?;
         }
         let validation = self.validate(objective)?;
         let epoch = Epoch {

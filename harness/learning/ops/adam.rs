@@ -1,7 +1,7 @@
 //! Adam as one pass over a parameter and its moments, in place.
 
 use super::slice;
-use crate::learning::kernels::{self, AdamStep};
+use crate::learning::kernels::adam::{AdamStep, adam};
 use candle_core::backprop::GradStore;
 use candle_core::{CpuStorage, Device, InplaceOp2, Layout, Result, Tensor, Var};
 use std::sync::Mutex;
@@ -146,7 +146,7 @@ impl InplaceOp2 for AdamOp<'_> {
         };
         let mut moments = self.moments.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         let (mean, square) = &mut *moments;
-        kernels::adam(self.step, &mut parameter[start..end], slice(grad, grad_layout)?, mean, square);
+        adam(self.step, &mut parameter[start..end], slice(grad, grad_layout)?, mean, square);
         Ok(())
     }
 }

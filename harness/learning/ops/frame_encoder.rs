@@ -3,32 +3,42 @@
 //! The frames are data, so no gradient is computed for them, and the activations of the convolution never pass
 //! through candle's gradient store.
 
-use super::{slice, tensor, threads, with_values};
+use super::{hand_over, is_trained, slice, tensor, threads, with_values};
 use crate::dataset::frames::Frames;
-use crate::learning::kernels::{self, Into, Matrix, PARTS, Patches, product};
-use candle_core::{CpuStorage, CustomOp3, Device, Layout, Result, Shape, Tensor};
+use crate::learning::kernels::convolution::{Coarse, Convolution, Fine, KernelSums};
+use crate::learning::kernels::product::{Into, Matrix, product};
+use crate::learning::kernels::{self, PARTS, simd};
+use crate::spec::Precision;
+use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 use std::sync::{Arc, OnceLock};
 
 /// `relu(conv(frames))`, flattened channel by channel, times `hiddenᵀ`; result `[batch, hidden]`.
 ///
 /// `kernel` `[channels, frame channels, 4, 4]` and `bias` `[channels]` make the convolution (stride 2, padding
-/// 1); `hidden` is `[hidden, channels * (side / 2)²]`.
+/// 1); `hidden` is `[hidden, channels * (side / 2)²]`, a variable or detached, and its product has `precision`.
 pub fn frame_encoder(
     frames: Arc<dyn Frames>,
     kernel: &Tensor,
     bias: &Tensor,
     hidden: &Tensor,
-    device: &Device,
+    precision: Precision,
 ) -> Result<Tensor> {
+    let (channels, device) = (kernel.dim(0)?, kernel.device());
     if device.is_cpu() {
-        let channels = kernel.dim(0)?;
-        let patches =
-            Patches { fine_channels: frames.channels(), coarse_channels: channels, side: frames.side() };
-        return kernel.apply_op3(bias, hidden, FrameEncoder { frames, patches, active: OnceLock::new() });
+        let sizes =
+            Convolution { fine_channels: frames.channels(), coarse_channels: channels, side: frames.side() };
+        let op = FrameEncoder {
+            frames,
+            sizes,
+            hidden: hidden.clone(),
+            trained: is_trained(hidden)?,
+            precision,
+            active: OnceLock::new(),
+        };
+        return kernel.apply_op2(bias, op);
     }
     let frames = frames.tensor(device)?;
-    let channels = kernel.dim(0)?;
     let active =
         frames.conv2d(kernel, 1, 2, 1, 1)?.broadcast_add(&bias.reshape((1, channels, 1, 1))?)?.relu()?;
     active.flatten_from(1)?.matmul(&hidden.t()?)
@@ -36,78 +46,82 @@ pub fn frame_encoder(
 
 struct FrameEncoder {
     frames: Arc<dyn Frames>,
-    patches: Patches,
+    sizes: Convolution,
+    hidden: Tensor,
+    trained: bool,
+    precision: Precision,
     /// `relu(conv(frames))` `[batch, channels * positions]`, kept for the gradients.
     active: OnceLock<Vec<f32>>,
 }
 
 impl FrameEncoder {
+    /// Images in a part of the batch.
+    fn part(&self) -> usize {
+        self.frames.batch().div_ceil(PARTS)
+    }
+
     fn convolve(&self, kernel: &[f32], bias: &[f32]) -> Vec<f32> {
-        let patches = self.patches;
-        let (coarse, patch, positions) = (patches.coarse_channels, patches.patch_len(), patches.positions());
-        let mut active = kernels::scratch(self.frames.batch() * patches.coarse_len());
-        let part = self.frames.batch().div_ceil(PARTS);
-        active.par_chunks_mut(part * patches.coarse_len()).enumerate().for_each(|(part_index, active)| {
-            let mut frame = kernels::scratch(patches.fine_len());
-            let mut cut = kernels::scratch(patch * positions);
-            for (index, active) in active.chunks_exact_mut(patches.coarse_len()).enumerate() {
+        let (sizes, part) = (self.sizes, self.part());
+        let mut active = kernels::scratch(self.frames.batch() * sizes.coarse_len());
+        active.par_chunks_mut(part * sizes.coarse_len()).enumerate().for_each(|(part_index, active)| {
+            let (mut frame, mut fine) = (kernels::scratch(sizes.fine_len()), Fine::new(sizes));
+            for (index, active) in active.chunks_exact_mut(sizes.coarse_len()).enumerate() {
                 self.frames.write(part_index * part + index, &mut frame);
-                patches.cut(&frame, &mut cut);
-                product(
-                    Matrix::plain(kernel, coarse, patch),
-                    Matrix::plain(&cut, patch, positions),
-                    active,
-                    Into::Overwrite,
-                    1,
-                );
-                for (plane, bias) in active.chunks_exact_mut(positions).zip(bias) {
-                    plane.iter_mut().for_each(|value| *value = (*value + bias).max(0.0));
-                }
+                fine.set(&frame);
+                sizes.convolve(&fine, kernel, active);
+                activate(active, bias);
             }
         });
         active
     }
 
     /// Gradients of the convolution's kernel and bias, given that of its activations.
-    fn convolution_gradients(&self, mut grad_active: Vec<f32>) -> (Vec<f32>, Vec<f32>) {
-        let patches = self.patches;
-        let (coarse, patch, positions) = (patches.coarse_channels, patches.patch_len(), patches.positions());
+    fn convolution_gradients(&self, grad_active: &[f32]) -> (Vec<f32>, Vec<f32>) {
+        let (sizes, part) = (self.sizes, self.part());
         let active = self.active.get().map(Vec::as_slice).unwrap_or_default();
-        let part = self.frames.batch().div_ceil(PARTS);
         let sums = grad_active
-            .par_chunks_mut(part * patches.coarse_len())
-            .zip(active.par_chunks(part * patches.coarse_len()))
+            .par_chunks(part * sizes.coarse_len())
+            .zip(active.par_chunks(part * sizes.coarse_len()))
             .enumerate()
             .map(|(part_index, (grad, active))| {
-                let mut frame = kernels::scratch(patches.fine_len());
-                let mut cut = kernels::scratch(patch * positions);
-                let (mut grad_kernel, mut grad_bias) = (vec![0.0; patches.weight_len()], vec![0.0; coarse]);
-                let images = grad
-                    .chunks_exact_mut(patches.coarse_len())
-                    .zip(active.chunks_exact(patches.coarse_len()));
+                let (mut frame, mut fine) = (kernels::scratch(sizes.fine_len()), Fine::new(sizes));
+                let (mut coarse, mut kernel) = (Coarse::new(sizes), KernelSums::new(sizes));
+                let mut bias = vec![0.0; sizes.coarse_channels];
+                let images =
+                    grad.chunks_exact(sizes.coarse_len()).zip(active.chunks_exact(sizes.coarse_len()));
                 for (index, (grad, active)) in images.enumerate() {
-                    kernels::mask(grad, active);
+                    coarse.set_masked(grad, active);
                     self.frames.write(part_index * part + index, &mut frame);
-                    patches.cut(&frame, &mut cut);
-                    product(
-                        Matrix::plain(grad, coarse, positions),
-                        Matrix::transposed(&cut, patch, positions),
-                        &mut grad_kernel,
-                        Into::Add,
-                        1,
-                    );
-                    for (sum, plane) in grad_bias.iter_mut().zip(grad.chunks_exact(positions)) {
-                        *sum += plane.iter().sum::<f32>();
-                    }
+                    fine.set(&frame);
+                    sizes.add_kernel_gradient(&fine, &coarse, &mut kernel);
+                    coarse.add_channel_sums(&mut bias);
                 }
-                (grad_kernel, grad_bias)
+                (kernel.total(), bias)
             });
         let (kernel, bias): (Vec<_>, Vec<_>) = sums.collect::<Vec<_>>().into_iter().unzip();
-        (kernels::sum_in_order(kernel, patches.weight_len()), kernels::sum_in_order(bias, coarse))
+        (
+            kernels::sum_in_order(kernel, sizes.kernel_len()),
+            kernels::sum_in_order(bias, sizes.coarse_channels),
+        )
     }
 }
 
-impl CustomOp3 for FrameEncoder {
+/// `relu(channel + bias)` for each channel, in place.
+fn activate(channels: &mut [f32], bias: &[f32]) {
+    let positions = channels.len() / bias.len();
+    simd(
+        #[inline(always)]
+        || {
+            for (channel, bias) in channels.chunks_exact_mut(positions).zip(bias) {
+                for value in channel {
+                    *value = (*value + bias).max(0.0);
+                }
+            }
+        },
+    );
+}
+
+impl CustomOp2 for FrameEncoder {
     fn name(&self) -> &'static str {
         "frame-encoder"
     }
@@ -118,19 +132,16 @@ impl CustomOp3 for FrameEncoder {
         kernel_layout: &Layout,
         bias: &CpuStorage,
         bias_layout: &Layout,
-        hidden: &CpuStorage,
-        hidden_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
         let active = self.convolve(slice(kernel, kernel_layout)?, slice(bias, bias_layout)?);
-        let (batch, (outputs, inputs)) = (self.frames.batch(), hidden_layout.shape().dims2()?);
+        let (batch, (outputs, inputs)) = (self.frames.batch(), self.hidden.dims2()?);
         let mut out = kernels::scratch(batch * outputs);
-        product(
-            Matrix::plain(&active, batch, inputs),
-            Matrix::transposed(slice(hidden, hidden_layout)?, outputs, inputs),
-            &mut out,
-            Into::Overwrite,
-            threads(),
-        );
+        with_values(&self.hidden, |hidden| {
+            let (active, hidden) =
+                (Matrix::plain(&active, batch, inputs), Matrix::transposed(hidden, outputs, inputs));
+            product(active, hidden, &mut out, Into::Overwrite, self.precision, threads());
+            Ok(())
+        })?;
         self.active.get_or_init(|| active);
         Ok((CpuStorage::F32(out), (batch, outputs).into()))
     }
@@ -139,34 +150,28 @@ impl CustomOp3 for FrameEncoder {
         &self,
         kernel: &Tensor,
         bias: &Tensor,
-        hidden: &Tensor,
         _out: &Tensor,
         grad: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let (batch, (outputs, inputs)) = (self.frames.batch(), hidden.dims2()?);
+    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
+        let (batch, (outputs, inputs)) = (self.frames.batch(), self.hidden.dims2()?);
         let active = self.active.get().map(Vec::as_slice).unwrap_or_default();
-        let mut grad_hidden = kernels::scratch(outputs * inputs);
         let mut grad_active = kernels::scratch(batch * inputs);
         with_values(grad, |grad| {
-            product(
-                Matrix::transposed(grad, batch, outputs),
-                Matrix::plain(active, batch, inputs),
-                &mut grad_hidden,
-                Into::Overwrite,
-                threads(),
-            );
-            with_values(hidden, |hidden| {
-                let grad = Matrix::plain(grad, batch, outputs);
-                let hidden = Matrix::plain(hidden, outputs, inputs);
-                product(grad, hidden, &mut grad_active, Into::Overwrite, threads());
+            if self.trained {
+                let mut grad_hidden = kernels::scratch(outputs * inputs);
+                let (grad, active) =
+                    (Matrix::transposed(grad, batch, outputs), Matrix::plain(active, batch, inputs));
+                product(grad, active, &mut grad_hidden, Into::Overwrite, self.precision, threads());
+                hand_over(&self.hidden, grad_hidden)?;
+            }
+            with_values(&self.hidden, |hidden| {
+                let (grad, hidden) =
+                    (Matrix::plain(grad, batch, outputs), Matrix::plain(hidden, outputs, inputs));
+                product(grad, hidden, &mut grad_active, Into::Overwrite, self.precision, threads());
                 Ok(())
             })
         })?;
-        let (grad_kernel, grad_bias) = self.convolution_gradients(grad_active);
-        Ok((
-            Some(tensor(grad_kernel, kernel.shape())?),
-            Some(tensor(grad_bias, bias.shape())?),
-            Some(tensor(grad_hidden, (outputs, inputs))?),
-        ))
+        let (grad_kernel, grad_bias) = self.convolution_gradients(&grad_active);
+        Ok((Some(tensor(grad_kernel, kernel.shape())?), Some(tensor(grad_bias, bias.shape())?)))
     }
 }

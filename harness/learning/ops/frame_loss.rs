@@ -1,220 +1,233 @@
-//! The decoder's last step to frames: ReLU, transposed convolution and the mean squared error, as one op.
+//! The decoder's last two layers, to frames: a fully connected layer, ReLU, transposed convolution and the mean
+//! squared error, as one op.
 //!
 //! Predicted frames and their gradients exist one image at a time, in cache. Since a loss is a scalar, its
-//! gradients are known up to a factor as soon as it is, and are computed in the forward pass.
+//! gradients are known up to a factor as soon as it is, and are computed in the forward pass, where they take the
+//! place of the activations.
 
-use super::{slice, tensor};
+use super::{hand_over, is_trained, slice, tensor, threads, with_values};
 use crate::dataset::frames::Frames;
-use crate::learning::kernels::{self, Into, Matrix, PARTS, Patches, product};
+use crate::learning::kernels::convolution::{Coarse, Convolution, Fine, KernelSums};
+use crate::learning::kernels::product::{Into, Matrix, product};
+use crate::learning::kernels::{self, PARTS, add_to, simd};
+use crate::spec::Precision;
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 use std::sync::{Arc, Mutex};
 
-/// Mean squared error between `deconv(relu(coarse))` and `target`, over all values of the batch; a scalar.
-///
-/// `coarse` is `[batch, channels * (side / 2)²]`; `kernel` `[channels, frame channels, 4, 4]` and `bias`
-/// `[frame channels]` make the transposed convolution (stride 2, padding 1).
-pub fn frame_loss(
-    coarse: &Tensor,
-    kernel: &Tensor,
-    bias: &Tensor,
-    target: Arc<dyn Frames>,
-) -> Result<Tensor> {
-    if coarse.device().is_cpu() {
-        let patches = patches_of(kernel, target.side())?;
-        let trained = [coarse, kernel, bias].iter().any(|tensor| tensor.track_op());
-        return coarse.apply_op3(
-            kernel,
-            bias,
-            FrameLoss { target, patches, trained, gradients: Mutex::new(None) },
-        );
-    }
-    let predicted = compose(coarse, kernel, bias, target.side())?;
-    (predicted - target.tensor(coarse.device())?)?.sqr()?.mean_all()
+/// The parameters between the decoder's hidden layer and a frame.
+pub struct FrameDecoder {
+    /// `[channels * (side / 2)², hidden]`, a variable or detached.
+    pub weight: Tensor,
+    /// `[channels * (side / 2)²]`, a variable or detached.
+    pub bias: Tensor,
+    /// Of the transposed convolution (stride 2, padding 1): `[channels, frame channels, 4, 4]`.
+    pub kernel: Tensor,
+    /// `[frame channels]`.
+    pub kernel_bias: Tensor,
+    /// Of the fully connected layer's products.
+    pub precision: Precision,
 }
 
-/// `deconv(relu(coarse))`, `[batch, frame channels, side, side]`, without gradients.
-pub fn frame_decoder(coarse: &Tensor, kernel: &Tensor, bias: &Tensor, side: usize) -> Result<Tensor> {
-    if coarse.device().is_cpu() {
-        let patches = patches_of(kernel, side)?;
-        return coarse.apply_op3_no_bwd(kernel, bias, &FrameDecoder { patches });
-    }
-    compose(coarse, kernel, bias, side)
-}
-
-fn compose(coarse: &Tensor, kernel: &Tensor, bias: &Tensor, side: usize) -> Result<Tensor> {
-    let (channels, frame_channels, ..) = kernel.dims4()?;
-    coarse
-        .relu()?
-        .reshape((coarse.dim(0)?, channels, side / 2, side / 2))?
-        .conv_transpose2d(kernel, 1, 0, 2, 1)?
-        .broadcast_add(&bias.reshape((1, frame_channels, 1, 1))?)
-}
-
-fn patches_of(kernel: &Tensor, side: usize) -> Result<Patches> {
-    let (coarse_channels, fine_channels, ..) = kernel.dims4()?;
-    Ok(Patches { fine_channels, coarse_channels, side })
-}
-
-/// `relu(coarse)`, its patches' products and the image that they add up to: one image's buffers.
-struct Image {
-    active: Vec<f32>,
-    cut: Vec<f32>,
-    frame: Vec<f32>,
-}
-
-impl Image {
-    fn new(patches: Patches) -> Self {
-        Self {
-            active: kernels::scratch(patches.coarse_len()),
-            cut: kernels::scratch(patches.patch_len() * patches.positions()),
-            frame: kernels::scratch(patches.fine_len()),
-        }
+impl FrameDecoder {
+    fn sizes(&self, side: usize) -> Result<Convolution> {
+        let (coarse_channels, fine_channels, ..) = self.kernel.dims4()?;
+        Ok(Convolution { fine_channels, coarse_channels, side })
     }
 
-    /// Decodes one image into `self.frame`.
-    fn decode(&mut self, patches: Patches, coarse: &[f32], kernel: &[f32], bias: &[f32]) {
-        for (active, coarse) in self.active.iter_mut().zip(coarse) {
-            *active = coarse.max(0.0);
-        }
-        product(
-            Matrix::transposed(kernel, patches.coarse_channels, patches.patch_len()),
-            Matrix::plain(&self.active, patches.coarse_channels, patches.positions()),
-            &mut self.cut,
-            Into::Overwrite,
-            1,
-        );
-        patches.paste(&self.cut, bias, &mut self.frame);
+    /// `hidden weightᵀ` `[batch, channels * (side / 2)²]`, without the bias.
+    fn coarse(&self, hidden: &[f32]) -> Result<Vec<f32>> {
+        let (outputs, inputs) = self.weight.dims2()?;
+        let batch = hidden.len() / inputs;
+        let mut coarse = kernels::scratch(batch * outputs);
+        with_values(&self.weight, |weight| {
+            let (hidden, weight) =
+                (Matrix::plain(hidden, batch, inputs), Matrix::transposed(weight, outputs, inputs));
+            product(hidden, weight, &mut coarse, Into::Overwrite, self.precision, threads());
+            Ok(())
+        })?;
+        Ok(coarse)
+    }
+
+    /// The same as [`frame_decoder`] from candle's operations.
+    fn compose(&self, hidden: &Tensor, side: usize) -> Result<Tensor> {
+        let (channels, frame_channels, ..) = self.kernel.dims4()?;
+        hidden
+            .matmul(&self.weight.t()?)?
+            .broadcast_add(&self.bias)?
+            .relu()?
+            .reshape((hidden.dim(0)?, channels, side / 2, side / 2))?
+            .conv_transpose2d(&self.kernel, 1, 0, 2, 1)?
+            .broadcast_add(&self.kernel_bias.reshape((1, frame_channels, 1, 1))?)
     }
 }
 
-struct FrameDecoder {
-    patches: Patches,
+/// Mean squared error between the frames that `decoder` makes of `hidden` `[batch, hidden]` and `target`, over all
+/// values of the batch; a scalar.
+pub fn frame_loss(hidden: &Tensor, decoder: FrameDecoder, target: Arc<dyn Frames>) -> Result<Tensor> {
+    if !hidden.device().is_cpu() {
+        let predicted = decoder.compose(hidden, target.side())?;
+        return (predicted - target.tensor(hidden.device())?)?.sqr()?.mean_all();
+    }
+    let trained = is_trained(&decoder.weight)? | is_trained(&decoder.bias)?;
+    let arguments = [hidden, &decoder.kernel, &decoder.kernel_bias];
+    let trained = trained || arguments.iter().any(|tensor| tensor.track_op());
+    let sizes = decoder.sizes(target.side())?;
+    let (kernel, kernel_bias) = (decoder.kernel.clone(), decoder.kernel_bias.clone());
+    let op = FrameLoss { decoder, target, sizes, trained, gradients: Mutex::new(None) };
+    hidden.contiguous()?.apply_op3(&kernel, &kernel_bias, op)
 }
 
-impl CustomOp3 for FrameDecoder {
-    fn name(&self) -> &'static str {
-        "frame-decoder"
+/// The frames that `decoder` makes of `hidden` `[batch, hidden]`: `[batch, frame channels, side, side]`, without
+/// gradients.
+pub fn frame_decoder(hidden: &Tensor, decoder: &FrameDecoder, side: usize) -> Result<Tensor> {
+    if !hidden.device().is_cpu() {
+        return decoder.compose(hidden, side);
     }
-
-    fn cpu_fwd(
-        &self,
-        coarse: &CpuStorage,
-        coarse_layout: &Layout,
-        kernel: &CpuStorage,
-        kernel_layout: &Layout,
-        bias: &CpuStorage,
-        bias_layout: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        let patches = self.patches;
-        let (coarse, kernel, bias) =
-            (slice(coarse, coarse_layout)?, slice(kernel, kernel_layout)?, slice(bias, bias_layout)?);
-        let batch = coarse.len() / patches.coarse_len();
-        let mut frames = kernels::scratch(batch * patches.fine_len());
-        frames.par_chunks_mut(patches.fine_len()).zip(coarse.par_chunks(patches.coarse_len())).for_each_init(
-            || Image::new(patches),
-            |image, (frame, coarse)| {
-                image.decode(patches, coarse, kernel, bias);
-                frame.copy_from_slice(&image.frame);
-            },
-        );
-        let shape = (batch, patches.fine_channels, patches.side, patches.side);
-        Ok((CpuStorage::F32(frames), shape.into()))
-    }
+    let sizes = decoder.sizes(side)?;
+    let coarse = with_values(hidden, |hidden| decoder.coarse(hidden))?;
+    let batch = hidden.dim(0)?;
+    let mut frames = kernels::scratch(batch * sizes.fine_len());
+    with_values(&decoder.bias, |bias| {
+        with_values(&decoder.kernel, |kernel| {
+            with_values(&decoder.kernel_bias, |kernel_bias| {
+                let images =
+                    frames.par_chunks_mut(sizes.fine_len()).zip(coarse.par_chunks(sizes.coarse_len()));
+                images.for_each_init(
+                    || Coarse::new(sizes),
+                    |active, (frame, coarse)| {
+                        active.set_active(coarse, bias);
+                        sizes.spread(active, kernel, kernel_bias, frame);
+                    },
+                );
+                Ok(())
+            })
+        })
+    })?;
+    tensor(frames, (batch, sizes.fine_channels, side, side))
 }
 
 struct FrameLoss {
+    decoder: FrameDecoder,
     target: Arc<dyn Frames>,
-    patches: Patches,
+    sizes: Convolution,
     trained: bool,
     gradients: Mutex<Option<Gradients>>,
 }
 
+/// Of the parameters, and of the hidden layer's output.
 struct Gradients {
-    coarse: Vec<f32>,
-    kernel: Vec<f32>,
+    hidden: Vec<f32>,
+    weight: Vec<f32>,
     bias: Vec<f32>,
+    kernel: Vec<f32>,
+    kernel_bias: Vec<f32>,
 }
 
 /// What one part of the batch adds to the sums.
 struct Part {
     squared_error: f64,
-    kernel: Vec<f32>,
     bias: Vec<f32>,
+    kernel: Vec<f32>,
+    kernel_bias: Vec<f32>,
 }
 
 impl FrameLoss {
-    /// One part of the batch, from image `first` on; writes the gradient of `coarse` into `grad_coarse`.
+    /// One part of the batch, from image `first` on. Replaces `coarse`, the activations without bias and ReLU, by
+    /// the gradient with regard to them where gradients are wanted.
     fn part(
         &self,
         first: usize,
-        coarse: &[f32],
-        grad_coarse: &mut [f32],
-        kernel: &[f32],
+        coarse: &mut [f32],
         bias: &[f32],
+        kernel: &[f32],
+        kernel_bias: &[f32],
     ) -> Part {
-        let patches = self.patches;
-        let coarse_len = patches.coarse_len();
-        let scale = 2.0 / (self.target.batch() * patches.fine_len()) as f32;
-        let mut image = Image::new(patches);
-        let mut target = kernels::scratch(patches.fine_len());
-        let mut part =
-            Part { squared_error: 0.0, kernel: vec![0.0; kernel.len()], bias: vec![0.0; bias.len()] };
-        for (index, coarse) in coarse.chunks_exact(coarse_len).enumerate() {
-            image.decode(patches, coarse, kernel, bias);
+        let sizes = self.sizes;
+        let scale = 2.0 / (self.target.batch() * sizes.fine_len()) as f32;
+        let (mut active, mut fine, mut sums) = (Coarse::new(sizes), Fine::new(sizes), KernelSums::new(sizes));
+        let (mut frame, mut target) =
+            (kernels::scratch(sizes.fine_len()), kernels::scratch(sizes.fine_len()));
+        let mut part = Part {
+            squared_error: 0.0,
+            bias: vec![0.0; bias.len()],
+            kernel: Vec::new(),
+            kernel_bias: vec![0.0; kernel_bias.len()],
+        };
+        for (index, coarse) in coarse.chunks_exact_mut(sizes.coarse_len()).enumerate() {
+            active.set_active(coarse, bias);
+            sizes.spread(&active, kernel, kernel_bias, &mut frame);
             self.target.write(first + index, &mut target);
-            part.squared_error += subtract(&mut image.frame, &target);
+            part.squared_error += errors(&mut frame, &target, scale);
             if self.trained {
-                image.frame.iter_mut().for_each(|error| *error *= scale);
-                part.gradients(
-                    patches,
-                    &mut image,
-                    &mut grad_coarse[index * coarse_len..][..coarse_len],
-                    kernel,
-                );
+                fine.set(&frame);
+                sizes.convolve(&fine, kernel, coarse);
+                active.mask(coarse);
+                add_to(&mut part.bias, coarse);
+                sizes.add_kernel_gradient(&fine, &active, &mut sums);
+                let channels = frame.chunks_exact(sizes.side * sizes.side);
+                for (sum, channel) in part.kernel_bias.iter_mut().zip(channels) {
+                    *sum += kernels::sum(channel);
+                }
             }
         }
+        part.kernel = sums.total();
         part
     }
-}
 
-impl Part {
-    /// Adds one image's gradients, given that of its frame in `image.frame`.
-    fn gradients(&mut self, patches: Patches, image: &mut Image, grad_coarse: &mut [f32], kernel: &[f32]) {
-        let (coarse, patch, positions) = (patches.coarse_channels, patches.patch_len(), patches.positions());
-        patches.cut(&image.frame, &mut image.cut);
-        let cut = Matrix::plain(&image.cut, patch, positions);
-        product(Matrix::plain(kernel, coarse, patch), cut, grad_coarse, Into::Overwrite, 1);
-        kernels::mask(grad_coarse, &image.active);
-        product(
-            Matrix::plain(&image.active, coarse, positions),
-            Matrix::transposed(&image.cut, patch, positions),
-            &mut self.kernel,
-            Into::Add,
-            1,
-        );
-        let plane = patches.side * patches.side;
-        for (sum, plane) in self.bias.iter_mut().zip(image.frame.chunks_exact(plane)) {
-            *sum += plane.iter().sum::<f32>();
+    /// The gradients, given that of the activations before the ReLU.
+    fn gradients(&self, hidden: &[f32], grad_coarse: &[f32], parts: Vec<Part>) -> Result<Gradients> {
+        let (outputs, inputs) = self.decoder.weight.dims2()?;
+        let batch = self.target.batch();
+        let mut grad_hidden = kernels::scratch(batch * inputs);
+        with_values(&self.decoder.weight, |weight| {
+            let (grad, weight) =
+                (Matrix::plain(grad_coarse, batch, outputs), Matrix::plain(weight, outputs, inputs));
+            product(grad, weight, &mut grad_hidden, Into::Overwrite, self.decoder.precision, threads());
+            Ok(())
+        })?;
+        let mut grad_weight = kernels::scratch(outputs * inputs);
+        let (grad, hidden) =
+            (Matrix::transposed(grad_coarse, batch, outputs), Matrix::plain(hidden, batch, inputs));
+        product(grad, hidden, &mut grad_weight, Into::Overwrite, self.decoder.precision, threads());
+        let (mut bias, mut kernel, mut kernel_bias) = (Vec::new(), Vec::new(), Vec::new());
+        for part in parts {
+            bias.push(part.bias);
+            kernel.push(part.kernel);
+            kernel_bias.push(part.kernel_bias);
         }
+        Ok(Gradients {
+            hidden: grad_hidden,
+            weight: grad_weight,
+            bias: kernels::sum_in_order(bias, outputs),
+            kernel: kernels::sum_in_order(kernel, self.sizes.kernel_len()),
+            kernel_bias: kernels::sum_in_order(kernel_bias, self.sizes.fine_channels),
+        })
     }
 }
 
-/// `values -= target`; the sum of the squared differences.
-fn subtract(values: &mut [f32], target: &[f32]) -> f64 {
-    const LANES: usize = 1024;
-    let mut sum = 0.0;
-    for (values, target) in values.chunks_mut(LANES).zip(target.chunks(LANES)) {
-        let mut squares = [0.0f32; 16];
-        for (values, target) in values.chunks_mut(16).zip(target.chunks(16)) {
-            for ((value, target), square) in values.iter_mut().zip(target).zip(&mut squares) {
-                *value -= target;
-                *square += *value * *value;
+/// `values = scale * (values - target)`; the sum of the squared differences.
+fn errors(values: &mut [f32], target: &[f32], scale: f32) -> f64 {
+    const LANES: usize = 16;
+    const RUN: usize = 64 * LANES;
+    simd(
+        #[inline(always)]
+        || {
+            let mut sum = 0.0;
+            for (values, target) in values.chunks_mut(RUN).zip(target.chunks(RUN)) {
+                let mut squares = [0.0f32; LANES];
+                for (values, target) in values.chunks_mut(LANES).zip(target.chunks(LANES)) {
+                    for ((value, target), square) in values.iter_mut().zip(target).zip(&mut squares) {
+                        let error = *value - target;
+                        *square += error * error;
+                        *value = error * scale;
+                    }
+                }
+                sum += squares.iter().map(|square| f64::from(*square)).sum::<f64>();
             }
-        }
-        sum += squares.iter().map(|square| f64::from(*square)).sum::<f64>();
-    }
-    sum
+            sum
+        },
+    )
 }
 
 impl CustomOp3 for FrameLoss {
@@ -224,33 +237,27 @@ impl CustomOp3 for FrameLoss {
 
     fn cpu_fwd(
         &self,
-        coarse: &CpuStorage,
-        coarse_layout: &Layout,
+        hidden: &CpuStorage,
+        hidden_layout: &Layout,
         kernel: &CpuStorage,
         kernel_layout: &Layout,
-        bias: &CpuStorage,
-        bias_layout: &Layout,
+        kernel_bias: &CpuStorage,
+        kernel_bias_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        let (coarse, kernel, bias) =
-            (slice(coarse, coarse_layout)?, slice(kernel, kernel_layout)?, slice(bias, bias_layout)?);
-        let part = self.target.batch().div_ceil(PARTS);
-        let part_len = part * self.patches.coarse_len();
-        let mut grad_coarse = kernels::scratch(coarse.len());
-        let parts: Vec<Part> = coarse
-            .par_chunks(part_len)
-            .zip(grad_coarse.par_chunks_mut(part_len))
-            .enumerate()
-            .map(|(index, (coarse, grad))| self.part(index * part, coarse, grad, kernel, bias))
-            .collect();
+        let hidden = slice(hidden, hidden_layout)?;
+        let (kernel, kernel_bias) = (slice(kernel, kernel_layout)?, slice(kernel_bias, kernel_bias_layout)?);
+        let mut coarse = self.decoder.coarse(hidden)?;
+        let images = self.target.batch().div_ceil(PARTS);
+        let parts: Vec<Part> = with_values(&self.decoder.bias, |bias| {
+            let parts = coarse.par_chunks_mut(images * self.sizes.coarse_len()).enumerate();
+            Ok(parts
+                .map(|(index, coarse)| self.part(index * images, coarse, bias, kernel, kernel_bias))
+                .collect())
+        })?;
         let squared_error: f64 = parts.iter().map(|part| part.squared_error).sum();
-        let mean = squared_error / (self.target.batch() * self.patches.fine_len()) as f64;
+        let mean = squared_error / (self.target.batch() * self.sizes.fine_len()) as f64;
         if self.trained {
-            let (kernels, biases) = parts.into_iter().map(|part| (part.kernel, part.bias)).unzip();
-            let gradients = Gradients {
-                coarse: grad_coarse,
-                kernel: kernels::sum_in_order(kernels, kernel.len()),
-                bias: kernels::sum_in_order(biases, bias.len()),
-            };
+            let gradients = self.gradients(hidden, &coarse, parts)?;
             *self.gradients.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(gradients);
         }
         Ok((CpuStorage::F32(vec![mean as f32]), ().into()))
@@ -258,9 +265,9 @@ impl CustomOp3 for FrameLoss {
 
     fn bwd(
         &self,
-        coarse: &Tensor,
+        hidden: &Tensor,
         kernel: &Tensor,
-        bias: &Tensor,
+        kernel_bias: &Tensor,
         _loss: &Tensor,
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
@@ -269,16 +276,23 @@ impl CustomOp3 for FrameLoss {
             candle_core::bail!("the frame loss's gradients were already taken; run its forward pass again")
         };
         let factor = grad.to_scalar::<f32>()?;
-        let scaled = |mut values: Vec<f32>, shape: &Shape| {
+        let scaled = |mut values: Vec<f32>| {
             if factor != 1.0 {
                 values.par_iter_mut().for_each(|value| *value *= factor);
             }
-            tensor(values, shape.clone())
+            values
         };
+        for (weight, gradient) in
+            [(&self.decoder.weight, gradients.weight), (&self.decoder.bias, gradients.bias)]
+        {
+            if is_trained(weight)? {
+                hand_over(weight, scaled(gradient))?;
+            }
+        }
         Ok((
-            Some(scaled(gradients.coarse, coarse.shape())?),
-            Some(scaled(gradients.kernel, kernel.shape())?),
-            Some(scaled(gradients.bias, bias.shape())?),
+            Some(tensor(scaled(gradients.hidden), hidden.shape())?),
+            Some(tensor(scaled(gradients.kernel), kernel.shape())?),
+            Some(tensor(scaled(gradients.kernel_bias), kernel_bias.shape())?),
         ))
     }
 }

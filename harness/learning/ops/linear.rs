@@ -1,23 +1,29 @@
 //! A fully connected layer, with or without ReLU, as one op.
 
-use super::{slice, tensor, threads, with_values};
-use crate::learning::kernels::{self, Into, Matrix, product};
-use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
+use super::{hand_over, is_trained, slice, tensor, threads, with_values};
+use crate::learning::kernels;
+use crate::learning::kernels::product::{Into, Matrix, product};
+use crate::spec::Precision;
+use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
 
-/// `x wᵀ + b`, then ReLU if `relu`: `x` `[batch, in]`, `w` `[out, in]`, `b` `[out]`, result `[batch, out]`.
+/// `x wᵀ + b`, then ReLU if `relu`: `x` `[batch, in]`, `w` `[out, in]` a variable or detached, `b` `[out]`, result
+/// `[batch, out]`.
 pub fn linear(x: &Tensor, w: &Tensor, b: &Tensor, relu: bool) -> Result<Tensor> {
     if x.device().is_cpu() {
-        return x.contiguous()?.apply_op3(w, b, Linear { relu });
+        let trained = is_trained(w)?;
+        return x.contiguous()?.apply_op2(b, Linear { w: w.clone(), trained, relu });
     }
     let y = x.matmul(&w.t()?)?.broadcast_add(b)?;
     if relu { y.relu() } else { Ok(y) }
 }
 
 struct Linear {
+    w: Tensor,
+    trained: bool,
     relu: bool,
 }
 
-impl CustomOp3 for Linear {
+impl CustomOp2 for Linear {
     fn name(&self) -> &'static str {
         "linear"
     }
@@ -26,21 +32,18 @@ impl CustomOp3 for Linear {
         &self,
         x: &CpuStorage,
         x_layout: &Layout,
-        w: &CpuStorage,
-        w_layout: &Layout,
         b: &CpuStorage,
         b_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
         let (batch, inputs) = x_layout.shape().dims2()?;
-        let (outputs, _) = w_layout.shape().dims2()?;
+        let outputs = self.w.dim(0)?;
         let mut y = kernels::scratch(batch * outputs);
-        product(
-            Matrix::plain(slice(x, x_layout)?, batch, inputs),
-            Matrix::transposed(slice(w, w_layout)?, outputs, inputs),
-            &mut y,
-            Into::Overwrite,
-            threads(),
-        );
+        with_values(&self.w, |w| {
+            let (x, w) =
+                (Matrix::plain(slice(x, x_layout)?, batch, inputs), Matrix::transposed(w, outputs, inputs));
+            product(x, w, &mut y, Into::Overwrite, Precision::F32, threads());
+            Ok(())
+        })?;
         kernels::add_bias(&mut y, slice(b, b_layout)?, self.relu);
         Ok((CpuStorage::F32(y), (batch, outputs).into()))
     }
@@ -48,44 +51,44 @@ impl CustomOp3 for Linear {
     fn bwd(
         &self,
         x: &Tensor,
-        w: &Tensor,
         _b: &Tensor,
         y: &Tensor,
         grad: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
         with_values(grad, |grad| {
             if self.relu {
                 let masked = with_values(y, |y| Ok(kernels::masked(grad, y)))?;
-                gradients(x, w, &masked)
+                self.gradients(x, &masked)
             } else {
-                gradients(x, w, grad)
+                self.gradients(x, grad)
             }
         })
     }
 }
 
-/// Gradients of `x`, `w` and `b`, given that of `x wᵀ + b`.
-fn gradients(
-    x: &Tensor,
-    w: &Tensor,
-    grad: &[f32],
-) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-    let ((batch, inputs), (outputs, _)) = (x.dims2()?, w.dims2()?);
-    let grad_x = x.track_op().then(|| {
-        let mut grad_x = kernels::scratch(batch * inputs);
-        with_values(w, |w| {
-            let grad = Matrix::plain(grad, batch, outputs);
-            product(grad, Matrix::plain(w, outputs, inputs), &mut grad_x, Into::Overwrite, threads());
-            Ok(())
-        })?;
-        tensor(grad_x, (batch, inputs))
-    });
-    let mut grad_w = kernels::scratch(outputs * inputs);
-    with_values(x, |x| {
-        let grad = Matrix::transposed(grad, batch, outputs);
-        product(grad, Matrix::plain(x, batch, inputs), &mut grad_w, Into::Overwrite, threads());
-        Ok(())
-    })?;
-    let grad_b = kernels::column_sums(grad, outputs);
-    Ok((grad_x.transpose()?, Some(tensor(grad_w, (outputs, inputs))?), Some(tensor(grad_b, outputs)?)))
+impl Linear {
+    /// Gradients of `x` and `b`, given that of `x wᵀ + b`; hands over that of `w`.
+    fn gradients(&self, x: &Tensor, grad: &[f32]) -> Result<(Option<Tensor>, Option<Tensor>)> {
+        let ((batch, inputs), outputs) = (x.dims2()?, self.w.dim(0)?);
+        let grad_x = x.track_op().then(|| {
+            let mut grad_x = kernels::scratch(batch * inputs);
+            with_values(&self.w, |w| {
+                let (grad, w) = (Matrix::plain(grad, batch, outputs), Matrix::plain(w, outputs, inputs));
+                product(grad, w, &mut grad_x, Into::Overwrite, Precision::F32, threads());
+                Ok(())
+            })?;
+            tensor(grad_x, (batch, inputs))
+        });
+        if self.trained {
+            let mut grad_w = kernels::scratch(outputs * inputs);
+            with_values(x, |x| {
+                let (grad, x) = (Matrix::transposed(grad, batch, outputs), Matrix::plain(x, batch, inputs));
+                product(grad, x, &mut grad_w, Into::Overwrite, Precision::F32, threads());
+                Ok(())
+            })?;
+            hand_over(&self.w, grad_w)?;
+        }
+        let grad_b = tensor(kernels::column_sums(grad, outputs), outputs)?;
+        Ok((grad_x.transpose()?, Some(grad_b)))
+    }
 }

@@ -1,0 +1,131 @@
+//! The arithmetic under the network's own ops, on plain slices. Row-major matrices throughout.
+//!
+//! Every reduction runs over a fixed number of parts in a fixed order, so that results depend neither on the
+//! number of threads nor on how work happens to be scheduled.
+
+pub mod adam;
+#[cfg(target_arch = "x86_64")]
+mod amx;
+pub mod convolution;
+pub mod product;
+
+use pulp::{Arch, WithSimd};
+use rayon::prelude::*;
+use std::sync::OnceLock;
+
+/// Parts that a reduction over a batch is cut into; fixed, so that sums are always taken in the same order.
+pub const PARTS: usize = 16;
+/// Values from which on a pass is worth several threads.
+const PARALLEL_LEN: usize = 1 << 18;
+
+/// Runs `op` compiled for the widest vectors that the processor has.
+pub fn simd<Op: WithSimd>(op: Op) -> Op::Output {
+    static ARCH: OnceLock<Arch> = OnceLock::new();
+    ARCH.get_or_init(Arch::new).dispatch(op)
+}
+
+/// A vector of `len` values that the caller writes before reading any.
+pub fn scratch(len: usize) -> Vec<f32> {
+    // Zeroed memory comes from the allocator without a pass over it.
+    vec![0.0; len]
+}
+
+/// Adds `bias` `[width]` to every row of `rows` `[n, width]`, then cuts negative values where `relu` says so.
+pub fn add_bias(rows: &mut [f32], bias: &[f32], relu: bool) {
+    let floor = if relu { 0.0 } else { f32::NEG_INFINITY };
+    for_each_part(rows, bias.len(), |_, part| {
+        simd(
+            #[inline(always)]
+            || {
+                for row in part.chunks_exact_mut(bias.len()) {
+                    for (value, bias) in row.iter_mut().zip(bias) {
+                        *value = (*value + bias).max(floor);
+                    }
+                }
+            },
+        );
+    });
+}
+
+/// Calls `work` with the place and the values of parts of `rows` `[n, width]`, in parallel if there are many.
+fn for_each_part(rows: &mut [f32], width: usize, work: impl Fn(usize, &mut [f32]) + Sync) {
+    if rows.len() < PARALLEL_LEN {
+        return work(0, rows);
+    }
+    let part = rows.len().div_ceil(PARTS).next_multiple_of(width);
+    rows.par_chunks_mut(part).enumerate().for_each(|(index, rows)| work(index * part, rows));
+}
+
+/// The gradient before a ReLU, given the one after it and its output: cut to zero where the output is zero.
+pub fn masked(grad: &[f32], output: &[f32]) -> Vec<f32> {
+    let mut masked = scratch(grad.len());
+    for_each_part(&mut masked, 1, |first, masked| {
+        let (grad, output) = (&grad[first..], &output[first..]);
+        simd(
+            #[inline(always)]
+            || {
+                for ((masked, grad), output) in masked.iter_mut().zip(grad).zip(output) {
+                    *masked = if *output > 0.0 { *grad } else { 0.0 };
+                }
+            },
+        );
+    });
+    masked
+}
+
+/// Sums of the columns of `rows` `[n, width]`.
+pub fn column_sums(rows: &[f32], width: usize) -> Vec<f32> {
+    let part = rows.len().div_ceil(PARTS).next_multiple_of(width).max(width);
+    let sum_rows = |part: &[f32]| {
+        let mut sums = vec![0.0; width];
+        part.chunks_exact(width).for_each(|row| add_to(&mut sums, row));
+        sums
+    };
+    let sums = if rows.len() < PARALLEL_LEN {
+        rows.chunks(part).map(sum_rows).collect()
+    } else {
+        rows.par_chunks(part).map(sum_rows).collect()
+    };
+    sum_in_order(sums, width)
+}
+
+/// `sum += values`.
+pub fn add_to(sum: &mut [f32], values: &[f32]) {
+    simd(
+        #[inline(always)]
+        || {
+            for (sum, value) in sum.iter_mut().zip(values) {
+                *sum += value;
+            }
+        },
+    );
+}
+
+/// The sum of equally long vectors, from the first to the last.
+pub fn sum_in_order(parts: Vec<Vec<f32>>, len: usize) -> Vec<f32> {
+    parts
+        .into_iter()
+        .reduce(|mut sum, part| {
+            add_to(&mut sum, &part);
+            sum
+        })
+        .unwrap_or_else(|| vec![0.0; len])
+}
+
+/// The sum of all values.
+pub fn sum(values: &[f32]) -> f32 {
+    const LANES: usize = 16;
+    let mut lanes = [0.0f32; LANES];
+    simd(
+        #[inline(always)]
+        || {
+            let (chunks, rest) = values.as_chunks::<LANES>();
+            for chunk in chunks {
+                for (lane, value) in lanes.iter_mut().zip(chunk) {
+                    *lane += value;
+                }
+            }
+            lanes.iter().chain(rest).sum()
+        },
+    )
+}

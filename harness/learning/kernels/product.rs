@@ -1,0 +1,153 @@
+//! Matrix products of row-major f32 matrices.
+
+#[cfg(target_arch = "x86_64")]
+use super::amx;
+use crate::spec::Precision;
+use gemm::Parallelism;
+
+/// How a matrix is read: as it lies, or as its transpose.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum View {
+    Plain,
+    Transposed,
+}
+
+/// A row-major matrix operand: `rows x columns` as it lies in memory, before `view` is applied.
+#[derive(Clone, Copy)]
+pub struct Matrix<'a> {
+    pub(super) values: &'a [f32],
+    rows: usize,
+    columns: usize,
+    view: View,
+}
+
+impl<'a> Matrix<'a> {
+    /// The matrix as it lies.
+    pub fn plain(values: &'a [f32], rows: usize, columns: usize) -> Self {
+        assert_eq!(values.len(), rows * columns, "a {rows} x {columns} matrix");
+        Self { values, rows, columns, view: View::Plain }
+    }
+
+    /// Its transpose, without a copy.
+    pub fn transposed(values: &'a [f32], rows: usize, columns: usize) -> Self {
+        Self { view: View::Transposed, ..Self::plain(values, rows, columns) }
+    }
+
+    /// Rows and columns of the view.
+    pub(super) fn shape(&self) -> (usize, usize) {
+        match self.view {
+            View::Plain => (self.rows, self.columns),
+            View::Transposed => (self.columns, self.rows),
+        }
+    }
+
+    /// Whether the view's rows lie side by side in memory.
+    #[cfg(target_arch = "x86_64")]
+    pub(super) fn is_plain(&self) -> bool {
+        self.view == View::Plain
+    }
+
+    /// Column stride and row stride of the view.
+    fn strides(&self) -> (isize, isize) {
+        match self.view {
+            View::Plain => (1, self.columns as isize),
+            View::Transposed => (self.columns as isize, 1),
+        }
+    }
+}
+
+/// Whether a product replaces what its destination holds or is added to it.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Into {
+    Overwrite,
+    Add,
+}
+
+/// What computes a product.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unit {
+    /// The processor's tile unit ([`amx`]).
+    Tiles,
+    /// Its vector units, by the gemm crate, which is candle's own matrix product too.
+    Vectors,
+}
+
+impl Unit {
+    /// The fastest that this processor has.
+    pub fn best() -> Self {
+        #[cfg(target_arch = "x86_64")]
+        if amx::available() {
+            return Self::Tiles;
+        }
+        Self::Vectors
+    }
+}
+
+/// `out (+)= a b`, `threads` wide, on the processor's best unit.
+///
+/// With [`Precision::Bf16`] the operands are rounded to bf16 before they are multiplied; sums are f32 always.
+pub fn product(a: Matrix, b: Matrix, out: &mut [f32], into: Into, precision: Precision, threads: usize) {
+    product_on(Unit::best(), a, b, out, into, precision, threads);
+}
+
+/// [`product`] on a chosen unit.
+pub fn product_on(
+    unit: Unit,
+    a: Matrix,
+    b: Matrix,
+    out: &mut [f32],
+    into: Into,
+    precision: Precision,
+    threads: usize,
+) {
+    let ((m, k), (k_b, n)) = (a.shape(), b.shape());
+    assert_eq!(k, k_b, "inner sizes of a product");
+    assert_eq!(out.len(), m * n, "size of a product's destination");
+    match (unit, precision) {
+        #[cfg(target_arch = "x86_64")]
+        (Unit::Tiles, Precision::F32) => amx::product::<3>(a, b, out, into, threads),
+        #[cfg(target_arch = "x86_64")]
+        (Unit::Tiles, Precision::Bf16) => amx::product::<1>(a, b, out, into, threads),
+        (_, Precision::F32) => by_gemm(a, b, out, into, threads),
+        (_, Precision::Bf16) => {
+            let (a_values, b_values) = (rounded(a.values), rounded(b.values));
+            by_gemm(Matrix { values: &a_values, ..a }, Matrix { values: &b_values, ..b }, out, into, threads);
+        }
+    }
+}
+
+fn by_gemm(a: Matrix, b: Matrix, out: &mut [f32], into: Into, threads: usize) {
+    let ((m, k), (_, n)) = (a.shape(), b.shape());
+    let ((a_columns, a_rows), (b_columns, b_rows)) = (a.strides(), b.strides());
+    let parallelism = if threads > 1 { Parallelism::Rayon(threads) } else { Parallelism::None };
+    // SAFETY: the lengths of all three slices were checked against the sizes that the strides span, and `out`
+    // is borrowed mutably, so it overlaps neither operand.
+    unsafe {
+        gemm::gemm(
+            m,
+            n,
+            k,
+            out.as_mut_ptr(),
+            1,
+            n as isize,
+            into == Into::Add,
+            a.values.as_ptr(),
+            a_columns,
+            a_rows,
+            b.values.as_ptr(),
+            b_columns,
+            b_rows,
+            1.0,
+            1.0,
+            false,
+            false,
+            false,
+            parallelism,
+        );
+    }
+}
+
+/// Values rounded to the nearest bf16, ties to even.
+fn rounded(values: &[f32]) -> Vec<f32> {
+    values.iter().map(|value| half::bf16::from_f32(*value).to_f32()).collect()
+}

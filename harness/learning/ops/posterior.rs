@@ -1,0 +1,131 @@
+//! Drawing from a posterior, and its divergence from the prior, as one op each.
+
+use super::{slice, tensor, with_values};
+use crate::learning::kernels;
+use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
+
+/// `mean + exp(log_variance / 2) * noise` (Kingma & Welling, 2014, equation 10).
+///
+/// `posterior` is `[batch, 2 * latent]`, means beside log-variances; `noise` and the result are `[batch, latent]`.
+pub fn sample(posterior: &Tensor, noise: &Tensor) -> Result<Tensor> {
+    if posterior.device().is_cpu() {
+        return posterior.contiguous()?.apply_op1(Sample { noise: noise.contiguous()? });
+    }
+    let (mean, log_variance) = halves(posterior)?;
+    mean + ((log_variance * 0.5)?.exp()? * noise)?
+}
+
+/// Kullback-Leibler divergence from the standard normal distribution, nats, summed over the latent state and averaged
+/// over the batch (Kingma & Welling, 2014, appendix B); a scalar. `posterior` as in [`sample`].
+pub fn divergence(posterior: &Tensor) -> Result<Tensor> {
+    let batch = posterior.dim(0)? as f64;
+    if posterior.device().is_cpu() {
+        return posterior.contiguous()?.apply_op1(Divergence);
+    }
+    let (mean, log_variance) = halves(posterior)?;
+    let terms = ((mean.sqr()? + log_variance.exp()?)? - (log_variance + 1.0)?)?;
+    terms.sum_all()? * (0.5 / batch)
+}
+
+/// Means and log-variances.
+fn halves(posterior: &Tensor) -> Result<(Tensor, Tensor)> {
+    let latent = posterior.dim(1)? / 2;
+    Ok((posterior.narrow(1, 0, latent)?, posterior.narrow(1, latent, latent)?))
+}
+
+struct Sample {
+    noise: Tensor,
+}
+
+impl CustomOp1 for Sample {
+    fn name(&self) -> &'static str {
+        "sample"
+    }
+
+    fn cpu_fwd(&self, posterior: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let (batch, width) = layout.shape().dims2()?;
+        let latent = width / 2;
+        let mut drawn = kernels::scratch(batch * latent);
+        let posterior = slice(posterior, layout)?;
+        with_values(&self.noise, |noise| {
+            let rows = posterior.chunks_exact(width).zip(noise.chunks_exact(latent));
+            for (drawn, (posterior, noise)) in drawn.chunks_exact_mut(latent).zip(rows) {
+                let (mean, log_variance) = posterior.split_at(latent);
+                for (((drawn, mean), log_variance), noise) in
+                    drawn.iter_mut().zip(mean).zip(log_variance).zip(noise)
+                {
+                    *drawn = mean + (0.5 * log_variance).exp() * noise;
+                }
+            }
+            Ok(())
+        })?;
+        Ok((CpuStorage::F32(drawn), (batch, latent).into()))
+    }
+
+    fn bwd(&self, posterior: &Tensor, drawn: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
+        let (batch, width) = posterior.dims2()?;
+        let latent = width / 2;
+        let mut grads = kernels::scratch(batch * width);
+        with_values(posterior, |posterior| {
+            with_values(drawn, |drawn| {
+                with_values(grad, |grad| {
+                    let rows = posterior
+                        .chunks_exact(width)
+                        .zip(drawn.chunks_exact(latent))
+                        .zip(grad.chunks_exact(latent));
+                    for (grads, ((posterior, drawn), grad)) in grads.chunks_exact_mut(width).zip(rows) {
+                        let (grad_mean, grad_log_variance) = grads.split_at_mut(latent);
+                        grad_mean.copy_from_slice(grad);
+                        // exp(log_variance / 2) * noise is what was drawn, less the mean.
+                        for (((of, drawn), mean), grad) in
+                            grad_log_variance.iter_mut().zip(drawn).zip(posterior).zip(grad)
+                        {
+                            *of = 0.5 * grad * (drawn - mean);
+                        }
+                    }
+                    Ok(())
+                })
+            })
+        })?;
+        Ok(Some(tensor(grads, (batch, width))?))
+    }
+}
+
+struct Divergence;
+
+impl CustomOp1 for Divergence {
+    fn name(&self) -> &'static str {
+        "divergence"
+    }
+
+    fn cpu_fwd(&self, posterior: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let (batch, width) = layout.shape().dims2()?;
+        let rows = slice(posterior, layout)?.chunks_exact(width);
+        let nats = rows.map(|row| {
+            let (mean, log_variance) = row.split_at(width / 2);
+            let terms = mean.iter().zip(log_variance).map(|(mean, log)| mean * mean + log.exp() - log - 1.0);
+            f64::from(0.5 * terms.sum::<f32>())
+        });
+        Ok((CpuStorage::F32(vec![(nats.sum::<f64>() / batch as f64) as f32]), ().into()))
+    }
+
+    fn bwd(&self, posterior: &Tensor, _divergence: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
+        let (batch, width) = posterior.dims2()?;
+        let factor = grad.to_scalar::<f32>()? / batch as f32;
+        let mut grads = kernels::scratch(batch * width);
+        with_values(posterior, |posterior| {
+            for (grads, posterior) in grads.chunks_exact_mut(width).zip(posterior.chunks_exact(width)) {
+                let (grad_mean, grad_log_variance) = grads.split_at_mut(width / 2);
+                let (mean, log_variance) = posterior.split_at(width / 2);
+                for ((of_mean, of_log), (mean, log)) in
+                    grad_mean.iter_mut().zip(grad_log_variance).zip(mean.iter().zip(log_variance))
+                {
+                    *of_mean = factor * mean;
+                    *of_log = factor * 0.5 * (log.exp() - 1.0);
+                }
+            }
+            Ok(())
+        })?;
+        Ok(Some(tensor(grads, (batch, width))?))
+    }
+}
