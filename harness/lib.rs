@@ -5,6 +5,7 @@
 
 pub mod dataset;
 pub mod experiment;
+pub mod figures;
 pub mod files;
 pub mod learning;
 pub mod metrics;

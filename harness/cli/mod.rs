@@ -1,6 +1,7 @@
 //! Commands and their arguments.
 
 mod doctor;
+mod figures;
 mod inspect;
 mod progress;
 mod render;
@@ -53,7 +54,7 @@ enum Command {
     /// Check a spec and list the runs it stands for
     #[command(after_help = "Example:\n  harness validate experiments/smoke.yaml training.epochs=3")]
     Validate(run::Validate),
-    /// Answer a question in SQL over the tables runs, epochs, metrics, predictions and episodes
+    /// Answer a question in SQL over the tables runs, epochs, metrics, predictions, forces, frames and episodes
     #[command(after_help = "Examples:
   harness query \"select run, status, prediction_seconds from runs\"
   harness query \"select scenario, latent, value from metrics where model = 'network' and metric = 'wmape' and index is null\"
@@ -74,9 +75,21 @@ enum Command {
   harness render cluttered --episode 3 --sample 250 --width 1600 --height 1000 --output push.png
   harness render empty --episode 0 --output clip.gif")]
     Render(render::Render),
+    /// Draw the paper's figures from the tables, as SVG and PNG, each with its numbers as CSV
+    #[command(after_help = FIGURES_HELP)]
+    Figures(figures::Figures),
     /// Check what this machine offers: rendering, MuJoCo, threads, memory, disk
     Doctor,
 }
+
+const FIGURES_HELP: &str = "Examples:
+  harness figures
+  harness figures prediction_results regression --out paper/figures
+  harness figures --quick
+  harness figures --results results/reference
+
+They are 8.5 cm wide, a journal's column; text is outlined, so that no font is needed to show it. What needs runs of
+experiments/single_to_multi.yaml and multi_to_multi.yaml says so where they are missing.";
 
 /// Everything went well, or was done before.
 const DONE: u8 = 0;
@@ -100,6 +113,7 @@ pub fn main(arguments: Arguments) -> ExitCode {
         Command::Show(show) => show.execute(&registry),
         Command::Schema(schema) => schema.execute(),
         Command::Render(render) => render.execute(),
+        Command::Figures(figures) => figures.execute(&registry),
         Command::Doctor => doctor::execute(&registry, threads),
     };
     outcome.unwrap_or_else(|error| {
