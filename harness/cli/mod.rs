@@ -88,8 +88,9 @@ const FIGURES_HELP: &str = "Examples:
   harness figures --quick
   harness figures --results results/reference
 
-They are 8.5 cm wide, a journal's column; text is outlined, so that no font is needed to show it. What needs runs of
-experiments/single_to_multi.yaml and multi_to_multi.yaml says so where they are missing.";
+Width: 8.5 cm, a journal's column. Letters are outlines, so no font is needed to show them.
+Runs: those of experiments/single_to_multi.yaml and multi_to_multi.yaml; what is missing is named.
+Where one of them has runs of several settings, the settings with the most runs are drawn.";
 
 /// Everything went well, or was done before.
 const DONE: u8 = 0;

@@ -60,25 +60,18 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     for (column, trial) in trials.iter().enumerate() {
         let x = corner(0, column)[0] + side / 2.0;
         page.text(&format!("trial {}", column + 1), [x, TOP - 4.5], Type::SMALL);
-        let mut row = 0;
-        let mut cell = |page: &mut Page, picture: &RgbImage| {
-            let corner = corner(row, column);
-            row += 1;
-            page.picture(picture, corner, [side; 2], true)?;
-            page.rectangle(corner, [side; 2], 0.0, "none", Some(Stroke::new(GREY, 0.4)));
-            Ok::<_, FigureError>(())
-        };
+        let mut pictures = Vec::new();
         if let (true, Some(bytes)) = (camera, &trial.camera) {
-            let picture = RgbImage::from_raw(FRAME_SIDE as u32, FRAME_SIDE as u32, bytes.clone());
-            cell(
-                &mut page,
-                &picture.ok_or_else(|| FigureError::Picture("a frame has the wrong size".into()))?,
-            )?;
+            pictures.push(RgbImage::from_raw(FRAME_SIDE as u32, FRAME_SIDE as u32, bytes.clone()));
         }
-        cell(&mut page, &coloured(&trial.reference))?;
-        for latent in &latents {
-            let blank = vec![0.0; FRAME_SIDE * FRAME_SIDE];
-            cell(&mut page, &coloured(trial.predicted.get(latent).unwrap_or(&blank)))?;
+        pictures.push(Some(coloured(&trial.reference)));
+        pictures
+            .extend(latents.iter().map(|latent| trial.predicted.get(latent).map(|change| coloured(change))));
+        for (row, picture) in pictures.iter().enumerate() {
+            // A network that has no prediction of this trial leaves its place empty.
+            let Some(picture) = picture else { continue };
+            page.picture(picture, corner(row, column), [side; 2], true)?;
+            page.rectangle(corner(row, column), [side; 2], 0.0, "none", Some(Stroke::new(GREY, 0.4)));
         }
     }
     let mut names: Vec<[String; 2]> = Vec::new();
@@ -110,7 +103,7 @@ fn with_spread(value: &Interval) -> String {
 }
 
 fn trials(runs: &Runs) -> Result<Vec<Trial>, FigureError> {
-    let place = format!("{{runs}} and scenario = '{}' and {}", Scenario::Cluttered, runs.first_seed());
+    let place = format!("{{runs}} and scenario = '{}' and {}", Scenario::Cluttered, runs.first_seeds());
     let rows = runs.query(&format!(
         "select latent, episode, sample, motion, reference, predicted from frames where {place} \
          and task = 'prediction' and modality = 'frame_difference' order by motion, episode, sample, latent"

@@ -135,7 +135,7 @@ fn predictions(runs: &Runs, modality: Modality, panel: &str) -> Result<Predictio
     let rows = runs.query(&format!(
         "select latent, index, episode, sample, reference, predicted from predictions \
          where {place} and {} order by latent, index, episode, sample",
-        runs.first_seed()
+        runs.first_seeds()
     ))?;
     let mut groups: BTreeMap<(usize, Direction), Vec<usize>> = BTreeMap::new();
     let (latents, links) = (integers(&rows, "latent")?, integers(&rows, "index")?);

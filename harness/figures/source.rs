@@ -126,19 +126,22 @@ impl Runs<'_> {
         cells.into_values().max().unwrap_or_default()
     }
 
-    /// Of the runs with the lowest seed, their ids' condition in SQL: one network a cell, to show single samples.
-    pub fn first_seed(&self) -> String {
-        let lowest = self.records.iter().min_by_key(|record| record.spec.seed);
-        lowest.map_or("false".into(), |record| format!("seed = {}", record.spec.seed))
+    /// The runs with the lowest seed of each cell, as a condition in SQL: one network a cell, to show single samples.
+    pub fn first_seeds(&self) -> String {
+        let mut first = self.records.iter().collect::<Vec<_>>();
+        first.dedup_by_key(|record| record.spec.cell());
+        let ids: Vec<String> = first.iter().map(|record| format!("'{}'", record.run)).collect();
+        format!("run in ({})", ids.join(", "))
     }
 }
 
-/// The text columns and the integer columns of a query's answer, row by row, as keys.
+/// A column of text, without nulls.
 pub fn texts(table: &DataFrame, column: &str) -> Result<Vec<String>, FigureError> {
     let values = table.column(column)?.str()?;
     Ok(values.iter().map(|value| value.unwrap_or_default().to_owned()).collect())
 }
 
+/// A column of integers, without nulls.
 pub fn integers(table: &DataFrame, column: &str) -> Result<Vec<i64>, FigureError> {
     let values = table.column(column)?.cast(&DataType::Int64)?;
     Ok(values.i64()?.iter().map(Option::unwrap_or_default).collect())
