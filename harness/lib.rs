@@ -1,10 +1,12 @@
 //! A research harness for multi-modal perception of a soft robot.
 //!
 //! Data flows one way, and each room may use only those before it:
-//! spec, simulation, dataset, learning, metrics, registry. The story of an experiment is in [`experiment`].
+//! spec, simulation, dataset, learning, metrics, registry. The story of an experiment is in [`experiment`], and
+//! [`figures`] are drawn of its results.
 
 pub mod dataset;
 pub mod experiment;
+pub mod figures;
 pub mod files;
 pub mod learning;
 pub mod metrics;
