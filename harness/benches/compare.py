@@ -1,7 +1,7 @@
 """Runs the harness and its peers in turn on this machine and prints one table of ratios.
 
     make bench                                                       everything, as published
-    .venv-bench/bin/python harness/benches/compare.py --only collection --rounds 1 --samples 3000
+    .venv-bench/bin/python harness/benches/compare.py --only collection --rounds 1 --episodes 4
 
 `make bench` also installs and builds what this needs. Rounds alternate between the contenders, and each figure is the
 median over the rounds, so that a drift of the machine's speed favours none of them. A ratio above 1 means that the
@@ -64,7 +64,7 @@ class Comparison:
 def run(*command, **options) -> str:
     """What a command prints; if it fails, the reason ends this program."""
     command = [str(part) for part in command]
-    done = subprocess.run(command, capture_output=True, text=True, **options)
+    done = subprocess.run(command, capture_output=True, check=False, text=True, **options)
     if done.returncode:
         raise SystemExit(f"{shlex.join(command)} failed:\n{done.stdout}{done.stderr}")
     return done.stdout
@@ -88,7 +88,9 @@ def example(name: str, *arguments) -> dict:
 
 def training() -> list[Comparison]:
     return [
-        training_step(architecture, latent) for architecture in ("convolutional", "fully_connected") for latent in LATENTS
+        training_step(architecture, latent)
+        for architecture in ("convolutional", "fully_connected")
+        for latent in LATENTS
     ]
 
 
@@ -128,16 +130,16 @@ def training_step(architecture: str, latent: int) -> Comparison:
 # Collection
 
 
-def collection(samples: int, folder: Path) -> list[Comparison]:
-    raw_limit = compile_raw_limit(folder)
-    return [collection_of(scenario, samples, folder, raw_limit) for scenario in ("empty", "cluttered")]
+def collection(episodes: int, folder: Path) -> list[Comparison]:
+    raw_limit = compile_raw_limit()
+    return [collection_of(scenario, episodes, folder, raw_limit) for scenario in ("empty", "cluttered")]
 
 
-def compile_raw_limit(folder: Path) -> Path:
+def compile_raw_limit() -> Path:
     """The C program, linked to the library that the harness uses."""
     library = ROOT / ".venv" / "mujoco"
     include = (library / "libmujoco.so").resolve().parent / "include"
-    program = folder / "raw_limit"
+    program = TARGET / "examples" / "raw_limit"
     linked = ("-L", library, "-lmujoco", "-ldl", "-lpthread", f"-Wl,-rpath,{library}")
     run("cc", "-O2", "-I", include, BENCHES / "raw_limit.c", "-o", program, *linked)
     return program
@@ -148,15 +150,16 @@ def without_sleeping(folder: Path) -> Path:
     text = (MODELS / "cluttered.xml").read_text()
     changed = text.replace('sleep="enable"', 'sleep="disable"')
     if changed == text:
-        raise SystemExit("models/cluttered.xml has no sleep flag any more: change without_sleeping in compare.py")
+        raise SystemExit(
+            "models/cluttered.xml has no sleep flag any more: change without_sleeping in compare.py"
+        )
     models = folder / "without_sleeping"
     models.mkdir()
     (models / "cluttered.xml").write_text(changed)
     return models
 
 
-def collection_of(scenario: str, samples: int, folder: Path, raw_limit: Path) -> Comparison:
-    episodes = samples // SAMPLES_PER_EPISODE
+def collection_of(scenario: str, episodes: int, folder: Path, raw_limit: Path) -> Comparison:
     file = folder / f"{scenario}.courses"
     run(TARGET / "examples" / "courses", "--scenario", scenario, "--episodes", episodes, "--output", file)
     work = ("--scenario", scenario, "--courses", file)
@@ -179,14 +182,17 @@ def collection_of(scenario: str, samples: int, folder: Path, raw_limit: Path) ->
     contenders = [
         Contender("harness", lambda: harness_collection(scenario, episodes)),
         Contender("raw limit: mj_step and mjr_render in C", lambda: raw()()["samples_per_second"], 0.9),
-        Contender("mj_step alone, in C", lambda: raw("--no-rendering")()["samples_per_second"]),
-        Contender("mjr_render alone, in C", rendering),
+        Contender("mj_step alone in C, 100 a sample", lambda: raw("--no-rendering")()["samples_per_second"]),
+        Contender("mjr_render alone in C", rendering),
         Contender("Python mujoco, tuned", mujoco_python(), 1.1),
     ]
     if scenario == "cluttered":
         models = without_sleeping(folder)
         contenders += [
-            Contender("harness, without sleeping", lambda: harness_collection(scenario, episodes, "--models", models)),
+            Contender(
+                "harness, without sleeping",
+                lambda: harness_collection(scenario, episodes, "--models", models),
+            ),
             Contender("Python mujoco, tuned, without sleeping", mujoco_python("--no-sleep"), 1.9),
         ]
     untuned = ("--untuned", "--episodes", 1, "--samples-per-episode", UNTUNED_SAMPLES)
@@ -248,16 +254,21 @@ def arguments() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--samples", type=int, default=6000, help="of a scenario; 3000 or more, in thousands")
+    parser.add_argument(
+        "--episodes",
+        type=int,
+        default=max(3 * CORES, 6),
+        help=f"of a scenario, {SAMPLES_PER_EPISODE} samples each",
+    )
     parser.add_argument("--only", choices=("training", "collection"))
     parser.add_argument("--output", type=Path, help="a Parquet file for the measurements")
     parser.add_argument("--markdown", type=Path, help="a file for the printed table")
     options = parser.parse_args()
     if options.rounds < 1:
         parser.error("--rounds must be 1 or more")
-    # A spec has three episodes or more.
-    if options.samples < 3 * SAMPLES_PER_EPISODE or options.samples % SAMPLES_PER_EPISODE:
-        parser.error("--samples must be 3000 or more, in thousands")
+    # As a spec has.
+    if options.episodes < 3:
+        parser.error("--episodes must be 3 or more")
     return options
 
 
@@ -269,7 +280,7 @@ def main() -> None:
         if options.only != "collection":
             comparisons += training()
         if options.only != "training":
-            comparisons += collection(options.samples, Path(folder))
+            comparisons += collection(options.episodes, Path(folder))
         for comparison in comparisons:
             measurements += compare(comparison, options.rounds)
     machine = report.Machine.this(ROOT, TARGET / "harness")

@@ -29,7 +29,9 @@ class Course:
 
 def read_courses(path: Path, samples: int | None) -> list[Course]:
     """The courses in a file, each cut to `samples` samples; courses.rs says how they are laid out."""
-    episodes, recorded, steps_per_sample, steps, coordinates, controls = np.fromfile(path, np.int64, 6).tolist()
+    episodes, recorded, steps_per_sample, steps, coordinates, controls = np.fromfile(
+        path, np.int64, 6
+    ).tolist()
     width = 2 * coordinates + steps * controls
     values = np.memmap(path, np.float64, "r", offset=6 * 8, shape=(episodes, width))
     kept = min(samples or recorded, recorded)

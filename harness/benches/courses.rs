@@ -41,7 +41,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let samples = spec.samples_per_episode();
     let steps = (samples - 1) * spec.steps_per_sample() + 1;
     let coordinates = scene.rest().len();
-    let header = [arguments.episodes as usize, samples, spec.steps_per_sample(), steps, coordinates, ARM_JOINTS];
+    let header =
+        [arguments.episodes as usize, samples, spec.steps_per_sample(), steps, coordinates, ARM_JOINTS];
     let mut bytes: Vec<u8> = header.iter().flat_map(|value| (*value as i64).to_ne_bytes()).collect();
     for episode in 0..arguments.episodes {
         let course = Course::draw(&scene, &spec, episode)?;

@@ -79,9 +79,7 @@ def robot_urdf() -> str:
         share = index / (JOINTS - 1)
         rgb = (1 - 0.15 * share, 0.75 * (1 - share), 0.35 * share)
         parent, place = (f"link_{index - 1}", f"0 0 {-LINK_LENGTH}") if index else ("beam", "0 0 0")
-        parts.append(
-            link(f"link_{index}", LINK_MASS, INERTIA, f"0 0 {-LINK_LENGTH / 2}", capsule, rgb, True)
-        )
+        parts.append(link(f"link_{index}", LINK_MASS, INERTIA, f"0 0 {-LINK_LENGTH / 2}", capsule, rgb, True))
         axis = "1 0 0" if index % 2 else "0 1 0"
         parts.append(joint(f"joint_{index}", "continuous", parent, f"link_{index}", place, axis))
     # PyBullet's parser reads lines of at most 1024 characters.
@@ -189,7 +187,9 @@ class Collector:
                 vision[row] = self.frame()
         largest = np.abs(proprioception).max()
         if not largest < math.pi:  # nor is NaN
-            raise RuntimeError(f"the simulation of episode {course.index} diverged: a joint turned by {largest}")
+            raise RuntimeError(
+                f"the simulation of episode {course.index} diverged: a joint turned by {largest}"
+            )
         self.recorded = proprioception, arm, contact_force, contact_force_mean, vision
         return contact_force_mean
 

@@ -51,7 +51,7 @@ class Machine:
         changes = git(root, "status", "--porcelain", "--untracked-files=no")
         said = subprocess.run([harness, "--version"], capture_output=True, text=True, check=True).stdout
         return cls(
-            date=datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+            date=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             processor=processor(),
             cores=os.cpu_count(),
             memory_bytes=os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
@@ -103,7 +103,7 @@ COLUMNS = (
 
 def git(root: Path, *arguments: str) -> str | None:
     try:
-        done = subprocess.run(["git", "-C", root, *arguments], capture_output=True, text=True)
+        done = subprocess.run(["git", "-C", root, *arguments], capture_output=True, check=False, text=True)
     except FileNotFoundError:
         return None
     return done.stdout.strip() if done.returncode == 0 else None
@@ -137,7 +137,9 @@ def markdown(measurements: list[Measurement], machine: Machine) -> str:
         for number, other in enumerate(others):
             first = (name, quantity(ours.value, ours.unit)) if number == 0 else ("", "")
             target = "" if other.target is None else f"{other.target:.1f}"
-            rows.append((*first, other.contender, quantity(other.value, other.unit), f"{other.ratio:.2f}", target))
+            rows.append(
+                (*first, other.contender, quantity(other.value, other.unit), f"{other.ratio:.2f}", target)
+            )
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = ["| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths)) + " |" for row in rows]
     lines.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")

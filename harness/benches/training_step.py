@@ -30,7 +30,10 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--mode", choices=["eager", "compile"], default="eager")
     parser.add_argument(
-        "--precision", choices=["f32", "bf16"], default="f32", help="bf16: forward under autocast, parameters f32"
+        "--precision",
+        choices=["f32", "bf16"],
+        default="f32",
+        help="bf16: forward under autocast, parameters f32",
     )
     parser.add_argument("--latent", type=int, default=64)
     parser.add_argument("--hidden", type=int, default=256)
