@@ -35,7 +35,7 @@ ROOT = BENCHES.parents[1]
 TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "debug"
 MODELS = ROOT / "models"
 SAMPLES_PER_EPISODE = 1000
-CORES = os.cpu_count()
+CORES = report.cores()
 
 LATENTS = (16, 64, 128)
 # Timed steps a round: some seconds each.
@@ -274,6 +274,9 @@ def arguments() -> argparse.Namespace:
 
 def main() -> None:
     options = arguments()
+    load, *_ = os.getloadavg()
+    if load > 0.5:
+        note(f"warning: the machine is not idle (load average {load:.1f}), so the ratios will not hold")
     measurements = []
     with tempfile.TemporaryDirectory() as folder:
         comparisons = []

@@ -53,7 +53,7 @@ class Machine:
         return cls(
             date=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             processor=processor(),
-            cores=os.cpu_count(),
+            cores=cores(),
             memory_bytes=os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
             system=system(),
             harness_version=said.split()[-1],
@@ -88,7 +88,7 @@ COLUMNS = (
     ("target", "real", "1", "the ratio that the project has set itself at least; null where none"),
     ("date", "text", "", "when the measurements ended, UTC"),
     ("processor", "text", "", "the machine's processor"),
-    ("cores", "integer", "1", "logical processors"),
+    ("cores", "integer", "1", "processors that the contenders could use"),
     ("memory_bytes", "integer", "B", "the machine's memory"),
     ("system", "text", "", "operating system"),
     ("harness_version", "text", "", "version of the harness"),
@@ -107,6 +107,11 @@ def git(root: Path, *arguments: str) -> str | None:
     except FileNotFoundError:
         return None
     return done.stdout.strip() if done.returncode == 0 else None
+
+
+def cores() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0))
 
 
 def processor() -> str:
