@@ -4,7 +4,7 @@
 QUICK = --quick
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint
+.PHONY: help setup run test lint bench
 
 help: ## show this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 8
@@ -24,3 +24,8 @@ lint: setup ## check formatting, and clippy without warnings
 		|| { echo 'lint: rustfmt or clippy is missing; install both: rustup component add rustfmt clippy' >&2; exit 1; }
 	cargo fmt --check
 	cargo clippy --all-targets -- -D warnings
+
+bench: ## compare speed with PyTorch, Python's mujoco, PyBullet and the raw limits (half an hour on an idle machine)
+	@setup/setup.sh --bench
+	cargo build --bins --examples
+	.venv-bench/bin/python harness/benches/compare.py --output results/reference/benchmarks.parquet

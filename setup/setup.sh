@@ -2,8 +2,9 @@
 # Sets up what cargo cannot: a virtual environment with MuJoCo, the links to its library, an EGL driver.
 # Does only what is missing, so running it again takes about a second.
 #
-#   setup/setup.sh          what the harness needs
-#   setup/setup.sh --test   and what its tests need besides
+#   setup/setup.sh           what the harness needs
+#   setup/setup.sh --test    and what its tests need besides
+#   setup/setup.sh --bench   and .venv-bench, with what the benchmarks compare with
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -57,26 +58,27 @@ find_python() {
     fail "no Python found; install one of: $pythons"
 }
 
+# Makes the virtual environment of that name.
 make_venv() {
     # A copied or interrupted environment has an interpreter that doesn't run or lacks pip.
-    .venv/bin/python -c 'import pip' 2>/dev/null && return
+    "$1/bin/python" -c 'import pip' 2>/dev/null && return
     python=$(find_python)
     if ! "$python" -c 'import venv, ensurepip' 2>/dev/null; then
         package=$("$python" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')
         can_install || fail "$python cannot make virtual environments; install it as root: apt-get install $package"
         apt_install "$package"
     fi
-    say "making .venv with $("$python" --version)"
-    "$python" -m venv --clear .venv
+    say "making $1 with $("$python" --version)"
+    "$python" -m venv --clear "$1"
 }
 
-# Installs a lock file, unless .venv already holds exactly what it lists.
+# Installs a lock file into an environment, unless that already holds exactly what it lists.
 install_packages() {
-    lock=setup/$1
-    installed=.venv/installed-$1
+    lock=setup/$2
+    installed=$1/installed-$2
     cmp -s "$lock" "$installed" && return
     say "installing the Python packages of $lock"
-    .venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r "$lock"
+    "$1/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes -r "$lock"
     cp "$lock" "$installed"
 }
 
@@ -104,8 +106,14 @@ check_egl() {
 }
 
 check_rust
-make_venv
-install_packages requirements.txt
+make_venv .venv
+install_packages .venv requirements.txt
 link_mujoco
-if [ "${1-}" = --test ]; then install_packages requirements-test.txt; fi
+case ${1-} in
+--test) install_packages .venv requirements-test.txt ;;
+--bench)
+    make_venv .venv-bench
+    install_packages .venv-bench requirements-bench.txt
+    ;;
+esac
 check_egl

@@ -1,15 +1,17 @@
 """Collects samples with Python's `mujoco`, doing the harness's work, to set beside the harness's own rate.
 
-    python harness/benches/collect.py --scenario cluttered --samples 4000
-    python harness/benches/collect.py --scenario cluttered --samples 400 --untuned
+    python harness/benches/collect.py --scenario cluttered --courses courses.bin
+    python harness/benches/collect.py --scenario cluttered --courses courses.bin --samples-per-episode 100 --untuned
 
-A sample is 100 steps of the checked-in scene under smoothstep moves, then the finger's angles, the arm, the
+A sample is 100 steps of the checked-in scene under the commanded motion, then the finger's angles, the arm, the
 setpoint, each link's normal contact force at the instant and its mean over the steps, and a 64 x 64 frame.
-Samples stay in memory; the harness writes them to disk besides.
+Samples stay in memory; the harness writes them to disk besides. `courses.bin` is what the example `courses` wrote:
+the same episodes as the harness's own, which the last positions have to show, bit by bit.
 
 Tuned (the default) is as fast as plain Python was found to get: the scene's visual quality and sleeping,
 llvmpipe without threads of its own, one process a core, preallocated arrays. `--untuned` is what one writes
-first: MuJoCo's default visual quality, no sleeping, one process. Needs mujoco and numpy, and EGL.
+first: MuJoCo's default visual quality, no sleeping, one process. `--no-sleep` is tuned, but for sleeping. Needs
+mujoco and numpy, and EGL.
 
 Prints JSON. The time runs from when every process has its model and renderer until the last one is done.
 Run it on an otherwise idle machine.
@@ -17,23 +19,15 @@ Run it on an otherwise idle machine.
 
 import argparse
 import dataclasses
-import json
-import multiprocessing
 import os
-import time
 from pathlib import Path
 
+import courses
 import numpy as np
 
 MODELS = Path(__file__).parents[2] / "models"
 JOINTS = 20
 FRAME_SIDE = 64
-STEPS_PER_ACTUATION = 1000  # 1 s at 1 kHz
-STEPS_PER_SAMPLE = 100
-SAMPLES_PER_EPISODE = 1000
-BOXES = 8
-BOX_CLEARANCE = 0.05  # m
-START_TIMEOUT = 120  # s, for every process to open its model and renderer
 
 
 @dataclasses.dataclass
@@ -59,17 +53,19 @@ class Episode:
 class Collector:
     """One scene with its state and renderer, in the process that made it."""
 
-    def __init__(self, scenario: str, tuned: bool):
+    def __init__(self, options: argparse.Namespace):
         import mujoco  # here, so that the environment is set before the library chooses its OpenGL
 
         self.mujoco = mujoco
-        spec = mujoco.MjSpec.from_file(str(MODELS / f"{scenario}.xml"))
-        if not tuned:
-            untune(spec, mujoco)
+        spec = mujoco.MjSpec.from_file(str(MODELS / f"{options.scenario}.xml"))
+        self.is_harness_model = options.tuned and options.sleep
+        if not options.tuned:
+            set_default_quality(spec, mujoco)
+        if not self.is_harness_model:
+            spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.renderer = mujoco.Renderer(self.model, FRAME_SIDE, FRAME_SIDE)
-        self.has_boxes = scenario == "cluttered"
         self.link_of_geom = [-1] * self.model.ngeom
         for link in range(JOINTS):
             self.link_of_geom[self.model.geom(f"finger_link_{link:02}").id] = link
@@ -77,30 +73,28 @@ class Collector:
         self.finger = [self.model.joint(name).qposadr[0] for name in names]
         names = ["arm_rotation", "arm_lift", "arm_extension"]
         self.arm = [self.model.joint(name).qposadr[0] for name in names]
-        self.low, self.high = self.model.actuator_ctrlrange.T
 
-    def episode(self, seed: int, samples: int) -> Episode:
+    def episode(self, course: courses.Course) -> np.ndarray:
         """Simulates one episode from rest.
 
         A step computes the forces and poses of the instant it starts from, then moves the positions on; so a
         sample takes its positions before a step, and forces and frame after it.
         """
         data, step, link_forces = self.data, self.mujoco.mj_step, self.link_forces
-        rng = np.random.default_rng(seed)
-        self.mujoco.mj_resetDataKeyframe(self.model, data, 0)
-        if self.has_boxes:
-            self.place_boxes(rng)
-        setpoints = self.setpoints(rng, data.ctrl.copy(), (samples - 1) * STEPS_PER_SAMPLE + 1)
+        steps_per_sample = course.steps_per_sample
+        self.mujoco.mj_resetData(self.model, data)
+        data.qpos[:] = course.start
 
-        recorded = Episode.empty(samples)
+        recorded = Episode.empty(course.samples)
         sums, steps = [0.0] * JOINTS, 0
         ctrl, qpos = data.ctrl, data.qpos
-        for index, setpoint in enumerate(setpoints):
-            row, phase = divmod(index, STEPS_PER_SAMPLE)
+        for index, setpoint in enumerate(course.controls):
+            row, phase = divmod(index, steps_per_sample)
             if phase == 0:
                 recorded.proprioception[row] = qpos[self.finger]
                 recorded.arm[row] = qpos[self.arm]
                 recorded.setpoint[row] = setpoint
+                last = qpos.copy()
             ctrl[:] = setpoint
             step(self.model, data)
             steps += 1
@@ -116,8 +110,10 @@ class Collector:
                 self.renderer.update_scene(data, "external")
                 self.renderer.render(out=recorded.vision[row])
         if any(warning.number for warning in data.warning):
-            raise RuntimeError(f"the simulation of episode {seed} diverged: see MUJOCO_LOG.TXT")
-        return recorded
+            raise RuntimeError(f"the simulation of episode {course.index} diverged: see MUJOCO_LOG.TXT")
+        if self.is_harness_model and course.end is not None and not np.array_equal(last, course.end):
+            raise RuntimeError(f"episode {course.index} did not end where its course says: another MuJoCo?")
+        return recorded.contact_force_mean
 
     def link_forces(self) -> list[tuple[int, float]]:
         """Link and normal force (N) of each of the finger's contacts.
@@ -135,68 +131,25 @@ class Collector:
                 forces.append((link, rows[row]))
         return forces
 
-    def setpoints(self, rng: np.random.Generator, rest: np.ndarray, steps: int) -> np.ndarray:
-        """The arm's setpoint at each step, [steps, 3]: smoothstep moves between uniform random ones."""
-        moves = -(-steps // STEPS_PER_ACTUATION)
-        knots = np.vstack([rest, rng.uniform(self.low, self.high, (moves, 3))])
-        u = np.arange(STEPS_PER_ACTUATION) / STEPS_PER_ACTUATION
-        smooth = (u * u * (3 - 2 * u))[None, :, None]
-        path = knots[:-1, None] + smooth * np.diff(knots, axis=0)[:, None]
-        return path.reshape(-1, 3)[:steps]
 
-    def place_boxes(self, rng: np.random.Generator) -> None:
-        """Stands the boxes uniformly over the swept sector, apart from each other and the finger."""
-        mount_radius = abs(self.model.body("arm_beam").pos[0])
-        finger_radius = self.model.geom("finger_link_00").size[0]
-        half_x, half_y, half_z = self.model.geom("box_0").size
-        box_radius = np.hypot(half_x, half_y)
-        rest = self.data.ctrl[0]
-        taken = [(mount_radius * np.cos(rest), mount_radius * np.sin(rest), finger_radius)]
-        while len(taken) <= BOXES:
-            inner, outer = (mount_radius + self.low[2]) ** 2, (mount_radius + self.high[2]) ** 2
-            radius, angle = np.sqrt(rng.uniform(inner, outer)), rng.uniform(self.low[0], self.high[0])
-            x, y = radius * np.cos(angle), radius * np.sin(angle)
-            if all(np.hypot(x - a, y - b) - box_radius - r >= BOX_CLEARANCE for a, b, r in taken):
-                half_yaw = rng.uniform(-np.pi, np.pi) / 2
-                pose = [x, y, half_z, np.cos(half_yaw), 0, 0, np.sin(half_yaw)]
-                self.data.joint(f"box_{len(taken) - 1}").qpos[:] = pose
-                taken.append((x, y, box_radius))
-
-
-def untune(spec, mujoco) -> None:
-    """Sets MuJoCo's default visual quality, and no sleeping."""
+def set_default_quality(spec, mujoco) -> None:
+    """Sets MuJoCo's default visual quality."""
     usual = mujoco.MjSpec()
     for field in ("shadowsize", "offsamples", "numslices", "numstacks", "numquads"):
         setattr(spec.visual.quality, field, getattr(usual.visual.quality, field))
-    spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-
-
-def work(options: argparse.Namespace, process: int, episodes: list[int], ready, results) -> None:
-    """Collects this process's share of the episodes, given by their number of samples."""
-    collector = Collector(options.scenario, options.tuned)
-    ready.wait(START_TIMEOUT)
-    touched = 0
-    for index, samples in enumerate(episodes):
-        episode = collector.episode(options.seed + index * options.processes + process, samples)
-        touched += int((episode.contact_force_mean > 0).any(axis=1).sum())
-    results.put(touched)
 
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--scenario", choices=["empty", "cluttered"], default="empty")
-    parser.add_argument("--samples", type=int, default=4000, help="altogether, divided among the processes")
-    parser.add_argument("--processes", type=int, help="2; 1 with --untuned")
-    parser.add_argument("--seed", type=int, default=0)
+    courses.add_arguments(parser)
     tuning = parser.add_mutually_exclusive_group()
-    tuning.add_argument("--tuned", action="store_true", default=True)
-    tuning.add_argument("--untuned", dest="tuned", action="store_false")
+    tuning.add_argument("--untuned", dest="tuned", action="store_false", help="in one process")
+    tuning.add_argument("--no-sleep", dest="sleep", action="store_false")
     options = parser.parse_args()
-    options.processes = options.processes or (2 if options.tuned else 1)
-    if options.samples < 1 or options.samples % options.processes:
-        parser.error("--samples must be positive and a multiple of --processes")
+    if not options.tuned:
+        options.processes = 1
     return options
 
 
@@ -205,31 +158,7 @@ def main() -> None:
     os.environ["MUJOCO_GL"] = "egl"
     if options.tuned:
         os.environ["LP_NUM_THREADS"] = "0"
-    share = options.samples // options.processes
-    episodes = [min(SAMPLES_PER_EPISODE, share - first) for first in range(0, share, SAMPLES_PER_EPISODE)]
-
-    context = multiprocessing.get_context("spawn")
-    ready, results = context.Barrier(options.processes + 1), context.Queue()
-    workers = [
-        context.Process(target=work, args=(options, process, episodes, ready, results))
-        for process in range(options.processes)
-    ]
-    for worker in workers:
-        worker.start()
-    ready.wait(START_TIMEOUT)
-    start = time.perf_counter()
-    for worker in workers:
-        worker.join()
-    seconds = time.perf_counter() - start
-    if any(worker.exitcode for worker in workers):
-        raise SystemExit("a process failed: its message is above")
-    touched = sum(results.get() for _ in workers)
-    report = {
-        "seconds": round(seconds, 2),
-        "samples_per_second": round(options.samples / seconds, 1),
-        "share_of_samples_in_contact": round(touched / options.samples, 3),
-    }
-    print(json.dumps(vars(options) | report))
+    courses.collect(Collector, options)
 
 
 if __name__ == "__main__":

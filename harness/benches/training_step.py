@@ -3,9 +3,7 @@
 A step is what the harness's trainer does for one batch: draw the noise, forward, loss, backward, fused Adam
 (1e-3). Inputs and targets are random, standardised f32. Run it on an otherwise idle machine:
 
-    python -m venv /tmp/benches
-    /tmp/benches/bin/pip install -r harness/benches/requirements.txt
-    /tmp/benches/bin/python harness/benches/training_step.py --architecture convolutional --latent 64
+    .venv-bench/bin/python harness/benches/training_step.py --architecture convolutional --latent 64
 
 Prints JSON; the times are wall-clock seconds.
 """
@@ -31,12 +29,18 @@ def arguments() -> argparse.Namespace:
         "--architecture", choices=["convolutional", "fully_connected"], default="convolutional"
     )
     parser.add_argument("--mode", choices=["eager", "compile"], default="eager")
+    parser.add_argument(
+        "--precision",
+        choices=["f32", "bf16"],
+        default="f32",
+        help="bf16: forward under autocast, parameters f32",
+    )
     parser.add_argument("--latent", type=int, default=64)
     parser.add_argument("--hidden", type=int, default=256)
     parser.add_argument("--channels", type=int, default=16)
     parser.add_argument("--batch", type=int, default=1024)
     parser.add_argument("--steps", type=int, default=10, help=f"timed steps, after {WARM_UP_STEPS} not timed")
-    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     return parser.parse_args()
 
 
@@ -57,7 +61,10 @@ def timed_steps(options: argparse.Namespace) -> list[float]:
     optimiser = torch.optim.Adam(model.parameters(), lr=1e-3, fused=True)
 
     def total_loss(batch: dict[str, torch.Tensor]) -> torch.Tensor:
-        return loss_terms(model(batch), batch, weights, kl_weight=0.01)["loss.total"]
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=options.precision == "bf16"):
+            outputs = model(batch)
+        outputs = {name: value.float() for name, value in outputs.items()}
+        return loss_terms(outputs, batch, weights, kl_weight=0.01)["loss.total"]
 
     if options.mode == "compile":
         total_loss = torch.compile(total_loss)

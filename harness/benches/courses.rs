@@ -1,0 +1,56 @@
+//! Writes the courses of a dataset's first episodes, so that every contender in the collection benchmark simulates
+//! the very same ones.
+//!
+//!     cargo run --example courses -- --scenario cluttered --episodes 6 --output courses.bin
+//!
+//! Courses are those of the default settings. The file is in the machine's byte order: six i64 (episodes, samples,
+//! steps a sample, steps, position coordinates, controls), then for each episode f64: the first positions
+//! `[coordinates]`, the positions at the last sample `[coordinates]`, and the controls `[steps, controls]`.
+//! The last positions let a reader show that it simulated the same.
+
+use clap::Parser;
+use harness::files::write_bytes;
+use harness::simulation::{Course, Scene, replay};
+use harness::spec::{ARM_JOINTS, Scenario, Simulation};
+use std::error::Error;
+use std::path::PathBuf;
+
+#[derive(Parser)]
+struct Arguments {
+    /// empty or cluttered
+    #[arg(long, default_value = "empty")]
+    scenario: String,
+    /// Folder with MJCF files to use instead of the built-in models
+    #[arg(long)]
+    models: Option<PathBuf>,
+    #[arg(long, default_value_t = 6)]
+    episodes: u32,
+    /// Commanded arm moves an episode, 10 samples each
+    #[arg(long, default_value_t = 100)]
+    actuations: u32,
+    #[arg(long)]
+    output: PathBuf,
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments = Arguments::parse();
+    let scenario = Scenario::ALL.iter().copied().find(|scenario| scenario.name() == arguments.scenario);
+    let scenario = scenario.ok_or("the scenario must be empty or cluttered")?;
+    let scene = Scene::load(scenario, arguments.models.as_deref())?;
+    let spec = Simulation { actuations_per_episode: arguments.actuations, ..Simulation::default() };
+    let samples = spec.samples_per_episode();
+    let steps = (samples - 1) * spec.steps_per_sample() + 1;
+    let coordinates = scene.rest().len();
+    let header =
+        [arguments.episodes as usize, samples, spec.steps_per_sample(), steps, coordinates, ARM_JOINTS];
+    let mut bytes: Vec<u8> = header.iter().flat_map(|value| (*value as i64).to_ne_bytes()).collect();
+    for episode in 0..arguments.episodes {
+        let course = Course::draw(&scene, &spec, episode)?;
+        let states = replay(&scene, &spec, episode)?;
+        let controls = (0..steps).flat_map(|step| course.setpoint(step));
+        let values = states[0].iter().chain(&states[samples - 1]).copied().chain(controls);
+        bytes.extend(values.flat_map(f64::to_ne_bytes));
+    }
+    write_bytes(&arguments.output, &bytes)?;
+    Ok(())
+}

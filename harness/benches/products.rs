@@ -1,0 +1,194 @@
+//! The matrix products of one training step and nothing else, timed: the floor under training_step.rs.
+//!
+//!     cargo run --example products -- --architecture convolutional --latent 64 --steps 10
+//!
+//! Each layer's product forward, and those of its gradients: for the weights, and for the input where that is not
+//! data. They run through the gemm crate with the features that the harness uses. The convolutions' products go
+//! frame by frame, each thread over patches that stay in its cache, as cheap as they can be had.
+//!
+//! Prints one line of JSON: median, least and greatest seconds for all products, and the list, which products.py
+//! times in PyTorch.
+
+use clap::Parser;
+use gemm::Parallelism;
+use harness::spec::{ARM_JOINTS, Architecture, FRAME_CHANNELS, FRAME_SIDE, JOINTS};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::time::Instant;
+
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+#[derive(Parser)]
+struct Arguments {
+    /// convolutional or fully_connected
+    #[arg(long, default_value = "convolutional")]
+    architecture: String,
+    #[arg(long, default_value_t = 64)]
+    latent: usize,
+    #[arg(long, default_value_t = 256)]
+    hidden: usize,
+    #[arg(long, default_value_t = 16)]
+    channels: usize,
+    #[arg(long, default_value_t = 1024)]
+    batch: usize,
+    #[arg(long, default_value_t = 20)]
+    steps: usize,
+}
+
+/// `[rows, inner]` times `[inner, columns]`, `frames` times.
+#[derive(Clone, Serialize)]
+struct Product {
+    name: String,
+    rows: usize,
+    inner: usize,
+    columns: usize,
+    /// Whether the factors lie in memory as their transposes.
+    transposed: [bool; 2],
+    /// 0 for a product over the whole batch, otherwise as many products, one a frame.
+    frames: usize,
+}
+
+impl Product {
+    fn new(name: String, [rows, inner, columns]: [usize; 3], transposed: [bool; 2]) -> Self {
+        Self { name, rows, inner, columns, transposed, frames: 0 }
+    }
+
+    fn operations(&self) -> f64 {
+        2.0 * (self.rows * self.inner * self.columns * self.frames.max(1)) as f64
+    }
+}
+
+/// A fully connected layer's products; a layer on data needs no gradient for its input.
+fn layer(name: &str, batch: usize, inputs: usize, outputs: usize, on_data: bool) -> Vec<Product> {
+    let mut products = vec![
+        Product::new(format!("{name}, forward"), [batch, inputs, outputs], [false, true]),
+        Product::new(format!("{name}, weight gradient"), [outputs, batch, inputs], [true, false]),
+    ];
+    if !on_data {
+        products.push(Product::new(
+            format!("{name}, input gradient"),
+            [batch, outputs, inputs],
+            [false, false],
+        ));
+    }
+    products
+}
+
+/// All products of a step.
+fn products(arguments: &Arguments) -> Vec<Product> {
+    let Arguments { latent, hidden, channels, batch, .. } = *arguments;
+    let positions = (FRAME_SIDE / 2) * (FRAME_SIDE / 2);
+    let patch = FRAME_CHANNELS * 4 * 4;
+    let mut list = Vec::new();
+    let frames = arguments.architecture == Architecture::Convolutional.name();
+    let mut by_frame = |name: &str, shape, transposed| {
+        list.push(Product { frames: batch, ..Product::new(name.to_owned(), shape, transposed) });
+    };
+    if frames {
+        by_frame("encoder.conv, forward", [channels, patch, positions], [false, false]);
+        by_frame("encoder.conv, weight gradient", [channels, positions, patch], [false, true]);
+        by_frame("decoder.conv, forward", [patch, channels, positions], [true, false]);
+        by_frame("decoder.conv, weight gradient", [channels, positions, patch], [false, true]);
+        by_frame("decoder.conv, input gradient", [channels, patch, positions], [false, false]);
+        list.extend(layer("encoder.hidden_frame", batch, channels * positions, hidden, false));
+        list.extend(layer("decoder.frame", batch, hidden, channels * positions, false));
+    }
+    list.extend(layer("encoder.hidden_vector", batch, JOINTS, hidden, true));
+    list.extend(layer("encoder.posterior", batch, hidden, 2 * latent, false));
+    list.extend(layer("decoder.hidden", batch, latent + ARM_JOINTS, hidden, false));
+    list.extend(layer("decoder.vector", batch, hidden, 2 * JOINTS, false));
+    list
+}
+
+/// One product's factors and result.
+struct Operands {
+    product: Product,
+    left: Vec<f32>,
+    right: Vec<f32>,
+    out: Vec<f32>,
+}
+
+impl Operands {
+    fn new(product: Product) -> Self {
+        // Small values, so that no result is denormal or infinite.
+        let filled = |len: usize| (0..len).map(|i| (i % 17) as f32 / 17.0 - 0.5).collect::<Vec<f32>>();
+        Self {
+            left: filled(product.rows * product.inner),
+            right: filled(product.inner * product.columns),
+            out: vec![0.0; product.rows * product.columns],
+            product,
+        }
+    }
+
+    fn run(&mut self, threads: usize) {
+        if self.product.frames == 0 {
+            return self.multiply(if threads > 1 { Parallelism::Rayon(threads) } else { Parallelism::None });
+        }
+        let share = self.product.frames.div_ceil(threads);
+        (0..threads).into_par_iter().for_each(|_| {
+            let mut own = Self::new(self.product.clone());
+            (0..share).for_each(|_| own.multiply(Parallelism::None));
+        });
+    }
+
+    fn multiply(&mut self, parallelism: Parallelism) {
+        let Product { rows, inner, columns, transposed, .. } = self.product;
+        // Column stride and row stride of a row-major matrix of that width, or of its transpose.
+        let strides = |width: usize, height: usize, transposed: bool| {
+            if transposed { (height as isize, 1) } else { (1, width as isize) }
+        };
+        let (left_columns, left_rows) = strides(inner, rows, transposed[0]);
+        let (right_columns, right_rows) = strides(columns, inner, transposed[1]);
+        // SAFETY: `new` made each matrix as large as its shape, which the strides span, and none overlap.
+        unsafe {
+            gemm::gemm(
+                rows,
+                columns,
+                inner,
+                self.out.as_mut_ptr(),
+                1,
+                columns as isize,
+                false,
+                self.left.as_ptr(),
+                left_columns,
+                left_rows,
+                self.right.as_ptr(),
+                right_columns,
+                right_rows,
+                0.0_f32,
+                1.0,
+                false,
+                false,
+                false,
+                parallelism,
+            );
+        }
+    }
+}
+
+fn main() {
+    let arguments = Arguments::parse();
+    let threads = rayon::current_num_threads();
+    let products = products(&arguments);
+    let operations: f64 = products.iter().map(Product::operations).sum();
+    let mut operands: Vec<_> = products.iter().cloned().map(Operands::new).collect();
+    let mut seconds = Vec::with_capacity(arguments.steps);
+    for _ in 0..arguments.steps + 2 {
+        let begin = Instant::now();
+        operands.iter_mut().for_each(|operands| operands.run(threads));
+        seconds.push(begin.elapsed().as_secs_f64());
+    }
+    // The first two warm up caches and the allocator.
+    let mut seconds = seconds.split_off(2);
+    seconds.sort_by(f64::total_cmp);
+    println!(
+        "{}",
+        serde_json::json!({
+            "architecture": arguments.architecture, "latent": arguments.latent, "batch": arguments.batch,
+            "median_seconds": seconds[seconds.len() / 2], "min_seconds": seconds[0],
+            "max_seconds": seconds[seconds.len() - 1],
+            "gigaflop": operations / 1e9, "threads": threads, "products": products,
+        })
+    );
+}
