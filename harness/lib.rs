@@ -11,6 +11,7 @@ pub mod metrics;
 pub mod progress;
 pub mod registry;
 pub mod schema;
+pub mod seal;
 pub mod simulation;
 pub mod spec;
 pub mod tables;

@@ -116,7 +116,10 @@ fn all_threads() -> usize {
 fn is_usage(error: &anyhow::Error) -> bool {
     error.is::<SpecError>()
         || error.is::<render::RenderError>()
-        || matches!(error.downcast_ref(), Some(QueryError::Sql(_) | QueryError::Format(_)))
+        || matches!(
+            error.downcast_ref(),
+            Some(QueryError::Sql(_) | QueryError::Refused(_) | QueryError::Format(_))
+        )
         || matches!(error.downcast_ref(), Some(SimulationError::PictureSize { .. }))
         || matches!(
             error.downcast_ref(),
