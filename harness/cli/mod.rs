@@ -6,6 +6,7 @@ mod progress;
 mod render;
 mod run;
 mod table;
+mod verify;
 
 use clap::{Parser, Subcommand};
 use harness::experiment::describe;
@@ -74,6 +75,14 @@ enum Command {
   harness render cluttered --episode 3 --sample 250 --width 1600 --height 1000 --output push.png
   harness render empty --episode 0 --output clip.gif")]
     Render(render::Render),
+    /// Check that everything in the results folder is as it was written
+    #[command(after_help = "Examples:
+  harness verify
+  harness --results /data/results verify
+
+Names each file that is broken or missing, and the command that mends it. Exit code 0: everything is whole;
+1: something is broken.")]
+    Verify,
     /// Check what this machine offers: rendering, MuJoCo, threads, memory, disk
     Doctor,
 }
@@ -100,6 +109,7 @@ pub fn main(arguments: Arguments) -> ExitCode {
         Command::Show(show) => show.execute(&registry),
         Command::Schema(schema) => schema.execute(),
         Command::Render(render) => render.execute(),
+        Command::Verify => verify::execute(&registry),
         Command::Doctor => doctor::execute(&registry, threads),
     };
     outcome.unwrap_or_else(|error| {

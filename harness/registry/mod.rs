@@ -9,10 +9,12 @@
 mod provenance;
 mod query;
 mod record;
+mod verify;
 
 pub use provenance::{Provenance, peak_memory_bytes};
 pub use query::{QueryError, query, save, table};
 pub use record::{FileRecord, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings};
+pub use verify::{Finding, Report};
 
 use crate::files::{WriteError, write_bytes};
 use crate::spec::{RunSpec, Task};
