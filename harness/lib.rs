@@ -13,6 +13,7 @@ pub mod metrics;
 pub mod progress;
 pub mod registry;
 pub mod schema;
+pub mod seal;
 pub mod simulation;
 pub mod spec;
 pub mod tables;

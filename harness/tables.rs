@@ -1,10 +1,11 @@
 //! Parquet tables: written whole, stamped with what made them, with units in their metadata.
 
-use crate::files::{WriteError, write_whole};
+use crate::files::WriteError;
 use crate::schema::{Column, Kind};
+use crate::seal;
 use polars::prelude::*;
 use std::collections::BTreeMap;
-use std::fs::File;
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 /// Key of the columns' units and meanings in a file's metadata, as JSON.
@@ -35,7 +36,7 @@ pub fn data_type(kind: Kind) -> DataType {
     }
 }
 
-/// Writes a table whose columns are those of `columns`, in their order.
+/// Writes a table whose columns are those of `columns`, in their order, and seals its file.
 pub fn write_table(
     path: &Path,
     mut table: DataFrame,
@@ -52,16 +53,14 @@ pub fn write_table(
         .map_err(|error| PolarsError::ComputeError(error.to_string().into()))?;
     let mut metadata = vec![(COLUMNS_KEY.to_owned(), described)];
     metadata.extend(stamp.iter().map(|(key, value)| (format!("harness.{key}"), value.clone())));
-    write_whole(path, |file| {
-        ParquetWriter::new(File::create(file)?)
-            .with_key_value_metadata(Some(KeyValueMetadata::from_static(metadata.clone())))
-            // Tables are written from threads of their own; more threads for each would only compete.
-            .set_parallel(false)
-            .finish(&mut table)
-            .map_err(std::io::Error::other)?;
-        Ok(())
-    })?;
-    Ok(())
+    metadata.push((format!("harness.{}", seal::KEY), seal::BLANK.to_owned()));
+    let mut bytes = Vec::new();
+    ParquetWriter::new(&mut bytes)
+        .with_key_value_metadata(Some(KeyValueMetadata::from_static(metadata)))
+        // Tables are written from threads of their own; more threads for each would only compete.
+        .set_parallel(false)
+        .finish(&mut table)?;
+    Ok(seal::write(path, bytes)?)
 }
 
 /// What a file's metadata say, without the table itself.
@@ -70,23 +69,54 @@ pub struct Footer {
     pub stamp: Stamp,
 }
 
+/// A table's file in memory, whose seal holds: what Polars decodes is what was written, bit by bit. Its decoder
+/// trusts the file's numbers and ends the process at some that were changed.
+pub struct TableFile {
+    path: PathBuf,
+    bytes: Vec<u8>,
+}
+
+impl TableFile {
+    /// Reads a file that [`write_table`] wrote.
+    ///
+    /// # Errors
+    /// When it is not there, or not as it was written.
+    pub fn open(path: &Path) -> Result<Self, TableError> {
+        Self::new(path, std::fs::read(path).map_err(|error| unreadable(path, error))?)
+    }
+
+    /// The same for bytes that are said to be those of `path`.
+    pub fn new(path: &Path, bytes: Vec<u8>) -> Result<Self, TableError> {
+        seal::check(&bytes).map_err(|error| unreadable(path, error))?;
+        Ok(Self { path: path.to_owned(), bytes })
+    }
+
+    pub fn footer(&self) -> Result<Footer, TableError> {
+        let mut reader = ParquetReader::new(Cursor::new(&self.bytes));
+        let metadata = reader.get_metadata().map_err(|error| unreadable(&self.path, error))?;
+        let pairs = metadata.key_value_metadata().clone().unwrap_or_default();
+        let stamp = pairs.into_iter().filter_map(|pair| {
+            let key = pair.key.strip_prefix("harness.")?.to_owned();
+            Some((key, pair.value?))
+        });
+        Ok(Footer { rows: metadata.num_rows, stamp: stamp.collect() })
+    }
+
+    /// The table, all of its columns or those named.
+    pub fn table(&self, columns: Option<Vec<String>>) -> Result<DataFrame, TableError> {
+        let reader = ParquetReader::new(Cursor::new(&self.bytes)).with_columns(columns);
+        reader.finish().map_err(|error| unreadable(&self.path, error))
+    }
+}
+
 /// Reads a file's footer.
 pub fn read_footer(path: &Path) -> Result<Footer, TableError> {
-    let file = File::open(path).map_err(|error| unreadable(path, error))?;
-    let mut reader = ParquetReader::new(file);
-    let metadata = reader.get_metadata().map_err(|error| unreadable(path, error))?;
-    let pairs = metadata.key_value_metadata().clone().unwrap_or_default();
-    let stamp = pairs.into_iter().filter_map(|pair| {
-        let key = pair.key.strip_prefix("harness.")?.to_owned();
-        Some((key, pair.value?))
-    });
-    Ok(Footer { rows: metadata.num_rows, stamp: stamp.collect() })
+    TableFile::open(path)?.footer()
 }
 
 /// Reads a table, all of its columns or those named.
 pub fn read_table(path: &Path, columns: Option<Vec<String>>) -> Result<DataFrame, TableError> {
-    let file = File::open(path).map_err(|error| unreadable(path, error))?;
-    ParquetReader::new(file).with_columns(columns).finish().map_err(|error| unreadable(path, error))
+    TableFile::open(path)?.table(columns)
 }
 
 fn unreadable(path: &Path, error: impl std::fmt::Display) -> TableError {
@@ -94,6 +124,8 @@ fn unreadable(path: &Path, error: impl std::fmt::Display) -> TableError {
 }
 
 /// The tables at `paths` one after the other, lazily and cut down to `columns`; `None` if there are none.
+///
+/// Polars reads the files only later and knows nothing of seals: the caller has compared them.
 pub fn scan(paths: &[PathBuf], columns: &[Column]) -> PolarsResult<Option<LazyFrame>> {
     if paths.is_empty() {
         return Ok(None);

@@ -6,6 +6,7 @@ use common::{Answer, SMOKE, finish, harness, smoke_run, succeed};
 use harness::files::UNFINISHED;
 use harness::tables::read_footer;
 use image::AnimationDecoder;
+use polars::prelude::SerReader;
 use predicates::prelude::*;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -246,7 +247,9 @@ fn queries_print_or_write_their_answer() {
         serde_json::from_slice(&std::fs::read(folder.path("answer.json")).unwrap()).unwrap();
     assert_eq!(json[1]["scenario"], "empty");
     assert_eq!(json[1]["samples"], 120);
-    assert_whole(folder.0.path());
+    let parquet = std::fs::File::open(folder.path("answer.parquet")).unwrap();
+    assert_eq!(polars::prelude::ParquetReader::new(parquet).finish().unwrap().shape(), (2, 3));
+    assert_eq!(files(folder.0.path()).len(), 4, "nothing else is left");
 }
 
 #[test]

@@ -643,14 +643,46 @@ fn an_interrupted_training_ends_as_an_undisturbed_one() {
     assert!(bits(&parameters) == bits(&resumed));
 }
 
+/// Keeps what it is told.
+#[derive(Default)]
+struct Listener(std::sync::Mutex<Vec<String>>);
+
+impl Progress for Listener {
+    fn begin(&self, _: &str, _: u64, _: &str) {}
+    fn advance(&self, _: u64) {}
+    fn note(&self, _: &str) {}
+    fn say(&self, text: &str) {
+        self.0.lock().unwrap().push(text.to_owned());
+    }
+    fn end(&self) {}
+}
+
 #[test]
 fn a_damaged_state_is_named_and_not_used() {
     let bench = Bench::new();
+    let (_, parameters) = bench.train_undisturbed(7);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("state.safetensors");
-    std::fs::write(&path, b"not a state").unwrap();
-    let error = bench.train(7, &StateFile::at(path.clone()), &harness::progress::Silent).err().unwrap();
-    assert!(error.to_string().starts_with(&format!("{} is damaged", path.display())), "{error}");
+    let state = || StateFile::at(path.clone());
+    let steps_per_epoch = bench.partition.training.len().div_ceil(bench.training.batch_size);
+    let impatient = Impatient(AtomicUsize::new(steps_per_epoch + 1));
+    assert!(bench.train(7, &state().every(Duration::ZERO), &impatient).is_err());
+    let whole = std::fs::read(&path).unwrap();
+    for part in 0..100 {
+        let at = whole.len() * part / 100;
+        let mut flipped = whole.clone();
+        flipped[at] ^= 1 << (part % 8);
+        for damaged in [&flipped[..], &whole[..at]] {
+            std::fs::write(&path, damaged).unwrap();
+            let listener = Listener::default();
+            let (_, anew) = bench.train(7, &state(), &listener).unwrap();
+            assert!(bits(&parameters) == bits(&anew), "part {part}");
+            let said = listener.0.into_inner().unwrap();
+            let [said] = said.as_slice() else { panic!("part {part}: {said:?}") };
+            assert!(said.starts_with(&format!("{} is damaged (", path.display())), "{said}");
+            assert!(said.ends_with("its training begins anew"), "{said}");
+        }
+    }
 }
 
 #[test]

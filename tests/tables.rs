@@ -136,12 +136,12 @@ fn the_printed_schema_says_the_same_as_the_files() {
 fn every_file_says_what_made_it() {
     for file in &ANSWER.files {
         let keys: &[&str] = match file.table() {
-            Table::Episodes => &["dataset", "episode", "episode_sha256", "renderer", "simulation_seed"],
+            Table::Episodes => &["dataset", "episode", "renderer", "simulation_seed"],
             _ => {
                 &["run", "spec_hash", "dataset", "seed", "git_commit", "git_dirty", "candle_version", "host"]
             }
         };
-        for key in keys.iter().chain(&["harness_version", "mujoco_version"]) {
+        for key in keys.iter().chain(&["harness_version", "mujoco_version", "seal"]) {
             let value = file.metadata.get(&format!("harness.{key}"));
             assert!(value.is_some_and(|value| !value.is_empty()), "{}: {key}", file.path.display());
         }

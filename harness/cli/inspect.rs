@@ -21,6 +21,9 @@ pub struct Query {
 impl Query {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let mut answer = registry::query(registry, &self.sql)?;
+        for error in registry.damaged() {
+            eprintln!("warning: a run is left out: {error}");
+        }
         match self.output {
             Some(path) => {
                 registry::save(&mut answer, &path)?;

@@ -7,6 +7,7 @@ mod progress;
 mod render;
 mod run;
 mod table;
+mod verify;
 
 use clap::{Parser, Subcommand};
 use harness::experiment::describe;
@@ -78,6 +79,14 @@ enum Command {
     /// Draw the paper's figures from the tables, as SVG and PNG, each with its numbers as CSV
     #[command(after_help = FIGURES_HELP)]
     Figures(figures::Figures),
+    /// Check that everything in the results folder is as it was written
+    #[command(after_help = "Examples:
+  harness verify
+  harness --results /data/results verify
+
+Names each file that is broken or missing, and the command that mends it. Exit code 0: everything is whole;
+1: something is broken.")]
+    Verify,
     /// Check what this machine offers: rendering, MuJoCo, threads, memory, disk
     Doctor,
 }
@@ -115,6 +124,7 @@ pub fn main(arguments: Arguments) -> ExitCode {
         Command::Schema(schema) => schema.execute(),
         Command::Render(render) => render.execute(),
         Command::Figures(figures) => figures.execute(&registry),
+        Command::Verify => verify::execute(&registry),
         Command::Doctor => doctor::execute(&registry, threads),
     };
     outcome.unwrap_or_else(|error| {
@@ -131,7 +141,10 @@ fn all_threads() -> usize {
 fn is_usage(error: &anyhow::Error) -> bool {
     error.is::<SpecError>()
         || error.is::<render::RenderError>()
-        || matches!(error.downcast_ref(), Some(QueryError::Sql(_) | QueryError::Format(_)))
+        || matches!(
+            error.downcast_ref(),
+            Some(QueryError::Sql(_) | QueryError::Refused(_) | QueryError::Format(_))
+        )
         || matches!(error.downcast_ref(), Some(SimulationError::PictureSize { .. }))
         || matches!(
             error.downcast_ref(),

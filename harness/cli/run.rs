@@ -60,7 +60,9 @@ impl Run {
         }
         registry.check_writable()?;
         let summary = laboratory.run(&experiment)?;
-        print_results(registry, &experiment, &plan)?;
+        if let Err(error) = print_results(registry, &experiment, &plan) {
+            eprintln!("warning: the results can't be shown: {error}");
+        }
         print_summary(registry, &experiment, &summary);
         Ok(ExitCode::from(if summary.failed == 0 { DONE } else { FAILED }))
     }

@@ -27,7 +27,7 @@ pub fn collect(
     dataset.describe()?;
     let lock = dataset.folder().join(format!("{UNFINISHED}lock"));
     let _held = hold(lock)?;
-    let missing = dataset.missing();
+    let missing = dataset.to_make(progress);
     if missing.is_empty() {
         return Ok(0);
     }

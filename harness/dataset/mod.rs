@@ -6,11 +6,13 @@ pub mod frames;
 mod samples;
 mod standard;
 mod store;
+mod verify;
 
 pub use collect::collect;
 pub use samples::{FRAME_PLANE, Partition, Samples};
 pub use standard::{Scale, Standard, frame_difference};
 pub use store::{Dataset, episode_scan};
+pub use verify::{Inspection, inspect, is_lock};
 
 use crate::files::WriteError;
 use crate::simulation::SimulationError;

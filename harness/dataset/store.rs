@@ -2,19 +2,20 @@
 
 use super::{DatasetError, Samples};
 use crate::files::write_bytes;
+use crate::progress::{Progress, Silent};
 use crate::schema::{ARM, frame_column, sample_columns};
+use crate::seal::hex;
 use crate::simulation::{Episode, Scene, mujoco_version};
 use crate::spec::{ARM_JOINTS, FRAME_LEN, JOINTS, Scenario, Simulation};
-use crate::tables::{Stamp, TableError, read_footer, read_table, write_table};
+use crate::tables::{Stamp, TableError, TableFile, scan, write_table};
 use polars::prelude::*;
+use rayon::prelude::*;
 use serde_json::json;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 
 /// Raised whenever the same spec would be recorded differently than before.
-const FORMAT: u32 = 1;
-/// Key of an episode's digest in its file's metadata.
-const DIGEST: &str = "episode_sha256";
+const FORMAT: u32 = 2;
 
 /// One dataset's place on disk.
 #[derive(Debug, Clone)]
@@ -37,12 +38,7 @@ impl Dataset {
             "model_sha256": hex(&Sha256::digest(scene.xml())),
             "mujoco": mujoco_version(),
         });
-        let mut identity = description.clone();
-        // Whether an episode exists does not change what is in it: longer datasets extend shorter ones.
-        identity["simulation"]["episodes"].take();
-        identity.sort_all_objects();
-        let hash = hex(&Sha256::digest(identity.to_string()));
-        let name = format!("{}-{}", scenario.name(), &hash[..16]);
+        let name = identify(scenario, &description);
         Self { folder: root.join(&name), name, scenario, spec: spec.clone(), description }
     }
 
@@ -72,30 +68,33 @@ impl Dataset {
         self.folder.join(format!("episode_{index:05}.parquet"))
     }
 
-    /// Episodes that are not there, or whose file is not what it should be.
+    /// Episodes that are not there, or whose file is not as it was written.
     pub fn missing(&self) -> Vec<u32> {
-        (0..self.spec.episodes).filter(|index| self.check(*index).is_err()).collect()
+        self.to_make(&Silent)
     }
 
-    /// Whether an episode's file is there, with a footer that promises what it should.
-    fn check(&self, index: u32) -> Result<(), DatasetError> {
-        let path = self.episode_path(index);
-        let footer = read_footer(&path)?;
-        let expected = self.spec.samples_per_episode();
-        let damaged = |problem: String| Err(DatasetError::Damaged { path: path.clone(), problem });
-        if footer.rows != expected {
-            return damaged(format!("it has {} samples instead of {expected}", footer.rows));
+    /// The same, and says of each damaged file that it is made again.
+    pub fn to_make(&self, progress: &dyn Progress) -> Vec<u32> {
+        let faults = (0..self.spec.episodes).into_par_iter().filter_map(|index| {
+            let fault = self.open(index).err()?;
+            Some((index, self.episode_path(index).exists().then_some(fault)))
+        });
+        let faults: Vec<(u32, Option<DatasetError>)> = faults.collect();
+        for fault in faults.iter().filter_map(|(_, fault)| fault.as_ref()) {
+            progress.say(&format!("{fault}; it is made again"));
         }
-        if footer.stamp.get("dataset") != Some(&self.name) {
-            return damaged(format!("it does not belong to {}", self.name));
-        }
-        Ok(())
+        faults.into_iter().map(|(index, _)| index).collect()
+    }
+
+    /// Opens an episode's file, which must be as it was written and hold that episode of this dataset.
+    fn open(&self, index: u32) -> Result<TableFile, DatasetError> {
+        open_episode(&self.episode_path(index), &self.name, index, self.spec.samples_per_episode())
     }
 
     /// Writes what the dataset is, for people.
     pub fn describe(&self) -> Result<(), DatasetError> {
         let text = format!("{:#}\n", self.description);
-        Ok(write_bytes(&self.folder.join("dataset.json"), text.as_bytes())?)
+        Ok(write_bytes(&self.folder.join(Description::FILE), text.as_bytes())?)
     }
 
     /// Writes one episode.
@@ -107,7 +106,6 @@ impl Dataset {
             ("mujoco_version".into(), mujoco_version().into()),
             ("harness_version".into(), env!("CARGO_PKG_VERSION").into()),
             ("renderer".into(), episode.renderer.clone()),
-            (DIGEST.into(), digest(episode)),
         ]);
         let columns = [sample_columns(), vec![frame_column()]].concat();
         let table = self.table(episode).map_err(TableError::from)?;
@@ -139,30 +137,24 @@ impl Dataset {
         DataFrame::new(samples, columns)
     }
 
-    /// Reads the whole dataset into memory, with the frames if asked, and checks every digest it can.
+    /// Reads the whole dataset into memory, with the frames if asked.
     ///
     /// # Errors
-    /// When an episode is missing, or its content is not what was written.
+    /// When an episode is missing, or its file is not as it was written.
     pub fn load(&self, frames: bool) -> Result<Samples, DatasetError> {
         let mut samples = Samples::with_capacity(self.len(), frames);
         for index in 0..self.spec.episodes {
-            self.check(index)?;
             samples.push(&self.read(index, frames)?);
         }
         Ok(samples)
     }
 
-    /// Reads one episode, with or without its frames; with them, its content is compared with its digest.
+    /// Reads one episode, with or without its frames; its whole file is compared with its seal either way.
     pub fn read(&self, index: u32, frames: bool) -> Result<Episode, DatasetError> {
         let path = self.episode_path(index);
         let damaged = |problem: &str| DatasetError::Damaged { path: path.clone(), problem: problem.into() };
-        let unreadable = |error: TableError| match error {
-            TableError::Read { path, reason } => DatasetError::Damaged { path, problem: reason },
-            other => other.into(),
-        };
-        let footer = read_footer(&path).map_err(unreadable)?;
         let wanted = (!frames).then(|| sample_columns().into_iter().map(|column| column.name).collect());
-        let table = read_table(&path, wanted).map_err(unreadable)?;
+        let table = self.open(index)?.table(wanted)?;
         let mut episode = Episode { index, samples: table.height(), ..Episode::default() };
         for (name, width, values) in vectors_mut(&mut episode) {
             *values = interleave(&table, name, width).map_err(|_| damaged("a column is missing"))?;
@@ -173,26 +165,80 @@ impl Dataset {
                 let frame = frame.filter(|frame| frame.len() == FRAME_LEN);
                 episode.vision.extend_from_slice(frame.ok_or_else(|| damaged("a frame has the wrong size"))?);
             }
-            if footer.stamp.get(DIGEST) != Some(&digest(&episode)) {
-                return Err(damaged("its content is not what was written"));
-            }
         }
         Ok(episode)
     }
+}
 
-    /// Removes the files of episodes that can't be read as they were written, so that they are made again.
-    pub fn discard_damaged(&self, frames: bool) {
-        for index in (0..self.spec.episodes).filter(|index| self.read(*index, frames).is_err()) {
-            // What can't be removed can't be replaced either, and that is where the reason is reported.
-            let _ = std::fs::remove_file(self.episode_path(index));
-        }
+/// A dataset's name: its scenario and the hash of what decides its content.
+fn identify(scenario: Scenario, description: &serde_json::Value) -> String {
+    let mut identity = description.clone();
+    // Whether an episode exists does not change what is in it: longer datasets extend shorter ones.
+    identity["simulation"]["episodes"].take();
+    identity.sort_all_objects();
+    let hash = hex(&Sha256::digest(identity.to_string()));
+    format!("{}-{}", scenario.name(), &hash[..16])
+}
+
+/// What `dataset.json` says.
+pub(super) struct Description(serde_json::Value);
+
+impl Description {
+    pub const FILE: &str = "dataset.json";
+
+    pub fn read(folder: &Path) -> Result<Self, String> {
+        let bytes = std::fs::read(folder.join(Self::FILE)).map_err(|error| error.to_string())?;
+        serde_json::from_slice(&bytes).map(Self).map_err(|error| error.to_string())
+    }
+
+    /// Whether this version of the program reads and writes such datasets.
+    pub fn is_current(&self) -> bool {
+        self.0["format"] == FORMAT
+    }
+
+    /// How the episodes are simulated, if this describes the dataset of that name: a name is a hash of all of
+    /// it but the number of episodes.
+    pub fn simulation(&self, name: &str) -> Option<Simulation> {
+        let scenario = Scenario::ALL.iter().find(|scenario| self.0["scenario"] == scenario.name())?;
+        let simulation = serde_json::from_value(self.0["simulation"].clone()).ok()?;
+        (identify(*scenario, &self.0) == name).then_some(simulation)
     }
 }
 
-/// Every episode file of every dataset in `root`, as one lazy table without the frames.
-pub fn episode_scan(root: &Path) -> PolarsResult<Option<LazyFrame>> {
+/// Opens the file of episode `index` of the dataset named `dataset`, which must hold `samples` samples.
+pub(super) fn open_episode(
+    path: &Path,
+    dataset: &str,
+    index: u32,
+    samples: usize,
+) -> Result<TableFile, DatasetError> {
+    let damaged = |problem: String| DatasetError::Damaged { path: path.to_owned(), problem };
+    let file = TableFile::open(path).map_err(|error| match error {
+        TableError::Read { path, reason } => DatasetError::Damaged { path, problem: reason },
+        other => other.into(),
+    })?;
+    let footer = file.footer()?;
+    let says = |key: &str, value: &str| footer.stamp.get(key).is_some_and(|found| found == value);
+    if !says("dataset", dataset) || !says("episode", &index.to_string()) {
+        return Err(damaged(format!("it is not episode {index} of {dataset}")));
+    }
+    if footer.rows != samples {
+        return Err(damaged(format!("it has {} samples instead of {samples}", footer.rows)));
+    }
+    Ok(file)
+}
+
+/// Every episode file of every dataset in `root`, as one lazy table without the frames. Datasets of another
+/// format are left out.
+///
+/// # Errors
+/// When a file is not as it was written; all of them are compared with their seals.
+pub fn episode_scan(root: &Path) -> Result<Option<LazyFrame>, TableError> {
     let mut paths: Vec<PathBuf> = Vec::new();
     for folder in std::fs::read_dir(root).into_iter().flatten().flatten() {
+        if Description::read(&folder.path()).is_ok_and(|description| !description.is_current()) {
+            continue;
+        }
         for file in std::fs::read_dir(folder.path()).into_iter().flatten().flatten() {
             let name = file.file_name();
             if name.to_string_lossy().starts_with("episode_") {
@@ -201,7 +247,8 @@ pub fn episode_scan(root: &Path) -> PolarsResult<Option<LazyFrame>> {
         }
     }
     paths.sort();
-    crate::tables::scan(&paths, &sample_columns())
+    paths.par_iter().try_for_each(|path| TableFile::open(path).map(drop))?;
+    Ok(scan(&paths, &sample_columns())?)
 }
 
 /// The vector columns of an episode: name, width and values, in the order of the file.
@@ -239,18 +286,4 @@ fn interleave(table: &DataFrame, name: &str, width: usize) -> PolarsResult<Vec<f
         }
     }
     Ok(values)
-}
-
-/// SHA-256 of everything that an episode recorded.
-fn digest(episode: &Episode) -> String {
-    let mut hash = Sha256::new();
-    for (_, _, values) in vectors(episode) {
-        values.iter().for_each(|value| hash.update(value.to_le_bytes()));
-    }
-    hash.update(&episode.vision);
-    hex(&hash.finalize())
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

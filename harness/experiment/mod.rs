@@ -149,15 +149,7 @@ impl Laboratory<'_> {
             .filter(|m| spec.input.contains(m) || spec.output.contains(m))
             .collect();
         let frames = modalities.iter().any(|modality| modality.is_frame());
-        let samples = match dataset.load(frames) {
-            Err(DatasetError::Damaged { path, problem }) => {
-                self.progress.say(&format!("{} is damaged ({problem}) and is made again", path.display()));
-                dataset.discard_damaged(frames);
-                collect(&dataset, &scene, self.threads, self.progress)?;
-                dataset.load(frames)?
-            }
-            loaded => loaded?,
-        };
+        let samples = dataset.load(frames)?;
         let partition = samples.partition(&spec.split).ok_or(ExperimentError::NoTraining)?;
         let standard = Standard::fit(&samples, &partition.training, &modalities, spec.action);
         let view = View {

@@ -2,14 +2,15 @@
 
 use super::LearningError;
 use super::network::Parameters;
+use super::tensors::TensorFile;
 use crate::dataset::{Scale, Standard};
-use crate::files::write_whole;
 use crate::spec::Modality;
 use candle_core::{Device, Result as CandleResult, Tensor};
+use serde_json::Map;
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
-/// Writes `parameters` and `standard`, whole or not at all.
+/// Writes `parameters` and `standard`, sealed, whole or not at all.
 pub fn save(path: &Path, parameters: &Parameters, standard: &Standard) -> Result<(), LearningError> {
     let mut tensors: HashMap<String, Tensor> =
         parameters.iter().map(|(name, var)| (name.clone(), var.as_tensor().clone())).collect();
@@ -18,8 +19,7 @@ pub fn save(path: &Path, parameters: &Parameters, standard: &Standard) -> Result
         tensors.insert(format!("scale.{name}.mean"), vector(&scale.mean)?);
         tensors.insert(format!("scale.{name}.deviation"), vector(&scale.deviation)?);
     }
-    write_whole(path, |file| candle_core::safetensors::save(&tensors, file).map_err(std::io::Error::other))?;
-    Ok(())
+    TensorFile { tensors, note: Map::new() }.write(path)
 }
 
 fn vector(values: &[f32]) -> CandleResult<Tensor> {
@@ -29,20 +29,17 @@ fn vector(values: &[f32]) -> CandleResult<Tensor> {
 /// Sets `parameters` from a file that [`save`] wrote, and returns its scales.
 ///
 /// # Errors
-/// When the file can't be read, or lacks a parameter or has it in another shape; it is named.
+/// When the file is not as it was written, or lacks a parameter or has it in another shape; it is named, and the
+/// parameters are left as they were.
 pub fn load(path: &Path, parameters: &Parameters) -> Result<Standard, LearningError> {
     let damaged = |reason: String| LearningError::Damaged { path: path.to_owned(), reason };
-    let tensors =
-        candle_core::safetensors::load(path, &Device::Cpu).map_err(|error| damaged(error.to_string()))?;
-    for (name, parameter) in parameters {
-        let tensor = tensors.get(name).ok_or_else(|| damaged(format!("no parameter '{name}'")))?;
-        if tensor.shape() != parameter.shape() {
-            return Err(damaged(format!("'{name}' is {:?}, not {:?}", tensor.shape(), parameter.shape())));
-        }
-        parameter.set(&tensor.to_device(parameter.device())?)?;
+    let file = TensorFile::read(path)?;
+    let found = parameters.iter().map(|(name, parameter)| Ok((parameter, file.like(name, parameter)?)));
+    for (parameter, tensor) in found.collect::<Result<Vec<_>, String>>().map_err(damaged)? {
+        parameter.set(&tensor)?;
     }
     let scale = |name: &str| -> Option<Scale> {
-        let part = |part: &str| tensors.get(&format!("scale.{name}.{part}"))?.to_vec1().ok();
+        let part = |part: &str| file.tensors.get(&format!("scale.{name}.{part}"))?.to_vec1().ok();
         Some(Scale { mean: part("mean")?, deviation: part("deviation")? })
     };
     let scales = Modality::ALL.iter().filter_map(|modality| Some((*modality, scale(modality.name())?)));

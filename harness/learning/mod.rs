@@ -8,6 +8,7 @@ pub mod ops;
 pub mod predict;
 pub mod random;
 pub mod state;
+pub mod tensors;
 pub mod training;
 
 use crate::files::WriteError;

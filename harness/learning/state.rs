@@ -3,19 +3,21 @@
 use super::LearningError;
 use super::network::Parameters;
 use super::ops::Adam;
+use super::tensors::TensorFile;
 use super::training::{Epoch, TOTAL};
-use crate::files::write_whole;
-use candle_core::{Device, Result as CandleResult, Tensor};
-use safetensors::SafeTensors;
+use crate::progress::Progress;
+use candle_core::{Result as CandleResult, Tensor, Var};
+use serde_json::{Map, json};
 use std::cell::Cell;
 use std::collections::{BTreeMap, HashMap};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Time between two saves; what is lost at most when a training is killed.
 const SAVE_INTERVAL: Duration = Duration::from_secs(60);
-/// Key of the epochs so far in the file's metadata.
-const EPOCHS_KEY: &str = "epochs";
+/// Keys of the epochs so far, and of the optimiser's step, in the file's note.
+const EPOCHS: &str = "epochs";
+const STEPS: &str = "steps";
 
 /// How far a training is.
 #[derive(Default)]
@@ -79,39 +81,28 @@ impl StateFile {
     }
 
     /// Loads the state of an unfinished training into `parameters` and `adam`, if there is one.
-    pub fn resume(&self, parameters: &Parameters, adam: &mut Adam) -> Result<Option<State>, LearningError> {
+    ///
+    /// A state that is not as it was written is left alone and said so: the training begins anew, which costs time
+    /// and nothing else, since it comes to the same end.
+    pub fn resume(
+        &self,
+        parameters: &Parameters,
+        adam: &mut Adam,
+        progress: &dyn Progress,
+    ) -> Result<Option<State>, LearningError> {
         let Some(path) = self.path.as_ref().filter(|path| path.exists()) else { return Ok(None) };
-        let damaged = |reason: String| LearningError::Damaged { path: path.clone(), reason };
-        let bytes = std::fs::read(path).map_err(|error| damaged(error.to_string()))?;
-        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|error| damaged(error.to_string()))?;
-        let metadata = header.metadata().as_ref();
-        let epochs = metadata
-            .and_then(|metadata| metadata.get(EPOCHS_KEY))
-            .ok_or_else(|| damaged("no epochs".into()))?;
-        let steps = metadata
-            .and_then(|metadata| metadata.get("steps")?.parse().ok())
-            .ok_or_else(|| damaged("no step count".into()))?;
-        let epochs = serde_json::from_str(epochs).map_err(|error| damaged(error.to_string()))?;
-        let tensors = candle_core::safetensors::load_buffer(&bytes, &Device::Cpu)
-            .map_err(|error| damaged(error.to_string()))?;
-        let find = |group: &str, name: &str| -> Result<Tensor, LearningError> {
-            tensors
-                .get(&format!("{group}.{name}"))
-                .cloned()
-                .ok_or_else(|| damaged(format!("no tensor '{group}.{name}'")))
+        let saved = match TensorFile::read(path).and_then(|file| Saved::find(path, &file, parameters)) {
+            Err(LearningError::Damaged { path, reason }) => {
+                progress.say(&format!("{} is damaged ({reason}); its training begins anew", path.display()));
+                return Ok(None);
+            }
+            saved => saved?,
         };
-        let mut moments = Vec::with_capacity(parameters.len());
-        let mut best = BTreeMap::new();
-        for (name, parameter) in parameters {
-            parameter.set(&find("parameter", name)?.to_device(parameter.device())?)?;
-            moments.push((
-                find("mean", name)?.to_device(parameter.device())?,
-                find("square", name)?.to_device(parameter.device())?,
-            ));
-            best.insert(name.clone(), find("best", name)?.to_device(parameter.device())?);
+        for (parameter, value) in parameters.values().zip(&saved.parameters) {
+            parameter.set(value)?;
         }
-        adam.restore(steps, &moments)?;
-        Ok(Some(State { epochs, best }))
+        adam.restore(saved.steps, &saved.moments)?;
+        Ok(Some(saved.state))
     }
 
     /// Saves the state if the last save is long enough ago.
@@ -138,14 +129,37 @@ impl StateFile {
             tensors.insert(format!("square.{name}"), square);
         }
         tensors.extend(state.best.iter().map(|(name, tensor)| (format!("best.{name}"), tensor.clone())));
-        let epochs = serde_json::to_string(&state.epochs)
-            .map_err(|error| LearningError::Damaged { path: path.clone(), reason: error.to_string() })?;
-        let metadata =
-            HashMap::from([(EPOCHS_KEY.to_owned(), epochs), ("steps".to_owned(), adam.steps().to_string())]);
-        write_whole(path, |file| {
-            safetensors::serialize_to_file(&tensors, Some(metadata.clone()), file)
-                .map_err(std::io::Error::other)
-        })?;
-        Ok(())
+        let mut note = Map::new();
+        note.insert(EPOCHS.into(), json!(state.epochs));
+        note.insert(STEPS.into(), json!(adam.steps()));
+        TensorFile { tensors, note }.write(path)
+    }
+}
+
+/// What a state's file holds, with the shapes that the training expects.
+struct Saved {
+    /// In the order of the parameters, as the moments are.
+    parameters: Vec<Tensor>,
+    /// Mean and mean square of each parameter's gradient.
+    moments: Vec<(Tensor, Tensor)>,
+    steps: u64,
+    state: State,
+}
+
+impl Saved {
+    fn find(path: &Path, file: &TensorFile, parameters: &Parameters) -> Result<Self, LearningError> {
+        let damaged = |reason: String| LearningError::Damaged { path: path.to_owned(), reason };
+        let noted = |key: &str| file.note.get(key).cloned().unwrap_or_default();
+        let epochs: Vec<Epoch> =
+            serde_json::from_value(noted(EPOCHS)).map_err(|error| damaged(format!("epochs: {error}")))?;
+        let steps =
+            serde_json::from_value(noted(STEPS)).map_err(|error| damaged(format!("steps: {error}")))?;
+        let group = |group: &str| -> Result<Vec<Tensor>, LearningError> {
+            let find = |(name, like): (&String, &Var)| file.like(&format!("{group}.{name}"), like);
+            parameters.iter().map(find).collect::<Result<_, String>>().map_err(damaged)
+        };
+        let moments = group("mean")?.into_iter().zip(group("square")?).collect();
+        let best = parameters.keys().cloned().zip(group("best")?).collect();
+        Ok(Self { parameters: group("parameter")?, moments, steps, state: State { epochs, best } })
     }
 }

@@ -54,7 +54,7 @@ impl Fit<'_> {
         parameters: &Parameters,
     ) -> Result<Vec<Epoch>, LearningError> {
         let mut adam = Adam::new(parameters.values().cloned().collect(), self.training.learning_rate)?;
-        let mut state = self.state.resume(parameters, &mut adam)?.unwrap_or_default();
+        let mut state = self.state.resume(parameters, &mut adam, self.progress)?.unwrap_or_default();
         let stage = match self.task {
             Task::Prediction => "prediction",
             Task::Reconstruction => "reconstruction",

@@ -10,10 +10,14 @@
 mod provenance;
 mod query;
 mod record;
+mod verify;
 
 pub use provenance::{Provenance, peak_memory_bytes};
 pub use query::{QueryError, query, save, table};
-pub use record::{ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings};
+pub use record::{
+    FileRecord, ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings,
+};
+pub use verify::{Finding, Report};
 
 use crate::files::{WriteError, write_bytes};
 use crate::spec::{RunSpec, Task};
@@ -25,6 +29,10 @@ use std::path::{Path, PathBuf};
 const REVISION: u32 = 2;
 /// The file that says how a run went; one that says it is done was written after everything else.
 const RECORD: &str = "run.json";
+/// The file with a run's resolved spec.
+const SPEC: &str = "spec.yaml";
+/// The file with the changes of the source tree that no commit has.
+const UNCOMMITTED: &str = "uncommitted.diff";
 
 /// Why the registry could not be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -35,6 +43,8 @@ pub enum RegistryError {
     Table(#[from] TableError),
     #[error("{} is no record of a run ({reason}); delete the folder and run the experiment again", path.display())]
     Record { path: PathBuf, reason: String },
+    #[error("{} is damaged ({reason}); `harness verify` says what mends it", path.display())]
+    File { path: PathBuf, reason: String },
     #[error("no run matches '{wanted}'{}; `harness ls` lists them", nearest.as_ref().map(|n| format!(", the nearest is '{n}'")).unwrap_or_default())]
     Unknown { wanted: String, nearest: Option<String> },
     #[error("'{wanted}' matches several runs: {}", matches.join(", "))]
@@ -140,7 +150,16 @@ impl Registry {
 
     /// Every run's record, by experiment and id; those that can't be read are left out, see [`Registry::damaged`].
     pub fn records(&self) -> Vec<RunRecord> {
-        self.run_folders().iter().filter_map(|folder| RunRecord::read(&folder.join(RECORD)).ok()?).collect()
+        self.recorded().into_iter().map(|(_, record)| record).collect()
+    }
+
+    /// Every run's folder and record, likewise.
+    fn recorded(&self) -> Vec<(PathBuf, RunRecord)> {
+        let read = |folder: PathBuf| {
+            let record = RunRecord::read(&folder.join(RECORD)).ok()??;
+            Some((folder, record))
+        };
+        self.run_folders().into_iter().filter_map(read).collect()
     }
 
     /// Why records can't be read, one error each.
@@ -199,9 +218,9 @@ impl Registry {
         spec: &RunSpec,
         by: &Provenance,
     ) -> Result<RunRecord, RegistryError> {
-        write_bytes(&folder.path.join("spec.yaml"), spec.to_yaml().as_bytes())?;
+        write_bytes(&folder.path.join(SPEC), spec.to_yaml().as_bytes())?;
         if let Some(diff) = &by.uncommitted {
-            write_bytes(&folder.path.join("uncommitted.diff"), diff.as_bytes())?;
+            write_bytes(&folder.path.join(UNCOMMITTED), diff.as_bytes())?;
         }
         let record = RunRecord::new(folder, spec, by);
         record.write(&folder.path.join(RECORD))?;
@@ -222,7 +241,7 @@ impl Registry {
     ) -> Result<(), RegistryError> {
         let record = record.done(outcome);
         outcome.write_tables(folder, &record)?;
-        record.write(&folder.path.join(RECORD))?;
+        record.with_files(folder)?.write(&folder.path.join(RECORD))?;
         for task in [Task::Prediction, Task::Reconstruction] {
             // A state that stays behind does no harm but takes room: the run is done.
             let _ = std::fs::remove_file(folder.state(task));

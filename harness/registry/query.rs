@@ -1,15 +1,31 @@
 //! SQL over the tables of a results folder.
 
 use super::record::runs_table;
-use super::{Registry, RegistryError};
+use super::{Registry, RegistryError, Status};
 use crate::dataset::episode_scan;
 use crate::files::{WriteError, write_whole};
 use crate::schema::{Column, Table};
 use crate::tables::{TableError, data_type, scan};
 use polars::prelude::*;
 use polars::sql::SQLContext;
+use rayon::prelude::*;
+use sqlparser::ast::{Expr, Statement, TableFactor, Visit, Visitor};
+use sqlparser::dialect::GenericDialect;
+use sqlparser::parser::{Parser, ParserError, ParserOptions};
+use sqlparser::tokenizer::Tokenizer;
 use std::fs::File;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+
+/// The longest query, bytes.
+const MAX_QUERY_BYTES: usize = 1 << 20;
+/// The most words and signs of a query.
+const MAX_QUERY_TOKENS: usize = 20_000;
+/// The deepest expression: Polars takes time and memory that grow with the square of the depth, 8 GB at 10,000.
+const MAX_QUERY_DEPTH: usize = 1000;
+/// Address space for the stack on which a query is parsed and planned: `1+1+1…` nests as deep as it is long, and
+/// the parser and Polars walk what nests by recursion. Only what is used takes memory.
+const QUERY_STACK_BYTES: usize = 1 << 30;
 
 /// Why a query gave no answer.
 #[derive(Debug, thiserror::Error)]
@@ -18,6 +34,8 @@ pub enum QueryError {
     Registry(#[from] RegistryError),
     #[error("the query can't be answered: {0}")]
     Sql(PolarsError),
+    #[error("the query can't be answered: {0}")]
+    Refused(String),
     #[error("can't write to '{}': its name must end in .parquet, .csv or .json", .0.display())]
     Format(PathBuf),
     #[error(transparent)]
@@ -26,9 +44,24 @@ pub enum QueryError {
 
 /// Answers a query in Polars' SQL over the tables of [`Table::ALL`].
 ///
+/// A query asks and does nothing else: Polars also knows statements that change tables and functions that read any
+/// file, and both are refused. Runs whose record is damaged are left out, see [`Registry::damaged`].
+///
 /// # Errors
-/// When the SQL is not understood, names what isn't there, or a table can't be read.
+/// When the SQL is not understood, is more than a question, names what isn't there, or when a table's file is
+/// damaged.
 pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
+    std::thread::scope(|scope| {
+        let thread = std::thread::Builder::new().stack_size(QUERY_STACK_BYTES);
+        let thread = thread.spawn_scoped(scope, || answer(registry, sql));
+        let thread = thread.map_err(|error| QueryError::Refused(error.to_string()))?;
+        // Polars panics at some queries that it does not support.
+        thread.join().unwrap_or_else(|_| Err(QueryError::Refused("Polars does not support it".into())))
+    })
+}
+
+fn answer(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
+    only_asks(sql)?;
     let mut context = SQLContext::new();
     for table in Table::ALL {
         // Only what the query may be about is looked up: the folders of thousands of runs take a while.
@@ -37,6 +70,75 @@ pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
         }
     }
     context.execute(sql).and_then(LazyFrame::collect).map_err(QueryError::Sql)
+}
+
+/// Refuses what is no single question about the tables, or too long for a parser that calls itself.
+fn only_asks(sql: &str) -> Result<(), QueryError> {
+    let refuse = |reason: String| Err(QueryError::Refused(reason));
+    if sql.len() > MAX_QUERY_BYTES {
+        return refuse(format!("it has {} bytes, and {MAX_QUERY_BYTES} are allowed", sql.len()));
+    }
+    let syntax = |error: ParserError| QueryError::Refused(error.to_string());
+    // As Polars parses it.
+    let options = ParserOptions { trailing_commas: true, ..ParserOptions::default() };
+    let tokens = Tokenizer::new(&GenericDialect, sql).tokenize().map_err(|error| syntax(error.into()))?;
+    if tokens.len() > MAX_QUERY_TOKENS {
+        return refuse(format!(
+            "it has {} words and signs, and {MAX_QUERY_TOKENS} are allowed",
+            tokens.len()
+        ));
+    }
+    let mut parser = Parser::new(&GenericDialect).with_options(options).try_with_sql(sql).map_err(syntax)?;
+    let statements = parser.parse_statements().map_err(syntax)?;
+    let [statement] = statements.as_slice() else {
+        return refuse(format!("it has {} statements instead of one", statements.len()));
+    };
+    let question = match statement {
+        Statement::Explain { statement, .. } => statement,
+        other => other,
+    };
+    if !matches!(question, Statement::Query(_) | Statement::ShowTables { .. }) {
+        return refuse("it is no question; use SELECT, WITH, EXPLAIN or SHOW TABLES".into());
+    }
+    match statement.visit(&mut Bounds::default()) {
+        ControlFlow::Break(reason) => refuse(reason),
+        ControlFlow::Continue(()) => Ok(()),
+    }
+}
+
+/// Stops at whatever a query reads from that has arguments, as `read_csv('file')`, and where it nests too deep.
+#[derive(Default)]
+struct Bounds {
+    depth: usize,
+}
+
+impl Visitor for Bounds {
+    type Break = String;
+
+    fn pre_visit_table_factor(&mut self, factor: &TableFactor) -> ControlFlow<String> {
+        match factor {
+            TableFactor::Table { name, args: Some(_), .. } => ControlFlow::Break(format!(
+                "'{name}' is no table, and other files can't be read; the tables are {}",
+                Table::ALL.map(Table::name).join(", ")
+            )),
+            _ => ControlFlow::Continue(()),
+        }
+    }
+
+    fn pre_visit_expr(&mut self, _: &Expr) -> ControlFlow<String> {
+        self.depth += 1;
+        if self.depth > MAX_QUERY_DEPTH {
+            return ControlFlow::Break(format!(
+                "an expression in it nests more than {MAX_QUERY_DEPTH} deep, as a + b + c + … does; use a list or a sum"
+            ));
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn post_visit_expr(&mut self, _: &Expr) -> ControlFlow<String> {
+        self.depth -= 1;
+        ControlFlow::Continue(())
+    }
 }
 
 /// One of the tables, over everything in the results folder.
@@ -51,16 +153,14 @@ pub fn table(registry: &Registry, table: Table) -> Result<LazyFrame, QueryError>
                 Some(runs_table(&records).map_err(TableError::from).map_err(RegistryError::from)?.lazy())
             }
         }
-        Table::Episodes => episode_scan(&registry.datasets()).map_err(QueryError::Sql)?,
+        Table::Episodes => episode_scan(&registry.datasets()).map_err(RegistryError::from)?,
         Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
             let name = format!("{}.parquet", table.name());
-            let paths: Vec<PathBuf> = registry
-                .run_folders()
-                .into_iter()
-                .map(|folder| folder.join(&name))
-                .filter(|path| path.exists())
-                .collect();
-            scan(&paths, &columns).map_err(QueryError::Sql)?
+            // A run's tables count once its record says that it is done, and as its record lists them.
+            let mut done = registry.recorded();
+            done.retain(|(_, record)| record.status == Status::Done);
+            let paths = done.par_iter().map(|(folder, record)| record.check_file(folder, &name));
+            scan(&paths.collect::<Result<Vec<_>, _>>()?, &columns).map_err(QueryError::Sql)?
         }
     };
     match found {

@@ -1,18 +1,24 @@
 //! The record of a run, and its tables.
 
-use super::{Provenance, RegistryError, RunFolder, peak_memory_bytes};
-use crate::files::write_bytes;
+use super::{Provenance, RegistryError, RunFolder, SPEC, peak_memory_bytes};
 use crate::learning::training::Epoch;
 use crate::metrics::Row;
 use crate::metrics::contact::{Contact, QUANTILES};
 use crate::schema::Table;
+use crate::seal::{self, SealError, hex};
 use crate::spec::{Modality, RunSpec, Task};
-use crate::tables::{Stamp, TableError, data_type, write_table};
+use crate::tables::{Stamp, TableError, data_type, read_footer, write_table};
 use jiff::Timestamp;
 use polars::prelude::*;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
 use std::io::ErrorKind;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// The tables that each run writes.
+pub(super) const TABLES: [Table; 5] =
+    [Table::Epochs, Table::Metrics, Table::Predictions, Table::Forces, Table::Frames];
 
 /// How far a run is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -99,6 +105,16 @@ pub struct Outcome {
     pub parameters: usize,
 }
 
+/// A file of a finished run, as it was when the run was done.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FileRecord {
+    pub bytes: u64,
+    /// Rows of a table; `None` for other files.
+    pub rows: Option<usize>,
+    /// Of the whole file, in hexadecimal, as `sha256sum` prints it.
+    pub sha256: String,
+}
+
 /// A row of the `runs` table, with the run's whole spec.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunRecord {
@@ -115,6 +131,9 @@ pub struct RunRecord {
     pub parameters: Option<usize>,
     pub provenance: Provenance,
     pub spec: RunSpec,
+    /// The files of a run that is done, by name; empty before.
+    #[serde(default)]
+    pub files: BTreeMap<String, FileRecord>,
 }
 
 impl RunRecord {
@@ -132,6 +151,7 @@ impl RunRecord {
             parameters: None,
             provenance: by.clone(),
             spec: spec.clone(),
+            files: BTreeMap::new(),
         }
     }
 
@@ -155,11 +175,67 @@ impl RunRecord {
         self.spec.label()
     }
 
-    /// Reads a record; `None` if there is none.
+    /// Lists the run's files as they now are.
+    pub(super) fn with_files(self, folder: &RunFolder) -> Result<Self, RegistryError> {
+        let mut files = BTreeMap::new();
+        for name in self.expected_files() {
+            let path = folder.path.join(&name);
+            let damaged = |reason: String| RegistryError::File { path: path.clone(), reason };
+            let bytes = std::fs::read(&path).map_err(|error| damaged(error.to_string()))?;
+            let rows = if name.ends_with(".parquet") { Some(read_footer(&path)?.rows) } else { None };
+            files.insert(
+                name,
+                FileRecord { bytes: bytes.len() as u64, rows, sha256: hex(&Sha256::digest(bytes)) },
+            );
+        }
+        Ok(Self { files, ..self })
+    }
+
+    /// The files that a run of this spec leaves, besides its record.
+    fn expected_files(&self) -> Vec<String> {
+        let tables = TABLES.iter().map(|table| format!("{}.parquet", table.name()));
+        let checkpoints = self.spec.tasks.iter().map(|task| format!("{}.safetensors", task.name()));
+        std::iter::once(SPEC.to_owned()).chain(tables).chain(checkpoints).collect()
+    }
+
+    /// Whether a file of this name belongs to the run before it is done: results so far, or a training's state.
+    pub(super) fn expects(&self, name: &str) -> bool {
+        let is_state = name.contains(".state.") && name.contains(".safetensors");
+        is_state || self.expected_files().iter().any(|expected| expected == name)
+    }
+
+    /// Compares one of the files that the record lists with it, the whole file, and returns its path.
+    ///
+    /// Whoever reads a table of a run does this first. Hashing 3 MB takes some milliseconds, and Polars, which
+    /// notices few kinds of damage, would turn the others into numbers.
+    pub(super) fn check_file(&self, folder: &Path, name: &str) -> Result<PathBuf, RegistryError> {
+        let path = folder.join(name);
+        let damaged = |reason: String| Err(RegistryError::File { path: path.clone(), reason });
+        let Some(listed) = self.files.get(name) else {
+            return damaged("the run's record does not list it".into());
+        };
+        let bytes = match std::fs::read(&path) {
+            Ok(bytes) => bytes,
+            Err(error) => return damaged(error.to_string()),
+        };
+        if bytes.len() as u64 != listed.bytes {
+            return damaged(format!("it has {} bytes instead of {}", bytes.len(), listed.bytes));
+        }
+        if hex(&Sha256::digest(bytes)) != listed.sha256 {
+            return damaged("it is not as it was written: its SHA-256 differs".into());
+        }
+        Ok(path)
+    }
+
+    /// Reads a record, whose seal must hold; `None` if there is none.
     pub(super) fn read(path: &Path) -> Result<Option<Self>, RegistryError> {
         let damaged = |reason: String| RegistryError::Record { path: path.to_owned(), reason };
-        match std::fs::read(path) {
-            Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
+        match seal::read(path) {
+            Err(SealError::Read(error))
+                if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) =>
+            {
+                Ok(None)
+            }
             Err(error) => Err(damaged(error.to_string())),
             Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|error| damaged(error.to_string())),
         }
@@ -170,8 +246,9 @@ impl RunRecord {
             path: path.to_owned(),
             reason: error.to_string(),
         };
-        let text = serde_json::to_string_pretty(self).map_err(damaged)?;
-        Ok(write_bytes(path, format!("{text}\n").as_bytes())?)
+        let mut json = serde_json::to_value(self).map_err(damaged)?;
+        json[seal::KEY] = seal::BLANK.into();
+        Ok(seal::write(path, format!("{json:#}\n").into_bytes())?)
     }
 
     /// What a table's file says about the run that made it.
@@ -270,14 +347,14 @@ pub(super) fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
 
 impl Outcome {
     pub(super) fn write_tables(&self, folder: &RunFolder, record: &RunRecord) -> Result<(), RegistryError> {
-        let tables = [
-            (Table::Epochs, self.epochs_columns()),
-            (Table::Metrics, self.metrics_columns()),
-            (Table::Predictions, self.predictions_columns()),
-            (Table::Forces, self.forces_columns()),
-            (Table::Frames, self.frames_columns()),
+        let columns = [
+            self.epochs_columns(),
+            self.metrics_columns(),
+            self.predictions_columns(),
+            self.forces_columns(),
+            self.frames_columns(),
         ];
-        for (table, columns) in tables {
+        for (table, columns) in TABLES.into_iter().zip(columns) {
             let rows = columns.first().map_or(0, Column::len);
             let key = table.columns().into_iter().zip(record.key()).map(|(column, value)| {
                 Column::new_scalar(column.name.into(), Scalar::new(data_type(column.kind), value), rows)

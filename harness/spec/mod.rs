@@ -30,9 +30,17 @@ use std::path::Path;
 /// The first fault of the spec as it stands in the file, of its `quick` settings, even when they are not
 /// applied, or of the overrides.
 pub fn load(path: &Path, overrides: &[String], quick: bool) -> Result<Experiment, SpecError> {
-    let text = parse::read(path)?;
-    let mut experiment =
-        load_text(&text, overrides, quick).map_err(|problem| problem.in_file(&path.display().to_string()))?;
+    parse_spec(&path.display().to_string(), &parse::read(path)?, overrides, quick)
+}
+
+/// The same for a spec's text; `path` is what messages call it.
+pub fn parse_spec(
+    path: &str,
+    text: &str,
+    overrides: &[String],
+    quick: bool,
+) -> Result<Experiment, SpecError> {
+    let mut experiment = load_text(text, overrides, quick).map_err(|problem| problem.in_file(path))?;
     if quick {
         experiment.name.push_str("-quick");
     }

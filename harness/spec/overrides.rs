@@ -16,6 +16,9 @@ pub(super) fn read(text: &str) -> Result<Entry, Problem> {
     if !names.contains(&key) {
         return Err(Problem::new(&origin, not_a_setting(key, &names)));
     }
+    if value.len() as u64 > parse::MAX_FILE_BYTES {
+        return Err(Problem::new(&origin, "is larger than 1 MiB"));
+    }
     let node = parse::parse(value).map_err(|problem| Problem::new(&origin, problem.message))?;
     Ok(Entry { key: key.to_owned(), key_origin: origin.clone(), node: node.attributed_to(&origin) })
 }

@@ -10,7 +10,7 @@ use std::io::Read;
 use std::path::Path;
 
 /// The largest spec that is read, bytes.
-const MAX_FILE_BYTES: u64 = 1 << 20;
+pub(super) const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// A YAML value and where it was written.
 #[derive(Debug, Clone)]

@@ -4,6 +4,7 @@ use super::error::Problem;
 use super::parse::{Entry, Node, Value, shorten};
 use super::types::Experiment;
 use serde_json::{Value as Json, json};
+use std::collections::HashSet;
 use std::sync::LazyLock;
 
 /// How a message calls a string.
@@ -79,10 +80,11 @@ fn check_choice(choices: &[&str], what: &str, node: &Node, path: &str) -> Result
 }
 
 fn check_items(schema: &Json, items: &[Node], path: &str) -> Result<(), Problem> {
-    for (index, item) in items.iter().enumerate() {
+    let mut earlier = HashSet::new();
+    for item in items {
         check_node(&schema["items"], item, path)?;
-        let value = item.to_json();
-        if schema["uniqueItems"] == true && items[..index].iter().any(|earlier| earlier.to_json() == value) {
+        let value = item.to_json().to_string();
+        if schema["uniqueItems"] == true && !earlier.insert(value.clone()) {
             return Err(Problem::new(&item.origin, format!("{value} stands twice in '{path}'")));
         }
     }
@@ -136,6 +138,10 @@ pub(super) fn unknown(what: &str, found: &str, path: &str, names: &[&str]) -> St
 
 /// The name that differs by the fewest typing errors, if they are few; of a dotted key, the last part will do.
 fn nearest<'a>(found: &str, names: &[&'a str]) -> Option<&'a str> {
+    // Comparing takes time and memory for each pair of letters; what is this long is no typing error.
+    if found.len() > 100 {
+        return None;
+    }
     let found = found.to_lowercase();
     let distance = |name: &str| {
         let last = name.rsplit('.').next().unwrap_or(name);

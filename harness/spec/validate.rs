@@ -9,6 +9,9 @@ const MAX_TENSOR_LEN: usize = 1 << 28;
 /// Most samples of one scenario; a frame is 12 KiB before compression.
 const MAX_SAMPLES: usize = 100_000_000;
 
+/// Most runs of one experiment.
+const MAX_RUNS: usize = 10_000;
+
 /// A broken rule.
 #[derive(Debug)]
 pub(super) struct Fault {
@@ -24,6 +27,7 @@ fn fault(path: impl Into<String>, message: impl Into<String>) -> Result<(), Faul
 /// Refuses an experiment that cannot be run, or that would not mean what it says.
 pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     name(&experiment.name)?;
+    runs(experiment)?;
     tasks(&experiment.tasks)?;
     frames(experiment)?;
     tensors(&experiment.network, &experiment.training)?;
@@ -41,6 +45,23 @@ fn name(name: &str) -> Result<(), Fault> {
     }
     let name = super::parse::shorten(name);
     fault("name", format!("'{name}' can't name a folder; use 1 to 64 ASCII letters, digits, '_' and '-'"))
+}
+
+fn runs(experiment: &Experiment) -> Result<(), Fault> {
+    let (scenarios, latent) = (experiment.scenarios.len(), experiment.latent.len());
+    let seeds = experiment.seeds.len();
+    let all = scenarios.saturating_mul(latent).saturating_mul(seeds);
+    if all <= MAX_RUNS {
+        return Ok(());
+    }
+    let path = if seeds > latent { "seeds" } else { "latent" };
+    fault(
+        path,
+        format!(
+            "{scenarios} scenarios, {latent} latent sizes and {seeds} seeds make {all} runs, more than the \
+             {MAX_RUNS} that are allowed; divide them over several experiments"
+        ),
+    )
 }
 
 fn tasks(tasks: &[Task]) -> Result<(), Fault> {

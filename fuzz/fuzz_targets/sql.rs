@@ -1,0 +1,9 @@
+//! Any text as a query over empty tables.
+#![no_main]
+
+use harness::registry::{Registry, query};
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|sql: &str| {
+    let _ = query(&Registry::new("/nonexistent"), sql);
+});

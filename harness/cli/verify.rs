@@ -1,0 +1,23 @@
+//! `harness verify`.
+
+use super::progress::Bars;
+use super::{DONE, FAILED};
+use anyhow::Result;
+use harness::registry::Registry;
+use std::process::ExitCode;
+
+/// Checks the results folder and prints what is wrong with it and what mends it.
+pub fn execute(registry: &Registry) -> Result<ExitCode> {
+    let report = registry.verify(&Bars::default());
+    for finding in &report.findings {
+        let kind = if finding.broken { "broken" } else { "note" };
+        println!("{kind:<7} {}: {}", finding.path.display(), finding.problem);
+        if let Some(mend) = &finding.mend {
+            println!("        mend: {mend}");
+        }
+    }
+    let broken = report.findings.iter().filter(|finding| finding.broken).count();
+    let verdict = if broken == 0 { "everything is whole".into() } else { format!("{broken} broken") };
+    println!("{} runs, {} datasets, {} files: {verdict}", report.runs, report.datasets, report.files);
+    Ok(ExitCode::from(if broken == 0 { DONE } else { FAILED }))
+}

@@ -1,0 +1,402 @@
+//! Damage to results: every kind is noticed, none is read as good, and what `harness verify` says mends it does.
+
+mod common;
+
+use common::{SMOKE, finish, harness, smoke_run, succeed};
+use harness::dataset::{Dataset, DatasetError, collect};
+use harness::files::UNFINISHED;
+use harness::learning::LearningError;
+use harness::learning::tensors::TensorFile;
+use harness::progress::Silent;
+use harness::registry::{QueryError, Registry, RegistryError, query};
+use harness::schema::Table;
+use harness::simulation::Scene;
+use harness::spec::{Scenario, Simulation};
+use harness::tables::{TableError, read_table};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::LazyLock;
+
+/// Flipped bits, and as many lengths to cut off at, for each file.
+const POSITIONS: usize = 120;
+
+/// Results that tests copy before they damage them.
+static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| smoke_run("integrity"));
+
+/// A copy of the smoke run's results, in a folder whose name a shell must be told to take as it is.
+struct Copy {
+    _folder: tempfile::TempDir,
+    results: PathBuf,
+}
+
+impl Copy {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let results = folder.path().join("it's all here");
+        copy(&RESULTS, &results);
+        Self { _folder: folder, results }
+    }
+
+    fn registry(&self) -> Registry {
+        Registry::new(&self.results)
+    }
+
+    /// The folder of the one run on a scenario.
+    fn run(&self, scenario: &str) -> PathBuf {
+        child(&self.results.join("runs/smoke"), scenario)
+    }
+
+    fn dataset(&self, scenario: &str) -> PathBuf {
+        child(&self.results.join("datasets"), scenario)
+    }
+}
+
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        let to = to.join(entry.file_name());
+        if entry.path().is_dir() {
+            copy(&entry.path(), &to);
+        } else {
+            std::fs::copy(entry.path(), to).unwrap();
+        }
+    }
+}
+
+fn child(folder: &Path, prefix: &str) -> PathBuf {
+    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let mut found: Vec<PathBuf> =
+        entries.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with(prefix)).collect();
+    assert_eq!(found.len(), 1, "{found:?}");
+    found.remove(0)
+}
+
+/// A file with one bit flipped, and cut off, at random places: the bytes and what was done to them.
+fn damages(whole: &[u8], seed: u64) -> Vec<(Vec<u8>, String)> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut damages = Vec::new();
+    for _ in 0..POSITIONS {
+        let (at, bit) = (random.random_range(0..whole.len()), random.random_range(0..8));
+        let mut flipped = whole.to_vec();
+        flipped[at] ^= 1 << bit;
+        damages.push((flipped, format!("bit {bit} of byte {at} flipped")));
+        let length = random.random_range(0..whole.len());
+        damages.push((whole[..length].to_vec(), format!("cut off after {length} bytes")));
+    }
+    for (name, bytes) in
+        [("empty", vec![]), ("zeros", vec![0; whole.len()]), ("longer", [whole, &[0]].concat())]
+    {
+        damages.push((bytes, name.to_owned()));
+    }
+    damages
+}
+
+/// Damages a file in every way, and hands each to `check` with what was done; the file is whole again afterwards.
+fn damage(path: &Path, seed: u64, check: impl Fn(&str)) {
+    let whole = std::fs::read(path).unwrap();
+    for (bytes, what) in damages(&whole, seed) {
+        std::fs::write(path, bytes).unwrap();
+        check(&format!("{}: {what}", path.display()));
+    }
+    std::fs::write(path, whole).unwrap();
+}
+
+// --- every damaged byte ---
+
+#[test]
+fn a_damaged_episode_is_never_read() {
+    let scene = Scene::load(Scenario::Empty, None).unwrap();
+    let spec = Simulation { episodes: 4, actuations_per_episode: 3, ..Simulation::default() };
+    let root = tempfile::tempdir().unwrap();
+    let dataset = Dataset::new(root.path(), &scene, &spec);
+    collect(&dataset, &scene, 2, &Silent).unwrap();
+    let episode = dataset.folder().join("episode_00002.parquet");
+    damage(&episode, 1, |what| {
+        for frames in [false, true] {
+            let error = dataset.read(2, frames).expect_err(what);
+            assert!(matches!(error, DatasetError::Damaged { .. }), "{what}: {error}");
+            assert!(error.to_string().contains("episode_00002.parquet is damaged"), "{what}: {error}");
+        }
+        assert_eq!(dataset.missing(), [2], "{what}");
+    });
+    assert!(dataset.missing().is_empty());
+}
+
+#[test]
+fn a_damaged_table_gives_no_answer() {
+    let copy = Copy::new();
+    let registry = copy.registry();
+    for (seed, table) in [Table::Epochs, Table::Metrics, Table::Predictions].into_iter().enumerate() {
+        let name = format!("{}.parquet", table.name());
+        let sql = format!("select count(*), count(scenario) from {}", table.name());
+        query(&registry, &sql).unwrap();
+        damage(&copy.run("empty").join(&name), seed as u64, |what| {
+            let error = query(&registry, &sql).expect_err(what);
+            assert!(matches!(error, QueryError::Registry(RegistryError::File { .. })), "{what}: {error}");
+            let message = error.to_string();
+            assert!(message.contains(&name) && message.contains("`harness verify`"), "{what}: {message}");
+            let error = read_table(&copy.run("empty").join(&name), None).expect_err(what);
+            assert!(matches!(error, TableError::Read { .. }), "{what}: {error}");
+        });
+        query(&registry, &sql).unwrap();
+    }
+    let episode = copy.dataset("cluttered").join("episode_00001.parquet");
+    damage(&episode, 4, |what| {
+        let message = query(&registry, "select avg(time) from episodes").expect_err(what).to_string();
+        assert!(message.contains("episode_00001.parquet can't be read"), "{what}: {message}");
+    });
+}
+
+#[test]
+fn a_damaged_checkpoint_or_state_is_never_loaded() {
+    let copy = Copy::new();
+    for (seed, name) in ["prediction.safetensors", "reconstruction.safetensors"].into_iter().enumerate() {
+        let path = copy.run("cluttered").join(name);
+        TensorFile::read(&path).unwrap();
+        damage(&path, seed as u64, |what| {
+            let error = TensorFile::read(&path).expect_err(what);
+            assert!(matches!(error, LearningError::Damaged { .. }), "{what}: {error}");
+            assert!(error.to_string().contains(name), "{what}: {error}");
+        });
+    }
+}
+
+#[test]
+fn a_damaged_record_is_left_out_and_said_so() {
+    let copy = Copy::new();
+    let registry = copy.registry();
+    let count = || query(&registry, "select * from runs").unwrap().height();
+    assert_eq!(count(), 2);
+    damage(&copy.run("empty").join("run.json"), 5, |what| {
+        assert_eq!(registry.records().len(), 1, "{what}");
+        let damaged = registry.damaged();
+        assert_eq!(damaged.len(), 1, "{what}");
+        assert!(damaged[0].to_string().contains("run.json is no record of a run"), "{what}: {}", damaged[0]);
+    });
+    let record = copy.run("empty").join("run.json");
+    let edited = std::fs::read_to_string(&record).unwrap().replacen("\"seed\": 0", "\"seed\": 1", 1);
+    std::fs::write(&record, edited).unwrap();
+    let answer = finish(&mut harness(&copy.results, &["query", "select distinct run from metrics"]));
+    assert!(
+        !answer.stdout.contains("empty-z4") && answer.stdout.contains("cluttered-z4"),
+        "{}",
+        answer.stdout
+    );
+    assert!(answer.stderr.starts_with("warning: a run is left out: "), "{}", answer.stderr);
+    assert!(answer.stderr.contains("its SHA-256 differs"), "{}", answer.stderr);
+}
+
+#[test]
+fn a_table_of_another_run_is_not_taken_for_ones_own() {
+    let copy = Copy::new();
+    std::fs::copy(copy.run("empty").join("metrics.parquet"), copy.run("cluttered").join("metrics.parquet"))
+        .unwrap();
+    let error = query(&copy.registry(), "select * from metrics").unwrap_err();
+    assert!(matches!(error, QueryError::Registry(RegistryError::File { .. })), "{error}");
+}
+
+#[test]
+fn a_training_whose_state_is_damaged_begins_anew_and_comes_to_the_same_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let results = folder.path().join("results");
+    copy(&RESULTS.join("datasets"), &results.join("datasets"));
+    let undisturbed = Copy::new();
+    let run = undisturbed.run("empty").file_name().unwrap().to_owned();
+    let run = results.join("runs/smoke").join(run);
+    std::fs::create_dir_all(&run).unwrap();
+    // A file of tensors that is whole, but no state of this training.
+    std::fs::copy(
+        undisturbed.run("empty").join("prediction.safetensors"),
+        run.join("prediction.state.safetensors"),
+    )
+    .unwrap();
+    let one = ["run", SMOKE];
+    let answer = finish(&mut harness(&results, &one));
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    assert!(answer.stderr.contains("prediction.state.safetensors is damaged (epochs: "), "{}", answer.stderr);
+    assert!(answer.stderr.contains("its training begins anew"), "{}", answer.stderr);
+    for name in ["prediction.safetensors", "reconstruction.safetensors"] {
+        assert!(
+            std::fs::read(run.join(name)).unwrap()
+                == std::fs::read(undisturbed.run("empty").join(name)).unwrap(),
+            "{name}"
+        );
+    }
+    // Bits of a state that was one.
+    std::fs::remove_dir_all(&run).unwrap();
+    std::fs::create_dir_all(&run).unwrap();
+    let mut state = std::fs::read(undisturbed.run("empty").join("prediction.safetensors")).unwrap();
+    let middle = state.len() / 2;
+    state[middle] ^= 1;
+    std::fs::write(run.join("prediction.state.safetensors"), state).unwrap();
+    let answer = finish(&mut harness(&results, &one));
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    assert!(answer.stderr.contains("is damaged (it is not as it was written"), "{}", answer.stderr);
+    assert_eq!(verify(&results).code, 0);
+}
+
+// --- harness verify ---
+
+fn verify(results: &Path) -> common::Answer {
+    finish(&mut harness(results, &["verify"]))
+}
+
+/// Damages a copy of the results; `verify` must name the path with the problem and a command, and be content once
+/// that command was given.
+#[track_caller]
+fn mended(act: impl Fn(&Copy) -> PathBuf, problem: &str) {
+    let copy = Copy::new();
+    let path = act(&copy);
+    let said = verify(&copy.results);
+    assert_eq!(said.code, 1, "{}{}", said.stdout, said.stderr);
+    let begin = format!("broken  {}: ", path.display());
+    let finding = said.stdout.lines().position(|line| line.starts_with(&begin));
+    let finding = finding.unwrap_or_else(|| panic!("no '{begin}' in {}", said.stdout));
+    let lines: Vec<&str> = said.stdout.lines().skip(finding).take(2).collect();
+    assert!(lines[0].contains(problem), "{}", said.stdout);
+    let command =
+        lines[1].strip_prefix("        mend: ").unwrap_or_else(|| panic!("no command: {}", said.stdout));
+    assert!(said.stdout.lines().last().unwrap().contains("broken"), "{}", said.stdout);
+
+    let program = Path::new(env!("CARGO_BIN_EXE_harness")).parent().unwrap();
+    let search = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+    let shell = Command::new("sh")
+        .args(["-c", command])
+        .env("PATH", search)
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .unwrap();
+    assert!(shell.status.success(), "{command}: {}", String::from_utf8_lossy(&shell.stderr));
+    let said = verify(&copy.results);
+    assert_eq!(said.code, 0, "after {command}: {}", said.stdout);
+    assert!(said.stdout.ends_with(": everything is whole\n"), "{}", said.stdout);
+}
+
+fn flip(path: PathBuf) -> PathBuf {
+    let mut bytes = std::fs::read(&path).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 4;
+    std::fs::write(&path, bytes).unwrap();
+    path
+}
+
+fn cut(path: PathBuf) -> PathBuf {
+    let bytes = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+    path
+}
+
+fn remove(path: PathBuf) -> PathBuf {
+    std::fs::remove_file(&path).unwrap();
+    path
+}
+
+#[test]
+fn whole_results_are_called_whole_and_left_alone() {
+    let said = succeed(&RESULTS, &["verify"]);
+    assert_eq!(said, "2 runs, 2 datasets, 26 files: everything is whole\n");
+    let nowhere = tempfile::tempdir().unwrap().path().join("nothing");
+    assert_eq!(succeed(&nowhere, &["verify"]), "0 runs, 0 datasets, 0 files: everything is whole\n");
+    assert!(!nowhere.exists());
+}
+
+#[test]
+fn damaged_episodes_are_named_and_mended() {
+    mended(|copy| flip(copy.dataset("empty").join("episode_00001.parquet")), "its SHA-256 differs");
+    mended(|copy| cut(copy.dataset("empty").join("episode_00000.parquet")), "it has no seal");
+    mended(
+        |copy| {
+            let path = copy.dataset("empty").join("episode_00001.parquet");
+            std::fs::copy(copy.dataset("empty").join("episode_00003.parquet"), &path).unwrap();
+            path
+        },
+        "it is not episode 1 of empty-",
+    );
+    mended(
+        |copy| {
+            remove(copy.dataset("cluttered").join("episode_00002.parquet"));
+            copy.dataset("cluttered")
+        },
+        "1 of the 4 episodes that a finished run used are missing",
+    );
+    mended(|copy| cut(copy.dataset("empty").join("dataset.json")), "");
+    mended(
+        |copy| {
+            let path = copy.dataset("empty").join("dataset.json");
+            let text = std::fs::read_to_string(&path).unwrap().replace("\"seed\": 0", "\"seed\": 7");
+            std::fs::write(&path, text).unwrap();
+            path
+        },
+        "it does not describe this dataset",
+    );
+}
+
+#[test]
+fn damaged_runs_are_named_and_mended() {
+    mended(|copy| flip(copy.run("empty").join("metrics.parquet")), "its SHA-256 differs");
+    mended(|copy| cut(copy.run("cluttered").join("predictions.parquet")), "bytes instead of");
+    mended(|copy| remove(copy.run("empty").join("epochs.parquet")), "No such file");
+    mended(|copy| flip(copy.run("empty").join("prediction.safetensors")), "its SHA-256 differs");
+    mended(|copy| flip(copy.run("empty").join("spec.yaml")), "its SHA-256 differs");
+}
+
+#[test]
+fn damaged_records_are_named_with_what_to_do() {
+    for damaged in [flip, cut] {
+        let copy = Copy::new();
+        let record = damaged(copy.run("empty").join("run.json"));
+        let said = verify(&copy.results);
+        assert_eq!(said.code, 1);
+        assert!(said.stdout.contains(&format!("broken  {}: ", record.display())), "{}", said.stdout);
+        assert!(said.stdout.contains("&& harness run the spec of smoke"), "{}", said.stdout);
+    }
+    let copy = Copy::new();
+    remove(copy.run("empty").join("run.json"));
+    let said = verify(&copy.results);
+    assert_eq!(said.code, 1);
+    assert!(said.stdout.contains("there is no run.json"), "{}", said.stdout);
+
+    let copy = Copy::new();
+    std::fs::copy(copy.run("empty").join("run.json"), copy.run("cluttered").join("run.json")).unwrap();
+    let said = verify(&copy.results);
+    assert_eq!(said.code, 1);
+    assert!(said.stdout.contains("it is the record of smoke/empty-z4-seed0-"), "{}", said.stdout);
+}
+
+#[test]
+fn what_does_not_belong_is_noted_but_not_broken() {
+    let copy = Copy::new();
+    let strays = [
+        copy.run("empty").join("notes.txt"),
+        copy.run("empty").join(format!("{UNFINISHED}Xy12")),
+        copy.dataset("empty").join("episode_1.csv"),
+        copy.results.join("runs/loose.txt"),
+    ];
+    strays.iter().for_each(|path| std::fs::write(path, "?").unwrap());
+    remove(copy.dataset("cluttered").join("episode_00003.parquet"));
+    std::fs::remove_dir_all(copy.run("cluttered")).unwrap();
+    let said = verify(&copy.results);
+    assert_eq!(said.code, 0, "{}", said.stdout);
+    for path in &strays {
+        assert!(said.stdout.contains(&format!("note    {}: ", path.display())), "{}", said.stdout);
+    }
+    assert!(said.stdout.contains("1 episodes are not collected yet"), "{}", said.stdout);
+    assert_eq!(said.stdout.lines().filter(|line| line.starts_with("note ")).count(), 5, "{}", said.stdout);
+}
+
+#[test]
+fn datasets_in_another_format_are_set_apart() {
+    let copy = Copy::new();
+    let path = copy.dataset("empty").join("dataset.json");
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(&path, text.replace("\"format\": 2", "\"format\": 1")).unwrap();
+    cut(copy.dataset("empty").join("episode_00000.parquet"));
+    let said = verify(&copy.results);
+    assert_eq!(said.code, 0, "{}", said.stdout);
+    assert!(said.stdout.contains("in the format of another version"), "{}", said.stdout);
+    let answer = query(&copy.registry(), "select distinct scenario from episodes").unwrap();
+    assert_eq!(answer.height(), 1, "the other dataset");
+}
