@@ -163,7 +163,11 @@ fn metric_values() -> Vec<Column> {
         text("modality", "what is predicted"),
         text("direction", "fe (flexion/extension) or aa (adduction/abduction); null where neither or both"),
         integer("index", "joint or link, 0 at the base; null for an aggregate"),
-        text("metric", "smape, wmape, r2, rmse, mae or relative_error"),
+        text(
+            "metric",
+            "smape, wmape, r2, rmse, mae, relative_error; relative_error_arm, relative_error_finger: of the pixels \
+             that show the part before or after the change",
+        ),
         real("value", "", "the metric; null where it is not defined"),
         text("unit", "unit of the value"),
     ]

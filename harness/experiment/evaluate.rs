@@ -5,8 +5,9 @@ use crate::dataset::{Partition, Samples, frame_difference};
 use crate::learning::network::Decoder;
 use crate::learning::objective::View;
 use crate::learning::predict::{Predicted, decode};
-use crate::metrics::Evaluation;
 use crate::metrics::baselines::{GREY_LEN, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
+use crate::metrics::parts::Part;
+use crate::metrics::{Evaluation, MetricsError};
 use crate::registry::{MetricRow, PredictionRow};
 use crate::spec::{Modality, Task};
 use candle_core::Tensor;
@@ -56,7 +57,10 @@ pub fn network(
     decode(view, decoder, output, task == Task::Prediction, latent, test, |predicted| {
         let reference = physical(&view.samples, predicted.modality, &predicted_samples(task, predicted.at));
         if let Some(evaluation) = evaluations.get_mut(&predicted.modality) {
-            failure = failure.take().or(evaluation.add(&reference, &predicted.values).err());
+            let at = predicted_samples(task, predicted.at);
+            let added =
+                add(evaluation, &view.samples, predicted.modality, &at, &reference, &predicted.values);
+            failure = failure.take().or(added.err());
         }
         if is_recorded(predicted.modality) {
             predictions.extend(prediction_rows(&view.samples, task, &predicted, &reference));
@@ -68,6 +72,24 @@ pub fn network(
     }
     let rows = evaluations.values().flat_map(|evaluation| label(task, "network", evaluation));
     Ok((rows.collect(), predictions))
+}
+
+/// Adds the predictions of `modality` at the samples `at` to its evaluation.
+fn add(
+    evaluation: &mut Evaluation,
+    samples: &Samples,
+    modality: Modality,
+    at: &[usize],
+    reference: &[f32],
+    predicted: &[f32],
+) -> Result<(), MetricsError> {
+    if modality != Modality::FrameDifference {
+        return evaluation.add(reference, predicted);
+    }
+    let parts =
+        |sample: &usize| Part::in_either(samples.previous_frame_bytes(*sample), samples.frame_bytes(*sample));
+    let parts: Vec<Option<Part>> = at.iter().flat_map(parts).collect();
+    evaluation.add_with_parts(reference, predicted, &parts)
 }
 
 /// Whether single predictions are kept: those of the finger are, frames would take too much room.
@@ -140,8 +162,9 @@ fn judge(
 ) -> Result<Vec<MetricRow>, ExperimentError> {
     let mut evaluation = Evaluation::new(modality);
     for at in partition.test.chunks(BATCH) {
-        let reference = physical(&view.samples, modality, &predicted_samples(task, at));
-        evaluation.add(&reference, &predict(at)?)?;
+        let samples = predicted_samples(task, at);
+        let reference = physical(&view.samples, modality, &samples);
+        add(&mut evaluation, &view.samples, modality, &samples, &reference, &predict(at)?)?;
     }
     Ok(label(task, model, &evaluation))
 }
