@@ -11,13 +11,14 @@ mod query;
 mod record;
 
 pub use provenance::{Provenance, peak_memory_bytes};
-pub use query::{QueryError, query, save, table};
+pub use query::{QueryError, query, query_latest, save, table};
 pub use record::{MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings};
 
 use crate::files::{WriteError, write_bytes};
 use crate::spec::{RunSpec, Task};
 use crate::tables::TableError;
 use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Raised whenever the same spec on the same data would train or be judged differently than before.
@@ -159,6 +160,19 @@ impl Registry {
         folders
     }
 
+    /// The folders of the runs that count, sorted: done, and of several of the same cell and seed in an experiment
+    /// the one that was started last.
+    fn latest_folders(&self) -> Vec<PathBuf> {
+        let mut latest: BTreeMap<(String, String), RunRecord> = BTreeMap::new();
+        for record in self.records().into_iter().filter(|record| record.status == Status::Done) {
+            let key = (record.experiment.clone(), record.label());
+            if latest.get(&key).is_none_or(|other| other.started <= record.started) {
+                latest.insert(key, record);
+            }
+        }
+        latest.into_values().map(|record| self.runs().join(record.experiment).join(record.run)).collect()
+    }
+
     /// The one run whose id, or `experiment/id`, begins with `wanted`.
     pub fn find(&self, wanted: &str) -> Result<(RunFolder, RunRecord), RegistryError> {
         let records = self.records();
@@ -257,7 +271,7 @@ impl RunFolder {
 /// The settings in which two specs differ, as `training.epochs (5, now 200)`.
 fn differences(before: &RunSpec, now: &RunSpec) -> Vec<String> {
     let leaves = |spec: &RunSpec| {
-        let mut leaves = std::collections::BTreeMap::new();
+        let mut leaves = BTreeMap::new();
         collect_leaves("", &serde_json::to_value(spec).unwrap_or_default(), &mut leaves);
         leaves
     };
@@ -271,11 +285,7 @@ fn differences(before: &RunSpec, now: &RunSpec) -> Vec<String> {
 }
 
 /// Every value of a tree that is no object, under its dotted key.
-fn collect_leaves(
-    key: &str,
-    value: &serde_json::Value,
-    leaves: &mut std::collections::BTreeMap<String, String>,
-) {
+fn collect_leaves(key: &str, value: &serde_json::Value, leaves: &mut BTreeMap<String, String>) {
     match value {
         serde_json::Value::Object(entries) => {
             for (name, value) in entries {

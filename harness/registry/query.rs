@@ -1,7 +1,7 @@
 //! SQL over the tables of a results folder.
 
-use super::record::runs_table;
-use super::{Registry, RegistryError};
+use super::record::{RunRecord, runs_table};
+use super::{RECORD, Registry, RegistryError};
 use crate::dataset::episode_scan;
 use crate::files::{WriteError, write_whole};
 use crate::schema::{Column, Table};
@@ -29,11 +29,21 @@ pub enum QueryError {
 /// # Errors
 /// When the SQL is not understood, names what isn't there, or a table can't be read.
 pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
+    answer(registry, sql, &registry.run_folders())
+}
+
+/// As [`query`], but of the runs only those that count: done, and of several of the same cell and seed in an
+/// experiment (after a setting or the method changed) the latest.
+pub fn query_latest(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
+    answer(registry, sql, &registry.latest_folders())
+}
+
+fn answer(registry: &Registry, sql: &str, runs: &[PathBuf]) -> Result<DataFrame, QueryError> {
     let mut context = SQLContext::new();
     for table in Table::ALL {
         // Only what the query may be about is looked up: the folders of thousands of runs take a while.
         if sql.to_lowercase().contains(table.name()) {
-            context.register(table.name(), self::table(registry, table)?);
+            context.register(table.name(), table_of(registry, table, runs)?);
         }
     }
     context.execute(sql).and_then(LazyFrame::collect).map_err(QueryError::Sql)
@@ -41,10 +51,16 @@ pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
 
 /// One of the tables, over everything in the results folder.
 pub fn table(registry: &Registry, table: Table) -> Result<LazyFrame, QueryError> {
+    table_of(registry, table, &registry.run_folders())
+}
+
+/// One of the tables, over the runs in the folders `runs`, or over all datasets.
+fn table_of(registry: &Registry, table: Table, runs: &[PathBuf]) -> Result<LazyFrame, QueryError> {
     let columns = table.columns();
     let found = match table {
         Table::Runs => {
-            let records = registry.records();
+            let records: Vec<RunRecord> =
+                runs.iter().filter_map(|folder| RunRecord::read(&folder.join(RECORD)).ok()?).collect();
             if records.is_empty() {
                 None
             } else {
@@ -54,12 +70,8 @@ pub fn table(registry: &Registry, table: Table) -> Result<LazyFrame, QueryError>
         Table::Episodes => episode_scan(&registry.datasets()).map_err(QueryError::Sql)?,
         Table::Epochs | Table::Metrics | Table::Predictions => {
             let name = format!("{}.parquet", table.name());
-            let paths: Vec<PathBuf> = registry
-                .run_folders()
-                .into_iter()
-                .map(|folder| folder.join(&name))
-                .filter(|path| path.exists())
-                .collect();
+            let paths: Vec<PathBuf> =
+                runs.iter().map(|folder| folder.join(&name)).filter(|path| path.exists()).collect();
             scan(&paths, &columns).map_err(QueryError::Sql)?
         }
     };
