@@ -1,8 +1,9 @@
 //! A research harness for multi-modal perception of a soft robot.
 //!
 //! Data flows one way, and each room may use only those before it:
-//! spec, simulation, dataset, learning, metrics, registry. The story of an experiment is in [`experiment`].
+//! spec, simulation, dataset, learning, metrics, registry, claims. The story of an experiment is in [`experiment`].
 
+pub mod claims;
 pub mod dataset;
 pub mod experiment;
 pub mod files;

@@ -104,7 +104,7 @@ fn files_that_are_no_text_are_refused() {
     );
     assert_eq!(
         refusal("# a comment\n".repeat(100_000)),
-        "spec.yaml: is larger than 1 MiB; a spec is a short text"
+        "spec.yaml: is larger than 1 MiB; it must be a short text"
     );
     for empty in ["", "\n\n", "# only a comment\n", "---\n"] {
         assert!(refusal(empty).ends_with("the file is empty; see `harness schema` for what a spec holds"));

@@ -1,5 +1,6 @@
 //! Commands and their arguments.
 
+mod claims;
 mod doctor;
 mod inspect;
 mod progress;
@@ -8,6 +9,7 @@ mod run;
 mod table;
 
 use clap::{Parser, Subcommand};
+use harness::claims::ClaimsError;
 use harness::experiment::describe;
 use harness::registry::{QueryError, Registry, RegistryError};
 use harness::simulation::SimulationError;
@@ -61,6 +63,16 @@ enum Command {
 
 `harness schema --tables` lists the columns.")]
     Query(inspect::Query),
+    /// Judge the paper's statements by the tables
+    #[command(after_help = "Examples:
+  harness claims
+  harness claims vision_improves_force            its query, and the value of every seed
+  harness claims --quick                          by the results of `harness run … --quick`
+  harness claims --output verdicts.csv
+
+A claim holds where the whole 95 % interval over seeds satisfies its condition, does not hold where the whole \
+interval violates it, and is undecided otherwise, or with a single seed.")]
+    Claims(claims::Claims),
     /// List all runs
     Ls,
     /// Show one run: its spec, provenance, times and metrics
@@ -96,6 +108,7 @@ pub fn main(arguments: Arguments) -> ExitCode {
         Command::Collect(collect) => collect.execute(&registry, threads),
         Command::Validate(validate) => validate.execute(),
         Command::Query(query) => query.execute(&registry),
+        Command::Claims(claims) => claims.execute(&registry),
         Command::Ls => inspect::list(&registry),
         Command::Show(show) => show.execute(&registry),
         Command::Schema(schema) => schema.execute(),
@@ -115,6 +128,7 @@ fn all_threads() -> usize {
 /// Whether the user asked for something that can't be; then the exit code is 2, as for unknown arguments.
 fn is_usage(error: &anyhow::Error) -> bool {
     error.is::<SpecError>()
+        || error.is::<ClaimsError>()
         || error.is::<render::RenderError>()
         || matches!(error.downcast_ref(), Some(QueryError::Sql(_) | QueryError::Format(_)))
         || matches!(error.downcast_ref(), Some(SimulationError::PictureSize { .. }))

@@ -11,7 +11,7 @@ mod query;
 mod record;
 
 pub use provenance::{Provenance, peak_memory_bytes};
-pub use query::{QueryError, query, query_latest, save, table};
+pub use query::{QueryError, query, query_latest, rows, save, table};
 pub use record::{MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings};
 
 use crate::files::{WriteError, write_bytes};

@@ -8,6 +8,7 @@ use crate::schema::{Column, Table};
 use crate::tables::{TableError, data_type, scan};
 use polars::prelude::*;
 use polars::sql::SQLContext;
+use serde::de::DeserializeOwned;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
@@ -18,6 +19,8 @@ pub enum QueryError {
     Registry(#[from] RegistryError),
     #[error("the query can't be answered: {0}")]
     Sql(PolarsError),
+    #[error("the answer's rows are not what they should be: {0}")]
+    Rows(serde_json::Error),
     #[error("can't write to '{}': its name must end in .parquet, .csv or .json", .0.display())]
     Format(PathBuf),
     #[error(transparent)]
@@ -87,6 +90,16 @@ fn empty(columns: &[Column]) -> PolarsResult<LazyFrame> {
         polars::prelude::Column::new_empty(column.name.as_str().into(), &data_type(column.kind))
     });
     Ok(DataFrame::new(0, columns.collect())?.lazy())
+}
+
+/// An answer's rows as values of `T`, whose fields are its columns.
+///
+/// # Errors
+/// When a column lacks or has another type.
+pub fn rows<T: DeserializeOwned>(answer: &mut DataFrame) -> Result<Vec<T>, QueryError> {
+    let mut json = Vec::new();
+    JsonWriter::new(&mut json).with_json_format(JsonFormat::Json).finish(answer).map_err(QueryError::Sql)?;
+    serde_json::from_slice(&json).map_err(QueryError::Rows)
 }
 
 /// Writes an answer as Parquet, CSV or JSON, by the ending of the file's name.
