@@ -1,11 +1,13 @@
 //! Commands and their arguments.
 
 mod claims;
+mod compare;
 mod doctor;
 mod inspect;
 mod progress;
 mod render;
 mod run;
+mod sheet;
 mod table;
 
 use clap::{Parser, Subcommand};
@@ -73,6 +75,16 @@ enum Command {
 A claim holds where the whole 95 % interval over seeds satisfies its condition, does not hold where the whole \
 interval violates it, and is undecided otherwise, or with a single seed.")]
     Claims(claims::Claims),
+    /// Print runs side by side: mean and interval over seeds, the best of a row marked
+    #[command(after_help = "Examples:
+  harness compare single_to_multi
+  harness compare --by experiment,latent --task prediction --models network
+  harness compare --by scenario --metrics r2,rmse
+  harness compare multi_to_multi --format latex > table.tex
+
+Metrics are over all joints, links or pixels, on the test episodes; `harness query` has those of each. After ± \
+stands half of the 95 % interval of the mean over seeds (Student's t). LaTeX needs \\usepackage{booktabs}.")]
+    Compare(compare::Compare),
     /// List all runs
     Ls,
     /// Show one run: its spec, provenance, times and metrics
@@ -109,6 +121,7 @@ pub fn main(arguments: Arguments) -> ExitCode {
         Command::Validate(validate) => validate.execute(),
         Command::Query(query) => query.execute(&registry),
         Command::Claims(claims) => claims.execute(&registry),
+        Command::Compare(compare) => compare.execute(&registry),
         Command::Ls => inspect::list(&registry),
         Command::Show(show) => show.execute(&registry),
         Command::Schema(schema) => schema.execute(),
@@ -129,6 +142,7 @@ fn all_threads() -> usize {
 fn is_usage(error: &anyhow::Error) -> bool {
     error.is::<SpecError>()
         || error.is::<ClaimsError>()
+        || error.is::<compare::CompareError>()
         || error.is::<render::RenderError>()
         || matches!(error.downcast_ref(), Some(QueryError::Sql(_) | QueryError::Format(_)))
         || matches!(error.downcast_ref(), Some(SimulationError::PictureSize { .. }))

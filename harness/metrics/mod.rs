@@ -63,6 +63,11 @@ pub enum Metric {
 }
 
 impl Metric {
+    pub const ALL: [Metric; 8] = {
+        use Metric::*;
+        [Smape, Wmape, R2, Rmse, Mae, RelativeError, RelativeErrorArm, RelativeErrorFinger]
+    };
+
     /// The metrics that a modality is judged by.
     pub fn of(modality: Modality) -> &'static [Metric] {
         use Metric::*;
