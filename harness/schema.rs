@@ -35,6 +35,10 @@ pub enum Table {
     Metrics,
     /// One row a test sample and joint or link.
     Predictions,
+    /// One row a link and force, over the whole dataset.
+    Forces,
+    /// One row a picture of a few test samples.
+    Frames,
     /// One row a recorded sample, without the frames.
     Episodes,
 }
@@ -43,8 +47,15 @@ pub enum Table {
 pub const ARM: [(&str, &str); 3] = [("rotation", "rad"), ("lift", "m"), ("extension", "m")];
 
 impl Table {
-    pub const ALL: [Table; 5] =
-        [Table::Runs, Table::Epochs, Table::Metrics, Table::Predictions, Table::Episodes];
+    pub const ALL: [Table; 7] = [
+        Table::Runs,
+        Table::Epochs,
+        Table::Metrics,
+        Table::Predictions,
+        Table::Forces,
+        Table::Frames,
+        Table::Episodes,
+    ];
 
     /// The table's name in queries.
     pub fn name(self) -> &'static str {
@@ -53,6 +64,8 @@ impl Table {
             Table::Epochs => "epochs",
             Table::Metrics => "metrics",
             Table::Predictions => "predictions",
+            Table::Forces => "forces",
+            Table::Frames => "frames",
             Table::Episodes => "episodes",
         }
     }
@@ -64,6 +77,8 @@ impl Table {
             Table::Epochs => "one row an epoch, split and loss term",
             Table::Metrics => "one row a metric of a run or of a baseline on the same test samples",
             Table::Predictions => "one row a test sample and joint or link",
+            Table::Forces => "one row a link and force: its distribution over the run's whole dataset",
+            Table::Frames => "one row a picture: what the network made of a few fixed test samples",
             Table::Episodes => "one row a recorded sample; the files hold the frames besides",
         }
     }
@@ -75,6 +90,8 @@ impl Table {
             Table::Epochs => [run_key(), epoch_values()].concat(),
             Table::Metrics => [run_key(), metric_values()].concat(),
             Table::Predictions => [run_key(), prediction_values()].concat(),
+            Table::Forces => [run_key(), force_values()].concat(),
+            Table::Frames => [run_key(), frame_values()].concat(),
             Table::Episodes => sample_columns(),
         }
     }
@@ -182,6 +199,41 @@ fn prediction_values() -> Vec<Column> {
         integer("index", "joint or link, 0 at the base"),
         real("reference", "rad or N", "the simulation's value"),
         real("predicted", "rad or N", "the network's value"),
+    ]
+}
+
+fn force_values() -> Vec<Column> {
+    let mut columns = vec![
+        text("modality", "contact_force or contact_force_mean"),
+        integer("index", "link, 0 at the base"),
+        integer("samples", "samples of the dataset"),
+        integer("contacts", "samples in which the link is touched: its force is above 0"),
+        real("mean", "N", "mean force over all samples, touched or not"),
+    ];
+    columns.extend(crate::metrics::contact::QUANTILES.iter().map(|(name, share)| {
+        let meaning = format!("quantile {share} of the force over the samples in contact; null without any");
+        real(name, "N", &meaning)
+    }));
+    columns.push(real("max", "N", "largest force; null without any contact"));
+    columns
+}
+
+fn frame_values() -> Vec<Column> {
+    let picture = |name: &str, whose: &str| {
+        let meaning = format!(
+            "{whose} picture, 64 x 64 x 3 bytes: rows from the top, pixels from the left, RGB; of vision the \
+             intensity times 255, of frame_difference 128 plus the difference times 127"
+        );
+        column(name, Kind::Bytes, "", &meaning)
+    };
+    vec![
+        text("task", "prediction or reconstruction"),
+        text("modality", "vision or frame_difference"),
+        integer("episode", "episode of the dataset"),
+        integer("sample", "the instant that is pictured, counted from 0 within its episode"),
+        real("motion", "1", "mean absolute change of the camera frame that the transition brings, in [0, 1]"),
+        picture("reference", "the simulation's"),
+        picture("predicted", "the network's"),
     ]
 }
 

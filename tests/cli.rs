@@ -93,6 +93,8 @@ fn an_experiment_writes_everything_and_a_second_run_does_nothing() {
         let names = files(run).iter().map(|path| path.file_name().unwrap().to_owned()).collect::<Vec<_>>();
         let expected = [
             "epochs.parquet",
+            "forces.parquet",
+            "frames.parquet",
             "metrics.parquet",
             "prediction.safetensors",
             "predictions.parquet",

@@ -3,6 +3,7 @@
 use harness::metrics::baselines::{
     GREY_LEN, GREY_SIDE, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence,
 };
+use harness::metrics::contact::{Contact, by_link};
 use harness::metrics::interval::{Interval, mean_interval};
 use harness::metrics::parts::Part;
 use harness::metrics::series::{error_relative_to_mean, error_relative_to_zero, mae, r2, rmse, smape, wmape};
@@ -506,4 +507,25 @@ fn an_interval_covers_the_mean_as_often_as_its_level_says() {
     // The standard deviation of this share is 0.0015.
     let share = covered.count() as f64 / 20_000.0;
     assert!((share - 0.95).abs() < 0.006, "{share}");
+}
+
+#[test]
+fn contact_forces_are_summed_up_link_by_link() {
+    // Link 3 feels 0, 1, 2, …, 10 N and link 5 feels 4 N once; the others nothing.
+    let mut forces = vec![0.0; 11 * JOINTS];
+    (0..11).for_each(|sample| forces[sample * JOINTS + 3] = sample as f32);
+    forces[7 * JOINTS + 5] = 4.0;
+    let links = by_link(&forces);
+    assert_eq!(links.len(), JOINTS);
+    // Of 1 to 10 at equal distances, the quantile p lies at 1 + 9 p.
+    let quantiles = [0.05, 0.25, 0.5, 0.75, 0.95].map(|share| 1.0 + 9.0 * share);
+    let Contact { samples, contacts, mean, quantiles: found, max } = links[3].clone();
+    assert_eq!((samples, contacts, mean, max), (11, 10, 5.0, Some(10.0)));
+    for (found, expected) in found.unwrap().into_iter().zip(quantiles) {
+        assert_close(found, expected);
+    }
+    assert_eq!((links[5].contacts, links[5].quantiles), (1, Some([4.0; 5])));
+    let untouched = Contact { samples: 11, contacts: 0, mean: 0.0, quantiles: None, max: None };
+    assert_eq!(links[0], untouched);
+    assert_eq!(by_link(&[])[0], Contact { samples: 0, ..untouched });
 }

@@ -73,8 +73,8 @@ impl File {
 
 #[test]
 fn every_table_opens_in_every_reader_with_the_same_rows() {
-    // Two scenarios of four episodes, and two runs of three tables.
-    assert_eq!(ANSWER.files.len(), 2 * 4 + 2 * 3);
+    // Two scenarios of four episodes, and two runs of five tables.
+    assert_eq!(ANSWER.files.len(), 2 * 4 + 2 * 5);
     for File { path, rows, .. } in &ANSWER.files {
         assert_eq!(rows.keys().collect::<Vec<_>>(), ["duckdb", "pandas", "polars", "pyarrow"]);
         let first = rows["pyarrow"];
@@ -83,6 +83,12 @@ fn every_table_opens_in_every_reader_with_the_same_rows() {
     for file in ANSWER.files.iter().filter(|file| file.table() == Table::Episodes) {
         assert_eq!(file.rows["pyarrow"], 30);
     }
+    let rows = |table| {
+        ANSWER.files.iter().filter(move |file| file.table() == table).map(|file| file.rows["pyarrow"])
+    };
+    // Two kinds of force on 20 links; five test transitions of two tasks.
+    assert_eq!(rows(Table::Forces).collect::<Vec<_>>(), [2 * 20; 2]);
+    assert_eq!(rows(Table::Frames).collect::<Vec<_>>(), [5 * 2; 2]);
     // 10 transitions a second for 3 s of the one test episode; 20 joints twice, and once more.
     for file in ANSWER.files.iter().filter(|file| file.table() == Table::Predictions) {
         assert_eq!(file.rows["pyarrow"], 29 * 20 * 3);

@@ -50,6 +50,7 @@ fn cell(value: AnyValue) -> String {
         AnyValue::StringOwned(text) => text.to_string(),
         AnyValue::Float64(value) => rounded(value),
         AnyValue::Float32(value) => rounded(value.into()),
+        AnyValue::Binary(bytes) => format!("{} bytes", bytes.len()),
         other => other.to_string(),
     }
 }

@@ -8,7 +8,7 @@ mod standard;
 mod store;
 
 pub use collect::collect;
-pub use samples::{Partition, Samples};
+pub use samples::{FRAME_PLANE, Partition, Samples};
 pub use standard::{Scale, Standard, frame_difference};
 pub use store::{Dataset, episode_scan};
 

@@ -56,6 +56,11 @@ impl Samples {
         self.arm.len() / ARM_JOINTS
     }
 
+    /// Whether its frames were loaded.
+    pub fn has_frames(&self) -> bool {
+        !self.vision.is_empty()
+    }
+
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

@@ -1,15 +1,15 @@
 //! A trained network, and the baselines, on the test transitions.
 
 use super::ExperimentError;
-use crate::dataset::{Partition, Samples, frame_difference};
+use crate::dataset::{FRAME_PLANE, Partition, Samples, frame_difference};
 use crate::learning::network::Decoder;
 use crate::learning::objective::View;
 use crate::learning::predict::{Predicted, decode};
 use crate::metrics::baselines::{GREY_LEN, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
 use crate::metrics::parts::Part;
-use crate::metrics::{Evaluation, MetricsError};
-use crate::registry::{MetricRow, PredictionRow};
-use crate::spec::{Modality, Task};
+use crate::metrics::{Evaluation, MetricsError, contact};
+use crate::registry::{ForceRows, FrameRow, MetricRow, PredictionRow};
+use crate::spec::{FRAME_CHANNELS, Modality, Task};
 use candle_core::Tensor;
 use std::collections::BTreeMap;
 
@@ -41,7 +41,15 @@ fn predicted_samples(task: Task, at: &[usize]) -> Vec<usize> {
     }
 }
 
-/// Metrics and predictions of a decoder on the test transitions, given their latent states `[test, latent]`.
+/// What a decoder made of the test transitions.
+pub struct Evaluated {
+    pub metrics: Vec<MetricRow>,
+    pub predictions: Vec<PredictionRow>,
+    pub frames: Vec<FrameRow>,
+}
+
+/// Metrics and predictions of a decoder on the test transitions, given their latent states `[test, latent]`, and
+/// pictures of those in `storyboard`.
 pub fn network(
     view: &View,
     task: Task,
@@ -49,10 +57,11 @@ pub fn network(
     output: &[Modality],
     latent: &Tensor,
     test: &[usize],
-) -> Result<(Vec<MetricRow>, Vec<PredictionRow>), ExperimentError> {
+    storyboard: &[Story],
+) -> Result<Evaluated, ExperimentError> {
     let mut evaluations: BTreeMap<Modality, Evaluation> =
         output.iter().map(|modality| (*modality, Evaluation::new(*modality))).collect();
-    let mut predictions = Vec::new();
+    let (mut predictions, mut frames) = (Vec::new(), Vec::new());
     let mut failure = None;
     decode(view, decoder, output, task == Task::Prediction, latent, test, |predicted| {
         let reference = physical(&view.samples, predicted.modality, &predicted_samples(task, predicted.at));
@@ -62,6 +71,9 @@ pub fn network(
                 add(evaluation, &view.samples, predicted.modality, &at, &reference, &predicted.values);
             failure = failure.take().or(added.err());
         }
+        if predicted.modality.is_frame() {
+            frames.extend(frame_rows(&view.samples, task, &predicted, &reference, storyboard));
+        }
         if is_recorded(predicted.modality) {
             predictions.extend(prediction_rows(&view.samples, task, &predicted, &reference));
         }
@@ -70,8 +82,8 @@ pub fn network(
     if let Some(failure) = failure {
         return Err(failure.into());
     }
-    let rows = evaluations.values().flat_map(|evaluation| label(task, "network", evaluation));
-    Ok((rows.collect(), predictions))
+    let metrics = evaluations.values().flat_map(|evaluation| label(task, "network", evaluation)).collect();
+    Ok(Evaluated { metrics, predictions, frames })
 }
 
 /// Adds the predictions of `modality` at the samples `at` to its evaluation.
@@ -92,7 +104,7 @@ fn add(
     evaluation.add_with_parts(reference, predicted, &parts)
 }
 
-/// Whether single predictions are kept: those of the finger are, frames would take too much room.
+/// Whether every single prediction is kept: those of the finger are, frames would take too much room.
 fn is_recorded(modality: Modality) -> bool {
     !modality.is_frame() && modality != Modality::Arm
 }
@@ -116,6 +128,80 @@ fn prediction_rows<'a>(
             predicted: predicted.values[row * width + index],
         })
     })
+}
+
+/// A test transition whose pictures are kept.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Story {
+    pub transition: usize,
+    /// Mean absolute change of the camera frame from the transition's sample to its next, in [0, 1].
+    pub motion: f64,
+}
+
+/// Where the kept transitions stand among all test transitions by their motion: from hardly any to the most.
+const STORYBOARD: [f64; 5] = [0.02, 0.3, 0.6, 0.85, 0.98];
+
+/// The test transitions whose pictures are kept, from the least motion to the most; none without frames.
+///
+/// The choice depends on the dataset alone, so that the pictures of all networks can be compared.
+pub fn storyboard(samples: &Samples, test: &[usize]) -> Vec<Story> {
+    if !samples.has_frames() || test.is_empty() {
+        return Vec::new();
+    }
+    let motion = |transition: usize| {
+        let (sum, values) = frame_difference(samples, transition + 1)
+            .fold((0.0, 0), |(sum, values), change| (sum + f64::from(change.abs()), values + 1));
+        Story { transition, motion: sum / f64::from(values) }
+    };
+    let mut stories: Vec<Story> = test.iter().map(|&transition| motion(transition)).collect();
+    stories.sort_by(|a, b| a.motion.total_cmp(&b.motion).then(a.transition.cmp(&b.transition)));
+    STORYBOARD.map(|share| stories[(share * (stories.len() - 1) as f64).round() as usize]).to_vec()
+}
+
+fn frame_rows<'a>(
+    samples: &'a Samples,
+    task: Task,
+    predicted: &'a Predicted,
+    reference: &'a [f32],
+    storyboard: &'a [Story],
+) -> impl Iterator<Item = FrameRow> + 'a {
+    let width = predicted.modality.width();
+    storyboard.iter().filter_map(move |story| {
+        let row = predicted.at.iter().position(|&transition| transition == story.transition)?;
+        let (episode, sample) = samples.place(predicted_samples(task, &[story.transition])[0]);
+        let picture = |values: &[f32]| picture(predicted.modality, &values[row * width..][..width]);
+        Some(FrameRow {
+            task,
+            modality: predicted.modality,
+            episode: episode as u32,
+            sample: sample as u32,
+            motion: story.motion,
+            reference: picture(reference),
+            predicted: picture(&predicted.values),
+        })
+    })
+}
+
+/// A frame `[channel, row, column]` as bytes `[row, column, channel]`: an intensity in [0, 1] times 255, a difference
+/// in [-1, 1] times 127 around 128, so that no change is kept exactly.
+fn picture(modality: Modality, values: &[f32]) -> Vec<u8> {
+    let byte = |value: f32| match modality {
+        Modality::FrameDifference => (128.0 + 127.0 * value).round().clamp(1.0, 255.0) as u8,
+        _ => (255.0 * value).round().clamp(0.0, 255.0) as u8,
+    };
+    (0..FRAME_PLANE)
+        .flat_map(|pixel| (0..FRAME_CHANNELS).map(move |channel| byte(values[channel * FRAME_PLANE + pixel])))
+        .collect()
+}
+
+/// How the dataset's forces are distributed, link by link.
+pub fn forces(samples: &Samples) -> Vec<ForceRows> {
+    let of = |modality| {
+        let forces: Vec<f32> =
+            (0..samples.len()).flat_map(|sample| samples.vector(modality, sample).iter().copied()).collect();
+        ForceRows { modality, links: contact::by_link(&forces) }
+    };
+    vec![of(Modality::ContactForce), of(Modality::ContactForceMean)]
 }
 
 fn label(task: Task, model: &'static str, evaluation: &Evaluation) -> Vec<MetricRow> {

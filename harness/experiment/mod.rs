@@ -4,6 +4,8 @@ mod evaluate;
 
 pub use evaluate::physical;
 
+use evaluate::{Evaluated, Story};
+
 use crate::dataset::{Dataset, DatasetError, Partition, Standard, collect};
 use crate::learning::network::{Decoder, Encoder, Parameters, Sizes};
 use crate::learning::objective::{Prediction, Reconstruction, View};
@@ -14,7 +16,7 @@ use crate::learning::{LearningError, checkpoint, predict};
 use crate::metrics::MetricsError;
 use crate::progress::Progress;
 use crate::registry::{
-    Decision, MetricRow, Outcome, PredictionRow, Provenance, Registry, RegistryError, RunFolder, Timings,
+    Decision, ForceRows, MetricRow, Outcome, Provenance, Registry, RegistryError, RunFolder, Timings,
 };
 use crate::simulation::{Scene, SimulationError};
 use crate::spec::{Experiment, Modality, RunSpec, Scenario, Task};
@@ -169,8 +171,10 @@ impl Laboratory<'_> {
             let output = if *task == Task::Prediction { &spec.output } else { &spec.input };
             baselines.extend(evaluate::baselines(&view, &partition, *task, &spec.input, output)?);
         }
+        let forces = evaluate::forces(&view.samples);
+        let storyboard = evaluate::storyboard(&view.samples, &partition.test);
         let seconds = begin.elapsed().as_secs_f64();
-        Ok(Material { scenario: spec.scenario, view, partition, baselines, seconds })
+        Ok(Material { scenario: spec.scenario, view, partition, baselines, forces, storyboard, seconds })
     }
 }
 
@@ -199,12 +203,31 @@ pub fn describe(error: &dyn std::error::Error) -> String {
     text
 }
 
+/// The sizes of the network that a run trains for a task.
+pub fn network_sizes(spec: &RunSpec, task: Task) -> Sizes {
+    let (output, action) = match task {
+        Task::Prediction => (&spec.output, crate::spec::ARM_JOINTS),
+        Task::Reconstruction => (&spec.input, 0),
+    };
+    Sizes {
+        input: spec.input.clone(),
+        output: output.clone(),
+        latent: spec.latent,
+        hidden: spec.network.hidden,
+        channels: spec.network.channels,
+        action,
+    }
+}
+
 /// A scenario's data, shared by its runs.
 struct Material {
     scenario: Scenario,
     view: View,
     partition: Partition,
     baselines: Vec<MetricRow>,
+    forces: Vec<ForceRows>,
+    /// The test transitions whose pictures are kept.
+    storyboard: Vec<Story>,
     seconds: f64,
 }
 
@@ -223,28 +246,13 @@ impl Trainee<'_> {
             ..Outcome::default()
         };
         outcome.metrics.extend(self.material.baselines.iter().cloned());
+        outcome.forces = self.material.forces.clone();
         let (encoder, parameters) = self.predict(&mut outcome)?;
         outcome.parameters = parameters.values().map(|var| var.elem_count()).sum();
         if self.spec.tasks.contains(&Task::Reconstruction) {
             self.reconstruct(&encoder, &mut outcome)?;
         }
         Ok(outcome)
-    }
-
-    fn sizes(&self, task: Task) -> Sizes {
-        let spec = self.spec;
-        let (output, action) = match task {
-            Task::Prediction => (&spec.output, crate::spec::ARM_JOINTS),
-            Task::Reconstruction => (&spec.input, 0),
-        };
-        Sizes {
-            input: spec.input.clone(),
-            output: output.clone(),
-            latent: spec.latent,
-            hidden: spec.network.hidden,
-            channels: spec.network.channels,
-            action,
-        }
     }
 
     fn fit<'a>(&'a self, task: Task, state: &'a StateFile) -> Fit<'a> {
@@ -260,12 +268,12 @@ impl Trainee<'_> {
 
     /// Trains encoder and decoder, and evaluates them.
     fn predict(&self, outcome: &mut Outcome) -> Result<(Encoder, Parameters), ExperimentError> {
-        let Self { spec, material: Material { view, partition, .. }, .. } = self;
+        let Self { spec, material: Material { view, partition, storyboard, .. }, .. } = self;
         let begin = Instant::now();
         let task = Task::Prediction;
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
-        let sizes = self.sizes(task);
+        let sizes = network_sizes(spec, task);
         let objective = Prediction {
             view,
             encoder: Encoder::new(&sizes, &mut parameters, &mut random, &view.device)
@@ -284,8 +292,15 @@ impl Trainee<'_> {
         let begin = Instant::now();
         let latent = predict::encode(view, &objective.encoder, &spec.input, &partition.test);
         let latent = latent.map_err(LearningError::from)?;
-        let evaluated =
-            evaluate::network(view, task, &objective.decoder, &spec.output, &latent, &partition.test)?;
+        let evaluated = evaluate::network(
+            view,
+            task,
+            &objective.decoder,
+            &spec.output,
+            &latent,
+            &partition.test,
+            storyboard,
+        )?;
         outcome.add(task, epochs, evaluated);
         outcome.timings.evaluation += begin.elapsed().as_secs_f64();
         Ok((objective.encoder, parameters))
@@ -293,14 +308,14 @@ impl Trainee<'_> {
 
     /// Trains a new decoder on the frozen encoder's latent states, and evaluates it.
     fn reconstruct(&self, encoder: &Encoder, outcome: &mut Outcome) -> Result<(), ExperimentError> {
-        let Self { spec, material: Material { view, partition, .. }, .. } = self;
+        let Self { spec, material: Material { view, partition, storyboard, .. }, .. } = self;
         let begin = Instant::now();
         let task = Task::Reconstruction;
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
         let everything: Vec<usize> = (0..view.samples.len()).collect();
         let latent = predict::encode(view, encoder, &spec.input, &everything).map_err(LearningError::from)?;
-        let decoder = Decoder::new(&self.sizes(task), &mut parameters, &mut random, &view.device);
+        let decoder = Decoder::new(&network_sizes(spec, task), &mut parameters, &mut random, &view.device);
         let objective = Reconstruction {
             view,
             latent: &latent,
@@ -313,8 +328,15 @@ impl Trainee<'_> {
         checkpoint::save(&self.folder.checkpoint(task), &parameters, &view.standard)?;
         let begin = Instant::now();
         let test = crate::learning::objective::rows(&latent, &partition.test).map_err(LearningError::from)?;
-        let evaluated =
-            evaluate::network(view, task, &objective.decoder, &spec.input, &test, &partition.test)?;
+        let evaluated = evaluate::network(
+            view,
+            task,
+            &objective.decoder,
+            &spec.input,
+            &test,
+            &partition.test,
+            storyboard,
+        )?;
         outcome.add(task, epochs, evaluated);
         outcome.timings.evaluation += begin.elapsed().as_secs_f64();
         Ok(())
@@ -322,9 +344,10 @@ impl Trainee<'_> {
 }
 
 impl Outcome {
-    fn add(&mut self, task: Task, epochs: Vec<Epoch>, evaluated: (Vec<MetricRow>, Vec<PredictionRow>)) {
+    fn add(&mut self, task: Task, epochs: Vec<Epoch>, evaluated: Evaluated) {
         self.epochs.extend(epochs.into_iter().map(|epoch| (task, epoch)));
-        self.metrics.extend(evaluated.0);
-        self.predictions.extend(evaluated.1);
+        self.metrics.extend(evaluated.metrics);
+        self.predictions.extend(evaluated.predictions);
+        self.frames.extend(evaluated.frames);
     }
 }

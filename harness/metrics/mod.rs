@@ -1,10 +1,12 @@
 //! How good a prediction is: metrics in physical units, and the simple baselines they are read against.
 //!
 //! [`series`] has the formulas, [`Evaluation`] applies those that suit a modality to its joints, links or
-//! pixels, [`parts`] tells the pixels of the robot's parts, [`baselines`] predicts without a network, [`interval`] sums up seeds. Everything accumulates batch by batch in f64, so a test
+//! pixels, [`parts`] tells which pixels show the robot's parts, [`baselines`] predicts without a network,
+//! [`interval`] sums up seeds, [`contact`] forces. Everything accumulates batch by batch in f64, so a test
 //! set of frames need not fit in memory.
 
 pub mod baselines;
+pub mod contact;
 mod error;
 pub mod interval;
 pub mod parts;

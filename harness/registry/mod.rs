@@ -3,7 +3,8 @@
 //! ```text
 //! results/datasets/<scenario>-<hash>/episode_00000.parquet …
 //! results/runs/<experiment>/<run id>/spec.yaml, run.json, uncommitted.diff,
-//!     epochs.parquet, metrics.parquet, predictions.parquet, prediction.safetensors, reconstruction.safetensors
+//!     epochs.parquet, metrics.parquet, predictions.parquet, forces.parquet, frames.parquet,
+//!     prediction.safetensors, reconstruction.safetensors
 //! ```
 
 mod provenance;
@@ -12,7 +13,7 @@ mod record;
 
 pub use provenance::{Provenance, peak_memory_bytes};
 pub use query::{QueryError, query, query_latest, rows, save, table};
-pub use record::{MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings};
+pub use record::{ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings};
 
 use crate::files::{WriteError, write_bytes};
 use crate::spec::{RunSpec, Task};

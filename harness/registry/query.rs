@@ -27,7 +27,7 @@ pub enum QueryError {
     Write(#[from] WriteError),
 }
 
-/// Answers a query in Polars' SQL over the tables `runs`, `epochs`, `metrics`, `predictions` and `episodes`.
+/// Answers a query in Polars' SQL over the tables of [`Table::ALL`].
 ///
 /// # Errors
 /// When the SQL is not understood, names what isn't there, or a table can't be read.
@@ -71,7 +71,7 @@ fn table_of(registry: &Registry, table: Table, runs: &[PathBuf]) -> Result<LazyF
             }
         }
         Table::Episodes => episode_scan(&registry.datasets()).map_err(QueryError::Sql)?,
-        Table::Epochs | Table::Metrics | Table::Predictions => {
+        Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
             let name = format!("{}.parquet", table.name());
             let paths: Vec<PathBuf> =
                 runs.iter().map(|folder| folder.join(&name)).filter(|path| path.exists()).collect();

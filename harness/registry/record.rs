@@ -4,6 +4,7 @@ use super::{Provenance, RegistryError, RunFolder, peak_memory_bytes};
 use crate::files::write_bytes;
 use crate::learning::training::Epoch;
 use crate::metrics::Row;
+use crate::metrics::contact::{Contact, QUANTILES};
 use crate::schema::Table;
 use crate::spec::{Modality, RunSpec, Task};
 use crate::tables::{Stamp, TableError, data_type, write_table};
@@ -64,12 +65,35 @@ pub struct PredictionRow {
     pub predicted: f32,
 }
 
+/// Rows of the forces table, but for the run's own columns: one a link.
+#[derive(Debug, Clone)]
+pub struct ForceRows {
+    pub modality: Modality,
+    pub links: Vec<Contact>,
+}
+
+/// A row of the frames table, but for the run's own columns.
+#[derive(Debug, Clone)]
+pub struct FrameRow {
+    pub task: Task,
+    pub modality: Modality,
+    pub episode: u32,
+    /// The instant that is pictured.
+    pub sample: u32,
+    pub motion: f64,
+    /// As the column's meaning says.
+    pub reference: Vec<u8>,
+    pub predicted: Vec<u8>,
+}
+
 /// What a run that came to its end has to show.
 #[derive(Default)]
 pub struct Outcome {
     pub epochs: Vec<(Task, Epoch)>,
     pub metrics: Vec<MetricRow>,
     pub predictions: Vec<PredictionRow>,
+    pub forces: Vec<ForceRows>,
+    pub frames: Vec<FrameRow>,
     pub timings: Timings,
     /// Trained parameters of the prediction.
     pub parameters: usize,
@@ -250,6 +274,8 @@ impl Outcome {
             (Table::Epochs, self.epochs_columns()),
             (Table::Metrics, self.metrics_columns()),
             (Table::Predictions, self.predictions_columns()),
+            (Table::Forces, self.forces_columns()),
+            (Table::Frames, self.frames_columns()),
         ];
         for (table, columns) in tables {
             let rows = columns.first().map_or(0, Column::len);
@@ -323,6 +349,47 @@ impl Outcome {
             Column::new("index".into(), rows.iter().map(|row| i64::from(row.index)).collect::<Vec<_>>()),
             Column::new("reference".into(), rows.iter().map(|row| row.reference).collect::<Vec<_>>()),
             Column::new("predicted".into(), rows.iter().map(|row| row.predicted).collect::<Vec<_>>()),
+        ]
+    }
+
+    fn forces_columns(&self) -> Vec<Column> {
+        let rows: Vec<(&str, usize, &Contact)> = self
+            .forces
+            .iter()
+            .flat_map(|rows| {
+                let links = rows.links.iter().enumerate();
+                links.map(|(link, contact)| (rows.modality.name(), link, contact))
+            })
+            .collect();
+        let mut columns = vec![
+            Column::new("modality".into(), rows.iter().map(|row| row.0).collect::<Vec<_>>()),
+            Column::new("index".into(), rows.iter().map(|row| row.1 as i64).collect::<Vec<_>>()),
+            Column::new("samples".into(), rows.iter().map(|row| row.2.samples as i64).collect::<Vec<_>>()),
+            Column::new("contacts".into(), rows.iter().map(|row| row.2.contacts as i64).collect::<Vec<_>>()),
+            Column::new("mean".into(), rows.iter().map(|row| row.2.mean).collect::<Vec<_>>()),
+        ];
+        columns.extend(QUANTILES.iter().enumerate().map(|(place, (name, _))| {
+            let values = rows.iter().map(|row| row.2.quantiles.map(|quantiles| quantiles[place]));
+            Column::new((*name).into(), values.collect::<Vec<_>>())
+        }));
+        columns.push(Column::new("max".into(), rows.iter().map(|row| row.2.max).collect::<Vec<_>>()));
+        columns
+    }
+
+    fn frames_columns(&self) -> Vec<Column> {
+        let rows = &self.frames;
+        let pictures = |name: &str, of: fn(&FrameRow) -> &[u8]| {
+            let column: BinaryChunked = rows.iter().map(|row| Some(of(row))).collect();
+            column.with_name(name.into()).into_series().into()
+        };
+        vec![
+            Column::new("task".into(), rows.iter().map(|row| row.task.name()).collect::<Vec<_>>()),
+            Column::new("modality".into(), rows.iter().map(|row| row.modality.name()).collect::<Vec<_>>()),
+            Column::new("episode".into(), rows.iter().map(|row| i64::from(row.episode)).collect::<Vec<_>>()),
+            Column::new("sample".into(), rows.iter().map(|row| i64::from(row.sample)).collect::<Vec<_>>()),
+            Column::new("motion".into(), rows.iter().map(|row| row.motion).collect::<Vec<_>>()),
+            pictures("reference", |row| &row.reference),
+            pictures("predicted", |row| &row.predicted),
         ]
     }
 }

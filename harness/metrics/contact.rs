@@ -1,0 +1,48 @@
+//! How the force on a link is distributed.
+
+use crate::spec::JOINTS;
+
+/// The quantiles of the force in contact, with their column's names.
+pub const QUANTILES: [(&str, f64); 5] =
+    [("p05", 0.05), ("p25", 0.25), ("p50", 0.5), ("p75", 0.75), ("p95", 0.95)];
+
+/// The force on one link over many samples, N.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Contact {
+    pub samples: usize,
+    /// Samples in which the force is above 0.
+    pub contacts: usize,
+    /// Over all samples.
+    pub mean: f64,
+    /// [`QUANTILES`] over the samples in contact, interpolated linearly as NumPy does; `None` without any.
+    pub quantiles: Option<[f64; QUANTILES.len()]>,
+    pub max: Option<f64>,
+}
+
+/// The distribution of each link's force; `forces` is row-major `[samples, 20]`, N.
+pub fn by_link(forces: &[f32]) -> Vec<Contact> {
+    let column = |link: usize| forces.iter().skip(link).step_by(JOINTS).map(|&force| f64::from(force));
+    (0..JOINTS).map(|link| of(column(link))).collect()
+}
+
+fn of(forces: impl Iterator<Item = f64>) -> Contact {
+    let (mut samples, mut sum, mut touching) = (0, 0.0, Vec::new());
+    for force in forces {
+        samples += 1;
+        sum += force;
+        if force > 0.0 {
+            touching.push(force);
+        }
+    }
+    touching.sort_by(f64::total_cmp);
+    let mean = if samples > 0 { sum / samples as f64 } else { 0.0 };
+    let quantiles = (!touching.is_empty()).then(|| QUANTILES.map(|(_, share)| quantile(&touching, share)));
+    Contact { samples, contacts: touching.len(), mean, quantiles, max: touching.last().copied() }
+}
+
+/// A quantile of sorted values, of which there is at least one.
+fn quantile(sorted: &[f64], share: f64) -> f64 {
+    let place = share * (sorted.len() - 1) as f64;
+    let (below, above) = (sorted[place.floor() as usize], sorted[place.ceil() as usize]);
+    below + (above - below) * place.fract()
+}
