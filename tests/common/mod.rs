@@ -1,5 +1,7 @@
 //! The harness's program as tests use it.
 
+#![allow(dead_code, reason = "no test file uses everything")]
+
 use assert_cmd::Command;
 use std::path::{Path, PathBuf};
 
