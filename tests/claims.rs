@@ -31,7 +31,7 @@ fn experiment(name: &str, seeds: &[u64]) -> Experiment {
 
 // --- tables that agree with the paper, and tables that don't ---
 
-/// What a run has found: the paper's statement, or its opposite.
+/// What a run says beside the paper.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Says {
     Same,

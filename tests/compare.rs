@@ -175,6 +175,11 @@ fn a_comparison_of_nothing_is_refused() {
         (nowhere.path(), &["compare"][..], "error: there are no finished runs to compare; `harness run "),
         (&RESULTS, &["compare", "smok"], "error: 'smok' has no finished runs; those that have: smoke\n"),
         (&RESULTS, &["compare", "--metrics", "r3"], "error: invalid value 'r3' for '--metrics <METRIC>'"),
+        (
+            &RESULTS,
+            &["compare", "--task", "reconstruction", "--metrics", "wmape"],
+            "error: no run has these metrics of this task and model; ",
+        ),
         (&RESULTS, &["compare", "--by", "size"], "error: invalid value 'size' for '--by <KEY>'"),
     ] {
         let answer = finish(&mut harness(results, arguments));

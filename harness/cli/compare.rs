@@ -53,6 +53,10 @@ pub enum CompareError {
     #[error("'{wanted}' has no finished runs; those that have: {}", there.join(", "))]
     Experiment { wanted: String, there: Vec<String> },
     #[error(
+        "no run has these metrics of this task and model; `harness compare` without options prints what there is"
+    )]
+    Empty,
+    #[error(
         "there are no finished runs to compare; `harness run experiments/single_to_multi.yaml` makes some"
     )]
     Nothing,
@@ -76,6 +80,9 @@ impl Compare {
                 && self.task.as_ref().is_none_or(|task| task == score.task.name())
         });
         let comparison = Comparison::new(chosen, &self.by, &self.metrics);
+        if comparison.values.is_empty() {
+            return Err(CompareError::Empty.into());
+        }
         print!("{}", comparison.sheet(self.format).render(self.format));
         Ok(ExitCode::from(DONE))
     }
