@@ -462,3 +462,31 @@ fn without_a_driver_rendering_is_an_error() {
         .status();
     assert!(status.unwrap().success());
 }
+
+#[test]
+fn a_projected_place_is_where_the_picture_shows_it() {
+    let scene = scene(Scenario::Empty);
+    let [width, height] = [400, 300];
+    let whole = Portrait::new(&scene, width, height).unwrap();
+    let near = Portrait::close_up(&scene, width, height, "finger_link_10", 20.0).unwrap();
+    for (mut portrait, middle) in [(whole, None), (near, Some("finger_link_10"))] {
+        let picture = portrait.draw(scene.rest()).unwrap();
+        let at = |geom: &str| portrait.project(portrait.place_of(geom).unwrap());
+        let colour = |geom: &str| {
+            let [x, y] = at(geom);
+            picture.get_pixel((x * f64::from(width)) as u32, (y * f64::from(height)) as u32).0
+        };
+        // The finger's first link is yellow and its last crimson; ground, arm and shadows are grey.
+        let [red, green, blue] = colour("finger_link_00");
+        assert!(red > green && green > 2 * blue, "{red} {green} {blue}");
+        let [red, green, blue] = colour("finger_link_19");
+        assert!(red > 2 * blue && blue > green, "{red} {green} {blue}");
+        if let Some(body) = middle {
+            // The camera turns to the body's origin, half a link of 0.05 m above the middle of its capsule.
+            let [x, y] = at(body);
+            assert!((x - 0.5).abs() < 0.01 && y > 0.5 && y < 0.53, "{x} {y}");
+        }
+    }
+    let unknown = Portrait::close_up(&scene, width, height, "finger_link_20", 20.0).err().unwrap();
+    assert!(unknown.to_string().contains("`finger_link_20`"), "{unknown}");
+}

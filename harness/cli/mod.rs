@@ -3,6 +3,7 @@
 mod claims;
 mod compare;
 mod doctor;
+mod figures;
 mod inspect;
 mod progress;
 mod render;
@@ -57,7 +58,7 @@ enum Command {
     /// Check a spec and list the runs it stands for
     #[command(after_help = "Example:\n  harness validate experiments/smoke.yaml training.epochs=3")]
     Validate(run::Validate),
-    /// Answer a question in SQL over the tables runs, epochs, metrics, predictions and episodes
+    /// Answer a question in SQL over the tables runs, epochs, metrics, predictions, forces, frames and episodes
     #[command(after_help = "Examples:
   harness query \"select run, status, prediction_seconds from runs\"
   harness query \"select scenario, latent, value from metrics where model = 'network' and metric = 'wmape' and index is null\"
@@ -98,9 +99,22 @@ stands half of the 95 % interval of the mean over seeds (Student's t). LaTeX nee
   harness render cluttered --episode 3 --sample 250 --width 1600 --height 1000 --output push.png
   harness render empty --episode 0 --output clip.gif")]
     Render(render::Render),
+    /// Draw the paper's figures from the tables, as SVG and PNG, each with its numbers as CSV
+    #[command(after_help = FIGURES_HELP)]
+    Figures(figures::Figures),
     /// Check what this machine offers: rendering, MuJoCo, threads, memory, disk
     Doctor,
 }
+
+const FIGURES_HELP: &str = "Examples:
+  harness figures
+  harness figures prediction_results regression --out paper/figures
+  harness figures --quick
+  harness figures --results results/reference
+
+Width: 8.5 cm, a journal's column. Letters are outlines, so no font is needed to show them.
+Runs: those of experiments/single_to_multi.yaml and multi_to_multi.yaml; what is missing is named.
+Where one of them has runs of several settings, the settings with the most runs are drawn.";
 
 /// Everything went well, or was done before.
 const DONE: u8 = 0;
@@ -126,6 +140,7 @@ pub fn main(arguments: Arguments) -> ExitCode {
         Command::Show(show) => show.execute(&registry),
         Command::Schema(schema) => schema.execute(),
         Command::Render(render) => render.execute(),
+        Command::Figures(figures) => figures.execute(&registry),
         Command::Doctor => doctor::execute(&registry, threads),
     };
     outcome.unwrap_or_else(|error| {

@@ -92,13 +92,58 @@ impl<'s> Portrait<'s> {
     /// # Errors
     /// When a side is 0 or above 4096 pixels, or there is no OpenGL to render with.
     pub fn new(scene: &'s Scene, width: u32, height: u32) -> Result<Self, SimulationError> {
-        let range = 1..=MAX_PICTURE_SIDE;
-        if !range.contains(&width) || !range.contains(&height) {
-            return Err(SimulationError::PictureSize { width, height, max: MAX_PICTURE_SIDE });
-        }
-        let model = Arc::new(good_looking(&scene.model, width, height));
-        let camera = Camera::for_model(&model, scene, width, height)?;
-        Ok(Self { scene, data: MjData::new(model), camera, size: [width, height] })
+        check_size(width, height)?;
+        Self::of_model(scene, good_looking(&scene.model, width, height), [width, height])
+    }
+
+    /// A portrait from the same place, of a body in the middle and with a field of view of `angle_deg` from top to
+    /// bottom.
+    ///
+    /// # Errors
+    /// As [`Portrait::new`], and when the scene has no such body.
+    pub fn close_up(
+        scene: &'s Scene,
+        width: u32,
+        height: u32,
+        body: &str,
+        angle_deg: f64,
+    ) -> Result<Self, SimulationError> {
+        check_size(width, height)?;
+        let mut model = good_looking(&scene.model, width, height);
+        let body = scene.id(MjtObjBase::mjOBJ_BODY, "body", body)?;
+        model.cam_mode_mut()[scene.camera] = MjtCamLight::mjCAMLIGHT_TARGETBODY;
+        // SAFETY: the index is that of a body of this model.
+        unsafe { model.cam_targetbodyid_mut()[scene.camera] = body as i32 };
+        model.cam_fovy_mut()[scene.camera] = angle_deg;
+        Self::of_model(scene, model, [width, height])
+    }
+
+    fn of_model(scene: &'s Scene, model: MjModel, size: [u32; 2]) -> Result<Self, SimulationError> {
+        let model = Arc::new(model);
+        let camera = Camera::for_model(&model, scene, size[0], size[1])?;
+        Ok(Self { scene, data: MjData::new(model), camera, size })
+    }
+
+    /// Where a geom's middle was in the world when the scene was drawn last, m.
+    ///
+    /// # Errors
+    /// When the scene has no such geom.
+    pub fn place_of(&self, geom: &str) -> Result<[f64; 3], SimulationError> {
+        Ok(self.data.geom_xpos()[self.scene.id(MjtObjBase::mjOBJ_GEOM, "geom", geom)?])
+    }
+
+    /// Where a place in the world, m, lies in the picture that was drawn last: from its upper left corner to the
+    /// right and down, in parts of its width and height. The place must be before the camera.
+    pub fn project(&self, place: [f64; 3]) -> [f64; 2] {
+        let (camera, turn) =
+            (self.data.cam_xpos()[self.scene.camera], self.data.cam_xmat()[self.scene.camera]);
+        let away: [f64; 3] = std::array::from_fn(|axis| place[axis] - camera[axis]);
+        // The camera's axes are the matrix's columns: right, up, and backwards.
+        let [right, up, back]: [f64; 3] =
+            std::array::from_fn(|column| (0..3).map(|row| turn[3 * row + column] * away[row]).sum());
+        let half = (self.data.model().cam_fovy()[self.scene.camera].to_radians() / 2.0).tan();
+        let aspect = f64::from(self.size[0]) / f64::from(self.size[1]);
+        [0.5 + right / (-back * 2.0 * half * aspect), 0.5 - up / (-back * 2.0 * half)]
     }
 
     /// Draws the scene with these generalised positions, as [`super::replay`] returns them.
@@ -119,6 +164,14 @@ impl<'s> Portrait<'s> {
         let [width, height] = self.size;
         Ok(RgbImage::from_raw(width, height, pixels).expect("the frame has the size that was asked for"))
     }
+}
+
+fn check_size(width: u32, height: u32) -> Result<(), SimulationError> {
+    let range = 1..=MAX_PICTURE_SIDE;
+    if range.contains(&width) && range.contains(&height) {
+        return Ok(());
+    }
+    Err(SimulationError::PictureSize { width, height, max: MAX_PICTURE_SIDE })
 }
 
 /// A copy of the model with MuJoCo's default visual quality, which the models lower for speed, and shadows.

@@ -146,6 +146,16 @@ impl Scene {
         self.model.qpos0()
     }
 
+    /// The index of a named thing; `word` says in messages what kind it is.
+    pub(super) fn id(
+        &self,
+        kind: MjtObjBase,
+        word: &'static str,
+        name: &str,
+    ) -> Result<usize, SimulationError> {
+        Names { scene: &self.name, model: &self.model }.id(kind, word, name)
+    }
+
     /// The compiled model.
     pub fn model(&self) -> &MjModel {
         &self.model

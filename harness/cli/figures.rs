@@ -1,0 +1,61 @@
+//! `harness figures`.
+
+use super::table::shown;
+use super::{DONE, FAILED};
+use anyhow::Result;
+use clap::Args;
+use clap::builder::PossibleValuesParser;
+use clap::builder::TypedValueParser;
+use harness::experiment::describe;
+use harness::figures::Figure;
+use harness::figures::source::Source;
+use harness::registry::Registry;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[derive(Args)]
+pub struct Figures {
+    /// The figures to draw [default: all]
+    #[arg(value_name = "NAME", value_parser = figure())]
+    names: Vec<Figure>,
+    /// Where <NAME>.svg, .png and .csv go
+    #[arg(long, value_name = "DIR", default_value = "figures")]
+    out: PathBuf,
+    /// Draw the runs of `harness run … --quick`
+    #[arg(long)]
+    quick: bool,
+}
+
+/// Takes the figures' names, and lists them where it is given another.
+fn figure() -> impl TypedValueParser<Value = Figure> {
+    PossibleValuesParser::new(Figure::ALL.map(Figure::name))
+        .try_map(|name| Figure::ALL.into_iter().find(|figure| figure.name() == name).ok_or("no such figure"))
+}
+
+impl Figures {
+    /// Draws what can be drawn. Without names, figures whose runs are missing are no failure.
+    pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        let source = Source::new(registry, self.quick);
+        let named = !self.names.is_empty();
+        let wanted = if named { self.names } else { Figure::ALL.to_vec() };
+        let (mut drawn, mut failed) = (0, false);
+        for figure in wanted {
+            let saved = figure.draw(&source).and_then(|drawing| drawing.save(&self.out, figure.name()));
+            match saved {
+                Ok(()) => {
+                    drawn += 1;
+                    println!(
+                        "{:<27} {}",
+                        figure.name(),
+                        shown(&self.out.join(format!("{}.svg", figure.name())))
+                    );
+                }
+                Err(error) => {
+                    failed |= named || !error.is_missing_runs();
+                    eprintln!("{:<27} not drawn: {}", figure.name(), describe(&error));
+                }
+            }
+        }
+        Ok(ExitCode::from(if failed || drawn == 0 { FAILED } else { DONE }))
+    }
+}

@@ -1,0 +1,261 @@
+//! Axes, series and legends on a page.
+
+use super::page::{BLACK, BLUE, GREY, Mark, PALE, Page, Point, Stroke, Type, VERMILION};
+use crate::metrics::Direction;
+use crate::metrics::interval::Interval;
+use crate::spec::Scenario;
+
+const AXIS: Stroke = Stroke::new(BLACK, 0.6);
+const GRID: Stroke = Stroke::new(PALE, 0.5);
+const TICK: f64 = 2.2;
+
+/// Values along an axis.
+#[derive(Debug, Clone)]
+pub struct Scale {
+    low: f64,
+    high: f64,
+    step: f64,
+    logarithmic: bool,
+    /// Where the low and the high end lie, points.
+    ends: [f64; 2],
+}
+
+impl Scale {
+    /// An axis over `[low, high]`, widened to round numbers, with about `ticks` of them.
+    pub fn linear(low: f64, high: f64, ticks: usize, ends: [f64; 2]) -> Self {
+        let span = if high > low { high - low } else { 1.0 };
+        let rough = span / ticks.max(1) as f64;
+        let power = 10f64.powf(rough.log10().floor());
+        let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|factor| factor * power).find(|step| *step >= rough);
+        let step = step.unwrap_or(10.0 * power);
+        let (low, high) = ((low / step + 1e-9).floor() * step, (low.max(high) / step - 1e-9).ceil() * step);
+        Self { low, high: if high > low { high } else { low + step }, step, logarithmic: false, ends }
+    }
+
+    /// An axis over `[low, high]` and a little beyond, with about `ticks` round numbers within.
+    pub fn tight(low: f64, high: f64, ticks: usize, ends: [f64; 2]) -> Self {
+        let margin = if high > low { (high - low) * 0.04 } else { 0.5 };
+        let step = Self::linear(low, high, ticks, ends).step;
+        Self { low: low - margin, high: high.max(low) + margin, step, logarithmic: false, ends }
+    }
+
+    /// A logarithmic axis over the powers of ten around `[low, high]`, both above 0.
+    pub fn logarithmic(low: f64, high: f64, ends: [f64; 2]) -> Self {
+        let (low, high) = (low.log10().floor(), high.log10().ceil());
+        Self { low, high: high.max(low + 1.0), step: 1.0, logarithmic: true, ends }
+    }
+
+    /// Where a value lies, points.
+    pub fn at(&self, value: f64) -> f64 {
+        let value = if self.logarithmic { value.log10() } else { value };
+        self.ends[0] + (value - self.low) / (self.high - self.low) * (self.ends[1] - self.ends[0])
+    }
+
+    /// The value nearest to this one that the axis holds.
+    pub fn clamp(&self, value: f64) -> f64 {
+        let power = |end: f64| if self.logarithmic { 10f64.powf(end) } else { end };
+        value.clamp(power(self.low), power(self.high))
+    }
+
+    /// The values at its ticks, with their labels.
+    fn ticks(&self) -> Vec<(f64, String)> {
+        let first = (self.low / self.step - 1e-6).ceil() as i64;
+        let last = (self.high / self.step + 1e-6).floor() as i64;
+        let decimals = (-self.step.log10().floor()).max(0.0) as usize;
+        (first..=last)
+            .map(|tick| {
+                let place = tick as f64 * self.step;
+                if self.logarithmic {
+                    return (10f64.powf(place), power_of_ten(place));
+                }
+                let text = format!("{place:.decimals$}").replace('-', "\u{2212}");
+                (place, if tick == 0 { "0".into() } else { text })
+            })
+            .collect()
+    }
+}
+
+/// 0.1, 1, 10, 100, and beyond them 10^{n}.
+fn power_of_ten(exponent: f64) -> String {
+    match exponent as i32 {
+        exponent @ -2..=3 => format!("{}", 10f64.powi(exponent)),
+        exponent => format!("10^{{{exponent}}}").replace('-', "\u{2212}"),
+    }
+}
+
+/// The area that data are drawn in.
+#[derive(Debug, Clone, Copy)]
+pub struct Panel {
+    pub left: f64,
+    pub top: f64,
+    pub width: f64,
+    pub height: f64,
+}
+
+impl Panel {
+    pub fn right(&self) -> f64 {
+        self.left + self.width
+    }
+
+    pub fn bottom(&self) -> f64 {
+        self.top + self.height
+    }
+
+    /// The ends of a horizontal and of a vertical scale.
+    pub fn across(&self) -> [f64; 2] {
+        [self.left, self.right()]
+    }
+
+    pub fn upwards(&self) -> [f64; 2] {
+        [self.bottom(), self.top]
+    }
+
+    /// The panel's letter and what it shows, above it.
+    pub fn heading(&self, page: &mut Page, letter: &str, title: &str) {
+        let at = [self.left - 1.0, self.top - 4.5];
+        page.text(letter, at, Type::BOLD);
+        page.text(title, [at[0] + Type::BOLD.width(letter) + 3.5, at[1]], Type::LABEL.start());
+    }
+
+    /// A vertical axis with lines across the panel; without a label it has no numbers either.
+    pub fn left_axis(&self, page: &mut Page, scale: &Scale, label: Option<&str>) {
+        let mut widest: f64 = 0.0;
+        for (value, text) in scale.ticks() {
+            let y = scale.at(value);
+            page.line([self.left, y], [self.right(), y], GRID);
+            page.line([self.left - TICK, y], [self.left, y], AXIS);
+            if label.is_some() {
+                page.text(&text, [self.left - TICK - 1.5, y + 2.2], Type::SMALL.end());
+                widest = widest.max(Type::SMALL.width(&text));
+            }
+        }
+        page.line([self.left, self.top], [self.left, self.bottom()], AXIS);
+        if let Some(label) = label {
+            // Wide numbers move the label, but not off the page.
+            let x = (self.left - TICK - 1.5 - widest - 3.5).max(Type::LABEL.size);
+            page.text(label, [x, self.top + self.height / 2.0], Type::LABEL.upright());
+        }
+    }
+
+    /// A horizontal axis; without a label it has no numbers either.
+    pub fn bottom_axis(&self, page: &mut Page, scale: &Scale, label: Option<&str>) {
+        for (value, text) in scale.ticks() {
+            let x = scale.at(value);
+            page.line([x, self.bottom()], [x, self.bottom() + TICK], AXIS);
+            if label.is_some() {
+                // Within the panel's width, so that neighbours don't meet.
+                let half = Type::SMALL.width(&text) / 2.0;
+                let x = x.clamp(self.left - 1.0 + half, self.right() + 1.0 - half);
+                page.text(&text, [x, self.bottom() + TICK + 6.5], Type::SMALL);
+            }
+        }
+        self.bottom_line(page, label);
+    }
+
+    /// A horizontal axis of names, one below each of `centres`.
+    pub fn bottom_names(&self, page: &mut Page, centres: &[f64], names: &[String], label: &str) {
+        for (x, name) in centres.iter().zip(names) {
+            page.line([*x, self.bottom()], [*x, self.bottom() + TICK], AXIS);
+            page.text(name, [*x, self.bottom() + TICK + 6.5], Type::SMALL);
+        }
+        self.bottom_line(page, Some(label));
+    }
+
+    fn bottom_line(&self, page: &mut Page, label: Option<&str>) {
+        page.line([self.left, self.bottom()], [self.right(), self.bottom()], AXIS);
+        if let Some(label) = label {
+            page.text(label, [self.left + self.width / 2.0, self.bottom() + TICK + 15.5], Type::LABEL);
+        }
+    }
+
+    /// The middles of `count` equal parts of the panel's width.
+    pub fn slots(&self, count: usize) -> Vec<f64> {
+        let slot = self.width / count.max(1) as f64;
+        (0..count).map(|index| self.left + (index as f64 + 0.5) * slot).collect()
+    }
+}
+
+/// How a series looks: the scenario is its colour, the direction its shape, so neither hangs on colour alone.
+#[derive(Debug, Clone, Copy)]
+pub struct Look {
+    pub colour: &'static str,
+    pub mark: Mark,
+    pub hollow: bool,
+    pub dashed: bool,
+}
+
+pub fn colour_of(scenario: Scenario) -> &'static str {
+    match scenario {
+        Scenario::Empty => BLUE,
+        Scenario::Cluttered => VERMILION,
+    }
+}
+
+pub fn look_of(colour: &'static str, direction: Direction) -> Look {
+    let lateral = direction == Direction::AdductionAbduction;
+    let mark = if lateral { Mark::Square } else { Mark::Disc };
+    Look { colour, mark, hollow: lateral, dashed: lateral }
+}
+
+/// What readers call a direction.
+pub fn words_of(direction: Direction) -> &'static str {
+    match direction {
+        Direction::FlexionExtension => "flexion/extension",
+        Direction::AdductionAbduction => "adduction/abduction",
+    }
+}
+
+impl Look {
+    /// A point with its interval, if it has one.
+    pub fn point(&self, page: &mut Page, x: f64, scale: &Scale, value: &Interval) {
+        if let Some((low, high)) = value.bounds {
+            let stroke = Stroke::new(self.colour, 0.8);
+            page.line([x, scale.at(scale.clamp(low))], [x, scale.at(scale.clamp(high))], stroke);
+            // An end without a cap lies beyond the axis.
+            for end in [low, high].into_iter().filter(|end| scale.clamp(*end) == *end) {
+                page.line([x - 1.5, scale.at(end)], [x + 1.5, scale.at(end)], stroke);
+            }
+        }
+        page.mark(self.mark, [x, scale.at(scale.clamp(value.mean))], 2.0, self.colour, self.hollow);
+    }
+
+    pub fn path(&self, page: &mut Page, points: &[Point]) {
+        let stroke = Stroke::new(self.colour, 0.9);
+        if points.len() > 1 {
+            page.path(points, if self.dashed { stroke.dashed() } else { stroke });
+        }
+    }
+}
+
+/// Explains marks in a row that is centred about `middle`; `y` is its base line.
+pub fn legend(page: &mut Page, middle: f64, y: f64, entries: &[(Look, &str)]) {
+    const KEY: f64 = 14.0;
+    const GAP: f64 = 3.0;
+    const BETWEEN: f64 = 10.0;
+    let how = Type::SMALL.start();
+    let widths: Vec<f64> = entries.iter().map(|(_, words)| KEY + GAP + how.width(words)).collect();
+    let mut x = middle - (widths.iter().sum::<f64>() + BETWEEN * (entries.len() as f64 - 1.0)) / 2.0;
+    for ((look, words), width) in entries.iter().zip(widths) {
+        look.path(page, &[[x, y - 2.2], [x + KEY, y - 2.2]]);
+        page.mark(look.mark, [x + KEY / 2.0, y - 2.2], 2.0, look.colour, look.hollow);
+        page.text(words, [x + KEY + GAP, y], how);
+        x += width + BETWEEN;
+    }
+}
+
+/// Explains colours in a row that is centred about `middle`; `y` is its base line.
+pub fn colour_legend(page: &mut Page, middle: f64, y: f64, entries: &[(&'static str, &str)]) {
+    let how = Type::SMALL.start();
+    let widths: Vec<f64> = entries.iter().map(|(_, words)| 10.0 + how.width(words)).collect();
+    let mut x = middle - (widths.iter().sum::<f64>() + 10.0 * (entries.len() as f64 - 1.0)) / 2.0;
+    for ((colour, words), width) in entries.iter().zip(widths) {
+        page.rectangle([x, y - 5.2], [6.0, 6.0], 1.0, colour, None);
+        page.text(words, [x + 9.0, y], how);
+        x += width + 10.0;
+    }
+}
+
+/// A remark in small grey letters.
+pub fn remark(page: &mut Page, text: &str, at: Point) {
+    page.text(text, at, Type::SMALL.colour(GREY));
+}

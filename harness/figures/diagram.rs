@@ -1,0 +1,288 @@
+//! A network drawn from the shapes of its parameters: what two figures share.
+
+use super::FigureError;
+use super::page::{BLACK, GREY, Page, Point, Stroke, Type, WHITE};
+use super::source::{Source, Study};
+use super::text::Face;
+use crate::experiment::network_sizes;
+use crate::learning::LearningError;
+use crate::learning::network::{Decoder, Encoder, Parameters};
+use crate::learning::random::{Random, Stream};
+use crate::spec::{FRAME_CHANNELS, FRAME_SIDE, Modality, RunSpec, Task};
+use candle_core::Device;
+use polars::prelude::*;
+
+pub const INPUT: &str = "#d8ebf7";
+pub const LATENT: &str = "#fdebc8";
+pub const ACTION: &str = "#d5efe4";
+pub const FROZEN: &str = "#e2e2e2";
+pub const LINE: Stroke = Stroke::new(BLACK, 0.7);
+
+/// A network's layers, as its parameters have them.
+pub struct Anatomy {
+    pub task: Task,
+    pub input: Vec<Modality>,
+    pub output: Vec<Modality>,
+    pub latents: Vec<usize>,
+    /// For each latent size the parameters' names and shapes.
+    networks: Vec<Vec<(String, Vec<usize>)>>,
+}
+
+impl Anatomy {
+    /// The networks of the multi-to-multi runs, one a latent size, built as training builds them.
+    pub fn of(source: &Source, task: Task) -> Result<Self, FigureError> {
+        let runs = source.runs(Study::MultiToMulti)?;
+        let latents = runs.latents();
+        let spec = &runs.records[0].spec;
+        let build = |latent: &usize| shapes(&RunSpec { latent: *latent, ..spec.clone() }, task);
+        let networks = latents.iter().map(build).collect::<Result<_, _>>()?;
+        let sizes = network_sizes(spec, task);
+        Ok(Self { task, input: sizes.input, output: sizes.output, latents, networks })
+    }
+
+    /// The shape of a parameter, which is the same at every latent size but for the latent layers'.
+    fn shape(&self, name: &str) -> Option<&[usize]> {
+        self.networks[0].iter().find(|(found, _)| found == name).map(|(_, shape)| shape.as_slice())
+    }
+
+    /// `factor` times the latent sizes, as "16, 64 or 128".
+    fn latent_words(&self, factor: usize) -> String {
+        let sizes: Vec<String> = self.latents.iter().map(|latent| (factor * latent).to_string()).collect();
+        match sizes.as_slice() {
+            [one] => one.clone(),
+            [first @ .., last] => format!("{} or {last}", first.join(", ")),
+            [] => String::new(),
+        }
+    }
+
+    /// Parameters at the smallest and the largest latent size, in words.
+    pub fn parameter_words(&self) -> String {
+        let count = |network: &Vec<(String, Vec<usize>)>| -> usize {
+            network.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum()
+        };
+        let millions = |count: usize| {
+            if count < 1_000_000 {
+                format!("{:.1} thousand", count as f64 / 1e3)
+            } else {
+                format!("{:.2} million", count as f64 / 1e6)
+            }
+        };
+        let mut counts: Vec<usize> = self.networks.iter().map(count).collect();
+        counts.sort_unstable();
+        let (first, last) = (millions(counts[0]), millions(counts[counts.len() - 1]));
+        if first == last { format!("{first} parameters") } else { format!("{first} to {last} parameters") }
+    }
+
+    /// Every parameter with its shape, at every latent size.
+    pub fn data(&self) -> Result<DataFrame, FigureError> {
+        let rows: Vec<(usize, &str, &[usize])> = self
+            .latents
+            .iter()
+            .zip(&self.networks)
+            .flat_map(|(latent, network)| {
+                network.iter().map(|(name, shape)| (*latent, name.as_str(), shape.as_slice()))
+            })
+            .collect();
+        let shape = |shape: &[usize]| shape.iter().map(usize::to_string).collect::<Vec<_>>().join(" x ");
+        Ok(df!(
+            "task" => vec![self.task.name(); rows.len()],
+            "latent" => rows.iter().map(|row| row.0 as u32).collect::<Vec<_>>(),
+            "parameter" => rows.iter().map(|row| row.1).collect::<Vec<_>>(),
+            "shape" => rows.iter().map(|row| shape(row.2)).collect::<Vec<_>>(),
+            "values" => rows.iter().map(|row| row.2.iter().product::<usize>() as u64).collect::<Vec<_>>(),
+        )?)
+    }
+}
+
+/// Names and shapes of the parameters that a run's network has for a task.
+fn shapes(spec: &RunSpec, task: Task) -> Result<Vec<(String, Vec<usize>)>, FigureError> {
+    let sizes = network_sizes(spec, task);
+    let (mut parameters, mut random) = (Parameters::new(), Random::new(spec.seed, Stream::Parameters(task)));
+    Encoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu).map_err(LearningError::from)?;
+    Decoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu).map_err(LearningError::from)?;
+    Ok(parameters.iter().map(|(name, var)| (name.clone(), var.dims().to_vec())).collect())
+}
+
+/// A box with lines of text, centred.
+pub fn block(page: &mut Page, centre: Point, size: [f64; 2], fill: &str, lines: &[String]) {
+    let corner = [centre[0] - size[0] / 2.0, centre[1] - size[1] / 2.0];
+    page.rectangle(corner, size, 2.0, fill, Some(Stroke::new(GREY, 0.6)));
+    let leading = 7.6;
+    for (index, line) in lines.iter().enumerate() {
+        let y = centre[1] + 2.2 + leading * (index as f64 - (lines.len() as f64 - 1.0) / 2.0);
+        let face = if index == 0 { Face::Bold } else { Face::Regular };
+        page.text(line, [centre[0], y], Type { face, ..Type::SMALL });
+    }
+}
+
+/// What readers call a modality, and its shape.
+fn modality_lines(modality: Modality) -> Vec<String> {
+    let shape = if modality.is_frame() {
+        format!("{FRAME_SIDE} × {FRAME_SIDE} × {FRAME_CHANNELS}")
+    } else {
+        modality.width().to_string()
+    };
+    vec![modality.name().replace('_', " "), shape]
+}
+
+/// Height of a block of two lines, and of three.
+const TWO: f64 = 20.0;
+const THREE: f64 = 27.5;
+/// Widths of blocks: of a column for frames and one for vectors, beside each other.
+const WIDE: f64 = 62.0;
+const NARROW: f64 = 50.0;
+const BETWEEN: f64 = 4.0;
+/// From one row of blocks to the next.
+const STEP: f64 = 36.0;
+const COLUMN_WIDTH: f64 = WIDE + BETWEEN + NARROW;
+
+/// Draws the network from `top` on, encoder downwards at the left and decoder upwards at the right; returns the
+/// height it takes.
+pub fn network(page: &mut Page, width: f64, top: f64, anatomy: &Anatomy) -> f64 {
+    let frozen = anatomy.task == Task::Reconstruction;
+    let left = 2.0;
+    let right = width - 2.0 - COLUMN_WIDTH;
+    let tallest = tallest(&anatomy.input).max(tallest(&anatomy.output));
+    let row = |index: usize| top + 13.0 + tallest - TWO / 2.0 + index as f64 * STEP;
+    encoder(page, left, row, anatomy, if frozen { FROZEN } else { WHITE });
+    decoder(page, right, row, anatomy);
+    let heading = |page: &mut Page, left: f64, text: &str| {
+        page.text(text, [left + COLUMN_WIDTH / 2.0, top + 7.0], Type { face: Face::Italic, ..Type::LABEL });
+    };
+    heading(
+        page,
+        left,
+        if frozen { "fusion encoder *f*, trained before, frozen" } else { "fusion encoder *f*" },
+    );
+    heading(page, right, if frozen { "reconstruction decoder *r*" } else { "predictive decoder *p*" });
+    latent(page, [left, right], row(4), anatomy);
+    row(4) + THREE / 2.0 - top
+}
+
+/// Centres of the frames' and the vectors' column, and of both.
+fn centres(left: f64) -> [f64; 3] {
+    [left + WIDE / 2.0, left + WIDE + BETWEEN + NARROW / 2.0, left + COLUMN_WIDTH / 2.0]
+}
+
+fn encoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Anatomy, fill: &str) {
+    let [frames, vectors, both] = centres(left);
+    let side = side(anatomy, "encoder.hidden_frame.weight", 1, "encoder.conv.weight");
+    if let (Some(kernel), Some(side)) = (anatomy.shape("encoder.conv.weight"), side) {
+        stack(page, frames, row(0), WIDE, anatomy.input.iter().filter(|modality| modality.is_frame()));
+        let lines = vec![
+            "convolution".into(),
+            format!("{} × {}, stride {}", kernel[2], kernel[3], FRAME_SIDE / side),
+            format!("{side} × {side} × {}", kernel[0]),
+        ];
+        block(page, [frames, row(1)], [WIDE, THREE], fill, &lines);
+        page.arrow(&[[frames, row(0) + TWO / 2.0], [frames, row(1) - THREE / 2.0]], LINE);
+        page.arrow(&[[frames, row(1) + THREE / 2.0], [frames, row(2) - TWO / 2.0]], LINE);
+        page.text(
+            "ReLU",
+            [frames + 3.0, row(1) + THREE / 2.0 + 7.5],
+            Type { size: 5.6, ..Type::SMALL.start().colour(GREY) },
+        );
+    }
+    if anatomy.shape("encoder.hidden_vector.weight").is_some() {
+        stack(page, vectors, row(0), NARROW, anatomy.input.iter().filter(|modality| !modality.is_frame()));
+        page.arrow(&[[vectors, row(0) + TWO / 2.0], [vectors, row(2) - TWO / 2.0]], LINE);
+    }
+    let hidden = anatomy.shape("encoder.hidden.bias").map_or(0, |shape| shape[0]);
+    let lines = ["fully connected, ReLU".to_owned(), hidden.to_string()];
+    block(page, [both, row(2)], [COLUMN_WIDTH, TWO], fill, &lines);
+    let lines = ["fully connected".to_owned(), format!("*μ*, log *σ*²: {}", anatomy.latent_words(2))];
+    block(page, [both, row(3)], [COLUMN_WIDTH, TWO], fill, &lines);
+    page.arrow(&[[both, row(2) + TWO / 2.0], [both, row(3) - TWO / 2.0]], LINE);
+}
+
+fn decoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Anatomy) {
+    let [frames, vectors, both] = centres(left);
+    let frame_outputs = || anatomy.output.iter().filter(|modality| modality.is_frame());
+    let side = side(anatomy, "decoder.frame.weight", 0, "decoder.conv.weight");
+    if let (Some(kernel), Some(side)) = (anatomy.shape("decoder.conv.weight"), side) {
+        stack(page, frames, row(0), WIDE, frame_outputs());
+        let lines = vec![
+            "transposed conv.".into(),
+            format!("{} × {}, stride {}", kernel[2], kernel[3], FRAME_SIDE / side),
+            format!("{FRAME_SIDE} × {FRAME_SIDE} × {}", kernel[1]),
+        ];
+        block(page, [frames, row(1)], [WIDE, THREE], WHITE, &lines);
+        let lines = ["fully conn., ReLU".to_owned(), format!("{side} × {side} × {}", kernel[0])];
+        block(page, [frames, row(2)], [WIDE, TWO], WHITE, &lines);
+        page.arrow(&[[frames, row(1) - THREE / 2.0], [frames, row(0) + TWO / 2.0]], LINE);
+        page.arrow(&[[frames, row(2) - TWO / 2.0], [frames, row(1) + THREE / 2.0]], LINE);
+        page.arrow(&[[frames, row(3) - TWO / 2.0], [frames, row(2) + TWO / 2.0]], LINE);
+    }
+    if let Some(shape) = anatomy.shape("decoder.vector.weight") {
+        stack(page, vectors, row(0), NARROW, anatomy.output.iter().filter(|modality| !modality.is_frame()));
+        let lines = ["fully conn.".to_owned(), shape[0].to_string()];
+        block(page, [vectors, row(2)], [NARROW, TWO], WHITE, &lines);
+        page.arrow(&[[vectors, row(2) - TWO / 2.0], [vectors, row(0) + TWO / 2.0]], LINE);
+        page.arrow(&[[vectors, row(3) - TWO / 2.0], [vectors, row(2) + TWO / 2.0]], LINE);
+    }
+    let hidden = anatomy.shape("decoder.hidden.bias").map_or(0, |shape| shape[0]);
+    let lines = ["fully connected, ReLU".to_owned(), hidden.to_string()];
+    block(page, [both, row(3)], [COLUMN_WIDTH, TWO], WHITE, &lines);
+}
+
+/// The latent state between encoder and decoder, and the action beside it.
+fn latent(page: &mut Page, [left, right]: [f64; 2], y: f64, anatomy: &Anatomy) {
+    let (encoder, decoder) = (centres(left)[2], centres(right)[2]);
+    let acting = anatomy.task == Task::Prediction;
+    let how = if acting { "sampled: *μ* + *σε*" } else { "the mean *μ*" };
+    let size = [62.0, THREE];
+    let centre = [if acting { encoder + 46.0 } else { (encoder + decoder) / 2.0 }, y];
+    let lines = ["latent state *z*".to_owned(), anatomy.latent_words(1), how.to_owned()];
+    block(page, centre, size, LATENT, &lines);
+    let above = y - STEP + TWO / 2.0;
+    page.arrow(&[[encoder, above], [encoder, y], [centre[0] - size[0] / 2.0, y]], LINE);
+    let enter = if acting { decoder - 32.0 } else { decoder };
+    page.arrow(&[[centre[0] + size[0] / 2.0, y], [enter, y], [enter, above]], LINE);
+    if acting {
+        let width = anatomy.shape("decoder.hidden.weight").map_or(0, |shape| shape[1] - anatomy.latents[0]);
+        let place = [decoder + 24.0, y];
+        block(page, place, [60.0, TWO], ACTION, &["action *a*_{t}".to_owned(), width.to_string()]);
+        page.arrow(&[[place[0], y - TWO / 2.0], [place[0], above]], LINE);
+    }
+}
+
+/// Side of the coarse picture between convolution and fully connected layer: the latter's width holds as many squares
+/// as the convolution has channels.
+fn side(anatomy: &Anatomy, dense: &str, axis: usize, convolution: &str) -> Option<usize> {
+    let values = anatomy.shape(dense)?[axis] / anatomy.shape(convolution)?[0];
+    Some(values.isqrt())
+}
+
+/// Height of the taller of the two stacks of `modalities`.
+fn tallest(modalities: &[Modality]) -> f64 {
+    let frames = modalities.iter().filter(|modality| modality.is_frame()).count();
+    stack_height(frames.max(modalities.len() - frames))
+}
+
+fn stack_height(count: usize) -> f64 {
+    if count > 1 { count as f64 * 15.5 + 4.0 } else { TWO }
+}
+
+/// One block that names all `modalities`; its lower edge is that of a block of two lines at `y`.
+fn stack<'a>(page: &mut Page, x: f64, y: f64, width: f64, modalities: impl Iterator<Item = &'a Modality>) {
+    let modalities: Vec<_> = modalities.collect();
+    let height = stack_height(modalities.len());
+    let y = y - (height - TWO) / 2.0;
+    if let [one] = modalities.as_slice() {
+        block(page, [x, y], [width, height], INPUT, &modality_lines(**one));
+        return;
+    }
+    page.rectangle(
+        [x - width / 2.0, y - height / 2.0],
+        [width, height],
+        2.0,
+        INPUT,
+        Some(Stroke::new(GREY, 0.6)),
+    );
+    let lines: Vec<String> = modalities.iter().flat_map(|modality| modality_lines(**modality)).collect();
+    for (index, line) in lines.iter().enumerate() {
+        let y = y + 2.2 + 7.6 * (index as f64 - (lines.len() as f64 - 1.0) / 2.0);
+        let face = if index % 2 == 0 { Face::Bold } else { Face::Regular };
+        page.text(line, [x, y], Type { face, ..Type::SMALL });
+    }
+}

@@ -1,0 +1,159 @@
+//! The paper's figures, drawn from the tables of finished runs.
+//!
+//! One file a figure; each makes a [`Drawing`]: a [`page::Page`] and the numbers on it. The scenes are rendered by
+//! `simulation`, the diagrams are read off the networks that `learning` builds, everything else comes from
+//! [`source::Source`]. The same tables give the same bytes of SVG.
+
+mod axes;
+mod curves;
+mod diagram;
+mod forces_dataset;
+mod information_loss_arch;
+pub mod page;
+mod prediction_results;
+mod predictive_arch;
+mod propriovision_to_vision;
+mod reconstruction_performance;
+mod regression;
+mod sim_env;
+pub mod source;
+mod task;
+mod text;
+
+use crate::files::{WriteError, write_bytes};
+use crate::learning::LearningError;
+use crate::registry::{QueryError, save};
+use crate::simulation::SimulationError;
+use page::Page;
+use polars::prelude::{DataFrame, PolarsError};
+use source::Source;
+use std::path::{Path, PathBuf};
+
+/// Why a figure can't be drawn.
+#[derive(Debug, thiserror::Error)]
+pub enum FigureError {
+    #[error("{} has no finished run of {experiment}; make them with `{command}`", root.display())]
+    NoRuns { experiment: String, root: PathBuf, command: String },
+    #[error(
+        "the finished runs of {experiment} in {} lack what the figure shows: a scenario, or a table that earlier \
+         versions didn't write; make them with `{command}`, in a new results folder if they are of such a version",
+        root.display()
+    )]
+    NoRows { experiment: String, root: PathBuf, command: String },
+    #[error(transparent)]
+    Query(#[from] QueryError),
+    #[error("a table doesn't hold what it should: {0}")]
+    Table(#[from] PolarsError),
+    #[error(transparent)]
+    Simulation(#[from] SimulationError),
+    #[error(transparent)]
+    Learning(#[from] LearningError),
+    #[error("the picture can't be made: {0}")]
+    Picture(String),
+    #[error(transparent)]
+    Write(#[from] WriteError),
+}
+
+impl FigureError {
+    /// Whether the figure waits for runs that aren't there.
+    pub fn is_missing_runs(&self) -> bool {
+        matches!(self, Self::NoRuns { .. } | Self::NoRows { .. })
+    }
+}
+
+/// A figure of the paper.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Figure {
+    Task,
+    SimEnv,
+    PredictiveArch,
+    InformationLossArch,
+    ForcesDataset,
+    PredictionResults,
+    PropriovisionToVision,
+    ReconstructionPerformance,
+    Regression,
+}
+
+/// A figure and the numbers that it shows.
+pub struct Drawing {
+    pub page: Page,
+    pub data: DataFrame,
+}
+
+impl Figure {
+    /// In the paper's order.
+    pub const ALL: [Figure; 9] = [
+        Figure::Task,
+        Figure::PredictiveArch,
+        Figure::InformationLossArch,
+        Figure::SimEnv,
+        Figure::ForcesDataset,
+        Figure::PredictionResults,
+        Figure::PropriovisionToVision,
+        Figure::ReconstructionPerformance,
+        Figure::Regression,
+    ];
+
+    /// The name in files and on the command line: the paper's label.
+    pub fn name(self) -> &'static str {
+        match self {
+            Figure::Task => "task",
+            Figure::SimEnv => "sim_env",
+            Figure::PredictiveArch => "predictive_arch",
+            Figure::InformationLossArch => "information_loss_arch",
+            Figure::ForcesDataset => "forces_dataset",
+            Figure::PredictionResults => "prediction_results",
+            Figure::PropriovisionToVision => "propriovision_to_vision",
+            Figure::ReconstructionPerformance => "reconstruction_performance",
+            Figure::Regression => "regression",
+        }
+    }
+
+    /// What it shows.
+    pub fn meaning(self) -> &'static str {
+        match self {
+            Figure::Task => "the finger pressed on the ground among movable boxes",
+            Figure::SimEnv => "the robot, its joints, and the finger close up",
+            Figure::PredictiveArch => "the network that predicts the next observation",
+            Figure::InformationLossArch => "the network that reconstructs the observation",
+            Figure::ForcesDataset => "contact and force by link, both scenarios",
+            Figure::PredictionResults => "prediction errors over latent size, single- and multi-modal",
+            Figure::PropriovisionToVision => "predicted change of the image beside the reference",
+            Figure::ReconstructionPerformance => {
+                "reconstruction errors over latent size, single- and multi-modal"
+            }
+            Figure::Regression => "prediction over reference at the fingertip",
+        }
+    }
+
+    /// Draws it.
+    ///
+    /// # Errors
+    /// When its runs are missing ([`FigureError::is_missing_runs`]), or tables or pictures can't be made.
+    pub fn draw(self, source: &Source) -> Result<Drawing, FigureError> {
+        match self {
+            Figure::Task => task::draw(),
+            Figure::SimEnv => sim_env::draw(),
+            Figure::PredictiveArch => predictive_arch::draw(source),
+            Figure::InformationLossArch => information_loss_arch::draw(source),
+            Figure::ForcesDataset => forces_dataset::draw(source),
+            Figure::PredictionResults => prediction_results::draw(source),
+            Figure::PropriovisionToVision => propriovision_to_vision::draw(source),
+            Figure::ReconstructionPerformance => reconstruction_performance::draw(source),
+            Figure::Regression => regression::draw(source),
+        }
+    }
+}
+
+impl Drawing {
+    /// Writes `<folder>/<name>.svg`, `.png` and `.csv`.
+    pub fn save(mut self, folder: &Path, name: &str) -> Result<(), FigureError> {
+        let svg = self.page.svg();
+        let png = Page::png(&svg)?;
+        save(&mut self.data, &folder.join(format!("{name}.csv")))?;
+        write_bytes(&folder.join(format!("{name}.png")), &png)?;
+        write_bytes(&folder.join(format!("{name}.svg")), svg.as_bytes())?;
+        Ok(())
+    }
+}

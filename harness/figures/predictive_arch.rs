@@ -1,0 +1,45 @@
+//! The network that predicts: the idea, and its layers.
+
+use super::axes::remark;
+use super::diagram::{ACTION, Anatomy, INPUT, LATENT, LINE, block, network};
+use super::page::{COLUMN, Page, Type, WHITE};
+use super::source::Source;
+use super::{Drawing, FigureError};
+use crate::spec::Task;
+
+pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
+    let anatomy = Anatomy::of(source, Task::Prediction)?;
+    let mut page = Page::new(COLUMN, 294.0, "The network that predicts the next observation");
+    idea(&mut page, 28.0);
+    page.text("a", [2.0, 9.0], Type::BOLD);
+    page.text("the idea: fuse, compress, predict", [10.0, 9.0], Type::LABEL.start());
+    page.text("b", [2.0, 82.0], Type::BOLD);
+    page.text("as a conditional variational auto-encoder", [10.0, 82.0], Type::LABEL.start());
+    let height = network(&mut page, COLUMN, 88.0, &anatomy);
+    remark(
+        &mut page,
+        &format!("{}; numbers: values that a layer gives", anatomy.parameter_words()),
+        [COLUMN / 2.0, 88.0 + height + 9.0],
+    );
+    Ok(Drawing { page, data: anatomy.data()? })
+}
+
+/// Observation to state to next observation, with the action.
+fn idea(page: &mut Page, y: f64) {
+    let lines = |name: &str, more: &str| vec![name.to_owned(), more.to_owned()];
+    let boxes = [
+        (24.0, 44.0, INPUT, lines("observation", "*s*_{t}")),
+        (76.0, 36.0, WHITE, lines("encoder", "*f*")),
+        (122.0, 32.0, LATENT, lines("state", "*f*(*s*_{t})")),
+        (166.0, 36.0, WHITE, lines("predictor", "*h*")),
+        (216.0, 46.0, INPUT, lines("prediction", "*ŝ*_{t+1}")),
+    ];
+    for (x, width, fill, lines) in &boxes {
+        block(page, [*x, y], [*width, 22.0], fill, lines);
+    }
+    for pair in boxes.windows(2) {
+        page.arrow(&[[pair[0].0 + pair[0].1 / 2.0, y], [pair[1].0 - pair[1].1 / 2.0, y]], LINE);
+    }
+    block(page, [118.0, y + 30.0], [40.0, 22.0], ACTION, &lines("action", "*a*_{t}"));
+    page.arrow(&[[138.0, y + 30.0], [166.0, y + 30.0], [166.0, y + 11.0]], LINE);
+}

@@ -1,0 +1,233 @@
+//! The predicted change of the camera's picture beside the reference, in clutter.
+
+use super::axes::remark;
+use super::page::{COLUMN, GREY, Page, Stroke, Type};
+use super::source::{Runs, Source, Study, integers, intervals, reals};
+use super::{Drawing, FigureError};
+use crate::metrics::interval::Interval;
+use crate::spec::{FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, Scenario};
+use image::{Rgb, RgbImage};
+use polars::prelude::*;
+use std::collections::BTreeMap;
+
+const LEFT: f64 = 51.0;
+const GAP: f64 = 3.0;
+const TOP: f64 = 14.0;
+
+/// The change that the strongest colours stand for, so that faint predictions can be seen beside the reference.
+const RANGE: f32 = 0.3;
+
+/// Colours of a change from -1 to 1 times the range: ColorBrewer's RdBu, which the colour-blind can read.
+const COLOURS: [[f64; 3]; 7] = [
+    [33.0, 102.0, 172.0],
+    [103.0, 169.0, 207.0],
+    [209.0, 229.0, 240.0],
+    [247.0, 247.0, 247.0],
+    [253.0, 219.0, 199.0],
+    [239.0, 138.0, 98.0],
+    [178.0, 24.0, 43.0],
+];
+
+/// A test transition.
+struct Trial {
+    episode: i64,
+    /// The instant that is predicted.
+    sample: i64,
+    motion: f64,
+    /// What the camera saw at the instant before; only runs that reconstruct vision keep it.
+    camera: Option<Vec<u8>>,
+    /// Mean over the colours of what changed, [`FRAME_SIDE`]² values in [-1, 1].
+    reference: Vec<f32>,
+    /// The same as predicted, by latent size.
+    predicted: BTreeMap<i64, Vec<f32>>,
+}
+
+pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
+    let runs = source.runs(Study::MultiToMulti)?;
+    let trials = trials(&runs)?;
+    let errors = errors(&runs)?;
+    let mut latents: Vec<i64> = trials.iter().flat_map(|trial| trial.predicted.keys().copied()).collect();
+    latents.sort_unstable();
+    latents.dedup();
+
+    let side = (COLUMN - LEFT - 3.0 - GAP * (trials.len() as f64 - 1.0)) / trials.len() as f64;
+    let camera = trials.iter().all(|trial| trial.camera.is_some());
+    let rows = latents.len() + 1 + usize::from(camera);
+    let bottom = TOP + rows as f64 * (side + GAP);
+    let mut page = Page::new(COLUMN, bottom + 43.0, "Predicted change of the camera's picture, in clutter");
+    let corner =
+        |row: usize, column: usize| [LEFT + column as f64 * (side + GAP), TOP + row as f64 * (side + GAP)];
+    for (column, trial) in trials.iter().enumerate() {
+        let x = corner(0, column)[0] + side / 2.0;
+        page.text(&format!("trial {}", column + 1), [x, TOP - 4.5], Type::SMALL);
+        let mut pictures = Vec::new();
+        if let (true, Some(bytes)) = (camera, &trial.camera) {
+            pictures.push(RgbImage::from_raw(FRAME_SIDE as u32, FRAME_SIDE as u32, bytes.clone()));
+        }
+        pictures.push(Some(coloured(&trial.reference)));
+        pictures
+            .extend(latents.iter().map(|latent| trial.predicted.get(latent).map(|change| coloured(change))));
+        for (row, picture) in pictures.iter().enumerate() {
+            // A network that has no prediction of this trial leaves its place empty.
+            let Some(picture) = picture else { continue };
+            page.picture(picture, corner(row, column), [side; 2], true)?;
+            page.rectangle(corner(row, column), [side; 2], 0.0, "none", Some(Stroke::new(GREY, 0.4)));
+        }
+    }
+    let mut names: Vec<[String; 2]> = Vec::new();
+    if camera {
+        names.push(["camera".into(), "at *t*".into()]);
+    }
+    names.push(["reference".into(), "change".into()]);
+    names.extend(latents.iter().map(|latent| {
+        let error = errors.get(latent).map_or(String::new(), |error| format!("error {}", with_spread(error)));
+        [format!("*z* = {latent}"), error]
+    }));
+    for (row, [name, more]) in names.iter().enumerate() {
+        let y = corner(row, 0)[1] + side / 2.0;
+        page.text(name, [LEFT - 4.0, y - 1.0], Type::LABEL.end());
+        page.text(more, [LEFT - 4.0, y + 7.0], Type { size: 5.6, ..Type::SMALL.end() });
+    }
+    colour_bar(&mut page, bottom + 5.0)?;
+    remark(
+        &mut page,
+        "error: squared, over all test samples, relative to predicting no change",
+        [COLUMN / 2.0, bottom + 38.0],
+    );
+    Ok(Drawing { page, data: data(&trials, runs.experiment.as_str())? })
+}
+
+fn with_spread(value: &Interval) -> String {
+    let spread = value.bounds.map_or(String::new(), |(low, high)| format!(" ± {:.2}", (high - low) / 2.0));
+    format!("{:.2}{spread}", value.mean)
+}
+
+fn trials(runs: &Runs) -> Result<Vec<Trial>, FigureError> {
+    let place = format!("{{runs}} and scenario = '{}' and {}", Scenario::Cluttered, runs.first_seeds());
+    let rows = runs.query(&format!(
+        "select latent, episode, sample, motion, reference, predicted from frames where {place} \
+         and task = 'prediction' and modality = 'frame_difference' order by motion, episode, sample, latent"
+    ))?;
+    let (latents, episodes, samples) =
+        (integers(&rows, "latent")?, integers(&rows, "episode")?, integers(&rows, "sample")?);
+    let motion = reals(&rows, "motion")?;
+    let (references, predicted) = (rows.column("reference")?.binary()?, rows.column("predicted")?.binary()?);
+    let mut trials: Vec<Trial> = Vec::new();
+    for row in 0..rows.height() {
+        let (episode, sample) = (episodes[row], samples[row]);
+        if trials.last().is_none_or(|trial| (trial.episode, trial.sample) != (episode, sample)) {
+            let reference = change(references.get(row))?;
+            let motion = motion[row].unwrap_or_default();
+            trials.push(Trial {
+                episode,
+                sample,
+                motion,
+                camera: None,
+                reference,
+                predicted: BTreeMap::new(),
+            });
+        }
+        if let Some(trial) = trials.last_mut() {
+            trial.predicted.insert(latents[row], change(predicted.get(row))?);
+        }
+    }
+    // The picture before the change; runs without reconstruction don't have it.
+    let seen = runs.query(&format!(
+        "select episode, sample, reference from frames where {place} and task = 'reconstruction' \
+         and modality = 'vision' order by latent"
+    ));
+    match seen {
+        Err(error) if error.is_missing_runs() => {}
+        Err(error) => return Err(error),
+        Ok(seen) => {
+            let (episodes, samples) = (integers(&seen, "episode")?, integers(&seen, "sample")?);
+            let pictures = seen.column("reference")?.binary()?;
+            for trial in &mut trials {
+                let before = (trial.episode, trial.sample - 1);
+                let row = (0..seen.height()).find(|&row| (episodes[row], samples[row]) == before);
+                trial.camera = row.and_then(|row| pictures.get(row)).map(<[u8]>::to_vec);
+            }
+        }
+    }
+    Ok(trials)
+}
+
+/// The mean over colours of a stored frame difference; the column's meaning says how it is coded.
+fn change(bytes: Option<&[u8]>) -> Result<Vec<f32>, FigureError> {
+    let bytes = bytes.filter(|bytes| bytes.len() == FRAME_LEN);
+    let bytes = bytes.ok_or_else(|| FigureError::Picture("a frame has the wrong size".into()))?;
+    let pixel = |pixel: &[u8]| {
+        pixel.iter().map(|&byte| (f32::from(byte) - 128.0) / 127.0).sum::<f32>() / FRAME_CHANNELS as f32
+    };
+    Ok(bytes.chunks_exact(FRAME_CHANNELS).map(pixel).collect())
+}
+
+/// Squared error of the frame difference relative to no change, by latent size.
+fn errors(runs: &Runs) -> Result<BTreeMap<i64, Interval>, FigureError> {
+    let rows = runs.query(&format!(
+        "select latent, value from metrics where {{runs}} and scenario = '{}' and task = 'prediction' \
+         and modality = 'frame_difference' and model = 'network' and metric = 'relative_error'",
+        Scenario::Cluttered
+    ))?;
+    Ok(intervals(integers(&rows, "latent")?.into_iter().zip(reals(&rows, "value")?)))
+}
+
+fn colour(change: f32) -> Rgb<u8> {
+    let place = f64::from((change.clamp(-1.0, 1.0) + 1.0) / 2.0) * (COLOURS.len() - 1) as f64;
+    let below = (place.floor() as usize).min(COLOURS.len() - 2);
+    let part = place - below as f64;
+    Rgb(std::array::from_fn(|channel| {
+        (COLOURS[below][channel] * (1.0 - part) + COLOURS[below + 1][channel] * part).round() as u8
+    }))
+}
+
+fn coloured(change: &[f32]) -> RgbImage {
+    RgbImage::from_fn(FRAME_SIDE as u32, FRAME_SIDE as u32, |x, y| {
+        colour(change[y as usize * FRAME_SIDE + x as usize] / RANGE)
+    })
+}
+
+fn colour_bar(page: &mut Page, top: f64) -> Result<(), FigureError> {
+    let (width, height, left) = (110.0, 6.0, LEFT + (COLUMN - LEFT - 110.0) / 2.0);
+    let bar = RgbImage::from_fn(111, 1, |x, _| colour(x as f32 / 55.0 - 1.0));
+    page.picture(&bar, [left, top], [width, height], false)?;
+    page.rectangle([left, top], [width, height], 0.0, "none", Some(Stroke::new(GREY, 0.4)));
+    for (place, text) in [(0.0, format!("≤ \u{2212}{RANGE}")), (0.5, "0".into()), (1.0, format!("≥ {RANGE}"))]
+    {
+        page.text(&text, [left + place * width, top + height + 7.0], Type::SMALL);
+    }
+    let label = "change of intensity from *t* to *t* + 1, mean of RGB (1: black to white)";
+    page.text(label, [LEFT + (COLUMN - LEFT) / 2.0, top + height + 16.0], Type::SMALL);
+    Ok(())
+}
+
+/// The shown changes, a row of pixels a row.
+fn data(trials: &[Trial], experiment: &str) -> Result<DataFrame, FigureError> {
+    // Each shown picture with its trial's number and, of a prediction, its latent size.
+    let mut pictures: Vec<(u32, &Trial, Option<i64>, &[f32])> = Vec::new();
+    for (number, trial) in (1..).zip(trials) {
+        pictures.push((number, trial, None, &trial.reference));
+        let predicted = trial.predicted.iter();
+        pictures
+            .extend(predicted.map(|(latent, picture)| (number, trial, Some(*latent), picture.as_slice())));
+    }
+    let lines = |picture: usize| std::iter::repeat_n(picture, FRAME_SIDE);
+    let rows: Vec<_> = (0..pictures.len()).flat_map(lines).map(|picture| pictures[picture]).collect();
+    let name = |latent: Option<i64>| if latent.is_some() { "network" } else { "reference" };
+    let mut columns = vec![
+        Column::new("experiment".into(), vec![experiment; rows.len()]),
+        Column::new("trial".into(), rows.iter().map(|row| row.0).collect::<Vec<_>>()),
+        Column::new("episode".into(), rows.iter().map(|row| row.1.episode).collect::<Vec<_>>()),
+        Column::new("sample".into(), rows.iter().map(|row| row.1.sample).collect::<Vec<_>>()),
+        Column::new("motion".into(), rows.iter().map(|row| row.1.motion).collect::<Vec<_>>()),
+        Column::new("model".into(), rows.iter().map(|row| name(row.2)).collect::<Vec<_>>()),
+        Column::new("latent".into(), rows.iter().map(|row| row.2).collect::<Vec<_>>()),
+        Column::new("row".into(), (0..rows.len()).map(|row| (row % FRAME_SIDE) as u32).collect::<Vec<_>>()),
+    ];
+    columns.extend((0..FRAME_SIDE).map(|column| {
+        let values = pictures.iter().flat_map(|picture| picture.3.iter().skip(column).step_by(FRAME_SIDE));
+        let values: Vec<f32> = values.map(|change| (change * 1e4).round() / 1e4).collect();
+        Column::new(format!("column_{column:02}").into(), values)
+    }));
+    Ok(DataFrame::new(rows.len(), columns)?)
+}

@@ -1,0 +1,37 @@
+//! How well the observation is reconstructed from the latent state, over latent sizes.
+
+use super::axes::Panel;
+use super::curves::{Curves, explain, explain_bars, stack};
+use super::page::{COLUMN, Page};
+use super::source::{Source, Study};
+use super::{Drawing, FigureError};
+use crate::metrics::Metric;
+use crate::spec::{Modality, Task};
+
+pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
+    let [single, multi] = [source.runs(Study::SingleToMulti)?, source.runs(Study::MultiToMulti)?];
+    let curves = |runs, letter, title| Curves {
+        runs,
+        task: Task::Reconstruction,
+        modality: Modality::Proprioception,
+        metric: Metric::Smape,
+        letter,
+        title,
+        // The training mean is the only baseline, and lies far above.
+        baseline: None,
+    };
+    let a = curves(&single, "a", Study::SingleToMulti.input());
+    let b = curves(&multi, "b", Study::MultiToMulti.input());
+    let [a, b] = [a.measure()?, b.measure()?];
+
+    let mut page = Page::new(COLUMN, 158.0, "Reconstruction errors of proprioception over latent size");
+    explain(&mut page, COLUMN / 2.0, 9.0);
+    let highest = a.highest().max(b.highest());
+    let left = Panel { left: 33.0, top: 34.0, width: 97.0, height: 86.0 };
+    let right = Panel { left: left.right() + 10.0, ..left };
+    a.draw(&mut page, &left, highest, Some("proprioception, SMAPE (%)"));
+    b.draw(&mut page, &right, highest, None);
+    explain_bars(&mut page, COLUMN / 2.0, 153.0, &[&single, &multi], "");
+    let data = stack(&[&a, &b])?;
+    Ok(Drawing { page, data })
+}

@@ -1,0 +1,58 @@
+//! The scene in which the robot's senses are recorded.
+
+use super::page::{BLACK, COLUMN, Page, Point, Stroke, Type, WHITE};
+use super::{Drawing, FigureError};
+use crate::simulation::{BOXES, Portrait, Scene, SimulationError, replay};
+use crate::spec::{Scenario, Simulation};
+use polars::prelude::*;
+
+/// An instant at which the finger is pressed on the ground beside boxes.
+const EPISODE: u32 = 1;
+const SAMPLE: usize = 69;
+/// Pixels; as many as the page's PNG has.
+const PICTURE: [u32; 2] = [2008, 1334];
+
+pub fn draw() -> Result<Drawing, FigureError> {
+    let scene = Scene::load(Scenario::Cluttered, None)?;
+    let states = replay(&scene, &Simulation::default(), EPISODE)?;
+    let state = &states[SAMPLE.min(states.len() - 1)];
+    let mut portrait = Portrait::new(&scene, PICTURE[0], PICTURE[1])?;
+    let picture = portrait.draw(state)?;
+    let height = COLUMN * f64::from(PICTURE[1]) / f64::from(PICTURE[0]);
+    let mut page = Page::new(COLUMN, height, "The soft finger pressed on the ground among movable boxes");
+    page.picture(&picture, [0.0, 0.0], [COLUMN, height], false)?;
+    let at = |geom: &str| -> Result<Point, SimulationError> {
+        let [x, y] = portrait.project(portrait.place_of(geom)?);
+        Ok([x * COLUMN, y * height])
+    };
+    label(&mut page, at("finger_link_18")?, [34.0, 10.0], "passive soft finger");
+    label(&mut page, at("arm_sleeve")?, [-34.0, -24.0], "rigid arm");
+    label(&mut page, at("box_7")?, [-44.0, 14.0], &format!("{BOXES} movable boxes"));
+    Ok(Drawing { page, data: data(scene.scenario(), EPISODE, SAMPLE, state)? })
+}
+
+/// A name with a line to what it names.
+pub fn label(page: &mut Page, at: Point, aside: [f64; 2], text: &str) {
+    let end = [at[0] + aside[0], at[1] + aside[1]];
+    page.line(at, end, Stroke::new(BLACK, 0.6));
+    let how = Type::LABEL;
+    let width = how.width(text) + 5.0;
+    page.rectangle([end[0] - width / 2.0, end[1] - 5.5], [width, 11.0], 2.0, WHITE, None);
+    page.text(text, [end[0], end[1] + 2.5], how);
+}
+
+/// The state that is drawn: MuJoCo's generalised positions.
+pub fn data(
+    scenario: Scenario,
+    episode: u32,
+    sample: usize,
+    state: &[f64],
+) -> Result<DataFrame, FigureError> {
+    Ok(df!(
+        "scenario" => vec![scenario.name(); state.len()],
+        "episode" => vec![episode; state.len()],
+        "sample" => vec![sample as u32; state.len()],
+        "qpos_index" => (0..state.len() as u32).collect::<Vec<_>>(),
+        "qpos" => state.to_vec(),
+    )?)
+}

@@ -1,0 +1,388 @@
+//! The figures, drawn from small real runs of the paper's two experiments.
+
+mod common;
+
+use common::{finish, harness, succeed};
+use harness::dataset::Dataset;
+use harness::figures::Figure;
+use harness::figures::page::{Anchor, Page, Stroke, Type};
+use harness::metrics::interval::{LEVEL, mean_interval};
+use harness::registry::{Registry, query};
+use harness::simulation::Scene;
+use harness::spec::{FRAME_LEN, Scenario, Simulation};
+use harness::tables::read_table;
+use polars::prelude::*;
+use resvg::usvg::{self, roxmltree};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+const SINGLE: &str = "experiments/single_to_multi.yaml";
+const MULTI: &str = "experiments/multi_to_multi.yaml";
+const EPISODES: u32 = 4;
+const ACTUATIONS: u32 = 3;
+const TINY: [&str; 6] = [
+    "simulation.episodes=4",
+    "simulation.actuations_per_episode=3",
+    "training.epochs=2",
+    "training.batch_size=16",
+    "network.hidden=16",
+    "seeds=[0,1]",
+];
+
+fn run(results: &Path, spec: &str, more: &[&str]) {
+    let arguments: Vec<&str> = ["run", spec].iter().chain(&TINY).chain(more).copied().collect();
+    succeed(results, &arguments);
+}
+
+fn folder(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = fs::remove_dir_all(&folder);
+    folder
+}
+
+/// Runs of both experiments, two scenarios, two seeds. The datasets are gone: tables alone are left, as in
+/// published results.
+static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
+    let results = folder("figures");
+    run(&results, SINGLE, &["latent=[2,4]"]);
+    run(&results, MULTI, &["latent=[4]", "network.channels=4"]);
+    fs::rename(results.join("datasets"), folder("figures_datasets")).unwrap();
+    results
+});
+
+/// All figures of [`RESULTS`].
+static DRAWN: LazyLock<PathBuf> = LazyLock::new(|| {
+    let out = folder("figures_drawn");
+    succeed(&RESULTS, &["figures", "--out", out.to_str().unwrap()]);
+    out
+});
+
+fn read(folder: &Path, figure: Figure, ending: &str) -> Vec<u8> {
+    fs::read(folder.join(format!("{}.{ending}", figure.name()))).unwrap()
+}
+
+fn csv(figure: Figure) -> DataFrame {
+    let path = DRAWN.join(format!("{}.csv", figure.name()));
+    CsvReader::new(fs::File::open(path).unwrap()).finish().unwrap()
+}
+
+fn real(table: &DataFrame, column: &str, row: usize) -> Option<f64> {
+    let value = table.column(column).unwrap().get(row).unwrap();
+    if value.is_null() { None } else { Some(value.try_extract::<f64>().unwrap()) }
+}
+
+fn text(table: &DataFrame, column: &str, row: usize) -> String {
+    table.column(column).unwrap().get(row).unwrap().str_value().into_owned()
+}
+
+fn svg(figure: Figure) -> String {
+    String::from_utf8(read(&DRAWN, figure, "svg")).unwrap()
+}
+
+/// The texts on a figure.
+fn words(figure: Figure) -> BTreeSet<String> {
+    let svg = svg(figure);
+    let document = roxmltree::Document::parse(&svg).unwrap();
+    let labelled = document.descendants().filter(|node| node.has_tag_name("g"));
+    labelled.filter_map(|node| node.attribute("aria-label")).map(str::to_owned).collect()
+}
+
+#[test]
+fn all_nine_are_drawn_from_tables_alone() {
+    assert!(!RESULTS.join("datasets").exists());
+    let names: BTreeSet<String> =
+        fs::read_dir(&*DRAWN).unwrap().map(|file| file.unwrap().file_name().into_string().unwrap()).collect();
+    let ending = |figure: &Figure| ["csv", "png", "svg"].map(|ending| format!("{}.{ending}", figure.name()));
+    assert_eq!(names, Figure::ALL.iter().flat_map(ending).collect());
+    assert_eq!(names.len(), 9 * 3);
+    for figure in Figure::ALL {
+        let picture = image::load_from_memory(&read(&DRAWN, figure, "png")).unwrap().into_rgb8();
+        // 8.5 cm at 600 pixels an inch.
+        assert_eq!(picture.width(), 2008, "{}", figure.name());
+        let colours: BTreeSet<[u8; 3]> = picture.pixels().map(|pixel| pixel.0).collect();
+        assert!(colours.len() > 20, "{} has {} colours", figure.name(), colours.len());
+        assert!(csv(figure).height() > 0);
+    }
+}
+
+#[test]
+fn every_svg_is_whole_self_contained_and_within_its_page() {
+    for figure in Figure::ALL {
+        let svg = svg(figure);
+        let document = roxmltree::Document::parse(&svg).unwrap();
+        // No font and no file is needed to show it.
+        assert!(!document.descendants().any(|node| node.has_tag_name("text")));
+        let ids: BTreeSet<&str> = document.descendants().filter_map(|node| node.attribute("id")).collect();
+        for reference in document.descendants().filter_map(|node| node.attribute("href")) {
+            let found = reference.strip_prefix('#').map(|id| ids.contains(id));
+            assert!(found.unwrap_or_else(|| reference.starts_with("data:image/png;base64,")), "{reference}");
+        }
+        let tree = usvg::Tree::from_str(&svg, &usvg::Options::default()).unwrap();
+        let (size, drawn) = (tree.size(), tree.root().abs_stroke_bounding_box());
+        let name = figure.name();
+        assert!(drawn.left() >= -0.1 && drawn.top() >= -0.1, "{name}: {drawn:?}");
+        assert!(drawn.right() <= size.width() + 0.1, "{name}: {drawn:?} of {size:?}");
+        assert!(drawn.bottom() <= size.height() + 0.1, "{name}: {drawn:?} of {size:?}");
+    }
+}
+
+#[test]
+fn the_same_tables_give_the_same_bytes() {
+    let again = folder("figures_again");
+    succeed(&RESULTS, &["figures", "--out", again.to_str().unwrap(), "--threads", "1"]);
+    for figure in Figure::ALL {
+        for ending in ["svg", "png", "csv"] {
+            assert!(
+                read(&DRAWN, figure, ending) == read(&again, figure, ending),
+                "{} {ending}",
+                figure.name()
+            );
+        }
+    }
+}
+
+#[test]
+fn axes_have_units() {
+    let has = |figure, expected: &[&str]| {
+        let words = words(figure);
+        expected.iter().for_each(|text| assert!(words.contains(*text), "{text} is not among {words:?}"));
+    };
+    has(Figure::PredictionResults, &["proprioception, SMAPE (%)", "contact force, WMAPE (%)", "latent size"]);
+    has(Figure::ReconstructionPerformance, &["proprioception, SMAPE (%)", "latent size"]);
+    has(Figure::ForcesDataset, &["samples in contact (%)", "force in contact (N)"]);
+    let regression = ["predicted (rad)", "reference (rad)", "predicted (N)", "reference (N)"];
+    has(Figure::Regression, &regression);
+    has(Figure::PropriovisionToVision, &["trial 1", "trial 5", "camera", "reference", "z = 4"]);
+}
+
+#[test]
+fn curves_are_means_and_intervals_of_what_a_query_finds() {
+    let registry = Registry::new(&*RESULTS);
+    for (figure, models) in [(Figure::PredictionResults, 2), (Figure::ReconstructionPerformance, 1)] {
+        let table = csv(figure);
+        let mut rows = BTreeMap::new();
+        for row in 0..table.height() {
+            let cell = |column| text(&table, column, row);
+            let latent = real(&table, "latent", row);
+            *rows.entry((cell("panel"), cell("model"))).or_insert(0) += 1;
+            let sql = format!(
+                "select value from metrics where experiment = '{}' and task = '{}' and modality = '{}' and \
+                 metric = '{}' and scenario = '{}' and direction = '{}' and model = '{}' and \"index\" is null{}",
+                cell("experiment"),
+                cell("task"),
+                cell("modality"),
+                cell("metric"),
+                cell("scenario"),
+                cell("direction"),
+                cell("model"),
+                latent.map_or(String::new(), |latent| format!(" and latent = {latent}")),
+            );
+            let found = query(&registry, &sql).unwrap();
+            let values: Vec<f64> = found.column("value").unwrap().f64().unwrap().iter().flatten().collect();
+            let expected = mean_interval(&values, LEVEL).unwrap();
+            let mean = real(&table, "mean", row).unwrap();
+            assert!((mean - expected.mean).abs() <= 1e-12 * mean.abs(), "{sql}");
+            if latent.is_some() {
+                assert_eq!(values.len(), 2, "{sql}");
+                let ends = (real(&table, "low", row).unwrap(), real(&table, "high", row).unwrap());
+                assert_eq!(ends, expected.bounds.unwrap(), "{sql}");
+            } else {
+                assert_eq!((real(&table, "low", row), real(&table, "high", row)), (None, None));
+            }
+        }
+        // Two scenarios and two directions at each latent size, and once for the baseline.
+        let of = |panel: &str, model: &str| rows.get(&(panel.into(), model.into())).copied().unwrap_or(0);
+        assert_eq!(of("a", "network"), 4 * 2);
+        assert_eq!(of("b", "network"), if models == 2 { 4 * 2 } else { 4 });
+        assert_eq!(of("a", "persistence"), if models == 2 { 4 } else { 0 });
+    }
+}
+
+#[test]
+fn regression_shows_the_fingertip_in_clutter() {
+    let table = csv(Figure::Regression);
+    let registry = Registry::new(&*RESULTS);
+    let mut panels = BTreeMap::new();
+    for row in 0..table.height() {
+        let cell = |column| text(&table, column, row);
+        let key = (cell("panel"), cell("experiment"), cell("latent"), cell("direction"), cell("index"));
+        *panels.entry(key).or_insert(0) += 1;
+        if row % 50 > 0 {
+            continue;
+        }
+        let sql = format!(
+            "select reference, predicted from predictions where experiment = '{}' and scenario = 'cluttered' and \
+             seed = 0 and task = 'prediction' and modality = '{}' and latent = {} and \"index\" = {} and \
+             episode = {} and sample = {}",
+            cell("experiment"),
+            cell("modality"),
+            cell("latent"),
+            cell("index"),
+            cell("episode"),
+            cell("sample")
+        );
+        let found = query(&registry, &sql).unwrap();
+        assert_eq!(found.height(), 1, "{sql}");
+        for column in ["reference", "predicted"] {
+            let (drawn, stored) = (real(&table, column, row).unwrap(), real(&found, column, 0).unwrap());
+            assert!((drawn - stored).abs() <= 1e-6 * stored.abs().max(1e-6), "{sql}: {drawn} {stored}");
+        }
+    }
+    // Angle and force; two latent sizes of one experiment and one of the other; two directions; the 29 transitions of
+    // the one test episode.
+    assert_eq!(panels.len(), 2 * 3 * 2);
+    for ((_, _, _, direction, index), points) in panels {
+        assert_eq!(points, 29);
+        assert_eq!(index, if direction == "fe" { "18" } else { "19" });
+    }
+}
+
+#[test]
+fn diagrams_have_the_layers_of_the_network_that_was_trained() {
+    let words = words(Figure::PredictiveArch);
+    // 16 hidden units and 4 channels were asked for; the convolution halves the side of 64.
+    for expected in ["32 × 32 × 4", "4 × 4, stride 2", "16", "40", "64 × 64 × 3", "3"] {
+        assert!(words.contains(expected), "{expected} is not among {words:?}");
+    }
+    let count = |figure, prefix: &str| -> f64 {
+        let table = csv(figure);
+        let rows = (0..table.height()).filter(|row| text(&table, "parameter", *row).starts_with(prefix));
+        rows.map(|row| real(&table, "values", row).unwrap()).sum()
+    };
+    let registry = Registry::new(&*RESULTS);
+    let runs = query(&registry, "select parameters from runs where experiment = 'multi_to_multi'").unwrap();
+    assert_eq!(count(Figure::PredictiveArch, ""), real(&runs, "parameters", 0).unwrap());
+    assert_eq!(count(Figure::PredictiveArch, "encoder"), count(Figure::InformationLossArch, "encoder"));
+    assert_ne!(count(Figure::PredictiveArch, "decoder"), count(Figure::InformationLossArch, "decoder"));
+}
+
+#[test]
+fn forces_and_frames_are_those_of_the_dataset() {
+    let results = folder("figures_frames");
+    run(&results, MULTI, &["latent=[4]", "network.channels=4", "scenarios=[cluttered]", "seeds=[0]"]);
+    let scene = Scene::load(Scenario::Cluttered, None).unwrap();
+    let spec = Simulation { episodes: EPISODES, actuations_per_episode: ACTUATIONS, ..Simulation::default() };
+    let dataset = Dataset::new(&results.join("datasets"), &scene, &spec);
+    let episodes: Vec<_> = (0..EPISODES).map(|index| dataset.read(index, true).unwrap()).collect();
+    let run = fs::read_dir(results.join("runs/multi_to_multi")).unwrap().next().unwrap().unwrap().path();
+
+    let forces = read_table(&run.join("forces.parquet"), None).unwrap();
+    assert_eq!(forces.height(), 2 * 20);
+    for row in 0..20 {
+        let of_link = |values: &[f32]| -> Vec<f64> {
+            values.iter().skip(row).step_by(20).map(|&force| f64::from(force)).collect()
+        };
+        let values: Vec<f64> = episodes.iter().flat_map(|episode| of_link(&episode.contact_force)).collect();
+        assert_eq!(real(&forces, "samples", row), Some(values.len() as f64));
+        let touching = values.iter().filter(|force| **force > 0.0).count();
+        assert_eq!(real(&forces, "contacts", row), Some(touching as f64));
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        assert!((real(&forces, "mean", row).unwrap() - mean).abs() < 1e-9);
+        let max = values.iter().copied().fold(0.0, f64::max);
+        assert_eq!(real(&forces, "max", row), (touching > 0).then_some(max));
+    }
+
+    let frames = read_table(&run.join("frames.parquet"), None).unwrap();
+    let rows = |task: &str| {
+        (0..frames.height()).filter(|row| text(&frames, "task", *row) == task).collect::<Vec<_>>()
+    };
+    assert_eq!((rows("prediction").len(), rows("reconstruction").len()), (5, 5));
+    let bytes =
+        |column: &str, row| frames.column(column).unwrap().binary().unwrap().get(row).unwrap().to_vec();
+    let frame = |row: usize, back: usize| {
+        let (episode, sample) =
+            (real(&frames, "episode", row).unwrap(), real(&frames, "sample", row).unwrap());
+        let first = (sample as usize - back) * FRAME_LEN;
+        &episodes[episode as usize].vision[first..first + FRAME_LEN]
+    };
+    for row in rows("reconstruction") {
+        assert!(bytes("reference", row) == frame(row, 0), "the picture is the camera's");
+        assert_ne!(bytes("predicted", row), bytes("reference", row));
+    }
+    let mut motions = Vec::new();
+    for row in rows("prediction") {
+        let change: Vec<f64> = frame(row, 0)
+            .iter()
+            .zip(frame(row, 1))
+            .map(|(&now, &before)| f64::from(now) - f64::from(before))
+            .collect();
+        for (byte, change) in bytes("reference", row).iter().zip(&change) {
+            assert!((f64::from(*byte) - 128.0 - change / 255.0 * 127.0).abs() <= 0.501);
+        }
+        let motion = change.iter().map(|change| change.abs() / 255.0).sum::<f64>() / FRAME_LEN as f64;
+        assert!((real(&frames, "motion", row).unwrap() - motion).abs() < 1e-6);
+        motions.push(motion);
+    }
+    assert!(motions[0] < motions[4]);
+}
+
+#[test]
+fn missing_runs_are_named_with_the_command_and_the_others_are_drawn() {
+    let results = folder("figures_missing");
+    run(&results, SINGLE, &["latent=[2]", "scenarios=[cluttered]", "seeds=[0]"]);
+    let out = results.join("drawn");
+    let figures = |more: &[&str]| {
+        let arguments: Vec<&str> =
+            ["figures", "--out", out.to_str().unwrap()].iter().chain(more).copied().collect();
+        finish(&mut harness(&results, &arguments))
+    };
+    let all = figures(&[]);
+    assert_eq!(all.code, 0, "{}", all.stderr);
+    assert_eq!(all.stdout.lines().count(), 3, "{}", all.stdout);
+    for name in ["task", "sim_env", "forces_dataset"] {
+        assert!(all.stdout.contains(name) && out.join(format!("{name}.svg")).exists(), "{}", all.stdout);
+    }
+    assert!(all.stderr.contains("`harness run experiments/multi_to_multi.yaml`"), "{}", all.stderr);
+    assert!(!out.join("regression.svg").exists());
+
+    let named = figures(&["regression"]);
+    assert_eq!(named.code, 1);
+    assert!(named.stderr.contains("no finished run of multi_to_multi"), "{}", named.stderr);
+    let quick = figures(&["forces_dataset", "--quick"]);
+    assert_eq!(quick.code, 1);
+    let command = "`harness run experiments/single_to_multi.yaml --quick`";
+    assert!(
+        quick.stderr.contains("single_to_multi-quick") && quick.stderr.contains(command),
+        "{}",
+        quick.stderr
+    );
+    let unknown = figures(&["regresion"]);
+    assert_eq!(unknown.code, 2);
+    assert!(unknown.stderr.contains("'regression'"), "{}", unknown.stderr);
+}
+
+#[test]
+fn one_seed_has_no_bars_and_other_settings_are_left_out() {
+    let results = folder("figures_seeds");
+    let draw = |name: &str| {
+        let out = results.join(name);
+        succeed(&results, &["figures", "reconstruction_performance", "--out", out.to_str().unwrap()]);
+        fs::read_to_string(out.join("reconstruction_performance.svg")).unwrap()
+    };
+    for (spec, more) in [(SINGLE, "network.channels=32"), (MULTI, "network.channels=4")] {
+        run(&results, spec, &["latent=[2,4]", "scenarios=[empty]", "seeds=[0]", more]);
+    }
+    let one = draw("one");
+    assert!(one.contains("one seed, so no intervals"));
+    // Runs of other settings can't be averaged with these.
+    run(&results, SINGLE, &["latent=[2]", "scenarios=[empty]", "seeds=[1]", "training.learning_rate=0.01"]);
+    assert!(draw("other") == one);
+}
+
+#[test]
+fn text_is_as_wide_as_the_font_says() {
+    // Advances of Roboto in units of 2048 an em, as fonttools reads them: H 1461, i 498, 0 1151.
+    let how = Type { size: 10.0, ..Type::LABEL };
+    assert!((how.width("Hi0") - 10.0 * (1461.0 + 498.0 + 1151.0) / 2048.0).abs() < 1e-9);
+    // A subscript is smaller, and markup takes no room.
+    assert!(how.width("H_{0}") < how.width("H0") && how.width("H_{0}") > how.width("H"));
+    let mut page = Page::new(100.0, 20.0, "A & B < C");
+    page.text("5 < 6 & \"7\"", [50.0, 15.0], Type { anchor: Anchor::Middle, ..how });
+    page.line([0.0, 1.0], [100.0, 1.0], Stroke::new("#000000", 1.0));
+    let svg = page.svg();
+    let document = roxmltree::Document::parse(&svg).unwrap();
+    let labels: Vec<_> = document.descendants().filter_map(|node| node.attribute("aria-label")).collect();
+    assert_eq!(labels, ["A & B < C", "5 < 6 & \"7\""]);
+}
