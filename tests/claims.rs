@@ -3,7 +3,7 @@
 mod common;
 
 use common::{finish, harness, succeed};
-use harness::claims::{Claim, Condition, Judgement, Measured, Verdict, choose, judge, load};
+use harness::claims::{Claim, Condition, Each, Judgement, Measured, Verdict, choose, judge, load};
 use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::contact::Contact;
 use harness::metrics::{Direction, Metric, Row};
@@ -157,13 +157,12 @@ fn outcome(says: Says, spec: &RunSpec, experiment: &Experiment) -> Outcome {
         (Task::Prediction, Epoch { epoch, train: losses.clone(), validation: losses, seconds: 1.0 })
     };
     let contact = |mean: f64| Contact { samples: 1000, contacts: 500, mean, quantiles: None, max: None };
-    let links = forces(says, place.cluttered).map(contact).to_vec();
-    Outcome {
-        epochs: (1..=60).map(epoch).collect(),
-        metrics,
-        forces: vec![ForceRows { modality: Modality::ContactForce, links }],
-        ..Outcome::default()
-    }
+    let forces = (0..4).map(|episode| {
+        let force = |force: f64| contact(force * (1.0 + 0.01 * f64::from(episode)));
+        let links = forces(says, place.cluttered).map(force).to_vec();
+        ForceRows { modality: Modality::ContactForce, episode: Some(episode), links }
+    });
+    Outcome { epochs: (1..=60).map(epoch).collect(), metrics, forces: forces.collect(), ..Outcome::default() }
 }
 
 /// Writes an experiment's runs with these seeds, each saying what `says` of its seed.
@@ -199,7 +198,7 @@ fn assert_verdicts(registry: &Registry, expected: impl Fn(&Judgement) -> Verdict
 }
 
 fn about_the_dataset(judgement: &Judgement) -> bool {
-    judgement.claim.sql(false).contains("from forces")
+    judgement.measured.each == Each::Episode
 }
 
 // --- verdicts ---
@@ -221,7 +220,7 @@ fn claims_are_undecided_where_seeds_disagree() {
     let (_folder, registry) = results(&[0, 1, 2, 3], |seed| if seed % 2 == 0 { Same } else { Opposite });
     for judgement in judgements(&registry).iter().filter(|judgement| !about_the_dataset(judgement)) {
         assert_eq!(judgement.verdict(), Verdict::Undecided, "{}", judgement.claim.id());
-        let Measured::Seeds(values) = &judgement.measured else { panic!("{}", judgement.claim.id()) };
+        let Measured { each: Each::Seed, values } = &judgement.measured else { panic!("{judgement:?}") };
         assert_eq!(values.keys().copied().collect::<Vec<_>>(), [0, 1, 2, 3]);
     }
 }
@@ -264,7 +263,7 @@ fn a_seed_counts_only_when_all_its_runs_are_there() {
         }
     }
     for judgement in judgements(&registry).iter().filter(|judgement| !about_the_dataset(judgement)) {
-        let Measured::Seeds(values) = &judgement.measured else { panic!("{}", judgement.claim.id()) };
+        let Measured { each: Each::Seed, values } = &judgement.measured else { panic!("{judgement:?}") };
         // What is asked of the smallest size alone has its fourth seed.
         let alone = judgement.claim.sql(false).contains("latent = 2 ");
         assert_eq!(values.len(), if alone { 4 } else { 3 }, "{}", judgement.claim.id());
@@ -319,7 +318,7 @@ fn a_verdict_needs_the_whole_interval() {
     let text = "- {id: a, paper: p, section: s, measured: m, experiments: [single_to_multi], query: q, condition: above 1}";
     let claims = load_text(text).unwrap();
     let verdict = |values: &[f64]| {
-        let measured = Measured::Seeds((0..).zip(values.iter().copied()).collect());
+        let measured = Measured { each: Each::Seed, values: (0..).zip(values.iter().copied()).collect() };
         Judgement { claim: &claims[0], scenario: None, measured }.verdict()
     };
     // Two values at a distance of d have the interval mean ± 12.71 d / 2, from a table of Student's t.
@@ -404,10 +403,7 @@ fn a_query_that_is_no_claims_query_is_refused_even_without_data() {
     let claims =
         load_text(&ONE.replace("avg(value) as", "").replace(" group by scenario, seed", "")).unwrap();
     let error = judge(&registry, &claims[0], false).unwrap_err().to_string();
-    assert!(
-        error.ends_with("it gives several values where there must be one; group by scenario and seed"),
-        "{error}"
-    );
+    assert!(error.ends_with("it gives seed 0 several values; group by scenario and seed"), "{error}");
 }
 
 #[test]
@@ -435,8 +431,9 @@ fn the_command_prints_every_claim_with_its_verdict() {
     }
     let all: usize = CLAIMS.iter().map(|claim| claim.scenarios.len().max(1)).sum();
     assert!(
-        printed
-            .ends_with(&format!("{all} hold, 0 do not hold, 0 undecided; intervals are 95 % over seeds\n")),
+        printed.ends_with(&format!(
+            "{all} hold, 0 do not hold, 0 undecided; intervals are 95 % over seeds (forces: episodes)\n"
+        )),
         "{printed}"
     );
 
@@ -449,7 +446,9 @@ fn the_command_prints_every_claim_with_its_verdict() {
     assert_eq!(said, format!("{all} verdicts in {}\n", csv.display()));
     let csv = std::fs::read_to_string(csv).unwrap();
     assert!(
-        csv.starts_with("claim,paper,section,measured,scenario,seeds,mean,low,high,condition,verdict\n"),
+        csv.starts_with(
+            "claim,paper,section,measured,scenario,each,values,mean,low,high,condition,verdict\n"
+        ),
         "{csv}"
     );
     assert_eq!(csv.lines().filter(|line| line.ends_with(",holds")).count(), all);

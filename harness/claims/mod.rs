@@ -103,15 +103,30 @@ pub enum ClaimsError {
     Query { id: String, line: u64, problem: String },
 }
 
-/// What a claim's query found for one scenario, or for both together.
+/// What a claim's query found for one scenario, or for both together; nothing where the runs that it takes are not
+/// all there.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Measured {
-    /// A number for each seed.
-    Seeds(BTreeMap<i64, f64>),
-    /// The number that the dataset alone decides.
-    Dataset(f64),
-    /// The runs that it takes are not all there.
-    Nothing,
+pub struct Measured {
+    /// What there is a value for: each seed or, where the dataset alone decides, each of its episodes.
+    pub each: Each,
+    pub values: BTreeMap<i64, f64>,
+}
+
+/// What is alike but for chance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Each {
+    Seed,
+    Episode,
+}
+
+impl Each {
+    /// The column of a query.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Seed => "seed",
+            Self::Episode => "episode",
+        }
+    }
 }
 
 /// What becomes of a claim.
@@ -151,13 +166,9 @@ pub struct Judgement<'a> {
 }
 
 impl Judgement<'_> {
-    /// The mean over seeds with its interval; `None` without data.
+    /// The mean over seeds or episodes with its interval; `None` without data.
     pub fn interval(&self) -> Option<Interval> {
-        match &self.measured {
-            Measured::Seeds(values) => mean_interval(&values.values().copied().collect::<Vec<_>>(), LEVEL),
-            Measured::Dataset(value) => Some(Interval { mean: *value, bounds: Some((*value, *value)) }),
-            Measured::Nothing => None,
-        }
+        mean_interval(&self.measured.values.values().copied().collect::<Vec<_>>(), LEVEL)
     }
 
     pub fn verdict(&self) -> Verdict {
@@ -209,51 +220,49 @@ pub fn judge<'a>(
 #[derive(Deserialize)]
 struct Row {
     scenario: Option<Scenario>,
-    seed: Option<i64>,
+    #[serde(alias = "episode")]
+    seed: i64,
     value: Option<f64>,
 }
 
 impl Claim {
     fn measure(&self, registry: &Registry, quick: bool) -> Result<Vec<(Option<Scenario>, Measured)>, String> {
         let mut answer = query_latest(registry, &self.sql(quick)).map_err(|error| error.to_string())?;
-        self.check_columns(&answer)?;
+        let each = self.check_columns(&answer)?;
         let rows: Vec<Row> = rows(&mut answer).map_err(|error| error.to_string())?;
         let scenarios: Vec<Option<Scenario>> = match self.scenarios.as_slice() {
             [] => vec![None],
             scenarios => scenarios.iter().copied().map(Some).collect(),
         };
         let measured = scenarios.into_iter().map(|scenario| {
-            let rows: Vec<&Row> = rows.iter().filter(|row| row.scenario == scenario).collect();
-            Ok((scenario, Measured::of(&rows)?))
+            let mut values = BTreeMap::new();
+            for row in rows.iter().filter(|row| row.scenario == scenario) {
+                // A value that is not defined counts as not measured.
+                if row.value.is_some_and(|value| values.insert(row.seed, value).is_some()) {
+                    let (name, seed) = (each.name(), row.seed);
+                    return Err(format!(
+                        "it gives {name} {seed} several values; group by scenario and {name}"
+                    ));
+                }
+            }
+            Ok((scenario, Measured { each, values }))
         });
         measured.collect()
     }
 
-    fn check_columns(&self, answer: &DataFrame) -> Result<(), String> {
+    /// What the answer has a row for, if its columns are those of a claim.
+    fn check_columns(&self, answer: &DataFrame) -> Result<Each, String> {
         let mut found: Vec<&str> = answer.get_column_names().into_iter().map(|name| name.as_str()).collect();
-        found.sort_unstable();
+        let each = if found.contains(&"episode") { Each::Episode } else { Each::Seed };
         let scenario = (!self.scenarios.is_empty()).then_some("scenario");
-        let seed = found.contains(&"seed").then_some("seed");
-        let expected: Vec<&str> = scenario.into_iter().chain(seed).chain(["value"]).collect();
+        let mut expected: Vec<&str> = scenario.into_iter().chain([each.name(), "value"]).collect();
+        let columns = (found.join(", "), expected.join(", "));
+        found.sort_unstable();
+        expected.sort_unstable();
         if found == expected {
-            return Ok(());
-        }
-        Err(format!("it gives the columns {} instead of {}", found.join(", "), expected.join(", ")))
-    }
-}
-
-impl Measured {
-    /// What the rows of one scenario, or of both together, say. A value that is not defined counts as not measured.
-    fn of(rows: &[&Row]) -> Result<Self, String> {
-        let defined: Vec<(Option<i64>, f64)> =
-            rows.iter().filter_map(|row| Some((row.seed, row.value?))).collect();
-        let seeds: BTreeMap<i64, f64> =
-            defined.iter().filter_map(|(seed, value)| Some(((*seed)?, *value))).collect();
-        match defined.as_slice() {
-            [] => Ok(Self::Nothing),
-            [(None, value)] => Ok(Self::Dataset(*value)),
-            _ if seeds.len() == defined.len() => Ok(Self::Seeds(seeds)),
-            _ => Err("it gives several values where there must be one; group by scenario and seed".into()),
+            Ok(each)
+        } else {
+            Err(format!("it gives the columns {} instead of {}", columns.0, columns.1))
         }
     }
 }

@@ -4,7 +4,7 @@ use super::DONE;
 use super::table::{rounded, shown, wrapped};
 use anyhow::Result;
 use clap::Args;
-use harness::claims::{self, Judgement, Measured, Verdict};
+use harness::claims::{self, Judgement, Verdict};
 use harness::metrics::interval::Interval;
 use harness::registry::{self, Registry};
 use harness::spec::Scenario;
@@ -86,9 +86,11 @@ fn interval(interval: Interval) -> String {
 
 fn print_details(judgements: &[Judgement], quick: bool) {
     for judgement in judgements {
-        if let Measured::Seeds(values) = &judgement.measured {
-            let values: Vec<String> =
-                values.iter().map(|(seed, value)| format!("seed {seed}: {}", rounded(*value))).collect();
+        let each = judgement.measured.each.name();
+        let values = judgement.measured.values.iter();
+        let values: Vec<String> =
+            values.map(|(n, value)| format!("{each} {n}: {}", rounded(*value))).collect();
+        if !values.is_empty() {
             println!("{} {}: {}", judgement.claim.id(), scenario(judgement), values.join(", "));
         }
     }
@@ -100,7 +102,7 @@ fn print_details(judgements: &[Judgement], quick: bool) {
 fn print_summary(judgements: &[Judgement], quick: bool) {
     let count = |verdict: fn(&Verdict) -> bool| judgements.iter().filter(|j| verdict(&j.verdict())).count();
     println!(
-        "{} hold, {} do not hold, {} undecided; intervals are 95 % over seeds",
+        "{} hold, {} do not hold, {} undecided; intervals are 95 % over seeds (forces: episodes)",
         count(|verdict| *verdict == Verdict::Holds),
         count(|verdict| *verdict == Verdict::DoesNotHold),
         count(|verdict| !matches!(verdict, Verdict::Holds | Verdict::DoesNotHold)),
@@ -124,17 +126,15 @@ fn frame(judgements: &[Judgement]) -> Result<DataFrame> {
         let values = judgements.iter().map(|judgement| judgement.interval().and_then(of));
         Column::new(name.into(), values.collect::<Vec<_>>())
     };
-    let seeds = judgements.iter().map(|judgement| match &judgement.measured {
-        Measured::Seeds(values) => Some(values.len() as i64),
-        _ => None,
-    });
+    let counts = judgements.iter().map(|judgement| judgement.measured.values.len() as i64);
     let columns = vec![
         text("claim", &|judgement| Some(judgement.claim.id().to_owned())),
         text("paper", &|judgement| Some(judgement.claim.paper.clone())),
         text("section", &|judgement| Some(judgement.claim.section.clone())),
         text("measured", &|judgement| Some(judgement.claim.measured.clone())),
         text("scenario", &|judgement| judgement.scenario.map(|scenario| scenario.name().to_owned())),
-        Column::new("seeds".into(), seeds.collect::<Vec<_>>()),
+        text("each", &|judgement| Some(judgement.measured.each.name().to_owned())),
+        Column::new("values".into(), counts.collect::<Vec<_>>()),
         number("mean", &|interval| Some(interval.mean)),
         number("low", &|interval| interval.bounds.map(|(low, _)| low)),
         number("high", &|interval| interval.bounds.map(|(_, high)| high)),

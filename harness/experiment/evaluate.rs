@@ -12,6 +12,7 @@ use crate::registry::{ForceRows, FrameRow, MetricRow, PredictionRow};
 use crate::spec::{FRAME_CHANNELS, Modality, Task};
 use candle_core::Tensor;
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// Strength of the ridge regression's penalty, on standardised inputs and thousands of samples.
 const RIDGE_ALPHA: f64 = 1.0;
@@ -194,14 +195,19 @@ fn picture(modality: Modality, values: &[f32]) -> Vec<u8> {
         .collect()
 }
 
-/// How the dataset's forces are distributed, link by link.
+/// How the forces are distributed, link by link: over the whole dataset, and in each of its episodes.
 pub fn forces(samples: &Samples) -> Vec<ForceRows> {
-    let of = |modality| {
-        let forces: Vec<f32> =
-            (0..samples.len()).flat_map(|sample| samples.vector(modality, sample).iter().copied()).collect();
-        ForceRows { modality, links: contact::by_link(&forces) }
+    let of = |modality, episode, range: Range<usize>| {
+        let forces: Vec<f32> = range.flat_map(|sample| samples.vector(modality, sample)).copied().collect();
+        ForceRows { modality, episode, links: contact::by_link(&forces) }
     };
-    vec![of(Modality::ContactForce), of(Modality::ContactForceMean)]
+    let mut rows = Vec::new();
+    for modality in [Modality::ContactForce, Modality::ContactForceMean] {
+        rows.push(of(modality, None, 0..samples.len()));
+        let episodes = (0..).zip(samples.episodes());
+        rows.extend(episodes.map(|(episode, range)| of(modality, Some(episode), range.clone())));
+    }
+    rows
 }
 
 fn label(task: Task, model: &'static str, evaluation: &Evaluation) -> Vec<MetricRow> {
