@@ -1,9 +1,10 @@
 //! A research harness for multi-modal perception of a soft robot.
 //!
 //! Data flows one way, and each room may use only those before it:
-//! spec, simulation, dataset, learning, metrics, registry. The story of an experiment is in [`experiment`], and
-//! [`figures`] are drawn of its results.
+//! spec, simulation, dataset, learning, metrics, registry. The story of an experiment is in [`experiment`];
+//! [`claims`] are judged by its results, and [`figures`] drawn of them.
 
+pub mod claims;
 pub mod dataset;
 pub mod experiment;
 pub mod figures;

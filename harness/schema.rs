@@ -35,7 +35,7 @@ pub enum Table {
     Metrics,
     /// One row a test sample and joint or link.
     Predictions,
-    /// One row a link and force, over the whole dataset.
+    /// One row a link and force, over the whole dataset or one episode.
     Forces,
     /// One row a picture of a few test samples.
     Frames,
@@ -77,7 +77,9 @@ impl Table {
             Table::Epochs => "one row an epoch, split and loss term",
             Table::Metrics => "one row a metric of a run or of a baseline on the same test samples",
             Table::Predictions => "one row a test sample and joint or link",
-            Table::Forces => "one row a link and force: its distribution over the run's whole dataset",
+            Table::Forces => {
+                "one row a link and force: its distribution over the run's whole dataset, or one episode of it"
+            }
             Table::Frames => "one row a picture: what the network made of a few fixed test samples",
             Table::Episodes => "one row a recorded sample; the files hold the frames besides",
         }
@@ -180,7 +182,11 @@ fn metric_values() -> Vec<Column> {
         text("modality", "what is predicted"),
         text("direction", "fe (flexion/extension) or aa (adduction/abduction); null where neither or both"),
         integer("index", "joint or link, 0 at the base; null for an aggregate"),
-        text("metric", "smape, wmape, r2, rmse, mae or relative_error"),
+        text(
+            "metric",
+            "smape, wmape, r2, rmse, mae, relative_error; relative_error_arm, relative_error_finger: of the pixels \
+             that show the part before or after the change",
+        ),
         real("value", "", "the metric; null where it is not defined"),
         text("unit", "unit of the value"),
     ]
@@ -201,8 +207,9 @@ fn prediction_values() -> Vec<Column> {
 fn force_values() -> Vec<Column> {
     let mut columns = vec![
         text("modality", "contact_force or contact_force_mean"),
+        integer("episode", "episode of the dataset; null for the whole dataset"),
         integer("index", "link, 0 at the base"),
-        integer("samples", "samples of the dataset"),
+        integer("samples", "samples of the episode or dataset"),
         integer("contacts", "samples in which the link is touched: its force is above 0"),
         real("mean", "N", "mean force over all samples, touched or not"),
     ];

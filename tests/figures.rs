@@ -269,19 +269,29 @@ fn forces_and_frames_are_those_of_the_dataset() {
     let run = fs::read_dir(results.join("runs/multi_to_multi")).unwrap().next().unwrap().unwrap().path();
 
     let forces = read_table(&run.join("forces.parquet"), None).unwrap();
-    assert_eq!(forces.height(), 2 * 20);
-    for row in 0..20 {
-        let of_link = |values: &[f32]| -> Vec<f64> {
-            values.iter().skip(row).step_by(20).map(|&force| f64::from(force)).collect()
-        };
-        let values: Vec<f64> = episodes.iter().flat_map(|episode| of_link(&episode.contact_force)).collect();
-        assert_eq!(real(&forces, "samples", row), Some(values.len() as f64));
-        let touching = values.iter().filter(|force| **force > 0.0).count();
-        assert_eq!(real(&forces, "contacts", row), Some(touching as f64));
-        let mean = values.iter().sum::<f64>() / values.len() as f64;
-        assert!((real(&forces, "mean", row).unwrap() - mean).abs() < 1e-9);
-        let max = values.iter().copied().fold(0.0, f64::max);
-        assert_eq!(real(&forces, "max", row), (touching > 0).then_some(max));
+    // Two kinds of force on 20 links: of the whole dataset first, then of each episode.
+    assert_eq!(forces.height(), 2 * (1 + EPISODES as usize) * 20);
+    let whole = (None, &episodes[..]);
+    let single = episodes.chunks(1).enumerate().map(|(index, episode)| (Some(index as f64), episode));
+    for (block, (index, episodes)) in [whole].into_iter().chain(single).enumerate() {
+        for link in 0..20 {
+            let row = 20 * block + link;
+            assert_eq!(
+                (real(&forces, "episode", row), real(&forces, "index", row)),
+                (index, Some(link as f64))
+            );
+            let of_link = |values: &[f32]| -> Vec<f64> {
+                values.iter().skip(link).step_by(20).map(|&force| f64::from(force)).collect()
+            };
+            let values: Vec<f64> = episodes.iter().flat_map(|e| of_link(&e.contact_force)).collect();
+            assert_eq!(real(&forces, "samples", row), Some(values.len() as f64));
+            let touching = values.iter().filter(|force| **force > 0.0).count();
+            assert_eq!(real(&forces, "contacts", row), Some(touching as f64));
+            let mean = values.iter().sum::<f64>() / values.len() as f64;
+            assert!((real(&forces, "mean", row).unwrap() - mean).abs() < 1e-9);
+            let max = values.iter().copied().fold(0.0, f64::max);
+            assert_eq!(real(&forces, "max", row), (touching > 0).then_some(max));
+        }
     }
 
     let frames = read_table(&run.join("frames.parquet"), None).unwrap();

@@ -5,6 +5,7 @@ use harness::metrics::baselines::{
 };
 use harness::metrics::contact::{Contact, by_link};
 use harness::metrics::interval::{Interval, mean_interval};
+use harness::metrics::parts::Part;
 use harness::metrics::series::{error_relative_to_mean, error_relative_to_zero, mae, r2, rmse, smape, wmape};
 use harness::metrics::{Direction, Evaluation, Metric, MetricsError, Row, Series, evaluate};
 use harness::spec::{ARM_JOINTS, FRAME_LEN, FRAME_SIDE, JOINTS, Modality};
@@ -236,7 +237,7 @@ fn frame_difference_is_compared_with_no_change() {
         let rows = evaluate(Modality::FrameDifference, &reference, predicted).unwrap();
         assert_eq!(
             rows.iter().map(|row| row.metric.name()).collect::<Vec<_>>(),
-            ["relative_error", "rmse", "mae"]
+            ["relative_error", "relative_error_arm", "relative_error_finger", "rmse", "mae"]
         );
         assert!(rows.iter().all(|row| row.unit() == "1" && row.index.is_none() && row.direction.is_none()));
         find(&rows, Metric::RelativeError, None, None).value
@@ -250,6 +251,51 @@ fn frame_difference_is_compared_with_no_change() {
     let rows = evaluate(Modality::FrameDifference, &still, &reference[..FRAME_LEN]).unwrap();
     assert_eq!(find(&rows, Metric::RelativeError, None, None).value, None);
     assert_close(find(&rows, Metric::Mae, None, None).value, 0.5 / FRAME_LEN as f64);
+}
+
+#[test]
+fn the_arms_and_the_fingers_pixels_have_errors_of_their_own() {
+    const PLANE: usize = FRAME_SIDE * FRAME_SIDE;
+    // Pixel 3 shows the arm, pixel 5 the finger, pixel 7 neither; in all channels the change is 0.5, and predicted are
+    // 0.25 on the arm, 0.4 on the finger and 9 beside them.
+    let mut parts = vec![None; PLANE];
+    (parts[3], parts[5]) = (Some(Part::Arm), Some(Part::Finger));
+    let (mut reference, mut predicted) = (vec![0.0; FRAME_LEN], vec![0.0; FRAME_LEN]);
+    for channel in 0..3 {
+        for (pixel, value) in [(3, 0.25), (5, 0.4), (7, 9.0)] {
+            reference[channel * PLANE + pixel] = 0.5;
+            predicted[channel * PLANE + pixel] = value;
+        }
+    }
+    let mut evaluation = Evaluation::new(Modality::FrameDifference);
+    evaluation.add_with_parts(&reference, &predicted, &parts).unwrap();
+    let value = |metric| find(&evaluation.rows(), metric, None, None).value;
+    assert_close(value(Metric::RelativeErrorArm), 0.25);
+    assert!((value(Metric::RelativeErrorFinger).unwrap() - 0.04).abs() < 1e-6, "f32 rounds 0.4");
+    assert!(value(Metric::RelativeError).unwrap() > 90.0, "all pixels count there");
+
+    let mut unseen = Evaluation::new(Modality::FrameDifference);
+    unseen.add_with_parts(&reference, &predicted, &[None; PLANE]).unwrap();
+    assert_eq!(find(&unseen.rows(), Metric::RelativeErrorFinger, None, None).value, None);
+    assert!(unseen.add_with_parts(&reference, &predicted, &parts[1..]).is_err());
+    assert!(unseen.add_with_parts(&reference, &predicted, &[None; 2 * PLANE]).is_err());
+}
+
+#[test]
+fn a_pixel_counts_for_what_it_shows_before_or_after_the_change() {
+    const PLANE: usize = FRAME_SIDE * FRAME_SIDE;
+    let [ground, arm, finger] = [[216, 216, 208], [40, 44, 52], [180, 120, 10]];
+    let frame = |pixels: [[u8; 3]; 4]| {
+        let mut frame: Vec<u8> = ground.into_iter().flat_map(|value| [value; PLANE]).collect();
+        for (pixel, colour) in pixels.into_iter().enumerate() {
+            (0..3).for_each(|channel| frame[channel * PLANE + pixel] = colour[channel]);
+        }
+        frame
+    };
+    let (before, after) = (frame([ground, arm, finger, arm]), frame([ground, ground, ground, finger]));
+    let (arm, finger) = (Some(Part::Arm), Some(Part::Finger));
+    assert_eq!(Part::in_either(&before, &after)[..5], [None, arm, finger, finger, None]);
+    assert_eq!(Part::in_either(&after, &before)[..5], [None, arm, finger, finger, None]);
 }
 
 #[test]

@@ -1,9 +1,10 @@
 //! The simulated world against MuJoCo's own sensors, Python's `mujoco`, and what a user may get wrong.
 
+use harness::metrics::parts::Part;
 use harness::simulation::{
     BOXES, Course, Episode, Portrait, Scene, SimulationError, Simulator, link_forces, replay,
 };
-use harness::spec::{ARM_JOINTS, FRAME_LEN, FRAME_SIDE, JOINTS, Scenario, Simulation};
+use harness::spec::{ARM_JOINTS, FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, JOINTS, Scenario, Simulation};
 use mujoco_rs::prelude::*;
 use std::ffi::OsStr;
 use std::ops::ControlFlow;
@@ -311,6 +312,32 @@ fn frames_are_those_of_pythons_renderer() {
         assert_eq!(episode.vision.len(), theirs.len());
         let worst = episode.vision.iter().zip(&theirs).map(|(a, b)| a.abs_diff(*b)).max();
         assert!(worst <= Some(1), "{scenario}: a pixel differs by {worst:?}");
+    }
+}
+
+#[test]
+fn colours_tell_the_robots_parts_as_mujocos_segmentation_does() {
+    for &scenario in Scenario::ALL {
+        let (scene, spec) = (scene(scenario), short());
+        let episode = simulate(&scene, &spec, 0);
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        std::fs::write(file("model.xml"), scene.xml()).unwrap();
+        write_floats(&file("positions"), replay(&scene, &spec, 0).unwrap().iter().flatten());
+        let paths = ["model.xml", "positions", "parts"].map(file);
+        python("segment_frames.py", &[&paths[0], &paths[1], &FRAME_SIDE.to_string(), &paths[2]]);
+        let theirs = std::fs::read(&paths[2]).unwrap();
+        let ours: Vec<u8> = episode
+            .vision
+            .chunks_exact(FRAME_CHANNELS)
+            .map(|pixel| match Part::of(pixel.try_into().unwrap()) {
+                None => 0,
+                Some(Part::Arm) => 1,
+                Some(Part::Finger) => 2,
+            })
+            .collect();
+        assert!((1..=2).all(|part| theirs.contains(&part)), "{scenario}: both parts are seen");
+        assert!(ours == theirs, "{scenario}: the parts differ");
     }
 }
 

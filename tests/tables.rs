@@ -86,8 +86,8 @@ fn every_table_opens_in_every_reader_with_the_same_rows() {
     let rows = |table| {
         ANSWER.files.iter().filter(move |file| file.table() == table).map(|file| file.rows["pyarrow"])
     };
-    // Two kinds of force on 20 links; five test transitions of two tasks.
-    assert_eq!(rows(Table::Forces).collect::<Vec<_>>(), [2 * 20; 2]);
+    // Two kinds of force on 20 links, over the dataset and its four episodes; five test transitions of two tasks.
+    assert_eq!(rows(Table::Forces).collect::<Vec<_>>(), [2 * 5 * 20; 2]);
     assert_eq!(rows(Table::Frames).collect::<Vec<_>>(), [5 * 2; 2]);
     // 10 transitions a second for 3 s of the one test episode; 20 joints twice, and once more.
     for file in ANSWER.files.iter().filter(|file| file.table() == Table::Predictions) {

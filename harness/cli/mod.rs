@@ -1,15 +1,19 @@
 //! Commands and their arguments.
 
+mod claims;
+mod compare;
 mod doctor;
 mod figures;
 mod inspect;
 mod progress;
 mod render;
 mod run;
+mod sheet;
 mod table;
 mod verify;
 
 use clap::{Parser, Subcommand};
+use harness::claims::ClaimsError;
 use harness::experiment::describe;
 use harness::registry::{QueryError, Registry, RegistryError};
 use harness::simulation::SimulationError;
@@ -63,6 +67,26 @@ enum Command {
 
 `harness schema --tables` lists the columns.")]
     Query(inspect::Query),
+    /// Judge the paper's statements by the tables
+    #[command(after_help = "Examples:
+  harness claims
+  harness claims vision_improves_force            its query, and the value of every seed
+  harness claims --quick                          by the results of `harness run … --quick`
+  harness claims --output verdicts.csv
+
+A claim holds where the whole 95 % interval over seeds satisfies its condition, does not hold where the whole \
+interval violates it, and is undecided otherwise, or with a single seed.")]
+    Claims(claims::Claims),
+    /// Print runs side by side: mean and interval over seeds, the best of a row marked
+    #[command(after_help = "Examples:
+  harness compare single_to_multi
+  harness compare --by experiment,latent --task prediction --models network
+  harness compare --by scenario --metrics r2,rmse
+  harness compare multi_to_multi --format latex > table.tex
+
+Metrics are over all joints, links or pixels, on the test episodes; `harness query` has those of each. After ± \
+stands half of the 95 % interval of the mean over seeds (Student's t). LaTeX needs \\usepackage{booktabs}.")]
+    Compare(compare::Compare),
     /// List all runs
     Ls,
     /// Show one run: its spec, provenance, times and metrics
@@ -119,6 +143,8 @@ pub fn main(arguments: Arguments) -> ExitCode {
         Command::Collect(collect) => collect.execute(&registry, threads),
         Command::Validate(validate) => validate.execute(),
         Command::Query(query) => query.execute(&registry),
+        Command::Claims(claims) => claims.execute(&registry),
+        Command::Compare(compare) => compare.execute(&registry),
         Command::Ls => inspect::list(&registry),
         Command::Show(show) => show.execute(&registry),
         Command::Schema(schema) => schema.execute(),
@@ -140,6 +166,8 @@ fn all_threads() -> usize {
 /// Whether the user asked for something that can't be; then the exit code is 2, as for unknown arguments.
 fn is_usage(error: &anyhow::Error) -> bool {
     error.is::<SpecError>()
+        || error.is::<ClaimsError>()
+        || error.is::<compare::CompareError>()
         || error.is::<render::RenderError>()
         || matches!(
             error.downcast_ref(),

@@ -1,6 +1,6 @@
 //! Tables on the terminal.
 
-use comfy_table::{CellAlignment, Table, presets};
+use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
 use polars::prelude::{AnyValue, DataFrame};
 use std::path::Path;
 
@@ -29,6 +29,20 @@ pub fn print(table: &DataFrame) {
     }
 }
 
+/// Characters in a line where the output is no terminal.
+const LINE: u16 = 160;
+
+/// A table whose cells are broken into lines that fit the terminal, with a line between rows.
+pub fn wrapped<const N: usize>(header: [&str; N], rows: Vec<[String; N]>) -> Table {
+    let mut out = Table::new();
+    out.load_preset(presets::UTF8_HORIZONTAL_ONLY).set_content_arrangement(ContentArrangement::Dynamic);
+    if !out.is_tty() {
+        out.set_width(LINE);
+    }
+    out.set_header(header).add_rows(rows);
+    out
+}
+
 fn cell(value: AnyValue) -> String {
     match value {
         AnyValue::Null => "-".into(),
@@ -42,7 +56,7 @@ fn cell(value: AnyValue) -> String {
 }
 
 /// A number to four significant digits.
-fn rounded(value: f64) -> String {
+pub fn rounded(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return value.to_string();
     }

@@ -6,11 +6,13 @@ use crate::learning::network::Decoder;
 use crate::learning::objective::View;
 use crate::learning::predict::{Predicted, decode};
 use crate::metrics::baselines::{GREY_LEN, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
-use crate::metrics::{Evaluation, contact};
+use crate::metrics::parts::Part;
+use crate::metrics::{Evaluation, MetricsError, contact};
 use crate::registry::{ForceRows, FrameRow, MetricRow, PredictionRow};
 use crate::spec::{FRAME_CHANNELS, Modality, Task};
 use candle_core::Tensor;
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// Strength of the ridge regression's penalty, on standardised inputs and thousands of samples.
 const RIDGE_ALPHA: f64 = 1.0;
@@ -65,7 +67,10 @@ pub fn network(
     decode(view, decoder, output, task == Task::Prediction, latent, test, |predicted| {
         let reference = physical(&view.samples, predicted.modality, &predicted_samples(task, predicted.at));
         if let Some(evaluation) = evaluations.get_mut(&predicted.modality) {
-            failure = failure.take().or(evaluation.add(&reference, &predicted.values).err());
+            let at = predicted_samples(task, predicted.at);
+            let added =
+                add(evaluation, &view.samples, predicted.modality, &at, &reference, &predicted.values);
+            failure = failure.take().or(added.err());
         }
         if predicted.modality.is_frame() {
             frames.extend(frame_rows(&view.samples, task, &predicted, &reference, storyboard));
@@ -80,6 +85,24 @@ pub fn network(
     }
     let metrics = evaluations.values().flat_map(|evaluation| label(task, "network", evaluation)).collect();
     Ok(Evaluated { metrics, predictions, frames })
+}
+
+/// Adds the predictions of `modality` at the samples `at` to its evaluation.
+fn add(
+    evaluation: &mut Evaluation,
+    samples: &Samples,
+    modality: Modality,
+    at: &[usize],
+    reference: &[f32],
+    predicted: &[f32],
+) -> Result<(), MetricsError> {
+    if modality != Modality::FrameDifference {
+        return evaluation.add(reference, predicted);
+    }
+    let parts =
+        |sample: &usize| Part::in_either(samples.previous_frame_bytes(*sample), samples.frame_bytes(*sample));
+    let parts: Vec<Option<Part>> = at.iter().flat_map(parts).collect();
+    evaluation.add_with_parts(reference, predicted, &parts)
 }
 
 /// Whether every single prediction is kept: those of the finger are, frames would take too much room.
@@ -172,14 +195,19 @@ fn picture(modality: Modality, values: &[f32]) -> Vec<u8> {
         .collect()
 }
 
-/// How the dataset's forces are distributed, link by link.
+/// How the forces are distributed, link by link: over the whole dataset, and in each of its episodes.
 pub fn forces(samples: &Samples) -> Vec<ForceRows> {
-    let of = |modality| {
-        let forces: Vec<f32> =
-            (0..samples.len()).flat_map(|sample| samples.vector(modality, sample).iter().copied()).collect();
-        ForceRows { modality, links: contact::by_link(&forces) }
+    let of = |modality, episode, range: Range<usize>| {
+        let forces: Vec<f32> = range.flat_map(|sample| samples.vector(modality, sample)).copied().collect();
+        ForceRows { modality, episode, links: contact::by_link(&forces) }
     };
-    vec![of(Modality::ContactForce), of(Modality::ContactForceMean)]
+    let mut rows = Vec::new();
+    for modality in [Modality::ContactForce, Modality::ContactForceMean] {
+        rows.push(of(modality, None, 0..samples.len()));
+        let episodes = (0..).zip(samples.episodes());
+        rows.extend(episodes.map(|(episode, range)| of(modality, Some(episode), range.clone())));
+    }
+    rows
 }
 
 fn label(task: Task, model: &'static str, evaluation: &Evaluation) -> Vec<MetricRow> {
@@ -226,8 +254,9 @@ fn judge(
 ) -> Result<Vec<MetricRow>, ExperimentError> {
     let mut evaluation = Evaluation::new(modality);
     for at in partition.test.chunks(BATCH) {
-        let reference = physical(&view.samples, modality, &predicted_samples(task, at));
-        evaluation.add(&reference, &predict(at)?)?;
+        let samples = predicted_samples(task, at);
+        let reference = physical(&view.samples, modality, &samples);
+        add(&mut evaluation, &view.samples, modality, &samples, &reference, &predict(at)?)?;
     }
     Ok(label(task, model, &evaluation))
 }

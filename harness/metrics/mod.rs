@@ -1,14 +1,15 @@
 //! How good a prediction is: metrics in physical units, and the simple baselines they are read against.
 //!
 //! [`series`] has the formulas, [`Evaluation`] applies those that suit a modality to its joints, links or
-//! pixels, [`baselines`] predicts without a network, [`interval`] sums up seeds,
-//! [`contact`] forces. Everything accumulates batch by batch in f64, so a test
+//! pixels, [`parts`] tells which pixels show the robot's parts, [`baselines`] predicts without a network,
+//! [`interval`] sums up seeds, [`contact`] forces. Everything accumulates batch by batch in f64, so a test
 //! set of frames need not fit in memory.
 
 pub mod baselines;
 pub mod contact;
 mod error;
 pub mod interval;
+pub mod parts;
 pub mod series;
 
 pub use error::MetricsError;
@@ -16,6 +17,8 @@ use error::{check_finite, check_samples, rows};
 pub use series::Series;
 
 use crate::spec::Modality;
+use parts::Part;
+use std::slice::from_ref;
 
 /// The axis a joint of the finger bends about; a link's direction is that of the joint at its base.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -55,9 +58,18 @@ pub enum Metric {
     /// `frame_difference` is compared with no change, `vision` with each pixel's own mean over the test
     /// samples, the best still picture there is.
     RelativeError,
+    /// The same over the pixels that show the arm before or after the change, and not the finger.
+    RelativeErrorArm,
+    /// The same over the pixels that show the finger before or after the change.
+    RelativeErrorFinger,
 }
 
 impl Metric {
+    pub const ALL: [Metric; 8] = {
+        use Metric::*;
+        [Smape, Wmape, R2, Rmse, Mae, RelativeError, RelativeErrorArm, RelativeErrorFinger]
+    };
+
     /// The metrics that a modality is judged by.
     pub fn of(modality: Modality) -> &'static [Metric] {
         use Metric::*;
@@ -65,7 +77,8 @@ impl Metric {
             Modality::Proprioception => &[Smape, R2, Rmse, Mae],
             Modality::ContactForce | Modality::ContactForceMean => &[Wmape, R2, Rmse, Mae],
             Modality::Arm => &[R2, Rmse, Mae],
-            Modality::Vision | Modality::FrameDifference => &[RelativeError, Rmse, Mae],
+            Modality::Vision => &[RelativeError, Rmse, Mae],
+            Modality::FrameDifference => &[RelativeError, RelativeErrorArm, RelativeErrorFinger, Rmse, Mae],
         }
     }
 
@@ -78,21 +91,8 @@ impl Metric {
             Metric::Rmse => "rmse",
             Metric::Mae => "mae",
             Metric::RelativeError => "relative_error",
-        }
-    }
-
-    /// The metric over `series` of `modality`, pooled; `None` where it isn't defined.
-    fn value(self, modality: Modality, series: &[Series]) -> Option<f64> {
-        match self {
-            Metric::Smape => series::smape(series),
-            Metric::Wmape => series::wmape(series),
-            Metric::R2 => series::r2(series),
-            Metric::Rmse => series::rmse(series),
-            Metric::Mae => series::mae(series),
-            Metric::RelativeError if modality == Modality::FrameDifference => {
-                series::error_relative_to_zero(series)
-            }
-            Metric::RelativeError => series::error_relative_to_mean(series),
+            Metric::RelativeErrorArm => "relative_error_arm",
+            Metric::RelativeErrorFinger => "relative_error_finger",
         }
     }
 }
@@ -115,7 +115,9 @@ impl Row {
     pub fn unit(&self) -> &'static str {
         match self.metric {
             Metric::Smape | Metric::Wmape => "%",
-            Metric::R2 | Metric::RelativeError => "1",
+            Metric::R2 | Metric::RelativeError | Metric::RelativeErrorArm | Metric::RelativeErrorFinger => {
+                "1"
+            }
             Metric::Rmse | Metric::Mae => match self.modality {
                 Modality::Proprioception => "rad",
                 Modality::Arm if self.index == Some(0) => "rad",
@@ -134,11 +136,15 @@ impl Row {
 pub struct Evaluation {
     modality: Modality,
     columns: Vec<Series>,
+    /// Of the pixels that show each part.
+    arm: Series,
+    finger: Series,
 }
 
 impl Evaluation {
     pub fn new(modality: Modality) -> Self {
-        Self { modality, columns: vec![Series::default(); modality.width()] }
+        let columns = vec![Series::default(); modality.width()];
+        Self { modality, columns, arm: Series::default(), finger: Series::default() }
     }
 
     /// Adds a batch: `reference` and `predicted`, each row-major `[samples, width of the modality]`.
@@ -160,6 +166,34 @@ impl Evaluation {
         Ok(())
     }
 
+    /// Adds a batch of frames, with the part of the robot that each pixel shows: `[samples, pixels]`.
+    ///
+    /// # Errors
+    /// As [`Evaluation::add`], or `parts` has another number of samples.
+    pub fn add_with_parts(
+        &mut self,
+        reference: &[f32],
+        predicted: &[f32],
+        parts: &[Option<Part>],
+    ) -> Result<(), MetricsError> {
+        let width = self.columns.len();
+        let parts = rows("the mask of parts", parts, parts::PIXELS)?;
+        check_samples(("the reference", reference.len() / width), ("the mask of parts", parts.len()))?;
+        self.add(reference, predicted)?;
+        let frames = reference.chunks_exact(width).zip(predicted.chunks_exact(width));
+        for ((reference, predicted), parts) in frames.zip(parts) {
+            // Every channel has the same pixels.
+            for ((&r, &p), part) in reference.iter().zip(predicted).zip(parts.iter().cycle()) {
+                match part {
+                    Some(Part::Arm) => self.arm.add(r, p),
+                    Some(Part::Finger) => self.finger.add(r, p),
+                    None => {}
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// The metrics so far: overall first, then by direction, then by joint or link.
     ///
     /// Joints and links of the finger have all three; the arm's joints differ in unit and are never pooled;
@@ -173,10 +207,27 @@ impl Evaluation {
                     direction: group.direction,
                     index: group.index,
                     metric,
-                    value: metric.value(self.modality, &group.series),
+                    value: self.value(metric, &group.series),
                 })
             })
             .collect()
+    }
+
+    /// A metric over `series`, pooled; `None` where it isn't defined.
+    fn value(&self, metric: Metric, series: &[Series]) -> Option<f64> {
+        match metric {
+            Metric::Smape => series::smape(series),
+            Metric::Wmape => series::wmape(series),
+            Metric::R2 => series::r2(series),
+            Metric::Rmse => series::rmse(series),
+            Metric::Mae => series::mae(series),
+            Metric::RelativeError if self.modality == Modality::FrameDifference => {
+                series::error_relative_to_zero(series)
+            }
+            Metric::RelativeError => series::error_relative_to_mean(series),
+            Metric::RelativeErrorArm => series::error_relative_to_zero(from_ref(&self.arm)),
+            Metric::RelativeErrorFinger => series::error_relative_to_zero(from_ref(&self.finger)),
+        }
     }
 
     fn groups(&self) -> Vec<Group> {

@@ -13,7 +13,7 @@ mod record;
 mod verify;
 
 pub use provenance::{Provenance, peak_memory_bytes};
-pub use query::{QueryError, query, save, table};
+pub use query::{QueryError, query, query_latest, rows, save, table};
 pub use record::{
     FileRecord, ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings,
 };
@@ -23,6 +23,7 @@ use crate::files::{WriteError, write_bytes};
 use crate::spec::{RunSpec, Task};
 use crate::tables::TableError;
 use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Raised whenever the same spec on the same data would train or be judged differently than before.
@@ -179,6 +180,22 @@ impl Registry {
         folders
     }
 
+    /// The runs that count, in the order of their folders: done, and of several of the same cell and seed in an
+    /// experiment the one that was started last.
+    fn latest(&self) -> Vec<(PathBuf, RunRecord)> {
+        let mut latest: BTreeMap<(String, String), (PathBuf, RunRecord)> = BTreeMap::new();
+        for (folder, record) in self.recorded() {
+            let key = (record.experiment.clone(), record.label());
+            let newer = latest.get(&key).is_none_or(|(_, other)| other.started <= record.started);
+            if record.status == Status::Done && newer {
+                latest.insert(key, (folder, record));
+            }
+        }
+        let mut latest: Vec<_> = latest.into_values().collect();
+        latest.sort_by(|(a, _), (b, _)| a.cmp(b));
+        latest
+    }
+
     /// The one run whose id, or `experiment/id`, begins with `wanted`.
     pub fn find(&self, wanted: &str) -> Result<(RunFolder, RunRecord), RegistryError> {
         let records = self.records();
@@ -277,7 +294,7 @@ impl RunFolder {
 /// The settings in which two specs differ, as `training.epochs (5, now 200)`.
 fn differences(before: &RunSpec, now: &RunSpec) -> Vec<String> {
     let leaves = |spec: &RunSpec| {
-        let mut leaves = std::collections::BTreeMap::new();
+        let mut leaves = BTreeMap::new();
         collect_leaves("", &serde_json::to_value(spec).unwrap_or_default(), &mut leaves);
         leaves
     };
@@ -291,11 +308,7 @@ fn differences(before: &RunSpec, now: &RunSpec) -> Vec<String> {
 }
 
 /// Every value of a tree that is no object, under its dotted key.
-fn collect_leaves(
-    key: &str,
-    value: &serde_json::Value,
-    leaves: &mut std::collections::BTreeMap<String, String>,
-) {
+fn collect_leaves(key: &str, value: &serde_json::Value, leaves: &mut BTreeMap<String, String>) {
     match value {
         serde_json::Value::Object(entries) => {
             for (name, value) in entries {

@@ -1,6 +1,6 @@
 //! SQL over the tables of a results folder.
 
-use super::record::runs_table;
+use super::record::{RunRecord, runs_table};
 use super::{Registry, RegistryError, Status};
 use crate::dataset::episode_scan;
 use crate::files::{WriteError, write_whole};
@@ -9,6 +9,7 @@ use crate::tables::{TableError, data_type, scan};
 use polars::prelude::*;
 use polars::sql::SQLContext;
 use rayon::prelude::*;
+use serde::de::DeserializeOwned;
 use sqlparser::ast::{Expr, Statement, TableFactor, Visit, Visitor};
 use sqlparser::dialect::GenericDialect;
 use sqlparser::parser::{Parser, ParserError, ParserOptions};
@@ -36,6 +37,8 @@ pub enum QueryError {
     Sql(PolarsError),
     #[error("the query can't be answered: {0}")]
     Refused(String),
+    #[error("the answer's rows are not what they should be: {0}")]
+    Rows(serde_json::Error),
     #[error("can't write to '{}': its name must end in .parquet, .csv or .json", .0.display())]
     Format(PathBuf),
     #[error(transparent)]
@@ -51,22 +54,35 @@ pub enum QueryError {
 /// When the SQL is not understood, is more than a question, names what isn't there, or when a table's file is
 /// damaged.
 pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
+    answer(registry, sql, &registry.recorded())
+}
+
+/// As [`query`], but of the runs only those that count: done, and of several of the same cell and seed in an
+/// experiment (after a setting or the method changed) the latest.
+pub fn query_latest(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
+    answer(registry, sql, &registry.latest())
+}
+
+/// A run's folder and its record.
+type Recorded = (PathBuf, RunRecord);
+
+fn answer(registry: &Registry, sql: &str, runs: &[Recorded]) -> Result<DataFrame, QueryError> {
     std::thread::scope(|scope| {
         let thread = std::thread::Builder::new().stack_size(QUERY_STACK_BYTES);
-        let thread = thread.spawn_scoped(scope, || answer(registry, sql));
+        let thread = thread.spawn_scoped(scope, || execute(registry, sql, runs));
         let thread = thread.map_err(|error| QueryError::Refused(error.to_string()))?;
         // Polars panics at some queries that it does not support.
         thread.join().unwrap_or_else(|_| Err(QueryError::Refused("Polars does not support it".into())))
     })
 }
 
-fn answer(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
+fn execute(registry: &Registry, sql: &str, runs: &[Recorded]) -> Result<DataFrame, QueryError> {
     only_asks(sql)?;
     let mut context = SQLContext::new();
     for table in Table::ALL {
         // Only what the query may be about is looked up: the folders of thousands of runs take a while.
         if sql.to_lowercase().contains(table.name()) {
-            context.register(table.name(), self::table(registry, table)?);
+            context.register(table.name(), table_of(registry, table, runs)?);
         }
     }
     context.execute(sql).and_then(LazyFrame::collect).map_err(QueryError::Sql)
@@ -143,13 +159,18 @@ impl Visitor for Bounds {
 
 /// One of the tables, over everything in the results folder.
 pub fn table(registry: &Registry, table: Table) -> Result<LazyFrame, QueryError> {
+    table_of(registry, table, &registry.recorded())
+}
+
+/// One of the tables, over `runs`, or over all datasets.
+fn table_of(registry: &Registry, table: Table, runs: &[Recorded]) -> Result<LazyFrame, QueryError> {
     let columns = table.columns();
     let found = match table {
         Table::Runs => {
-            let records = registry.records();
-            if records.is_empty() {
+            if runs.is_empty() {
                 None
             } else {
+                let records: Vec<RunRecord> = runs.iter().map(|(_, record)| record.clone()).collect();
                 Some(runs_table(&records).map_err(TableError::from).map_err(RegistryError::from)?.lazy())
             }
         }
@@ -157,9 +178,8 @@ pub fn table(registry: &Registry, table: Table) -> Result<LazyFrame, QueryError>
         Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
             let name = format!("{}.parquet", table.name());
             // A run's tables count once its record says that it is done, and as its record lists them.
-            let mut done = registry.recorded();
-            done.retain(|(_, record)| record.status == Status::Done);
-            let paths = done.par_iter().map(|(folder, record)| record.check_file(folder, &name));
+            let done: Vec<&Recorded> = runs.iter().filter(|(_, run)| run.status == Status::Done).collect();
+            let paths = done.into_par_iter().map(|(folder, record)| record.check_file(folder, &name));
             scan(&paths.collect::<Result<Vec<_>, _>>()?, &columns).map_err(QueryError::Sql)?
         }
     };
@@ -175,6 +195,16 @@ fn empty(columns: &[Column]) -> PolarsResult<LazyFrame> {
         polars::prelude::Column::new_empty(column.name.as_str().into(), &data_type(column.kind))
     });
     Ok(DataFrame::new(0, columns.collect())?.lazy())
+}
+
+/// An answer's rows as values of `T`, whose fields are its columns.
+///
+/// # Errors
+/// When a column lacks or has another type.
+pub fn rows<T: DeserializeOwned>(answer: &mut DataFrame) -> Result<Vec<T>, QueryError> {
+    let mut json = Vec::new();
+    JsonWriter::new(&mut json).with_json_format(JsonFormat::Json).finish(answer).map_err(QueryError::Sql)?;
+    serde_json::from_slice(&json).map_err(QueryError::Rows)
 }
 
 /// Writes an answer as Parquet, CSV or JSON, by the ending of the file's name.

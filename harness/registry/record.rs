@@ -75,6 +75,8 @@ pub struct PredictionRow {
 #[derive(Debug, Clone)]
 pub struct ForceRows {
     pub modality: Modality,
+    /// The episode that they sum up; `None` for the whole dataset.
+    pub episode: Option<u32>,
     pub links: Vec<Contact>,
 }
 
@@ -430,16 +432,17 @@ impl Outcome {
     }
 
     fn forces_columns(&self) -> Vec<Column> {
-        let rows: Vec<(&str, usize, &Contact)> = self
+        let rows: Vec<(&ForceRows, usize, &Contact)> = self
             .forces
             .iter()
-            .flat_map(|rows| {
-                let links = rows.links.iter().enumerate();
-                links.map(|(link, contact)| (rows.modality.name(), link, contact))
-            })
+            .flat_map(|rows| rows.links.iter().enumerate().map(move |(link, contact)| (rows, link, contact)))
             .collect();
         let mut columns = vec![
-            Column::new("modality".into(), rows.iter().map(|row| row.0).collect::<Vec<_>>()),
+            Column::new("modality".into(), rows.iter().map(|row| row.0.modality.name()).collect::<Vec<_>>()),
+            Column::new(
+                "episode".into(),
+                rows.iter().map(|row| row.0.episode.map(i64::from)).collect::<Vec<_>>(),
+            ),
             Column::new("index".into(), rows.iter().map(|row| row.1 as i64).collect::<Vec<_>>()),
             Column::new("samples".into(), rows.iter().map(|row| row.2.samples as i64).collect::<Vec<_>>()),
             Column::new("contacts".into(), rows.iter().map(|row| row.2.contacts as i64).collect::<Vec<_>>()),

@@ -18,6 +18,8 @@ pub use error::SpecError;
 pub use schema::{schema, setting_names};
 pub use types::*;
 
+pub(crate) use parse::read as read_text;
+
 use error::Problem;
 use parse::{Node, Value};
 use std::path::Path;

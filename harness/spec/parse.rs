@@ -9,7 +9,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// The largest spec that is read, bytes.
+/// The largest file that is read, bytes.
 pub(super) const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// A YAML value and where it was written.
@@ -124,8 +124,8 @@ pub(super) fn shorten(text: &str) -> String {
     if text.chars().nth(LONGEST).is_some() { shown + "…" } else { shown }
 }
 
-/// The text of a spec file.
-pub(super) fn read(path: &Path) -> Result<String, SpecError> {
+/// The text of a YAML file.
+pub(crate) fn read(path: &Path) -> Result<String, SpecError> {
     let unreadable = |message: String| SpecError::Unreadable { path: path.display().to_string(), message };
     if path.is_dir() {
         return Err(unreadable("is a directory; name a YAML file in it".into()));
@@ -140,7 +140,7 @@ pub(super) fn read(path: &Path) -> Result<String, SpecError> {
         .read_to_end(&mut bytes)
         .map_err(|error| unreadable(format!("can't be read: {error}")))?;
     if bytes.len() as u64 > MAX_FILE_BYTES {
-        return Err(unreadable("is larger than 1 MiB; a spec is a short text".into()));
+        return Err(unreadable("is larger than 1 MiB; it must be a short text".into()));
     }
     String::from_utf8(bytes).map_err(|error| {
         let valid = &error.as_bytes()[..error.utf8_error().valid_up_to()];

@@ -1,0 +1,36 @@
+//! A file of claims: YAML to checked types.
+
+use super::Claim;
+use crate::spec::{SpecError, read_text};
+use serde_yaml::{Location, MessageFormatter, UserMessageFormatter};
+use std::path::Path;
+
+/// Reads the claims of a file.
+///
+/// # Errors
+/// The first fault, with file, line and column.
+pub fn load(path: &Path) -> Result<Vec<Claim>, SpecError> {
+    let text = read_text(path)?;
+    let invalid = |location: Option<Location>, message: String| {
+        let known = location.filter(|location| *location != Location::UNKNOWN);
+        let (line, column) = known.map_or((1, 1), |location| (location.line(), location.column()));
+        SpecError::Invalid { path: path.display().to_string(), line, column, message }
+    };
+    let options = serde_yaml::options! { with_snippet: false };
+    let claims: Vec<Claim> = serde_yaml::from_str_with_options(&text, options).map_err(|error| {
+        let message = UserMessageFormatter.format_message(error.without_snippet()).into_owned();
+        invalid(error.location(), message)
+    })?;
+    if claims.is_empty() {
+        return Err(invalid(None, "the file holds no claims".into()));
+    }
+    for (index, claim) in claims.iter().enumerate() {
+        if claims[..index].iter().any(|other| other.id() == claim.id()) {
+            return Err(invalid(
+                Some(claim.id.referenced),
+                format!("there is a claim '{}' already", claim.id()),
+            ));
+        }
+    }
+    Ok(claims)
+}

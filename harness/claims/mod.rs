@@ -1,0 +1,268 @@
+//! The paper's statements, tested on the tables: a claim is a query, a condition, and what they stand for.
+
+mod file;
+
+pub use file::load;
+
+use crate::metrics::interval::{Interval, LEVEL, mean_interval};
+use crate::registry::{Registry, query_latest, rows};
+use crate::spec::{Scenario, SpecError};
+use polars::prelude::DataFrame;
+use serde::Deserialize;
+use serde_yaml::Spanned;
+use std::collections::BTreeMap;
+use std::fmt;
+
+/// A statement of the paper, and how to test it.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Claim {
+    id: Spanned<String>,
+    /// What the paper says, in short.
+    pub paper: String,
+    /// The paper's section and figure.
+    pub section: String,
+    /// What the number is that the query gives, with its unit.
+    pub measured: String,
+    /// The scenarios that the claim is made for, each judged by itself; none where it is about both together.
+    #[serde(default)]
+    pub scenarios: Vec<Scenario>,
+    /// The experiments whose tables the query reads.
+    pub experiments: Vec<String>,
+    query: Spanned<String>,
+    pub condition: Condition,
+}
+
+impl Claim {
+    pub fn id(&self) -> &str {
+        &self.id.value
+    }
+
+    /// The query, over the tables of the experiments or, if `quick`, of their quick runs.
+    pub fn sql(&self, quick: bool) -> String {
+        let mut sql = self.query.value.clone();
+        if quick {
+            for name in &self.experiments {
+                sql = sql.replace(&format!("'{name}'"), &format!("'{name}-quick'"));
+            }
+        }
+        sql
+    }
+}
+
+/// What a measured number must satisfy for its claim to hold.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(try_from = "String")]
+pub enum Condition {
+    Above(f64),
+    Below(f64),
+}
+
+impl Condition {
+    pub fn satisfied_by(self, value: f64) -> bool {
+        match self {
+            Self::Above(bound) => value > bound,
+            Self::Below(bound) => value < bound,
+        }
+    }
+}
+
+impl fmt::Display for Condition {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Above(bound) => write!(f, "above {bound}"),
+            Self::Below(bound) => write!(f, "below {bound}"),
+        }
+    }
+}
+
+impl TryFrom<String> for Condition {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        let refused = || format!("'{text}' is no condition; write 'above NUMBER' or 'below NUMBER'");
+        let (word, bound) = text.trim().split_once(' ').ok_or_else(refused)?;
+        let bound: f64 = bound.trim().parse().map_err(|_| refused())?;
+        match word {
+            _ if !bound.is_finite() => Err(refused()),
+            "above" => Ok(Self::Above(bound)),
+            "below" => Ok(Self::Below(bound)),
+            _ => Err(refused()),
+        }
+    }
+}
+
+/// Why claims could not be judged.
+#[derive(Debug, thiserror::Error)]
+pub enum ClaimsError {
+    #[error(transparent)]
+    File(#[from] SpecError),
+    #[error("no claim is called '{wanted}'{}", nearest.as_ref().map(|n| format!("; did you mean '{n}'?")).unwrap_or_default())]
+    Unknown { wanted: String, nearest: Option<String> },
+    #[error("claim '{id}', query at line {line}: {problem}")]
+    Query { id: String, line: u64, problem: String },
+}
+
+/// What a claim's query found for one scenario, or for both together; nothing where the runs that it takes are not
+/// all there.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measured {
+    /// What there is a value for: each seed or, where the dataset alone decides, each of its episodes.
+    pub each: Each,
+    pub values: BTreeMap<i64, f64>,
+}
+
+/// What is alike but for chance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Each {
+    Seed,
+    Episode,
+}
+
+impl Each {
+    /// The column of a query.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Seed => "seed",
+            Self::Episode => "episode",
+        }
+    }
+}
+
+/// What becomes of a claim.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Verdict {
+    /// The whole interval satisfies the condition.
+    Holds,
+    /// The whole interval violates it.
+    DoesNotHold,
+    /// A part of the interval does, a part doesn't.
+    Undecided,
+    /// A single seed has no interval; whether its value satisfies the condition.
+    OneSeed { satisfied: bool },
+    /// Nothing was measured.
+    NoData,
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.pad(match self {
+            Self::Holds => "holds",
+            Self::DoesNotHold => "does not hold",
+            Self::Undecided => "undecided",
+            Self::OneSeed { satisfied: true } => "undecided: 1 seed, agrees",
+            Self::OneSeed { satisfied: false } => "undecided: 1 seed, disagrees",
+            Self::NoData => "undecided: no data",
+        })
+    }
+}
+
+/// A claim beside what was measured, for one scenario or, where it is about both, for both.
+#[derive(Debug, Clone)]
+pub struct Judgement<'a> {
+    pub claim: &'a Claim,
+    pub scenario: Option<Scenario>,
+    pub measured: Measured,
+}
+
+impl Judgement<'_> {
+    /// The mean over seeds or episodes with its interval; `None` without data.
+    pub fn interval(&self) -> Option<Interval> {
+        mean_interval(&self.measured.values.values().copied().collect::<Vec<_>>(), LEVEL)
+    }
+
+    pub fn verdict(&self) -> Verdict {
+        let Some(interval) = self.interval() else {
+            return Verdict::NoData;
+        };
+        let satisfied = |value| self.claim.condition.satisfied_by(value);
+        match interval.bounds.map(|(low, high)| (satisfied(low), satisfied(high))) {
+            None => Verdict::OneSeed { satisfied: satisfied(interval.mean) },
+            Some((true, true)) => Verdict::Holds,
+            Some((false, false)) => Verdict::DoesNotHold,
+            Some(_) => Verdict::Undecided,
+        }
+    }
+}
+
+/// The claims called `wanted`, in the order of the file; all of them where none is.
+pub fn choose<'a>(claims: &'a [Claim], wanted: &[String]) -> Result<Vec<&'a Claim>, ClaimsError> {
+    for wanted in wanted {
+        if !claims.iter().any(|claim| claim.id() == wanted) {
+            let likeness = |claim: &&Claim| strsim::jaro_winkler(wanted, claim.id());
+            let nearest = claims.iter().max_by(|a, b| likeness(a).total_cmp(&likeness(b)));
+            let nearest = nearest.map(|claim| claim.id().to_owned());
+            return Err(ClaimsError::Unknown { wanted: wanted.clone(), nearest });
+        }
+    }
+    Ok(claims.iter().filter(|claim| wanted.is_empty() || wanted.iter().any(|w| w == claim.id())).collect())
+}
+
+/// Measures a claim: one judgement for each of its scenarios, or one alone.
+///
+/// # Errors
+/// When the query is not understood or doesn't give what a claim needs, whether there is data or not.
+pub fn judge<'a>(
+    registry: &Registry,
+    claim: &'a Claim,
+    quick: bool,
+) -> Result<Vec<Judgement<'a>>, ClaimsError> {
+    let measured = claim.measure(registry, quick).map_err(|problem| ClaimsError::Query {
+        id: claim.id().to_owned(),
+        line: claim.query.referenced.line(),
+        problem,
+    })?;
+    let judgement = |(scenario, measured)| Judgement { claim, scenario, measured };
+    Ok(measured.into_iter().map(judgement).collect())
+}
+
+/// A row of a query's answer.
+#[derive(Deserialize)]
+struct Row {
+    scenario: Option<Scenario>,
+    #[serde(alias = "episode")]
+    seed: i64,
+    value: Option<f64>,
+}
+
+impl Claim {
+    fn measure(&self, registry: &Registry, quick: bool) -> Result<Vec<(Option<Scenario>, Measured)>, String> {
+        let mut answer = query_latest(registry, &self.sql(quick)).map_err(|error| error.to_string())?;
+        let each = self.check_columns(&answer)?;
+        let rows: Vec<Row> = rows(&mut answer).map_err(|error| error.to_string())?;
+        let scenarios: Vec<Option<Scenario>> = match self.scenarios.as_slice() {
+            [] => vec![None],
+            scenarios => scenarios.iter().copied().map(Some).collect(),
+        };
+        let measured = scenarios.into_iter().map(|scenario| {
+            let mut values = BTreeMap::new();
+            for row in rows.iter().filter(|row| row.scenario == scenario) {
+                // A value that is not defined counts as not measured.
+                if row.value.is_some_and(|value| values.insert(row.seed, value).is_some()) {
+                    let (name, seed) = (each.name(), row.seed);
+                    return Err(format!(
+                        "it gives {name} {seed} several values; group by scenario and {name}"
+                    ));
+                }
+            }
+            Ok((scenario, Measured { each, values }))
+        });
+        measured.collect()
+    }
+
+    /// What the answer has a row for, if its columns are those of a claim.
+    fn check_columns(&self, answer: &DataFrame) -> Result<Each, String> {
+        let mut found: Vec<&str> = answer.get_column_names().into_iter().map(|name| name.as_str()).collect();
+        let each = if found.contains(&"episode") { Each::Episode } else { Each::Seed };
+        let scenario = (!self.scenarios.is_empty()).then_some("scenario");
+        let mut expected: Vec<&str> = scenario.into_iter().chain([each.name(), "value"]).collect();
+        let columns = (found.join(", "), expected.join(", "));
+        found.sort_unstable();
+        expected.sort_unstable();
+        if found == expected {
+            Ok(each)
+        } else {
+            Err(format!("it gives the columns {} instead of {}", columns.0, columns.1))
+        }
+    }
+}

@@ -1,0 +1,145 @@
+//! `harness claims`.
+
+use super::DONE;
+use super::table::{rounded, shown, wrapped};
+use anyhow::Result;
+use clap::Args;
+use harness::claims::{self, Judgement, Verdict};
+use harness::metrics::interval::Interval;
+use harness::registry::{self, Registry};
+use harness::spec::Scenario;
+use polars::prelude::{Column, DataFrame};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[derive(Args)]
+pub struct Claims {
+    /// Claims to judge, with their queries and the value of every seed [default: all, in a table]
+    #[arg(value_name = "CLAIM")]
+    chosen: Vec<String>,
+    /// The file of claims
+    #[arg(long, value_name = "FILE", default_value = "experiments/claims.yaml")]
+    file: PathBuf,
+    /// Judge by the experiments' quick runs
+    #[arg(long)]
+    quick: bool,
+    /// Write the verdicts to a file instead: .parquet, .csv or .json
+    #[arg(long, short, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+impl Claims {
+    pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        let all = claims::load(&self.file)?;
+        let chosen = claims::choose(&all, &self.chosen)?;
+        let mut judgements = Vec::new();
+        for claim in chosen {
+            judgements.extend(claims::judge(registry, claim, self.quick)?);
+        }
+        if let Some(path) = self.output {
+            registry::save(&mut frame(&judgements)?, &path)?;
+            println!("{} verdicts in {}", judgements.len(), shown(&path));
+            return Ok(ExitCode::from(DONE));
+        }
+        print(&judgements);
+        if !self.chosen.is_empty() {
+            print_details(&judgements, self.quick);
+        }
+        print_summary(&judgements, self.quick);
+        Ok(ExitCode::from(DONE))
+    }
+}
+
+fn print(judgements: &[Judgement]) {
+    let rows = judgements.chunk_by(|a, b| a.claim.id() == b.claim.id()).map(|judgements| {
+        let claim = judgements[0].claim;
+        // A line a scenario.
+        let lines =
+            |of: &dyn Fn(&Judgement) -> String| judgements.iter().map(of).collect::<Vec<_>>().join("\n");
+        [
+            format!("{} ({})\n{}", claim.paper, claim.section, claim.id()),
+            claim.measured.clone(),
+            lines(&|judgement| scenario(judgement).to_owned()),
+            lines(&|judgement| judgement.interval().map_or("-".into(), interval)),
+            claim.condition.to_string(),
+            lines(&|judgement| judgement.verdict().to_string()),
+        ]
+    });
+    println!(
+        "{}",
+        wrapped(["claim", "measured", "scenario", "value", "condition", "verdict"], rows.collect())
+    );
+}
+
+fn scenario(judgement: &Judgement) -> &'static str {
+    judgement.scenario.map_or("both", Scenario::name)
+}
+
+/// A mean and, in brackets, its interval.
+fn interval(interval: Interval) -> String {
+    let mean = rounded(interval.mean);
+    match interval.bounds {
+        Some((low, high)) if low < high => format!("{mean} [{}, {}]", rounded(low), rounded(high)),
+        _ => mean,
+    }
+}
+
+fn print_details(judgements: &[Judgement], quick: bool) {
+    for judgement in judgements {
+        let each = judgement.measured.each.name();
+        let values = judgement.measured.values.iter();
+        let values: Vec<String> =
+            values.map(|(n, value)| format!("{each} {n}: {}", rounded(*value))).collect();
+        if !values.is_empty() {
+            println!("{} {}: {}", judgement.claim.id(), scenario(judgement), values.join(", "));
+        }
+    }
+    for judgements in judgements.chunk_by(|a, b| a.claim.id() == b.claim.id()) {
+        println!("\n{}:\n{}", judgements[0].claim.id(), judgements[0].claim.sql(quick));
+    }
+}
+
+fn print_summary(judgements: &[Judgement], quick: bool) {
+    let count = |verdict: fn(&Verdict) -> bool| judgements.iter().filter(|j| verdict(&j.verdict())).count();
+    println!(
+        "{} hold, {} do not hold, {} undecided; intervals are 95 % over seeds (forces: episodes)",
+        count(|verdict| *verdict == Verdict::Holds),
+        count(|verdict| *verdict == Verdict::DoesNotHold),
+        count(|verdict| !matches!(verdict, Verdict::Holds | Verdict::DoesNotHold)),
+    );
+    let lacking = judgements.iter().filter(|judgement| judgement.verdict() == Verdict::NoData);
+    let mut experiments: Vec<&String> = lacking.flat_map(|judgement| &judgement.claim.experiments).collect();
+    experiments.sort_unstable();
+    experiments.dedup();
+    let quick = if quick { " --quick" } else { "" };
+    for experiment in experiments {
+        println!("for those without data   harness run experiments/{experiment}.yaml{quick}");
+    }
+}
+
+/// The verdicts as a table for other programs.
+fn frame(judgements: &[Judgement]) -> Result<DataFrame> {
+    let text = |name: &str, of: &dyn Fn(&Judgement) -> Option<String>| {
+        Column::new(name.into(), judgements.iter().map(of).collect::<Vec<_>>())
+    };
+    let number = |name: &str, of: &dyn Fn(Interval) -> Option<f64>| {
+        let values = judgements.iter().map(|judgement| judgement.interval().and_then(of));
+        Column::new(name.into(), values.collect::<Vec<_>>())
+    };
+    let counts = judgements.iter().map(|judgement| judgement.measured.values.len() as i64);
+    let columns = vec![
+        text("claim", &|judgement| Some(judgement.claim.id().to_owned())),
+        text("paper", &|judgement| Some(judgement.claim.paper.clone())),
+        text("section", &|judgement| Some(judgement.claim.section.clone())),
+        text("measured", &|judgement| Some(judgement.claim.measured.clone())),
+        text("scenario", &|judgement| judgement.scenario.map(|scenario| scenario.name().to_owned())),
+        text("each", &|judgement| Some(judgement.measured.each.name().to_owned())),
+        Column::new("values".into(), counts.collect::<Vec<_>>()),
+        number("mean", &|interval| Some(interval.mean)),
+        number("low", &|interval| interval.bounds.map(|(low, _)| low)),
+        number("high", &|interval| interval.bounds.map(|(_, high)| high)),
+        text("condition", &|judgement| Some(judgement.claim.condition.to_string())),
+        text("verdict", &|judgement| Some(judgement.verdict().to_string())),
+    ];
+    Ok(DataFrame::new(judgements.len(), columns)?)
+}

@@ -1,0 +1,189 @@
+//! `harness compare` on real runs: the numbers are those of the tables, whatever the format.
+
+mod common;
+
+use common::{SMOKE, finish, harness, succeed};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+/// Two latent sizes with two seeds each, in the empty scenario; two runs in the cluttered one.
+static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
+    let results = Path::new(env!("CARGO_TARGET_TMPDIR")).join("compare");
+    let _ = std::fs::remove_dir_all(&results);
+    for settings in [["scenarios=[empty]", "latent=[2,4]"], ["scenarios=[cluttered]", "latent=[4]"]] {
+        succeed(&results, &[&["run", SMOKE, "seeds=[0,1]"], &settings[..]].concat());
+    }
+    results
+});
+
+/// The rows that a query gives, as JSON.
+fn query(sql: &str) -> Vec<serde_json::Value> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("answer.json");
+    succeed(&RESULTS, &["query", sql, "--output", path.to_str().unwrap()]);
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+/// The values of a metric over seeds, by column of `harness compare smoke --by latent`.
+fn values(task: &str, scenario: &str, modality: &str, metric: &str) -> BTreeMap<String, Vec<f64>> {
+    let mut values: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+    for row in query(&format!(
+        "select model, latent, value from metrics where task = '{task}' and scenario = '{scenario}' and modality = \
+         '{modality}' and metric = '{metric}' and index is null and direction is null and value is not null"
+    )) {
+        let column = match row["model"].as_str().unwrap() {
+            "network" => format!("latent {}", row["latent"]),
+            baseline => baseline.replace('_', " "),
+        };
+        values.entry(column).or_default().push(row["value"].as_f64().unwrap());
+    }
+    values
+}
+
+/// What a cell must say: the mean, and for two seeds that differ half of Student's interval, 12.706 d / 2.
+fn expected(column: &str, values: &[f64], decimals: usize) -> String {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    if !column.starts_with("latent") {
+        return format!("{mean:.decimals$}");
+    }
+    let [a, b] = values else { panic!("two seeds, not {values:?}") };
+    format!("{mean:.decimals$} ± {:.decimals$}", 12.706_204_736 * (a - b).abs() / 2.0)
+}
+
+/// The cells of a Markdown table: its header, and its rows.
+fn markdown(text: &str) -> (Vec<&str>, Vec<Vec<&str>>) {
+    let mut lines = text.lines().take_while(|line| line.starts_with('|')).map(|line| {
+        let cells = line.strip_prefix("| ").unwrap().strip_suffix(" |").unwrap();
+        cells.split(" | ").map(str::trim).collect::<Vec<_>>()
+    });
+    let header = lines.next().unwrap();
+    assert!(lines.next().unwrap().iter().all(|cell| ["---", "---:"].contains(cell)));
+    let rows: Vec<Vec<&str>> = lines.collect();
+    assert!(rows.iter().all(|row| row.len() == header.len()), "{text}");
+    (header, rows)
+}
+
+#[test]
+fn every_cell_is_the_mean_and_interval_of_the_tables_and_the_best_is_bold() {
+    let printed = succeed(&RESULTS, &["compare", "smoke", "--format", "markdown"]);
+    let (header, rows) = markdown(&printed);
+    assert_eq!(header, ["", "", "", "", "latent 2", "latent 4", "persistence", "ridge", "training mean"]);
+    // Per scenario: two metrics of proprioception and of force and one of the frames' change; two and one of what
+    // is reconstructed.
+    assert_eq!(rows.len(), 2 * (5 + 3), "{printed}");
+    for row in &rows {
+        let [task, scenario, modality, metric] = row[..4] else { panic!("{row:?}") };
+        let (metric, decimals) = match metric {
+            "SMAPE (%)" => ("smape", 2),
+            "WMAPE (%)" => ("wmape", 2),
+            "R2" => ("r2", 3),
+            "relative error" => ("relative_error", 3),
+            other => panic!("{other}"),
+        };
+        let values = values(task, scenario, &modality.replace(' ', "_"), metric);
+        let mean = |values: &Vec<f64>| values.iter().sum::<f64>() / values.len() as f64;
+        let means = values.values().map(mean);
+        let best = if metric == "r2" { means.max_by(f64::total_cmp) } else { means.min_by(f64::total_cmp) };
+        for (column, cell) in header[4..].iter().zip(&row[4..]) {
+            let Some(values) = values.get(*column) else {
+                assert_eq!(*cell, "", "{row:?}");
+                continue;
+            };
+            let number = expected(column, values, decimals);
+            let bold = (mean(values) - best.unwrap()).abs() < 1e-12;
+            let expected = if bold { format!("**{number}**") } else { number };
+            assert_eq!(*cell, expected, "{column} of {row:?}");
+        }
+    }
+    assert!(
+        printed.ends_with(
+            "\n\nsmoke; mean ± half of the 95 % interval over 2 seeds; bold: the best of its row\n"
+        )
+    );
+}
+
+#[test]
+fn all_formats_say_the_same() {
+    let arguments = ["compare", "--by", "scenario,latent", "--task", "prediction", "--metrics", "r2,rmse"];
+    let print = |format: &str| succeed(&RESULTS, &[&arguments[..], &["--format", format]].concat());
+    let (markdown_text, text, latex) = (print("markdown"), print("text"), print("latex"));
+    let (header, rows) = markdown(&markdown_text);
+    assert_eq!(header[2..5], ["empty, latent 2", "empty, latent 4", "cluttered, latent 4"]);
+    assert_eq!(header[5..7], ["persistence, empty", "persistence, cluttered"]);
+
+    let mut lines = text.lines().filter_map(|line| line.strip_prefix('│'));
+    assert!(header.iter().all(|name| text.contains(name)));
+    lines.next();
+    for row in &rows {
+        let line = lines.next().unwrap();
+        for cell in row {
+            let plain = cell.strip_prefix("**").map_or((*cell).to_owned(), |best| best.replace("**", ""));
+            assert!(line.contains(&plain), "no {plain} in {line}");
+            assert!(!cell.starts_with("**") || line.contains(&format!("*{plain}")), "{line}");
+        }
+    }
+
+    let lines: Vec<&str> = latex.lines().collect();
+    assert_eq!(
+        lines[0],
+        "% prediction; smoke; mean ± half of the 95 % interval over 2 seeds; bold: the best of its row"
+    );
+    assert_eq!(lines[1], format!("\\begin{{tabular}}{{ll{}}}", "r".repeat(header.len() - 2)));
+    assert_eq!(lines[2..5], ["\\toprule", &format!("{} \\\\", header.join(" & ")), "\\midrule"]);
+    assert_eq!(lines[lines.len() - 2..], ["\\bottomrule", "\\end{tabular}"]);
+    let numbers = lines[5..lines.len() - 2].iter().filter_map(|line| line.strip_suffix(" \\\\"));
+    let numbers: Vec<Vec<&str>> = numbers.map(|line| line.split(" & ").collect()).collect();
+    assert_eq!(numbers.len(), rows.len());
+    for (row, latex) in rows.iter().zip(numbers) {
+        assert_eq!(latex.len(), row.len());
+        for (cell, latex) in row[2..].iter().zip(&latex[2..]) {
+            let in_latex = cell.replace('±', "\\pm");
+            let expected = match in_latex.strip_prefix("**") {
+                _ if cell.is_empty() => String::new(),
+                Some(best) => format!("$\\mathbf{{{}}}$", best.replace("**", "")),
+                None => format!("${in_latex}$"),
+            };
+            assert_eq!(*latex, expected);
+        }
+    }
+    assert!(latex.contains(" & $R^2$ & ") && latex.contains("RMSE (rad)"), "{latex}");
+}
+
+#[test]
+fn what_is_chosen_is_what_is_printed() {
+    let printed = succeed(
+        &RESULTS,
+        &["compare", "--models", "network", "--metrics", "relative_error_arm", "--format", "markdown"],
+    );
+    let (header, rows) = markdown(&printed);
+    assert_eq!(header[1..], ["latent 2", "latent 4"]);
+    assert_eq!(rows.iter().map(|row| row[0]).collect::<Vec<_>>(), ["empty", "cluttered"]);
+    assert!(
+        printed.contains("\n\nprediction; smoke; frame difference; relative error arm; mean ± "),
+        "{printed}"
+    );
+    // An experiment's name is written as LaTeX wants it.
+    let by_name = succeed(&RESULTS, &["compare", "--by", "experiment", "--format", "latex"]);
+    assert!(by_name.contains(" & smoke & ") && by_name.contains("SMAPE (\\%)"), "{by_name}");
+}
+
+#[test]
+fn a_comparison_of_nothing_is_refused() {
+    let nowhere = tempfile::tempdir().unwrap();
+    for (results, arguments, expected) in [
+        (nowhere.path(), &["compare"][..], "error: there are no finished runs to compare; `harness run "),
+        (&RESULTS, &["compare", "smok"], "error: 'smok' has no finished runs; those that have: smoke\n"),
+        (&RESULTS, &["compare", "--metrics", "r3"], "error: invalid value 'r3' for '--metrics <METRIC>'"),
+        (
+            &RESULTS,
+            &["compare", "--task", "reconstruction", "--metrics", "wmape"],
+            "error: no run has these metrics of this task and model; ",
+        ),
+        (&RESULTS, &["compare", "--by", "size"], "error: invalid value 'size' for '--by <KEY>'"),
+    ] {
+        let answer = finish(&mut harness(results, arguments));
+        assert_eq!((answer.code, answer.stdout.as_str()), (2, ""), "{arguments:?}");
+        assert!(answer.stderr.starts_with(expected), "{}", answer.stderr);
+    }
+}
