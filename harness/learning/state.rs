@@ -7,13 +7,13 @@ use super::training::{Epoch, TOTAL};
 use crate::files::write_whole;
 use candle_core::{Device, Result as CandleResult, Tensor};
 use safetensors::SafeTensors;
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, HashMap};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Time between two saves; what is lost at most when a training is killed.
-const SAVE_INTERVAL: Duration = Duration::from_secs(60);
+/// A state is saved after an epoch when the last save took less than this share of the time since.
+const SAVE_SHARE: f64 = 0.02;
 /// Key of the epochs so far in the file's metadata.
 const EPOCHS_KEY: &str = "epochs";
 
@@ -56,11 +56,21 @@ pub fn copies(parameters: &Parameters) -> CandleResult<BTreeMap<String, Tensor>>
 }
 
 /// Where a training's state is kept.
+///
+/// How often it is saved follows from how long that takes: what is lost at most when a training is killed is an epoch,
+/// or fifty times what a save takes if that is longer. A training that is cancelled loses no whole epoch.
 pub struct StateFile {
     path: Option<PathBuf>,
-    interval: Duration,
+    /// Time between two saves, from the end of the last.
+    interval: Cell<Duration>,
+    fixed: bool,
     saved: Cell<Instant>,
+    /// What the file would hold had the last epoch been saved, where it was not.
+    kept: RefCell<Option<Contents>>,
 }
+
+/// Tensors and metadata of a state's file.
+type Contents = (HashMap<String, Tensor>, HashMap<String, String>);
 
 impl StateFile {
     /// In a file.
@@ -70,12 +80,13 @@ impl StateFile {
 
     /// Nowhere: the training can't be resumed.
     pub fn none() -> Self {
-        Self { path: None, interval: SAVE_INTERVAL, saved: Cell::new(Instant::now()) }
+        let (interval, saved) = (Cell::default(), Cell::new(Instant::now()));
+        Self { path: None, interval, fixed: false, saved, kept: RefCell::default() }
     }
 
-    /// Saved this often, instead of once a minute.
+    /// Saved this often, however long it takes.
     pub fn every(self, interval: Duration) -> Self {
-        Self { interval, ..self }
+        Self { interval: Cell::new(interval), fixed: true, ..self }
     }
 
     /// Loads the state of an unfinished training into `parameters` and `adam`, if there is one.
@@ -114,38 +125,51 @@ impl StateFile {
         Ok(Some(State { epochs, best }))
     }
 
-    /// Saves the state if the last save is long enough ago.
+    /// Saves the state if the last save is long enough ago, and otherwise keeps it in memory.
     pub fn save_now_and_then(
         &self,
         state: &State,
         parameters: &Parameters,
         adam: &Adam,
     ) -> Result<(), LearningError> {
-        if self.saved.get().elapsed() < self.interval {
-            return Ok(());
-        }
-        self.save(state, parameters, adam)?;
-        self.saved.set(Instant::now());
-        Ok(())
+        let Some(path) = &self.path else { return Ok(()) };
+        *self.kept.borrow_mut() = Some(contents(path, state, parameters, adam)?);
+        if self.saved.get().elapsed() >= self.interval.get() { self.save_kept() } else { Ok(()) }
     }
 
-    fn save(&self, state: &State, parameters: &Parameters, adam: &Adam) -> Result<(), LearningError> {
-        let Some(path) = &self.path else { return Ok(()) };
-        let mut tensors = HashMap::new();
-        for ((name, parameter), (mean, square)) in parameters.iter().zip(adam.moments()?) {
-            tensors.insert(format!("parameter.{name}"), parameter.as_tensor().clone());
-            tensors.insert(format!("mean.{name}"), mean);
-            tensors.insert(format!("square.{name}"), square);
-        }
-        tensors.extend(state.best.iter().map(|(name, tensor)| (format!("best.{name}"), tensor.clone())));
-        let epochs = serde_json::to_string(&state.epochs)
-            .map_err(|error| LearningError::Damaged { path: path.clone(), reason: error.to_string() })?;
-        let metadata =
-            HashMap::from([(EPOCHS_KEY.to_owned(), epochs), ("steps".to_owned(), adam.steps().to_string())]);
+    /// Saves the state of the last epoch unless it is saved already.
+    pub fn save_kept(&self) -> Result<(), LearningError> {
+        let (Some(path), Some((tensors, metadata))) = (&self.path, self.kept.take()) else { return Ok(()) };
+        let begin = Instant::now();
         write_whole(path, |file| {
             safetensors::serialize_to_file(&tensors, Some(metadata.clone()), file)
                 .map_err(std::io::Error::other)
         })?;
+        self.saved.set(Instant::now());
+        if !self.fixed {
+            self.interval.set(begin.elapsed().div_f64(SAVE_SHARE));
+        }
         Ok(())
     }
+}
+
+/// What a state's file holds; nothing of it changes with the parameters.
+fn contents(
+    path: &Path,
+    state: &State,
+    parameters: &Parameters,
+    adam: &Adam,
+) -> Result<Contents, LearningError> {
+    let mut tensors = HashMap::new();
+    for ((name, parameter), (mean, square)) in copies(parameters)?.into_iter().zip(adam.moments()?) {
+        tensors.insert(format!("parameter.{name}"), parameter);
+        tensors.insert(format!("mean.{name}"), mean);
+        tensors.insert(format!("square.{name}"), square);
+    }
+    tensors.extend(state.best.iter().map(|(name, tensor)| (format!("best.{name}"), tensor.clone())));
+    let epochs = serde_json::to_string(&state.epochs)
+        .map_err(|error| LearningError::Damaged { path: path.to_owned(), reason: error.to_string() })?;
+    let metadata =
+        HashMap::from([(EPOCHS_KEY.to_owned(), epochs), ("steps".to_owned(), adam.steps().to_string())]);
+    Ok((tensors, metadata))
 }
