@@ -1,6 +1,6 @@
 //! Parquet tables: written whole, stamped with what made them, with units in their metadata.
 
-use crate::files::{WriteError, write_whole};
+use crate::files::{WriteError, write_bytes};
 use crate::schema::{Column, Kind};
 use polars::prelude::*;
 use std::collections::BTreeMap;
@@ -52,16 +52,14 @@ pub fn write_table(
         .map_err(|error| PolarsError::ComputeError(error.to_string().into()))?;
     let mut metadata = vec![(COLUMNS_KEY.to_owned(), described)];
     metadata.extend(stamp.iter().map(|(key, value)| (format!("harness.{key}"), value.clone())));
-    write_whole(path, |file| {
-        ParquetWriter::new(File::create(file)?)
-            .with_key_value_metadata(Some(KeyValueMetadata::from_static(metadata.clone())))
-            // Tables are written from threads of their own; more threads for each would only compete.
-            .set_parallel(false)
-            .finish(&mut table)
-            .map_err(std::io::Error::other)?;
-        Ok(())
-    })?;
-    Ok(())
+    // In memory first: Polars does not pass on why a file could not be written.
+    let mut bytes = Vec::new();
+    ParquetWriter::new(&mut bytes)
+        .with_key_value_metadata(Some(KeyValueMetadata::from_static(metadata)))
+        // Tables are written from threads of their own; more threads for each would only compete.
+        .set_parallel(false)
+        .finish(&mut table)?;
+    Ok(write_bytes(path, &bytes)?)
 }
 
 /// What a file's metadata say, without the table itself.
