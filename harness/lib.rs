@@ -7,6 +7,7 @@ pub mod dataset;
 pub mod experiment;
 pub mod files;
 pub mod learning;
+pub mod memory;
 pub mod metrics;
 pub mod progress;
 pub mod registry;
