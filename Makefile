@@ -21,7 +21,7 @@ test: ## run every test
 
 soak: ## kill a run and a collection at many moments, and compare what comes out (minutes)
 	@setup/setup.sh --test
-	cargo test --test interruption -- --ignored --nocapture
+	cargo test -- --ignored --nocapture
 
 lint: setup ## check formatting, and clippy without warnings
 	@cargo fmt --version >/dev/null && cargo clippy --version >/dev/null \

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Answer, SMOKE, finish, harness, smoke_run, succeed};
+use common::{Answer, SMOKE, smoke_run};
 use harness::files::{FolderLock, LOCK, UNFINISHED};
 use harness::simulation::Scene;
 use harness::spec::Scenario;
@@ -10,7 +10,7 @@ use harness::tables::read_footer;
 use rand::{RngExt, SeedableRng};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::process::{Child, ExitStatus, Stdio};
+use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 /// A run of about two seconds, of which each stage takes a part.
@@ -92,11 +92,27 @@ fn assert_whole(results: &Path, at_rest: bool) {
     }
 }
 
-/// The program, left running.
+/// The program, left running. It sees no source tree, whose state it would write into every file: someone may be at
+/// work there.
 fn start(results: &Path, arguments: &[&str]) -> Child {
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_harness"));
-    command.current_dir(env!("CARGO_MANIFEST_DIR")).arg("--results").arg(results).args(arguments);
+    command.current_dir(env!("CARGO_MANIFEST_DIR")).env("GIT_DIR", "/nonexistent");
+    command.arg("--results").arg(results).args(arguments);
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+}
+
+/// Runs the program to its end.
+#[track_caller]
+fn run(results: &Path, arguments: &[&str]) -> Answer {
+    end(start(results, arguments))
+}
+
+/// The standard output of a command that must succeed.
+#[track_caller]
+fn succeed(results: &Path, arguments: &[&str]) -> String {
+    let answer = run(results, arguments);
+    assert_eq!(answer.code, 0, "{arguments:?}: {}", answer.stderr);
+    answer.stdout
 }
 
 /// Waits for the end of a program that printed little enough to fit a pipe.
@@ -125,13 +141,18 @@ fn signal(child: &Child, signal: libc::c_int) {
     assert_eq!(unsafe { libc::kill(child.id() as libc::pid_t, signal) }, 0);
 }
 
-/// Ends a program after a while without a warning; its status if it ended before.
-fn kill_after(mut child: Child, delay: Duration) -> Option<ExitStatus> {
-    std::thread::sleep(delay);
-    let ended = child.try_wait().unwrap();
+/// Ends a program after a while without a warning; its answer if it ended before.
+fn kill_after(mut child: Child, delay: Duration) -> Option<Answer> {
+    let begin = Instant::now();
+    while begin.elapsed() < delay {
+        if child.try_wait().unwrap().is_some() {
+            return Some(end(child));
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
     child.kill().unwrap();
     child.wait().unwrap();
-    ended
+    None
 }
 
 fn has_state(results: &Path) -> bool {
@@ -166,19 +187,19 @@ fn kill_again_and_again(arguments: &[&str], kills: usize) {
     let undisturbed = Results::new();
     let begin = Instant::now();
     succeed(undisturbed.path(), arguments);
-    let longest = begin.elapsed().mul_f64(1.1);
+    let whole = begin.elapsed();
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(5);
     let mut results = Results::new();
     let (mut killed, mut resumed, mut finished, mut in_a_row) = (0, 0, 0, 0);
     while killed < kills {
         in_a_row += 1;
-        // Ever later, so that a slow machine gets done in the end.
-        let delay = longest.mul_f64(random.random::<f64>() * (1.0 + f64::from(in_a_row) / 10.0));
+        // Ever later, so that it gets done in the end.
+        let delay = whole.mul_f64(random.random::<f64>() * f64::from(4 + in_a_row) / 10.0);
         resumed += usize::from(has_state(results.path()));
         match kill_after(start(results.path(), arguments), delay) {
             None => killed += 1,
-            Some(status) => {
-                assert!(status.success(), "{status}");
+            Some(answer) => {
+                assert_eq!(answer.code, 0, "{}", answer.stderr);
                 assert_same(results.path(), undisturbed.path());
                 assert_whole(results.path(), true);
                 (results, in_a_row) = (Results::new(), 0);
@@ -373,7 +394,7 @@ fn the_work_of_a_killed_process_is_taken_over() {
 fn jobs_side_by_side_give_the_same_numbers() {
     let [one, two] = ["1", "2"].map(|jobs| {
         let results = Results::new();
-        let answer = finish(&mut harness(results.path(), &[&TWELVE[..], &["--jobs", jobs]].concat()));
+        let answer = run(results.path(), &[&TWELVE[..], &["--jobs", jobs]].concat());
         assert_eq!((answer.code, counts(&answer)), (0, [12, 0, 0]), "{}", answer.stderr);
         // Every line of progress says whose it is.
         let trained = answer.stderr.lines().filter(|line| line.contains(" prediction: 20 epochs in "));
@@ -391,7 +412,7 @@ fn a_loss_that_is_not_finite_fails_the_run_with_its_reason() {
     let results = Results::new();
     let arguments =
         ["run", SMOKE, "training.learning_rate=1", "training.kl_weight=1000000", "training.epochs=200"];
-    let answer = finish(&mut harness(results.path(), &arguments));
+    let answer = run(results.path(), &arguments);
     assert_eq!((answer.code, counts(&answer)), (1, [0, 0, 2]), "{}", answer.stderr);
     for (status, reason) in statuses(results.path()) {
         assert_eq!(status, "failed");
@@ -407,7 +428,7 @@ fn a_scenario_that_diverges_fails_and_the_other_goes_on() {
     std::fs::write(models.path().join("empty.xml"), stiff).unwrap();
     std::fs::write(models.path().join("cluttered.xml"), xml(Scenario::Cluttered)).unwrap();
     let arguments = ["run", SMOKE, "seeds=[0,1]", "--models", models.path().to_str().unwrap()];
-    let answer = finish(&mut harness(results.path(), &arguments));
+    let answer = run(results.path(), &arguments);
     assert_eq!((answer.code, counts(&answer)), (1, [2, 0, 2]), "{}", answer.stderr);
     let statuses = statuses(results.path());
     assert!(statuses[..2].iter().all(|(status, _)| status == "done"), "{statuses:?}");
@@ -421,7 +442,7 @@ fn a_scenario_that_diverges_fails_and_the_other_goes_on() {
 fn a_dataset_larger_than_memory_is_refused_before_it_is_collected() {
     let results = Results::new();
     let size = ["simulation.episodes=100000", "simulation.actuations_per_episode=100"];
-    let answer = finish(&mut harness(results.path(), &[&["run", SMOKE], &size[..]].concat()));
+    let answer = run(results.path(), &[&["run", SMOKE], &size[..]].concat());
     assert_eq!((answer.code, counts(&answer)), (1, [0, 0, 2]), "{}", answer.stderr);
     for (status, reason) in statuses(results.path()) {
         // 10^8 samples of 66 numbers and a frame of 64 x 64 x 3 bytes.
@@ -433,13 +454,13 @@ fn a_dataset_larger_than_memory_is_refused_before_it_is_collected() {
 fn a_run_whose_folder_cannot_be_written_fails_and_the_others_go_on() {
     let results = Results::new();
     let plan = succeed(results.path(), &["run", SMOKE, "--dry-run"]);
-    let run = plan.split_whitespace().find(|word| word.starts_with("empty-")).unwrap();
+    let id = plan.split_whitespace().find(|word| word.starts_with("empty-")).unwrap();
     let folder = results.path().join("runs/smoke");
     std::fs::create_dir_all(&folder).unwrap();
-    std::fs::write(folder.join(run), "no folder").unwrap();
-    let answer = finish(&mut harness(results.path(), &["run", SMOKE]));
+    std::fs::write(folder.join(id), "no folder").unwrap();
+    let answer = run(results.path(), &["run", SMOKE]);
     assert_eq!((answer.code, counts(&answer)), (1, [1, 0, 1]), "{}", answer.stderr);
-    assert!(answer.stderr.contains(&format!("{run} failed: can't lock ")), "{}", answer.stderr);
+    assert!(answer.stderr.contains(&format!("{id} failed: can't lock ")), "{}", answer.stderr);
 }
 
 /// A small disk in memory; only root may make one.
@@ -486,7 +507,7 @@ fn a_full_disk_fails_what_it_must_and_leaves_nothing_half_written() {
             println!("skipped: no small disk can be mounted here");
             return;
         };
-        let answer = finish(&mut harness(disk.path(), &command));
+        let answer = run(disk.path(), &command);
         assert_eq!((answer.code, counts(&answer)), (1, [0, 0, 1]), "{kilobytes} KB: {}", answer.stderr);
         assert!(answer.stderr.contains("No space left on device"), "{kilobytes} KB: {}", answer.stderr);
         for path in files(disk.path()) {
@@ -512,7 +533,7 @@ fn a_disk_that_cannot_be_written_is_named_and_nothing_is_tried() {
     };
     disk.remount("ro");
     for command in ["run", "collect"] {
-        let answer = finish(&mut harness(disk.path(), &[command, SMOKE]));
+        let answer = run(disk.path(), &[command, SMOKE]);
         assert_eq!(answer.code, 1);
         let expected = format!("error: can't write {}: Read-only file system", disk.path().display());
         assert!(answer.stderr.starts_with(&expected), "{}", answer.stderr);

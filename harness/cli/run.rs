@@ -41,7 +41,8 @@ pub struct Run {
     /// Say for each run whether it will be done, and why, and do nothing
     #[arg(long)]
     dry_run: bool,
-    /// Runs of a scenario to train side by side, each with its share of the threads; the results are the same
+    /// Runs of a scenario to train side by side, each with its share of the threads: faster for small networks
+    /// (single-to-multi on two cores: 0.9 of the time), and the results are the same
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: u16,
     /// Folder with MJCF files to use instead of the built-in models: DIR/empty.xml, DIR/cluttered.xml
