@@ -11,6 +11,7 @@ use rand::{RngExt, SeedableRng};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
+use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
 /// A run of about two seconds, of which each stage takes a part.
@@ -20,7 +21,11 @@ const COLLECTION: [&str; 6] =
     ["collect", SMOKE, "scenarios=[empty]", "simulation.episodes=40", "--threads", "1"];
 /// Twelve runs, six of each scenario.
 const TWELVE: [&str; 6] =
-    ["run", SMOKE, "latent=[2,3,4]", "seeds=[0,1]", "training.epochs=20", "training.patience=null"];
+    ["run", SMOKE, "latent=[2,3,4]", "seeds=[0,1]", "training.epochs=8", "training.patience=null"];
+
+/// What comes of the run and of the twelve when nothing happens to them.
+static UNDISTURBED: LazyLock<PathBuf> = LazyLock::new(|| undisturbed("undisturbed", &RUN));
+static ALONE: LazyLock<PathBuf> = LazyLock::new(|| undisturbed("alone", &TWELVE));
 
 // --- what the tests are made of ---
 
@@ -179,6 +184,14 @@ fn statuses(results: &Path) -> Vec<(String, String)> {
     rows.iter().map(|row| (text(row, "status"), text(row, "reason"))).collect()
 }
 
+/// The results of a command in a folder of their own, which cargo keeps for the tests.
+fn undisturbed(name: &str, arguments: &[&str]) -> PathBuf {
+    let results = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&results);
+    succeed(&results, arguments);
+    results
+}
+
 // --- killed ---
 
 /// Kills a command `kills` times at random moments, giving it again each time, and compares what comes out in the end
@@ -243,7 +256,7 @@ fn a_collection_killed_at_60_moments_ends_as_one_undisturbed() {
 #[test]
 fn what_killed_processes_left_unfinished_is_removed() {
     let results = Results::new();
-    succeed(results.path(), &RUN);
+    succeed(results.path(), &RUN[..3]);
     let folders: Vec<PathBuf> = files(results.path())
         .iter()
         .filter(|path| name(path) == LOCK)
@@ -255,7 +268,7 @@ fn what_killed_processes_left_unfinished_is_removed() {
         let record = folder.join("run.json");
         let _ = std::fs::remove_file(record);
     }
-    succeed(results.path(), &RUN);
+    succeed(results.path(), &RUN[..3]);
     assert_whole(results.path(), true);
 }
 
@@ -263,8 +276,6 @@ fn what_killed_processes_left_unfinished_is_removed() {
 
 #[test]
 fn a_run_that_is_asked_to_stop_says_so_and_goes_on_when_asked_again() {
-    let undisturbed = Results::new();
-    succeed(undisturbed.path(), &RUN);
     for (number, signal_name, code) in [(libc::SIGINT, "SIGINT", 130), (libc::SIGTERM, "SIGTERM", 143)] {
         let results = Results::new();
         let mut child = start(results.path(), &RUN);
@@ -283,7 +294,7 @@ fn a_run_that_is_asked_to_stop_says_so_and_goes_on_when_asked_again() {
         let plan = succeed(results.path(), &[&RUN[..], &["--dry-run"]].concat());
         assert!(plan.starts_with("resume ") && plan.contains("it was interrupted"), "{plan}");
         succeed(results.path(), &RUN);
-        assert_same(results.path(), undisturbed.path());
+        assert_same(results.path(), &UNDISTURBED);
         assert_whole(results.path(), true);
     }
 }
@@ -359,8 +370,7 @@ fn a_run_that_another_process_works_on_is_planned_as_running() {
 
 #[test]
 fn two_processes_divide_an_experiment() {
-    let (alone, together) = (Results::new(), Results::new());
-    succeed(alone.path(), &TWELVE);
+    let together = Results::new();
     let answers = [(); 2].map(|()| start(together.path(), &TWELVE)).map(end);
     let summaries = answers.each_ref().map(counts);
     for (answer, [done, before, failed]) in answers.iter().zip(summaries) {
@@ -368,41 +378,38 @@ fn two_processes_divide_an_experiment() {
         assert!(done > 0, "each had its part: {summaries:?}");
     }
     assert_eq!(summaries[0][0] + summaries[1][0], 12, "each run was done once: {summaries:?}");
-    assert_same(together.path(), alone.path());
+    assert_same(together.path(), &ALONE);
     assert_whole(together.path(), true);
 }
 
 #[test]
 fn the_work_of_a_killed_process_is_taken_over() {
-    let (alone, together) = (Results::new(), Results::new());
-    succeed(alone.path(), &TWELVE);
+    let together = Results::new();
     let mut first = start(together.path(), &TWELVE);
     let begun = || files(together.path()).iter().any(|path| name(path) == "run.json");
     wait_until(&mut first, "a run that has begun", begun);
     let second = start(together.path(), &TWELVE);
-    std::thread::sleep(Duration::from_millis(500));
-    kill_after(first, Duration::ZERO);
+    assert!(kill_after(first, Duration::from_millis(200)).is_none(), "it was still at work");
     let answer = end(second);
     assert_eq!(answer.code, 0, "{}", answer.stderr);
     let [done, before, failed] = counts(&answer);
     assert_eq!((done + before, failed), (12, 0));
-    assert_same(together.path(), alone.path());
+    assert_same(together.path(), &ALONE);
     assert_whole(together.path(), true);
 }
 
 #[test]
 fn jobs_side_by_side_give_the_same_numbers() {
-    let [one, two] = ["1", "2"].map(|jobs| {
+    for jobs in ["2", "3"] {
         let results = Results::new();
         let answer = run(results.path(), &[&TWELVE[..], &["--jobs", jobs]].concat());
         assert_eq!((answer.code, counts(&answer)), (0, [12, 0, 0]), "{}", answer.stderr);
         // Every line of progress says whose it is.
-        let trained = answer.stderr.lines().filter(|line| line.contains(" prediction: 20 epochs in "));
+        let trained = answer.stderr.lines().filter(|line| line.contains(" prediction: 8 epochs in "));
         assert_eq!(trained.filter(|line| line.contains("-z")).count(), 12, "{}", answer.stderr);
-        results
-    });
-    assert_same(two.path(), one.path());
-    assert_whole(two.path(), true);
+        assert_same(results.path(), &ALONE);
+        assert_whole(results.path(), true);
+    }
 }
 
 // --- limits ---
