@@ -4,7 +4,7 @@
 QUICK = --quick
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint bench
+.PHONY: help setup run test soak lint bench
 
 help: ## show this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 8
@@ -18,6 +18,10 @@ run: setup ## run the main experiment; `make run QUICK=` at full scale
 test: ## run every test
 	@setup/setup.sh --test
 	cargo test
+
+soak: ## kill a run and a collection at many moments, and compare what comes out (minutes)
+	@setup/setup.sh --test
+	cargo test -- --ignored --nocapture
 
 lint: setup ## check formatting, and clippy without warnings
 	@cargo fmt --version >/dev/null && cargo clippy --version >/dev/null \

@@ -10,6 +10,7 @@ pub mod experiment;
 pub mod figures;
 pub mod files;
 pub mod learning;
+pub mod memory;
 pub mod metrics;
 pub mod progress;
 pub mod registry;

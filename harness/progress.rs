@@ -12,6 +12,10 @@ pub trait Progress: Sync {
     fn say(&self, text: &str);
     /// The stage is over.
     fn end(&self);
+    /// Where one of several jobs that go on side by side reports to, under its name; `None`: here as well.
+    fn job(&self, _name: &str) -> Option<Box<dyn Progress + '_>> {
+        None
+    }
     /// Whether the caller wants the work to stop at the next step.
     fn cancelled(&self) -> bool {
         false

@@ -658,6 +658,23 @@ impl Progress for Listener {
 }
 
 #[test]
+fn a_cancelled_training_keeps_its_last_whole_epoch() {
+    let bench = Bench::new();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("state.safetensors");
+    // So rarely that only cancelling saves it.
+    let state = || StateFile::at(path.clone()).every(Duration::from_secs(3600));
+    let steps_per_epoch = bench.partition.training.len().div_ceil(bench.training.batch_size);
+    let epochs = bench.training.epochs;
+    // In the middle of the last epoch.
+    let patience = Impatient(AtomicUsize::new(steps_per_epoch * epochs - 1));
+    assert!(matches!(bench.train(7, &state(), &patience), Err(LearningError::Cancelled)));
+    // The last epoch alone is done again.
+    let (all, _) = bench.train(7, &state(), &Impatient(AtomicUsize::new(steps_per_epoch))).unwrap();
+    assert_eq!(losses(&all), losses(&bench.train_undisturbed(7).0));
+}
+
+#[test]
 fn a_damaged_state_is_named_and_not_used() {
     let bench = Bench::new();
     let (_, parameters) = bench.train_undisturbed(7);

@@ -5,6 +5,7 @@ mod compare;
 mod doctor;
 mod figures;
 mod inspect;
+mod interrupt;
 mod progress;
 mod render;
 mod run;
@@ -14,7 +15,8 @@ mod verify;
 
 use clap::{Parser, Subcommand};
 use harness::claims::ClaimsError;
-use harness::experiment::describe;
+use harness::dataset::DatasetError;
+use harness::experiment::{ExperimentError, describe};
 use harness::registry::{QueryError, Registry, RegistryError};
 use harness::simulation::SimulationError;
 use harness::spec::SpecError;
@@ -154,6 +156,11 @@ pub fn main(arguments: Arguments) -> ExitCode {
         Command::Doctor => doctor::execute(&registry, threads),
     };
     outcome.unwrap_or_else(|error| {
+        if let Some((signal, code)) = interrupt::received().filter(|_| is_cancelled(&error)) {
+            let command = std::env::args().collect::<Vec<_>>().join(" ");
+            eprintln!("stopped by {signal}; the same command goes on from here: {command}");
+            return ExitCode::from(code);
+        }
         eprintln!("error: {}", describe(error.as_ref()));
         ExitCode::from(if is_usage(&error) { USAGE } else { FAILED })
     })
@@ -161,6 +168,12 @@ pub fn main(arguments: Arguments) -> ExitCode {
 
 fn all_threads() -> usize {
     std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
+}
+
+/// Whether the work stopped because it was asked to.
+fn is_cancelled(error: &anyhow::Error) -> bool {
+    error.downcast_ref().is_some_and(ExperimentError::is_cancelled)
+        || error.downcast_ref().is_some_and(DatasetError::is_cancelled)
 }
 
 /// Whether the user asked for something that can't be; then the exit code is 2, as for unknown arguments.

@@ -1,17 +1,22 @@
-//! Progress on the terminal: bars, or plain lines where the output is no terminal.
+//! Progress on the terminal: a bar for each job, or plain lines where the output is no terminal.
 
+use super::interrupt;
 use harness::progress::Progress;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressFinish, ProgressStyle};
 use std::io::IsTerminal;
-use std::sync::Mutex;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Time between two plain lines.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Draws one stage after the other.
+/// Draws one stage after the other, and those of other jobs beside them. A stage that is over leaves a line.
 #[derive(Default)]
 pub struct Bars {
+    /// The bars of all jobs.
+    all: MultiProgress,
+    /// Whose stages these are; empty where there is only one job.
+    job: String,
     stage: Mutex<Option<Stage>>,
 }
 
@@ -20,87 +25,88 @@ struct Stage {
     unit: String,
     /// Hidden where the output is no terminal; it still measures the rate.
     bar: ProgressBar,
-    lines: bool,
     last_line: Instant,
 }
 
 impl Bars {
-    fn with_stage(&self, act: impl FnOnce(&mut Stage)) {
-        let mut stage = self.stage.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        if let Some(stage) = stage.as_mut() {
-            act(stage);
-        }
+    fn stage(&self) -> MutexGuard<'_, Option<Stage>> {
+        self.stage.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Prints a line above the bars.
+    fn print(&self, line: &str) {
+        self.all.suspend(|| eprintln!("{line}"));
     }
 }
 
+/// Whether stages are reported in lines, since there is nothing to draw on.
+fn lines() -> bool {
+    !std::io::stderr().is_terminal()
+}
+
 impl Stage {
-    fn line(&self) {
+    fn progress(&self) -> String {
         let (done, total) = (self.bar.position(), self.bar.length().unwrap_or_default());
         let left = indicatif::HumanDuration(self.bar.eta());
+        let rate = self.bar.per_sec();
+        format!("{}: {done}/{total} {}, {rate:.1}/s, {left:#} left{}", self.name, self.unit, self.note())
+    }
+
+    fn end(&self) -> String {
+        let seconds = self.bar.elapsed().as_secs_f64();
+        format!("{}: {} {} in {seconds:.1} s{}", self.name, self.bar.position(), self.unit, self.note())
+    }
+
+    fn note(&self) -> String {
         let note = self.bar.message();
-        let note = if note.is_empty() { note } else { format!(", {note}") };
-        eprintln!(
-            "{}: {done}/{total} {}, {:.1}/s, {left:#} left{note}",
-            self.name,
-            self.unit,
-            self.bar.per_sec()
-        );
+        if note.is_empty() { note } else { format!(", {note}") }
     }
 }
 
 impl Progress for Bars {
     fn begin(&self, name: &str, total: u64, unit: &str) {
-        let lines = !std::io::stderr().is_terminal();
-        let bar = if lines { ProgressBar::hidden() } else { ProgressBar::no_length() };
+        let name = [self.job.as_str(), name].join(" ").trim_start().to_owned();
         let style =
             format!("{{prefix}} {{bar:20}} {{pos}}/{{len}} {unit} {{per_sec}} {{eta}} left {{wide_msg}}");
         let style = ProgressStyle::with_template(&style).unwrap_or_else(|_| ProgressStyle::default_bar());
-        let bar = bar.with_style(style).with_prefix(name.to_owned());
+        let bar = if lines() { ProgressBar::hidden() } else { self.all.add(ProgressBar::no_length()) };
+        let bar = bar.with_style(style).with_prefix(name.clone()).with_finish(ProgressFinish::AndClear);
         bar.set_length(total);
-        let stage = Stage { name: name.into(), unit: unit.into(), bar, lines, last_line: Instant::now() };
-        *self.stage.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(stage);
+        *self.stage() = Some(Stage { name, unit: unit.into(), bar, last_line: Instant::now() });
     }
 
     fn advance(&self, steps: u64) {
-        self.with_stage(|stage| {
+        if let Some(stage) = self.stage().as_mut() {
             stage.bar.inc(steps);
-            if stage.lines && stage.last_line.elapsed() >= LINE_INTERVAL {
-                stage.line();
+            if lines() && stage.last_line.elapsed() >= LINE_INTERVAL {
+                self.print(&stage.progress());
                 stage.last_line = Instant::now();
             }
-        });
-    }
-
-    fn note(&self, text: &str) {
-        self.with_stage(|stage| stage.bar.set_message(text.to_owned()));
-    }
-
-    fn say(&self, text: &str) {
-        let mut stage = self.stage.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        match stage.as_mut().filter(|stage| !stage.lines) {
-            Some(stage) => stage.bar.println(text),
-            None => eprintln!("{text}"),
         }
     }
 
+    fn note(&self, text: &str) {
+        if let Some(stage) = self.stage().as_mut() {
+            stage.bar.set_message(text.to_owned());
+        }
+    }
+
+    fn say(&self, text: &str) {
+        self.print(text);
+    }
+
     fn end(&self) {
-        self.with_stage(|stage| {
-            if stage.lines {
-                eprintln!(
-                    "{}: {} {} in {:.1} s{}",
-                    stage.name,
-                    stage.bar.position(),
-                    stage.unit,
-                    stage.bar.elapsed().as_secs_f64(),
-                    if stage.bar.message().is_empty() {
-                        String::new()
-                    } else {
-                        format!(", {}", stage.bar.message())
-                    }
-                );
-            }
-            stage.bar.finish();
-        });
-        *self.stage.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = None;
+        if let Some(stage) = self.stage().take() {
+            stage.bar.finish_and_clear();
+            self.print(&stage.end());
+        }
+    }
+
+    fn job(&self, name: &str) -> Option<Box<dyn Progress + '_>> {
+        Some(Box::new(Self { all: self.all.clone(), job: name.to_owned(), stage: Mutex::new(None) }))
+    }
+
+    fn cancelled(&self) -> bool {
+        interrupt::requested()
     }
 }

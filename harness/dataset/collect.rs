@@ -1,14 +1,16 @@
 //! Making the episodes that a dataset lacks, on all cores.
 
 use super::{Dataset, DatasetError};
-use crate::files::UNFINISHED;
+use crate::files::FolderLock;
 use crate::progress::Progress;
 use crate::simulation::{Scene, Simulator};
-use std::fs::File;
 use std::ops::ControlFlow;
-use std::path::PathBuf;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+/// Time between two looks at whether another process is done with a dataset.
+const PATIENCE: Duration = Duration::from_millis(100);
 
 /// Simulates the missing episodes of `dataset` on `threads` threads, each with a simulator and a renderer of
 /// its own, and writes each as it is finished. Returns how many were made.
@@ -16,17 +18,16 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Another process that collects the same dataset is waited for.
 ///
 /// # Errors
-/// When an episode diverges or can't be written: the others in progress stop at their next sample, those
-/// already written stay.
+/// When an episode diverges or can't be written, or the caller cancels: the others in progress stop at their next
+/// sample, those already written stay.
 pub fn collect(
     dataset: &Dataset,
     scene: &Scene,
     threads: usize,
     progress: &dyn Progress,
 ) -> Result<usize, DatasetError> {
+    let _lock = lock(dataset, progress)?;
     dataset.describe()?;
-    let lock = dataset.folder().join(format!("{UNFINISHED}lock"));
-    let _held = hold(lock)?;
     let missing = dataset.to_make(progress);
     if missing.is_empty() {
         return Ok(0);
@@ -53,10 +54,22 @@ pub fn collect(
     }
 }
 
-/// Holds a lock file until it is dropped; the system lets go of it when its holder dies.
-fn hold(path: PathBuf) -> Result<File, DatasetError> {
-    let file = File::create(&path).and_then(|file| file.lock().map(|()| file));
-    file.map_err(|source| DatasetError::Lock { path, source })
+/// Locks the dataset's folder as soon as it is free.
+fn lock(dataset: &Dataset, progress: &dyn Progress) -> Result<FolderLock, DatasetError> {
+    let mut said = false;
+    loop {
+        if let Some(lock) = FolderLock::attempt(dataset.folder())? {
+            return Ok(lock);
+        }
+        if let Some(holder) = FolderLock::holder(dataset.folder()).filter(|_| !said) {
+            progress.say(&format!("waiting for {holder}, which collects {}", dataset.name()));
+            said = true;
+        }
+        if progress.cancelled() {
+            return Err(DatasetError::Cancelled);
+        }
+        std::thread::sleep(PATIENCE);
+    }
 }
 
 /// What the threads share.

@@ -14,7 +14,7 @@ pub use standard::{Scale, Standard, frame_difference};
 pub use store::{Dataset, episode_scan};
 pub use verify::{Inspection, inspect, is_lock};
 
-use crate::files::WriteError;
+use crate::files::{LockError, WriteError};
 use crate::simulation::SimulationError;
 use crate::tables::TableError;
 use std::path::PathBuf;
@@ -30,6 +30,15 @@ pub enum DatasetError {
     Table(#[from] TableError),
     #[error("{} is damaged: {problem}", path.display())]
     Damaged { path: PathBuf, problem: String },
-    #[error("can't lock {}: {source}", path.display())]
-    Lock { path: PathBuf, source: std::io::Error },
+    #[error(transparent)]
+    Lock(#[from] LockError),
+    #[error("the collection was cancelled; the same command goes on from the episodes that are there")]
+    Cancelled,
+}
+
+impl DatasetError {
+    /// Whether this is the caller's own wish to stop.
+    pub fn is_cancelled(&self) -> bool {
+        matches!(self, Self::Cancelled | Self::Simulation(SimulationError::Cancelled { .. }))
+    }
 }

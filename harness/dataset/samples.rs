@@ -22,6 +22,13 @@ pub struct Samples {
 }
 
 impl Samples {
+    /// Memory that so many samples take, bytes, with frames if `frames`.
+    pub fn bytes(samples: usize, frames: bool) -> u64 {
+        let numbers = 3 * JOINTS + 2 * ARM_JOINTS;
+        let sample = numbers * size_of::<f32>() + if frames { FRAME_LEN } else { 0 };
+        (samples as u64).saturating_mul(sample as u64)
+    }
+
     /// An empty dataset with room for `samples`, with frames if `frames`.
     pub fn with_capacity(samples: usize, frames: bool) -> Self {
         Self {

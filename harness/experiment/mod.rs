@@ -1,26 +1,30 @@
 //! The story of an experiment: spec, episodes, dataset, training, metrics, record.
 
 mod evaluate;
+mod schedule;
 
 pub use evaluate::physical;
+pub use schedule::Summary;
 
 use evaluate::{Evaluated, Story};
 
-use crate::dataset::{Dataset, DatasetError, Partition, Standard, collect};
+use crate::dataset::{Dataset, DatasetError, Partition, Samples, Standard, collect};
 use crate::learning::network::{Decoder, Encoder, Parameters, Sizes};
 use crate::learning::objective::{Prediction, Reconstruction, View};
 use crate::learning::random::{Random, Stream};
 use crate::learning::state::StateFile;
 use crate::learning::training::{Epoch, Fit};
 use crate::learning::{LearningError, checkpoint, predict};
+use crate::memory;
 use crate::metrics::MetricsError;
 use crate::progress::Progress;
 use crate::registry::{
-    Decision, ForceRows, MetricRow, Outcome, Provenance, Registry, RegistryError, RunFolder, Timings,
+    Decision, ForceRows, MetricRow, Outcome, Provenance, Registry, RegistryError, RunFolder, RunRecord, Timings,
 };
 use crate::simulation::{Scene, SimulationError};
-use crate::spec::{Experiment, Modality, RunSpec, Scenario, Task};
+use crate::spec::{Experiment, Modality, RunSpec, Task};
 use candle_core::Device;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -40,6 +44,19 @@ pub enum ExperimentError {
     Registry(#[from] RegistryError),
     #[error("no episode is left for training; give the experiment more episodes or smaller shares in split")]
     NoTraining,
+    #[error(
+        "the dataset {dataset} takes {:.1} GB of memory and only {:.1} GB are free; free some, or lower \
+         simulation.episodes or simulation.actuations_per_episode",
+        *needed as f64 / 1e9, *available as f64 / 1e9
+    )]
+    Memory { dataset: String, needed: u64, available: u64 },
+    /// What all runs of a scenario need could not be made; the first of them tried.
+    #[error("{0}")]
+    Preparation(String),
+    #[error("no threads can be started: {0}")]
+    Threads(#[from] rayon::ThreadPoolBuildError),
+    #[error("the experiment was cancelled; the same command goes on from here")]
+    Cancelled,
 }
 
 /// What an experiment needs besides its spec.
@@ -47,8 +64,10 @@ pub struct Laboratory<'a> {
     pub registry: &'a Registry,
     /// A folder of MJCF files to use instead of the built-in ones.
     pub models: Option<PathBuf>,
-    /// Threads for collection; training uses those of the pool it runs in.
+    /// Threads for collection, and for all trainings together.
     pub threads: usize,
+    /// Runs that are trained side by side, each with its share of the threads; 1 trains them in the caller's pool.
+    pub jobs: usize,
     pub provenance: &'a Provenance,
     pub progress: &'a dyn Progress,
 }
@@ -58,97 +77,61 @@ pub struct Planned {
     pub spec: RunSpec,
     pub folder: RunFolder,
     pub decision: Decision,
+    /// How far the run was when it was planned.
+    record: Option<RunRecord>,
+    source: Arc<Source>,
 }
 
-/// What became of an experiment's runs.
-#[derive(Debug, Default)]
-pub struct Summary {
-    pub done: usize,
-    pub skipped: usize,
-    /// Each was reported when it failed, and has a record that says why.
-    pub failed: usize,
+/// Where a scenario's samples come from.
+struct Source {
+    scene: Scene,
+    dataset: Dataset,
 }
 
 impl Laboratory<'_> {
     /// Each run of the experiment with what will happen to it, and why.
     pub fn plan(&self, experiment: &Experiment) -> Result<Vec<Planned>, ExperimentError> {
-        let runs = experiment.runs().into_iter().map(|spec| {
-            let dataset = self.dataset(&self.scene(spec.scenario)?, &spec);
-            let folder = self.registry.run(&experiment.name, &spec, dataset.name());
-            let decision = self.registry.decide(&folder, &spec)?;
-            Ok(Planned { spec, folder, decision })
-        });
-        runs.collect()
-    }
-
-    fn scene(&self, scenario: Scenario) -> Result<Scene, ExperimentError> {
-        Ok(Scene::load(scenario, self.models.as_deref())?)
-    }
-
-    fn dataset(&self, scene: &Scene, spec: &RunSpec) -> Dataset {
-        Dataset::new(&self.registry.datasets(), scene, &spec.simulation)
-    }
-
-    /// Does every run that isn't done yet. A run that fails leaves a record that says why, and the others go on.
-    ///
-    /// # Errors
-    /// When not even a record can be written, or the caller cancels.
-    pub fn run(&self, experiment: &Experiment) -> Result<Summary, ExperimentError> {
-        let mut summary = Summary::default();
-        let mut material: Option<Material> = None;
-        for planned in self.plan(experiment)? {
-            if planned.decision == Decision::Skip {
-                summary.skipped += 1;
-                continue;
-            }
-            if material.as_ref().is_none_or(|material| material.scenario != planned.spec.scenario) {
-                // The other scenario's frames make room before this one's are loaded.
-                drop(material.take());
-            }
-            let Planned { spec, folder, .. } = &planned;
-            let record = self.registry.begin(folder, spec, self.provenance)?;
-            match self.train(spec, folder, &mut material) {
-                Ok(outcome) => {
-                    self.registry.finish(folder, record, &outcome)?;
-                    summary.done += 1;
+        let known = self.registry.records();
+        let mut sources: BTreeMap<&str, Arc<Source>> = BTreeMap::new();
+        let mut plan = Vec::new();
+        for spec in experiment.runs() {
+            let source = match sources.get(spec.scenario.name()) {
+                Some(source) => source.clone(),
+                None => {
+                    let source = Arc::new(self.source(&spec)?);
+                    sources.insert(spec.scenario.name(), source.clone());
+                    source
                 }
-                Err(error) if error.is_cancelled() => return Err(error),
-                Err(error) => {
-                    let reason = describe(&error);
-                    self.registry.fail(folder, record, &reason)?;
-                    self.progress.say(&format!("{} failed: {reason}", folder.id()));
-                    summary.failed += 1;
-                }
-            }
+            };
+            let folder = self.registry.run(&experiment.name, &spec, source.dataset.name());
+            let decision = self.registry.decide(&folder, &spec, &known);
+            let record = folder.record().ok().flatten();
+            plan.push(Planned { spec, folder, decision, record, source });
         }
-        Ok(summary)
+        Ok(plan)
     }
 
-    fn train(
-        &self,
-        spec: &RunSpec,
-        folder: &RunFolder,
-        material: &mut Option<Material>,
-    ) -> Result<Outcome, ExperimentError> {
-        let material = match material {
-            Some(material) => material,
-            None => material.insert(self.prepare(spec)?),
-        };
-        Trainee { spec, folder, material, progress: self.progress }.run()
+    fn source(&self, spec: &RunSpec) -> Result<Source, ExperimentError> {
+        let scene = Scene::load(spec.scenario, self.models.as_deref())?;
+        let dataset = Dataset::new(&self.registry.datasets(), &scene, &spec.simulation);
+        Ok(Source { scene, dataset })
     }
 
     /// Collects what is missing of the run's dataset and makes it ready for training.
-    fn prepare(&self, spec: &RunSpec) -> Result<Material, ExperimentError> {
+    fn prepare(&self, Planned { spec, source, .. }: &Planned) -> Result<Material, ExperimentError> {
         let begin = Instant::now();
-        let scene = self.scene(spec.scenario)?;
-        let dataset = self.dataset(&scene, spec);
-        collect(&dataset, &scene, self.threads, self.progress)?;
+        let Source { scene, dataset } = source.as_ref();
         let modalities: Vec<Modality> = Modality::ALL
             .iter()
             .copied()
             .filter(|m| spec.input.contains(m) || spec.output.contains(m))
             .collect();
         let frames = modalities.iter().any(|modality| modality.is_frame());
+        let (needed, available) = (Samples::bytes(dataset.len(), frames), memory::available_bytes());
+        if needed > available {
+            return Err(ExperimentError::Memory { dataset: dataset.name().to_owned(), needed, available });
+        }
+        collect(dataset, scene, self.threads, self.progress)?;
         let samples = dataset.load(frames)?;
         let partition = samples.partition(&spec.split).ok_or(ExperimentError::NoTraining)?;
         let standard = Standard::fit(&samples, &partition.training, &modalities, spec.action);
@@ -166,18 +149,18 @@ impl Laboratory<'_> {
         let forces = evaluate::forces(&view.samples);
         let storyboard = evaluate::storyboard(&view.samples, &partition.test);
         let seconds = begin.elapsed().as_secs_f64();
-        Ok(Material { scenario: spec.scenario, view, partition, baselines, forces, storyboard, seconds })
+        Ok(Material { view, partition, baselines, forces, storyboard, seconds })
     }
 }
 
 impl ExperimentError {
     /// Whether this is the caller's own wish to stop.
     pub fn is_cancelled(&self) -> bool {
-        matches!(
-            self,
-            Self::Learning(LearningError::Cancelled)
-                | Self::Dataset(DatasetError::Simulation(SimulationError::Cancelled { .. }))
-        )
+        match self {
+            Self::Cancelled | Self::Learning(LearningError::Cancelled) => true,
+            Self::Dataset(error) => error.is_cancelled(),
+            _ => false,
+        }
     }
 }
 
@@ -214,7 +197,6 @@ pub fn network_sizes(spec: &RunSpec, task: Task) -> Sizes {
 
 /// A scenario's data, shared by its runs.
 struct Material {
-    scenario: Scenario,
     view: View,
     partition: Partition,
     baselines: Vec<MetricRow>,

@@ -8,13 +8,13 @@ use super::training::{Epoch, TOTAL};
 use crate::progress::Progress;
 use candle_core::{Result as CandleResult, Tensor, Var};
 use serde_json::{Map, json};
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Time between two saves; what is lost at most when a training is killed.
-const SAVE_INTERVAL: Duration = Duration::from_secs(60);
+/// A state is saved after an epoch when the last save took less than this share of the time since.
+const SAVE_SHARE: f64 = 0.02;
 /// Keys of the epochs so far, and of the optimiser's step, in the file's note.
 const EPOCHS: &str = "epochs";
 const STEPS: &str = "steps";
@@ -58,10 +58,17 @@ pub fn copies(parameters: &Parameters) -> CandleResult<BTreeMap<String, Tensor>>
 }
 
 /// Where a training's state is kept.
+///
+/// How often it is saved follows from how long that takes: what is lost at most when a training is killed is an epoch,
+/// or fifty times what a save takes if that is longer. A training that is cancelled loses no whole epoch.
 pub struct StateFile {
     path: Option<PathBuf>,
-    interval: Duration,
+    /// Time between two saves, from the end of the last.
+    interval: Cell<Duration>,
+    fixed: bool,
     saved: Cell<Instant>,
+    /// What the file would hold had the last epoch been saved, where it was not.
+    kept: RefCell<Option<TensorFile>>,
 }
 
 impl StateFile {
@@ -72,12 +79,13 @@ impl StateFile {
 
     /// Nowhere: the training can't be resumed.
     pub fn none() -> Self {
-        Self { path: None, interval: SAVE_INTERVAL, saved: Cell::new(Instant::now()) }
+        let (interval, saved) = (Cell::default(), Cell::new(Instant::now()));
+        Self { path: None, interval, fixed: false, saved, kept: RefCell::default() }
     }
 
-    /// Saved this often, instead of once a minute.
+    /// Saved this often, however long it takes.
     pub fn every(self, interval: Duration) -> Self {
-        Self { interval, ..self }
+        Self { interval: Cell::new(interval), fixed: true, ..self }
     }
 
     /// Loads the state of an unfinished training into `parameters` and `adam`, if there is one.
@@ -105,34 +113,30 @@ impl StateFile {
         Ok(Some(saved.state))
     }
 
-    /// Saves the state if the last save is long enough ago.
+    /// Saves the state if the last save is long enough ago, and otherwise keeps it in memory.
     pub fn save_now_and_then(
         &self,
         state: &State,
         parameters: &Parameters,
         adam: &Adam,
     ) -> Result<(), LearningError> {
-        if self.saved.get().elapsed() < self.interval {
+        if self.path.is_none() {
             return Ok(());
         }
-        self.save(state, parameters, adam)?;
-        self.saved.set(Instant::now());
-        Ok(())
+        *self.kept.borrow_mut() = Some(contents(state, parameters, adam)?);
+        if self.saved.get().elapsed() >= self.interval.get() { self.save_kept() } else { Ok(()) }
     }
 
-    fn save(&self, state: &State, parameters: &Parameters, adam: &Adam) -> Result<(), LearningError> {
-        let Some(path) = &self.path else { return Ok(()) };
-        let mut tensors = HashMap::new();
-        for ((name, parameter), (mean, square)) in parameters.iter().zip(adam.moments()?) {
-            tensors.insert(format!("parameter.{name}"), parameter.as_tensor().clone());
-            tensors.insert(format!("mean.{name}"), mean);
-            tensors.insert(format!("square.{name}"), square);
+    /// Saves the state of the last epoch unless it is saved already.
+    pub fn save_kept(&self) -> Result<(), LearningError> {
+        let (Some(path), Some(kept)) = (&self.path, self.kept.take()) else { return Ok(()) };
+        let begin = Instant::now();
+        kept.write(path)?;
+        self.saved.set(Instant::now());
+        if !self.fixed {
+            self.interval.set(begin.elapsed().div_f64(SAVE_SHARE));
         }
-        tensors.extend(state.best.iter().map(|(name, tensor)| (format!("best.{name}"), tensor.clone())));
-        let mut note = Map::new();
-        note.insert(EPOCHS.into(), json!(state.epochs));
-        note.insert(STEPS.into(), json!(adam.steps()));
-        TensorFile { tensors, note }.write(path)
+        Ok(())
     }
 }
 
@@ -162,4 +166,19 @@ impl Saved {
         let best = parameters.keys().cloned().zip(group("best")?).collect();
         Ok(Self { parameters: group("parameter")?, moments, steps, state: State { epochs, best } })
     }
+}
+
+/// What a state's file is to hold; nothing of it changes with the parameters.
+fn contents(state: &State, parameters: &Parameters, adam: &Adam) -> CandleResult<TensorFile> {
+    let mut tensors = HashMap::new();
+    for ((name, parameter), (mean, square)) in copies(parameters)?.into_iter().zip(adam.moments()?) {
+        tensors.insert(format!("parameter.{name}"), parameter);
+        tensors.insert(format!("mean.{name}"), mean);
+        tensors.insert(format!("square.{name}"), square);
+    }
+    tensors.extend(state.best.iter().map(|(name, tensor)| (format!("best.{name}"), tensor.clone())));
+    let mut note = Map::new();
+    note.insert(EPOCHS.into(), json!(state.epochs));
+    note.insert(STEPS.into(), json!(adam.steps()));
+    Ok(TensorFile { tensors, note })
 }

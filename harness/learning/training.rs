@@ -62,12 +62,20 @@ impl Fit<'_> {
         self.progress.begin(stage, self.training.epochs as u64, "epochs");
         self.progress.advance(state.epochs.len() as u64);
         while !self.finished(&state) {
-            let epoch = self.epoch(objective, &mut adam, state.epochs.len())?;
+            let epoch = match self.epoch(objective, &mut adam, state.epochs.len()) {
+                Err(LearningError::Cancelled) => {
+                    self.state.save_kept()?;
+                    return Err(LearningError::Cancelled);
+                }
+                epoch => epoch?,
+            };
             self.progress.advance(1);
             self.progress.note(&describe(&epoch));
             state.record(epoch, parameters)?;
             self.state.save_now_and_then(&state, parameters, &adam)?;
         }
+        // What comes after this training may be interrupted too.
+        self.state.save_kept()?;
         if self.training.patience.is_some() {
             state.restore_best(parameters)?;
         }

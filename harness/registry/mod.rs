@@ -19,7 +19,7 @@ pub use record::{
 };
 pub use verify::{Finding, Report};
 
-use crate::files::{WriteError, write_bytes};
+use crate::files::{FolderLock, LockError, WriteError, write_bytes};
 use crate::spec::{RunSpec, Task};
 use crate::tables::TableError;
 use sha2::{Digest, Sha256};
@@ -41,6 +41,8 @@ pub enum RegistryError {
     #[error(transparent)]
     Write(#[from] WriteError),
     #[error(transparent)]
+    Lock(#[from] LockError),
+    #[error(transparent)]
     Table(#[from] TableError),
     #[error("{} is no record of a run ({reason}); delete the folder and run the experiment again", path.display())]
     Record { path: PathBuf, reason: String },
@@ -59,7 +61,13 @@ pub enum Decision {
         reason: String,
     },
     /// A saved state of its training is there.
-    Resume,
+    Resume {
+        reason: String,
+    },
+    /// Another process is at it.
+    Running {
+        holder: String,
+    },
     Skip,
 }
 
@@ -106,46 +114,35 @@ impl Registry {
         RunFolder { path, experiment: experiment.to_owned(), id, dataset: dataset.to_owned() }
     }
 
-    /// Checks that something can be written below the root.
+    /// Checks that something can be written below the root, and leaves nothing there.
     pub fn check_writable(&self) -> Result<(), WriteError> {
-        let probe = self.root.join(".writable");
-        write_bytes(&probe, b"")?;
-        std::fs::remove_file(&probe).map_err(|source| WriteError { path: probe, source })
+        let attempt = std::fs::create_dir_all(&self.root).and_then(|()| tempfile::tempfile_in(&self.root));
+        attempt.map(drop).map_err(|source| WriteError { path: self.root.clone(), source })
     }
 
-    /// What is to be done about a run.
-    pub fn decide(&self, folder: &RunFolder, spec: &RunSpec) -> Result<Decision, RegistryError> {
+    /// What is to be done about a run, by its folder and by `known`, the records of all runs.
+    pub fn decide(&self, folder: &RunFolder, spec: &RunSpec, known: &[RunRecord]) -> Decision {
+        let record = match folder.record() {
+            // Nobody holds a run that is done, but for the moment in which its holder lets go.
+            Ok(Some(record)) if record.status == Status::Done => return Decision::Skip,
+            record => record,
+        };
+        if let Some(holder) = FolderLock::holder(&folder.path) {
+            return Decision::Running { holder };
+        }
+        let reason = match record {
+            Ok(Some(RunRecord { status: Status::Failed, reason, .. })) => {
+                format!("it failed before: {}", reason.unwrap_or_default())
+            }
+            Ok(Some(_)) => "it was interrupted".into(),
+            Ok(None) => why_new(folder, spec, known),
+            Err(error) => error.to_string(),
+        };
         let resumable =
             [Task::Prediction, Task::Reconstruction].iter().any(|task| folder.state(*task).exists());
-        Ok(match folder.record()? {
-            Some(record) if record.status == Status::Done => Decision::Skip,
-            _ if resumable => Decision::Resume,
-            Some(record) if record.status == Status::Failed => {
-                Decision::Run { reason: format!("it failed before: {}", record.reason.unwrap_or_default()) }
-            }
-            Some(_) => Decision::Run { reason: "it was interrupted".into() },
-            None => Decision::Run { reason: self.why_new(folder, spec) },
-        })
-    }
-
-    /// Why a run isn't one of those that are there: what differs from the nearest of them.
-    fn why_new(&self, folder: &RunFolder, spec: &RunSpec) -> String {
-        let mut nearest: Option<(Vec<String>, String)> = None;
-        for record in self.records() {
-            if record.experiment != folder.experiment || record.label() != spec.label() {
-                continue;
-            }
-            let mut differences = differences(&record.spec, spec);
-            if record.dataset != folder.dataset && differences.is_empty() {
-                differences.push("the model or MuJoCo differs".into());
-            }
-            if nearest.as_ref().is_none_or(|(fewest, _)| differences.len() < fewest.len()) {
-                nearest = Some((differences, record.run));
-            }
-        }
-        match nearest {
-            Some((differences, run)) => format!("new; {run} differs in {}", differences.join(", ")),
-            None => "new".into(),
+        match resumable {
+            true => Decision::Resume { reason: format!("{reason}; a saved state of its training is there") },
+            false => Decision::Run { reason },
         }
     }
 
@@ -228,6 +225,16 @@ impl Registry {
         }
     }
 
+    /// Makes this the only process, and the only thread, that works on a run; `None` if another does already.
+    pub fn claim(&self, folder: &RunFolder) -> Result<Option<FolderLock>, RegistryError> {
+        Ok(FolderLock::attempt(&folder.path)?)
+    }
+
+    /// Who works on a run, if anybody does.
+    pub fn holder(&self, folder: &RunFolder) -> Option<String> {
+        FolderLock::holder(&folder.path)
+    }
+
     /// Writes that a run has begun: its resolved spec, its provenance, and a record without an end.
     pub fn begin(
         &self,
@@ -286,8 +293,26 @@ impl RunFolder {
         self.path.join(format!("{}.state.safetensors", task.name()))
     }
 
-    fn record(&self) -> Result<Option<RunRecord>, RegistryError> {
+    /// How far the run is; `None` if it never began.
+    pub fn record(&self) -> Result<Option<RunRecord>, RegistryError> {
         RunRecord::read(&self.path.join(RECORD))
+    }
+}
+
+/// Why a run isn't one of those that are there: what differs from the nearest of them.
+fn why_new(folder: &RunFolder, spec: &RunSpec, known: &[RunRecord]) -> String {
+    let alike =
+        |record: &&RunRecord| record.experiment == folder.experiment && record.label() == spec.label();
+    let described = known.iter().filter(alike).map(|record| {
+        let mut differences = differences(&record.spec, spec);
+        if record.dataset != folder.dataset && differences.is_empty() {
+            differences.push("the model or MuJoCo".into());
+        }
+        (differences, &record.run)
+    });
+    match described.min_by_key(|(differences, _)| differences.len()) {
+        Some((differences, run)) => format!("new; {run} differs in {}", differences.join(", ")),
+        None => "new".into(),
     }
 }
 

@@ -1,0 +1,195 @@
+//! Which run is done when, and by whom: several jobs of this process, or other processes on the same results folder.
+
+use super::{ExperimentError, Laboratory, Material, Planned, Trainee, describe};
+use crate::registry::{Decision, Outcome, Provenance, Status};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+/// Time between two looks at whether another process has let go of a run.
+const PATIENCE: Duration = Duration::from_millis(500);
+
+/// What became of an experiment's runs.
+#[derive(Debug, Default)]
+pub struct Summary {
+    pub done: usize,
+    /// Done before, or by another process.
+    pub skipped: usize,
+    /// Each was reported when it failed; the record says why, if it could be written.
+    pub failed: usize,
+}
+
+/// What became of one run.
+#[derive(Clone, Copy)]
+enum End {
+    Done,
+    Skipped,
+    Failed,
+    /// Another process is at it.
+    Held,
+}
+
+impl Laboratory<'_> {
+    /// Does every run of a plan that isn't done yet. A run that fails leaves a record that says why, and the others go
+    /// on. Runs that other processes work on come last: they are waited for, or done if their holder dies.
+    ///
+    /// # Errors
+    /// When the caller cancels, or no threads can be started.
+    pub fn run(&self, plan: &[Planned]) -> Result<Summary, ExperimentError> {
+        let mut summary = Summary::default();
+        let (skipped, mut pending): (Vec<&Planned>, Vec<&Planned>) =
+            plan.iter().partition(|planned| planned.decision == Decision::Skip);
+        summary.skipped = skipped.len();
+        loop {
+            let mut held = Vec::new();
+            // One scenario at a time: its samples are in memory once, and the other's are not.
+            for runs in pending.chunk_by(|a, b| a.spec.scenario == b.spec.scenario) {
+                for (planned, end) in runs.iter().zip(self.scenario(runs)?) {
+                    match end {
+                        End::Done => summary.done += 1,
+                        End::Skipped => summary.skipped += 1,
+                        End::Failed => summary.failed += 1,
+                        End::Held => held.push(*planned),
+                    }
+                }
+            }
+            if held.is_empty() {
+                return Ok(summary);
+            }
+            self.wait(&held)?;
+            pending = held;
+        }
+    }
+
+    /// Tries every run of one scenario, and says what became of each.
+    fn scenario(&self, runs: &[&Planned]) -> Result<Vec<End>, ExperimentError> {
+        let jobs = self.jobs.clamp(1, runs.len());
+        let threads = (self.threads / jobs).max(1);
+        let shift = Shift {
+            laboratory: self,
+            provenance: Provenance { threads, ..self.provenance.clone() },
+            runs,
+            next: AtomicUsize::new(0),
+            material: Mutex::new(None),
+        };
+        if jobs == 1 {
+            return Ok(shift.work()?.into_iter().map(|(_, end)| end).collect());
+        }
+        let pools = (0..jobs)
+            .map(|_| rayon::ThreadPoolBuilder::new().num_threads(threads).build())
+            .collect::<Result<Vec<_>, _>>()?;
+        let ends: Vec<_> = std::thread::scope(|scope| {
+            let workers: Vec<_> =
+                pools.iter().map(|pool| scope.spawn(|| pool.install(|| shift.work()))).collect();
+            let joined = workers.into_iter().map(|worker| worker.join());
+            joined.map(|end| end.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+        });
+        let mut ends = ends.into_iter().collect::<Result<Vec<_>, _>>()?.concat();
+        ends.sort_by_key(|(index, _)| *index);
+        Ok(ends.into_iter().map(|(_, end)| end).collect())
+    }
+
+    /// Waits until one of the runs is nobody's any more.
+    fn wait(&self, held: &[&Planned]) -> Result<(), ExperimentError> {
+        let holder = |planned: &&Planned| self.registry.holder(&planned.folder);
+        for (planned, holder) in held.iter().filter_map(|planned| Some((planned, holder(planned)?))) {
+            self.progress.say(&format!("waiting for {}, which {holder} works on", planned.folder.id()));
+        }
+        while held.iter().all(|planned| holder(planned).is_some()) {
+            if self.progress.cancelled() {
+                return Err(ExperimentError::Cancelled);
+            }
+            std::thread::sleep(PATIENCE);
+        }
+        Ok(())
+    }
+}
+
+/// What the jobs share that work on a scenario's runs.
+struct Shift<'a> {
+    laboratory: &'a Laboratory<'a>,
+    /// With the threads of one job.
+    provenance: Provenance,
+    runs: &'a [&'a Planned],
+    next: AtomicUsize,
+    /// Made by the first job that needs it; or why it can't be.
+    material: Mutex<Option<Result<Arc<Material>, String>>>,
+}
+
+impl Shift<'_> {
+    /// Takes one run after the other until none is left.
+    fn work(&self) -> Result<Vec<(usize, End)>, ExperimentError> {
+        let mut ends = Vec::new();
+        loop {
+            let index = self.next.fetch_add(1, Ordering::Relaxed);
+            let Some(planned) = self.runs.get(index) else { return Ok(ends) };
+            if self.laboratory.progress.cancelled() {
+                return Err(ExperimentError::Cancelled);
+            }
+            let end = match self.attempt(planned) {
+                Err(error) if !error.is_cancelled() => {
+                    self.say_failed(planned, &describe(&error));
+                    End::Failed
+                }
+                end => end?,
+            };
+            ends.push((index, end));
+        }
+    }
+
+    fn attempt(&self, planned: &Planned) -> Result<End, ExperimentError> {
+        let Planned { spec, folder, .. } = planned;
+        let registry = self.laboratory.registry;
+        let Some(_lock) = registry.claim(folder)? else { return Ok(End::Held) };
+        // Another process may have been here since the plan was made.
+        match folder.record() {
+            Ok(Some(record)) if record.status == Status::Done => return Ok(End::Skipped),
+            Ok(Some(record))
+                if record.status == Status::Failed && planned.record.as_ref() != Some(&record) =>
+            {
+                let reason = record.reason.unwrap_or_default();
+                self.say_failed(planned, &format!("{reason} (in another process)"));
+                return Ok(End::Failed);
+            }
+            _ => {}
+        }
+        let record = registry.begin(folder, spec, &self.provenance)?;
+        let end =
+            self.train(planned).and_then(|outcome| Ok(registry.finish(folder, record.clone(), &outcome)?));
+        if let Err(error) = &end
+            && !error.is_cancelled()
+            && let Err(second) = registry.fail(folder, record, &describe(error))
+        {
+            self.say_failed(planned, &format!("{}, and so did its record", describe(&second)));
+        }
+        end.map(|()| End::Done)
+    }
+
+    fn train(&self, planned: &Planned) -> Result<Outcome, ExperimentError> {
+        let material = self.material(planned)?;
+        let everyone = self.laboratory.progress;
+        let own = everyone.job(&planned.spec.label());
+        let progress = own.as_deref().unwrap_or(everyone);
+        Trainee { spec: &planned.spec, folder: &planned.folder, material: &material, progress }.run()
+    }
+
+    /// What the scenario's runs share; the jobs that come while it is made wait.
+    fn material(&self, planned: &Planned) -> Result<Arc<Material>, ExperimentError> {
+        let mut slot = self.material.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.laboratory.progress.cancelled() {
+            return Err(ExperimentError::Cancelled);
+        }
+        let made = match slot.take() {
+            Some(made) => made,
+            None => match self.laboratory.prepare(planned) {
+                Err(error) if error.is_cancelled() => return Err(error),
+                made => made.map(Arc::new).map_err(|error| describe(&error)),
+            },
+        };
+        slot.insert(made).clone().map_err(ExperimentError::Preparation)
+    }
+
+    fn say_failed(&self, planned: &Planned, reason: &str) {
+        self.laboratory.progress.say(&format!("{} failed: {reason}", planned.folder.id()));
+    }
+}

@@ -1,0 +1,549 @@
+//! Killed, asked to stop, run twice at once, out of room: nothing is lost, and the numbers stay the same.
+
+mod common;
+
+use common::{Answer, SMOKE, smoke_run};
+use harness::files::{FolderLock, LOCK, UNFINISHED};
+use harness::simulation::Scene;
+use harness::spec::Scenario;
+use harness::tables::read_footer;
+use rand::{RngExt, SeedableRng};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Stdio};
+use std::sync::LazyLock;
+use std::time::{Duration, Instant};
+
+/// A run of about two seconds, of which each stage takes a part.
+const RUN: [&str; 5] = ["run", SMOKE, "scenarios=[empty]", "training.epochs=150", "training.patience=null"];
+/// A collection of about two seconds.
+const COLLECTION: [&str; 6] =
+    ["collect", SMOKE, "scenarios=[empty]", "simulation.episodes=40", "--threads", "1"];
+/// Twelve runs, six of each scenario.
+const TWELVE: [&str; 6] =
+    ["run", SMOKE, "latent=[2,3,4]", "seeds=[0,1]", "training.epochs=8", "training.patience=null"];
+
+/// What comes of the run and of the twelve when nothing happens to them.
+static UNDISTURBED: LazyLock<PathBuf> = LazyLock::new(|| undisturbed("undisturbed", &RUN));
+static ALONE: LazyLock<PathBuf> = LazyLock::new(|| undisturbed("alone", &TWELVE));
+
+// --- what the tests are made of ---
+
+/// A results folder of a test's own.
+struct Results(tempfile::TempDir);
+
+impl Results {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn path(&self) -> &Path {
+        self.0.path()
+    }
+}
+
+/// Every file below a folder, sorted.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let path = entry.path();
+        if path.is_dir() { files.extend(self::files(&path)) } else { files.push(path) }
+    }
+    files.sort();
+    files
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().unwrap().to_string_lossy().into_owned()
+}
+
+/// The bytes of everything that must not depend on when and how it was made, by its place in the results folder.
+fn numbers(results: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let timeless = |path: &PathBuf| {
+        let name = name(path);
+        ["metrics.parquet", "predictions.parquet", "prediction.safetensors", "reconstruction.safetensors"]
+            .contains(&name.as_str())
+            || name.starts_with("episode_")
+    };
+    let read =
+        |path: PathBuf| (path.strip_prefix(results).unwrap().to_owned(), std::fs::read(&path).unwrap());
+    files(results).into_iter().filter(timeless).map(read).collect()
+}
+
+/// Checks that two results hold the same numbers, bit for bit.
+#[track_caller]
+fn assert_same(results: &Path, undisturbed: &Path) {
+    let (found, expected) = (numbers(results), numbers(undisturbed));
+    assert!(!expected.is_empty());
+    assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>());
+    for (path, bytes) in &expected {
+        assert!(found[path] == *bytes, "{} differs", path.display());
+    }
+}
+
+/// Checks that every table can be read; and, where nothing is at work any more, that nothing unfinished is left.
+#[track_caller]
+fn assert_whole(results: &Path, at_rest: bool) {
+    for path in files(results) {
+        let name = name(&path);
+        assert!(
+            !at_rest || name == LOCK || !name.starts_with(UNFINISHED) && !name.contains(".state."),
+            "{} is left",
+            path.display()
+        );
+        if name.ends_with(".parquet") {
+            read_footer(&path).unwrap();
+        }
+    }
+}
+
+/// The program, left running. It sees no source tree, whose state it would write into every file: someone may be at
+/// work there.
+fn start(results: &Path, arguments: &[&str]) -> Child {
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_harness"));
+    command.current_dir(env!("CARGO_MANIFEST_DIR")).env("GIT_DIR", "/nonexistent");
+    command.arg("--results").arg(results).args(arguments);
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+}
+
+/// Runs the program to its end.
+#[track_caller]
+fn run(results: &Path, arguments: &[&str]) -> Answer {
+    end(start(results, arguments))
+}
+
+/// The standard output of a command that must succeed.
+#[track_caller]
+fn succeed(results: &Path, arguments: &[&str]) -> String {
+    let answer = run(results, arguments);
+    assert_eq!(answer.code, 0, "{arguments:?}: {}", answer.stderr);
+    answer.stdout
+}
+
+/// Waits for the end of a program that printed little enough to fit a pipe.
+#[track_caller]
+fn end(child: Child) -> Answer {
+    let output = child.wait_with_output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    let (stdout, stderr) = (text(output.stdout), text(output.stderr));
+    assert!(!stderr.contains("panicked"), "{stderr}");
+    Answer { code: output.status.code().expect("an exit code"), stdout, stderr }
+}
+
+/// Waits until something is so, while a program runs.
+#[track_caller]
+fn wait_until(child: &mut Child, what: &str, so: impl Fn() -> bool) {
+    let begin = Instant::now();
+    while !so() {
+        assert!(begin.elapsed() < Duration::from_secs(60), "{what}: not in a minute");
+        assert!(child.try_wait().unwrap().is_none(), "{what}: the program ended first");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+fn signal(child: &Child, signal: libc::c_int) {
+    // SAFETY: sends a signal to a child that has not been waited for, so its number is still its own.
+    assert_eq!(unsafe { libc::kill(child.id() as libc::pid_t, signal) }, 0);
+}
+
+/// Ends a program after a while without a warning; its answer if it ended before.
+fn kill_after(mut child: Child, delay: Duration) -> Option<Answer> {
+    let begin = Instant::now();
+    while begin.elapsed() < delay {
+        if child.try_wait().unwrap().is_some() {
+            return Some(end(child));
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    None
+}
+
+fn has_state(results: &Path) -> bool {
+    files(results).iter().any(|path| name(path).ends_with(".state.safetensors"))
+}
+
+/// The counts of a run's last words: done, done before, failed.
+#[track_caller]
+fn counts(answer: &Answer) -> [usize; 3] {
+    let line = answer.stdout.lines().find(|line| line.contains(" done before, "));
+    let line = line.unwrap_or_else(|| panic!("no summary: {}{}", answer.stdout, answer.stderr));
+    let mut numbers = line.split(|c: char| !c.is_ascii_digit()).filter_map(|word| word.parse().ok());
+    [(); 3].map(|()| numbers.next().unwrap())
+}
+
+/// Status and reason of every run.
+fn statuses(results: &Path) -> Vec<(String, String)> {
+    let answer = Results::new();
+    let json = answer.path().join("runs.json");
+    let query = "select status, reason from runs order by run";
+    succeed(results, &["query", query, "--output", json.to_str().unwrap()]);
+    let rows: Vec<serde_json::Value> = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+    let text = |row: &serde_json::Value, key: &str| row[key].as_str().unwrap_or_default().to_owned();
+    rows.iter().map(|row| (text(row, "status"), text(row, "reason"))).collect()
+}
+
+/// The results of a command in a folder of their own, which cargo keeps for the tests.
+fn undisturbed(name: &str, arguments: &[&str]) -> PathBuf {
+    let results = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&results);
+    succeed(&results, arguments);
+    results
+}
+
+// --- killed ---
+
+/// Kills a command `kills` times at random moments, giving it again each time, and compares what comes out in the end
+/// with what comes out undisturbed. Whenever it gets done before its time, it begins anew.
+fn kill_again_and_again(arguments: &[&str], kills: usize) {
+    let undisturbed = Results::new();
+    let begin = Instant::now();
+    succeed(undisturbed.path(), arguments);
+    let whole = begin.elapsed();
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+    let mut results = Results::new();
+    let (mut killed, mut resumed, mut finished, mut in_a_row) = (0, 0, 0, 0);
+    while killed < kills {
+        in_a_row += 1;
+        // Ever later, so that it gets done in the end.
+        let delay = whole.mul_f64(random.random::<f64>() * f64::from(4 + in_a_row) / 10.0);
+        resumed += usize::from(has_state(results.path()));
+        match kill_after(start(results.path(), arguments), delay) {
+            None => killed += 1,
+            Some(answer) => {
+                assert_eq!(answer.code, 0, "{}", answer.stderr);
+                assert_same(results.path(), undisturbed.path());
+                assert_whole(results.path(), true);
+                (results, in_a_row) = (Results::new(), 0);
+                finished += 1;
+            }
+        }
+        assert_whole(results.path(), false);
+    }
+    succeed(results.path(), arguments);
+    assert_same(results.path(), undisturbed.path());
+    assert_whole(results.path(), true);
+    let seconds = begin.elapsed().as_secs_f64();
+    println!(
+        "{arguments:?}: {killed} kills, {resumed} starts from a saved state, {} ends, {seconds:.0} s",
+        finished + 1
+    );
+}
+
+#[test]
+fn a_run_killed_a_few_times_ends_as_one_undisturbed() {
+    kill_again_and_again(&RUN, 4);
+}
+
+#[test]
+fn a_collection_killed_a_few_times_ends_as_one_undisturbed() {
+    kill_again_and_again(&COLLECTION, 3);
+}
+
+#[test]
+#[ignore = "takes minutes: make soak"]
+fn a_run_killed_at_60_moments_ends_as_one_undisturbed() {
+    kill_again_and_again(&RUN, 60);
+}
+
+#[test]
+#[ignore = "takes minutes: make soak"]
+fn a_collection_killed_at_60_moments_ends_as_one_undisturbed() {
+    kill_again_and_again(&COLLECTION, 60);
+}
+
+#[test]
+fn what_killed_processes_left_unfinished_is_removed() {
+    let results = Results::new();
+    succeed(results.path(), &RUN[..3]);
+    let folders: Vec<PathBuf> = files(results.path())
+        .iter()
+        .filter(|path| name(path) == LOCK)
+        .map(|path| path.parent().unwrap().to_owned())
+        .collect();
+    assert_eq!(folders.len(), 2, "a dataset's and a run's");
+    for folder in &folders {
+        std::fs::write(folder.join(format!("{UNFINISHED}Xy12Za")), "part of something").unwrap();
+        let record = folder.join("run.json");
+        let _ = std::fs::remove_file(record);
+    }
+    succeed(results.path(), &RUN[..3]);
+    assert_whole(results.path(), true);
+}
+
+// --- asked to stop ---
+
+#[test]
+fn a_run_that_is_asked_to_stop_says_so_and_goes_on_when_asked_again() {
+    for (number, signal_name, code) in [(libc::SIGINT, "SIGINT", 130), (libc::SIGTERM, "SIGTERM", 143)] {
+        let results = Results::new();
+        let mut child = start(results.path(), &RUN);
+        wait_until(&mut child, "a saved state", || has_state(results.path()));
+        signal(&child, number);
+        let answer = end(child);
+        assert_eq!(answer.code, code, "{}", answer.stderr);
+        let last = answer.stderr.lines().last().unwrap();
+        assert!(
+            last.starts_with(&format!("stopped by {signal_name}; the same command goes on from here: "))
+                && last.ends_with(&RUN.join(" ")),
+            "{last}"
+        );
+        assert!(!answer.stderr.contains("failed"), "{}", answer.stderr);
+        assert!(!answer.stdout.contains("done"), "{}", answer.stdout);
+        let plan = succeed(results.path(), &[&RUN[..], &["--dry-run"]].concat());
+        assert!(plan.starts_with("resume ") && plan.contains("it was interrupted"), "{plan}");
+        succeed(results.path(), &RUN);
+        assert_same(results.path(), &UNDISTURBED);
+        assert_whole(results.path(), true);
+    }
+}
+
+#[test]
+fn a_collection_that_is_asked_to_stop_keeps_its_episodes() {
+    let results = Results::new();
+    let episodes = || files(results.path()).iter().filter(|path| name(path).starts_with("episode_")).count();
+    let mut child = start(results.path(), &COLLECTION);
+    wait_until(&mut child, "an episode", || episodes() > 0);
+    signal(&child, libc::SIGTERM);
+    let answer = end(child);
+    assert_eq!(answer.code, 143, "{}", answer.stderr);
+    assert!(answer.stderr.contains("stopped by SIGTERM"), "{}", answer.stderr);
+    let made = episodes();
+    assert!(made < 40);
+    assert_whole(results.path(), true);
+    let said = succeed(results.path(), &COLLECTION);
+    assert!(said.contains(&format!("{} episodes made", 40 - made)), "{said}");
+}
+
+/// Locks the dataset that a command needs, so that the command waits; dropped, it lets go.
+fn hold_dataset(results: &Path) -> FolderLock {
+    succeed(results, &COLLECTION);
+    let lock = files(results).into_iter().find(|path| name(path) == LOCK).unwrap();
+    FolderLock::attempt(lock.parent().unwrap()).unwrap().expect("nobody else is here")
+}
+
+#[test]
+fn a_second_interrupt_ends_the_process_at_once() {
+    let results = Results::new();
+    let _held = hold_dataset(results.path());
+    let at_once = (0..20).any(|_| {
+        let mut child = start(results.path(), &COLLECTION);
+        // It waits, and looks every 100 ms whether it was asked to stop.
+        let stderr = child.stderr.take().unwrap();
+        let mut lines = std::io::BufRead::lines(std::io::BufReader::new(stderr));
+        assert!(lines.next().unwrap().unwrap().starts_with("waiting for process "));
+        signal(&child, libc::SIGINT);
+        std::thread::sleep(Duration::from_millis(10));
+        signal(&child, libc::SIGINT);
+        let rest: Vec<String> = lines.map(Result::unwrap).collect();
+        assert_eq!(child.wait().unwrap().code(), Some(130));
+        // A process that came to look after the first says how to go on; one that was ended says nothing.
+        rest.is_empty()
+    });
+    assert!(at_once);
+}
+
+// --- side by side ---
+
+#[test]
+fn a_run_that_another_process_works_on_is_planned_as_running() {
+    let results = smoke_run("running");
+    let folder = std::fs::read_dir(results.join("runs/smoke")).unwrap();
+    let folder =
+        folder.map(|entry| entry.unwrap().path()).find(|path| name(path).starts_with("empty")).unwrap();
+    std::fs::remove_file(folder.join("run.json")).unwrap();
+    let plan = |what: &str| {
+        let plan = succeed(&results, &["run", SMOKE, "--dry-run"]);
+        assert!(plan.lines().any(|line| line.starts_with("skip    cluttered")), "{plan}");
+        let line = plan.lines().find(|line| line.contains("empty-z4")).unwrap().to_owned();
+        assert!(line.starts_with(what), "{line}");
+        line
+    };
+    let held = FolderLock::attempt(&folder).unwrap().expect("nobody else is here");
+    assert!(FolderLock::attempt(&folder).unwrap().is_none(), "it is held");
+    let line = plan("running ");
+    assert!(line.contains(&format!("process {} on ", std::process::id())), "{line}");
+    drop(held);
+    plan("run ");
+}
+
+#[test]
+fn two_processes_divide_an_experiment() {
+    let together = Results::new();
+    let answers = [(); 2].map(|()| start(together.path(), &TWELVE)).map(end);
+    let summaries = answers.each_ref().map(counts);
+    for (answer, [done, before, failed]) in answers.iter().zip(summaries) {
+        assert_eq!((answer.code, done + before, failed), (0, 12, 0), "{}", answer.stderr);
+        assert!(done > 0, "each had its part: {summaries:?}");
+    }
+    assert_eq!(summaries[0][0] + summaries[1][0], 12, "each run was done once: {summaries:?}");
+    assert_same(together.path(), &ALONE);
+    assert_whole(together.path(), true);
+}
+
+#[test]
+fn the_work_of_a_killed_process_is_taken_over() {
+    let together = Results::new();
+    let mut first = start(together.path(), &TWELVE);
+    let begun = || files(together.path()).iter().any(|path| name(path) == "run.json");
+    wait_until(&mut first, "a run that has begun", begun);
+    let second = start(together.path(), &TWELVE);
+    assert!(kill_after(first, Duration::from_millis(200)).is_none(), "it was still at work");
+    let answer = end(second);
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    let [done, before, failed] = counts(&answer);
+    assert_eq!((done + before, failed), (12, 0));
+    assert_same(together.path(), &ALONE);
+    assert_whole(together.path(), true);
+}
+
+#[test]
+fn jobs_side_by_side_give_the_same_numbers() {
+    for jobs in ["2", "3"] {
+        let results = Results::new();
+        let answer = run(results.path(), &[&TWELVE[..], &["--jobs", jobs]].concat());
+        assert_eq!((answer.code, counts(&answer)), (0, [12, 0, 0]), "{}", answer.stderr);
+        // Every line of progress says whose it is.
+        let trained = answer.stderr.lines().filter(|line| line.contains(" prediction: 8 epochs in "));
+        assert_eq!(trained.filter(|line| line.contains("-z")).count(), 12, "{}", answer.stderr);
+        assert_same(results.path(), &ALONE);
+        assert_whole(results.path(), true);
+    }
+}
+
+// --- limits ---
+
+#[test]
+fn a_loss_that_is_not_finite_fails_the_run_with_its_reason() {
+    let results = Results::new();
+    let arguments =
+        ["run", SMOKE, "training.learning_rate=1", "training.kl_weight=1000000", "training.epochs=200"];
+    let answer = run(results.path(), &arguments);
+    assert_eq!((answer.code, counts(&answer)), (1, [0, 0, 2]), "{}", answer.stderr);
+    for (status, reason) in statuses(results.path()) {
+        assert_eq!(status, "failed");
+        assert!(reason.contains("no longer finite") && reason.contains("learning_rate"), "{reason}");
+    }
+}
+
+#[test]
+fn a_scenario_that_diverges_fails_and_the_other_goes_on() {
+    let (results, models) = (Results::new(), Results::new());
+    let xml = |scenario| Scene::load(scenario, None).unwrap().xml().to_owned();
+    let stiff = xml(Scenario::Empty).replace("timestep=\"0.001\"", "timestep=\"0.1\"");
+    std::fs::write(models.path().join("empty.xml"), stiff).unwrap();
+    std::fs::write(models.path().join("cluttered.xml"), xml(Scenario::Cluttered)).unwrap();
+    let arguments = ["run", SMOKE, "seeds=[0,1]", "--models", models.path().to_str().unwrap()];
+    let answer = run(results.path(), &arguments);
+    assert_eq!((answer.code, counts(&answer)), (1, [2, 0, 2]), "{}", answer.stderr);
+    let statuses = statuses(results.path());
+    assert!(statuses[..2].iter().all(|(status, _)| status == "done"), "{statuses:?}");
+    for (status, reason) in &statuses[2..] {
+        assert!(status == "failed" && reason.contains("diverged"), "{reason}");
+    }
+    assert_whole(results.path(), true);
+}
+
+#[test]
+fn a_dataset_larger_than_memory_is_refused_before_it_is_collected() {
+    let results = Results::new();
+    let size = ["simulation.episodes=100000", "simulation.actuations_per_episode=100"];
+    let answer = run(results.path(), &[&["run", SMOKE], &size[..]].concat());
+    assert_eq!((answer.code, counts(&answer)), (1, [0, 0, 2]), "{}", answer.stderr);
+    for (status, reason) in statuses(results.path()) {
+        // 10^8 samples of 66 numbers and a frame of 64 x 64 x 3 bytes.
+        assert!(status == "failed" && reason.contains(" takes 1255.2 GB of memory and only "), "{reason}");
+    }
+}
+
+#[test]
+fn a_run_whose_folder_cannot_be_written_fails_and_the_others_go_on() {
+    let results = Results::new();
+    let plan = succeed(results.path(), &["run", SMOKE, "--dry-run"]);
+    let id = plan.split_whitespace().find(|word| word.starts_with("empty-")).unwrap();
+    let folder = results.path().join("runs/smoke");
+    std::fs::create_dir_all(&folder).unwrap();
+    std::fs::write(folder.join(id), "no folder").unwrap();
+    let answer = run(results.path(), &["run", SMOKE]);
+    assert_eq!((answer.code, counts(&answer)), (1, [1, 0, 1]), "{}", answer.stderr);
+    assert!(answer.stderr.contains(&format!("{id} failed: can't lock ")), "{}", answer.stderr);
+}
+
+/// A small disk in memory; only root may make one.
+struct Disk(tempfile::TempDir);
+
+impl Disk {
+    fn new(kilobytes: usize) -> Option<Self> {
+        let folder = tempfile::tempdir().unwrap();
+        let options = format!("size={kilobytes}k");
+        let disk = Self(folder);
+        disk.mount(&["-t", "tmpfs", "-o", &options, "tmpfs"]).then_some(disk)
+    }
+
+    fn path(&self) -> &Path {
+        self.0.path()
+    }
+
+    fn remount(&self, options: &str) {
+        assert!(self.mount(&["-o", &format!("remount,{options}")]));
+    }
+
+    fn mount(&self, arguments: &[&str]) -> bool {
+        let output = std::process::Command::new("mount").args(arguments).arg(self.path()).output();
+        output.is_ok_and(|output| output.status.success())
+    }
+}
+
+impl Drop for Disk {
+    fn drop(&mut self) {
+        let _ = std::process::Command::new("umount").arg(self.path()).output();
+    }
+}
+
+#[test]
+fn a_full_disk_fails_what_it_must_and_leaves_nothing_half_written() {
+    let undisturbed = Results::new();
+    let command = [&RUN[..3], &["training.epochs=4", "training.patience=null"]].concat();
+    succeed(undisturbed.path(), &command);
+    let all: u64 = files(undisturbed.path()).iter().map(|path| path.metadata().unwrap().len()).sum();
+    let all = all as usize / 1024;
+    // From too small for the first episode to too small for the last table.
+    for kilobytes in [16, all / 8, all / 4, all / 2, all - 100] {
+        let Some(disk) = Disk::new(kilobytes) else {
+            println!("skipped: no small disk can be mounted here");
+            return;
+        };
+        let answer = run(disk.path(), &command);
+        assert_eq!((answer.code, counts(&answer)), (1, [0, 0, 1]), "{kilobytes} KB: {}", answer.stderr);
+        assert!(answer.stderr.contains("No space left on device"), "{kilobytes} KB: {}", answer.stderr);
+        for path in files(disk.path()) {
+            assert!(
+                name(&path) == LOCK || !name(&path).starts_with(UNFINISHED),
+                "{} is left",
+                path.display()
+            );
+        }
+        assert_whole(disk.path(), false);
+        disk.remount("size=64m");
+        succeed(disk.path(), &command);
+        assert_same(disk.path(), undisturbed.path());
+        assert_whole(disk.path(), true);
+    }
+}
+
+#[test]
+fn a_disk_that_cannot_be_written_is_named_and_nothing_is_tried() {
+    let Some(disk) = Disk::new(64) else {
+        println!("skipped: no small disk can be mounted here");
+        return;
+    };
+    disk.remount("ro");
+    for command in ["run", "collect"] {
+        let answer = run(disk.path(), &[command, SMOKE]);
+        assert_eq!(answer.code, 1);
+        let expected = format!("error: can't write {}: Read-only file system", disk.path().display());
+        assert!(answer.stderr.starts_with(&expected), "{}", answer.stderr);
+        assert_eq!(answer.stderr.lines().count(), 1);
+    }
+}
