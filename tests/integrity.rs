@@ -297,7 +297,7 @@ fn remove(path: PathBuf) -> PathBuf {
 #[test]
 fn whole_results_are_called_whole_and_left_alone() {
     let said = succeed(&RESULTS, &["verify"]);
-    assert_eq!(said, "2 runs, 2 datasets, 26 files: everything is whole\n");
+    assert_eq!(said, "2 runs, 2 datasets, 30 files: everything is whole\n");
     let nowhere = tempfile::tempdir().unwrap().path().join("nothing");
     assert_eq!(succeed(&nowhere, &["verify"]), "0 runs, 0 datasets, 0 files: everything is whole\n");
     assert!(!nowhere.exists());

@@ -19,7 +19,8 @@ use crate::memory;
 use crate::metrics::MetricsError;
 use crate::progress::Progress;
 use crate::registry::{
-    Decision, ForceRows, MetricRow, Outcome, Provenance, Registry, RegistryError, RunFolder, RunRecord, Timings,
+    Decision, ForceRows, MetricRow, Outcome, Provenance, Registry, RegistryError, RunFolder, RunRecord,
+    Timings,
 };
 use crate::simulation::{Scene, SimulationError};
 use crate::spec::{Experiment, Modality, RunSpec, Task};
