@@ -1,5 +1,4 @@
-//! The harness's program as tests use it; no test file uses all of it.
-#![allow(dead_code)]
+//! The harness's program as tests use it.
 #![allow(dead_code, reason = "no test file uses all of it")]
 
 use assert_cmd::Command;

@@ -205,11 +205,12 @@ unsafe fn multiply_strips<const PARTS: usize>(
                             packed_rows.chunks_exact(rows).take(packed_strips).enumerate()
                         {
                             let (line, packed_line) = (strip * STRIP, first_line + index * STRIP);
-                            let (a, b, place) = match packed.side {
+                            let (left, right, place) = match packed.side {
                                 Side::Right => (&*streamed_rows, packed_rows, (line, packed_line)),
                                 Side::Left => (packed_rows, &*streamed_rows, (packed_line, line)),
                             };
-                            tiles.multiply::<PARTS>(a, b, out, place, block_into);
+                            let pair = Pair { left, right, packed: packed_rows };
+                            tiles.multiply::<PARTS>(pair, out, place, block_into);
                         }
                     }
                 }
@@ -386,6 +387,15 @@ fn transpose(tile: &mut [Row; TILE]) {
     tile.iter_mut().zip(columns).for_each(|(row, column)| row.store(column));
 }
 
+/// Two packed strips to be multiplied.
+#[derive(Clone, Copy)]
+struct Pair<'a> {
+    left: &'a [Row],
+    right: &'a [Row],
+    /// The one of them that lies in the second-level cache and is fetched ahead.
+    packed: &'a [Row],
+}
+
 /// This thread's tile registers, configured as eight tiles of 16 x 64 bytes until dropped.
 struct Tiles(());
 
@@ -417,8 +427,7 @@ impl Tiles {
     /// No other thread may touch the 32 x 32 values from `place` (row, column) on.
     unsafe fn multiply<const PARTS: usize>(
         &self,
-        a: &[Row],
-        b: &[Row],
+        pair: Pair,
         out: Destination,
         place: (usize, usize),
         into: Into,
@@ -429,11 +438,11 @@ impl Tiles {
         unsafe {
             let first = out.first.add(row * out.n + column);
             if into == Into::Overwrite && rows == STRIP && columns == STRIP {
-                self.kernel::<PARTS>(a, b, first, out.n);
+                self.kernel::<PARTS>(pair, first, out.n);
                 return;
             }
             let mut block = [0.0f32; STRIP * STRIP];
-            self.kernel::<PARTS>(a, b, block.as_mut_ptr(), STRIP);
+            self.kernel::<PARTS>(pair, block.as_mut_ptr(), STRIP);
             for (row, block) in block.chunks_exact(STRIP).take(rows).enumerate() {
                 let line = std::slice::from_raw_parts_mut(first.add(row * out.n), columns);
                 match into {
@@ -448,7 +457,8 @@ impl Tiles {
     ///
     /// The smallest products are added first. With three parts the order (a0 b2, a0 b1, a1 b1, a1 b0, a2 b0, a0 b0)
     /// changes one side at a time, so that 14 tiles are loaded for 24 products of tiles.
-    unsafe fn kernel<const PARTS: usize>(&self, a: &[Row], b: &[Row], out: *mut f32, stride: usize) {
+    unsafe fn kernel<const PARTS: usize>(&self, pair: Pair, out: *mut f32, stride: usize) {
+        let Pair { left: a, right: b, packed } = pair;
         /// Loads the two tiles of a part of one side.
         macro_rules! load {
             (a, $part:literal) => {
@@ -472,19 +482,20 @@ impl Tiles {
                 )
             };
         }
-        /// Adds the four products of the tiles that are loaded, and fetches a kilobyte of the next step of `b`.
+        /// Adds the four products of the tiles that are loaded, and fetches a kilobyte of the next step of the
+        /// packed side, which comes from the second-level cache.
         macro_rules! multiply {
             ($ahead:literal) => {
                 concat!(
                     "tdpbf16ps tmm0, tmm4, tmm6\n",
                     ".irp line, 0, 64, 128, 192, 256, 320, 384, 448\n",
-                    "prefetcht0 [{b} + {bytes} + ",
+                    "prefetcht0 [{packed} + {bytes} + ",
                     $ahead,
                     "*1024 + \\line]\n",
                     ".endr\n",
                     "tdpbf16ps tmm1, tmm4, tmm7\n",
                     ".irp line, 512, 576, 640, 704, 768, 832, 896, 960\n",
-                    "prefetcht0 [{b} + {bytes} + ",
+                    "prefetcht0 [{packed} + {bytes} + ",
                     $ahead,
                     "*1024 + \\line]\n",
                     ".endr\n",
@@ -504,6 +515,7 @@ impl Tiles {
                     $($step,)*
                     "add {a}, {bytes}",
                     "add {b}, {bytes}",
+                    "add {packed}, {bytes}",
                     "dec {steps}",
                     "jnz 2b",
                     "tilestored [{out} + {stride}], tmm0",
@@ -512,6 +524,7 @@ impl Tiles {
                     "tilestored [{below} + {stride} + 64], tmm3",
                     a = inout(reg) a.as_ptr() => _,
                     b = inout(reg) b.as_ptr() => _,
+                    packed = inout(reg) packed.as_ptr() => _,
                     steps = inout(reg) a.len() / strip_rows::<PARTS>(1) => _,
                     bytes = const PARTS as i32 * 2 * 1024,
                     row = in(reg) 64usize,

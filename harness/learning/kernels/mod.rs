@@ -11,7 +11,8 @@ pub mod product;
 
 use pulp::{Arch, WithSimd};
 use rayon::prelude::*;
-use std::sync::OnceLock;
+use std::ops::{Deref, DerefMut};
+use std::sync::{Mutex, OnceLock};
 
 /// Parts that a reduction over a batch is cut into; fixed, so that sums are always taken in the same order.
 pub const PARTS: usize = 16;
@@ -28,6 +29,49 @@ pub fn simd<Op: WithSimd>(op: Op) -> Op::Output {
 pub fn scratch(len: usize) -> Vec<f32> {
     // Zeroed memory comes from the allocator without a pass over it.
     vec![0.0; len]
+}
+
+/// A large vector for the time of an op, whose memory the next one of the same length takes over.
+///
+/// Its values are whatever they were: the holder writes each before it reads it. Fresh memory would be cleared by
+/// the allocator or the system first, hundreds of megabytes in every training step.
+pub struct Buffer(Vec<f32>);
+
+/// Buffers that wait for their next use.
+static IDLE: Mutex<Vec<Vec<f32>>> = Mutex::new(Vec::new());
+/// Buffers that wait at most: those of a training step.
+const MAX_IDLE: usize = 4;
+
+impl Buffer {
+    pub fn new(len: usize) -> Self {
+        let mut idle = IDLE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let found = idle.iter().position(|values| values.len() == len);
+        Self(found.map_or_else(|| vec![0.0; len], |index| idle.swap_remove(index)))
+    }
+}
+
+impl Drop for Buffer {
+    fn drop(&mut self) {
+        let mut idle = IDLE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        if idle.len() == MAX_IDLE {
+            idle.remove(0);
+        }
+        idle.push(std::mem::take(&mut self.0));
+    }
+}
+
+impl Deref for Buffer {
+    type Target = [f32];
+
+    fn deref(&self) -> &[f32] {
+        &self.0
+    }
+}
+
+impl DerefMut for Buffer {
+    fn deref_mut(&mut self) -> &mut [f32] {
+        &mut self.0
+    }
 }
 
 /// Adds `bias` `[width]` to every row of `rows` `[n, width]`, then cuts negative values where `relu` says so.

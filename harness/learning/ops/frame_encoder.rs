@@ -7,7 +7,7 @@ use super::{hand_over, is_trained, slice, tensor, threads, with_values};
 use crate::dataset::frames::Frames;
 use crate::learning::kernels::convolution::{Coarse, Convolution, Fine, KernelSums};
 use crate::learning::kernels::product::{Into, Matrix, product};
-use crate::learning::kernels::{self, PARTS, simd};
+use crate::learning::kernels::{self, Buffer, PARTS, simd};
 use crate::spec::Precision;
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
@@ -51,7 +51,7 @@ struct FrameEncoder {
     trained: bool,
     precision: Precision,
     /// `relu(conv(frames))` `[batch, channels * positions]`, kept for the gradients.
-    active: OnceLock<Vec<f32>>,
+    active: OnceLock<Buffer>,
 }
 
 impl FrameEncoder {
@@ -60,9 +60,9 @@ impl FrameEncoder {
         self.frames.batch().div_ceil(PARTS)
     }
 
-    fn convolve(&self, kernel: &[f32], bias: &[f32]) -> Vec<f32> {
+    fn convolve(&self, kernel: &[f32], bias: &[f32]) -> Buffer {
         let (sizes, part) = (self.sizes, self.part());
-        let mut active = kernels::scratch(self.frames.batch() * sizes.coarse_len());
+        let mut active = Buffer::new(self.frames.batch() * sizes.coarse_len());
         active.par_chunks_mut(part * sizes.coarse_len()).enumerate().for_each(|(part_index, active)| {
             let (mut frame, mut fine) = (kernels::scratch(sizes.fine_len()), Fine::new(sizes));
             for (index, active) in active.chunks_exact_mut(sizes.coarse_len()).enumerate() {
@@ -78,7 +78,7 @@ impl FrameEncoder {
     /// Gradients of the convolution's kernel and bias, given that of its activations.
     fn convolution_gradients(&self, grad_active: &[f32]) -> (Vec<f32>, Vec<f32>) {
         let (sizes, part) = (self.sizes, self.part());
-        let active = self.active.get().map(Vec::as_slice).unwrap_or_default();
+        let active = self.active.get().map(|active| &**active).unwrap_or_default();
         let sums = grad_active
             .par_chunks(part * sizes.coarse_len())
             .zip(active.par_chunks(part * sizes.coarse_len()))
@@ -154,8 +154,8 @@ impl CustomOp2 for FrameEncoder {
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
         let (batch, (outputs, inputs)) = (self.frames.batch(), self.hidden.dims2()?);
-        let active = self.active.get().map(Vec::as_slice).unwrap_or_default();
-        let mut grad_active = kernels::scratch(batch * inputs);
+        let active = self.active.get().map(|active| &**active).unwrap_or_default();
+        let mut grad_active = Buffer::new(batch * inputs);
         with_values(grad, |grad| {
             if self.trained {
                 let mut grad_hidden = kernels::scratch(outputs * inputs);

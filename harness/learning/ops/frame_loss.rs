@@ -9,7 +9,7 @@ use super::{hand_over, is_trained, slice, tensor, threads, with_values};
 use crate::dataset::frames::Frames;
 use crate::learning::kernels::convolution::{Coarse, Convolution, Fine, KernelSums};
 use crate::learning::kernels::product::{Into, Matrix, product};
-use crate::learning::kernels::{self, PARTS, add_to, simd};
+use crate::learning::kernels::{self, Buffer, PARTS, add_to, simd};
 use crate::spec::Precision;
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
@@ -36,10 +36,10 @@ impl FrameDecoder {
     }
 
     /// `hidden weightᵀ` `[batch, channels * (side / 2)²]`, without the bias.
-    fn coarse(&self, hidden: &[f32]) -> Result<Vec<f32>> {
+    fn coarse(&self, hidden: &[f32]) -> Result<Buffer> {
         let (outputs, inputs) = self.weight.dims2()?;
         let batch = hidden.len() / inputs;
-        let mut coarse = kernels::scratch(batch * outputs);
+        let mut coarse = Buffer::new(batch * outputs);
         with_values(&self.weight, |weight| {
             let (hidden, weight) =
                 (Matrix::plain(hidden, batch, inputs), Matrix::transposed(weight, outputs, inputs));
