@@ -117,6 +117,7 @@ def training_step(architecture: str, latent: int) -> Comparison:
             Contender("PyTorch eager", pytorch("--mode", "eager"), 2.5 if convolutional else 2.0),
             Contender("PyTorch compiled", pytorch("--mode", "compile"), 1.0 if convolutional else None),
             Contender("PyTorch eager, bf16 autocast", pytorch("--mode", "eager", "--precision", "bf16")),
+            *([Contender("harness, bf16", harness("--precision", "bf16"))] if convolutional else []),
             Contender(
                 "matrix products alone, gemm",
                 lambda: example("products", *network, *steps)["median_seconds"],
