@@ -782,11 +782,12 @@ fn every_experiment_here_loads_under_its_file_name() {
 /// A quick run must show every stage and table of the full one, so it may be smaller but not another experiment.
 #[test]
 fn the_papers_experiments_are_the_papers_also_when_quick() {
-    let expected = [("single_to_multi", [2, 4, 16]), ("multi_to_multi", [16, 64, 128])];
-    for (name, latent) in expected {
+    let expected = [("single_to_multi", [2, 4, 16], 5), ("multi_to_multi", [16, 64, 128], 3)];
+    for (name, latent, seeds) in expected {
         let path = experiments().join(format!("{name}.yaml"));
         let full = spec::load(&path, &[], false).unwrap();
         assert_eq!(full.latent, latent);
+        assert_eq!(full.seeds.len(), seeds);
         assert_eq!(full.scenarios, Scenario::ALL);
         let samples = full.simulation.samples_per_episode() * full.simulation.episodes as usize;
         let training = &full.training;
@@ -800,6 +801,7 @@ fn the_papers_experiments_are_the_papers_also_when_quick() {
             name: full.name.clone(),
             simulation: full.simulation.clone(),
             training: full.training.clone(),
+            seeds: full.seeds.clone(),
             ..quick
         };
         assert_eq!(resized, full);
