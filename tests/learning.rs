@@ -4,6 +4,7 @@
 use candle_core::{Device, Result, Tensor, Var};
 use harness::dataset::frames::{DenseFrames, Frames};
 use harness::dataset::{Partition, Samples, Standard};
+use harness::learning::kernels;
 use harness::learning::kernels::convolution::{Coarse, Convolution, Fine, KernelSums};
 use harness::learning::kernels::product::{self, Matrix, Unit};
 use harness::learning::network::{Decoder, Encoder, Observation, Parameters, Sizes, Targets, scalar};
@@ -207,6 +208,16 @@ fn product_error(
         }
     }
     worst
+}
+
+#[test]
+fn the_exponential_is_exact_to_two_units_in_the_last_place() {
+    for step in -860..=870 {
+        let x = step as f32 / 10.0 + 0.037;
+        let (found, expected) = (f64::from(kernels::exp(x)), f64::from(x).exp());
+        assert!((found / expected - 1.0).abs() < 2.4e-7, "exp({x}) = {found} instead of {expected}");
+    }
+    assert!(kernels::exp(1e9).is_finite() && kernels::exp(-1e9) > 0.0 && kernels::exp(f32::NAN).is_nan());
 }
 
 #[test]

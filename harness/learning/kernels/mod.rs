@@ -156,6 +156,25 @@ pub fn sum_in_order(parts: Vec<Vec<f32>>, len: usize) -> Vec<f32> {
         .unwrap_or_else(|| vec![0.0; len])
 }
 
+/// `e^x`, to two units in the last place, in arithmetic that vectorises; libm's is a call for each value.
+///
+/// By `x = n ln 2 + r`, a polynomial for `e^r` (the coefficients of Cephes' expf, Moshier 1992), and `n` put into the
+/// exponent. Below -87 and above 88 the result stays at the ends of f32's normal range.
+#[inline(always)]
+pub fn exp(x: f32) -> f32 {
+    const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
+    const COEFFICIENTS: [f32; 6] =
+        [1.987_569_1e-4, 1.398_2e-3, 8.333_452e-3, 4.166_579_6e-2, 1.666_666_5e-1, 5.000_000_1e-1];
+    /// Adding it rounds to a whole number.
+    const ROUND: f32 = 12_582_912.0;
+    let x = x.clamp(-87.0, 88.0);
+    let n = (x * std::f32::consts::LOG2_E + ROUND) - ROUND;
+    let r = x - n * LN_2[0] - n * LN_2[1];
+    let polynomial = COEFFICIENTS.iter().fold(0.0, |sum, coefficient| sum * r + coefficient);
+    let exponent = ((n as i32 + 127) << 23) as u32;
+    (polynomial * r * r + r + 1.0) * f32::from_bits(exponent)
+}
+
 /// The sum of all values.
 pub fn sum(values: &[f32]) -> f32 {
     const LANES: usize = 16;

@@ -1,7 +1,7 @@
 //! Drawing from a posterior, and its divergence from the prior, as one op each.
 
 use super::{slice, tensor, with_values};
-use crate::learning::kernels;
+use crate::learning::kernels::{self, exp, simd};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
 
 /// `mean + exp(log_variance / 2) * noise` (Kingma & Welling, 2014, equation 10).
@@ -49,14 +49,19 @@ impl CustomOp1 for Sample {
         let posterior = slice(posterior, layout)?;
         with_values(&self.noise, |noise| {
             let rows = posterior.chunks_exact(width).zip(noise.chunks_exact(latent));
-            for (drawn, (posterior, noise)) in drawn.chunks_exact_mut(latent).zip(rows) {
-                let (mean, log_variance) = posterior.split_at(latent);
-                for (((drawn, mean), log_variance), noise) in
-                    drawn.iter_mut().zip(mean).zip(log_variance).zip(noise)
-                {
-                    *drawn = mean + (0.5 * log_variance).exp() * noise;
-                }
-            }
+            simd(
+                #[inline(always)]
+                || {
+                    for (drawn, (posterior, noise)) in drawn.chunks_exact_mut(latent).zip(rows) {
+                        let (mean, log_variance) = posterior.split_at(latent);
+                        for (((drawn, mean), log_variance), noise) in
+                            drawn.iter_mut().zip(mean).zip(log_variance).zip(noise)
+                        {
+                            *drawn = mean + exp(0.5 * log_variance) * noise;
+                        }
+                    }
+                },
+            );
             Ok(())
         })?;
         Ok((CpuStorage::F32(drawn), (batch, latent).into()))
@@ -100,13 +105,21 @@ impl CustomOp1 for Divergence {
 
     fn cpu_fwd(&self, posterior: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
         let (batch, width) = layout.shape().dims2()?;
-        let rows = slice(posterior, layout)?.chunks_exact(width);
-        let nats = rows.map(|row| {
+        let mut terms = kernels::scratch(width / 2);
+        let mut nats = 0.0;
+        for row in slice(posterior, layout)?.chunks_exact(width) {
             let (mean, log_variance) = row.split_at(width / 2);
-            let terms = mean.iter().zip(log_variance).map(|(mean, log)| mean * mean + log.exp() - log - 1.0);
-            f64::from(0.5 * terms.sum::<f32>())
-        });
-        Ok((CpuStorage::F32(vec![(nats.sum::<f64>() / batch as f64) as f32]), ().into()))
+            simd(
+                #[inline(always)]
+                || {
+                    for ((term, mean), log) in terms.iter_mut().zip(mean).zip(log_variance) {
+                        *term = mean * mean + exp(*log) - log - 1.0;
+                    }
+                },
+            );
+            nats += f64::from(0.5 * kernels::sum(&terms));
+        }
+        Ok((CpuStorage::F32(vec![(nats / batch as f64) as f32]), ().into()))
     }
 
     fn bwd(&self, posterior: &Tensor, _divergence: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
@@ -114,16 +127,22 @@ impl CustomOp1 for Divergence {
         let factor = grad.to_scalar::<f32>()? / batch as f32;
         let mut grads = kernels::scratch(batch * width);
         with_values(posterior, |posterior| {
-            for (grads, posterior) in grads.chunks_exact_mut(width).zip(posterior.chunks_exact(width)) {
-                let (grad_mean, grad_log_variance) = grads.split_at_mut(width / 2);
-                let (mean, log_variance) = posterior.split_at(width / 2);
-                for ((of_mean, of_log), (mean, log)) in
-                    grad_mean.iter_mut().zip(grad_log_variance).zip(mean.iter().zip(log_variance))
-                {
-                    *of_mean = factor * mean;
-                    *of_log = factor * 0.5 * (log.exp() - 1.0);
-                }
-            }
+            simd(
+                #[inline(always)]
+                || {
+                    for (grads, posterior) in grads.chunks_exact_mut(width).zip(posterior.chunks_exact(width))
+                    {
+                        let (grad_mean, grad_log_variance) = grads.split_at_mut(width / 2);
+                        let (mean, log_variance) = posterior.split_at(width / 2);
+                        for ((of_mean, of_log), (mean, log)) in
+                            grad_mean.iter_mut().zip(grad_log_variance).zip(mean.iter().zip(log_variance))
+                        {
+                            *of_mean = factor * mean;
+                            *of_log = factor * 0.5 * (exp(*log) - 1.0);
+                        }
+                    }
+                },
+            );
             Ok(())
         })?;
         Ok(Some(tensor(grads, (batch, width))?))
