@@ -10,8 +10,8 @@ use harness::learning::kernels::product::{self, Matrix, Unit};
 use harness::learning::network::{Decoder, Encoder, Observation, Parameters, Sizes, Targets, scalar};
 use harness::learning::objective::{Draw, Objective, Prediction, View, Weighted};
 use harness::learning::ops::{
-    Adam, FrameDecoder, backward, divergence, frame_decoder, frame_encoder, frame_loss, linear, sample,
-    squared_errors,
+    Adam, FrameDecoder, TwoLayers, backward, divergence, frame_decoder, frame_encoder, frame_loss, linear,
+    sample, squared_errors, two_layers,
 };
 use harness::learning::random::{Random, Stream};
 use harness::learning::state::StateFile;
@@ -104,6 +104,18 @@ fn gradients_of_the_frame_encoder_are_those_of_finite_differences() {
     ];
     assert_gradients(&arguments, |args| {
         frame_encoder(frames.clone(), &args[0], &args[1], &args[2], Precision::F32)
+    });
+}
+
+#[test]
+fn gradients_of_two_layers_are_those_of_finite_differences() {
+    let mut random = random(11);
+    // Eleven rows: parts of unequal size.
+    let shapes: [&[usize]; 5] = [&[11, 7], &[6, 7], &[6], &[4, 6], &[4]];
+    let arguments = shapes.map(|shape| variable(&mut random, shape));
+    assert_gradients(&arguments, |args| {
+        let [x, hidden_weight, hidden_bias, weight, bias] = [0, 1, 2, 3, 4].map(|index| args[index].clone());
+        two_layers(&x, TwoLayers { hidden_weight, hidden_bias, weight, bias })
     });
 }
 

@@ -5,7 +5,10 @@
 //! observation. Vectors pass two fully connected layers on each side; frames pass a 4 x 4 convolution of
 //! stride 2 before them, and its transpose after them.
 
-use super::ops::{self, FrameDecoder, frame_decoder, frame_encoder, frame_loss, linear, squared_errors};
+use super::ops::{
+    self, FrameDecoder, TwoLayers, frame_decoder, frame_encoder, frame_loss, linear, squared_errors,
+    two_layers,
+};
 use super::random::Random;
 use crate::dataset::frames::Frames;
 use crate::spec::{FRAME_SIDE, Modality, Precision};
@@ -187,14 +190,20 @@ impl Encoder {
     /// The posterior of a batch.
     pub fn encode(&self, observation: &Observation) -> Result<Posterior> {
         let vector = observation.vector.as_ref().zip(self.hidden_vector.as_ref());
-        // Without frames, the ReLU is part of the layer.
-        let only_vector = self.convolution.is_none();
-        let mut hidden = vector
-            .map(|(vector, weight)| linear(vector, weight, &self.hidden_bias, only_vector))
-            .transpose()?;
-        if let (Some(frames), Some(Layer { weight: kernel, bias }), Some(weight)) =
-            (&observation.frames, &self.convolution, &self.hidden_frame)
-        {
+        let frames =
+            observation.frames.as_ref().zip(self.convolution.as_ref()).zip(self.hidden_frame.as_ref());
+        if let (Some((vector, weight)), None) = (vector, frames) {
+            let layers = TwoLayers {
+                hidden_weight: weight.clone(),
+                hidden_bias: self.hidden_bias.clone(),
+                weight: self.posterior.weight.clone(),
+                bias: self.posterior.bias.clone(),
+            };
+            return Ok(Posterior(two_layers(vector, layers)?));
+        }
+        let mut hidden =
+            vector.map(|(vector, weight)| linear(vector, weight, &self.hidden_bias, false)).transpose()?;
+        if let Some(((frames, Layer { weight: kernel, bias }), weight)) = frames {
             let seen = frame_encoder(frames.clone(), kernel, bias, weight, self.precision)?;
             let sum = match hidden {
                 Some(hidden) => (hidden + seen)?,
@@ -266,13 +275,36 @@ impl Decoder {
         }
     }
 
-    /// The hidden layer, given `latent` `[batch, latent]` and the action `[batch, action]` if it has one.
-    fn hidden(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Tensor> {
-        let condition = match action {
-            Some(action) => Tensor::cat(&[latent, action], 1)?,
-            None => latent.clone(),
+    /// What the decoder is given: `latent` `[batch, latent]`, and beside it the action `[batch, action]` if it has one.
+    fn condition(latent: &Tensor, action: Option<&Tensor>) -> Result<Tensor> {
+        match action {
+            Some(action) => Tensor::cat(&[latent, action], 1),
+            None => Ok(latent.clone()),
+        }
+    }
+
+    /// The hidden layer, where frames share it with the vectors.
+    fn shared_hidden(&self, condition: &Tensor) -> Result<Option<Tensor>> {
+        let Layer { weight, bias } = &self.hidden;
+        self.frame.as_ref().map(|_| linear(condition, weight, bias, true)).transpose()
+    }
+
+    /// The vectors side by side `[batch, width]`, `None` where the output has none.
+    fn vector(&self, condition: &Tensor, hidden: Option<&Tensor>) -> Result<Option<Tensor>> {
+        let Some(Layer { weight, bias }) = &self.vector else { return Ok(None) };
+        let vector = match hidden {
+            Some(hidden) => linear(hidden, weight, bias, false)?,
+            None => {
+                let layers = TwoLayers {
+                    hidden_weight: self.hidden.weight.clone(),
+                    hidden_bias: self.hidden.bias.clone(),
+                    weight: weight.clone(),
+                    bias: bias.clone(),
+                };
+                two_layers(condition, layers)?
+            }
         };
-        linear(&condition, &self.hidden.weight, &self.hidden.bias, true)
+        Ok(Some(vector))
     }
 
     /// The standardised observation: vectors `[batch, width]` and frames `[batch, channels, 64, 64]`.
@@ -281,15 +313,12 @@ impl Decoder {
         latent: &Tensor,
         action: Option<&Tensor>,
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let hidden = self.hidden(latent, action)?;
-        let vector = self
-            .vector
-            .as_ref()
-            .map(|layer| linear(&hidden, &layer.weight, &layer.bias, false))
-            .transpose()?;
-        let channels = Sizes::frame_channels(&self.output);
-        let frames = self.frame_decoder(0, channels)?;
-        Ok((vector, frames.map(|decoder| frame_decoder(&hidden, &decoder, FRAME_SIDE)).transpose()?))
+        let condition = Self::condition(latent, action)?;
+        let hidden = self.shared_hidden(&condition)?;
+        let decoder = self.frame_decoder(0, Sizes::frame_channels(&self.output))?;
+        let frames =
+            hidden.as_ref().zip(decoder).map(|(hidden, decoder)| frame_decoder(hidden, &decoder, FRAME_SIDE));
+        Ok((self.vector(&condition, hidden.as_ref())?, frames.transpose()?))
     }
 
     /// The way from the hidden layer to `channels` channels of the frames, from `first` on.
@@ -309,10 +338,11 @@ impl Decoder {
     /// `targets` holds the vectors side by side, and the frames of each frame modality on their own, all in
     /// the order of the output.
     pub fn losses(&self, latent: &Tensor, action: Option<&Tensor>, targets: &Targets) -> Result<Vec<Term>> {
-        let hidden = self.hidden(latent, action)?;
+        let condition = Self::condition(latent, action)?;
+        let hidden = self.shared_hidden(&condition)?;
         let mut terms = Vec::with_capacity(self.output.len());
-        if let (Some(layer), Some(target)) = (&self.vector, &targets.vector) {
-            let predicted = linear(&hidden, &layer.weight, &layer.bias, false)?;
+        if let (Some(predicted), Some(target)) = (self.vector(&condition, hidden.as_ref())?, &targets.vector)
+        {
             let modalities: Vec<Modality> =
                 self.output.iter().copied().filter(|modality| !modality.is_frame()).collect();
             let widths: Vec<usize> = modalities.iter().map(|modality| modality.width()).collect();
@@ -324,9 +354,8 @@ impl Decoder {
         let mut first = 0;
         for (modality, target) in &targets.frames {
             let channels = target.channels();
-            if let Some(decoder) = self.frame_decoder(first, channels)? {
-                terms
-                    .push(Term { modality: *modality, value: frame_loss(&hidden, decoder, target.clone())? });
+            if let (Some(hidden), Some(decoder)) = (&hidden, self.frame_decoder(first, channels)?) {
+                terms.push(Term { modality: *modality, value: frame_loss(hidden, decoder, target.clone())? });
             }
             first += channels;
         }

@@ -100,21 +100,19 @@ fn for_each_part(rows: &mut [f32], width: usize, work: impl Fn(usize, &mut [f32]
     rows.par_chunks_mut(part).enumerate().for_each(|(index, rows)| work(index * part, rows));
 }
 
-/// The gradient before a ReLU, given the one after it and its output: cut to zero where the output is zero.
-pub fn masked(grad: &[f32], output: &[f32]) -> Vec<f32> {
-    let mut masked = scratch(grad.len());
-    for_each_part(&mut masked, 1, |first, masked| {
-        let (grad, output) = (&grad[first..], &output[first..]);
+/// Cuts `grad` to zero where a ReLU's `output` is zero: the gradient before it, given the one after it.
+pub fn mask(grad: &mut [f32], output: &[f32]) {
+    for_each_part(grad, 1, |first, grad| {
+        let output = &output[first..];
         simd(
             #[inline(always)]
             || {
-                for ((masked, grad), output) in masked.iter_mut().zip(grad).zip(output) {
-                    *masked = if *output > 0.0 { *grad } else { 0.0 };
+                for (grad, output) in grad.iter_mut().zip(output) {
+                    *grad = if *output > 0.0 { *grad } else { 0.0 };
                 }
             },
         );
     });
-    masked
 }
 
 /// Sums of the columns of `rows` `[n, width]`.
@@ -164,7 +162,7 @@ pub fn sum_in_order(parts: Vec<Vec<f32>>, len: usize) -> Vec<f32> {
 pub fn exp(x: f32) -> f32 {
     const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
     const COEFFICIENTS: [f32; 6] =
-        [1.987_569_1e-4, 1.398_2e-3, 8.333_452e-3, 4.166_579_6e-2, 1.666_666_5e-1, 5.000_000_1e-1];
+        [1.987_569_1e-4, 1.398_2e-3, 8.333_452e-3, 4.166_579_6e-2, 1.666_666_5e-1, 0.5];
     /// Adding it rounds to a whole number.
     const ROUND: f32 = 12_582_912.0;
     let x = x.clamp(-87.0, 88.0);

@@ -57,7 +57,11 @@ impl CustomOp2 for Linear {
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
         with_values(grad, |grad| {
             if self.relu {
-                let masked = with_values(y, |y| Ok(kernels::masked(grad, y)))?;
+                let mut masked = grad.to_vec();
+                with_values(y, |y| {
+                    kernels::mask(&mut masked, y);
+                    Ok(())
+                })?;
                 self.gradients(x, &masked)
             } else {
                 self.gradients(x, grad)

@@ -13,6 +13,7 @@ mod frame_loss;
 mod linear;
 mod posterior;
 mod squared_errors;
+mod two_layers;
 
 pub use adam::Adam;
 pub use frame_encoder::frame_encoder;
@@ -20,6 +21,7 @@ pub use frame_loss::{FrameDecoder, frame_decoder, frame_loss};
 pub use linear::linear;
 pub use posterior::{divergence, sample};
 pub use squared_errors::squared_errors;
+pub use two_layers::{TwoLayers, two_layers};
 
 use candle_core::backprop::GradStore;
 use candle_core::{CpuStorage, Layout, Result, Storage, Tensor};
