@@ -1,7 +1,7 @@
 //! Hostile input: nothing that is read panics, hangs, takes much memory or writes outside the results folder.
 //!
 //! Each reader is given what an attacker would write, and random mutations of good input: a few thousand in
-//! `cargo test`, as many as fit into `SOAK_SECONDS` (600 if unset) a reader in
+//! `cargo test`, as many as fit into `SOAK_SECONDS` (600 if unset) a reader, or `SOAK_READER` alone, in
 //! `cargo test --test hostile -- --ignored --nocapture`. The targets in `fuzz/` drive the same readers by coverage.
 
 mod common;
@@ -211,6 +211,14 @@ fn queries_that_nest_or_never_end_are_refused() {
     question_refused(&format!("select {}1{}", "(".repeat(4000), ")".repeat(4000)), "recursion limit");
     question_refused(&format!("select {}", "a,".repeat(10_000)), "words and signs, and 20000 are allowed");
     question_refused(&format!("select '{}'", "x".repeat(10 << 20)), "bytes, and 1048576 are allowed");
+    let between = " between 2 and 8".repeat(20);
+    question_refused(
+        &format!("select run from runs where latent{between}"),
+        "BETWEEN or CASE in it nest too deep",
+    );
+    let case =
+        (0..10).fold("seed".to_owned(), |inner, _| format!("case {inner} when 1 then 2 when 2 then 3 end"));
+    question_refused(&format!("select {case} from runs"), "BETWEEN or CASE in it nest too deep");
     let sums = format!("select {} from runs", vec!["seed"; 500].join("+"));
     query(&Registry::new("/nonexistent"), &sums).unwrap();
     let list = (0..9000).map(|seed| seed.to_string()).collect::<Vec<_>>().join(",");
@@ -472,8 +480,11 @@ fn mutated_input_is_read_or_refused() {
 #[ignore = "takes ten minutes a reader"]
 fn mutated_input_is_read_or_refused_for_long() {
     let seconds = std::env::var("SOAK_SECONDS").ok().and_then(|text| text.parse().ok()).unwrap_or(600);
+    let only = std::env::var("SOAK_READER").ok();
     std::thread::scope(|scope| {
-        for reader in readers() {
+        for reader in
+            readers().into_iter().filter(|reader| only.as_ref().is_none_or(|only| only == reader.name))
+        {
             scope.spawn(move || {
                 let begin = Instant::now();
                 let seed = std::time::UNIX_EPOCH.elapsed().unwrap().as_secs();

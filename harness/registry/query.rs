@@ -23,6 +23,8 @@ const MAX_QUERY_BYTES: usize = 1 << 20;
 const MAX_QUERY_TOKENS: usize = 20_000;
 /// The deepest expression: Polars takes time and memory that grow with the square of the depth, 8 GB at 10,000.
 const MAX_QUERY_DEPTH: usize = 1000;
+/// The most copies of a part of an expression; each `between` within a `between` doubles their number.
+const MAX_QUERY_COPIES: usize = 256;
 /// Address space for the stack on which a query is parsed and planned: `1+1+1…` nests as deep as it is long, and
 /// the parser and Polars walk what nests by recursion. Only what is used takes memory.
 const QUERY_STACK_BYTES: usize = 1 << 30;
@@ -107,9 +109,25 @@ fn only_asks(sql: &str) -> Result<(), QueryError> {
 }
 
 /// Stops at whatever a query reads from that has arguments, as `read_csv('file')`, and where it nests too deep.
-#[derive(Default)]
 struct Bounds {
     depth: usize,
+    /// How often Polars copies the expression that is being visited.
+    copies: usize,
+}
+
+impl Default for Bounds {
+    fn default() -> Self {
+        Self { depth: 0, copies: 1 }
+    }
+}
+
+/// How often Polars copies each part of an expression: `x between a and b` becomes `x >= a and x <= b`.
+fn copies(expr: &Expr) -> usize {
+    match expr {
+        Expr::Between { .. } => 2,
+        Expr::Case { operand: Some(_), conditions, .. } => conditions.len().max(1),
+        _ => 1,
+    }
 }
 
 impl Visitor for Bounds {
@@ -125,18 +143,23 @@ impl Visitor for Bounds {
         }
     }
 
-    fn pre_visit_expr(&mut self, _: &Expr) -> ControlFlow<String> {
+    fn pre_visit_expr(&mut self, expr: &Expr) -> ControlFlow<String> {
         self.depth += 1;
+        self.copies = self.copies.saturating_mul(copies(expr));
         if self.depth > MAX_QUERY_DEPTH {
             return ControlFlow::Break(format!(
                 "an expression in it nests more than {MAX_QUERY_DEPTH} deep, as a + b + c + … does; use a list or a sum"
             ));
         }
+        if self.copies > MAX_QUERY_COPIES {
+            return ControlFlow::Break("BETWEEN or CASE in it nest too deep; use a subquery".into());
+        }
         ControlFlow::Continue(())
     }
 
-    fn post_visit_expr(&mut self, _: &Expr) -> ControlFlow<String> {
+    fn post_visit_expr(&mut self, expr: &Expr) -> ControlFlow<String> {
         self.depth -= 1;
+        self.copies /= copies(expr);
         ControlFlow::Continue(())
     }
 }
