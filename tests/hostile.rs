@@ -225,6 +225,15 @@ fn queries_that_nest_or_never_end_are_refused() {
     query(&Registry::new("/nonexistent"), &format!("select run from runs where seed in ({list})")).unwrap();
 }
 
+#[test]
+fn a_query_that_polars_panics_at_is_refused_in_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let answer = finish(&mut harness(folder.path(), &["query", "select interval '1 t' as a from runs"]));
+    assert_eq!(answer.code, 2);
+    assert!(answer.stderr.starts_with("error: the query can't be answered: Polars does not support it: "));
+    assert_eq!(answer.stderr.lines().count(), 1, "{}", answer.stderr);
+}
+
 // --- mutations of good input ---
 
 /// What a mutated input is given to; it must come back.

@@ -57,8 +57,12 @@ pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
         let thread = std::thread::Builder::new().stack_size(QUERY_STACK_BYTES);
         let thread = thread.spawn_scoped(scope, || answer(registry, sql));
         let thread = thread.map_err(|error| QueryError::Refused(error.to_string()))?;
-        // Polars panics at some queries that it does not support.
-        thread.join().unwrap_or_else(|_| Err(QueryError::Refused("Polars does not support it".into())))
+        // Polars panics at some queries that it does not support, as `interval '1 t'`.
+        thread.join().unwrap_or_else(|panic| {
+            let said = panic.downcast_ref::<String>().map(String::as_str);
+            let said = said.or(panic.downcast_ref::<&str>().copied()).unwrap_or("it panicked");
+            Err(QueryError::Refused(format!("Polars does not support it: {said}")))
+        })
     })
 }
 
