@@ -208,7 +208,20 @@ fn queries_that_nest_or_never_end_are_refused() {
     question_refused(&chain("seed = 1", " or "), "words and signs");
     question_refused(&chain("1", "::"), "");
     question_refused(&format!("select 1{} from runs", "::int".repeat(4000)), "nests more than 1000 deep");
-    question_refused(&format!("select {}1{}", "(".repeat(4000), ")".repeat(4000)), "recursion limit");
+    question_refused(&format!("select {}1{}", "(".repeat(4000), ")".repeat(4000)), "nest too deep; use WITH");
+    for function in
+        ["substr(", "cast(", "not(", "array[", "date(", "position(", "extract(day from ", "case when ("]
+    {
+        for depth in [8, 12, 20, 49] {
+            let sql = format!("select {}x y", function.repeat(depth));
+            question_refused(&sql, "");
+        }
+    }
+    let nested = format!("select {}run{} from runs", "upper(lower(".repeat(4), "))".repeat(4));
+    query(&Registry::new("/nonexistent"), &nested).unwrap();
+    let subqueries = "select run from (select run from (select run from (select run from runs)))";
+    query(&Registry::new("/nonexistent"), subqueries).unwrap();
+
     question_refused(&format!("select {}", "a,".repeat(10_000)), "words and signs, and 20000 are allowed");
     question_refused(&format!("select '{}'", "x".repeat(10 << 20)), "bytes, and 1048576 are allowed");
     let between = " between 2 and 8".repeat(20);

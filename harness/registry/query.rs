@@ -21,7 +21,10 @@ use std::path::{Path, PathBuf};
 const MAX_QUERY_BYTES: usize = 1 << 20;
 /// The most words and signs of a query.
 const MAX_QUERY_TOKENS: usize = 20_000;
-/// The deepest expression: Polars takes time and memory that grow with the square of the depth, 8 GB at 10,000.
+/// The deepest nesting of brackets, functions and subqueries: of some, the parser tries each level in two to four
+/// ways, all of them when the innermost is wrong.
+const MAX_QUERY_NESTING: usize = 16;
+/// The longest chain of operators: Polars takes time and memory that grow with the square of the depth, 8 GB at 10,000.
 const MAX_QUERY_DEPTH: usize = 1000;
 /// The most copies of a part of an expression; each `between` within a `between` doubles their number.
 const MAX_QUERY_COPIES: usize = 256;
@@ -84,7 +87,12 @@ fn only_asks(sql: &str) -> Result<(), QueryError> {
     if sql.len() > MAX_QUERY_BYTES {
         return refuse(format!("it has {} bytes, and {MAX_QUERY_BYTES} are allowed", sql.len()));
     }
-    let syntax = |error: ParserError| QueryError::Refused(error.to_string());
+    let syntax = |error: ParserError| match error {
+        ParserError::RecursionLimitExceeded => {
+            QueryError::Refused("its brackets, functions or subqueries nest too deep; use WITH".into())
+        }
+        error => QueryError::Refused(error.to_string()),
+    };
     // As Polars parses it.
     let options = ParserOptions { trailing_commas: true, ..ParserOptions::default() };
     let tokens = Tokenizer::new(&GenericDialect, sql).tokenize().map_err(|error| syntax(error.into()))?;
@@ -94,7 +102,8 @@ fn only_asks(sql: &str) -> Result<(), QueryError> {
             tokens.len()
         ));
     }
-    let mut parser = Parser::new(&GenericDialect).with_options(options).try_with_sql(sql).map_err(syntax)?;
+    let parser = Parser::new(&GenericDialect).with_options(options).with_recursion_limit(MAX_QUERY_NESTING);
+    let mut parser = parser.try_with_sql(sql).map_err(syntax)?;
     let statements = parser.parse_statements().map_err(syntax)?;
     let [statement] = statements.as_slice() else {
         return refuse(format!("it has {} statements instead of one", statements.len()));
