@@ -1,7 +1,7 @@
 //! Hostile input: nothing that is read panics, hangs, takes much memory or writes outside the results folder.
 //!
 //! Each reader is given what an attacker would write, and random mutations of good input: a few thousand in
-//! `cargo test`, as many as fit into `SOAK_SECONDS` (600 if unset) a reader in
+//! `cargo test`, as many as fit into `SOAK_SECONDS` (600 if unset) a reader, or `SOAK_READER` alone, in
 //! `cargo test --test hostile -- --ignored --nocapture`. The targets in `fuzz/` drive the same readers by coverage.
 
 mod common;
@@ -208,13 +208,43 @@ fn queries_that_nest_or_never_end_are_refused() {
     question_refused(&chain("seed = 1", " or "), "words and signs");
     question_refused(&chain("1", "::"), "");
     question_refused(&format!("select 1{} from runs", "::int".repeat(4000)), "nests more than 1000 deep");
-    question_refused(&format!("select {}1{}", "(".repeat(4000), ")".repeat(4000)), "recursion limit");
+    question_refused(&format!("select {}1{}", "(".repeat(4000), ")".repeat(4000)), "nest too deep; use WITH");
+    for function in
+        ["substr(", "cast(", "not(", "array[", "date(", "position(", "extract(day from ", "case when ("]
+    {
+        for depth in [8, 12, 20, 49] {
+            let sql = format!("select {}x y", function.repeat(depth));
+            question_refused(&sql, "");
+        }
+    }
+    let nested = format!("select {}run{} from runs", "upper(lower(".repeat(4), "))".repeat(4));
+    query(&Registry::new("/nonexistent"), &nested).unwrap();
+    let subqueries = "select run from (select run from (select run from (select run from runs)))";
+    query(&Registry::new("/nonexistent"), subqueries).unwrap();
+
     question_refused(&format!("select {}", "a,".repeat(10_000)), "words and signs, and 20000 are allowed");
     question_refused(&format!("select '{}'", "x".repeat(10 << 20)), "bytes, and 1048576 are allowed");
+    let between = " between 2 and 8".repeat(20);
+    question_refused(
+        &format!("select run from runs where latent{between}"),
+        "BETWEEN or CASE in it nest too deep",
+    );
+    let case =
+        (0..10).fold("seed".to_owned(), |inner, _| format!("case {inner} when 1 then 2 when 2 then 3 end"));
+    question_refused(&format!("select {case} from runs"), "BETWEEN or CASE in it nest too deep");
     let sums = format!("select {} from runs", vec!["seed"; 500].join("+"));
     query(&Registry::new("/nonexistent"), &sums).unwrap();
     let list = (0..9000).map(|seed| seed.to_string()).collect::<Vec<_>>().join(",");
     query(&Registry::new("/nonexistent"), &format!("select run from runs where seed in ({list})")).unwrap();
+}
+
+#[test]
+fn a_query_that_polars_panics_at_is_refused_in_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let answer = finish(&mut harness(folder.path(), &["query", "select interval '1 t' as a from runs"]));
+    assert_eq!(answer.code, 2);
+    assert!(answer.stderr.starts_with("error: the query can't be answered: Polars does not support it: "));
+    assert_eq!(answer.stderr.lines().count(), 1, "{}", answer.stderr);
 }
 
 // --- mutations of good input ---
@@ -472,8 +502,11 @@ fn mutated_input_is_read_or_refused() {
 #[ignore = "takes ten minutes a reader"]
 fn mutated_input_is_read_or_refused_for_long() {
     let seconds = std::env::var("SOAK_SECONDS").ok().and_then(|text| text.parse().ok()).unwrap_or(600);
+    let only = std::env::var("SOAK_READER").ok();
     std::thread::scope(|scope| {
-        for reader in readers() {
+        for reader in
+            readers().into_iter().filter(|reader| only.as_ref().is_none_or(|only| only == reader.name))
+        {
             scope.spawn(move || {
                 let begin = Instant::now();
                 let seed = std::time::UNIX_EPOCH.elapsed().unwrap().as_secs();

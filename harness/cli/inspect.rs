@@ -20,7 +20,12 @@ pub struct Query {
 
 impl Query {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let mut answer = registry::query(registry, &self.sql)?;
+        // What Polars panics at is an error of the query's, and reported as one.
+        let hook = std::panic::take_hook();
+        std::panic::set_hook(Box::new(|_| {}));
+        let answer = registry::query(registry, &self.sql);
+        std::panic::set_hook(hook);
+        let mut answer = answer?;
         for error in registry.damaged() {
             eprintln!("warning: a run is left out: {error}");
         }

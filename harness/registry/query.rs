@@ -22,8 +22,13 @@ use std::path::{Path, PathBuf};
 const MAX_QUERY_BYTES: usize = 1 << 20;
 /// The most words and signs of a query.
 const MAX_QUERY_TOKENS: usize = 20_000;
-/// The deepest expression: Polars takes time and memory that grow with the square of the depth, 8 GB at 10,000.
+/// The deepest nesting of brackets, functions and subqueries: of some, the parser tries each level in two to four
+/// ways, all of them when the innermost is wrong.
+const MAX_QUERY_NESTING: usize = 16;
+/// The longest chain of operators: Polars takes time and memory that grow with the square of the depth, 8 GB at 10,000.
 const MAX_QUERY_DEPTH: usize = 1000;
+/// The most copies of a part of an expression; each `between` within a `between` doubles their number.
+const MAX_QUERY_COPIES: usize = 256;
 /// Address space for the stack on which a query is parsed and planned: `1+1+1…` nests as deep as it is long, and
 /// the parser and Polars walk what nests by recursion. Only what is used takes memory.
 const QUERY_STACK_BYTES: usize = 1 << 30;
@@ -71,8 +76,12 @@ fn answer(registry: &Registry, sql: &str, runs: &[Recorded]) -> Result<DataFrame
         let thread = std::thread::Builder::new().stack_size(QUERY_STACK_BYTES);
         let thread = thread.spawn_scoped(scope, || execute(registry, sql, runs));
         let thread = thread.map_err(|error| QueryError::Refused(error.to_string()))?;
-        // Polars panics at some queries that it does not support.
-        thread.join().unwrap_or_else(|_| Err(QueryError::Refused("Polars does not support it".into())))
+        // Polars panics at some queries that it does not support, as `interval '1 t'`.
+        thread.join().unwrap_or_else(|panic| {
+            let said = panic.downcast_ref::<String>().map(String::as_str);
+            let said = said.or(panic.downcast_ref::<&str>().copied()).unwrap_or("it panicked");
+            Err(QueryError::Refused(format!("Polars does not support it: {said}")))
+        })
     })
 }
 
@@ -94,7 +103,12 @@ fn only_asks(sql: &str) -> Result<(), QueryError> {
     if sql.len() > MAX_QUERY_BYTES {
         return refuse(format!("it has {} bytes, and {MAX_QUERY_BYTES} are allowed", sql.len()));
     }
-    let syntax = |error: ParserError| QueryError::Refused(error.to_string());
+    let syntax = |error: ParserError| match error {
+        ParserError::RecursionLimitExceeded => {
+            QueryError::Refused("its brackets, functions or subqueries nest too deep; use WITH".into())
+        }
+        error => QueryError::Refused(error.to_string()),
+    };
     // As Polars parses it.
     let options = ParserOptions { trailing_commas: true, ..ParserOptions::default() };
     let tokens = Tokenizer::new(&GenericDialect, sql).tokenize().map_err(|error| syntax(error.into()))?;
@@ -104,7 +118,8 @@ fn only_asks(sql: &str) -> Result<(), QueryError> {
             tokens.len()
         ));
     }
-    let mut parser = Parser::new(&GenericDialect).with_options(options).try_with_sql(sql).map_err(syntax)?;
+    let parser = Parser::new(&GenericDialect).with_options(options).with_recursion_limit(MAX_QUERY_NESTING);
+    let mut parser = parser.try_with_sql(sql).map_err(syntax)?;
     let statements = parser.parse_statements().map_err(syntax)?;
     let [statement] = statements.as_slice() else {
         return refuse(format!("it has {} statements instead of one", statements.len()));
@@ -123,9 +138,25 @@ fn only_asks(sql: &str) -> Result<(), QueryError> {
 }
 
 /// Stops at whatever a query reads from that has arguments, as `read_csv('file')`, and where it nests too deep.
-#[derive(Default)]
 struct Bounds {
     depth: usize,
+    /// How often Polars copies the expression that is being visited.
+    copies: usize,
+}
+
+impl Default for Bounds {
+    fn default() -> Self {
+        Self { depth: 0, copies: 1 }
+    }
+}
+
+/// How often Polars copies each part of an expression: `x between a and b` becomes `x >= a and x <= b`.
+fn copies(expr: &Expr) -> usize {
+    match expr {
+        Expr::Between { .. } => 2,
+        Expr::Case { operand: Some(_), conditions, .. } => conditions.len().max(1),
+        _ => 1,
+    }
 }
 
 impl Visitor for Bounds {
@@ -141,18 +172,23 @@ impl Visitor for Bounds {
         }
     }
 
-    fn pre_visit_expr(&mut self, _: &Expr) -> ControlFlow<String> {
+    fn pre_visit_expr(&mut self, expr: &Expr) -> ControlFlow<String> {
         self.depth += 1;
+        self.copies = self.copies.saturating_mul(copies(expr));
         if self.depth > MAX_QUERY_DEPTH {
             return ControlFlow::Break(format!(
                 "an expression in it nests more than {MAX_QUERY_DEPTH} deep, as a + b + c + … does; use a list or a sum"
             ));
         }
+        if self.copies > MAX_QUERY_COPIES {
+            return ControlFlow::Break("BETWEEN or CASE in it nest too deep; use a subquery".into());
+        }
         ControlFlow::Continue(())
     }
 
-    fn post_visit_expr(&mut self, _: &Expr) -> ControlFlow<String> {
+    fn post_visit_expr(&mut self, expr: &Expr) -> ControlFlow<String> {
         self.depth -= 1;
+        self.copies /= copies(expr);
         ControlFlow::Continue(())
     }
 }

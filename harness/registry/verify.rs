@@ -1,7 +1,7 @@
 //! Whether everything in the results folder is as it was written, and what mends what is not.
 
 use super::record::RunRecord;
-use super::{RECORD, Registry, Status, UNCOMMITTED};
+use super::{RECORD, Registry, RegistryError, Status, UNCOMMITTED};
 use crate::dataset::{Inspection, inspect, is_lock};
 use crate::files::UNFINISHED;
 use crate::progress::Progress;
@@ -111,7 +111,7 @@ impl Registry {
             Ok(None) => {
                 return report.broken(folder, format!("there is no {RECORD}"), self.anew(folder, None));
             }
-            Err(error) => return report.broken(&path, error.to_string(), self.anew(folder, None)),
+            Err(error) => return report.broken(&path, reason(error), self.anew(folder, None)),
         };
         advance();
         if !folder.ends_with(Path::new(&record.experiment).join(&record.run)) {
@@ -184,9 +184,17 @@ impl Registry {
     }
 }
 
+/// What is wrong with a file, without its name.
+fn reason(error: RegistryError) -> String {
+    match error {
+        RegistryError::File { reason, .. } | RegistryError::Record { reason, .. } => reason,
+        other => other.to_string(),
+    }
+}
+
 /// Compares a file with what the run's record says of it.
 fn check_listed(record: &RunRecord, folder: &Path, name: &str) -> Result<(), String> {
-    let path = record.check_file(folder, name).map_err(|error| error.to_string())?;
+    let path = record.check_file(folder, name).map_err(reason)?;
     if let Some(rows) = record.files[name].rows {
         let footer = read_footer(&path).map_err(|error| error.to_string())?;
         if footer.rows != rows {
