@@ -37,7 +37,8 @@ MODELS = ROOT / "models"
 SAMPLES_PER_EPISODE = 1000
 CORES = report.cores()
 
-LATENTS = (16, 64, 128)
+# Latent sizes as in multi_to_multi.yaml and single_to_multi.yaml.
+LATENTS = {"convolutional": (16, 64, 128), "fully_connected": (2, 4, 16)}
 # Timed steps a round: some seconds each.
 STEPS = {"convolutional": 8, "fully_connected": 300}
 UNTUNED_SAMPLES = 100  # at about 20 a second
@@ -89,8 +90,8 @@ def example(name: str, *arguments) -> dict:
 def training() -> list[Comparison]:
     return [
         training_step(architecture, latent)
-        for architecture in ("convolutional", "fully_connected")
-        for latent in LATENTS
+        for architecture, latents in LATENTS.items()
+        for latent in latents
     ]
 
 
