@@ -125,6 +125,10 @@ fn run_key() -> Vec<Column> {
         text("output", "modalities predicted, joined by +"),
         text("architecture", "fully_connected or convolutional"),
         integer("latent", "size of the latent state"),
+        text(
+            "variant",
+            "settings that the experiment varies, as kl_weight=0.001; empty where it varies none",
+        ),
         integer("seed", "seed of the run"),
     ]
 }

@@ -77,6 +77,7 @@ fn what_is_left_out_gets_its_default() {
             precision: harness::spec::Precision::F32,
             ..Training::default()
         },
+        vary: Default::default(),
         quick: Default::default(),
     };
     assert_eq!(load(BASE), expected);
@@ -164,7 +165,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         (
             "seed: 1\n",
             "spec.yaml:7:1: unknown key 'seed'; did you mean 'seeds'? Allowed: name, description, scenarios, \
-             input, output, latent, seeds, tasks, action, network, simulation, split, training, quick",
+             input, output, latent, seeds, tasks, action, network, simulation, split, training, vary, quick",
         ),
     ]);
 }
@@ -589,6 +590,79 @@ fn runs_expand_by_scenario_then_latent_then_seed() {
     assert_eq!(runs[6].cell(), "cluttered-z4");
 }
 
+#[test]
+fn runs_expand_by_every_combination_of_what_varies() {
+    let vary = "vary:\n  training.kl_weight: [0, 0.01]\n  action: [target]\n  \
+                training.loss_weights.contact_force: [2.5]\n";
+    let text = format!("{}{vary}", base_with("latent: [2]"));
+    let runs = load(&text).runs();
+    let labels: Vec<String> = runs.iter().map(|run| run.label()).collect();
+    assert_eq!(
+        labels,
+        [
+            "empty-z2-action=target,kl_weight=0,loss_weights.contact_force=2.5-seed0",
+            "empty-z2-action=target,kl_weight=0.01,loss_weights.contact_force=2.5-seed0",
+            "cluttered-z2-action=target,kl_weight=0,loss_weights.contact_force=2.5-seed0",
+            "cluttered-z2-action=target,kl_weight=0.01,loss_weights.contact_force=2.5-seed0",
+        ]
+    );
+    let run = &runs[3];
+    assert_eq!((run.training.kl_weight, run.action), (0.01, Action::Target));
+    assert_eq!(run.training.loss_weights[&Modality::ContactForce], 2.5);
+    assert_eq!(run.training.loss_weights[&Modality::Proprioception], 1.0);
+}
+
+#[test]
+fn what_varies_may_change_the_modalities() {
+    let text =
+        base_with("output: [proprioception]") + "vary:\n  output: [[proprioception], [contact_force, arm]]\n";
+    let runs = load(&text).runs();
+    assert_eq!(runs[2].variant, "output=contact_force+arm");
+    assert_eq!(runs[2].output, [Modality::Arm, Modality::ContactForce]);
+    let weights: Vec<_> = runs[2].training.loss_weights.keys().copied().collect();
+    assert_eq!(weights, [Modality::Arm, Modality::ContactForce]);
+}
+
+#[test]
+fn each_combination_of_what_varies_must_be_possible() {
+    assert_refused(&[
+        (
+            "vary:\n  simulation.seed: [0, 1]\n",
+            "spec.yaml:8:3: unknown key 'simulation.seed' in 'vary'. Allowed: input, output, tasks, action, \
+             network.architecture, network.hidden, network.channels, training.learning_rate, training.batch_size, \
+             training.epochs, training.patience, training.kl_weight, training.loss_weights.proprioception, \
+             training.loss_weights.arm, training.loss_weights.contact_force, \
+             training.loss_weights.contact_force_mean, training.loss_weights.vision, \
+             training.loss_weights.frame_difference, training.precision",
+        ),
+        (
+            "vary:\n  training.epochs: [5, 0]\n",
+            "spec.yaml:8:24: 'vary.training.epochs': expected an integer of at least 1 and at most 100000, found 0",
+        ),
+        (
+            "vary:\n  network.architecture: [fully_connected, convolutional]\n",
+            "spec.yaml:8:43: a convolutional network needs vision or frame_difference in 'input' or 'output'; \
+             use fully_connected (after applying 'vary')",
+        ),
+        (
+            "vary:\n  training.kl_weight: [0, 1, 0]\n",
+            "spec.yaml:8:30: 0 stands twice in 'vary.training.kl_weight'",
+        ),
+    ]);
+    let lists: String = (0..3)
+        .map(|list| {
+            let key = ["training.epochs", "training.batch_size", "network.hidden"][list];
+            let values: Vec<String> = (1..=20).map(|value| value.to_string()).collect();
+            format!("  {key}: [{}]\n", values.join(", "))
+        })
+        .collect();
+    let message = refusal(format!("{BASE}vary:\n{lists}"));
+    assert!(
+        message.contains("2 latent sizes, 8000 combinations of 'vary' and 1 seeds make 32000 runs"),
+        "{message}"
+    );
+}
+
 fn first_hash(text: &str) -> String {
     load(text).runs()[0].hash()
 }
@@ -704,6 +778,11 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             kl_weight: random.random_range(0.0..1e6),
             loss_weights,
             precision: harness::spec::Precision::F32,
+        },
+        vary: if random.random() {
+            [("network.hidden".into(), vec![64.into(), 128.into()])].into()
+        } else {
+            Default::default()
         },
         quick: Default::default(),
     }

@@ -45,6 +45,8 @@ enum Key {
     Experiment,
     Scenario,
     Latent,
+    /// Settings that an experiment varies.
+    Variant,
 }
 
 /// Why there is nothing to compare.
@@ -94,6 +96,7 @@ struct Score {
     experiment: String,
     scenario: Scenario,
     latent: u64,
+    variant: String,
     seed: u64,
     task: Task,
     model: String,
@@ -106,7 +109,7 @@ struct Score {
 fn scores(registry: &Registry) -> Result<Vec<Score>> {
     let mut answer = query_latest(
         registry,
-        "select experiment, scenario, latent, seed, task, model, modality, metric, value, unit from metrics \
+        "select experiment, scenario, latent, variant, seed, task, model, modality, metric, value, unit from metrics \
          where index is null and direction is null and value is not null",
     )?;
     Ok(rows(&mut answer)?)
@@ -118,6 +121,7 @@ struct Place {
     experiment: Option<String>,
     scenario: Option<Scenario>,
     latent: Option<u64>,
+    variant: Option<String>,
 }
 
 impl Place {
@@ -126,6 +130,7 @@ impl Place {
             experiment: has(Key::Experiment).then(|| score.experiment.clone()),
             scenario: has(Key::Scenario).then_some(score.scenario),
             latent: has(Key::Latent).then_some(score.latent),
+            variant: has(Key::Variant).then(|| score.variant.clone()).filter(|variant| !variant.is_empty()),
         }
     }
 
@@ -133,7 +138,7 @@ impl Place {
     fn words(&self) -> Vec<String> {
         let scenario = self.scenario.map(|scenario| scenario.name().to_owned());
         let latent = self.latent.map(|latent| format!("latent {latent}"));
-        [self.experiment.clone(), scenario, latent].into_iter().flatten().collect()
+        [self.experiment.clone(), scenario, latent, self.variant.clone()].into_iter().flatten().collect()
     }
 }
 

@@ -131,14 +131,15 @@ fn print_plan(plan: &[Planned]) {
 fn print_results(registry: &Registry, experiment: &Experiment, plan: &[Planned]) -> Result<()> {
     let runs = plan.iter().map(|planned| format!("'{}'", planned.folder.id())).collect::<Vec<_>>().join(", ");
     let model = |name: &str| format!("avg(case when model = '{name}' then value end) as {name}");
+    let cell = if experiment.vary.is_empty() { "latent" } else { "latent, variant" };
     let answer = query(
         registry,
         &format!(
-            "select task, scenario, latent, modality, metric, {}, {}, {}, {} from metrics \
+            "select task, scenario, {cell}, modality, metric, {}, {}, {}, {} from metrics \
              where experiment = '{}' and run in ({runs}) and direction is null and index is null \
              and metric in ('smape', 'wmape', 'r2', 'relative_error') \
-             group by task, scenario, latent, modality, metric \
-             order by task, scenario desc, modality, metric, latent",
+             group by task, scenario, {cell}, modality, metric \
+             order by task, scenario desc, modality, metric, {cell}",
             model("network"),
             model("persistence"),
             model("ridge"),

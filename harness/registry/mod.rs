@@ -27,7 +27,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Raised whenever the same spec on the same data would train or be judged differently than before.
-const REVISION: u32 = 2;
+const REVISION: u32 = 3;
 /// The file that says how a run went; one that says it is done was written after everything else.
 const RECORD: &str = "run.json";
 /// The file with a run's resolved spec.

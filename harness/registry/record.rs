@@ -282,6 +282,7 @@ impl RunRecord {
             text(joined(&spec.output)),
             text(spec.network.architecture.name()),
             count(spec.latent as u64),
+            text(&spec.variant),
             count(spec.seed),
         ]
     }

@@ -16,6 +16,9 @@ pub struct RunSpec {
     pub output: Vec<Modality>,
     /// Size of the latent state.
     pub latent: usize,
+    /// The settings that the experiment varies, as `kl_weight=0.001,hidden=64`; empty where it varies none.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub variant: String,
     /// Seed of the initial weights, the sampling and the order of batches.
     pub seed: u64,
     /// What is trained, in this order.
@@ -28,20 +31,54 @@ pub struct RunSpec {
 }
 
 impl Experiment {
-    /// The runs by scenario, then latent size, then seed, each in the spec's order.
+    /// The runs by scenario, then variant, latent size and seed, each in the spec's order.
     pub fn runs(&self) -> Vec<RunSpec> {
-        let mut runs = Vec::with_capacity(self.scenarios.len() * self.latent.len() * self.seeds.len());
+        let variants = self.variants();
+        let mut runs = Vec::new();
         for &scenario in &self.scenarios {
-            for &latent in &self.latent {
-                runs.extend(self.seeds.iter().map(|&seed| self.run(scenario, latent, seed)));
+            for (variant, experiment) in &variants {
+                for &latent in &experiment.latent {
+                    let of = |&seed| experiment.run(scenario, variant, latent, seed);
+                    runs.extend(experiment.seeds.iter().map(of));
+                }
             }
         }
         runs
     }
 
-    fn run(&self, scenario: Scenario, latent: usize, seed: u64) -> RunSpec {
+    /// The experiment with each combination of the settings that it varies, and what the combination is called.
+    fn variants(&self) -> Vec<(String, Experiment)> {
+        let tree = serde_json::to_value(self).expect("an experiment is plain data");
+        let variants = self.combinations().into_iter().map(|combination| {
+            let mut tree = tree.clone();
+            for (key, value) in &combination {
+                *key.split('.').fold(&mut tree, |section, key| &mut section[key]) = (*value).clone();
+            }
+            let mut experiment: Experiment =
+                serde_json::from_value(tree).expect("every combination is checked when the spec is read");
+            experiment.make_canonical();
+            (name(&combination), experiment)
+        });
+        variants.collect()
+    }
+
+    /// Every combination of the settings that the experiment varies, by dotted key: one without any where there are none.
+    pub(super) fn combinations(&self) -> Vec<Vec<(&str, &serde_json::Value)>> {
+        let mut combinations = vec![Vec::new()];
+        for (key, values) in &self.vary {
+            let longer = |combination: &Vec<_>| -> Vec<_> {
+                let with = |value| [combination.as_slice(), &[(key.as_str(), value)]].concat();
+                values.iter().map(with).collect()
+            };
+            combinations = combinations.iter().flat_map(longer).collect();
+        }
+        combinations
+    }
+
+    fn run(&self, scenario: Scenario, variant: &str, latent: usize, seed: u64) -> RunSpec {
         RunSpec {
             scenario,
+            variant: variant.to_owned(),
             input: self.input.clone(),
             output: self.output.clone(),
             latent,
@@ -54,6 +91,16 @@ impl Experiment {
             training: self.training.clone(),
         }
     }
+}
+
+/// Names a combination of settings: `kl_weight=0.001,hidden=64`; fit for a folder's name.
+fn name(combination: &[(&str, &serde_json::Value)]) -> String {
+    let named = combination.iter().map(|(key, value)| {
+        let key = key.split_once('.').map_or(*key, |(_section, key)| key);
+        let value: String = value.to_string().chars().filter(|c| !"\"[]{} ".contains(*c)).collect();
+        format!("{key}={}", value.replace([',', '/'], "+"))
+    });
+    named.collect::<Vec<_>>().join(",")
 }
 
 impl RunSpec {
@@ -71,9 +118,11 @@ impl RunSpec {
         serde_yaml::to_string(self).expect("a run's spec is plain data, which YAML can hold")
     }
 
-    /// The cell in short, `cluttered-z64`; unique within an experiment.
+    /// The cell in short, `cluttered-z64` or `cluttered-z64-kl_weight=0.001`; unique within an experiment.
     pub fn cell(&self) -> String {
-        format!("{}-z{}", self.scenario, self.latent)
+        let Self { scenario, latent, variant, .. } = self;
+        let separator = if variant.is_empty() { "" } else { "-" };
+        format!("{scenario}-z{latent}{separator}{variant}")
     }
 
     /// The run in short, `cluttered-z64-seed0`; unique within an experiment.

@@ -21,7 +21,7 @@ pub use types::*;
 pub(crate) use parse::read as read_text;
 
 use error::Problem;
-use parse::{Node, Value};
+use parse::{Entry, Node, Value};
 use std::path::Path;
 
 /// Reads a spec, applies its own `quick` settings if `quick` says so, then `overrides` (`KEY=VALUE`, the key
@@ -68,7 +68,26 @@ fn load_text(text: &str, overrides: &[String], quick: bool) -> Result<Experiment
     }
     let overrides = overrides.iter().map(|text| overrides::read(text)).collect::<Result<Vec<_>, _>>()?;
     overrides::apply(&mut tree, &overrides);
-    resolve(&tree).map_err(|problem| problem.after("applying the overrides"))
+    let experiment = resolve(&tree).map_err(|problem| problem.after("applying the overrides"))?;
+    check_variants(&tree, &experiment)?;
+    Ok(experiment)
+}
+
+/// Checks what each combination of the settings under `vary` makes of the experiment.
+fn check_variants(tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
+    let Some(Node { value: Value::Section(varied), .. }) = tree.get("vary") else { return Ok(()) };
+    for combination in experiment.combinations() {
+        let settings = combination.iter().filter_map(|(key, value)| {
+            let entry = varied.iter().find(|entry| entry.key == *key)?;
+            let Value::List(values) = &entry.node.value else { return None };
+            let node = values.iter().find(|node| node.to_json() == **value)?;
+            Some(Entry { node: node.clone(), ..entry.clone() })
+        });
+        let mut tree = tree.clone();
+        overrides::apply(&mut tree, &settings.collect::<Vec<_>>());
+        resolve(&tree).map_err(|problem| problem.after("applying 'vary'"))?;
+    }
+    Ok(())
 }
 
 /// The experiment that a tree describes, checked, with every default explicit.
@@ -88,6 +107,7 @@ impl Experiment {
     fn make_canonical(&mut self) {
         self.input.sort();
         self.output.sort();
+        self.training.loss_weights.retain(|modality, _| self.output.contains(modality));
         for &modality in &self.output {
             self.training.loss_weights.entry(modality).or_insert(1.0);
         }

@@ -14,7 +14,7 @@ static SCHEMA: LazyLock<Json> = LazyLock::new(build);
 
 /// The JSON schema of an experiment, with descriptions, defaults and bounds.
 ///
-/// `quick` lists every setting by its dotted key, so that editors complete those as well.
+/// `quick` and `vary` list the settings by dotted key, so that editors complete those as well.
 pub fn schema() -> Json {
     SCHEMA.clone()
 }
@@ -29,10 +29,28 @@ fn build() -> Json {
     let mut settings = serde_json::Map::new();
     collect_settings(&schema, &schema, "", &mut settings);
     settings.remove("quick");
-    let quick = &mut schema["properties"]["quick"];
-    quick["properties"] = Json::Object(settings);
-    quick["additionalProperties"] = json!(false);
+    set_keys(&mut schema["properties"]["vary"], settings.iter().filter(|(key, _)| varies(key)).map(several));
+    settings.insert("vary".into(), schema["properties"]["vary"].clone());
+    set_keys(&mut schema["properties"]["quick"], settings);
     schema
+}
+
+/// Whether `vary` takes the setting: not what makes cells of its own, nor what decides a dataset, of which a scenario
+/// has one.
+fn varies(key: &str) -> bool {
+    let section = key.split('.').next().unwrap_or(key);
+    ["input", "output", "tasks", "action", "network", "training"].contains(&section)
+}
+
+/// A list of different values of a setting.
+fn several((key, setting): (&String, &Json)) -> (String, Json) {
+    (key.clone(), json!({ "type": "array", "items": setting, "minItems": 1, "uniqueItems": true }))
+}
+
+/// Gives a section its keys, and no others.
+fn set_keys(section: &mut Json, keys: impl IntoIterator<Item = (String, Json)>) {
+    section["properties"] = keys.into_iter().collect::<serde_json::Map<_, _>>().into();
+    section["additionalProperties"] = json!(false);
 }
 
 /// Adds what `schema` describes, down to the values that are no sections, by dotted key.

@@ -182,6 +182,10 @@ pub struct Experiment {
     pub split: Split,
     #[serde(default)]
     pub training: Training,
+    /// Settings to try in every combination, by dotted key: `training.kl_weight: [0, 0.001]`. Each combination makes
+    /// cells of its own, told apart by the tables' column `variant`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub vary: BTreeMap<String, Vec<serde_json::Value>>,
     /// Overrides that `--quick` applies, by dotted key as on the command line: `training.epochs: 3`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub quick: BTreeMap<String, serde_json::Value>,

@@ -50,15 +50,23 @@ fn name(name: &str) -> Result<(), Fault> {
 fn runs(experiment: &Experiment) -> Result<(), Fault> {
     let (scenarios, latent) = (experiment.scenarios.len(), experiment.latent.len());
     let seeds = experiment.seeds.len();
-    let all = scenarios.saturating_mul(latent).saturating_mul(seeds);
+    let variants = experiment.vary.values().fold(1, |all: usize, values| all.saturating_mul(values.len()));
+    let all = scenarios.saturating_mul(latent).saturating_mul(seeds).saturating_mul(variants);
     if all <= MAX_RUNS {
         return Ok(());
     }
-    let path = if seeds > latent { "seeds" } else { "latent" };
+    let path = if variants > seeds.max(latent) {
+        "vary"
+    } else if seeds > latent {
+        "seeds"
+    } else {
+        "latent"
+    };
+    let varied = if variants > 1 { format!(", {variants} combinations of 'vary'") } else { String::new() };
     fault(
         path,
         format!(
-            "{scenarios} scenarios, {latent} latent sizes and {seeds} seeds make {all} runs, more than the \
+            "{scenarios} scenarios, {latent} latent sizes{varied} and {seeds} seeds make {all} runs, more than the \
              {MAX_RUNS} that are allowed; divide them over several experiments"
         ),
     )
