@@ -7,6 +7,7 @@ mod figures;
 mod inspect;
 mod interrupt;
 mod progress;
+mod publish;
 mod render;
 mod run;
 mod sheet;
@@ -105,6 +106,15 @@ stands half of the 95 % interval of the mean over seeds (Student's t). LaTeX nee
     /// Draw the paper's figures from the tables, as SVG and PNG, each with its numbers as CSV
     #[command(after_help = FIGURES_HELP)]
     Figures(figures::Figures),
+    /// Copy finished runs' tables to a folder that is small enough for version control
+    #[command(after_help = "Examples:
+  harness publish single_to_multi multi_to_multi
+  harness figures --results results/reference
+  harness publish my_experiment --to paper/results
+
+Kept are records, specs, all epochs and metrics; of single samples, what the figures show: the last two joints and
+links, and the pictures, of each cell's lowest seed. Networks stay behind.")]
+    Publish(publish::Publish),
     /// Check that everything in the results folder is as it was written
     #[command(after_help = "Examples:
   harness verify
@@ -152,6 +162,7 @@ pub fn main(arguments: Arguments) -> ExitCode {
         Command::Schema(schema) => schema.execute(),
         Command::Render(render) => render.execute(),
         Command::Figures(figures) => figures.execute(&registry),
+        Command::Publish(publish) => publish.execute(&registry),
         Command::Verify => verify::execute(&registry),
         Command::Doctor => doctor::execute(&registry, threads),
     };

@@ -8,11 +8,13 @@
 //! ```
 
 mod provenance;
+mod publish;
 mod query;
 mod record;
 mod verify;
 
 pub use provenance::{Provenance, peak_memory_bytes};
+pub use publish::Published;
 pub use query::{QueryError, query, query_latest, rows, save, table};
 pub use record::{
     FileRecord, ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings,
@@ -50,6 +52,10 @@ pub enum RegistryError {
     File { path: PathBuf, reason: String },
     #[error("no run matches '{wanted}'{}; `harness ls` lists them", nearest.as_ref().map(|n| format!(", the nearest is '{n}'")).unwrap_or_default())]
     Unknown { wanted: String, nearest: Option<String> },
+    #[error("'{wanted}' has no finished runs; those that have: {}", there.join(", "))]
+    NothingFinished { wanted: String, there: Vec<String> },
+    #[error("{} can't be published into itself; choose another folder", .0.display())]
+    IntoItself(PathBuf),
     #[error("'{wanted}' matches several runs: {}", matches.join(", "))]
     Ambiguous { wanted: String, matches: Vec<String> },
 }
@@ -265,7 +271,8 @@ impl Registry {
     ) -> Result<(), RegistryError> {
         let record = record.done(outcome);
         outcome.write_tables(folder, &record)?;
-        record.with_files(folder)?.write(&folder.path.join(RECORD))?;
+        let files = record.expected_files();
+        record.with_files(folder, files)?.write(&folder.path.join(RECORD))?;
         for task in [Task::Prediction, Task::Reconstruction] {
             // A state that stays behind does no harm but takes room: the run is done.
             let _ = std::fs::remove_file(folder.state(task));

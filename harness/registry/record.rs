@@ -177,10 +177,10 @@ impl RunRecord {
         self.spec.label()
     }
 
-    /// Lists the run's files as they now are.
-    pub(super) fn with_files(self, folder: &RunFolder) -> Result<Self, RegistryError> {
+    /// Lists these of the run's files as they now are.
+    pub(super) fn with_files(self, folder: &RunFolder, names: Vec<String>) -> Result<Self, RegistryError> {
         let mut files = BTreeMap::new();
-        for name in self.expected_files() {
+        for name in names {
             let path = folder.path.join(&name);
             let damaged = |reason: String| RegistryError::File { path: path.clone(), reason };
             let bytes = std::fs::read(&path).map_err(|error| damaged(error.to_string()))?;
@@ -194,7 +194,7 @@ impl RunRecord {
     }
 
     /// The files that a run of this spec leaves, besides its record.
-    fn expected_files(&self) -> Vec<String> {
+    pub(super) fn expected_files(&self) -> Vec<String> {
         let tables = TABLES.iter().map(|table| format!("{}.parquet", table.name()));
         let checkpoints = self.spec.tasks.iter().map(|task| format!("{}.safetensors", task.name()));
         std::iter::once(SPEC.to_owned()).chain(tables).chain(checkpoints).collect()
@@ -254,7 +254,7 @@ impl RunRecord {
     }
 
     /// What a table's file says about the run that made it.
-    fn stamp(&self) -> Stamp {
+    pub(super) fn stamp(&self) -> Stamp {
         let by = &self.provenance;
         let text = |value: &Option<String>| value.clone().unwrap_or_else(|| "none".into());
         Stamp::from([

@@ -1,0 +1,28 @@
+//! `harness publish`.
+
+use super::DONE;
+use super::progress::Bars;
+use anyhow::Result;
+use clap::Args;
+use harness::registry::{Published, Registry};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[derive(Args)]
+pub struct Publish {
+    /// Experiments to publish, as `harness ls` names them
+    #[arg(value_name = "EXPERIMENT", required = true)]
+    experiments: Vec<String>,
+    /// Folder to copy to; other commands read it with --results
+    #[arg(long, value_name = "DIR", default_value = "results/reference")]
+    to: PathBuf,
+}
+
+impl Publish {
+    pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        let Published { runs, bytes } =
+            registry.publish(&self.experiments, &Registry::new(&self.to), &Bars::default())?;
+        println!("{runs} runs, {:.1} MB in {}", bytes as f64 / 1e6, self.to.display());
+        Ok(ExitCode::from(DONE))
+    }
+}

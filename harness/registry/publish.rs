@@ -1,0 +1,141 @@
+//! Small copies of finished runs: what figures, claims and comparisons need, fit for version control.
+
+use super::record::{RunRecord, TABLES};
+use super::{RECORD, Registry, RegistryError, RunFolder, SPEC};
+use crate::files::write_bytes;
+use crate::progress::Progress;
+use crate::schema::Table;
+use crate::spec::JOINTS;
+use crate::tables::{TableError, TableFile, write_table};
+use polars::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// What was published.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Published {
+    pub runs: usize,
+    pub bytes: u64,
+}
+
+impl Registry {
+    /// Copies the runs that count of these experiments to another registry: records, specs, and tables without most
+    /// of their rows that are about single samples. Networks stay behind.
+    ///
+    /// Kept are all epochs and metrics; the predictions of the last two joints and links, and the pictures, of each
+    /// cell's lowest seed; and the forces of one run a dataset. A run of the same cell and seed that was published
+    /// before is replaced.
+    ///
+    /// # Errors
+    /// When `to` is this registry, an experiment has no finished runs, or a file can't be read or written; what is there already stays whole.
+    pub fn publish(
+        &self,
+        experiments: &[String],
+        to: &Registry,
+        progress: &dyn Progress,
+    ) -> Result<Published, RegistryError> {
+        if std::fs::canonicalize(&self.root)
+            .is_ok_and(|root| std::fs::canonicalize(&to.root).ok() == Some(root))
+        {
+            return Err(RegistryError::IntoItself(self.root.clone()));
+        }
+        let runs = self.latest();
+        if let Some(wanted) =
+            experiments.iter().find(|name| runs.iter().all(|run| run.1.experiment != **name))
+        {
+            let there: BTreeSet<String> = runs.iter().map(|(_, record)| record.experiment.clone()).collect();
+            return Err(RegistryError::NothingFinished {
+                wanted: wanted.clone(),
+                there: there.into_iter().collect(),
+            });
+        }
+        let chosen = runs.iter().filter(|(_, record)| experiments.contains(&record.experiment));
+        let chosen: Vec<_> = chosen.map(|(folder, record)| (folder, record)).collect();
+        let shown = Shown::of(chosen.iter().map(|(_, record)| *record));
+        let mut published = Published::default();
+        progress.begin("publishing", chosen.len() as u64, "runs");
+        for (folder, record) in chosen {
+            let copy = RunFolder {
+                path: to.runs().join(&record.experiment).join(&record.run),
+                experiment: record.experiment.clone(),
+                id: record.run.clone(),
+                dataset: record.dataset.clone(),
+            };
+            to.remove_same(record)?;
+            let spec = record.check_file(folder, SPEC)?;
+            let spec = std::fs::read(&spec)
+                .map_err(|error| RegistryError::File { path: spec.clone(), reason: error.to_string() })?;
+            write_bytes(&copy.path.join(SPEC), &spec)?;
+            let mut names = vec![SPEC.to_owned()];
+            for table in TABLES {
+                let name = format!("{}.parquet", table.name());
+                let rows = TableFile::open(&record.check_file(folder, &name)?)?.table(None)?;
+                let kept = shown.keep(table, record, rows).map_err(TableError::from)?;
+                write_table(&copy.path.join(&name), kept, &table.columns(), &record.stamp())?;
+                names.push(name);
+            }
+            let record = record.clone().with_files(&copy, names)?;
+            published.bytes += record.files.values().map(|file| file.bytes).sum::<u64>();
+            published.runs += 1;
+            record.write(&copy.path.join(RECORD))?;
+            progress.advance(1);
+        }
+        progress.end();
+        Ok(published)
+    }
+
+    /// Removes runs of the same cell and seed.
+    fn remove_same(&self, record: &RunRecord) -> Result<(), RegistryError> {
+        for (folder, other) in self.recorded() {
+            if (&other.experiment, other.label()) == (&record.experiment, record.label()) {
+                std::fs::remove_dir_all(&folder).map_err(|error| RegistryError::File {
+                    path: folder.clone(),
+                    reason: error.to_string(),
+                })?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Of which runs single samples are kept.
+struct Shown {
+    /// The lowest seed of each cell of an experiment.
+    seeds: BTreeMap<(String, String), u64>,
+    /// A run of each dataset.
+    datasets: BTreeMap<(String, String), String>,
+}
+
+impl Shown {
+    fn of<'a>(records: impl Iterator<Item = &'a RunRecord>) -> Self {
+        let mut shown = Self { seeds: BTreeMap::new(), datasets: BTreeMap::new() };
+        for record in records {
+            let lowest = shown.seeds.entry(cell(record)).or_insert(record.spec.seed);
+            *lowest = record.spec.seed.min(*lowest);
+            shown.datasets.entry(dataset(record)).or_insert_with(|| record.run.clone());
+        }
+        shown
+    }
+
+    /// The rows of a run's table that are kept.
+    fn keep(&self, table: Table, record: &RunRecord, rows: DataFrame) -> PolarsResult<DataFrame> {
+        let is_lowest_seed = self.seeds.get(&cell(record)) == Some(&record.spec.seed);
+        match table {
+            Table::Predictions if is_lowest_seed => {
+                let is_last = col("index").gt_eq(lit(JOINTS as i64 - 2));
+                rows.lazy().filter(is_last).collect()
+            }
+            Table::Frames if is_lowest_seed => Ok(rows),
+            Table::Forces if self.datasets.get(&dataset(record)) == Some(&record.run) => Ok(rows),
+            Table::Predictions | Table::Frames | Table::Forces => Ok(rows.clear()),
+            _ => Ok(rows),
+        }
+    }
+}
+
+fn cell(record: &RunRecord) -> (String, String) {
+    (record.experiment.clone(), record.spec.cell())
+}
+
+fn dataset(record: &RunRecord) -> (String, String) {
+    (record.experiment.clone(), record.dataset.clone())
+}

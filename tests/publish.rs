@@ -1,0 +1,118 @@
+//! `harness publish` on real runs: what is kept, what is thinned, and that the copy is as good a registry.
+
+mod common;
+
+use common::{SMOKE, finish, harness, succeed};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+/// Two seeds in each scenario, and a sweep of one setting in the empty one.
+static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
+    let results = fresh("published-from");
+    succeed(&results, &["run", SMOKE, "seeds=[3,5]"]);
+    let sweep = ["scenarios=[empty]", "name=sweep", "vary={training.kl_weight: [0, 0.01]}"];
+    succeed(&results, &[&["run", SMOKE][..], &sweep].concat());
+    results
+});
+
+fn fresh(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&folder);
+    folder
+}
+
+fn publish(to: &Path) -> String {
+    succeed(&RESULTS, &["publish", "smoke", "sweep", "--to", to.to_str().unwrap()])
+}
+
+/// The rows that a query gives, as CSV.
+fn csv(results: &Path, sql: &str) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("answer.csv");
+    succeed(results, &["query", sql, "--output", path.to_str().unwrap()]);
+    std::fs::read_to_string(path).unwrap()
+}
+
+/// The bytes of every file below a folder, by path.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(files(&path));
+        } else {
+            found.insert(path.clone(), std::fs::read(&path).unwrap());
+        }
+    }
+    found
+}
+
+#[test]
+fn a_published_registry_answers_as_the_whole_one_but_for_single_samples() {
+    let copy = fresh("published");
+    assert!(publish(&copy).starts_with("6 runs, "));
+    for (table, order) in [
+        ("runs", "run"),
+        ("epochs", "run, task, epoch, split, term"),
+        ("metrics", "run, task, model, modality, metric, index, direction"),
+    ] {
+        let sql = format!("select * from {table} order by {order}");
+        assert_eq!(csv(&copy, &sql), csv(&RESULTS, &sql), "{table}");
+    }
+    let of_smoke = "where experiment = 'smoke' and seed = 3";
+    let single = format!(
+        "select * from predictions {of_smoke} and index >= 18 order by run, task, modality, index, episode, sample"
+    );
+    let kept = csv(&copy, &single);
+    assert!(kept.lines().count() > 100, "{kept}");
+    assert_eq!(kept, csv(&RESULTS, &single));
+    let others =
+        "select count(run) as n from predictions where index < 18 or (experiment = 'smoke' and seed = 5)";
+    assert_eq!(csv(&copy, others), "n\n0\n");
+    let pictures =
+        "select distinct experiment, scenario, seed from frames order by experiment, scenario, seed";
+    assert!(!csv(&copy, pictures).contains(",5\n"), "{}", csv(&copy, pictures));
+    let forces = "select distinct scenario, modality, index, mean from forces where experiment = 'smoke' and episode is null \
+                  order by scenario, modality, index";
+    assert_eq!(csv(&copy, forces), csv(&RESULTS, forces));
+
+    assert!(succeed(&copy, &["verify"]).contains("6 runs, 0 datasets, 42 files: everything is whole"));
+    let networks = files(&copy).keys().filter(|path| path.extension().unwrap() == "safetensors").count();
+    assert_eq!(networks, 0);
+}
+
+#[test]
+fn what_varies_has_cells_of_its_own() {
+    let variants =
+        csv(&RESULTS, "select distinct experiment, variant from metrics order by experiment, variant");
+    assert_eq!(variants, "experiment,variant\nsmoke,\"\"\nsweep,kl_weight=0\nsweep,kl_weight=0.01\n");
+    let compared = succeed(&RESULTS, &["compare", "sweep", "--by", "variant", "--models", "network"]);
+    assert!(compared.contains("kl_weight=0.01"), "{compared}");
+}
+
+#[test]
+fn publishing_again_changes_nothing() {
+    let copy = fresh("published-twice");
+    publish(&copy);
+    let before = files(&copy);
+    publish(&copy);
+    assert!(before == files(&copy), "the same runs were published with other bytes");
+}
+
+#[test]
+fn what_cannot_be_published_is_refused() {
+    let results = RESULTS.to_str().unwrap();
+    for (arguments, message) in [
+        (
+            ["publish", "smok", "--to", "nowhere"],
+            "error: 'smok' has no finished runs; those that have: smoke, sweep\n",
+        ),
+        (["publish", "smoke", "--to", results], "can't be published into itself; choose another folder\n"),
+    ] {
+        let answer = finish(&mut harness(&RESULTS, &arguments));
+        assert_eq!(answer.code, 1, "{arguments:?}");
+        assert!(answer.stderr.ends_with(message), "{}", answer.stderr);
+    }
+    assert!(!Path::new("nowhere").exists());
+}
