@@ -217,7 +217,7 @@ fn a_killed_collection_leaves_whole_episodes_and_goes_on_from_them() {
 }
 
 #[test]
-fn a_killed_run_is_listed_as_running_and_planned_again() {
+fn a_killed_run_is_listed_as_interrupted_and_planned_again() {
     let folder = Folder::new();
     let results = folder.path("results");
     let long = ["run", SMOKE, "scenarios=[empty]", "training.epochs=100000", "training.patience=null"];
@@ -225,7 +225,7 @@ fn a_killed_run_is_listed_as_running_and_planned_again() {
     kill_when(spawnable(&results, &long), begun);
     let plan = succeed(&results, &[&long[..], &["--dry-run"]].concat());
     assert!(plan.starts_with("run ") && plan.trim_end().ends_with("it was interrupted"), "{plan}");
-    assert!(succeed(&results, &["ls"]).contains("running"));
+    assert!(succeed(&results, &["ls"]).contains("interrupted"));
 }
 
 // --- the other commands ---
@@ -421,7 +421,12 @@ fn bad_overrides_are_refused() {
 #[test]
 fn bad_questions_and_names_are_refused() {
     let folder = Folder::new();
-    let cases: [(&[&str], &str); 7] = [
+    let cases: &[(&[&str], &str)] = &[
+        #[cfg(not(feature = "cuda"))]
+        (
+            &["run", SMOKE, "training.device=cuda"],
+            "training.device: cuda can't be used: this harness was built without CUDA; build it with",
+        ),
         (&["query", "selct 1"], "the query can't be answered: sql parser error: "),
         (&["query", "select nope from runs"], "the query can't be answered: not found: "),
         (&["query", "select * from nope"], "the query can't be answered: relation 'nope' was not found"),

@@ -75,6 +75,7 @@ fn what_is_left_out_gets_its_default() {
         training: Training {
             loss_weights: [(Modality::Proprioception, 1.0), (Modality::ContactForce, 1.0)].into(),
             precision: harness::spec::Precision::F32,
+            device: harness::spec::Device::Cpu,
             ..Training::default()
         },
         vary: Default::default(),
@@ -151,7 +152,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         (
             "training:\n  bacth_size: 5\n",
             "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
-             learning_rate, batch_size, epochs, patience, kl_weight, loss_weights, precision",
+             learning_rate, batch_size, epochs, patience, kl_weight, loss_weights, precision, device",
         ),
         (
             "split: {holdout: 0.1}\n",
@@ -385,6 +386,10 @@ fn rules_that_tie_settings_together_are_checked() {
         (
             "tasks: [reconstruction, prediction]\n",
             "spec.yaml:7:9: reconstruction uses the encoder that prediction trains; put prediction before it",
+        ),
+        (
+            "training: {device: cuda, precision: bf16}\n",
+            "spec.yaml:7:37: bf16 is for the cpu; a network on cuda is trained in f32",
         ),
         (
             "training: {loss_weights: {vision: 1}}\n",
@@ -633,7 +638,7 @@ fn each_combination_of_what_varies_must_be_possible() {
              training.epochs, training.patience, training.kl_weight, training.loss_weights.proprioception, \
              training.loss_weights.arm, training.loss_weights.contact_force, \
              training.loss_weights.contact_force_mean, training.loss_weights.vision, \
-             training.loss_weights.frame_difference, training.precision",
+             training.loss_weights.frame_difference, training.precision, training.device",
         ),
         (
             "vary:\n  training.epochs: [5, 0]\n",
@@ -710,7 +715,7 @@ fn the_hash_depends_on_what_decides_the_result_alone() {
 /// one platform to another.
 #[test]
 fn the_hash_is_stable() {
-    assert_eq!(first_hash(BASE), "3d1821331d2d3c35");
+    assert_eq!(first_hash(BASE), "235795390add5a9d");
 }
 
 #[test]
@@ -778,6 +783,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             kl_weight: random.random_range(0.0..1e6),
             loss_weights,
             precision: harness::spec::Precision::F32,
+            device: harness::spec::Device::Cpu,
         },
         vary: if random.random() {
             [("network.hidden".into(), vec![64.into(), 128.into()])].into()

@@ -68,7 +68,7 @@ impl Show {
         println!("folder  {}", shown(folder.path()));
         println!("\n{}", record.spec.to_yaml());
         let runs = registry::query(registry, &format!("select * from runs where run = '{}'", record.run))?;
-        for column in runs.columns().iter().skip(8) {
+        for column in runs.columns().iter().skip_while(|column| column.name() != "status") {
             let value = column.get(0).map_or(String::new(), |value| value.str_value().into_owned());
             println!("{:<24} {value}", column.name());
         }

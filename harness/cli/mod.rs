@@ -18,6 +18,7 @@ use clap::{Parser, Subcommand};
 use harness::claims::ClaimsError;
 use harness::dataset::DatasetError;
 use harness::experiment::{ExperimentError, describe};
+use harness::learning::LearningError;
 use harness::registry::{QueryError, Registry, RegistryError};
 use harness::simulation::SimulationError;
 use harness::spec::SpecError;
@@ -198,6 +199,7 @@ fn is_usage(error: &anyhow::Error) -> bool {
             Some(QueryError::Sql(_) | QueryError::Refused(_) | QueryError::Format(_))
         )
         || matches!(error.downcast_ref(), Some(SimulationError::PictureSize { .. }))
+        || matches!(error.downcast_ref(), Some(ExperimentError::Learning(LearningError::Device { .. })))
         || matches!(
             error.downcast_ref(),
             Some(RegistryError::Unknown { .. } | RegistryError::Ambiguous { .. })

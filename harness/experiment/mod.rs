@@ -14,7 +14,7 @@ use crate::learning::objective::{Prediction, Reconstruction, View};
 use crate::learning::random::{Random, Stream};
 use crate::learning::state::StateFile;
 use crate::learning::training::{Epoch, Fit};
-use crate::learning::{LearningError, checkpoint, predict};
+use crate::learning::{LearningError, checkpoint, open_device, predict};
 use crate::memory;
 use crate::metrics::MetricsError;
 use crate::progress::Progress;
@@ -24,7 +24,6 @@ use crate::registry::{
 };
 use crate::simulation::{Scene, SimulationError};
 use crate::spec::{Experiment, Modality, RunSpec, Task};
-use candle_core::Device;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -89,12 +88,31 @@ struct Source {
     dataset: Dataset,
 }
 
+impl Planned {
+    /// Whether two runs learn from the same data in the same form on the same device.
+    fn shares_material(&self, other: &Planned) -> bool {
+        let key = |planned: &Planned| {
+            let spec = &planned.spec;
+            (
+                spec.scenario,
+                spec.input.clone(),
+                spec.output.clone(),
+                spec.tasks.clone(),
+                spec.action,
+                spec.training.device,
+            )
+        };
+        key(self) == key(other)
+    }
+}
+
 impl Laboratory<'_> {
     /// Each run of the experiment with what will happen to it, and why.
     pub fn plan(&self, experiment: &Experiment) -> Result<Vec<Planned>, ExperimentError> {
         let known = self.registry.records();
         let mut sources: BTreeMap<&str, Arc<Source>> = BTreeMap::new();
         let mut plan = Vec::new();
+        open_device(experiment.training.device)?;
         for spec in experiment.runs() {
             let source = match sources.get(spec.scenario.name()) {
                 Some(source) => source.clone(),
@@ -140,7 +158,7 @@ impl Laboratory<'_> {
             samples: Arc::new(samples),
             standard: Arc::new(standard),
             action: spec.action,
-            device: Device::Cpu,
+            device: open_device(spec.training.device)?,
         };
         let mut baselines = Vec::new();
         for task in &spec.tasks {
@@ -196,7 +214,7 @@ pub fn network_sizes(spec: &RunSpec, task: Task) -> Sizes {
     }
 }
 
-/// A scenario's data, shared by its runs.
+/// A scenario's data, shared by runs that want the same of it.
 struct Material {
     view: View,
     partition: Partition,

@@ -42,9 +42,9 @@ impl Laboratory<'_> {
         summary.skipped = skipped.len();
         loop {
             let mut held = Vec::new();
-            // One scenario at a time: its samples are in memory once, and the other's are not.
-            for runs in pending.chunk_by(|a, b| a.spec.scenario == b.spec.scenario) {
-                for (planned, end) in runs.iter().zip(self.scenario(runs)?) {
+            // One dataset at a time: its samples are in memory once, and the other's are not.
+            for runs in pending.chunk_by(|a, b| a.shares_material(b)) {
+                for (planned, end) in runs.iter().zip(self.shift(runs)?) {
                     match end {
                         End::Done => summary.done += 1,
                         End::Skipped => summary.skipped += 1,
@@ -61,8 +61,8 @@ impl Laboratory<'_> {
         }
     }
 
-    /// Tries every run of one scenario, and says what became of each.
-    fn scenario(&self, runs: &[&Planned]) -> Result<Vec<End>, ExperimentError> {
+    /// Tries runs that share their material, and says what became of each.
+    fn shift(&self, runs: &[&Planned]) -> Result<Vec<End>, ExperimentError> {
         let jobs = self.jobs.clamp(1, runs.len());
         let threads = (self.threads / jobs).max(1);
         let shift = Shift {
@@ -105,7 +105,7 @@ impl Laboratory<'_> {
     }
 }
 
-/// What the jobs share that work on a scenario's runs.
+/// What the jobs share that work on runs of the same material.
 struct Shift<'a> {
     laboratory: &'a Laboratory<'a>,
     /// With the threads of one job.
@@ -173,7 +173,7 @@ impl Shift<'_> {
         Trainee { spec: &planned.spec, folder: &planned.folder, material: &material, progress }.run()
     }
 
-    /// What the scenario's runs share; the jobs that come while it is made wait.
+    /// What the runs share; the jobs that come while it is made wait.
     fn material(&self, planned: &Planned) -> Result<Arc<Material>, ExperimentError> {
         let mut slot = self.material.lock().unwrap_or_else(PoisonError::into_inner);
         if self.laboratory.progress.cancelled() {

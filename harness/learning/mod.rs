@@ -12,7 +12,7 @@ pub mod tensors;
 pub mod training;
 
 use crate::files::WriteError;
-use crate::spec::Task;
+use crate::spec::{Device, Task};
 use std::path::PathBuf;
 use training::Losses;
 
@@ -29,6 +29,23 @@ pub unsafe fn prepare_threads() {
     }
 }
 
+/// The device that a training asks for.
+///
+/// # Errors
+/// When this harness was built without it, or this machine lacks it.
+pub fn open_device(device: Device) -> Result<candle_core::Device, LearningError> {
+    if device == Device::Cpu {
+        return Ok(candle_core::Device::Cpu);
+    }
+    if !candle_core::utils::cuda_is_available() {
+        let reason =
+            "this harness was built without CUDA; build it with `cargo build --features cuda`, or use cpu";
+        return Err(LearningError::Device { device, reason: reason.into() });
+    }
+    candle_core::Device::new_cuda(0)
+        .map_err(|error| LearningError::Device { device, reason: first_line(&error) })
+}
+
 /// Why a training ended early.
 #[derive(Debug, thiserror::Error)]
 pub enum LearningError {
@@ -43,6 +60,8 @@ pub enum LearningError {
     Damaged { path: PathBuf, reason: String },
     #[error(transparent)]
     Write(#[from] WriteError),
+    #[error("training.device: {device} can't be used: {reason}")]
+    Device { device: Device, reason: String },
     #[error("candle: {}", first_line(.0))]
     Candle(#[from] candle_core::Error),
 }

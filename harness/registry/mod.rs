@@ -160,7 +160,10 @@ impl Registry {
     /// Every run's folder and record, likewise.
     fn recorded(&self) -> Vec<(PathBuf, RunRecord)> {
         let read = |folder: PathBuf| {
-            let record = RunRecord::read(&folder.join(RECORD)).ok()??;
+            let mut record = RunRecord::read(&folder.join(RECORD)).ok()??;
+            if record.status == Status::Running && FolderLock::holder(&folder).is_none() {
+                record.status = Status::Interrupted;
+            }
             Some((folder, record))
         };
         self.run_folders().into_iter().filter_map(read).collect()

@@ -25,6 +25,8 @@ pub(super) const TABLES: [Table; 5] =
 #[serde(rename_all = "snake_case")]
 pub enum Status {
     Running,
+    /// Begun, and nobody works on it. Records say that they are running; only whoever reads them sees that it is over.
+    Interrupted,
     Done,
     Failed,
 }
@@ -33,6 +35,7 @@ impl Status {
     pub fn name(self) -> &'static str {
         match self {
             Status::Running => "running",
+            Status::Interrupted => "interrupted",
             Status::Done => "done",
             Status::Failed => "failed",
         }

@@ -142,6 +142,18 @@ pub enum Precision {
 }
 names!(Precision { F32 => "f32", Bf16 => "bf16" });
 
+/// What a network is trained on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Device {
+    /// The processor, on as many threads as the run has.
+    Cpu,
+    /// The first graphics card, through CUDA; for a harness that was built with `--features cuda`. A run is not the
+    /// same bit by bit there.
+    Cuda,
+}
+names!(Device { Cpu => "cpu", Cuda => "cuda" });
+
 /// One experiment: a question that a YAML file asks.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -272,6 +284,7 @@ pub struct Training {
     pub loss_weights: BTreeMap<Modality, f64>,
     /// Of the products of the two large layers beside the frames' convolutions.
     pub precision: Precision,
+    pub device: Device,
 }
 
 impl Simulation {
@@ -339,9 +352,11 @@ impl Default for Training {
             batch_size: 1024,
             epochs: 200,
             patience: Some(20),
-            kl_weight: 1e-3,
+            // What experiments/choose_kl_weight.yaml and choose_multi_losses.yaml found.
+            kl_weight: 1e-4,
             loss_weights: BTreeMap::new(),
             precision: Precision::F32,
+            device: Device::Cpu,
         }
     }
 }

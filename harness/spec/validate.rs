@@ -1,7 +1,8 @@
 //! What the schema cannot say: rules that tie several settings together.
 
 use super::types::{
-    Architecture, Experiment, FRAME_SIDE, Modality, Network, STEP_RATE_HZ, Simulation, Task, Training,
+    Architecture, Device, Experiment, FRAME_SIDE, Modality, Network, Precision, STEP_RATE_HZ, Simulation,
+    Task, Training,
 };
 
 /// Largest tensor of a network, values: 1 GiB in single precision.
@@ -32,6 +33,7 @@ pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     frames(experiment)?;
     tensors(&experiment.network, &experiment.training)?;
     loss_weights(experiment)?;
+    precision(&experiment.training)?;
     ranges(&experiment.simulation)?;
     timing(&experiment.simulation)?;
     samples(&experiment.simulation)?;
@@ -125,6 +127,13 @@ fn tensors(network: &Network, training: &Training) -> Result<(), Fault> {
                 ),
             );
         }
+    }
+    Ok(())
+}
+
+fn precision(training: &Training) -> Result<(), Fault> {
+    if (training.device, training.precision) == (Device::Cuda, Precision::Bf16) {
+        return fault("training.precision", "bf16 is for the cpu; a network on cuda is trained in f32");
     }
     Ok(())
 }
