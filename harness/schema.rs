@@ -135,7 +135,7 @@ fn run_key() -> Vec<Column> {
 
 fn run_details() -> Vec<Column> {
     vec![
-        text("status", "running, interrupted, done or failed"),
+        text("status", "running, done or failed"),
         text("reason", "why a run failed; null otherwise"),
         text("spec_hash", "hash of everything that decides the run"),
         text("dataset", "the dataset's folder"),
