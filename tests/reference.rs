@@ -1,0 +1,56 @@
+//! The published results, as a clone has them: whole, and enough for every figure, claim and query in the documents.
+
+mod common;
+
+use common::succeed;
+use std::path::{Path, PathBuf};
+
+fn reference() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference")
+}
+
+#[test]
+fn published_results_are_whole_and_small() {
+    let said = succeed(&reference(), &["verify"]);
+    assert!(said.contains("everything is whole"), "{said}");
+    fn bytes(folder: &Path) -> u64 {
+        let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap());
+        entries
+            .map(
+                |entry| {
+                    if entry.path().is_dir() { bytes(&entry.path()) } else { entry.metadata().unwrap().len() }
+                },
+            )
+            .sum()
+    }
+    assert!(bytes(&reference()) < 20_000_000);
+}
+
+#[test]
+fn every_figure_can_be_drawn_from_published_results() {
+    let folder = tempfile::tempdir().unwrap();
+    succeed(&reference(), &["figures", "--out", folder.path().to_str().unwrap()]);
+    for name in harness::figures::Figure::ALL.map(|figure| figure.name()) {
+        for ending in ["svg", "png"] {
+            assert!(folder.path().join(format!("{name}.{ending}")).is_file(), "{name}.{ending}");
+        }
+    }
+}
+
+/// What the heads of `experiments/*.yaml` tell their readers to type.
+#[test]
+fn queries_in_the_experiments_have_answers() {
+    let mut queries = 0;
+    for entry in std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments")).unwrap() {
+        let text = std::fs::read_to_string(entry.unwrap().path()).unwrap();
+        let words = text.lines().filter_map(|line| line.strip_prefix('#')).flat_map(str::split_whitespace);
+        let comments = words.collect::<Vec<_>>().join(" ");
+        for query in comments.split("harness query --results results/reference \"").skip(1) {
+            let sql = query.split('"').next().unwrap();
+            let answer = succeed(&reference(), &["query", sql]);
+            assert!(answer.lines().count() > 5, "{sql}\n{answer}");
+            queries += 1;
+        }
+    }
+    assert!(queries >= 2);
+}
