@@ -19,7 +19,7 @@ test: ## run every test
 	@setup/setup.sh --test
 	cargo test
 
-soak: ## kill a run and a collection at many moments, and compare what comes out (minutes)
+soak: ## kill a run and a collection at many moments and compare what comes out; attack every reader (an hour)
 	@setup/setup.sh --test
 	cargo test -- --ignored --nocapture
 
