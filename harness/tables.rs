@@ -132,7 +132,9 @@ pub fn scan(paths: &[PathBuf], columns: &[Column]) -> PolarsResult<Option<LazyFr
     }
     let wanted: Vec<Expr> = columns.iter().map(|column| col(column.name.as_str())).collect();
     let paths = paths.iter().map(|path| PlRefPath::try_from_path(path)).collect::<PolarsResult<_>>()?;
-    // The paths are names of files, whatever characters are in them, and no patterns.
-    let options = ScanArgsParquet { glob: false, ..ScanArgsParquet::default() };
+    // The paths are names of files, whatever characters are in them: no patterns, and no values of Hive's partitions,
+    // as which a run's `kl_weight=0` would be read.
+    let hive_options = HiveOptions { enabled: Some(false), ..HiveOptions::default() };
+    let options = ScanArgsParquet { glob: false, hive_options, ..ScanArgsParquet::default() };
     Ok(Some(LazyFrame::scan_parquet_files(paths, options)?.select(wanted)))
 }

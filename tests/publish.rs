@@ -91,6 +91,18 @@ fn what_varies_has_cells_of_its_own() {
     assert!(compared.contains("kl_weight=0.01"), "{compared}");
 }
 
+/// Polars takes `kl_weight=0` in a path for a partition's value, if it may.
+#[test]
+fn a_single_run_of_a_sweep_can_be_queried() {
+    let results = fresh("published-single");
+    succeed(
+        &results,
+        &["run", SMOKE, "scenarios=[empty]", "vary={training.kl_weight: [0]}", "tasks=[prediction]"],
+    );
+    assert_eq!(csv(&results, "select count(run) as n from runs"), "n\n1\n");
+    assert_eq!(csv(&results, "select distinct variant from metrics"), "variant\nkl_weight=0\n");
+}
+
 #[test]
 fn publishing_again_changes_nothing() {
     let copy = fresh("published-twice");
