@@ -272,6 +272,19 @@ fn what_killed_processes_left_unfinished_is_removed() {
     assert_whole(results.path(), true);
 }
 
+/// As a process leaves it that is killed between its last two steps.
+#[test]
+fn the_state_of_a_finished_run_is_removed() {
+    let results = Results::new();
+    succeed(results.path(), &RUN[..3]);
+    let record = files(results.path()).into_iter().find(|path| name(path) == "run.json").unwrap();
+    let state = record.with_file_name("prediction.state.safetensors");
+    std::fs::write(&state, "anything").unwrap();
+    succeed(results.path(), &RUN[..3]);
+    assert!(!state.exists());
+    assert_whole(results.path(), true);
+}
+
 // --- asked to stop ---
 
 #[test]

@@ -40,6 +40,8 @@ impl Laboratory<'_> {
         let (skipped, mut pending): (Vec<&Planned>, Vec<&Planned>) =
             plan.iter().partition(|planned| planned.decision == Decision::Skip);
         summary.skipped = skipped.len();
+        // Whoever finished them may have been killed before it came to this.
+        skipped.iter().for_each(|planned| planned.folder.remove_states());
         loop {
             let mut held = Vec::new();
             // One dataset at a time: its samples are in memory once, and the other's are not.

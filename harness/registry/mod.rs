@@ -276,10 +276,7 @@ impl Registry {
         outcome.write_tables(folder, &record)?;
         let files = record.expected_files();
         record.with_files(folder, files)?.write(&folder.path.join(RECORD))?;
-        for task in [Task::Prediction, Task::Reconstruction] {
-            // A state that stays behind does no harm but takes room: the run is done.
-            let _ = std::fs::remove_file(folder.state(task));
-        }
+        folder.remove_states();
         Ok(())
     }
 }
@@ -301,6 +298,13 @@ impl RunFolder {
     /// Where the state of an unfinished training is kept.
     pub fn state(&self, task: Task) -> PathBuf {
         self.path.join(format!("{}.state.safetensors", task.name()))
+    }
+
+    /// Removes the states of a run that is done. One that stays behind does no harm but takes room.
+    pub fn remove_states(&self) {
+        for task in [Task::Prediction, Task::Reconstruction] {
+            let _ = std::fs::remove_file(self.state(task));
+        }
     }
 
     /// How far the run is; `None` if it never began.
