@@ -2,7 +2,7 @@
 //!
 //! Data flows one way, and each room may use only those before it:
 //! spec, simulation, dataset, learning, metrics, registry. The story of an experiment is in [`experiment`];
-//! [`claims`] are judged by its results, and [`figures`] drawn of them.
+//! [`claims`] are judged by its results, [`figures`] drawn of them, and a [`report`] tells it all.
 
 pub mod claims;
 pub mod dataset;
@@ -12,8 +12,10 @@ pub mod files;
 pub mod learning;
 pub mod memory;
 pub mod metrics;
+pub mod numbers;
 pub mod progress;
 pub mod registry;
+pub mod report;
 pub mod schema;
 pub mod seal;
 pub mod simulation;
