@@ -12,8 +12,8 @@ columns of the recording make up which modality:
       setpoint: action                            # what was commanded; the one that every dataset needs
       proprioception: observation.state[0:20]     # elements of a column of lists
       arm: [rotation, lift, extension]            # columns side by side
-      contact_force: force_*                      # columns by a pattern, in their order in the file
-      contact_force_mean: {from: mean_force_*, scale: 9.81}     # a factor, or one an element, into rad, m and N
+      contact_force: force_??                     # columns by a pattern of * and ?, in their order in the file
+      contact_force_mean: {from: mean_??, scale: 9.81}      # a factor, or one an element, into rad, m and N
       vision: observation.images.external         # pictures of any size; they become 64 x 64 pixels
     episode: episode                # of Parquet: the column that tells episodes apart,
     order: sample                   # the column that orders an episode's rows,
@@ -97,7 +97,9 @@ class Selection:
             )
         if not np.isfinite(values).all():
             row, element = np.argwhere(~np.isfinite(values))[0]
-            raise self.error(f"value {element} of row {row} is {values[row, element]}; only numbers can be learnt")
+            raise self.error(
+                f"value {element} of row {row} is {values[row, element]}; only numbers can be learnt"
+            )
         return (values if self.scale is None else values * self.scale).astype(np.float32)
 
     def error(self, problem: str) -> MappingError:
@@ -107,11 +109,16 @@ class Selection:
         """The columns that a term names, and which of their elements."""
         found = _TERM.fullmatch(term)
         if not found:
-            raise self.error(f"'{term}' is not understood; write COLUMN, COLUMN[3], COLUMN[0:20] or PATTERN_*")
-        names = fnmatch.filter(available, found["column"]) if "*" in found["column"] else [found["column"]]
+            raise self.error(
+                f"'{term}' is not understood; write COLUMN, COLUMN[3], COLUMN[0:20] or PATTERN_*"
+            )
+        is_pattern = "*" in found["column"] or "?" in found["column"]
+        names = fnmatch.filter(available, found["column"]) if is_pattern else [found["column"]]
         unknown = [name for name in names if name not in available]
         if unknown or not names:
-            raise self.error(f"there is no column '{found['column']}'; the columns are {', '.join(available)}")
+            raise self.error(
+                f"there is no column '{found['column']}'; the columns are {', '.join(available)}"
+            )
         first = int(found["first"] or 0)
         last = int(found["last"]) if found["last"] else first + 1 if found["first"] else None
         return [(name, slice(first, last)) for name in names]
@@ -179,8 +186,14 @@ def _selections(modalities: object) -> dict[str, Selection]:
         raise MappingError(f"modalities: must say what makes up each of {', '.join(MODALITIES)}")
     _check_keys(modalities, ("setpoint",), "modalities.", MODALITIES)
     if len(modalities) == 1:
-        raise MappingError("modalities: there is nothing to learn from the setpoint alone; name what was sensed")
-    return {modality: _selection(modality, modalities[modality]) for modality in MODALITIES if modality in modalities}
+        raise MappingError(
+            "modalities: there is nothing to learn from the setpoint alone; name what was sensed"
+        )
+    return {
+        modality: _selection(modality, modalities[modality])
+        for modality in MODALITIES
+        if modality in modalities
+    }
 
 
 def _selection(modality: str, value: object) -> Selection:
@@ -193,7 +206,9 @@ def _selection(modality: str, value: object) -> Selection:
         if modality == "vision" or not all(isinstance(number, int | float) for number in numbers):
             raise MappingError(f"{where}.scale: must be a number or a list of them, and is for vectors alone")
         if len(numbers) not in (1, len(VECTORS[modality])):
-            raise MappingError(f"{where}.scale: must be 1 number or {len(VECTORS[modality])}, not {len(numbers)}")
+            raise MappingError(
+                f"{where}.scale: must be 1 number or {len(VECTORS[modality])}, not {len(numbers)}"
+            )
         scale = np.array(numbers, np.float64)
     terms = value if isinstance(value, list) else [value]
     if not terms or not all(isinstance(term, str) for term in terms):
@@ -232,24 +247,46 @@ def import_dataset(mapping: str | Path, results: str | Path = "results", *, prog
         ImportError: the recording is LeRobot's, and the package lerobot is not installed.
     """
     chosen = Mapping.load(Path(mapping))
-    rate, recorded = _open(chosen)
-    episodes = []
-    bar = tqdm(recorded, chosen.name, unit=" episodes", file=sys.stderr, disable=not progress)
-    for index, columns in enumerate(bar):
-        try:
-            episodes.append(_episode(index, columns, chosen, rate))
-        except MappingError as error:
-            raise MappingError(f"{mapping}: episode {index}: {error}") from None
-    if len(episodes) < 3:
-        raise MappingError(
-            f"{mapping}: {len(episodes)} episodes were found; training, validation and test need one each"
-        )
+    try:
+        rate, episodes = _read(chosen, progress)
+    except MappingError as error:
+        raise MappingError(f"{mapping}: {error}") from None
     return _write(chosen, rate, episodes, Path(results))
 
 
-def _open(mapping: Mapping) -> tuple[float, Iterator[dict[str, np.ndarray]]]:
-    """The recording's samples a second, and its episodes: what each of the wanted columns holds, [samples, …]."""
-    return _open_lerobot(mapping) if mapping.format == "lerobot" else _open_parquet(mapping)
+def _read(mapping: Mapping, progress: bool) -> tuple[float, list[Episode]]:
+    """The recording's samples a second, and its episodes."""
+    recording = _open_lerobot(mapping) if mapping.format == "lerobot" else _open_parquet(mapping)
+    rate, episodes = recording.sample_rate_hz, []
+    bar = tqdm(
+        recording.episodes,
+        desc=mapping.name,
+        total=recording.length,
+        unit=" episodes",
+        file=sys.stderr,
+        disable=not progress,
+    )
+    for index, columns in enumerate(bar):
+        try:
+            episodes.append(_episode(index, columns, mapping, rate))
+        except MappingError as error:
+            raise MappingError(f"episode {index}: {error}") from None
+    if len(episodes) < 3:
+        raise MappingError(
+            f"{len(episodes)} episodes were found; training, validation and test need one each"
+        )
+    return rate, episodes
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a source holds."""
+
+    sample_rate_hz: float
+    length: int
+    """Episodes."""
+    episodes: Iterator[dict[str, np.ndarray | list]]
+    """What each of the wanted columns holds, [samples, …]."""
 
 
 def _wanted(mapping: Mapping, available: list[str]) -> list[str]:
@@ -257,7 +294,7 @@ def _wanted(mapping: Mapping, available: list[str]) -> list[str]:
     return list(dict.fromkeys(columns))
 
 
-def _open_parquet(mapping: Mapping) -> tuple[float, Iterator[dict[str, np.ndarray]]]:
+def _open_parquet(mapping: Mapping) -> Recording:
     files = sorted(mapping.source.glob("**/*.parquet")) if mapping.source.is_dir() else [mapping.source]
     if not files:
         raise FileNotFoundError(f"source: {mapping.source} holds no .parquet file")
@@ -269,16 +306,17 @@ def _open_parquet(mapping: Mapping) -> tuple[float, Iterator[dict[str, np.ndarra
                 raise MappingError(f"there is no column '{key}'; the columns are {', '.join(available)}")
         keys = [mapping.episode, mapping.order]
         wanted = _wanted(mapping, available)
-        rows = table.select(dict.fromkeys([*keys, *wanted])).sort(keys).collect()
+        rows = table.select(list(dict.fromkeys([*keys, *wanted]))).sort(keys).collect()
     except pl.exceptions.PolarsError as error:
         raise MappingError(f"source: {mapping.source} can't be read: {error}") from None
     if rows.select(keys).is_duplicated().any():
         raise MappingError(f"order: two rows of an episode have the same '{mapping.order}'")
     groups = rows.partition_by(mapping.episode, maintain_order=True)
-    return float(mapping.sample_rate_hz), ({name: group[name].to_list() for name in wanted} for group in groups)
+    episodes = ({name: group[name].to_list() for name in wanted} for group in groups)
+    return Recording(float(mapping.sample_rate_hz), len(groups), episodes)
 
 
-def _open_lerobot(mapping: Mapping) -> tuple[float, Iterator[dict[str, np.ndarray]]]:
+def _open_lerobot(mapping: Mapping) -> Recording:
     try:
         from lerobot.datasets import LeRobotDataset
     except ImportError as error:
@@ -296,7 +334,7 @@ def _open_lerobot(mapping: Mapping) -> tuple[float, Iterator[dict[str, np.ndarra
             items = [dataset[row] for row in rows]
             yield {name: np.stack([_plain(item[name]) for item in items]) for name in wanted}
 
-    return float(dataset.fps), episodes()
+    return Recording(float(dataset.fps), len(dataset.meta.episodes), episodes())
 
 
 def _plain(value) -> np.ndarray:
