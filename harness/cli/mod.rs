@@ -212,6 +212,10 @@ fn is_usage(error: &anyhow::Error) -> bool {
             Some(QueryError::Sql(_) | QueryError::Refused(_) | QueryError::Format(_))
         )
         || matches!(error.downcast_ref(), Some(SimulationError::PictureSize { .. }))
+        || matches!(
+            error.downcast_ref(),
+            Some(ExperimentError::Dataset(DatasetError::NotImported { .. } | DatasetError::Lacks { .. }))
+        )
         || matches!(error.downcast_ref(), Some(ExperimentError::Learning(LearningError::Device { .. })))
         || matches!(
             error.downcast_ref(),

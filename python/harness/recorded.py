@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import io
 import itertools
 import json
 from collections.abc import Iterable
@@ -11,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
+import polars as pl
 
 FORMAT = 2
 """The format of the files that this version reads and writes; the harness's own `FORMAT`."""
@@ -146,23 +146,19 @@ class RecordedDataset:
             DamagedError: its file is not as it was written, or is another episode's.
         """
         path = self._path(index)
-        file = pq.ParquetFile(pa.BufferReader(read_sealed(path)))
-        stamp = file.metadata.metadata or {}
-        if (stamp.get(b"harness.dataset"), stamp.get(b"harness.episode")) != (
-            self.name.encode(),
-            b"%d" % index,
-        ):
+        data = read_sealed(path)
+        stamp = pl.read_parquet_metadata(io.BytesIO(data))
+        if (stamp.get("harness.dataset"), stamp.get("harness.episode")) != (self.name, str(index)):
             raise DamagedError(f"{path} is damaged: it is not episode {index} of {self.name}")
-        table = file.read()
-        frames = b"".join(table["vision"].to_pylist())
+        table = pl.read_parquet(io.BytesIO(data))
         return Episode(
             index=index,
             time=table["time"].to_numpy(),
             vectors={
-                vector: np.stack([table[column.name].to_numpy() for column in columns], axis=1)
+                vector: table.select(column.name for column in columns).to_numpy()
                 for vector, columns in VECTORS.items()
             },
-            frames=np.frombuffer(frames, np.uint8).reshape(-1, *FRAME_SHAPE),
+            frames=np.frombuffer(b"".join(table["vision"]), np.uint8).reshape(-1, *FRAME_SHAPE),
         )
 
     def _path(self, index: int) -> Path:
@@ -198,32 +194,31 @@ def _digest(data: bytes, start: int) -> bytes:
 def write_episode(path: Path, dataset: str, scenario: str, episode: Episode) -> None:
     """Writes and seals an episode's file; what the episode lacks is null in it."""
     samples = len(episode)
-    values = {
-        "dataset": pa.array([dataset] * samples, pa.string()),
-        "scenario": pa.array([scenario] * samples, pa.string()),
-        "episode": pa.array([episode.index] * samples, pa.uint32()),
-        "sample": pa.array(range(samples), pa.uint32()),
-        "time": pa.array(episode.time, pa.float64()),
-        "vision": pa.nulls(samples, pa.binary()),
+    columns = {
+        "dataset": pl.repeat(dataset, samples, eager=True),
+        "scenario": pl.repeat(scenario, samples, eager=True),
+        "episode": pl.repeat(episode.index, samples, dtype=pl.UInt32, eager=True),
+        "sample": pl.arange(samples, dtype=pl.UInt32, eager=True),
+        "time": pl.Series(episode.time, dtype=pl.Float64),
+        "vision": pl.repeat(None, samples, dtype=pl.Binary, eager=True),
     }
-    for vector, columns in VECTORS.items():
-        lacking = [pa.nulls(samples, pa.float32())] * len(columns)
-        recorded = [pa.array(row, pa.float32()) for row in episode.vectors.get(vector, np.empty((0, 0))).T]
-        values |= dict(zip((column.name for column in columns), recorded or lacking, strict=True))
+    for vector, elements in VECTORS.items():
+        values = episode.vectors.get(vector)
+        for place, column in enumerate(elements):
+            row = [None] * samples if values is None else values[:, place]
+            columns[column.name] = pl.Series(row, dtype=pl.Float32)
     if episode.frames is not None:
-        values["vision"] = pa.array([frame.tobytes() for frame in episode.frames], pa.binary())
+        columns["vision"] = pl.Series([frame.tobytes() for frame in episode.frames], dtype=pl.Binary)
     metadata = {
         "harness.columns": json.dumps([dataclasses.asdict(column) for column in COLUMNS]),
         "harness.dataset": dataset,
         "harness.episode": str(episode.index),
         "harness.seal": (_SEAL + b"-" * _DIGITS).decode(),
     }
-    table = pa.table({column.name: values[column.name] for column in COLUMNS}).replace_schema_metadata(
-        metadata
-    )
-    buffer = pa.BufferOutputStream()
-    pq.write_table(table, buffer, compression="zstd")
-    data = bytearray(buffer.getvalue().to_pybytes())
+    buffer = io.BytesIO()
+    table = pl.DataFrame({column.name: columns[column.name] for column in COLUMNS})
+    table.write_parquet(buffer, metadata=metadata)
+    data = bytearray(buffer.getvalue())
     start = data.rfind(_SEAL) + len(_SEAL)
     data[start : start + _DIGITS] = _digest(bytes(data), start)
     path.write_bytes(data)

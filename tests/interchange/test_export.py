@@ -9,33 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("pyarrow", reason="exporting reads Parquet with pyarrow")
-pytest.importorskip("tqdm", reason="exporting shows its progress with tqdm")
-
 from harness.export import export
 from harness.recorded import VECTORS, DamagedError, RecordedDataset
 
-ROOT = Path(__file__).parents[2]
 EPISODES, SAMPLES = 4, 30
-
-
-@pytest.fixture(scope="session", params=["empty", "cluttered"])
-def dataset(request, tmp_path_factory) -> Path:
-    """The folder of a dataset that the harness collected."""
-    results = tmp_path_factory.mktemp("results")
-    harness = ROOT / "target/debug/harness"
-    assert harness.exists(), f"{harness} is missing; build it with `cargo build`"
-    command = [
-        harness,
-        "--results",
-        results,
-        "collect",
-        "experiments/smoke.yaml",
-        f"scenarios=[{request.param}]",
-    ]
-    subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
-    (folder,) = (results / "datasets").iterdir()
-    return folder
 
 
 def copy(dataset: Path, target: Path) -> Path:
