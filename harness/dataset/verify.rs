@@ -31,13 +31,11 @@ pub fn inspect(folder: &Path, advance: &dyn Fn()) -> Inspection {
             found.outdated = true;
             return found;
         }
-        Ok(description) => {
-            description.simulation(&name).ok_or("it does not describe this dataset".to_owned())
-        }
+        Ok(description) => description.content(&name).ok_or("it does not describe this dataset".to_owned()),
         Err(reason) => Err(reason),
     };
     let simulation = match simulation {
-        Ok(simulation) => Some(simulation),
+        Ok((_, simulation)) => Some(simulation),
         Err(reason) => {
             found.damaged.push((described.clone(), reason));
             None
