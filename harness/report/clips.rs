@@ -26,6 +26,7 @@ fn take(scenario: Scenario) -> (u32, usize) {
 }
 
 /// A clip as the page shows it before it plays.
+#[derive(Serialize)]
 pub struct Clip {
     pub scenario: Scenario,
     pub episode: u32,

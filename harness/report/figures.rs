@@ -4,10 +4,13 @@ use super::{Part, part};
 use crate::figures::source::Source;
 use crate::figures::{Figure, FigureError};
 use crate::progress::Progress;
+use serde::Serialize;
 
 /// A figure, or why it isn't there.
+#[derive(Serialize)]
 pub struct Drawn {
-    pub figure: Figure,
+    name: &'static str,
+    meaning: &'static str,
     /// An SVG element.
     pub svg: Part<String>,
 }
@@ -21,7 +24,7 @@ pub fn draw(source: &Source, progress: &dyn Progress) -> Result<Vec<Drawn>, Figu
     let drawn = Figure::ALL.into_iter().map(|figure| {
         let svg = part(figure.draw(source).map(|drawing| drawing.page.svg()))?;
         progress.advance(1);
-        Ok(Drawn { figure, svg })
+        Ok(Drawn { name: figure.name(), meaning: figure.meaning(), svg })
     });
     let drawn = drawn.collect();
     progress.end();

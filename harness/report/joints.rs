@@ -1,6 +1,6 @@
 //! How well each joint's angle and each link's force is predicted.
 
-use super::{Absent, part, short};
+use super::{Absent, Part, part, short};
 use crate::figures::FigureError;
 use crate::figures::source::{Runs, Source, Study};
 use crate::metrics::interval::{Interval, LEVEL, mean_interval};
@@ -72,8 +72,8 @@ pub fn series(source: &Source) -> Result<(Vec<Series>, BTreeSet<Absent>), Figure
     let (mut series, mut absent) = (Vec::new(), BTreeSet::new());
     for study in Study::BOTH {
         match part(source.runs(study).and_then(|runs| of_study(&runs, study)))? {
-            Ok(more) => series.extend(more),
-            Err(reason) => drop(absent.insert(reason)),
+            Part::There(more) => series.extend(more),
+            Part::Absent(reason) => drop(absent.insert(reason)),
         }
     }
     Ok((series, absent))

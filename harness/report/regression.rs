@@ -1,7 +1,7 @@
 //! Predictions over references at the fingertip.
 
 use super::joints::{Value, value};
-use super::{Absent, part, short};
+use super::{Absent, Part, part, short};
 use crate::figures::FigureError;
 use crate::figures::source::{Runs, Source, Study, intervals};
 use crate::metrics::Direction;
@@ -64,8 +64,8 @@ pub fn clouds(source: &Source) -> Result<(Vec<Cloud>, BTreeSet<Absent>), FigureE
     let (mut clouds, mut absent) = (Vec::new(), BTreeSet::new());
     for study in Study::BOTH {
         match part(source.runs(study).and_then(|runs| of_study(&runs, study)))? {
-            Ok(more) => clouds.extend(more),
-            Err(reason) => drop(absent.insert(reason)),
+            Part::There(more) => clouds.extend(more),
+            Part::Absent(reason) => drop(absent.insert(reason)),
         }
     }
     Ok((clouds, absent))

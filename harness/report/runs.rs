@@ -2,23 +2,33 @@
 
 use crate::numbers::duration;
 use crate::registry::{Registry, RunRecord, Status, Timings};
+use serde::Serialize;
 use std::collections::BTreeMap;
 
 /// An experiment's runs.
+#[derive(Serialize)]
 pub struct Experiment {
-    pub name: String,
+    name: String,
     pub done: usize,
     /// By scenario, settings that vary, latent size and seed.
-    pub runs: Vec<Run>,
+    runs: Vec<Run>,
 }
 
 /// A run's record in words.
-pub struct Run {
-    pub record: RunRecord,
+#[derive(Serialize)]
+struct Run {
+    cell: String,
+    status: &'static str,
+    seed: u64,
     /// Wall time of all that it took; empty of a run that isn't done.
-    pub took: String,
-    /// Each with its name.
-    pub details: Vec<(&'static str, String)>,
+    took: String,
+    /// The spec's hash.
+    spec: String,
+    /// The commit's first digits, with a plus if the source tree had changes that it lacks.
+    commit: String,
+    host: String,
+    /// All of it, each with its name.
+    details: Vec<(&'static str, String)>,
 }
 
 /// All runs of a results folder, by experiment.
@@ -44,22 +54,25 @@ impl Experiment {
             )
         });
         let done = records.iter().filter(|record| record.status == Status::Done).count();
-        Self { name, done, runs: records.into_iter().map(Run::new).collect() }
+        Self { name, done, runs: records.iter().map(Run::new).collect() }
     }
 }
 
 impl Run {
-    fn new(record: RunRecord) -> Self {
-        let took = record.timings.map(|timings| duration(total(&timings))).unwrap_or_default();
-        Self { took, details: details(&record), record }
-    }
-
-    /// The commit's first digits, with a plus if the source tree had changes that it lacks.
-    pub fn commit(&self) -> String {
-        let by = &self.record.provenance;
+    fn new(record: &RunRecord) -> Self {
+        let by = &record.provenance;
         let commit: String = by.git_commit.iter().flat_map(|commit| commit.chars()).take(8).collect();
         let dirty = if by.git_dirty == Some(true) { "+" } else { "" };
-        format!("{commit}{dirty}")
+        Self {
+            cell: record.spec.cell(),
+            status: record.status.name(),
+            seed: record.spec.seed,
+            took: record.timings.map(|timings| duration(total(&timings))).unwrap_or_default(),
+            spec: record.spec_hash.clone(),
+            commit: format!("{commit}{dirty}"),
+            host: by.host.clone(),
+            details: details(record),
+        }
     }
 }
 
