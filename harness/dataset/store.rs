@@ -43,6 +43,29 @@ impl Dataset {
         Self { folder: root.join(&name), name, scenario, spec: spec.clone(), description }
     }
 
+    /// The dataset that a folder holds, with as many episodes as it was collected for last.
+    ///
+    /// # Errors
+    /// When the folder has no description, or one of another dataset or of another format.
+    pub fn at(folder: &Path) -> Result<Self, DatasetError> {
+        let path = folder.join(Description::FILE);
+        let damaged = |problem: &str| DatasetError::Damaged { path: path.clone(), problem: problem.into() };
+        let description = Description::read(folder).map_err(|problem| damaged(&problem))?;
+        if !description.is_current() {
+            return Err(damaged("it is of another format; `harness collect` makes it again"));
+        }
+        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let (scenario, spec) = description
+            .simulated(&name)
+            .ok_or_else(|| damaged("it does not describe the folder that it lies in"))?;
+        Ok(Self { folder: folder.to_owned(), name, scenario, spec, description: description.0 })
+    }
+
+    /// The scenario that was simulated.
+    pub fn scenario(&self) -> Scenario {
+        self.scenario
+    }
+
     /// The folder's name: the scenario and the hash of what decides the content.
     pub fn name(&self) -> &str {
         &self.name
@@ -219,12 +242,12 @@ impl Description {
         self.0["format"] == FORMAT
     }
 
-    /// How the episodes are simulated, if this describes the dataset of that name: a name is a hash of all of
-    /// it but the number of episodes.
-    pub fn simulation(&self, name: &str) -> Option<Simulation> {
-        let scenario = Scenario::ALL.iter().find(|scenario| self.0["scenario"] == scenario.name())?;
+    /// What is simulated and how, if this describes the dataset of that name: a name is a hash of all of it but the
+    /// number of episodes.
+    pub fn simulated(&self, name: &str) -> Option<(Scenario, Simulation)> {
+        let scenario = *Scenario::ALL.iter().find(|scenario| self.0["scenario"] == scenario.name())?;
         let simulation = serde_json::from_value(self.0["simulation"].clone()).ok()?;
-        (identify(*scenario, &self.0) == name).then_some(simulation)
+        (identify(scenario, &self.0) == name).then_some((scenario, simulation))
     }
 
     /// What was imported, if this describes the imported dataset of that name, which ends in a hash of it.

@@ -33,7 +33,7 @@ impl Lengths {
     /// What the description of the dataset of that name promises; `None` if it is another's.
     fn of(description: &Description, name: &str) -> Option<Self> {
         let imported = || description.imported(name).map(|content| Self::Imported(content.samples()));
-        description.simulation(name).map(Self::Simulated).or_else(imported)
+        description.simulated(name).map(|(_, simulation)| Self::Simulated(simulation)).or_else(imported)
     }
 
     fn episodes(&self) -> u32 {

@@ -1,9 +1,11 @@
 //! The story of an experiment: spec, episodes, dataset, training, metrics, record.
 
 mod evaluate;
+mod model;
 mod schedule;
 
 pub use evaluate::physical;
+pub use model::{Model, ModelError, Values};
 pub use schedule::Summary;
 
 use evaluate::{Evaluated, Story};
