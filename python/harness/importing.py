@@ -95,12 +95,14 @@ class Selection:
                 f"{' + '.join(self.terms)} gives {values.shape[1]} values, and {width} are needed: this version's "
                 "networks are of fixed size"
             )
+        if self.scale is not None:
+            values = values * self.scale
+        with np.errstate(over="ignore"):
+            values = values.astype(np.float32)
         if not np.isfinite(values).all():
             row, element = np.argwhere(~np.isfinite(values))[0]
-            raise self.error(
-                f"value {element} of row {row} is {values[row, element]}; only numbers can be learnt"
-            )
-        return (values if self.scale is None else values * self.scale).astype(np.float32)
+            raise self.error(f"value {element} of row {row} is {values[row, element]}; nothing can be learnt from it")
+        return values
 
     def error(self, problem: str) -> MappingError:
         return MappingError(f"modalities.{self.modality}: {problem}")
@@ -304,7 +306,7 @@ def _open_parquet(mapping: Mapping) -> Recording:
         for key in (mapping.episode, mapping.order):
             if key not in available:
                 raise MappingError(f"there is no column '{key}'; the columns are {', '.join(available)}")
-        keys = [mapping.episode, mapping.order]
+        keys = list(dict.fromkeys([mapping.episode, mapping.order]))
         wanted = _wanted(mapping, available)
         rows = table.select(list(dict.fromkeys([*keys, *wanted]))).sort(keys).collect()
     except pl.exceptions.PolarsError as error:
