@@ -4,6 +4,7 @@
 #
 #   setup/setup.sh           what the harness needs
 #   setup/setup.sh --test    and what its tests need besides
+#   setup/setup.sh --python  and what building and testing the Python package needs
 #   setup/setup.sh --bench   and .venv-bench, with what the benchmarks compare with
 set -eu
 cd "$(dirname "$0")/.."
@@ -111,6 +112,7 @@ install_packages .venv requirements.txt
 link_mujoco
 case ${1-} in
 --test) install_packages .venv requirements-test.txt ;;
+--python) install_packages .venv requirements-python.txt ;;
 --bench)
     make_venv .venv-bench
     install_packages .venv-bench requirements-bench.txt

@@ -2,7 +2,7 @@
 
 use super::SimulationError;
 use super::camera::{Camera, Portrait};
-use super::course::Course;
+use super::course::{Course, Pose};
 use super::motion::ranges;
 use super::physics::Physics;
 use super::scene::Scene;
@@ -26,7 +26,7 @@ thread_local! {
     /// thread.
     static CAMERAS: RefCell<BTreeMap<Scenario, Camera>> = const { RefCell::new(BTreeMap::new()) };
     /// The portrait that this thread drew last, with its scenario and size: the next is most likely alike.
-    static PORTRAIT: RefCell<Option<(Picture, Portrait<'static>)>> = const { RefCell::new(None) };
+    static PORTRAIT: RefCell<Option<(Picture, Box<Portrait<'static>>)>> = const { RefCell::new(None) };
 }
 
 /// What a portrait is made for: the scenario, and width and height in pixels.
@@ -124,8 +124,8 @@ impl LiveSimulation {
         std::array::from_fn(|axis| 2.0 * middle[axis] - joint[axis])
     }
 
-    /// The middle of each box in the world, m.
-    pub fn boxes(&self) -> impl Iterator<Item = [f64; 3]> {
+    /// Where each box is in the world.
+    pub fn boxes(&self) -> impl Iterator<Item = Pose> {
         let qpos = &self.physics.instant.qpos;
         self.physics.scene.boxes.iter().map(|body| std::array::from_fn(|axis| qpos[body.qpos + axis]))
     }
@@ -156,7 +156,7 @@ impl LiveSimulation {
         PORTRAIT.with_borrow_mut(|kept| {
             let portrait = match kept.take() {
                 Some((other, portrait)) if other == kind => portrait,
-                _ => Portrait::new(scene, width, height)?,
+                _ => Box::new(Portrait::new(scene, width, height)?),
             };
             kept.insert((kind, portrait)).1.draw(&self.physics.instant.qpos)
         })

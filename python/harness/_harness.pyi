@@ -166,4 +166,4 @@ class SimulationBatch:
         """Where the fingers end in the world, m, `[count, 3]`."""
     @property
     def boxes(self) -> NDArray[np.float64]:
-        """The boxes' middles in the world, m, `[count, boxes, 3]`."""
+        """Position (m) and orientation (unit quaternion w, x, y, z) of the boxes in the world, `[count, boxes, 7]`."""

@@ -28,7 +28,7 @@ RENDER_FPS = 10
 """Samples a second."""
 
 
-class SoftFinger(gymnasium.Env[Observation, NDArray[np.float32]]):
+class SoftFinger(gymnasium.Env[Any, Any]):
     """One finger and its task; see `harness.episodes.Episodes` for what an action and an episode are.
 
     An episode is truncated after `samples` actions, and never terminated. `render_mode="rgb_array"` draws pictures of
@@ -67,7 +67,7 @@ class SoftFinger(gymnasium.Env[Observation, NDArray[np.float32]]):
         reward = float(self.episodes.step(one_action(action))[0])
         return self._observation(), reward, False, bool(self.episodes.ended[0]), {}
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         if self.render_mode is None:
             return None
         return self.episodes.simulations.portrait(0, *self.size)
@@ -76,7 +76,7 @@ class SoftFinger(gymnasium.Env[Observation, NDArray[np.float32]]):
         return {name: values[0] for name, values in self.episodes.observe().items()}
 
 
-class SoftFingerVector(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
+class SoftFingerVector(VectorEnv[Any, Any, Any]):
     """`num_envs` fingers, stepped in parallel. The step after an episode's end ignores the action and begins the next."""
 
     metadata = {
@@ -145,7 +145,9 @@ def check_render_mode(render_mode: str | None) -> None:
 def spaces(episodes: Episodes) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Box]:
     """The spaces of one environment's observations and actions."""
     bounds = episodes.bounds().items()
-    boxes = {name: gymnasium.spaces.Box(low, high, shape, kind) for name, (low, high, shape, kind) in bounds}
+    boxes: dict[str, gymnasium.Space[Any]] = {
+        name: gymnasium.spaces.Box(low, high, shape, kind) for name, (low, high, shape, kind) in bounds
+    }
     fastest = episodes.fastest.astype(np.float32)
     return gymnasium.spaces.Dict(boxes), gymnasium.spaces.Box(-fastest, fastest, dtype=np.float32)
 
@@ -157,8 +159,8 @@ def register() -> None:
         for suffix, arguments in {"": {}, **tasks}.items():
             gymnasium.register(
                 f"SoftFinger-{scenario.title()}{suffix}-v0",
-                entry_point=SoftFinger,
-                vector_entry_point=SoftFingerVector,
+                entry_point="harness.gymnasium:SoftFinger",
+                vector_entry_point="harness.gymnasium:SoftFingerVector",
                 kwargs={"scenario": scenario, **arguments},
             )
 

@@ -24,7 +24,7 @@ class State:
     contact_force: Array
     """Normal force on each link, averaged over the sample before, N, `[count, 20]`."""
     boxes: Array
-    """The boxes' middles in the world, m, `[count, boxes, 3]`."""
+    """Position (m) and orientation (quaternion) of the boxes in the world, `[count, boxes, 7]`."""
 
 
 class Task(ABC):
@@ -67,7 +67,7 @@ class Reach(Task):
 
     def reward(self, state: State, goal: Array) -> Array:
         nearness = np.exp(-distance(state.fingertip[:, :2], goal) / self.scale_m)
-        return np.where(state.contact_force[:, -1] > 0, 1.0, 0.5) * nearness
+        return np.asarray(np.where(state.contact_force[:, -1] > 0, 1.0, 0.5) * nearness)
 
 
 class Press(Task):
@@ -81,12 +81,12 @@ class Press(Task):
     goal_low, goal_high = (5.0,), (40.0,)
 
     def draw(self, random: np.random.Generator, start: State, index: int) -> Array:
-        return random.uniform(self.goal_low, self.goal_high)
+        return np.asarray(random.uniform(self.goal_low, self.goal_high))
 
     def reward(self, state: State, goal: Array) -> Array:
         wanted = goal[:, 0]
         off = np.abs(state.contact_force.sum(axis=1) - wanted) / wanted
-        return np.maximum(0.0, 1.0 - off)
+        return np.asarray(np.maximum(0.0, 1.0 - off))
 
 
 class Push(Task):

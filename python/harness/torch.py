@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from . import Dataset
@@ -54,5 +55,6 @@ class Transitions(torch.utils.data.Dataset[tuple[Observation, torch.Tensor, Obse
             return torch.from_numpy(self._planes(sample).copy())
         return torch.from_numpy(self.arrays[name][sample].copy())
 
-    def _planes(self, sample: int) -> np.ndarray:
-        return self.arrays["vision"][sample].transpose(2, 0, 1)
+    def _planes(self, sample: int) -> NDArray[np.uint8]:
+        planes: NDArray[np.uint8] = self.arrays["vision"][sample].transpose(2, 0, 1)
+        return planes

@@ -7,7 +7,7 @@ use harness::experiment::{ExperimentError, Laboratory};
 use harness::progress::{Progress, Silent};
 use harness::registry::{self, Provenance, Registry};
 use harness::spec;
-use polars::prelude::{CompatLevel, DataFrame};
+use polars::prelude::{CompatLevel, DataFrame, SchemaExt};
 use polars_arrow::array::StructArray;
 use polars_arrow::datatypes::{ArrowDataType, Field};
 use polars_arrow::ffi::{ArrowArrayStream, export_iterator};

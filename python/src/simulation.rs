@@ -3,7 +3,7 @@
 use crate::array::{Item, array, read};
 use crate::errors::Raise;
 use crate::work::belongs_here;
-use harness::simulation::{Batch, LiveSimulation, SimulationError};
+use harness::simulation::{Batch, LiveSimulation, Pose, SimulationError};
 use harness::spec::{
     self, ARM_JOINTS, FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, Modality, Scenario, Simulation,
 };
@@ -28,6 +28,9 @@ struct Work {
     batch: Batch,
     threads: Option<rayon::ThreadPool>,
 }
+
+/// Values of a box's pose.
+const POSE: usize = size_of::<Pose>() / size_of::<f64>();
 
 impl Work {
     fn on_its_threads<T: Send>(&mut self, work: impl FnOnce(&mut Batch) -> T + Send) -> T {
@@ -212,7 +215,7 @@ impl SimulationBatch {
     fn boxes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let places = |live: &LiveSimulation| live.boxes().flatten().collect::<Vec<f64>>();
         let values: Vec<f64> = self.lock()?.batch.simulations().iter().flat_map(places).collect();
-        let boxes = values.len() / 3 / self.count;
-        array(py, values, &[self.count, boxes, 3])
+        let boxes = values.len() / POSE / self.count;
+        array(py, values, &[self.count, boxes, POSE])
     }
 }

@@ -24,7 +24,7 @@ pub fn interruptible<T: Send>(
 ) -> PyResult<T> {
     own_process()?;
     std::thread::scope(|scope| {
-        let (done, over) = channel();
+        let (done, mut over) = channel();
         let worker = scope.spawn(move || {
             let result = work();
             // Nobody listens any more where the interpreter is ending.
@@ -32,7 +32,11 @@ pub fn interruptible<T: Send>(
             result
         });
         let mut raised = None;
-        while let Err(RecvTimeoutError::Timeout) = py.detach(|| over.recv_timeout(SIGNALS)) {
+        let mut wait = || {
+            let over = &mut over;
+            py.detach(move || over.recv_timeout(SIGNALS))
+        };
+        while let Err(RecvTimeoutError::Timeout) = wait() {
             if let Err(exception) = py.check_signals() {
                 raised.get_or_insert(exception);
                 cancel();
