@@ -1,6 +1,6 @@
 """Data that was recorded elsewhere as datasets of the harness: LeRobot datasets and plain Parquet files.
 
-    python -m harness.importing MAPPING.yaml
+    harness import MAPPING.yaml
 
 prints the name under which experiments find it: `scenarios: [lab_finger-0123456789abcdef]`. The mapping says which
 columns of the recording make up which modality:
@@ -412,13 +412,11 @@ def _digest(episode: Episode) -> str:
     return digest.hexdigest()
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m harness.importing", description="Imports a recording as a dataset"
-    )
+def main(words: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="harness import", description="Imports a recording as a dataset.")
     parser.add_argument("mapping", type=Path, help="YAML: what to import, and which columns are what")
     parser.add_argument("--results", type=Path, default=Path("results"), help="the results folder")
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(words)
     try:
         name = import_dataset(arguments.mapping, arguments.results)
     except KeyboardInterrupt:
