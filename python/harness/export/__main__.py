@@ -16,7 +16,9 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--format", choices=FORMATS, required=True)
     parser.add_argument("dataset", type=Path, help="the dataset's folder, as in results/datasets")
     parser.add_argument("output", type=Path, help="the folder to write; it must not exist")
-    parser.add_argument("--episodes", type=int, nargs="+", metavar="N", help="these episodes; all, if not given")
+    parser.add_argument(
+        "--episodes", type=int, nargs="+", metavar="N", help="these episodes; all, if not given"
+    )
     arguments = parser.parse_args(words)
     try:
         print(export(arguments.dataset, arguments.format, arguments.output, arguments.episodes))
