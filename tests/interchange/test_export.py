@@ -25,9 +25,7 @@ def copy(dataset: Path, target: Path) -> Path:
 
 
 def test_a_lerobot_dataset_opens_with_lerobot_and_holds_the_same(dataset, tmp_path):
-    pytest.importorskip(
-        "lerobot", reason="lerobot is not installed; it needs Python 3.12: setup/setup.sh --lerobot"
-    )
+    pytest.importorskip("lerobot", reason="lerobot is not installed; it needs Python 3.12: make interchange")
     from lerobot.datasets import LeRobotDataset
 
     output = export(dataset, "lerobot", tmp_path / "exported", progress=False)
@@ -185,7 +183,15 @@ def test_a_mistake_is_an_error_with_its_reason_and_leaves_nothing_behind(
 
 
 def test_the_command_says_what_is_wrong_in_one_line(dataset, tmp_path):
-    command = [sys.executable, "-m", "harness.export", "rerun", tmp_path / "nowhere", tmp_path / "exported"]
+    command = [
+        sys.executable,
+        "-m",
+        "harness.export",
+        "--format",
+        "rerun",
+        tmp_path / "nowhere",
+        tmp_path / "exported",
+    ]
     answer = subprocess.run(command, capture_output=True, text=True, check=False)
     assert answer.returncode == 1 and answer.stdout == ""
     assert answer.stderr.startswith("error: ") and answer.stderr.count("\n") == 1, answer.stderr
