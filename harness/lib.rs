@@ -2,8 +2,8 @@
 //!
 //! Data flows one way, and each room may use only those before it:
 //! spec, simulation, dataset, learning, metrics, registry. The story of an experiment is in [`experiment`];
-//! [`claims`] are judged by its results, and [`figures`] drawn of them. [`cli`] is the program, for its binary and for
-//! Python.
+//! [`claims`] are judged by its results, [`figures`] drawn of them, and a [`report`] tells it all. [`cli`] is the program,
+//! for its binary and for Python.
 
 // The command line names the library as any other user does.
 extern crate self as harness;
@@ -17,8 +17,10 @@ pub mod files;
 pub mod learning;
 pub mod memory;
 pub mod metrics;
+pub mod numbers;
 pub mod progress;
 pub mod registry;
+pub mod report;
 pub mod schema;
 pub mod seal;
 pub mod simulation;

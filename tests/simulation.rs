@@ -9,7 +9,7 @@ use harness::spec::{ARM_JOINTS, FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, JOINTS, S
 use mujoco_rs::prelude::*;
 use std::ffi::OsStr;
 use std::ops::ControlFlow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 const STEPS_PER_SAMPLE: usize = 100;
@@ -394,26 +394,60 @@ fn write_floats<'a>(path: &Path, values: impl IntoIterator<Item = &'a f64>) {
     std::fs::write(path, bytes).unwrap();
 }
 
-#[test]
-fn a_trajectory_is_pythons_bit_by_bit() {
-    for &scenario in Scenario::ALL {
+/// What the first short episode of a scenario is made of, as files for a script that simulates it again.
+struct Trajectory {
+    folder: tempfile::TempDir,
+    states: Vec<Vec<f64>>,
+}
+
+impl Trajectory {
+    fn of(scenario: Scenario) -> Self {
         let (scene, spec) = (scene(scenario), short());
         let states = replay(&scene, &spec, 0).unwrap();
         let course = Course::draw(&scene, &spec, 0).unwrap();
         let steps = (states.len() - 1) * STEPS_PER_SAMPLE + 1;
         let controls: Vec<_> = (0..steps).flat_map(|step| course.setpoint(step)).collect();
-        let folder = tempfile::tempdir().unwrap();
-        let file = |name: &str| folder.path().join(name);
-        std::fs::write(file("model.xml"), scene.xml()).unwrap();
-        write_floats(&file("start"), &states[0]);
-        write_floats(&file("controls"), &controls);
-        let paths = ["model.xml", "start", "controls", "positions"].map(file);
+        let trajectory = Self { folder: tempfile::tempdir().unwrap(), states };
+        write_floats(&trajectory.file("start"), &trajectory.states[0]);
+        write_floats(&trajectory.file("controls"), &controls);
+        trajectory
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// Runs a script on the repository's model file; it must arrive at the same positions, bit by bit.
+    fn assert_same(&self, scenario: Scenario, script: &str, options: &[&str]) {
+        let model = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("models/{scenario}.xml"));
+        let (start, controls, positions) =
+            (self.file("start"), self.file("controls"), self.file("positions"));
         let every = STEPS_PER_SAMPLE.to_string();
-        python("trajectory.py", &[&paths[0], &paths[1], &paths[2], &every, &paths[3]]);
-        let theirs = std::fs::read(&paths[3]).unwrap();
-        let ours: Vec<u8> = states.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
-        assert_eq!(states.len(), 100);
-        assert!(ours == theirs, "{scenario}: the trajectories differ");
+        let mut arguments: Vec<&dyn AsRef<OsStr>> = vec![&model, &start, &controls, &every];
+        arguments.extend(options.iter().map(|option| option as &dyn AsRef<OsStr>));
+        arguments.push(&positions);
+        python(script, &arguments);
+        let theirs = std::fs::read(&positions).unwrap();
+        let ours: Vec<u8> = self.states.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
+        assert_eq!(self.states.len(), 100);
+        assert!(ours == theirs, "{scenario}: the trajectory of {script} {options:?} differs");
+    }
+}
+
+#[test]
+fn a_trajectory_is_pythons_bit_by_bit() {
+    for &scenario in Scenario::ALL {
+        Trajectory::of(scenario).assert_same(scenario, "trajectory.py", &[]);
+    }
+}
+
+#[test]
+fn a_trajectory_is_dm_controls_bit_by_bit() {
+    for &scenario in Scenario::ALL {
+        let trajectory = Trajectory::of(scenario);
+        for stepping in ["legacy", "plain"] {
+            trajectory.assert_same(scenario, "dm_control_trajectory.py", &[stepping]);
+        }
     }
 }
 

@@ -1,11 +1,12 @@
 //! `harness claims`.
 
 use super::DONE;
-use super::table::{rounded, shown, wrapped};
+use super::table::{shown, wrapped};
 use anyhow::Result;
 use clap::Args;
 use harness::claims::{self, Judgement, Verdict};
 use harness::metrics::interval::Interval;
+use harness::numbers::rounded;
 use harness::registry::{self, Registry};
 use harness::spec::Scenario;
 use polars::prelude::{Column, DataFrame};
@@ -60,7 +61,7 @@ fn print(judgements: &[Judgement]) {
             format!("{} ({})\n{}", claim.paper, claim.section, claim.id()),
             claim.measured.clone(),
             lines(&|judgement| scenario(judgement).to_owned()),
-            lines(&|judgement| judgement.interval().map_or("-".into(), interval)),
+            lines(&|judgement| judgement.interval().map_or("-".into(), |interval| interval.to_string())),
             claim.condition.to_string(),
             lines(&|judgement| judgement.verdict().to_string()),
         ]
@@ -73,15 +74,6 @@ fn print(judgements: &[Judgement]) {
 
 fn scenario(judgement: &Judgement) -> &'static str {
     judgement.scenario.map_or("both", Scenario::name)
-}
-
-/// A mean and, in brackets, its interval.
-fn interval(interval: Interval) -> String {
-    let mean = rounded(interval.mean);
-    match interval.bounds {
-        Some((low, high)) if low < high => format!("{mean} [{}, {}]", rounded(low), rounded(high)),
-        _ => mean,
-    }
 }
 
 fn print_details(judgements: &[Judgement], quick: bool) {

@@ -9,6 +9,7 @@ mod interrupt;
 pub mod progress;
 mod publish;
 mod render;
+mod report;
 mod run;
 mod sheet;
 mod table;
@@ -108,6 +109,9 @@ stands half of the 95 % interval of the mean over seeds (Student's t). LaTeX nee
     /// Draw the paper's figures from the tables, as SVG and PNG, each with its numbers as CSV
     #[command(after_help = FIGURES_HELP)]
     Figures(figures::Figures),
+    /// Write a page to read: scenes, claims, results to look closer at, figures, training curves, runs
+    #[command(after_help = REPORT_HELP)]
+    Report(report::Report),
     /// Copy finished runs' tables to a folder that is small enough for version control
     #[command(after_help = "Examples:
   harness publish single_to_multi multi_to_multi
@@ -138,6 +142,14 @@ const FIGURES_HELP: &str = "Examples:
 Width: 8.5 cm, a journal's column. Letters are outlines, so no font is needed to show them.
 Runs: those of experiments/single_to_multi.yaml and multi_to_multi.yaml; what is missing is named.
 Where one of them has runs of several settings, the settings with the most runs are drawn.";
+
+const REPORT_HELP: &str = "Examples:
+  harness report
+  harness report --quick --out quick.html
+  harness report --results results/reference
+
+One HTML file that needs no network: open it in a browser, or send it. Runs are those of `harness figures` and \
+`harness claims`; what there are none for is named in the page.";
 
 /// Everything went well, or was done before.
 const DONE: u8 = 0;
@@ -188,6 +200,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Schema(schema) => schema.execute(),
         Command::Render(render) => render.execute(),
         Command::Figures(figures) => figures.execute(&registry),
+        Command::Report(report) => report.execute(&registry),
         Command::Publish(publish) => publish.execute(&registry),
         Command::Verify => verify::execute(&registry),
         Command::Doctor => doctor::execute(&registry, threads),
@@ -224,6 +237,10 @@ fn is_usage(error: &anyhow::Error) -> bool {
             Some(QueryError::Sql(_) | QueryError::Refused(_) | QueryError::Format(_))
         )
         || matches!(error.downcast_ref(), Some(SimulationError::PictureSize { .. }))
+        || matches!(
+            error.downcast_ref(),
+            Some(ExperimentError::Dataset(DatasetError::NotImported { .. } | DatasetError::Lacks { .. }))
+        )
         || matches!(error.downcast_ref(), Some(ExperimentError::Learning(LearningError::Device { .. })))
         || matches!(
             error.downcast_ref(),

@@ -1,6 +1,7 @@
 //! Tables on the terminal.
 
 use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
+use harness::numbers::rounded;
 use polars::prelude::{AnyValue, DataFrame};
 use std::path::Path;
 
@@ -53,19 +54,6 @@ fn cell(value: AnyValue) -> String {
         AnyValue::Binary(bytes) => format!("{} bytes", bytes.len()),
         other => other.to_string(),
     }
-}
-
-/// A number to four significant digits.
-pub fn rounded(value: f64) -> String {
-    if value == 0.0 || !value.is_finite() {
-        return value.to_string();
-    }
-    let magnitude = value.abs().log10().floor() as i32;
-    if !(-4..9).contains(&magnitude) {
-        return format!("{value:.3e}");
-    }
-    let decimals = (3 - magnitude).clamp(0, 8) as usize;
-    format!("{value:.decimals$}")
 }
 
 /// A path as it is shown: absolute where that can be found out.

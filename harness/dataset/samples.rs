@@ -8,8 +8,9 @@ use std::ops::Range;
 pub const FRAME_PLANE: usize = FRAME_SIDE * FRAME_SIDE;
 
 /// All samples of a dataset, episode after episode.
-#[derive(Debug, Default, Clone)]
+#[derive(Debug, Clone)]
 pub struct Samples {
+    pub(super) is_simulated: bool,
     /// Where each episode's samples lie, in the order of the episodes.
     episodes: Vec<Range<usize>>,
     proprioception: Vec<f32>,
@@ -32,6 +33,7 @@ impl Samples {
     /// An empty dataset with room for `samples`, with frames if `frames`.
     pub fn with_capacity(samples: usize, frames: bool) -> Self {
         Self {
+            is_simulated: true,
             episodes: Vec::new(),
             proprioception: Vec::with_capacity(samples * JOINTS),
             arm: Vec::with_capacity(samples * ARM_JOINTS),
@@ -66,6 +68,11 @@ impl Samples {
     /// Whether its frames were loaded.
     pub fn has_frames(&self) -> bool {
         !self.vision.is_empty()
+    }
+
+    /// Whether the frames show the simulated robot, whose parts are told by their colours.
+    pub fn is_simulated(&self) -> bool {
+        self.is_simulated
     }
 
     pub fn is_empty(&self) -> bool {

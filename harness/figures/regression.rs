@@ -6,7 +6,7 @@ use super::source::{Runs, Source, Study, integers, intervals, reals};
 use super::{Drawing, FigureError};
 use crate::metrics::Direction;
 use crate::metrics::interval::Interval;
-use crate::spec::{JOINTS, Modality, Scenario};
+use crate::spec::{Modality, Scenario};
 use polars::prelude::*;
 use std::collections::BTreeMap;
 
@@ -15,11 +15,6 @@ const POINTS: usize = 300;
 const LEFT: f64 = 33.0;
 const GAP: f64 = 5.0;
 const SIDE: f64 = (COLUMN - LEFT - 4.0 - 2.0 * GAP) / 3.0;
-
-/// The last joint, or link, of a direction.
-fn fingertip(direction: Direction) -> usize {
-    (0..JOINTS).rev().find(|joint| Direction::of(*joint) == direction).unwrap_or_default()
-}
 
 fn look(direction: Direction) -> Look {
     match direction {
@@ -117,7 +112,7 @@ fn r2_words(r2: &Interval) -> String {
 }
 
 fn predictions(runs: &Runs, modality: Modality, panel: &str) -> Result<Predictions, FigureError> {
-    let tips = Direction::ALL.map(fingertip);
+    let tips = Direction::ALL.map(Direction::fingertip);
     let place = format!(
         "{{runs}} and scenario = '{}' and task = 'prediction' and modality = '{modality}' and index in ({}, {})",
         Scenario::Cluttered,

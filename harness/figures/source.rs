@@ -79,7 +79,7 @@ impl<'a> Source<'a> {
             let root = self.registry.root().to_owned();
             return Err(FigureError::NoRuns { experiment, root, command });
         };
-        records.sort_by_key(|record| (record.spec.scenario, record.spec.latent, record.spec.seed));
+        records.sort_by_key(|record| (record.spec.scenario.clone(), record.spec.latent, record.spec.seed));
         Ok(Runs { registry: self.registry, experiment, records, command })
     }
 }
@@ -89,7 +89,7 @@ fn settings(spec: &RunSpec) -> String {
     let mut spec = spec.clone();
     spec.seed = 0;
     spec.latent = 0;
-    spec.scenario = crate::spec::Scenario::ALL[0];
+    spec.scenario = crate::spec::Scenario::ALL[0].into();
     spec.hash()
 }
 

@@ -1,6 +1,8 @@
 //! How far a mean over seeds can be trusted.
 
+use crate::numbers::rounded;
 use statrs::distribution::{ContinuousCDF, StudentsT};
+use std::fmt;
 
 /// The level of the intervals in figures and tables.
 pub const LEVEL: f64 = 0.95;
@@ -22,6 +24,17 @@ impl Interval {
     /// Upper end, or the mean where there are no bounds.
     pub fn high(&self) -> f64 {
         self.bounds.map_or(self.mean, |(_, high)| high)
+    }
+}
+
+/// The mean and, in brackets, the bounds if they differ: `0.9552 [0.9510, 0.9594]`.
+impl fmt::Display for Interval {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(&rounded(self.mean))?;
+        match self.bounds {
+            Some((low, high)) if low < high => write!(f, " [{}, {}]", rounded(low), rounded(high)),
+            _ => Ok(()),
+        }
     }
 }
 

@@ -16,7 +16,7 @@ pub use error::MetricsError;
 use error::{check_finite, check_samples, rows};
 pub use series::Series;
 
-use crate::spec::Modality;
+use crate::spec::{JOINTS, Modality};
 use parts::Part;
 use std::slice::from_ref;
 
@@ -35,6 +35,11 @@ impl Direction {
     /// Direction of the finger's `joint`, counted from 0 at the base.
     pub fn of(joint: usize) -> Direction {
         Self::ALL[joint % 2]
+    }
+
+    /// The last joint, or link, of this direction.
+    pub fn fingertip(self) -> usize {
+        (0..JOINTS).rev().find(|joint| Direction::of(*joint) == self).unwrap_or_default()
     }
 
     /// The name in tables: the paper's subscripts.

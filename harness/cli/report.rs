@@ -1,0 +1,38 @@
+//! `harness report`.
+
+use super::DONE;
+use super::progress::Bars;
+use super::table::shown;
+use anyhow::Result;
+use clap::Args;
+use harness::files::write_bytes;
+use harness::registry::Registry;
+use harness::{claims, report};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[derive(Args)]
+pub struct Report {
+    /// The page
+    #[arg(long, value_name = "FILE", default_value = "report.html")]
+    out: PathBuf,
+    /// The file of claims
+    #[arg(long, value_name = "FILE", default_value = "experiments/claims.yaml")]
+    claims: PathBuf,
+    /// Report on the experiments' quick runs
+    #[arg(long)]
+    quick: bool,
+}
+
+impl Report {
+    pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        let claims = claims::load(&self.claims)?;
+        let page = report::page(registry, &claims, self.quick, &Bars::default())?;
+        write_bytes(&self.out, page.as_bytes())?;
+        for error in registry.damaged() {
+            eprintln!("warning: a run is left out: {error}");
+        }
+        println!("{}, {:.1} MB", shown(&self.out), page.len() as f64 / 1e6);
+        Ok(ExitCode::from(DONE))
+    }
+}

@@ -1,0 +1,137 @@
+//! How well each joint's angle and each link's force is predicted.
+
+use super::{Absent, Part, part, short};
+use crate::figures::FigureError;
+use crate::figures::source::{Runs, Source, Study};
+use crate::metrics::interval::{Interval, LEVEL, mean_interval};
+use crate::registry::rows;
+use crate::spec::{JOINTS, Modality, Scenario, Task};
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// A mean over seeds and, with several of them, the ends of its interval.
+pub type Value = Vec<f64>;
+
+/// A metric of one cell, or of a baseline.
+#[derive(Serialize)]
+pub struct Series {
+    #[serde(flatten)]
+    of: Of,
+    /// How many seeds the means are over.
+    seeds: usize,
+    /// By joint or link; null where the metric isn't defined.
+    values: Vec<Option<Value>>,
+    /// Of all joints or links of a direction, and of all: `fe`, `aa`, `all`.
+    overall: BTreeMap<String, Value>,
+}
+
+/// What a series is about.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+struct Of {
+    task: Task,
+    modality: Modality,
+    metric: String,
+    scenario: Scenario,
+    /// A baseline has none.
+    latent: Option<u64>,
+    /// What the networks are given.
+    study: &'static str,
+    input: &'static str,
+    model: String,
+    unit: String,
+}
+
+/// A row of the metrics table.
+#[derive(Deserialize)]
+struct Row {
+    task: Task,
+    modality: Modality,
+    metric: String,
+    scenario: Scenario,
+    latent: u64,
+    seed: u64,
+    model: String,
+    unit: String,
+    direction: Option<String>,
+    index: Option<usize>,
+    value: Option<f64>,
+}
+
+/// A value's place in its series.
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+enum Place {
+    Joint(usize),
+    Overall(String),
+}
+
+/// The series of both studies, and the studies without runs.
+///
+/// # Errors
+/// When a table can't be read.
+pub fn series(source: &Source) -> Result<(Vec<Series>, BTreeSet<Absent>), FigureError> {
+    let (mut series, mut absent) = (Vec::new(), BTreeSet::new());
+    for study in Study::BOTH {
+        match part(source.runs(study).and_then(|runs| of_study(&runs, study)))? {
+            Part::There(more) => series.extend(more),
+            Part::Absent(reason) => drop(absent.insert(reason)),
+        }
+    }
+    Ok((series, absent))
+}
+
+fn of_study(runs: &Runs, study: Study) -> Result<Vec<Series>, FigureError> {
+    let mut answer = runs.query(
+        "select task, modality, metric, scenario, latent, seed, model, unit, direction, index, value from metrics \
+         where {runs} and modality in ('proprioception', 'contact_force') \
+         and model in ('network', 'persistence', 'ridge')",
+    )?;
+    let mut values: BTreeMap<Of, BTreeMap<Place, BTreeMap<u64, f64>>> = BTreeMap::new();
+    for row in rows::<Row>(&mut answer)? {
+        let is_network = row.model == "network";
+        let of = Of {
+            task: row.task,
+            modality: row.modality,
+            metric: row.metric,
+            scenario: row.scenario,
+            latent: is_network.then_some(row.latent),
+            study: study.name(),
+            input: study.input(),
+            model: row.model,
+            unit: row.unit,
+        };
+        let place = match row.index {
+            Some(joint) => Place::Joint(joint),
+            None => Place::Overall(row.direction.unwrap_or_else(|| "all".into())),
+        };
+        // A baseline has no seed: every run repeats its value.
+        let seed = if is_network { row.seed } else { 0 };
+        if let Some(value) = row.value {
+            values.entry(of).or_default().entry(place).or_default().insert(seed, value);
+        }
+    }
+    Ok(values.into_iter().map(|(of, places)| Series::new(of, places)).collect())
+}
+
+impl Series {
+    fn new(of: Of, places: BTreeMap<Place, BTreeMap<u64, f64>>) -> Self {
+        let mut series = Self { of, seeds: 0, values: vec![None; JOINTS], overall: BTreeMap::new() };
+        for (place, seeds) in places {
+            series.seeds = series.seeds.max(seeds.len());
+            let Some(interval) = mean_interval(&seeds.into_values().collect::<Vec<_>>(), LEVEL) else {
+                continue;
+            };
+            match place {
+                Place::Joint(joint) if joint < JOINTS => series.values[joint] = Some(value(&interval)),
+                Place::Joint(_) => {}
+                Place::Overall(direction) => drop(series.overall.insert(direction, value(&interval))),
+            }
+        }
+        series
+    }
+}
+
+/// An interval as the script takes it.
+pub fn value(interval: &Interval) -> Value {
+    let ends = interval.bounds.into_iter().flat_map(|(low, high)| [low, high]);
+    std::iter::once(interval.mean).chain(ends).map(short).collect()
+}

@@ -1,0 +1,534 @@
+"use strict";
+// What moves on the page: clips, and charts to look closer at. Numbers come from the JSON beside this script.
+{
+const data = JSON.parse(document.getElementById("data").textContent);
+const SVG = "http://www.w3.org/2000/svg";
+
+/** An element with attributes and children; text is set as text, so nothing in the tables can become HTML. */
+function element(name, attributes = {}, ...children) {
+  return fill(document.createElement(name), attributes, children);
+}
+
+function shape(name, attributes = {}, ...children) {
+  return fill(document.createElementNS(SVG, name), attributes, children);
+}
+
+function fill(made, attributes, children) {
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+}
+
+/** A number to four significant digits. */
+function rounded(value) {
+  return String(Number(value.toPrecision(4))).replace("-", "\u2212");
+}
+
+/** A mean and, in brackets, its interval. */
+function interval([mean, low, high]) {
+  return low === undefined ? rounded(mean) : `${rounded(mean)} [${rounded(low)}, ${rounded(high)}]`;
+}
+
+function distinct(values) {
+  const all = [...new Set(values)];
+  return all.every((value) => typeof value === "number") ? all.sort((a, b) => a - b) : all;
+}
+
+// --- Clips ---
+
+/** Plays a clip's pictures at the speed of the simulation, over and over. */
+class Clip {
+  constructor(figure, clip) {
+    this.clip = clip;
+    this.picture = figure.querySelector("img");
+    this.button = figure.querySelector("button");
+    this.slider = figure.querySelector("input");
+    this.output = figure.querySelector("output");
+    this.slider.max = clip.frames.length - 1;
+    this.slider.addEventListener("input", () => this.show(Number(this.slider.value)));
+    this.button.addEventListener("click", () => (this.timer ? this.pause() : this.play()));
+    figure.querySelector(".controls").hidden = false;
+    this.show(0);
+  }
+
+  show(frame) {
+    this.picture.src = `data:image/jpeg;base64,${this.clip.frames[frame]}`;
+    this.slider.value = frame;
+    const time = `${(frame * this.clip.seconds).toFixed(1)} s`;
+    this.output.textContent = time;
+    this.slider.setAttribute("aria-valuetext", time);
+  }
+
+  play() {
+    const next = () => this.show((Number(this.slider.value) + 1) % this.clip.frames.length);
+    this.timer = setInterval(next, 1000 * this.clip.seconds);
+    this.button.textContent = "Pause";
+  }
+
+  pause() {
+    clearInterval(this.timer);
+    this.timer = undefined;
+    this.button.textContent = "Play";
+  }
+}
+
+// --- Choices ---
+
+/**
+ * Selects for the fields of rows. Each offers the values of those rows that fit the selects before it, and keeps what
+ * was chosen where it can.
+ *
+ * A field has a `key` of the rows and a `label`, and may have `words` (what a value is called), `first` (the value to
+ * begin with), `values` (what there is to choose, where it isn't a key of the rows) and `unless` (whether what was
+ * chosen before makes it pointless).
+ */
+class Choices {
+  constructor(place, rows, fields, changed) {
+    this.rows = rows;
+    this.changed = changed;
+    this.fields = fields.map((field) => {
+      const select = element("select");
+      return { ...field, select, place: element("label", {}, field.label, select) };
+    });
+    place.append(element("div", { class: "choices" }, ...this.fields.map((field) => field.place)));
+    for (const field of this.fields) {
+      field.select.addEventListener("change", () => {
+        field.chosen = field.offered[field.select.selectedIndex];
+        this.update();
+      });
+    }
+    this.update();
+  }
+
+  update() {
+    let left = this.rows;
+    const chosen = {};
+    for (const field of this.fields) {
+      field.place.hidden = field.unless?.(chosen) ?? false;
+      if (field.place.hidden) continue;
+      field.offered = field.values ?? distinct(left.map((row) => row[field.key]).filter((value) => value !== null));
+      const wanted = [field.chosen, field.first].find((value) => field.offered.includes(value)) ?? field.offered[0];
+      const words = field.words ?? String;
+      const option = (value) => new Option(words(value), value, false, value === wanted);
+      field.select.replaceChildren(...field.offered.map(option));
+      chosen[field.key] = wanted;
+      // A row without a value fits all, as a baseline does every latent size.
+      if (!field.values) left = left.filter((row) => row[field.key] === null || row[field.key] === wanted);
+    }
+    this.changed(chosen, left);
+  }
+}
+
+// --- Charts ---
+
+const MARGIN = { left: 58, right: 14, top: 10, bottom: 46 };
+
+/** Round values from low to high, about as many as asked for. */
+function ticks(low, high, count) {
+  const rough = (high - low) / count;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map((factor) => factor * power).find((step) => step >= rough * 0.999);
+  const first = Math.ceil(low / step - 1e-6);
+  const last = Math.floor(high / step + 1e-6);
+  return Array.from({ length: last - first + 1 }, (_, index) => (first + index) * step);
+}
+
+/** Powers of ten from low to high, and their multiples where there are few. */
+function logarithmicTicks(low, high) {
+  const all = [];
+  const few = Math.log10(high / low) < 2.5;
+  for (let power = Math.floor(Math.log10(low)); power <= Math.log10(high); power += 1) {
+    for (const factor of few ? [1, 2, 5] : [1]) all.push(factor * 10 ** power);
+  }
+  return all.filter((tick) => tick >= low * 0.999 && tick <= high * 1.001);
+}
+
+function mark(kind, hollow, [x, y]) {
+  const look = { class: hollow ? "mark hollow" : "mark" };
+  if (kind === "square") return shape("rect", { ...look, x: x - 3.2, y: y - 3.2, width: 6.4, height: 6.4 });
+  if (kind === "beyond") return shape("path", { ...look, d: `M${x - 4} ${y - 3}h8l-4 6z` });
+  return shape("circle", { ...look, cx: x, cy: y, r: kind === "dot" ? 2.6 : 3.6 });
+}
+
+/**
+ * A chart as wide as its place. The pointer, a touch or the arrow keys show the values of a point.
+ *
+ * What it shows has axes `x` and `y` (`label`, `low`, `high`, and `ticks` or `logarithmic`) and `series`, each with a
+ * `name`, a `look` (classes of the style sheet), `line` and `kind` (of its marks), and `points` with `x`, `y`, the
+ * ends of an interval `bounds`, and `says`, lines for the tooltip. Series without a name can't be pointed at.
+ */
+class Chart {
+  constructor(place, name) {
+    this.name = name;
+    this.legend = element("ul", { class: "legend" });
+    this.tooltip = element("div", { class: "tooltip", role: "status", hidden: "" });
+    this.plot = element("div", { class: "plot" }, this.tooltip);
+    place.append(this.legend, this.plot);
+    new ResizeObserver(() => this.content && this.plot.clientWidth !== this.width && this.draw()).observe(this.plot);
+  }
+
+  show(content) {
+    this.content = content;
+    this.draw();
+    const named = content.series.filter((series) => series.name);
+    const entries = named.filter((series, index) => named.findIndex((other) => other.name === series.name) === index);
+    this.legend.replaceChildren(...entries.map((series) => element("li", {}, swatch(series), series.name)));
+  }
+
+  draw() {
+    const { x, y, series, square } = this.content;
+    this.width = this.plot.clientWidth;
+    const height = square ? Math.min(this.width, 520) : Math.max(260, Math.min(420, this.width * 0.5));
+    const width = square ? Math.min(this.width, 560) : this.width;
+    const right = width - MARGIN.right;
+    const bottom = height - MARGIN.bottom;
+    const place = (axis, from, to) => {
+      const of = axis.logarithmic ? Math.log : (value) => value;
+      const part = (value) => (of(value) - of(axis.low)) / (of(axis.high) - of(axis.low));
+      return (value) => from + part(Math.min(Math.max(value, axis.low), axis.high)) * (to - from);
+    };
+    const [across, up] = [place(x, MARGIN.left, right), place(y, bottom, MARGIN.top)];
+
+    const svg = shape("svg", {
+      viewBox: `0 0 ${width} ${height}`, width, height, tabindex: 0, role: "group",
+      "aria-label": `${this.name}: ${y.label} over ${x.label}. Arrow keys go from point to point.`,
+    });
+    svg.style.maxWidth = `${width}px`;
+    for (const tick of y.logarithmic ? logarithmicTicks(y.low, y.high) : ticks(y.low, y.high, 5)) {
+      svg.append(shape("path", { class: "grid", d: `M${MARGIN.left} ${up(tick)}H${right}` }));
+      svg.append(shape("text", { x: MARGIN.left - 7, y: up(tick) + 4, "text-anchor": "end" }, rounded(tick)));
+    }
+    const steps = x.ticks ?? ticks(x.low, x.high, width < 480 ? 4 : 8).map((at) => ({ at, text: rounded(at) }));
+    for (const { at, text } of steps) {
+      svg.append(shape("text", { x: across(at), y: bottom + 18, "text-anchor": "middle" }, text));
+    }
+    const middle = (MARGIN.left + right) / 2;
+    svg.append(shape("text", { class: "label", x: middle, y: height - 8, "text-anchor": "middle" }, x.label));
+    const turn = `translate(13 ${(MARGIN.top + bottom) / 2}) rotate(-90)`;
+    svg.append(shape("text", { class: "label", transform: turn, "text-anchor": "middle" }, y.label));
+    svg.append(shape("path", { class: "axis", d: `M${MARGIN.left} ${bottom}H${right}` }));
+    if (square) {
+      svg.append(shape("path", { class: "diagonal", d: `M${across(x.low)} ${up(x.low)}L${across(x.high)} ${up(x.high)}` }));
+    }
+    this.points = series.map((one) => this.drawSeries(svg, one, across, up, y));
+    this.cursor = shape("circle", { class: "cursor", r: 7, visibility: "hidden" });
+    svg.append(this.cursor);
+    this.listen(svg);
+    this.plot.replaceChildren(svg, this.tooltip);
+    this.hide();
+  }
+
+  /** Draws a series and returns where its points lie, if it has a name. */
+  drawSeries(svg, series, across, up, y) {
+    const group = shape("g", { class: `series ${series.look}` });
+    const points = series.points.filter((point) => point.y !== null && point.y !== undefined);
+    const places = points.map((point) => [across(point.x), up(point.y)]);
+    if (series.line) {
+      const path = places.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join("L");
+      if (path) group.append(shape("path", { class: `line ${series.dash ?? ""}`, d: `M${path}` }));
+    }
+    points.forEach((point, index) => {
+      if (point.bounds) {
+        const [low, high] = point.bounds.map(up);
+        group.append(shape("path", { class: "bar", d: `M${places[index][0]} ${low}V${high}` }));
+      }
+      const beyond = point.y < y.low || point.y > y.high;
+      if (series.kind) group.append(mark(beyond ? "beyond" : series.kind, series.hollow, places[index]));
+    });
+    svg.append(group);
+    return series.name ? points.map((point, index) => ({ ...point, place: places[index] })) : [];
+  }
+
+  listen(svg) {
+    const nearest = (event) => {
+      const box = svg.getBoundingClientRect();
+      const [x, y] = [event.clientX - box.left, event.clientY - box.top];
+      let best = { distance: 40 };
+      this.points.forEach((points, series) => points.forEach(({ place }, point) => {
+        const distance = Math.hypot(place[0] - x, place[1] - y);
+        if (distance < best.distance) best = { distance, series, point };
+      }));
+      if (best.series === undefined) this.hide();
+      else this.point(best.series, best.point);
+    };
+    svg.addEventListener("pointermove", nearest);
+    svg.addEventListener("pointerdown", nearest);
+    svg.addEventListener("pointerleave", () => this.hide());
+    svg.addEventListener("blur", () => this.hide());
+    svg.addEventListener("keydown", (event) => this.key(event));
+  }
+
+  key(event) {
+    if (event.key === "Escape") return this.hide();
+    const sides = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [-1, 0], ArrowDown: [1, 0] };
+    const move = sides[event.key];
+    const full = this.points.map((points, index) => index).filter((index) => this.points[index].length > 0);
+    if (!move || full.length === 0) return undefined;
+    event.preventDefault();
+    const { series, point } = this.at ?? { series: full[0], point: -move[1] };
+    const next = full[(full.indexOf(series) + move[0] + full.length) % full.length];
+    const last = this.points[next].length - 1;
+    return this.point(next, Math.min(Math.max(point + move[1], 0), last));
+  }
+
+  point(series, point) {
+    this.at = { series, point };
+    const { place: [x, y], says } = this.points[series][point];
+    fill(this.cursor, { cx: x, cy: y, visibility: "visible" }, []);
+    const name = element("b", {}, this.content.series[series].name);
+    this.tooltip.replaceChildren(name, ...says.map((line) => element("span", {}, line)));
+    this.tooltip.hidden = false;
+    const [width, height] = [this.tooltip.offsetWidth, this.tooltip.offsetHeight];
+    const left = x + 14 + width > this.width ? x - 14 - width : x + 14;
+    this.tooltip.style.left = `${Math.max(0, Math.min(left, this.width - width))}px`;
+    this.tooltip.style.top = `${Math.max(0, y - height - 10)}px`;
+  }
+
+  hide() {
+    this.at = undefined;
+    this.tooltip.hidden = true;
+    this.cursor.setAttribute("visibility", "hidden");
+  }
+}
+
+/** What a series looks like, for the legend. */
+function swatch(series) {
+  const group = shape("g", { class: `series ${series.look}` });
+  if (series.line) group.append(shape("path", { class: `line ${series.dash ?? ""}`, d: "M1 7H27" }));
+  if (series.kind) group.append(mark(series.kind, series.hollow, [14, 7]));
+  return shape("svg", { width: 28, height: 14, "aria-hidden": "true" }, group);
+}
+
+// --- Words ---
+
+const DIRECTIONS = { fe: "flexion/extension", aa: "adduction/abduction" };
+const directionOf = (joint) => (joint % 2 === 0 ? "fe" : "aa");
+const METRICS = { r2: "R\u00b2", rmse: "RMSE", mae: "MAE", smape: "SMAPE", wmape: "WMAPE" };
+const MODELS = { persistence: "persistence", ridge: "ridge regression" };
+const MODALITIES = { proprioception: "joint angles", contact_force: "contact forces" };
+const spaced = (name) => name.replaceAll("_", " ");
+const modalityWords = (name) => MODALITIES[name] ?? spaced(name);
+const withUnit = (words, unit) => (unit === "1" ? words : `${words} (${unit})`);
+const seedWords = (seeds) => (seeds === 1 ? "one seed" : `mean over ${seeds} seeds [95 % interval]`);
+const colourOf = (study) => (study === "single_to_multi" ? "first" : "second");
+
+// --- By joint and link ---
+
+const BOTH = "both";
+
+/** Names and looks of a row's line in one direction. */
+function lookOf(row, direction) {
+  const lateral = direction === "aa";
+  const words = row.model === "network" ? row.input : `${MODELS[row.model] ?? spaced(row.model)}`;
+  const baseline = { persistence: "baseline", ridge: "third" }[row.model] ?? "fourth";
+  return {
+    name: `${words}, ${DIRECTIONS[direction]}`,
+    look: row.model === "network" ? colourOf(row.study) : baseline,
+    dash: row.model !== "network" ? "dotted" : lateral ? "dashed" : "",
+    kind: lateral ? "square" : "disc",
+    hollow: lateral,
+    line: true,
+  };
+}
+
+/** Of baselines that both studies share, one. */
+function withoutTwins(rows) {
+  const seen = new Set();
+  return rows.filter((row) => {
+    if (row.model === "network") return true;
+    const key = JSON.stringify([row.model, row.values]);
+    return !seen.has(key) && seen.add(key);
+  });
+}
+
+function valuePoint(x, value, row, says) {
+  const unit = row.unit === "1" ? "" : ` ${row.unit}`;
+  const line = `${METRICS[row.metric] ?? row.metric} ${interval(value)}${unit}`;
+  const seeds = row.model === "network" ? [seedWords(row.seeds)] : [];
+  return { x, y: value[0], bounds: value.length > 1 ? value.slice(1) : undefined, says: [says, line, ...seeds] };
+}
+
+/** The ends of the axis of a metric. */
+function valueAxis(rows, points) {
+  const { metric, unit } = rows[0];
+  const label = withUnit(METRICS[metric] ?? metric, unit);
+  const means = points.map((point) => point.y);
+  const ends = points.flatMap((point) => point.bounds ?? [point.y]);
+  // R2 has no lower bound, and where it is below -1 it matters little by how much.
+  if (metric === "r2") return { label, low: Math.max(-1, Math.min(0, ...ends)), high: 1 };
+  const most = Math.max(...means);
+  return { label, low: 0, high: Math.max(most, Math.min(Math.max(...ends), 1.3 * most)) * 1.04 || 1 };
+}
+
+function jointSeries(rows, directions) {
+  return rows.flatMap((row) => directions.map((direction) => {
+    const places = row.values.map((value, joint) => ({ value, joint }));
+    const some = places.filter(({ value, joint }) => value && directionOf(joint) === direction);
+    const part = row.modality === "proprioception" ? "joint" : "link";
+    const cell = row.latent === null ? "" : `, latent size ${row.latent}`;
+    const says = (joint) => `${part} ${joint}${cell}`;
+    const points = some.map(({ value, joint }) => valuePoint(joint, value, row, says(joint)));
+    return { ...lookOf(row, direction), points };
+  })).filter((series) => series.points.length > 0);
+}
+
+/** Over latent sizes: all joints or links of a direction together. A baseline is the same at each. */
+function latentSeries(rows, directions, latents) {
+  const lines = new Map();
+  for (const row of rows) {
+    for (const direction of directions) {
+      const value = row.overall[direction];
+      if (!value) continue;
+      const look = lookOf(row, direction);
+      const line = lines.get(look.name) ?? { ...look, points: [] };
+      const places = row.latent === null ? latents.map((_, place) => place) : [latents.indexOf(row.latent)];
+      const says = (place) => (row.latent === null ? "at every latent size" : `latent size ${latents[place]}`);
+      line.points.push(...places.map((place) => valuePoint(place, value, row, says(place))));
+      if (row.latent === null) line.kind = undefined;
+      lines.set(look.name, line);
+    }
+  }
+  return [...lines.values()];
+}
+
+/** The latent size that most studies have; the smallest of several. */
+function sharedLatent(rows) {
+  const latents = distinct(rows.map((row) => row.latent).filter((latent) => latent !== null));
+  const studies = (latent) => distinct(rows.filter((row) => row.latent === latent).map((row) => row.study)).length;
+  return latents.reduce((best, latent) => (studies(latent) > studies(best) ? latent : best), latents[0]);
+}
+
+function showJoints(place) {
+  let chart;
+  const over = { joint: "joint or link", latent: "latent size" };
+  const fields = [
+    { key: "task", label: "Task" },
+    { key: "modality", label: "Of", words: modalityWords },
+    { key: "metric", label: "Metric", first: "r2", words: (name) => METRICS[name] ?? spaced(name) },
+    { key: "scenario", label: "Scenario", first: "cluttered" },
+    { key: "direction", label: "Direction", values: [BOTH, "fe", "aa"], words: (name) => DIRECTIONS[name] ?? name },
+    { key: "over", label: "Over", values: Object.keys(over), words: (name) => over[name] },
+    { key: "latent", label: "Latent size", first: sharedLatent(data.joints), unless: (chosen) => chosen.over === "latent" },
+  ];
+  new Choices(place, data.joints, fields, (chosen, left) => {
+    chart ??= new Chart(place, "Predictions by joint and link");
+    const directions = chosen.direction === BOTH ? Object.keys(DIRECTIONS) : [chosen.direction];
+    const alike = data.joints.filter((row) => ["task", "modality", "metric", "scenario"].every((key) => row[key] === chosen[key]));
+    const latents = distinct(alike.map((row) => row.latent).filter((latent) => latent !== null));
+    const byLatent = chosen.over === "latent";
+    const rows = withoutTwins(byLatent ? alike : left);
+    const series = byLatent ? latentSeries(rows, directions, latents) : jointSeries(rows, directions);
+    const part = chosen.modality === "proprioception" ? "joint" : "link";
+    const narrow = place.clientWidth < 480;
+    const joints = Array.from({ length: 20 }, (_, joint) => ({ at: joint, text: narrow && joint % 2 ? "" : String(joint) }));
+    const x = byLatent
+      ? { label: "latent size", low: -0.4, high: latents.length - 0.6, ticks: latents.map((latent, at) => ({ at, text: String(latent) })) }
+      : { label: `${part}, 0 at the base, 19 at the tip`, low: -0.5, high: 19.5, ticks: joints };
+    chart.show({ x, y: valueAxis(rows, series.flatMap((one) => one.points)), series });
+  });
+}
+
+// --- Prediction over reference ---
+
+function showRegression(place) {
+  let chart;
+  const inputs = new Map(data.regression.map((cloud) => [cloud.study, cloud.input]));
+  const fields = [
+    { key: "modality", label: "Of", words: modalityWords },
+    { key: "study", label: "Predicted", words: (study) => inputs.get(study) },
+    { key: "scenario", label: "Scenario", first: "cluttered" },
+    { key: "latent", label: "Latent size", first: sharedLatent(data.regression) },
+    { key: "direction", label: "Direction", values: [BOTH, "fe", "aa"], words: (name) => DIRECTIONS[name] ?? name },
+  ];
+  new Choices(place, data.regression, fields, (chosen, left) => {
+    chart ??= new Chart(place, "Prediction over reference");
+    const clouds = left.filter((cloud) => chosen.direction === BOTH || directionOf(cloud.index) === chosen.direction);
+    const series = clouds.map((cloud) => cloudSeries(cloud));
+    // The same axes for all that is comparable.
+    const alike = data.regression.filter((cloud) => ["modality", "scenario"].every((key) => cloud[key] === chosen[key]));
+    const values = alike.flatMap((cloud) => cloud.points.flatMap(([, , reference, predicted]) => [reference, predicted]));
+    const [low, high] = [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))];
+    const margin = (high - low) * 0.04 || 1;
+    const axis = (words) => ({ label: withUnit(words, clouds[0]?.unit ?? "1"), low: low - margin, high: high + margin });
+    chart.show({ x: axis("reference"), y: axis("predicted"), square: true, series });
+  });
+}
+
+function cloudSeries(cloud) {
+  const direction = directionOf(cloud.index);
+  const part = cloud.modality === "proprioception" ? "joint" : "link";
+  const r2 = cloud.r2 ? `, R\u00b2 ${interval(cloud.r2)}` : "";
+  // By reference, so that the arrow keys go from left to right.
+  const samples = [...cloud.points].sort((a, b) => a[2] - b[2]);
+  const points = samples.map(([episode, sample, reference, predicted]) => ({
+    x: reference,
+    y: predicted,
+    says: [
+      `reference ${rounded(reference)} ${cloud.unit}`,
+      `predicted ${rounded(predicted)} ${cloud.unit}`,
+      `episode ${episode}, sample ${sample}, seed ${cloud.seed}`,
+    ],
+  }));
+  return {
+    name: `${part} ${cloud.index}, ${DIRECTIONS[direction]}${r2}`,
+    look: `cloud ${direction === "fe" ? "third" : "fourth"}`,
+    kind: direction === "fe" ? "dot" : "square",
+    points,
+  };
+}
+
+// --- Training ---
+
+function showTraining(place) {
+  let chart;
+  const terms = data.training.flatMap(({ terms, ...rest }) => Object.keys(terms).map((term) => ({ ...rest, term, splits: terms[term] })));
+  const studies = distinct(terms.map((row) => row.experiment));
+  const fields = [
+    { key: "experiment", label: "Experiment", first: studies.find((name) => name.startsWith("multi_to_multi")) ?? studies.find((name) => name.startsWith("single_to_multi")) },
+    { key: "task", label: "Task" },
+    { key: "term", label: "Term", first: "total", words: spaced },
+    { key: "run", label: "Run" },
+    { key: "scale", label: "Scale", values: ["linear", "logarithmic"] },
+  ];
+  new Choices(place, terms, fields, (chosen, left) => {
+    chart ??= new Chart(place, "Training curves");
+    const others = terms.filter((row) => ["experiment", "task", "term"].every((key) => row[key] === chosen[key]) && row.run !== chosen.run);
+    const series = [...others.flatMap((row) => curves(row, true)), ...left.flatMap((row) => curves(row, false))];
+    const values = series.flatMap((one) => one.points.map((point) => point.y)).filter((value) => value !== null);
+    const logarithmic = chosen.scale === "logarithmic";
+    const above = values.filter((value) => value > 0);
+    const high = values.reduce((a, b) => Math.max(a, b), 0) * 1.04 || 1;
+    const low = logarithmic ? above.reduce((a, b) => Math.min(a, b), high) * 0.9 : Math.min(0, values.reduce((a, b) => Math.min(a, b), 0));
+    const last = series.flatMap((one) => one.points.map((point) => point.x)).reduce((a, b) => Math.max(a, b), 2);
+    const label = chosen.term === "total" ? "loss" : spaced(chosen.term);
+    chart.show({ x: { label: "epoch", low: 1, high: last }, y: { label, low, high, logarithmic }, series });
+  });
+}
+
+/** A run's losses as lines; in the background they are pale and have no names. */
+function curves(row, background) {
+  return Object.keys(row.splits).map((split) => {
+    const values = row.splits[split];
+    const points = row.epochs.map((epoch, index) => ({
+      x: epoch,
+      y: values[index],
+      says: [`epoch ${epoch}: ${values[index] === null ? "not finite" : rounded(values[index])}`, row.run],
+    }));
+    const look = split === "train" ? "first" : "second";
+    const name = background ? undefined : { train: "training", validation: "validation" }[split] ?? split;
+    return { name, look: background ? `${look} pale` : look, dash: split === "train" ? "" : "dashed", line: true, points };
+  });
+}
+
+// --- The page ---
+
+const parts = { "joints-chart": showJoints, "regression-chart": showRegression, "training-chart": showTraining };
+for (const [id, show] of Object.entries(parts)) {
+  const place = document.getElementById(id);
+  if (place) show(place);
+}
+for (const clip of data.clips) {
+  const figure = document.querySelector(`.clip[data-scenario="${clip.scenario}"]`);
+  if (figure) new Clip(figure, clip);
+}
+}

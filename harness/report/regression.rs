@@ -1,0 +1,113 @@
+//! Predictions over references at the fingertip.
+
+use super::joints::{Value, value};
+use super::{Absent, Part, part, short};
+use crate::figures::FigureError;
+use crate::figures::source::{Runs, Source, Study, intervals};
+use crate::metrics::Direction;
+use crate::registry::rows;
+use crate::spec::{Modality, Scenario};
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Samples of each cell that the page keeps; more would hide one another.
+const POINTS: usize = 300;
+
+/// One network's predictions of one joint or link.
+#[derive(Serialize)]
+pub struct Cloud {
+    #[serde(flatten)]
+    of: Of,
+    study: &'static str,
+    input: &'static str,
+    unit: &'static str,
+    /// The network's seed.
+    seed: u64,
+    /// R2 over all test samples and seeds; null where it isn't defined.
+    r2: Option<Value>,
+    /// Episode, sample, reference, prediction; in the episodes' order.
+    points: Vec<(u32, u32, f64, f64)>,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+struct Of {
+    modality: Modality,
+    scenario: Scenario,
+    latent: u64,
+    /// The joint or link.
+    index: usize,
+}
+
+#[derive(Deserialize)]
+struct Sample {
+    #[serde(flatten)]
+    of: Of,
+    seed: u64,
+    episode: u32,
+    sample: u32,
+    reference: f64,
+    predicted: f64,
+}
+
+#[derive(Deserialize)]
+struct Score {
+    #[serde(flatten)]
+    of: Of,
+    value: Option<f64>,
+}
+
+/// The clouds of both studies, and the studies without runs.
+///
+/// # Errors
+/// When a table can't be read.
+pub fn clouds(source: &Source) -> Result<(Vec<Cloud>, BTreeSet<Absent>), FigureError> {
+    let (mut clouds, mut absent) = (Vec::new(), BTreeSet::new());
+    for study in Study::BOTH {
+        match part(source.runs(study).and_then(|runs| of_study(&runs, study)))? {
+            Part::There(more) => clouds.extend(more),
+            Part::Absent(reason) => drop(absent.insert(reason)),
+        }
+    }
+    Ok((clouds, absent))
+}
+
+fn of_study(runs: &Runs, study: Study) -> Result<Vec<Cloud>, FigureError> {
+    let [flexion, abduction] = Direction::ALL.map(Direction::fingertip);
+    let place = format!(
+        "{{runs}} and task = 'prediction' and modality in ('proprioception', 'contact_force') \
+         and index in ({flexion}, {abduction})"
+    );
+    let mut answer = runs.query(&format!(
+        "select modality, scenario, latent, index, value from metrics \
+         where {place} and metric = 'r2' and model = 'network'"
+    ))?;
+    let scores = rows::<Score>(&mut answer)?;
+    let r2 = intervals(scores.into_iter().map(|score| (score.of, score.value)));
+
+    let mut answer = runs.query(&format!(
+        "select modality, scenario, latent, index, seed, episode, sample, reference, predicted from predictions \
+         where {place} and {} order by episode, sample",
+        runs.first_seeds()
+    ))?;
+    let mut samples: BTreeMap<Of, Vec<Sample>> = BTreeMap::new();
+    for sample in rows::<Sample>(&mut answer)? {
+        samples.entry(sample.of.clone()).or_default().push(sample);
+    }
+    let cloud = |(of, samples): (Of, Vec<Sample>)| Cloud {
+        study: study.name(),
+        input: study.input(),
+        unit: if of.modality == Modality::Proprioception { "rad" } else { "N" },
+        seed: samples[0].seed,
+        r2: r2.get(&of).map(value),
+        points: points(&samples),
+        of,
+    };
+    Ok(samples.into_iter().map(cloud).collect())
+}
+
+/// Evenly over the test samples, so that no episode is preferred.
+fn points(samples: &[Sample]) -> Vec<(u32, u32, f64, f64)> {
+    let count = samples.len().min(POINTS);
+    let chosen = (0..count).map(|point| &samples[point * samples.len() / count]);
+    chosen.map(|of| (of.episode, of.sample, short(of.reference), short(of.predicted))).collect()
+}

@@ -1,0 +1,125 @@
+//! The runs and where their numbers come from.
+
+use crate::numbers::duration;
+use crate::registry::{Registry, RunRecord, Status, Timings};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// An experiment's runs.
+#[derive(Serialize)]
+pub struct Experiment {
+    name: String,
+    pub done: usize,
+    /// By scenario, settings that vary, latent size and seed.
+    runs: Vec<Run>,
+}
+
+/// A run's record in words.
+#[derive(Serialize)]
+struct Run {
+    cell: String,
+    status: &'static str,
+    seed: u64,
+    /// Wall time of all that it took; empty of a run that isn't done.
+    took: String,
+    /// The spec's hash.
+    spec: String,
+    /// The commit's first digits, with a plus if the source tree had changes that it lacks.
+    commit: String,
+    host: String,
+    /// All of it, each with its name.
+    details: Vec<(&'static str, String)>,
+}
+
+/// All runs of a results folder, by experiment.
+pub fn experiments(registry: &Registry) -> Vec<Experiment> {
+    let mut experiments: BTreeMap<String, Vec<RunRecord>> = BTreeMap::new();
+    for record in registry.records() {
+        experiments.entry(record.experiment.clone()).or_default().push(record);
+    }
+    experiments.into_iter().map(|(name, records)| Experiment::new(name, records)).collect()
+}
+
+impl Experiment {
+    fn new(name: String, mut records: Vec<RunRecord>) -> Self {
+        records.sort_by_cached_key(|record| {
+            let spec = &record.spec;
+            (
+                spec.scenario,
+                spec.variant.clone(),
+                spec.latent,
+                spec.seed,
+                record.started.clone(),
+                record.run.clone(),
+            )
+        });
+        let done = records.iter().filter(|record| record.status == Status::Done).count();
+        Self { name, done, runs: records.iter().map(Run::new).collect() }
+    }
+}
+
+impl Run {
+    fn new(record: &RunRecord) -> Self {
+        let by = &record.provenance;
+        let commit: String = by.git_commit.iter().flat_map(|commit| commit.chars()).take(8).collect();
+        let dirty = if by.git_dirty == Some(true) { "+" } else { "" };
+        Self {
+            cell: record.spec.cell(),
+            status: record.status.name(),
+            seed: record.spec.seed,
+            took: record.timings.map(|timings| duration(total(&timings))).unwrap_or_default(),
+            spec: record.spec_hash.clone(),
+            commit: format!("{commit}{dirty}"),
+            host: by.host.clone(),
+            details: details(record),
+        }
+    }
+}
+
+fn total(timings: &Timings) -> f64 {
+    timings.collect + timings.prediction + timings.reconstruction.unwrap_or_default() + timings.evaluation
+}
+
+/// All that a record says of where a run's numbers come from.
+fn details(record: &RunRecord) -> Vec<(&'static str, String)> {
+    let by = &record.provenance;
+    let commit = by.git_commit.as_ref().map(|commit| {
+        let changed = if by.git_dirty == Some(true) { ", with uncommitted changes" } else { "" };
+        format!("{commit}{changed}")
+    });
+    let stages = record.timings.map(|timings| {
+        let reconstruction = timings
+            .reconstruction
+            .map(|time| format!(", reconstruction {}", duration(time)))
+            .unwrap_or_default();
+        format!(
+            "dataset {}, prediction {}{reconstruction}, evaluation {}",
+            duration(timings.collect),
+            duration(timings.prediction),
+            duration(timings.evaluation)
+        )
+    });
+    let memory = record.peak_memory_bytes.map(|bytes| format!("{:.0} MB at most", bytes as f64 / 1e6));
+    let details = [
+        ("run", Some(record.run.clone())),
+        ("failed", record.reason.clone()),
+        ("spec", Some(record.spec_hash.clone())),
+        ("dataset", Some(record.dataset.clone())),
+        ("seed", Some(record.spec.seed.to_string())),
+        ("commit", commit),
+        ("started", Some(record.started.clone())),
+        ("time", stages),
+        ("memory", memory),
+        ("parameters", record.parameters.map(|count| count.to_string())),
+        ("machine", Some(format!("{}, {}, {} threads", by.host, by.processor, by.threads))),
+        (
+            "versions",
+            Some(format!(
+                "harness {}, MuJoCo {}, candle {}",
+                by.harness_version, by.mujoco_version, by.candle_version
+            )),
+        ),
+        ("command", Some(by.command.clone())),
+    ];
+    details.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()
+}

@@ -1,0 +1,154 @@
+//! The claims and what becomes of them.
+
+use crate::claims::{Claim, ClaimsError, Condition, Judgement, Verdict, judge};
+use crate::numbers::rounded;
+use crate::registry::Registry;
+use crate::spec::Scenario;
+use serde::Serialize;
+use std::collections::BTreeSet;
+
+/// All claims, judged.
+#[derive(Serialize)]
+pub struct Verdicts {
+    claims: Vec<Judged>,
+    counts: Counts,
+    /// The commands that make the runs of the claims without data.
+    #[serde(skip)]
+    pub commands: BTreeSet<String>,
+}
+
+/// How many judgements came out how.
+#[derive(Default, Serialize)]
+struct Counts {
+    holds: usize,
+    fails: usize,
+    undecided: usize,
+}
+
+/// A claim and its judgements in words: one a scenario, or one alone.
+#[derive(Serialize)]
+struct Judged {
+    id: String,
+    paper: String,
+    section: String,
+    measured: String,
+    condition: String,
+    sql: String,
+    judgements: Vec<Words>,
+}
+
+/// A judgement in words.
+#[derive(Serialize)]
+struct Words {
+    scenario: &'static str,
+    /// The mean and its interval.
+    value: String,
+    verdict: String,
+    class: &'static str,
+    /// What there is a value for, seed or episode, and the values.
+    each: &'static str,
+    values: Vec<(i64, String)>,
+    /// `None` without data.
+    strip: Option<Strip>,
+}
+
+/// A judgement as a strip: where its numbers lie, in percent of its width.
+#[derive(Serialize)]
+struct Strip {
+    /// The condition's bound.
+    bound: f64,
+    /// Where the condition is satisfied: from, and how wide.
+    satisfied: [f64; 2],
+    interval: [f64; 2],
+    mean: f64,
+    values: Vec<f64>,
+}
+
+impl Verdicts {
+    /// # Errors
+    /// When a claim's query is wrong, or a table damaged.
+    pub fn of(registry: &Registry, claims: &[Claim], quick: bool) -> Result<Self, ClaimsError> {
+        let option = if quick { " --quick" } else { "" };
+        let mut verdicts = Self { claims: Vec::new(), counts: Counts::default(), commands: BTreeSet::new() };
+        for claim in claims {
+            let judgements = judge(registry, claim, quick)?;
+            for judgement in &judgements {
+                verdicts.counts.add(judgement.verdict());
+                if judgement.verdict() == Verdict::NoData {
+                    let command = |experiment| format!("harness run experiments/{experiment}.yaml{option}");
+                    verdicts.commands.extend(claim.experiments.iter().map(command));
+                }
+            }
+            verdicts.claims.push(Judged::new(claim, quick, &judgements));
+        }
+        Ok(verdicts)
+    }
+}
+
+impl Counts {
+    fn add(&mut self, verdict: Verdict) {
+        match verdict {
+            Verdict::Holds => self.holds += 1,
+            Verdict::DoesNotHold => self.fails += 1,
+            Verdict::Undecided | Verdict::OneSeed { .. } | Verdict::NoData => self.undecided += 1,
+        }
+    }
+}
+
+impl Judged {
+    fn new(claim: &Claim, quick: bool, judgements: &[Judgement]) -> Self {
+        Self {
+            id: claim.id().to_owned(),
+            paper: claim.paper.clone(),
+            section: claim.section.clone(),
+            measured: claim.measured.clone(),
+            condition: claim.condition.to_string(),
+            sql: claim.sql(quick),
+            judgements: judgements.iter().map(Words::new).collect(),
+        }
+    }
+}
+
+impl Words {
+    fn new(judgement: &Judgement) -> Self {
+        let verdict = judgement.verdict();
+        let values = judgement.measured.values.iter();
+        Self {
+            scenario: judgement.scenario.map_or("both", Scenario::name),
+            value: judgement.interval().map_or_else(|| "no data".into(), |interval| interval.to_string()),
+            verdict: verdict.to_string(),
+            class: match verdict {
+                Verdict::Holds => "holds",
+                Verdict::DoesNotHold => "fails",
+                Verdict::Undecided | Verdict::OneSeed { .. } | Verdict::NoData => "undecided",
+            },
+            each: judgement.measured.each.name(),
+            values: values.map(|(each, value)| (*each, rounded(*value))).collect(),
+            strip: Strip::of(judgement),
+        }
+    }
+}
+
+impl Strip {
+    fn of(judgement: &Judgement) -> Option<Self> {
+        let interval = judgement.interval()?;
+        let (Condition::Above(bound) | Condition::Below(bound)) = judgement.claim.condition;
+        let values: Vec<f64> = judgement.measured.values.values().copied().collect();
+        let all = || values.iter().copied().chain([bound, interval.low(), interval.high()]);
+        let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
+        let span = if high > low { high - low } else { 1.0 };
+        // Nothing lies at the very edge.
+        let at = |value: f64| ((6.0 + 88.0 * (value - low) / span) * 10.0).round() / 10.0;
+        let satisfied = match judgement.claim.condition {
+            Condition::Above(_) => [at(bound), 100.0 - at(bound)],
+            Condition::Below(_) => [0.0, at(bound)],
+        };
+        Some(Self {
+            bound: at(bound),
+            satisfied,
+            interval: [at(interval.low()), at(interval.high())],
+            mean: at(interval.mean),
+            values: values.into_iter().map(at).collect(),
+        })
+    }
+}

@@ -1,0 +1,384 @@
+//! `harness report`: one page that holds everything, whatever is missing, whoever wrote the names in it.
+
+mod common;
+
+use common::{finish, harness, smoke_run, succeed};
+use harness::figures::Figure;
+use harness::metrics::interval::{LEVEL, mean_interval};
+use harness::registry::{Registry, query};
+use harness::seal::{self, hex};
+use harness::tables::{read_table, write_table};
+use polars::prelude::{Column, IntoColumn};
+use serde_json::Value;
+use sha2::{Digest, Sha256};
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::LazyLock;
+
+const SINGLE: &str = "experiments/single_to_multi.yaml";
+const MULTI: &str = "experiments/multi_to_multi.yaml";
+const TINY: [&str; 6] = [
+    "simulation.episodes=4",
+    "simulation.actuations_per_episode=3",
+    "training.epochs=2",
+    "training.batch_size=16",
+    "network.hidden=16",
+    "seeds=[0,1]",
+];
+
+fn folder(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = fs::remove_dir_all(&folder);
+    fs::create_dir_all(&folder).unwrap();
+    folder
+}
+
+/// Runs of both experiments, two scenarios, two seeds.
+static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
+    let results = folder("report");
+    for (spec, more) in [(SINGLE, &["latent=[2,4]"][..]), (MULTI, &["latent=[4]", "network.channels=4"][..])]
+    {
+        succeed(&results, &[&["run", spec][..], &TINY, more].concat());
+    }
+    results
+});
+
+/// The page of [`RESULTS`].
+static PAGE: LazyLock<String> = LazyLock::new(|| page(&RESULTS, "report.html", &[]));
+
+/// The page that the command writes beside the results.
+fn page(results: &Path, name: &str, more: &[&str]) -> String {
+    let out = results.join(name);
+    let said = succeed(results, &[&["report", "--out", out.to_str().unwrap()][..], more].concat());
+    assert!(said.contains(name) && said.trim_end().ends_with(" MB"), "{said}");
+    fs::read_to_string(out).unwrap()
+}
+
+/// What lies between two texts, the first time.
+fn between<'a>(text: &'a str, before: &str, after: &str) -> &'a str {
+    let (_, rest) = text.split_once(before).unwrap_or_else(|| panic!("there is no {before}"));
+    rest.split_once(after).unwrap_or_else(|| panic!("there is no {after}")).0
+}
+
+/// The data that the page's script draws.
+fn data(page: &str) -> Value {
+    serde_json::from_str(between(page, "<script type=\"application/json\" id=\"data\">", "</script>"))
+        .unwrap()
+}
+
+#[test]
+fn every_section_is_there() {
+    for section in ["scenes", "claims", "joints", "regression", "figures", "training", "runs"] {
+        let part = between(&PAGE, &format!("<section id=\"{section}\">"), "</section>");
+        assert!(part.contains("<h2>"), "{section}");
+        assert!(!part.contains("class=\"absent\""), "{section} lacks something:\n{part}");
+        assert!(PAGE.contains(&format!("<a href=\"#{section}\">")), "{section}");
+    }
+    for figure in Figure::ALL {
+        let drawn = between(&PAGE, &format!("<figure id=\"figure-{}\">", figure.name()), "</figure>");
+        assert!(drawn.contains("<svg ") && drawn.contains(figure.meaning()), "{}", figure.name());
+    }
+    let claims = harness::claims::load(Path::new("experiments/claims.yaml")).unwrap();
+    for claim in &claims {
+        let shown = between(&PAGE, &format!("id=\"claim-{}\"", claim.id()), "</details>");
+        let query = between(shown, "<pre tabindex=\"0\" aria-label=\"Query\">", "</pre>");
+        assert_eq!(unescaped(query), claim.sql(false).trim_end_matches('\0'), "{}", claim.id());
+    }
+    // 2 latent sizes and 1, 2 scenarios, 2 seeds.
+    assert_eq!(PAGE.matches("<details class=\"run\">").count(), (2 + 1) * 2 * 2);
+    for record in Registry::new(&*RESULTS).records() {
+        for text in [&record.run, &record.spec_hash, &record.dataset, &record.provenance.host] {
+            assert!(PAGE.contains(&escaped(text)), "{text}");
+        }
+        if let Some(commit) = &record.provenance.git_commit {
+            assert!(PAGE.contains(commit.as_str()));
+        }
+    }
+}
+
+/// As askama escapes.
+fn escaped(text: &str) -> String {
+    let signs = [('&', "&#38;"), ('<', "&#60;"), ('>', "&#62;"), ('"', "&#34;"), ('\'', "&#39;")];
+    signs.iter().fold(text.to_owned(), |text, (sign, name)| text.replace(*sign, name))
+}
+
+fn unescaped(text: &str) -> String {
+    let signs = [("&#60;", "<"), ("&#62;", ">"), ("&#34;", "\""), ("&#39;", "'"), ("&#38;", "&")];
+    signs.iter().fold(text.to_owned(), |text, (name, sign)| text.replace(name, sign))
+}
+
+#[test]
+fn verdicts_are_those_of_harness_claims() {
+    let table = succeed(&RESULTS, &["claims"]);
+    let summary = table.lines().find(|line| line.contains(" hold, ")).unwrap();
+    let counts: Vec<&str> =
+        summary.split(|c: char| !c.is_ascii_digit()).filter(|word| !word.is_empty()).take(3).collect();
+    for (class, count) in ["holds", "fails", "undecided"].iter().zip(&counts) {
+        let shown = between(&PAGE, &format!("<div class=\"{class}\">"), "</div>");
+        assert_eq!(between(shown, "<dd>", "</dd>"), *count, "{class}: {summary}");
+        let verdicts = PAGE.matches(&format!("<span class=\"verdict {class}\">")).count();
+        assert_eq!(verdicts.to_string(), *count);
+    }
+}
+
+#[test]
+fn numbers_to_look_closer_at_are_those_of_a_query() {
+    let data = data(&PAGE);
+    let registry = Registry::new(&*RESULTS);
+    let text = |row: &Value, key: &str| row[key].as_str().unwrap().to_owned();
+    let joints = data["joints"].as_array().unwrap();
+    let networks = joints.iter().filter(|row| row["model"] == "network");
+    let mut checked = 0;
+    for row in networks.step_by(7) {
+        let sql = format!(
+            "select \"index\", value from metrics where experiment = '{}' and scenario = '{}' and latent = {} and \
+             task = '{}' and modality = '{}' and metric = '{}' and model = 'network' and \"index\" = 17",
+            text(row, "study"),
+            text(row, "scenario"),
+            row["latent"],
+            text(row, "task"),
+            text(row, "modality"),
+            text(row, "metric"),
+        );
+        let found = query(&registry, &sql).unwrap();
+        let values: Vec<f64> = found.column("value").unwrap().f64().unwrap().iter().flatten().collect();
+        match mean_interval(&values, LEVEL) {
+            None => assert!(row["values"][17].is_null(), "{sql}"),
+            Some(interval) => {
+                let bounds = interval.bounds.into_iter().flat_map(|(low, high)| [low, high]);
+                let expected: Vec<f64> = std::iter::once(interval.mean).chain(bounds).collect();
+                let shown: Vec<f64> = serde_json::from_value(row["values"][17].clone()).unwrap();
+                assert_eq!(shown.len(), expected.len(), "{sql}");
+                for (shown, expected) in shown.iter().zip(&expected) {
+                    assert!((shown - expected).abs() <= 1e-4 * expected.abs(), "{sql}: {shown} {expected}");
+                }
+                checked += 1;
+            }
+        }
+    }
+    assert!(checked > 5, "only {checked} values were compared");
+
+    let clouds = data["regression"].as_array().unwrap();
+    // Two modalities at two fingertips in two scenarios, at two latent sizes and one.
+    assert_eq!(clouds.len(), 2 * 2 * 2 * 3);
+    for cloud in clouds {
+        // The transitions of the one test episode.
+        assert_eq!(cloud["points"].as_array().unwrap().len(), 29);
+    }
+    // Two tasks of each run; two epochs of two splits in each term.
+    let training = data["training"].as_array().unwrap();
+    assert_eq!(training.len(), 12 * 2);
+    for curves in training {
+        assert_eq!(curves["epochs"], serde_json::json!([1, 2]));
+        for split in ["train", "validation"] {
+            assert_eq!(curves["terms"]["total"][split].as_array().unwrap().len(), 2);
+        }
+    }
+}
+
+#[test]
+fn the_same_tables_give_the_same_bytes() {
+    assert!(*PAGE == page(&RESULTS, "again.html", &["--threads", "1"]));
+}
+
+#[test]
+fn nothing_is_loaded_from_outside() {
+    let places = |text: &str, before: &str| -> Vec<String> {
+        text.match_indices(before)
+            .map(|(at, _)| text[at + before.len()..].chars().take(40).collect())
+            .collect()
+    };
+    for before in [" src=\"", " href=\"", " srcset=\"", " data=\"", " action=\"", " poster=\"", "url("] {
+        for place in places(&PAGE, before) {
+            assert!(place.starts_with("data:") || place.starts_with('#'), "{before}{place}");
+        }
+    }
+    assert!(!PAGE.contains("@import") && !PAGE.contains("<link") && !PAGE.contains("<iframe"));
+    let policy = between(&PAGE, "http-equiv=\"Content-Security-Policy\" content=\"", "\"");
+    assert!(
+        policy.starts_with("default-src &#39;none&#39;; img-src data:; style-src &#39;sha256-"),
+        "{policy}"
+    );
+    assert!(!policy.contains("unsafe"), "{policy}");
+}
+
+#[test]
+fn without_runs_the_page_names_the_commands_that_make_them() {
+    let results = folder("report_empty");
+    let empty = page(&results, "report.html", &[]);
+    for study in ["single_to_multi", "multi_to_multi"] {
+        assert!(empty.contains(&format!("<code>harness run experiments/{study}.yaml</code>")), "{study}");
+    }
+    // The scenes need no runs, and neither do the two figures that show them.
+    assert_eq!(empty.matches("<figure class=\"clip\"").count(), 2);
+    for (figure, drawn) in [(Figure::Task, true), (Figure::SimEnv, true), (Figure::Regression, false)] {
+        let part = between(&empty, &format!("<figure id=\"figure-{}\">", figure.name()), "</figure>");
+        assert_eq!(part.contains("<svg "), drawn, "{}", figure.name());
+    }
+    for section in ["joints", "regression", "training", "runs"] {
+        let part = between(&empty, &format!("<section id=\"{section}\">"), "</section>");
+        assert!(part.contains("class=\"absent\"") && part.contains("<code>harness run "), "{section}");
+    }
+    assert_eq!(data(&empty)["joints"], serde_json::json!([]));
+
+    let quick = page(&results, "quick.html", &["--quick"]);
+    assert!(quick.contains("<code>harness run experiments/multi_to_multi.yaml --quick</code>"));
+    assert!(!quick.contains("multi_to_multi.yaml</code>"));
+}
+
+#[test]
+fn one_study_alone_is_shown_and_the_other_named() {
+    let results = folder("report_single");
+    let arguments =
+        [&["run", SINGLE][..], &TINY, &["latent=[2]", "scenarios=[cluttered]", "seeds=[0]"]].concat();
+    succeed(&results, &arguments);
+    let page = page(&results, "report.html", &[]);
+    for section in ["joints", "regression"] {
+        let part = between(&page, &format!("<section id=\"{section}\">"), "</section>");
+        assert!(part.contains("There is no finished run of multi_to_multi."), "{part}");
+        assert!(part.contains(&format!("id=\"{section}-chart\"")), "{part}");
+        assert!(data(&page)[section].as_array().unwrap().iter().all(|row| row["study"] == "single_to_multi"));
+    }
+}
+
+#[test]
+fn without_an_opengl_driver_the_page_says_so_and_goes_on() {
+    let results = folder("report_no_driver");
+    let out = results.join("report.html");
+    let mut command = harness(&results, &["report", "--out", out.to_str().unwrap()]);
+    let answer = finish(command.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json"));
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    let page = fs::read_to_string(out).unwrap();
+    let scenes = between(&page, "<section id=\"scenes\">", "</section>");
+    assert!(scenes.contains("no OpenGL context") && scenes.contains("apt-get install libegl1"), "{scenes}");
+    assert!(page.contains("id=\"claim-"));
+}
+
+#[test]
+fn a_page_that_cant_be_written_is_an_error_and_leaves_nothing() {
+    let results = folder("report_refused");
+    let out = results.join("file/report.html");
+    fs::write(results.join("file"), "not a folder").unwrap();
+    let answer = finish(&mut harness(&results, &["report", "--out", out.to_str().unwrap()]));
+    assert_eq!(answer.code, 1);
+    assert!(answer.stderr.contains(&format!("can't write {}: ", out.display())), "{}", answer.stderr);
+
+    let claims = results.join("claims.yaml");
+    fs::write(&claims, "- id: [").unwrap();
+    let out = results.join("report.html");
+    let arguments = ["report", "--out", out.to_str().unwrap(), "--claims", claims.to_str().unwrap()];
+    let answer = finish(&mut harness(&results, &arguments));
+    assert_eq!(answer.code, 2, "{}", answer.stderr);
+    assert!(answer.stderr.contains("claims.yaml:1:"), "{}", answer.stderr);
+    assert!(!out.exists());
+}
+
+const HOSTILE: &str =
+    "</script><script>window.hostile=1</script><img src=x onerror=window.hostile=1>\"'{{7*7}}&lt;";
+
+/// Results of which every text that somebody else may have written is hostile, and a file of such claims.
+fn hostile(name: &str) -> (PathBuf, PathBuf) {
+    let results = smoke_run(name);
+    let run = fs::read_dir(results.join("runs/smoke")).unwrap().next().unwrap().unwrap().path();
+    let record_path = run.join("run.json");
+    let mut record: Value = serde_json::from_slice(&fs::read(&record_path).unwrap()).unwrap();
+    for key in ["experiment", "run", "spec_hash", "dataset", "reason", "started"] {
+        record[key] = HOSTILE.into();
+    }
+    for key in ["git_commit", "harness_version", "mujoco_version", "host", "processor", "command"] {
+        record["provenance"][key] = HOSTILE.into();
+    }
+    record["spec"]["variant"] = HOSTILE.into();
+    let path = run.join("epochs.parquet");
+    let mut epochs = read_table(&path, None).unwrap();
+    for column in ["experiment", "run", "term"] {
+        let values: Column = Column::new(column.into(), vec![HOSTILE; epochs.height()]);
+        epochs.with_column(values.into_column()).unwrap();
+    }
+    let columns = harness::schema::Table::Epochs.columns();
+    write_table(&path, epochs, &columns, &harness::tables::Stamp::new()).unwrap();
+    let bytes = fs::read(&path).unwrap();
+    record["files"]["epochs.parquet"]["bytes"] = bytes.len().into();
+    record["files"]["epochs.parquet"]["sha256"] = hex(&Sha256::digest(&bytes)).into();
+    record[seal::KEY] = seal::BLANK.into();
+    seal::write(&record_path, format!("{record:#}\n").into_bytes()).unwrap();
+
+    let claims = results.join("claims.yaml");
+    let quoted = serde_json::to_string(HOSTILE).unwrap();
+    let claim = format!(
+        "- id: {quoted}\n  paper: {quoted}\n  section: {quoted}\n  measured: {quoted}\n  experiments: [{quoted}]\n  \
+         query: |\n    select seed, avg(value) as value from metrics where run <> {} group by seed\n  \
+         condition: above 0\n",
+        "'</pre><script>window.hostile=1</script>'"
+    );
+    fs::write(&claims, claim).unwrap();
+    (results, claims)
+}
+
+#[test]
+fn hostile_text_stays_text() {
+    let (results, claims) = hostile("report_hostile");
+    let page = page(&results, "report.html", &["--claims", claims.to_str().unwrap()]);
+    assert!(!page.contains("<script>window") && !page.contains("<img src=x"));
+    // The script of the data, and the page's own.
+    assert_eq!(page.matches("<script").count(), 2);
+    assert_eq!(page.matches("</script").count(), 2);
+    let shown = escaped(HOSTILE);
+    // Of the claim: its name, twice, its words, section, what it measures, and the command for its runs, if any; of
+    // the run: each changed field.
+    assert!(page.matches(shown.as_str()).count() >= 4 + 10, "{}", page.matches(shown.as_str()).count());
+    // The script gets the very text.
+    let training = &data(&page)["training"];
+    let runs: BTreeSet<&str> =
+        training.as_array().unwrap().iter().map(|row| row["run"].as_str().unwrap()).collect();
+    assert!(runs.contains(HOSTILE), "{runs:?}");
+}
+
+/// A program on the path.
+fn program(names: &[&str]) -> Option<PathBuf> {
+    let folders = std::env::var_os("PATH")?;
+    let mut places =
+        std::env::split_paths(&folders).flat_map(|folder| names.iter().map(move |n| folder.join(n)));
+    places.find(|path| path.is_file())
+}
+
+/// Chromium and its driver, or the reason why there is no test.
+fn browser() -> Result<(PathBuf, PathBuf), &'static str> {
+    let missing =
+        "skipped: no Chromium with its driver on the path; Debian: apt-get install chromium chromium-driver";
+    let chromium = program(&["chromium", "chromium-browser", "google-chrome"]).ok_or(missing)?;
+    Ok((chromium, program(&["chromedriver"]).ok_or(missing)?))
+}
+
+/// Lets tests/python/read_page.py read a page.
+fn read_page(page: &Path, results: &Path, more: &[&str]) {
+    let (chromium, driver) = match browser() {
+        Ok(found) => found,
+        Err(reason) => return eprintln!("{reason}"),
+    };
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let output = Command::new(root.join(".venv/bin/python"))
+        .arg(root.join("tests/python/read_page.py"))
+        .args([page, results, &chromium, &driver])
+        .args(more)
+        .output()
+        .unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    assert!(output.status.success(), "{}{}", text(&output.stdout), text(&output.stderr));
+    assert!(text(&output.stdout).contains("the page reads well"));
+}
+
+#[test]
+fn a_reader_can_use_the_page_in_chromium() {
+    let _ = &*PAGE;
+    read_page(&RESULTS.join("report.html"), &RESULTS, &[]);
+}
+
+#[test]
+fn hostile_text_does_nothing_in_chromium() {
+    let (results, claims) = hostile("report_hostile_chromium");
+    page(&results, "report.html", &["--claims", claims.to_str().unwrap()]);
+    read_page(&results.join("report.html"), &results, &["--hostile"]);
+}
