@@ -4,7 +4,7 @@
 QUICK = --quick
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test python soak lint bench
+.PHONY: help setup run test python soak lint bench interchange
 
 help: ## show this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 8
@@ -38,3 +38,9 @@ bench: ## compare speed with PyTorch, Python's mujoco, PyBullet and the raw limi
 	@setup/setup.sh --bench
 	cargo build --bins --examples
 	.venv-bench/bin/python harness/benches/compare.py --output results/reference/benchmarks.parquet
+
+interchange: ## open exported data with LeRobot and Rerun, and import it again (minutes; 6 GB of packages, once)
+	@setup/setup.sh --interchange
+	cargo build --bin harness
+	.venv-interchange/bin/python -m pip install --quiet --no-deps .
+	.venv-interchange/bin/python -m pytest tests/interchange

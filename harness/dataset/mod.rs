@@ -36,8 +36,8 @@ pub enum DatasetError {
     #[error(transparent)]
     Lock(#[from] LockError),
     #[error(
-        "there is no imported dataset {name} in {}; import it with `python -m harness.importing MAPPING.yaml`, or name \
-         one that is there",
+        "there is no imported dataset {name} in {}; import it with `harness import MAPPING.yaml` of the \
+         Python package, or name one that is there",
         root.display()
     )]
     NotImported { name: String, root: PathBuf },

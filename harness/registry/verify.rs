@@ -193,7 +193,7 @@ fn episodes(record: &RunRecord) -> u32 {
 
 /// What is wrong with a dataset that can only be imported again.
 fn report_imported(folder: &Path, inspection: Inspection, report: &mut Report) {
-    let mend = || format!("{} && python -m harness.importing its mapping", remove(folder));
+    let mend = || format!("{} && harness import its mapping", remove(folder));
     for (path, problem) in inspection.damaged {
         report.broken(&path, problem, mend());
     }

@@ -1,6 +1,6 @@
 """Data that was recorded elsewhere as datasets of the harness: LeRobot datasets and plain Parquet files.
 
-    python -m harness.importing MAPPING.yaml
+    harness import MAPPING.yaml
 
 prints the name under which experiments find it: `scenarios: [lab_finger-0123456789abcdef]`. The mapping says which
 columns of the recording make up which modality:
@@ -36,19 +36,29 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
-import yaml
-from PIL import Image
-from tqdm import tqdm
 
 from harness.recorded import FORMAT, FRAME_SHAPE, VECTORS, Episode, write_episode
+
+try:
+    import yaml
+    from PIL import Image
+    from tqdm import tqdm
+except ImportError as error:
+    raise ImportError(
+        f"importing needs the packages pillow, pyyaml and tqdm: pip install pillow pyyaml tqdm ({error})"
+    ) from error
 
 SCENARIOS = ("empty", "cluttered")
 FORMATS = ("lerobot", "parquet")
 MODALITIES = (*VECTORS, "vision")
 PARQUET_KEYS = ("episode", "order", "sample_rate_hz")
+
+Columns = dict[str, Any]
+"""What the columns of a recording hold in one episode: arrays or lists, [samples, …]."""
 
 _TERM = re.compile(r"(?P<column>[^\[\]]+)(\[(?P<first>\d+)(:(?P<last>\d+))?\])?")
 
@@ -74,7 +84,7 @@ class Selection:
         """
         return [column for term in self.terms for column, _ in self._matches(term, available)]
 
-    def pick(self, episode: dict[str, np.ndarray]) -> np.ndarray:
+    def pick(self, episode: Columns) -> np.ndarray:
         """The modality's values, float32 [samples, elements].
 
         Raises:
@@ -101,7 +111,9 @@ class Selection:
             values = values.astype(np.float32)
         if not np.isfinite(values).all():
             row, element = np.argwhere(~np.isfinite(values))[0]
-            raise self.error(f"value {element} of row {row} is {values[row, element]}; nothing can be learnt from it")
+            raise self.error(
+                f"value {element} of row {row} is {values[row, element]}; nothing can be learnt from it"
+            )
         return values
 
     def error(self, problem: str) -> MappingError:
@@ -127,17 +139,26 @@ class Selection:
 
 
 @dataclass(frozen=True)
+class Rows:
+    """What the rows of Parquet files are."""
+
+    episode: str
+    """The column that tells episodes apart."""
+    order: str
+    """The column that orders an episode's rows."""
+    sample_rate_hz: float
+
+
+@dataclass(frozen=True)
 class Mapping:
     """What a mapping's file says."""
 
     name: str
     source: Path
-    format: str
     selections: dict[str, Selection]
-    episode: str | None
-    order: str | None
-    sample_rate_hz: float | None
-    text: dict
+    rows: Rows | None
+    """Of Parquet alone."""
+    text: dict[str, Any]
     """As it stands in the file."""
 
     @classmethod
@@ -158,10 +179,10 @@ class Mapping:
             raise MappingError(f"{path}: {error}") from None
 
     @classmethod
-    def _of(cls, text: object, folder: Path) -> Mapping:
+    def _of(cls, text: Any, folder: Path) -> Mapping:
         if not isinstance(text, dict):
             raise MappingError("a mapping has the keys name, source, format and modalities")
-        required = ("name", "source", "format", "modalities")
+        required: tuple[str, ...] = ("name", "source", "format", "modalities")
         kind = text.get("format")
         if kind not in FORMATS:
             raise MappingError(f"format: must be {' or '.join(FORMATS)}, not {kind!r}")
@@ -173,17 +194,19 @@ class Mapping:
                 f"name: {name!r} can't name an imported dataset; use 1 to 64 small letters, digits and _, and none of "
                 f"{', '.join(SCENARIOS)}"
             )
-        rate = text.get("sample_rate_hz")
-        if kind == "parquet" and not (isinstance(rate, int | float) and 0.01 <= rate <= 1000):
-            raise MappingError(f"sample_rate_hz: must be a number of 0.01 to 1000, not {rate!r}")
+        rows = None
+        if kind == "parquet":
+            rate = text["sample_rate_hz"]
+            if not (isinstance(rate, int | float) and 0.01 <= rate <= 1000):
+                raise MappingError(f"sample_rate_hz: must be a number of 0.01 to 1000, not {rate!r}")
+            rows = Rows(str(text["episode"]), str(text["order"]), float(rate))
         source = folder / str(text["source"])
         if not source.exists():
             raise FileNotFoundError(f"source: {source} is not there")
-        selections = _selections(text["modalities"])
-        return cls(name, source, kind, selections, text.get("episode"), text.get("order"), rate, text)
+        return cls(name, source, _selections(text["modalities"]), rows, text)
 
 
-def _selections(modalities: object) -> dict[str, Selection]:
+def _selections(modalities: Any) -> dict[str, Selection]:
     if not isinstance(modalities, dict):
         raise MappingError(f"modalities: must say what makes up each of {', '.join(MODALITIES)}")
     _check_keys(modalities, ("setpoint",), "modalities.", MODALITIES)
@@ -191,14 +214,11 @@ def _selections(modalities: object) -> dict[str, Selection]:
         raise MappingError(
             "modalities: there is nothing to learn from the setpoint alone; name what was sensed"
         )
-    return {
-        modality: _selection(modality, modalities[modality])
-        for modality in MODALITIES
-        if modality in modalities
-    }
+    given = [modality for modality in MODALITIES if modality in modalities]
+    return {modality: _selection(modality, modalities[modality]) for modality in given}
 
 
-def _selection(modality: str, value: object) -> Selection:
+def _selection(modality: str, value: Any) -> Selection:
     where = f"modalities.{modality}"
     scale = None
     if isinstance(value, dict):
@@ -221,7 +241,7 @@ def _selection(modality: str, value: object) -> Selection:
 
 
 def _check_keys(
-    section: dict, required: tuple[str, ...], prefix: str, allowed: tuple[str, ...] | None = None
+    section: dict[str, Any], required: tuple[str, ...], prefix: str, allowed: tuple[str, ...] | None = None
 ) -> None:
     allowed = allowed or required
     for key in section:
@@ -258,7 +278,7 @@ def import_dataset(mapping: str | Path, results: str | Path = "results", *, prog
 
 def _read(mapping: Mapping, progress: bool) -> tuple[float, list[Episode]]:
     """The recording's samples a second, and its episodes."""
-    recording = _open_lerobot(mapping) if mapping.format == "lerobot" else _open_parquet(mapping)
+    recording = _open_parquet(mapping, mapping.rows) if mapping.rows else _open_lerobot(mapping)
     rate, episodes = recording.sample_rate_hz, []
     bar = tqdm(
         recording.episodes,
@@ -287,7 +307,7 @@ class Recording:
     sample_rate_hz: float
     length: int
     """Episodes."""
-    episodes: Iterator[dict[str, np.ndarray | list]]
+    episodes: Iterator[Columns]
     """What each of the wanted columns holds, [samples, …]."""
 
 
@@ -296,26 +316,26 @@ def _wanted(mapping: Mapping, available: list[str]) -> list[str]:
     return list(dict.fromkeys(columns))
 
 
-def _open_parquet(mapping: Mapping) -> Recording:
+def _open_parquet(mapping: Mapping, what: Rows) -> Recording:
     files = sorted(mapping.source.glob("**/*.parquet")) if mapping.source.is_dir() else [mapping.source]
     if not files:
         raise FileNotFoundError(f"source: {mapping.source} holds no .parquet file")
+    keys = list(dict.fromkeys([what.episode, what.order]))
     try:
         table = pl.scan_parquet(files, hive_partitioning=False)
         available = table.collect_schema().names()
-        for key in (mapping.episode, mapping.order):
+        for key in keys:
             if key not in available:
                 raise MappingError(f"there is no column '{key}'; the columns are {', '.join(available)}")
-        keys = list(dict.fromkeys([mapping.episode, mapping.order]))
         wanted = _wanted(mapping, available)
         rows = table.select(list(dict.fromkeys([*keys, *wanted]))).sort(keys).collect()
     except pl.exceptions.PolarsError as error:
         raise MappingError(f"source: {mapping.source} can't be read: {error}") from None
     if rows.select(keys).is_duplicated().any():
-        raise MappingError(f"order: two rows of an episode have the same '{mapping.order}'")
-    groups = rows.partition_by(mapping.episode, maintain_order=True)
+        raise MappingError(f"order: two rows of an episode have the same '{what.order}'")
+    groups = rows.partition_by(what.episode, maintain_order=True)
     episodes = ({name: group[name].to_list() for name in wanted} for group in groups)
-    return Recording(float(mapping.sample_rate_hz), len(groups), episodes)
+    return Recording(what.sample_rate_hz, len(groups), episodes)
 
 
 def _open_lerobot(mapping: Mapping) -> Recording:
@@ -330,7 +350,7 @@ def _open_lerobot(mapping: Mapping) -> Recording:
     dataset = LeRobotDataset("local/source", root=mapping.source, video_backend="pyav", return_uint8=True)
     wanted = _wanted(mapping, list(dataset.meta.features))
 
-    def episodes() -> Iterator[dict[str, np.ndarray]]:
+    def episodes() -> Iterator[Columns]:
         for episode in dataset.meta.episodes:
             rows = range(episode["dataset_from_index"], episode["dataset_to_index"])
             items = [dataset[row] for row in rows]
@@ -339,25 +359,25 @@ def _open_lerobot(mapping: Mapping) -> Recording:
     return Recording(float(dataset.fps), len(dataset.meta.episodes), episodes())
 
 
-def _plain(value) -> np.ndarray:
+def _plain(value: Any) -> np.ndarray:
     """A tensor as an array; a picture's channels come last."""
-    array = value.numpy()
+    array: np.ndarray = value.numpy()
     return array.transpose(1, 2, 0) if array.ndim == 3 else array
 
 
-def _episode(index: int, columns: dict[str, np.ndarray], mapping: Mapping, rate: float) -> Episode:
+def _episode(index: int, columns: Columns, mapping: Mapping, rate: float) -> Episode:
     samples = len(next(iter(columns.values())))
     if samples < 2:
         raise MappingError("it has 1 sample; a prediction needs a next one")
     vectors = {name: mapping.selections[name].pick(columns) for name in VECTORS if name in mapping.selections}
-    frames = None
+    frames = np.empty((0, *FRAME_SHAPE), np.uint8)
     if selection := mapping.selections.get("vision"):
         (column,) = selection.columns(list(columns))
         frames = np.stack([_frame(picture, selection) for picture in columns[column]])
     return Episode(index, np.arange(samples) / rate, vectors, frames)
 
 
-def _frame(picture: np.ndarray | bytes | dict, selection: Selection) -> np.ndarray:
+def _frame(picture: Any, selection: Selection) -> np.ndarray:
     """A picture as 64 x 64 RGB pixels: an array, the bytes of such a frame, or a file's bytes, as PNG's."""
     if isinstance(picture, dict):
         picture = picture.get("bytes")
@@ -406,19 +426,17 @@ def _digest(episode: Episode) -> str:
     """The SHA-256 of all that an episode holds."""
     digest = hashlib.sha256()
     for name, values in [*episode.vectors.items(), ("vision", episode.frames)]:
-        if values is not None:
+        if len(values):
             digest.update(name.encode())
             digest.update(np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes())
     return digest.hexdigest()
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m harness.importing", description="Imports a recording as a dataset"
-    )
+def main(words: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="harness import", description="Imports a recording as a dataset.")
     parser.add_argument("mapping", type=Path, help="YAML: what to import, and which columns are what")
     parser.add_argument("--results", type=Path, default=Path("results"), help="the results folder")
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(words)
     try:
         name = import_dataset(arguments.mapping, arguments.results)
     except KeyboardInterrupt:

@@ -64,8 +64,8 @@ class Episode:
     vectors: dict[str, np.ndarray]
     """float32 [samples, elements] by the names of `VECTORS`, in the units of the files' columns: rad, m, N. Those that
     an imported dataset lacks are not there."""
-    frames: np.ndarray | None
-    """The camera's frames, uint8 [samples, 64, 64, 3]; None where an imported dataset has none."""
+    frames: np.ndarray
+    """The camera's frames, uint8 [samples, 64, 64, 3]; empty where an imported dataset has none."""
 
     def __len__(self) -> int:
         return len(self.time)
@@ -102,11 +102,11 @@ class RecordedDataset:
     @property
     def scenario(self) -> str:
         """`empty` or `cluttered`."""
-        return self.description["scenario"]
+        return str(self.description["scenario"])
 
     @property
     def sample_rate_hz(self) -> float:
-        return self.description["simulation"]["sample_rate_hz"]
+        return float(self.description["simulation"]["sample_rate_hz"])
 
     @property
     def episodes(self) -> range:
@@ -116,7 +116,7 @@ class RecordedDataset:
     @property
     def samples_per_episode(self) -> int:
         spec = self.description["simulation"]
-        return spec["actuations_per_episode"] * round(spec["actuation_seconds"] * spec["sample_rate_hz"])
+        return int(spec["actuations_per_episode"] * round(spec["actuation_seconds"] * spec["sample_rate_hz"]))
 
     def choose(self, episodes: Iterable[int] | None) -> list[int]:
         """Those of `episodes` that are on disk; all of them, if None.
@@ -207,7 +207,7 @@ def write_episode(path: Path, dataset: str, scenario: str, episode: Episode) -> 
         for place, column in enumerate(elements):
             row = [None] * samples if values is None else values[:, place]
             columns[column.name] = pl.Series(row, dtype=pl.Float32)
-    if episode.frames is not None:
+    if len(episode.frames):
         columns["vision"] = pl.Series([frame.tobytes() for frame in episode.frames], dtype=pl.Binary)
     metadata = {
         "harness.columns": json.dumps([dataclasses.asdict(column) for column in COLUMNS]),

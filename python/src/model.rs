@@ -39,7 +39,7 @@ impl Model {
     }
 
     #[getter]
-    fn scenario(&self) -> &'static str {
+    fn scenario(&self) -> &str {
         self.0.record().spec.scenario.name()
     }
 

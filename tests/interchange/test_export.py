@@ -185,7 +185,15 @@ def test_a_mistake_is_an_error_with_its_reason_and_leaves_nothing_behind(
 
 
 def test_the_command_says_what_is_wrong_in_one_line(dataset, tmp_path):
-    command = [sys.executable, "-m", "harness.export", "rerun", tmp_path / "nowhere", tmp_path / "exported"]
+    command = [
+        sys.executable,
+        "-m",
+        "harness.export",
+        "--format",
+        "rerun",
+        tmp_path / "nowhere",
+        tmp_path / "exported",
+    ]
     answer = subprocess.run(command, capture_output=True, text=True, check=False)
     assert answer.returncode == 1 and answer.stdout == ""
     assert answer.stderr.startswith("error: ") and answer.stderr.count("\n") == 1, answer.stderr

@@ -193,7 +193,7 @@ def test_what_an_imported_dataset_lacks_is_refused_before_anything_is_done(recor
     assert "it holds proprioception, arm, vision, frame_difference" in answer.stderr
     answer = harness("run", SPEC, "scenarios=[lab_finger-0123456789abcdef]")
     assert answer.returncode == 2 and "there is no imported dataset" in answer.stderr
-    assert "python -m harness.importing" in answer.stderr
+    assert "harness import MAPPING.yaml" in answer.stderr
     with pytest.raises(ValueError, match="was imported; only simulated datasets are exported"):
         RecordedDataset(harness.results / "datasets" / name)
 
@@ -208,7 +208,7 @@ def test_a_damaged_or_missing_episode_is_found_and_not_trained_on(recordings, ha
     path.write_bytes(whole[:2000] + bytes([whole[2000] ^ 1]) + whole[2001:])
     for problem in ("SHA-256 differs", "missing"):
         answer = harness("verify")
-        assert answer.returncode == 1 and problem in answer.stdout and "harness.importing" in answer.stdout
+        assert answer.returncode == 1 and problem in answer.stdout and "harness import" in answer.stdout
         answer = harness(*run)
         assert answer.returncode == 1 and "episode_00001.parquet" in answer.stderr, answer.stderr
         path.unlink(missing_ok=True)

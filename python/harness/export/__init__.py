@@ -1,6 +1,6 @@
 """Datasets as files of other projects: LeRobot datasets and Rerun recordings.
 
-python -m harness.export lerobot results/datasets/empty-0123456789abcdef exported
+harness export --format lerobot results/datasets/empty-0123456789abcdef exported
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""The command: `python -m harness.export FORMAT DATASET OUTPUT`."""
+"""The command `harness export`, also as `python -m harness.export`."""
+
+from __future__ import annotations
 
 import argparse
 import sys
@@ -7,17 +9,17 @@ from pathlib import Path
 from harness.export import FORMATS, export
 
 
-def main() -> int:
+def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
-        prog="python -m harness.export", description="Writes a dataset in another format"
+        prog="harness export", description="Writes a simulated dataset in another project's format."
     )
-    parser.add_argument("format", choices=FORMATS)
+    parser.add_argument("--format", choices=FORMATS, required=True)
     parser.add_argument("dataset", type=Path, help="the dataset's folder, as in results/datasets")
     parser.add_argument("output", type=Path, help="the folder to write; it must not exist")
     parser.add_argument(
         "--episodes", type=int, nargs="+", metavar="N", help="these episodes; all, if not given"
     )
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(words)
     try:
         print(export(arguments.dataset, arguments.format, arguments.output, arguments.episodes))
     except KeyboardInterrupt:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +67,7 @@ def write(source: RecordedDataset, episodes: Iterable[Episode], output: Path) ->
     dataset.finalize()
 
 
-def _features() -> dict[str, dict]:
+def _features() -> dict[str, dict[str, Any]]:
     """LeRobot's description of the features; elements are named as the columns, with their units."""
     features = {}
     for feature, vectors in FEATURES.items():

@@ -146,11 +146,14 @@ class Robot:
         kind = self.model.geom_type[geom]
         if kind == BOX:
             return rr.Boxes3D(half_sizes=[size], colors=[colour], fill_mode="solid")
-        shape = {"lengths": [2 * size[1]], "radii": [size[0]], "colors": [colour], "fill_mode": "solid"}
+        lengths, radii = [2 * size[1]], [size[0]]
         if kind == CYLINDER:
-            return rr.Cylinders3D(**shape)
+            return rr.Cylinders3D(lengths=lengths, radii=radii, colors=[colour], fill_mode="solid")
         # Rerun's capsule begins at the origin, MuJoCo's has it in the middle.
-        return rr.Capsules3D(translations=[[0, 0, -size[1]]], **shape)
+        middle = [[0, 0, -size[1]]]
+        return rr.Capsules3D(
+            lengths=lengths, radii=radii, translations=middle, colors=[colour], fill_mode="solid"
+        )
 
     def _send_surroundings(self, recording: rr.RecordingStream) -> None:
         ground, camera = self.model.geom("ground"), self.model.camera("external")
