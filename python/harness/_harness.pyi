@@ -3,6 +3,9 @@ from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import disjoint_base
+
+__all__ = ["Dataset", "Model", "SimulationBatch", "Table", "main", "query", "run"]
 
 def main(arguments: list[str]) -> int:
     """Runs the command line; returns its exit code."""
@@ -21,6 +24,7 @@ class Table:
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> Any: ...
 
+@disjoint_base
 class Dataset:
     def __new__(cls, folder: str | Path, frames: bool = True) -> Dataset:
         """Reads a dataset's folder, as `results/datasets/empty-…`, with its frames (12 kB a sample) or without.

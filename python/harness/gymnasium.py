@@ -146,7 +146,8 @@ def spaces(episodes: Episodes) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.
     """The spaces of one environment's observations and actions."""
     bounds = episodes.bounds().items()
     boxes: dict[str, gymnasium.Space[Any]] = {
-        name: gymnasium.spaces.Box(low, high, shape, kind) for name, (low, high, shape, kind) in bounds
+        name: gymnasium.spaces.Box(np.full(shape, low, kind), np.full(shape, high, kind), dtype=kind)
+        for name, (low, high, shape, kind) in bounds
     }
     fastest = episodes.fastest.astype(np.float32)
     return gymnasium.spaces.Dict(boxes), gymnasium.spaces.Box(-fastest, fastest, dtype=np.float32)
