@@ -4,7 +4,7 @@
 QUICK = --quick
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test soak lint bench
+.PHONY: help setup run test python soak lint bench interchange
 
 help: ## show this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 8
@@ -18,6 +18,11 @@ run: setup ## run the main experiment; `make run QUICK=` at full scale
 test: ## run every test
 	@setup/setup.sh --test
 	cargo test
+
+python: ## build the Python package into .venv and test it
+	@setup/setup.sh --python
+	PATH="$(CURDIR)/.venv/bin:$$PATH" .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps .
+	.venv/bin/python -m pytest --quiet tests/python_package
 
 soak: ## kill a run and a collection at many moments and compare what comes out; attack every reader (an hour)
 	@setup/setup.sh --test
@@ -33,3 +38,9 @@ bench: ## compare speed with PyTorch, Python's mujoco, PyBullet and the raw limi
 	@setup/setup.sh --bench
 	cargo build --bins --examples
 	.venv-bench/bin/python harness/benches/compare.py --output results/reference/benchmarks.parquet
+
+interchange: ## open exported data with LeRobot and Rerun, and import it again (minutes; 6 GB of packages, once)
+	@setup/setup.sh --interchange
+	cargo build --bin harness
+	.venv-interchange/bin/python -m pip install --quiet --no-deps .
+	.venv-interchange/bin/python -m pytest tests/interchange

@@ -120,7 +120,7 @@ fn run_key() -> Vec<Column> {
     vec![
         text("experiment", "name of the experiment"),
         text("run", "run id: scenario, latent size, seed and the first digits of the spec's hash"),
-        text("scenario", "empty or cluttered"),
+        text("scenario", "empty, cluttered, or the name of an imported dataset"),
         text("input", "modalities given to the encoder, joined by +"),
         text("output", "modalities predicted, joined by +"),
         text("architecture", "fully_connected or convolutional"),
@@ -248,10 +248,10 @@ fn frame_values() -> Vec<Column> {
 pub fn sample_columns() -> Vec<Column> {
     let mut columns = vec![
         text("dataset", "the dataset's folder"),
-        text("scenario", "empty or cluttered"),
+        text("scenario", "empty, cluttered, or the name of an imported dataset"),
         integer("episode", "episode of the dataset"),
         integer("sample", "counted from 0 within the episode"),
-        real("time", "s", "simulated time since the episode's start"),
+        real("time", "s", "time since the episode's start"),
     ];
     let per_link = |name: &str, unit, meaning: &str| -> Vec<Column> {
         (0..crate::spec::JOINTS)

@@ -4,7 +4,9 @@
 #
 #   setup/setup.sh           what the harness needs
 #   setup/setup.sh --test    and what its tests need besides
+#   setup/setup.sh --python  and what building and testing the Python package needs
 #   setup/setup.sh --bench   and .venv-bench, with what the benchmarks compare with
+#   setup/setup.sh --interchange   and .venv-interchange, with LeRobot and Rerun
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -123,9 +125,15 @@ case ${1-} in
     install_packages .venv requirements-test.txt
     check_browser
     ;;
+--python) install_packages .venv requirements-python.txt ;;
 --bench)
     make_venv .venv-bench
     install_packages .venv-bench requirements-bench.txt
+    ;;
+--interchange)
+    pythons=3.12 # LeRobot's oldest
+    make_venv .venv-interchange
+    install_packages .venv-interchange requirements-interchange.txt
     ;;
 esac
 check_egl

@@ -52,7 +52,7 @@ impl Place {
     fn of(spec: &RunSpec, experiment: &Experiment) -> Self {
         Self {
             vision: spec.input.contains(&Modality::Vision),
-            cluttered: spec.scenario == Scenario::Cluttered,
+            cluttered: spec.scenario == Scenario::Cluttered.into(),
             size: experiment.latent.iter().position(|latent| *latent == spec.latent).unwrap(),
         }
     }

@@ -273,3 +273,13 @@ fn standardised_values_restore_to_what_was_recorded() {
     assert_eq!(expected.len(), at.len() * ARM_JOINTS);
     assert!(largest_difference(&actions, &expected) < 1e-5);
 }
+
+/// The Python package reads and writes episodes' files by this list.
+#[test]
+fn the_python_packages_columns_are_those_of_the_files() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("python/harness/columns.json");
+    let checked_in: serde_json::Value = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
+    let columns = [harness::schema::sample_columns(), vec![harness::schema::frame_column()]].concat();
+    let expected = serde_json::to_value(&columns).unwrap();
+    assert!(checked_in == expected, "python/harness/columns.json must hold {expected}");
+}

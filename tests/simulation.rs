@@ -2,13 +2,14 @@
 
 use harness::metrics::parts::Part;
 use harness::simulation::{
-    BOXES, Course, Episode, Portrait, Scene, SimulationError, Simulator, link_forces, replay,
+    BOXES, Batch, Course, Episode, LiveSimulation, Portrait, Scene, SimulationError, Simulator, link_forces,
+    replay,
 };
 use harness::spec::{ARM_JOINTS, FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, JOINTS, Scenario, Simulation};
 use mujoco_rs::prelude::*;
 use std::ffi::OsStr;
 use std::ops::ControlFlow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 const STEPS_PER_SAMPLE: usize = 100;
@@ -112,6 +113,126 @@ fn an_episode_depends_on_its_seed_scenario_and_index_alone() {
 }
 
 /// The scenario's model with a touch sensor over each link, and the given friction cone.
+/// What a live simulation senses at a sample, as an episode of that one sample.
+fn sensed(live: &mut LiveSimulation) -> Episode {
+    let mut vision = vec![0; FRAME_LEN];
+    live.vision(&mut vision).unwrap();
+    Episode {
+        samples: 1,
+        proprioception: live.proprioception().to_vec(),
+        arm: live.arm().to_vec(),
+        setpoint: live.setpoint().map(|value| value as f32).to_vec(),
+        contact_force: live.contact_force().to_vec(),
+        contact_force_mean: live.contact_force_mean().to_vec(),
+        vision,
+        ..Episode::default()
+    }
+}
+
+/// One sample of an episode by itself.
+fn sample_of(episode: &Episode, sample: usize) -> Episode {
+    let row = |values: &[f32], width: usize| values[sample * width..][..width].to_vec();
+    Episode {
+        samples: 1,
+        proprioception: row(&episode.proprioception, JOINTS),
+        arm: row(&episode.arm, ARM_JOINTS),
+        setpoint: row(&episode.setpoint, ARM_JOINTS),
+        contact_force: row(&episode.contact_force, JOINTS),
+        contact_force_mean: row(&episode.contact_force_mean, JOINTS),
+        vision: episode.vision[sample * FRAME_LEN..][..FRAME_LEN].to_vec(),
+        ..Episode::default()
+    }
+}
+
+#[test]
+fn a_live_simulation_that_follows_an_episodes_course_senses_its_samples_bit_by_bit() {
+    for &scenario in Scenario::ALL {
+        let (scene, spec) = (scene(scenario), short());
+        let mut live = LiveSimulation::new(scenario, &spec).unwrap();
+        // Not from where it starts: nothing may be left over of what was simulated before.
+        live.step([3.0, -0.9, 0.4]).unwrap();
+        for index in [1, 0] {
+            let episode = simulate(&scene, &spec, index);
+            live.reset(spec.seed, index).unwrap();
+            for sample in 0..episode.samples {
+                assert!(sensed(&mut live) == sample_of(&episode, sample), "{scenario} {index} {sample}");
+                live.follow().unwrap();
+            }
+        }
+    }
+}
+
+#[test]
+fn a_live_simulations_arm_goes_evenly_to_its_setpoint_and_stays_within_the_ranges() {
+    let mut live = LiveSimulation::new(Scenario::Empty, &short()).unwrap();
+    let start = live.setpoint();
+    let wanted = [start[0] + 0.2, -0.15, 0.2];
+    live.step(wanted).unwrap();
+    assert_eq!(live.setpoint(), wanted);
+    // The gains delay the setpoint by kv / kp: 7 ms of 100.
+    for joint in 0..ARM_JOINTS {
+        let lag = (wanted[joint] - f64::from(live.arm()[joint])) / (wanted[joint] - start[joint]);
+        assert!((0.0..0.15).contains(&lag), "joint {joint} lags by {lag}");
+    }
+    live.step([99.0, 99.0, -99.0]).unwrap();
+    let spec = short();
+    assert_eq!(
+        live.setpoint(),
+        [spec.rotation_range_rad[1], spec.lift_range_m[1], spec.extension_range_m[0]]
+    );
+    let refused = live.step([f64::NAN, 0.0, 0.0]).unwrap_err().to_string();
+    assert!(refused.contains("finite"), "{refused}");
+}
+
+#[test]
+fn the_fingertip_hangs_where_the_finger_ends() {
+    // At rest the finger hangs straight from the mount at (-0.7, 0, 1.5) m, and is 1 m long.
+    let tip = LiveSimulation::new(Scenario::Empty, &short()).unwrap().fingertip();
+    for (found, expected) in tip.into_iter().zip([-0.7, 0.0, 0.5]) {
+        assert!((found - expected).abs() < 1e-6, "{tip:?}");
+    }
+}
+
+#[test]
+fn a_batch_steps_as_its_simulations_do_one_by_one() {
+    let spec = short();
+    let mut batch = Batch::new(Scenario::Cluttered, &spec, 3).unwrap();
+    let mut alone = LiveSimulation::new(Scenario::Cluttered, &spec).unwrap();
+    (0..3).for_each(|index| batch.reset(index, 7, index as u32).unwrap());
+    let setpoints = |sample: usize| {
+        [0, 1, 2].map(|index| [3.0 + 0.01 * (index * sample) as f64, -0.1 * sample as f64, 0.3])
+    };
+    for sample in 1..10 {
+        // The last one rests after five samples.
+        batch.step(&setpoints(sample), &[true, true, sample <= 5]).unwrap();
+    }
+    let mut frames = vec![0; 3 * FRAME_LEN];
+    batch.vision(&mut frames).unwrap();
+    for (index, samples) in [9, 9, 5].into_iter().enumerate() {
+        alone.reset(7, index as u32).unwrap();
+        (1..=samples).for_each(|sample| alone.step(setpoints(sample)[index]).unwrap());
+        let member = &batch.simulations()[index];
+        assert_eq!(member.proprioception(), alone.proprioception());
+        assert_eq!(member.contact_force_mean(), alone.contact_force_mean());
+        assert!(member.boxes().eq(alone.boxes()));
+        assert!(frames[index * FRAME_LEN..][..FRAME_LEN] == sensed(&mut alone).vision);
+    }
+}
+
+#[test]
+fn wrong_calls_of_a_batch_name_what_is_wrong() {
+    let failure = |count| Batch::new(Scenario::Empty, &short(), count).err().unwrap().to_string();
+    assert!(failure(0).contains("count"));
+    assert!(failure(100_000).contains("count"));
+    let mut batch = Batch::new(Scenario::Empty, &short(), 2).unwrap();
+    let nan = [f64::NAN, 0.0, 0.0];
+    assert!(batch.reset(2, 0, 0).unwrap_err().to_string().contains("index"));
+    assert!(batch.step(&[[0.0; 3]], &[true; 2]).unwrap_err().to_string().contains("setpoints"));
+    assert!(
+        batch.step(&[[3.0, 0.0, 0.0], nan], &[true; 2]).unwrap_err().to_string().contains("simulation 1")
+    );
+}
+
 fn scene_with_touch_sensors(scenario: Scenario, cone: MjtCone) -> Scene {
     let mut spec = MjSpec::from_xml_string(scene(scenario).xml()).unwrap();
     spec.option_mut().cone = cone as i32;
@@ -273,26 +394,60 @@ fn write_floats<'a>(path: &Path, values: impl IntoIterator<Item = &'a f64>) {
     std::fs::write(path, bytes).unwrap();
 }
 
-#[test]
-fn a_trajectory_is_pythons_bit_by_bit() {
-    for &scenario in Scenario::ALL {
+/// What the first short episode of a scenario is made of, as files for a script that simulates it again.
+struct Trajectory {
+    folder: tempfile::TempDir,
+    states: Vec<Vec<f64>>,
+}
+
+impl Trajectory {
+    fn of(scenario: Scenario) -> Self {
         let (scene, spec) = (scene(scenario), short());
         let states = replay(&scene, &spec, 0).unwrap();
         let course = Course::draw(&scene, &spec, 0).unwrap();
         let steps = (states.len() - 1) * STEPS_PER_SAMPLE + 1;
         let controls: Vec<_> = (0..steps).flat_map(|step| course.setpoint(step)).collect();
-        let folder = tempfile::tempdir().unwrap();
-        let file = |name: &str| folder.path().join(name);
-        std::fs::write(file("model.xml"), scene.xml()).unwrap();
-        write_floats(&file("start"), &states[0]);
-        write_floats(&file("controls"), &controls);
-        let paths = ["model.xml", "start", "controls", "positions"].map(file);
+        let trajectory = Self { folder: tempfile::tempdir().unwrap(), states };
+        write_floats(&trajectory.file("start"), &trajectory.states[0]);
+        write_floats(&trajectory.file("controls"), &controls);
+        trajectory
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// Runs a script on the repository's model file; it must arrive at the same positions, bit by bit.
+    fn assert_same(&self, scenario: Scenario, script: &str, options: &[&str]) {
+        let model = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("models/{scenario}.xml"));
+        let (start, controls, positions) =
+            (self.file("start"), self.file("controls"), self.file("positions"));
         let every = STEPS_PER_SAMPLE.to_string();
-        python("trajectory.py", &[&paths[0], &paths[1], &paths[2], &every, &paths[3]]);
-        let theirs = std::fs::read(&paths[3]).unwrap();
-        let ours: Vec<u8> = states.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
-        assert_eq!(states.len(), 100);
-        assert!(ours == theirs, "{scenario}: the trajectories differ");
+        let mut arguments: Vec<&dyn AsRef<OsStr>> = vec![&model, &start, &controls, &every];
+        arguments.extend(options.iter().map(|option| option as &dyn AsRef<OsStr>));
+        arguments.push(&positions);
+        python(script, &arguments);
+        let theirs = std::fs::read(&positions).unwrap();
+        let ours: Vec<u8> = self.states.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
+        assert_eq!(self.states.len(), 100);
+        assert!(ours == theirs, "{scenario}: the trajectory of {script} {options:?} differs");
+    }
+}
+
+#[test]
+fn a_trajectory_is_pythons_bit_by_bit() {
+    for &scenario in Scenario::ALL {
+        Trajectory::of(scenario).assert_same(scenario, "trajectory.py", &[]);
+    }
+}
+
+#[test]
+fn a_trajectory_is_dm_controls_bit_by_bit() {
+    for &scenario in Scenario::ALL {
+        let trajectory = Trajectory::of(scenario);
+        for stepping in ["legacy", "plain"] {
+            trajectory.assert_same(scenario, "dm_control_trajectory.py", &[stepping]);
+        }
     }
 }
 

@@ -2,8 +2,8 @@
 //! the same.
 
 use harness::spec::{
-    self, Action, Architecture, Experiment, Modality, Network, Scenario, Simulation, Split, SplitCounts,
-    Task, Training,
+    self, Action, Architecture, Experiment, Modality, Network, Origin, Scenario, Simulation, Split,
+    SplitCounts, Task, Training,
 };
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
@@ -62,7 +62,7 @@ fn what_is_left_out_gets_its_default() {
     let expected = Experiment {
         name: "base".into(),
         description: String::new(),
-        scenarios: vec![Scenario::Empty, Scenario::Cluttered],
+        scenarios: vec![Scenario::Empty.into(), Scenario::Cluttered.into()],
         input: vec![Modality::Proprioception, Modality::Arm],
         output: vec![Modality::Proprioception, Modality::ContactForce],
         latent: vec![2, 4],
@@ -187,7 +187,7 @@ fn unknown_names_are_refused_with_the_nearest_one() {
         (
             "scenarios: [clutter]",
             "spec.yaml:2:13: unknown scenario 'clutter' in 'scenarios'; did you mean 'cluttered'? Allowed: \
-             empty, cluttered",
+             empty, cluttered, or the name of an imported dataset",
         ),
         (
             "network: {architecture: Fully_Connected}",
@@ -596,6 +596,44 @@ fn runs_expand_by_scenario_then_latent_then_seed() {
 }
 
 #[test]
+fn an_imported_dataset_is_named_where_a_scenario_is() {
+    const NAME: &str = "lab_finger-0123456789abcdef";
+    let text = BASE.replace("[empty, cluttered]", &format!("[cluttered, {NAME}]"));
+    let experiment = load(&text);
+    assert_eq!(experiment.scenarios, [Scenario::Cluttered.into(), Origin::Imported(NAME.to_owned())]);
+    assert_eq!(load(&experiment.to_yaml()), experiment);
+    let runs = experiment.runs();
+    assert_eq!(runs[2].label(), format!("{NAME}-z2-seed0"));
+    assert_eq!(runs[0].simulation.as_ref(), Some(&experiment.simulation));
+    assert_eq!(runs[2].simulation, None, "nothing is simulated");
+    let json = serde_json::to_string(&runs[2]).unwrap();
+    assert_eq!(serde_json::from_str::<spec::RunSpec>(&json).unwrap(), runs[2]);
+    assert!(!json.contains("actuation"), "{json}");
+}
+
+#[test]
+fn what_no_imported_dataset_can_be_called_is_no_scenario() {
+    let too_long = format!("{}-0123456789abcdef", "a".repeat(65));
+    for name in [
+        "lab_finger",
+        "lab_finger-0123456789abcde",
+        "lab_finger-0123456789abcdeF",
+        "lab-finger-0123456789abcdef",
+        "9finger-0123456789abcdef",
+        "../finger-0123456789abcdef",
+        "-0123456789abcdef",
+        "empty-0123456789abcdef",
+        &too_long,
+    ] {
+        let said = refusal(base_with(&format!("scenarios: ['{name}']")));
+        assert!(
+            said.starts_with("spec.yaml:2:13: unknown scenario '") && said.contains("imported"),
+            "{said}"
+        );
+    }
+}
+
+#[test]
 fn runs_expand_by_every_combination_of_what_varies() {
     let vary = "vary:\n  training.kl_weight: [0, 0.01]\n  action: [target]\n  \
                 training.loss_weights.contact_force: [2.5]\n";
@@ -755,7 +793,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
     Experiment {
         name: NAMES.choose(random).unwrap().to_string(),
         description: TEXTS.choose(random).unwrap().to_string(),
-        scenarios: some(Scenario::ALL, random),
+        scenarios: some(Scenario::ALL, random).into_iter().map(Origin::from).collect(),
         input,
         output,
         latent: some(&[1, 2, 16, 4096], random),
@@ -873,7 +911,7 @@ fn the_papers_experiments_are_the_papers_also_when_quick() {
         let full = spec::load(&path, &[], false).unwrap();
         assert_eq!(full.latent, latent);
         assert_eq!(full.seeds.len(), seeds);
-        assert_eq!(full.scenarios, Scenario::ALL);
+        assert_eq!(full.scenarios, [Scenario::Empty, Scenario::Cluttered].map(Origin::from));
         let samples = full.simulation.samples_per_episode() * full.simulation.episodes as usize;
         let training = &full.training;
         assert_eq!((samples, training.batch_size, training.epochs), (40_000, 1024, 200));

@@ -6,7 +6,7 @@ pub use file::load;
 
 use crate::metrics::interval::{Interval, LEVEL, mean_interval};
 use crate::registry::{Registry, query_latest, rows};
-use crate::spec::{Scenario, SpecError};
+use crate::spec::{Origin, Scenario, SpecError};
 use polars::prelude::DataFrame;
 use serde::Deserialize;
 use serde_yaml::Spanned;
@@ -219,7 +219,7 @@ pub fn judge<'a>(
 /// A row of a query's answer.
 #[derive(Deserialize)]
 struct Row {
-    scenario: Option<Scenario>,
+    scenario: Option<Origin>,
     #[serde(alias = "episode")]
     seed: i64,
     value: Option<f64>,
@@ -236,7 +236,7 @@ impl Claim {
         };
         let measured = scenarios.into_iter().map(|scenario| {
             let mut values = BTreeMap::new();
-            for row in rows.iter().filter(|row| row.scenario == scenario) {
+            for row in rows.iter().filter(|row| row.scenario == scenario.map(Origin::from)) {
                 // A value that is not defined counts as not measured.
                 if row.value.is_some_and(|value| values.insert(row.seed, value).is_some()) {
                     let (name, seed) = (each.name(), row.seed);

@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use harness::metrics::Metric;
 use harness::metrics::interval::{Interval, LEVEL, mean_interval};
 use harness::registry::{Registry, query_latest, rows};
-use harness::spec::{Modality, Scenario, Task};
+use harness::spec::{Modality, Origin, Task};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::ExitCode;
@@ -94,7 +94,7 @@ impl Compare {
 #[derive(Deserialize)]
 struct Score {
     experiment: String,
-    scenario: Scenario,
+    scenario: Origin,
     latent: u64,
     variant: String,
     seed: u64,
@@ -119,7 +119,7 @@ fn scores(registry: &Registry) -> Result<Vec<Score>> {
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 struct Place {
     experiment: Option<String>,
-    scenario: Option<Scenario>,
+    scenario: Option<Origin>,
     latent: Option<u64>,
     variant: Option<String>,
 }
@@ -128,7 +128,7 @@ impl Place {
     fn of(score: &Score, has: impl Fn(Key) -> bool) -> Self {
         Self {
             experiment: has(Key::Experiment).then(|| score.experiment.clone()),
-            scenario: has(Key::Scenario).then_some(score.scenario),
+            scenario: has(Key::Scenario).then(|| score.scenario.clone()),
             latent: has(Key::Latent).then_some(score.latent),
             variant: has(Key::Variant).then(|| score.variant.clone()).filter(|variant| !variant.is_empty()),
         }
@@ -136,7 +136,7 @@ impl Place {
 
     /// The words of the keys that it has.
     fn words(&self) -> Vec<String> {
-        let scenario = self.scenario.map(|scenario| scenario.name().to_owned());
+        let scenario = self.scenario.as_ref().map(|scenario| scenario.name().to_owned());
         let latent = self.latent.map(|latent| format!("latent {latent}"));
         [self.experiment.clone(), scenario, latent, self.variant.clone()].into_iter().flatten().collect()
     }

@@ -1,4 +1,4 @@
-//! Commands and their arguments.
+//! The command line of the harness: arguments, terminal and exit codes; nothing scientific.
 
 mod claims;
 mod compare;
@@ -6,7 +6,7 @@ mod doctor;
 mod figures;
 mod inspect;
 mod interrupt;
-mod progress;
+pub mod progress;
 mod publish;
 mod render;
 mod report;
@@ -23,6 +23,7 @@ use harness::learning::LearningError;
 use harness::registry::{QueryError, Registry, RegistryError};
 use harness::simulation::SimulationError;
 use harness::spec::SpecError;
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -37,7 +38,7 @@ use std::process::ExitCode;
   harness query \"select scenario, latent, value from metrics where model = 'network' and metric = 'wmape' and index is null\"
   harness render cluttered --output scene.png"
 )]
-pub struct Arguments {
+struct Arguments {
     /// Folder of datasets and runs
     #[arg(long, global = true, value_name = "DIR", default_value = "results")]
     results: PathBuf,
@@ -157,8 +158,32 @@ const FAILED: u8 = 1;
 /// The spec or the arguments are wrong; nothing was done.
 const USAGE: u8 = 2;
 
-/// Runs a command and reports its error, once.
-pub fn main(arguments: Arguments) -> ExitCode {
+/// Makes a process the program's own: a closed pipe ends it, and its allocator gives nothing back.
+///
+/// # Safety
+/// To be called before any other thread exists, in a process that does nothing else.
+pub unsafe fn prepare_process() {
+    /// `mi_option_purge_delay` of mimalloc.h (versions 2 and 3), to which the bindings give no name.
+    const PURGE_DELAY: libmimalloc_sys::mi_option_t = 15;
+    const NEVER: std::ffi::c_long = -1;
+    // SAFETY: the caller vouches for the signal; the option is a number that may be set at any time.
+    unsafe {
+        // Rust ignores the signal, and `harness query … | head` would end in a panic.
+        libc::signal(libc::SIGPIPE, libc::SIG_DFL);
+        libmimalloc_sys::mi_option_set(PURGE_DELAY, NEVER);
+    }
+}
+
+/// Runs the command that `arguments` give, the first of which is the program's name, and reports its error, once.
+pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let arguments = match Arguments::try_parse_from(arguments) {
+        Ok(arguments) => arguments,
+        Err(told) => {
+            // Help and version come this way as well. Where they can't be printed, there is no one to tell.
+            let _ = told.print();
+            return ExitCode::from(if told.use_stderr() { USAGE } else { DONE });
+        }
+    };
     let threads = arguments.threads.map_or_else(all_threads, usize::from);
     // Fails only if a pool exists already, and this is the first use.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
@@ -212,6 +237,10 @@ fn is_usage(error: &anyhow::Error) -> bool {
             Some(QueryError::Sql(_) | QueryError::Refused(_) | QueryError::Format(_))
         )
         || matches!(error.downcast_ref(), Some(SimulationError::PictureSize { .. }))
+        || matches!(
+            error.downcast_ref(),
+            Some(ExperimentError::Dataset(DatasetError::NotImported { .. } | DatasetError::Lacks { .. }))
+        )
         || matches!(error.downcast_ref(), Some(ExperimentError::Learning(LearningError::Device { .. })))
         || matches!(
             error.downcast_ref(),

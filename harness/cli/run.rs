@@ -10,7 +10,7 @@ use harness::dataset::{Dataset, collect};
 use harness::experiment::{Laboratory, Planned, Summary, describe};
 use harness::registry::{Decision, Provenance, Registry, query};
 use harness::simulation::Scene;
-use harness::spec::{self, Experiment};
+use harness::spec::{self, Experiment, Origin};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -95,7 +95,11 @@ impl Collect {
         registry.check_writable()?;
         interrupt::install()?;
         let (mut failed, bars) = (false, Bars::default());
-        for scenario in experiment.scenarios {
+        for origin in &experiment.scenarios {
+            let &Origin::Simulated(scenario) = origin else {
+                println!("{origin}: imported, so nothing is collected");
+                continue;
+            };
             let scene = Scene::load(scenario, self.models.as_deref())?;
             let dataset = Dataset::new(&registry.datasets(), &scene, &experiment.simulation);
             match collect(&dataset, &scene, threads, &bars) {

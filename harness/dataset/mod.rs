@@ -3,12 +3,14 @@
 
 mod collect;
 pub mod frames;
+mod imported;
 mod samples;
 mod standard;
 mod store;
 mod verify;
 
 pub use collect::collect;
+pub use imported::Imported;
 pub use samples::{FRAME_PLANE, Partition, Samples};
 pub use standard::{Scale, Standard, frame_difference};
 pub use store::{Dataset, episode_scan};
@@ -16,6 +18,7 @@ pub use verify::{Inspection, inspect, is_lock};
 
 use crate::files::{LockError, WriteError};
 use crate::simulation::SimulationError;
+use crate::spec::Modality;
 use crate::tables::TableError;
 use std::path::PathBuf;
 
@@ -32,6 +35,14 @@ pub enum DatasetError {
     Damaged { path: PathBuf, problem: String },
     #[error(transparent)]
     Lock(#[from] LockError),
+    #[error(
+        "there is no imported dataset {name} in {}; import it with `harness import MAPPING.yaml` of the \
+         Python package, or name one that is there",
+        root.display()
+    )]
+    NotImported { name: String, root: PathBuf },
+    #[error("the dataset {dataset} holds no {modality}, which the experiment asks for; it holds {held}")]
+    Lacks { dataset: String, modality: Modality, held: String },
     #[error("the collection was cancelled; the same command goes on from the episodes that are there")]
     Cancelled,
 }

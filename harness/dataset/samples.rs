@@ -8,8 +8,9 @@ use std::ops::Range;
 pub const FRAME_PLANE: usize = FRAME_SIDE * FRAME_SIDE;
 
 /// All samples of a dataset, episode after episode.
-#[derive(Debug, Default, Clone)]
+#[derive(Debug, Clone)]
 pub struct Samples {
+    pub(super) is_simulated: bool,
     /// Where each episode's samples lie, in the order of the episodes.
     episodes: Vec<Range<usize>>,
     proprioception: Vec<f32>,
@@ -32,6 +33,7 @@ impl Samples {
     /// An empty dataset with room for `samples`, with frames if `frames`.
     pub fn with_capacity(samples: usize, frames: bool) -> Self {
         Self {
+            is_simulated: true,
             episodes: Vec::new(),
             proprioception: Vec::with_capacity(samples * JOINTS),
             arm: Vec::with_capacity(samples * ARM_JOINTS),
@@ -68,6 +70,11 @@ impl Samples {
         !self.vision.is_empty()
     }
 
+    /// Whether the frames show the simulated robot, whose parts are told by their colours.
+    pub fn is_simulated(&self) -> bool {
+        self.is_simulated
+    }
+
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -82,16 +89,30 @@ impl Samples {
         (episode, sample - self.episodes[episode].start)
     }
 
+    /// A vector modality of all samples, in physical units, `[samples, width]`.
+    pub fn vectors(&self, modality: Modality) -> &[f32] {
+        match modality {
+            Modality::Proprioception => &self.proprioception,
+            Modality::Arm => &self.arm,
+            Modality::ContactForce => &self.contact_force,
+            Modality::ContactForceMean => &self.contact_force_mean,
+            Modality::Vision | Modality::FrameDifference => unreachable!("frames are read by `frame_bytes`"),
+        }
+    }
+
     /// A vector modality of one sample, in physical units.
     pub fn vector(&self, modality: Modality, sample: usize) -> &[f32] {
-        let (values, width) = match modality {
-            Modality::Proprioception => (&self.proprioception, JOINTS),
-            Modality::Arm => (&self.arm, ARM_JOINTS),
-            Modality::ContactForce => (&self.contact_force, JOINTS),
-            Modality::ContactForceMean => (&self.contact_force_mean, JOINTS),
-            Modality::Vision | Modality::FrameDifference => unreachable!("frames are read by `frame`"),
-        };
-        &values[sample * width..][..width]
+        &self.vectors(modality)[sample * modality.width()..][..modality.width()]
+    }
+
+    /// The arm's commanded setpoint at all samples, in the units of `arm`, `[samples, 3]`.
+    pub fn setpoints(&self) -> &[f32] {
+        &self.setpoint
+    }
+
+    /// The camera's frames of all samples, `[samples, channel, row, column]`; empty if they weren't loaded.
+    pub fn frames(&self) -> &[u8] {
+        &self.vision
     }
 
     /// The camera frame of one sample as bytes, `[channel, row, column]`.

@@ -21,6 +21,15 @@ impl Scale {
         self.deviation[if self.deviation.len() == 1 { 0 } else { index }]
     }
 
+    /// To standardised values, in place: `values` `[n, width]` in physical units.
+    pub fn standardise(&self, values: &mut [f32]) {
+        for row in values.chunks_exact_mut(self.mean.len()) {
+            for (index, (value, mean)) in row.iter_mut().zip(&self.mean).enumerate() {
+                *value = (*value - mean) / self.deviation(index);
+            }
+        }
+    }
+
     /// Back to physical units, in place: `values` `[n, width]`.
     pub fn restore(&self, values: &mut [f32]) {
         for row in values.chunks_exact_mut(self.mean.len()) {

@@ -1,5 +1,6 @@
 //! Episodes on disk: one Parquet file each, in a folder named after what decides their content.
 
+use super::imported::Content;
 use super::{DatasetError, Samples};
 use crate::files::write_bytes;
 use crate::progress::{Progress, Silent};
@@ -40,6 +41,29 @@ impl Dataset {
         });
         let name = identify(scenario, &description);
         Self { folder: root.join(&name), name, scenario, spec: spec.clone(), description }
+    }
+
+    /// The dataset that a folder holds, with as many episodes as it was collected for last.
+    ///
+    /// # Errors
+    /// When the folder has no description, or one of another dataset or of another format.
+    pub fn at(folder: &Path) -> Result<Self, DatasetError> {
+        let path = folder.join(Description::FILE);
+        let damaged = |problem: &str| DatasetError::Damaged { path: path.clone(), problem: problem.into() };
+        let description = Description::read(folder).map_err(|problem| damaged(&problem))?;
+        if !description.is_current() {
+            return Err(damaged("it is of another format; `harness collect` makes it again"));
+        }
+        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let (scenario, spec) = description
+            .simulated(&name)
+            .ok_or_else(|| damaged("it does not describe the folder that it lies in"))?;
+        Ok(Self { folder: folder.to_owned(), name, scenario, spec, description: description.0 })
+    }
+
+    /// The scenario that was simulated.
+    pub fn scenario(&self) -> Scenario {
+        self.scenario
     }
 
     /// The folder's name: the scenario and the hash of what decides the content.
@@ -151,33 +175,55 @@ impl Dataset {
 
     /// Reads one episode, with or without its frames; its whole file is compared with its seal either way.
     pub fn read(&self, index: u32, frames: bool) -> Result<Episode, DatasetError> {
-        let path = self.episode_path(index);
-        let damaged = |problem: &str| DatasetError::Damaged { path: path.clone(), problem: problem.into() };
-        let wanted = (!frames).then(|| sample_columns().into_iter().map(|column| column.name).collect());
-        let table = self.open(index)?.table(wanted)?;
-        let mut episode = Episode { index, samples: table.height(), ..Episode::default() };
-        for (name, width, values) in vectors_mut(&mut episode) {
-            *values = interleave(&table, name, width).map_err(|_| damaged("a column is missing"))?;
-        }
-        if frames {
-            let vision = table.column("vision").and_then(|column| column.binary().cloned());
-            for frame in vision.map_err(|_| damaged("it has no frames"))?.iter() {
-                let frame = frame.filter(|frame| frame.len() == FRAME_LEN);
-                episode.vision.extend_from_slice(frame.ok_or_else(|| damaged("a frame has the wrong size"))?);
-            }
-        }
-        Ok(episode)
+        let (path, samples) = (self.episode_path(index), self.spec.samples_per_episode());
+        read_episode(&path, &self.name, index, samples, frames, &|_| true)
     }
 }
 
-/// A dataset's name: its scenario and the hash of what decides its content.
+/// Reads the file of episode `index` of the dataset named `dataset`, which must hold `samples` samples. A vector that
+/// the dataset does not hold, as `holds` says by its name, is zero.
+pub(super) fn read_episode(
+    path: &Path,
+    dataset: &str,
+    index: u32,
+    samples: usize,
+    frames: bool,
+    holds: &dyn Fn(&str) -> bool,
+) -> Result<Episode, DatasetError> {
+    let damaged = |problem: &str| DatasetError::Damaged { path: path.to_owned(), problem: problem.into() };
+    let wanted = (!frames).then(|| sample_columns().into_iter().map(|column| column.name).collect());
+    let table = open_episode(path, dataset, index, samples)?.table(wanted)?;
+    let mut episode = Episode { index, samples: table.height(), ..Episode::default() };
+    for (name, width, values) in vectors_mut(&mut episode) {
+        *values = if holds(name) {
+            interleave(&table, name, width).map_err(|_| damaged("a column is missing"))?
+        } else {
+            vec![0.0; samples * width]
+        };
+    }
+    if frames {
+        let vision = table.column("vision").and_then(|column| column.binary().cloned());
+        for frame in vision.map_err(|_| damaged("it has no frames"))?.iter() {
+            let frame = frame.filter(|frame| frame.len() == FRAME_LEN);
+            episode.vision.extend_from_slice(frame.ok_or_else(|| damaged("a frame has the wrong size"))?);
+        }
+    }
+    Ok(episode)
+}
+
+/// A simulated dataset's name: its scenario and the hash of what decides its content.
 fn identify(scenario: Scenario, description: &serde_json::Value) -> String {
     let mut identity = description.clone();
     // Whether an episode exists does not change what is in it: longer datasets extend shorter ones.
     identity["simulation"]["episodes"].take();
+    named_by_hash(scenario.name(), identity)
+}
+
+/// `name` and the first digits of the hash of `identity`, in which the order of keys does not matter.
+fn named_by_hash(name: &str, mut identity: serde_json::Value) -> String {
     identity.sort_all_objects();
     let hash = hex(&Sha256::digest(identity.to_string()));
-    format!("{}-{}", scenario.name(), &hash[..16])
+    format!("{name}-{}", &hash[..16])
 }
 
 /// What `dataset.json` says.
@@ -196,12 +242,21 @@ impl Description {
         self.0["format"] == FORMAT
     }
 
-    /// How the episodes are simulated, if this describes the dataset of that name: a name is a hash of all of
-    /// it but the number of episodes.
-    pub fn simulation(&self, name: &str) -> Option<Simulation> {
-        let scenario = Scenario::ALL.iter().find(|scenario| self.0["scenario"] == scenario.name())?;
+    /// What is simulated and how, if this describes the dataset of that name: a name is a hash of all of it but the
+    /// number of episodes.
+    pub fn simulated(&self, name: &str) -> Option<(Scenario, Simulation)> {
+        let scenario = *Scenario::ALL.iter().find(|scenario| self.0["scenario"] == scenario.name())?;
         let simulation = serde_json::from_value(self.0["simulation"].clone()).ok()?;
-        (identify(*scenario, &self.0) == name).then_some(simulation)
+        (identify(scenario, &self.0) == name).then_some((scenario, simulation))
+    }
+
+    /// What was imported, if this describes the imported dataset of that name, which ends in a hash of it.
+    pub fn imported(&self, name: &str) -> Option<Content> {
+        let content = self.0.get("imported")?;
+        let identity = json!({ "format": FORMAT, "imported": content });
+        let own_name = content["name"].as_str()?;
+        let described = self.is_current() && named_by_hash(own_name, identity) == name;
+        serde_json::from_value(content.clone()).ok().filter(|_| described)
     }
 }
 

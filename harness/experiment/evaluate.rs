@@ -96,7 +96,8 @@ fn add(
     reference: &[f32],
     predicted: &[f32],
 ) -> Result<(), MetricsError> {
-    if modality != Modality::FrameDifference {
+    // A real camera's colours do not tell the robot's parts.
+    if modality != Modality::FrameDifference || !samples.is_simulated() {
         return evaluation.add(reference, predicted);
     }
     let parts =
@@ -195,14 +196,16 @@ fn picture(modality: Modality, values: &[f32]) -> Vec<u8> {
         .collect()
 }
 
-/// How the forces are distributed, link by link: over the whole dataset, and in each of its episodes.
-pub fn forces(samples: &Samples) -> Vec<ForceRows> {
+/// How those forces that the dataset holds are distributed, link by link: over the whole of it, and in each of its
+/// episodes.
+pub fn forces(samples: &Samples, holds: impl Fn(Modality) -> bool) -> Vec<ForceRows> {
     let of = |modality, episode, range: Range<usize>| {
         let forces: Vec<f32> = range.flat_map(|sample| samples.vector(modality, sample)).copied().collect();
         ForceRows { modality, episode, links: contact::by_link(&forces) }
     };
     let mut rows = Vec::new();
-    for modality in [Modality::ContactForce, Modality::ContactForceMean] {
+    let forces = [Modality::ContactForce, Modality::ContactForceMean];
+    for modality in forces.into_iter().filter(|modality| holds(*modality)) {
         rows.push(of(modality, None, 0..samples.len()));
         let episodes = (0..).zip(samples.episodes());
         rows.extend(episodes.map(|(episode, range)| of(modality, Some(episode), range.clone())));

@@ -1,14 +1,16 @@
 //! The story of an experiment: spec, episodes, dataset, training, metrics, record.
 
 mod evaluate;
+mod model;
 mod schedule;
 
 pub use evaluate::physical;
+pub use model::{Model, ModelError, Values};
 pub use schedule::Summary;
 
 use evaluate::{Evaluated, Story};
 
-use crate::dataset::{Dataset, DatasetError, Partition, Samples, Standard, collect};
+use crate::dataset::{Dataset, DatasetError, Imported, Partition, Samples, Standard, collect};
 use crate::learning::network::{Decoder, Encoder, Parameters, Sizes};
 use crate::learning::objective::{Prediction, Reconstruction, View};
 use crate::learning::random::{Random, Stream};
@@ -23,7 +25,7 @@ use crate::registry::{
     Timings,
 };
 use crate::simulation::{Scene, SimulationError};
-use crate::spec::{Experiment, Modality, RunSpec, Task};
+use crate::spec::{Experiment, Modality, Origin, RunSpec, Task};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -83,9 +85,34 @@ pub struct Planned {
 }
 
 /// Where a scenario's samples come from.
-struct Source {
-    scene: Scene,
-    dataset: Dataset,
+enum Source {
+    Simulated { scene: Scene, dataset: Dataset },
+    Imported(Imported),
+}
+
+impl Source {
+    /// The dataset's name.
+    fn name(&self) -> &str {
+        match self {
+            Self::Simulated { dataset, .. } => dataset.name(),
+            Self::Imported(dataset) => dataset.name(),
+        }
+    }
+
+    /// Samples of the whole dataset.
+    fn len(&self) -> usize {
+        match self {
+            Self::Simulated { dataset, .. } => dataset.len(),
+            Self::Imported(dataset) => dataset.len(),
+        }
+    }
+
+    fn holds(&self, modality: Modality) -> bool {
+        match self {
+            Self::Simulated { .. } => true,
+            Self::Imported(dataset) => dataset.holds(modality),
+        }
+    }
 }
 
 impl Planned {
@@ -94,7 +121,7 @@ impl Planned {
         let key = |planned: &Planned| {
             let spec = &planned.spec;
             (
-                spec.scenario,
+                spec.scenario.clone(),
                 spec.input.clone(),
                 spec.output.clone(),
                 spec.tasks.clone(),
@@ -110,19 +137,19 @@ impl Laboratory<'_> {
     /// Each run of the experiment with what will happen to it, and why.
     pub fn plan(&self, experiment: &Experiment) -> Result<Vec<Planned>, ExperimentError> {
         let known = self.registry.records();
-        let mut sources: BTreeMap<&str, Arc<Source>> = BTreeMap::new();
+        let mut sources: BTreeMap<Origin, Arc<Source>> = BTreeMap::new();
         let mut plan = Vec::new();
         open_device(experiment.training.device)?;
         for spec in experiment.runs() {
-            let source = match sources.get(spec.scenario.name()) {
+            let source = match sources.get(&spec.scenario) {
                 Some(source) => source.clone(),
                 None => {
                     let source = Arc::new(self.source(&spec)?);
-                    sources.insert(spec.scenario.name(), source.clone());
+                    sources.insert(spec.scenario.clone(), source.clone());
                     source
                 }
             };
-            let folder = self.registry.run(&experiment.name, &spec, source.dataset.name());
+            let folder = self.registry.run(&experiment.name, &spec, source.name());
             let decision = self.registry.decide(&folder, &spec, &known);
             let record = folder.record().ok().flatten();
             plan.push(Planned { spec, folder, decision, record, source });
@@ -131,27 +158,42 @@ impl Laboratory<'_> {
     }
 
     fn source(&self, spec: &RunSpec) -> Result<Source, ExperimentError> {
-        let scene = Scene::load(spec.scenario, self.models.as_deref())?;
-        let dataset = Dataset::new(&self.registry.datasets(), &scene, &spec.simulation);
-        Ok(Source { scene, dataset })
+        let root = self.registry.datasets();
+        match &spec.scenario {
+            Origin::Simulated(scenario) => {
+                let scene = Scene::load(*scenario, self.models.as_deref())?;
+                let simulation = spec.simulation.clone().unwrap_or_default();
+                let dataset = Dataset::new(&root, &scene, &simulation);
+                Ok(Source::Simulated { scene, dataset })
+            }
+            Origin::Imported(name) => {
+                let dataset = Imported::open(&root, name)?;
+                dataset.check(&modalities(spec))?;
+                Ok(Source::Imported(dataset))
+            }
+        }
     }
 
-    /// Collects what is missing of the run's dataset and makes it ready for training.
+    /// The samples of a run's dataset, of which what is missing is collected first.
+    fn samples(&self, source: &Source, frames: bool) -> Result<Samples, ExperimentError> {
+        let (needed, available) = (Samples::bytes(source.len(), frames), memory::available_bytes());
+        if needed > available {
+            return Err(ExperimentError::Memory { dataset: source.name().to_owned(), needed, available });
+        }
+        match source {
+            Source::Simulated { scene, dataset } => {
+                collect(dataset, scene, self.threads, self.progress)?;
+                Ok(dataset.load(frames)?)
+            }
+            Source::Imported(dataset) => Ok(dataset.load(frames)?),
+        }
+    }
+
+    /// Makes the run's dataset ready for training.
     fn prepare(&self, Planned { spec, source, .. }: &Planned) -> Result<Material, ExperimentError> {
         let begin = Instant::now();
-        let Source { scene, dataset } = source.as_ref();
-        let modalities: Vec<Modality> = Modality::ALL
-            .iter()
-            .copied()
-            .filter(|m| spec.input.contains(m) || spec.output.contains(m))
-            .collect();
-        let frames = modalities.iter().any(|modality| modality.is_frame());
-        let (needed, available) = (Samples::bytes(dataset.len(), frames), memory::available_bytes());
-        if needed > available {
-            return Err(ExperimentError::Memory { dataset: dataset.name().to_owned(), needed, available });
-        }
-        collect(dataset, scene, self.threads, self.progress)?;
-        let samples = dataset.load(frames)?;
+        let modalities = modalities(spec);
+        let samples = self.samples(source, modalities.iter().any(|modality| modality.is_frame()))?;
         let partition = samples.partition(&spec.split).ok_or(ExperimentError::NoTraining)?;
         let standard = Standard::fit(&samples, &partition.training, &modalities, spec.action);
         let view = View {
@@ -165,11 +207,17 @@ impl Laboratory<'_> {
             let output = if *task == Task::Prediction { &spec.output } else { &spec.input };
             baselines.extend(evaluate::baselines(&view, &partition, *task, &spec.input, output)?);
         }
-        let forces = evaluate::forces(&view.samples);
+        let forces = evaluate::forces(&view.samples, |modality| source.holds(modality));
         let storyboard = evaluate::storyboard(&view.samples, &partition.test);
         let seconds = begin.elapsed().as_secs_f64();
         Ok(Material { view, partition, baselines, forces, storyboard, seconds })
     }
+}
+
+/// What a run's networks are given or predict, in the order of [`Modality`].
+fn modalities(spec: &RunSpec) -> Vec<Modality> {
+    let is_used = |modality: &Modality| spec.input.contains(modality) || spec.output.contains(modality);
+    Modality::ALL.iter().copied().filter(is_used).collect()
 }
 
 impl ExperimentError {

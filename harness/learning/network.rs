@@ -131,7 +131,9 @@ impl Builder<'_> {
 /// From an observation to a posterior.
 pub struct Encoder {
     convolution: Option<Layer>,
-    /// The hidden layer's weights for the frames and for the vectors: one fully connected layer in two blocks.
+    /// The hidden layer's weights for the frames and for the vectors: one fully connected layer in two blocks, each
+    /// initialised by its own fan-in. By their joint one, a few joint angles would begin unheard among thousands of
+    /// pixels' values.
     hidden_frame: Option<Tensor>,
     hidden_vector: Option<Tensor>,
     hidden_bias: Tensor,
@@ -151,7 +153,6 @@ impl Encoder {
         let vector = Sizes::vector(&sizes.input);
         let channels = Sizes::frame_channels(&sizes.input);
         let coarse = if channels > 0 { sizes.coarse() } else { 0 };
-        let fan_in = vector + coarse;
         let convolution = (channels > 0)
             .then(|| build.layer("conv", &[sizes.channels, channels, 4, 4], sizes.channels, channels * 16))
             .transpose()?;
@@ -159,12 +160,12 @@ impl Encoder {
         Ok(Self {
             convolution,
             hidden_frame: (channels > 0)
-                .then(|| build.parameter("hidden_frame.weight", &[hidden, coarse], fan_in))
+                .then(|| build.parameter("hidden_frame.weight", &[hidden, coarse], coarse))
                 .transpose()?,
             hidden_vector: (vector > 0)
-                .then(|| build.parameter("hidden_vector.weight", &[hidden, vector], fan_in))
+                .then(|| build.parameter("hidden_vector.weight", &[hidden, vector], vector))
                 .transpose()?,
-            hidden_bias: build.parameter("hidden.bias", &[hidden], fan_in)?,
+            hidden_bias: build.parameter("hidden.bias", &[hidden], vector + coarse)?,
             posterior: build.linear("posterior", 2 * sizes.latent, hidden)?,
             precision: sizes.precision,
         })

@@ -2,7 +2,8 @@
 
 use super::network::{Decoder, Encoder};
 use super::objective::{View, rows};
-use crate::spec::Modality;
+use crate::dataset::Standard;
+use crate::spec::{FRAME_CHANNELS, Modality};
 use candle_core::{Result, Tensor};
 
 /// Transitions decoded at once; bounds the memory that frames take.
@@ -39,23 +40,35 @@ pub fn decode(
         let places: Vec<usize> = (index * BATCH..index * BATCH + at.len()).collect();
         let action = acting.then(|| view.actions(at)).transpose()?;
         let (vector, frames) = decoder.decode(&rows(latent, &places)?, action.as_ref())?;
-        let (mut column, mut channel) = (0, 0);
-        for modality in output.iter().copied() {
-            let values = if modality.is_frame() {
-                let frames = part(&frames, channel, crate::spec::FRAME_CHANNELS)?;
-                channel += crate::spec::FRAME_CHANNELS;
-                frames
-            } else {
-                let vector = part(&vector, column, modality.width())?;
-                column += modality.width();
-                vector
-            };
-            let mut values = values.flatten_all()?.to_vec1()?;
-            view.standard.scales[&modality].restore(&mut values);
+        for (modality, values) in restored(&view.standard, output, vector, frames)? {
             each(Predicted { modality, at, values });
         }
     }
     Ok(())
+}
+
+/// A decoder's output by modality, in physical units: `[batch, width]` each, frames channel by channel.
+pub fn restored(
+    standard: &Standard,
+    output: &[Modality],
+    vector: Option<Tensor>,
+    frames: Option<Tensor>,
+) -> Result<Vec<(Modality, Vec<f32>)>> {
+    let (mut column, mut channel) = (0, 0);
+    let mut restored = Vec::with_capacity(output.len());
+    for modality in output.iter().copied() {
+        let values = if modality.is_frame() {
+            channel += FRAME_CHANNELS;
+            part(&frames, channel - FRAME_CHANNELS, FRAME_CHANNELS)?
+        } else {
+            column += modality.width();
+            part(&vector, column - modality.width(), modality.width())?
+        };
+        let mut values = values.flatten_all()?.to_vec1()?;
+        standard.scales[&modality].restore(&mut values);
+        restored.push((modality, values));
+    }
+    Ok(restored)
 }
 
 /// `len` columns or channels of a decoder's output, from `start` on.

@@ -81,17 +81,19 @@ impl Registry {
             let problem = "in the format of another version, which this one neither reads nor checks";
             return report.note(folder, problem, Some(remove(folder)));
         }
+        if inspection.imported {
+            return report_imported(folder, inspection, report);
+        }
         // Of all runs on this dataset, the one that needs the most of it.
         let users = recorded.iter().map(|(_, record)| record).filter(|record| record.dataset == name);
-        let user =
-            users.max_by_key(|record| (record.spec.simulation.episodes, record.status == Status::Done));
+        let user = users.max_by_key(|record| (episodes(record), record.status == Status::Done));
         let collect = user.and_then(|record| self.again("collect", record));
         for (path, problem) in inspection.damaged {
             let mend = collect.clone().unwrap_or_else(|| remove(&path));
             report.broken(&path, problem, mend);
         }
         let needed = user.filter(|record| record.status == Status::Done);
-        let needed = needed.map_or(0, |record| record.spec.simulation.episodes);
+        let needed = needed.map_or(0, episodes);
         let lost = inspection.missing.iter().filter(|index| **index < needed).count();
         if lost > 0 {
             let problem = format!("{lost} of the {needed} episodes that a finished run used are missing");
@@ -182,6 +184,23 @@ impl Registry {
         };
         has_spec.then(|| format!("harness {results}{command} {}", kept.join(" ")))
     }
+}
+
+/// Episodes that a run simulated and used.
+fn episodes(record: &RunRecord) -> u32 {
+    record.spec.simulation.as_ref().map_or(0, |simulation| simulation.episodes)
+}
+
+/// What is wrong with a dataset that can only be imported again.
+fn report_imported(folder: &Path, inspection: Inspection, report: &mut Report) {
+    let mend = || format!("{} && harness import its mapping", remove(folder));
+    for (path, problem) in inspection.damaged {
+        report.broken(&path, problem, mend());
+    }
+    if !inspection.missing.is_empty() {
+        report.broken(folder, format!("{} of its episodes are missing", inspection.missing.len()), mend());
+    }
+    inspection.unknown.iter().for_each(|path| report_stray(path, report));
 }
 
 /// What is wrong with a file, without its name.

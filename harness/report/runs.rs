@@ -45,7 +45,7 @@ impl Experiment {
         records.sort_by_cached_key(|record| {
             let spec = &record.spec;
             (
-                spec.scenario,
+                spec.scenario.clone(),
                 spec.variant.clone(),
                 spec.latent,
                 spec.seed,

@@ -106,7 +106,7 @@ impl Episode {
         }
     }
 
-    fn record(&mut self, scene: &Scene, instant: &Instant<'_>) {
+    fn record(&mut self, scene: &Scene, instant: &Instant) {
         let single = |value: f64| value as f32;
         self.proprioception.extend(scene.finger_qpos.map(|index| single(instant.qpos[index])));
         self.arm.extend(scene.arm.map(|joint| single(instant.qpos[joint.qpos])));

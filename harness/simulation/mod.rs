@@ -1,20 +1,25 @@
 //! The simulated world: MuJoCo scenes, the arm's motion, what the robot senses, and the camera's frames.
 //!
 //! A [`Scene`] is a compiled model, shared by all threads; a [`Simulator`] steps and films it on one thread and
-//! yields [`Episode`]s. An episode depends on the spec, the scene and its own index, on nothing else.
+//! yields [`Episode`]s. An episode depends on the spec, the scene and its own index, on nothing else. A
+//! [`LiveSimulation`] is stepped from outside instead, and a [`Batch`] of them in parallel.
 
+mod batch;
 mod camera;
 mod course;
 mod episode;
+mod live;
 mod motion;
 mod physics;
 mod placement;
 mod scene;
 mod sensors;
 
+pub use batch::Batch;
 pub use camera::{Camera, Portrait, prepare_rendering, renderer_name};
 pub use course::{Course, Pose};
 pub use episode::{Episode, Simulator, replay};
+pub use live::LiveSimulation;
 pub use scene::{BOXES, Scene};
 pub use sensors::{LinkForces, link_forces};
 
@@ -74,6 +79,14 @@ pub enum SimulationError {
 
     #[error("a picture of {width} x {height} pixels is out of range: each side must be 1 to {max}")]
     PictureSize { width: u32, height: u32, max: u32 },
+
+    #[error(
+        "the setpoint {setpoint:?} of simulation {index} must be three finite numbers: rotation (rad), lift and extension (m)"
+    )]
+    Setpoint { index: usize, setpoint: [f64; 3] },
+
+    #[error("{0}")]
+    Batch(String),
 
     #[error("a state of {found} values does not fit {scene}, which has {expected} position coordinates")]
     StateSize { scene: String, found: usize, expected: usize },

@@ -4,7 +4,7 @@ use super::{MUJOCO_VERSION, SimulationError, mujoco_version};
 use crate::spec::{ARM_JOINTS, JOINTS, Scenario};
 use mujoco_rs::prelude::*;
 use std::path::Path;
-use std::sync::Once;
+use std::sync::{Once, OnceLock};
 
 /// Movable boxes of the cluttered scenario.
 pub const BOXES: usize = 8;
@@ -30,6 +30,17 @@ pub struct Scene {
     pub(super) mount: Mount,
     pub(super) boxes: Vec<FreeBox>,
     pub(super) camera: usize,
+    /// Body and geom of the finger's last link.
+    pub(super) tip: Tip,
+}
+
+/// The finger's last link.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Tip {
+    /// Its body, whose origin is its joint.
+    pub body: usize,
+    /// Its capsule, whose middle is half-way from the joint to the fingertip.
+    pub geom: usize,
 }
 
 /// A driven joint of the arm.
@@ -110,6 +121,8 @@ impl Scene {
         let boxes = (0..box_count(scenario)).map(|index| names.free_box(index)).collect::<Result<_, _>>()?;
         let finger_radius = model.geom_size()[names.geom("finger_link_00")?][0];
         let camera = names.id(MjtObjBase::mjOBJ_CAMERA, "camera", "external")?;
+        let last = format!("finger_link_{:02}", JOINTS - 1);
+        let tip = Tip { body: names.id(MjtObjBase::mjOBJ_BODY, "body", &last)?, geom: names.geom(&last)? };
         let xml = xml.to_owned();
         Ok(Self {
             name,
@@ -123,7 +136,23 @@ impl Scene {
             mount,
             boxes,
             camera,
+            tip,
         })
+    }
+
+    /// The scenario's built-in model, compiled once a process and kept.
+    ///
+    /// # Errors
+    /// When the linked MuJoCo is another version.
+    pub fn builtin(scenario: Scenario) -> Result<&'static Self, SimulationError> {
+        static SCENES: [OnceLock<Scene>; Scenario::ALL.len()] =
+            [const { OnceLock::new() }; Scenario::ALL.len()];
+        let scene = &SCENES[scenario as usize];
+        match scene.get() {
+            Some(scene) => Ok(scene),
+            // Two threads may both compile it; the first one's is kept.
+            None => Self::load(scenario, None).map(|compiled| scene.get_or_init(|| compiled)),
+        }
     }
 
     /// The scenario it is the model of.

@@ -1,6 +1,6 @@
 //! The runs that an experiment expands to. All that decides one run's result is in its [`RunSpec`].
 
-use super::types::{Action, Experiment, Modality, Network, Scenario, Simulation, Split, Task, Training};
+use super::types::{Action, Experiment, Modality, Network, Origin, Simulation, Split, Task, Training};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunSpec {
-    pub scenario: Scenario,
+    pub scenario: Origin,
     /// What the encoder is given, in the order of [`Modality`].
     pub input: Vec<Modality>,
     /// What the decoder predicts, in the order of [`Modality`].
@@ -25,7 +25,9 @@ pub struct RunSpec {
     pub tasks: Vec<Task>,
     pub action: Action,
     pub network: Network,
-    pub simulation: Simulation,
+    /// How the episodes are simulated; `None` where they are imported.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub simulation: Option<Simulation>,
     pub split: Split,
     pub training: Training,
 }
@@ -35,7 +37,7 @@ impl Experiment {
     pub fn runs(&self) -> Vec<RunSpec> {
         let variants = self.variants();
         let mut runs = Vec::new();
-        for &scenario in &self.scenarios {
+        for scenario in &self.scenarios {
             for (variant, experiment) in &variants {
                 for &latent in &experiment.latent {
                     let of = |&seed| experiment.run(scenario, variant, latent, seed);
@@ -75,9 +77,9 @@ impl Experiment {
         combinations
     }
 
-    fn run(&self, scenario: Scenario, variant: &str, latent: usize, seed: u64) -> RunSpec {
+    fn run(&self, scenario: &Origin, variant: &str, latent: usize, seed: u64) -> RunSpec {
         RunSpec {
-            scenario,
+            scenario: scenario.clone(),
             variant: variant.to_owned(),
             input: self.input.clone(),
             output: self.output.clone(),
@@ -86,7 +88,7 @@ impl Experiment {
             tasks: self.tasks.clone(),
             action: self.action,
             network: self.network.clone(),
-            simulation: self.simulation.clone(),
+            simulation: matches!(scenario, Origin::Simulated(_)).then(|| self.simulation.clone()),
             split: self.split.clone(),
             training: self.training.clone(),
         }

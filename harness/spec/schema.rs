@@ -2,7 +2,7 @@
 
 use super::error::Problem;
 use super::parse::{Entry, Node, Value, shorten};
-use super::types::Experiment;
+use super::types::{Experiment, Origin};
 use serde_json::{Value as Json, json};
 use std::collections::HashSet;
 use std::sync::LazyLock;
@@ -74,7 +74,7 @@ pub(super) fn check(tree: &Node) -> Result<(), Problem> {
 fn check_node(schema: &Json, node: &Node, path: &str) -> Result<(), Problem> {
     let (schema, definition) = resolve(&SCHEMA, schema);
     if let Some(choices) = choices(schema) {
-        return check_choice(&choices, &definition.to_lowercase(), node, path);
+        return check_choice(schema, &choices, &definition.to_lowercase(), node, path);
     }
     if !has_type(schema, &node.value) || !is_within_bounds(schema, &node.value) {
         return Err(Problem::new(&node.origin, unexpected(&expected(schema), &node.value, path)));
@@ -86,15 +86,24 @@ fn check_node(schema: &Json, node: &Node, path: &str) -> Result<(), Problem> {
     }
 }
 
-fn check_choice(choices: &[&str], what: &str, node: &Node, path: &str) -> Result<(), Problem> {
-    match &node.value {
-        Value::Text(text) if choices.contains(&text.as_str()) => Ok(()),
-        Value::Text(text) => Err(Problem::new(&node.origin, unknown(what, text, path, choices))),
-        other => Err(Problem::new(
-            &node.origin,
-            unexpected(&format!("one of {}", choices.join(", ")), other, path),
-        )),
-    }
+fn check_choice(schema: &Json, choices: &[&str], what: &str, node: &Node, path: &str) -> Result<(), Problem> {
+    let is_imported = |text: &str| takes_imported(schema) && Origin::try_from(text.to_owned()).is_ok();
+    let message = match &node.value {
+        Value::Text(text) if choices.contains(&text.as_str()) || is_imported(text) => return Ok(()),
+        Value::Text(text) => unknown(what, text, path, choices) + imported_words(schema),
+        other => unexpected(&expected(schema), other, path),
+    };
+    Err(Problem::new(&node.origin, message))
+}
+
+/// Whether one of the choices is a pattern, as that of the imported datasets' names is.
+fn takes_imported(schema: &Json) -> bool {
+    let choices = schema["oneOf"].as_array();
+    choices.is_some_and(|choices| choices.iter().any(|choice| choice.get("pattern").is_some()))
+}
+
+fn imported_words(schema: &Json) -> &'static str {
+    if takes_imported(schema) { ", or the name of an imported dataset" } else { "" }
 }
 
 fn check_items(schema: &Json, items: &[Node], path: &str) -> Result<(), Problem> {
@@ -232,7 +241,7 @@ fn is_within_bounds(schema: &Json, value: &Value) -> bool {
 fn expected(schema: &Json) -> String {
     let (schema, _) = resolve(&SCHEMA, schema);
     if let Some(choices) = choices(schema) {
-        return format!("one of {}", choices.join(", "));
+        return format!("one of {}{}", choices.join(", "), imported_words(schema));
     }
     let name = |name: &str| match name {
         "integer" => format!("an integer{}", expected_bounds(schema)),
@@ -279,7 +288,7 @@ mod tests {
     #[test]
     fn the_checks_know_every_keyword_of_the_schema() {
         const ANNOTATIONS: &[&str] = &["$schema", "title", "description", "default", "format"];
-        // `pattern` stands for the name's rule in `validate`; `additionalProperties` is always false.
+        // `pattern` stands for the name's rule in `validate` and for `Origin`'s; `additionalProperties` is always false.
         const CHECKED: &[&str] = &[
             "$defs",
             "$ref",

@@ -54,6 +54,93 @@ pub enum Scenario {
 }
 names!(Scenario { Empty => "empty", Cluttered => "cluttered" });
 
+/// What the samples of a cell come from. In a spec, a scenario's name or that of an imported dataset.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum Origin {
+    /// Episodes that are simulated here.
+    Simulated(Scenario),
+    /// A dataset that was imported, by the name of its folder: `lab_finger-0123456789abcdef`, in which the digits are a
+    /// hash of its content.
+    Imported(String),
+}
+
+impl Origin {
+    /// The name in specs, tables and file names.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Simulated(scenario) => scenario.name(),
+            Self::Imported(name) => name,
+        }
+    }
+}
+
+impl fmt::Display for Origin {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl From<Scenario> for Origin {
+    fn from(scenario: Scenario) -> Self {
+        Self::Simulated(scenario)
+    }
+}
+
+impl From<Origin> for String {
+    fn from(origin: Origin) -> Self {
+        origin.name().to_owned()
+    }
+}
+
+impl TryFrom<String> for Origin {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        if let Some(scenario) = Scenario::ALL.iter().find(|scenario| scenario.name() == name) {
+            return Ok(Self::Simulated(*scenario));
+        }
+        if is_imported_name(&name) {
+            return Ok(Self::Imported(name));
+        }
+        Err(format!("'{name}' is neither a scenario nor the name of an imported dataset"))
+    }
+}
+
+/// The name of an imported dataset, which no simulated one can have.
+const IMPORTED_NAME: &str = "^[a-z][a-z0-9_]{0,63}-[0-9a-f]{16}$";
+
+/// Whether a text matches [`IMPORTED_NAME`], and begins with no scenario's name.
+fn is_imported_name(text: &str) -> bool {
+    let Some((name, hash)) = text.rsplit_once('-') else { return false };
+    let is_name_letter = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
+    (1..=64).contains(&name.len())
+        && name.starts_with(|c: char| c.is_ascii_lowercase())
+        && name.chars().all(is_name_letter)
+        && Scenario::ALL.iter().all(|scenario| scenario.name() != name)
+        && hash.len() == 16
+        && hash.chars().all(|c| matches!(c, '0'..='9' | 'a'..='f'))
+}
+
+/// The scenarios' schema with one more choice.
+impl JsonSchema for Origin {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        Scenario::schema_name()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let mut schema = Scenario::json_schema(generator).to_value();
+        let description = "An imported dataset, by the name of its folder in results/datasets.";
+        let imported = serde_json::json!({
+            "description": description, "type": "string", "pattern": IMPORTED_NAME,
+        });
+        if let Some(choices) = schema["oneOf"].as_array_mut() {
+            choices.push(imported);
+        }
+        schema.try_into().expect("an object with one more choice is a schema")
+    }
+}
+
 /// What is sensed at a sample. The order is that in which modalities are packed, whatever a spec's order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -164,9 +251,9 @@ pub struct Experiment {
     /// The question, in a sentence.
     #[serde(default)]
     pub description: String,
-    /// The worlds to simulate; each makes cells of its own.
+    /// The worlds to simulate, or imported datasets; each makes cells of its own.
     #[schemars(length(min = 1), extend("uniqueItems" = true))]
-    pub scenarios: Vec<Scenario>,
+    pub scenarios: Vec<Origin>,
     /// What the encoder is given. The order does not matter.
     #[schemars(length(min = 1), extend("uniqueItems" = true))]
     pub input: Vec<Modality>,

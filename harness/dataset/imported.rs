@@ -1,0 +1,98 @@
+//! Datasets that were recorded elsewhere and imported: read like those that are simulated here, and never made.
+
+use super::store::{Description, read_episode};
+use super::{DatasetError, Samples};
+use crate::spec::Modality;
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+
+/// An imported dataset that is on disk.
+#[derive(Debug, Clone)]
+pub struct Imported {
+    folder: PathBuf,
+    name: String,
+    content: Content,
+}
+
+/// What `dataset.json` says of an imported dataset's content, of which its name holds the hash.
+#[derive(Debug, Clone, Deserialize)]
+pub(super) struct Content {
+    /// What its episodes hold besides the setpoint, which every one has.
+    modalities: Vec<Modality>,
+    episodes: Vec<ImportedEpisode>,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+struct ImportedEpisode {
+    samples: u32,
+}
+
+impl Content {
+    /// Samples of each episode.
+    pub fn samples(&self) -> Vec<usize> {
+        self.episodes.iter().map(|episode| episode.samples as usize).collect()
+    }
+}
+
+impl Imported {
+    /// The imported dataset of that name in `root`.
+    ///
+    /// # Errors
+    /// When there is none, or its description is damaged.
+    pub fn open(root: &Path, name: &str) -> Result<Self, DatasetError> {
+        let folder = root.join(name);
+        if !folder.join(Description::FILE).exists() {
+            return Err(DatasetError::NotImported { name: name.to_owned(), root: root.to_owned() });
+        }
+        let damaged = |problem| DatasetError::Damaged { path: folder.join(Description::FILE), problem };
+        let description = Description::read(&folder).map_err(damaged)?;
+        let content =
+            description.imported(name).ok_or_else(|| damaged("it does not describe this dataset".into()))?;
+        Ok(Self { folder, name: name.to_owned(), content })
+    }
+
+    /// The folder's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Samples of the whole dataset.
+    pub fn len(&self) -> usize {
+        self.content.samples().iter().sum()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Whether its episodes hold a modality, or what it is derived from.
+    pub fn holds(&self, modality: Modality) -> bool {
+        let recorded = if modality == Modality::FrameDifference { Modality::Vision } else { modality };
+        self.content.modalities.contains(&recorded)
+    }
+
+    /// Refuses modalities that it does not hold.
+    pub fn check(&self, wanted: &[Modality]) -> Result<(), DatasetError> {
+        let Some(&modality) = wanted.iter().find(|modality| !self.holds(**modality)) else { return Ok(()) };
+        let held: Vec<&str> =
+            Modality::ALL.iter().filter(|held| self.holds(**held)).map(|held| held.name()).collect();
+        Err(DatasetError::Lacks { dataset: self.name.clone(), modality, held: held.join(", ") })
+    }
+
+    /// Reads the whole dataset into memory, with the frames if asked; what it does not hold is zero there.
+    ///
+    /// # Errors
+    /// When an episode is missing, or its file is not as it was written.
+    pub fn load(&self, frames: bool) -> Result<Samples, DatasetError> {
+        let mut samples = Samples::with_capacity(self.len(), frames);
+        samples.is_simulated = false;
+        for (index, length) in (0..).zip(self.content.samples()) {
+            let path = self.folder.join(format!("episode_{index:05}.parquet"));
+            let holds = |vector: &str| {
+                vector == "setpoint" || self.content.modalities.iter().any(|held| held.name() == vector)
+            };
+            samples.push(&read_episode(&path, &self.name, index, length, frames, &holds)?);
+        }
+        Ok(samples)
+    }
+}

@@ -1,0 +1,161 @@
+//! A trained network at work on observations from anywhere, in physical units.
+
+use super::network_sizes;
+use crate::dataset::Standard;
+use crate::dataset::frames::{DenseFrames, Frames};
+use crate::learning::network::{Decoder, Encoder, Observation, Parameters};
+use crate::learning::random::{Random, Stream};
+use crate::learning::{LearningError, checkpoint, predict};
+use crate::registry::{Registry, RegistryError, RunRecord, Status};
+use crate::spec::{ARM_JOINTS, FRAME_SIDE, Modality, Task};
+use candle_core::{Device, Tensor};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// A batch by modality, `[batch, width]` in physical units; frames channel by channel, those of `vision` in [0, 1].
+pub type Values = BTreeMap<Modality, Vec<f32>>;
+
+/// Why a trained network can't be used as asked.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelError {
+    #[error(transparent)]
+    Registry(#[from] RegistryError),
+    #[error(transparent)]
+    Learning(#[from] LearningError),
+    #[error("{run} is {}, not done; the command that made it goes on with it", status.name())]
+    Unfinished { run: String, status: Status },
+    #[error("there is no network at {}; published results leave networks out, so do the run again", .0.display())]
+    NoNetwork(PathBuf),
+    #[error("the observation lacks '{modality}'; the encoder of {run} is given {}", names(given))]
+    Lacks { run: String, modality: Modality, given: Vec<Modality> },
+    #[error("'{name}' has {found} values for a batch of {batch}, which must be {batch} times {width}")]
+    Shape { name: &'static str, batch: usize, width: usize, found: usize },
+}
+
+fn names(modalities: &[Modality]) -> String {
+    modalities.iter().map(|modality| modality.name()).collect::<Vec<_>>().join(", ")
+}
+
+/// A finished run's encoder, and the decoder that predicts the next observation.
+pub struct Model {
+    record: RunRecord,
+    standard: Standard,
+    encoder: Encoder,
+    decoder: Decoder,
+}
+
+impl Model {
+    /// Loads the one run whose id, or `experiment/id`, begins with `wanted`; it works on the CPU.
+    ///
+    /// # Errors
+    /// When there is no such run or several, it isn't done, or its network is not there or damaged.
+    pub fn load(registry: &Registry, wanted: &str) -> Result<Self, ModelError> {
+        let (folder, record) = registry.find(wanted)?;
+        if record.status != Status::Done {
+            return Err(ModelError::Unfinished { run: record.run, status: record.status });
+        }
+        let task = Task::Prediction;
+        let path = folder.checkpoint(task);
+        if !path.exists() {
+            return Err(ModelError::NoNetwork(path));
+        }
+        let sizes = network_sizes(&record.spec, task);
+        let mut parameters = Parameters::new();
+        let mut random = Random::new(record.spec.seed, Stream::Parameters(task));
+        let encoder = Encoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu);
+        let encoder = encoder.map_err(LearningError::from)?.detached();
+        let decoder = Decoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu);
+        let decoder = decoder.map_err(LearningError::from)?.detached();
+        let standard = checkpoint::load(&path, &parameters)?;
+        Ok(Self { record, standard, encoder, decoder })
+    }
+
+    /// The run's record, with its spec.
+    pub fn record(&self) -> &RunRecord {
+        &self.record
+    }
+
+    /// Mean and log-variance of the posterior for `batch` observations, `[batch, latent]` each. What the encoder is not
+    /// given is ignored.
+    ///
+    /// # Errors
+    /// When a modality that the encoder is given lacks, or has another number of values.
+    pub fn encode(&self, batch: usize, observation: &Values) -> Result<(Vec<f32>, Vec<f32>), ModelError> {
+        let observation = self.observation(batch, observation)?;
+        let posterior = || -> candle_core::Result<_> {
+            let posterior = self.encoder.encode(&observation)?;
+            let values = |tensor: Tensor| tensor.flatten_all()?.to_vec1();
+            Ok((values(posterior.mean()?)?, values(posterior.log_variance()?)?))
+        };
+        Ok(posterior().map_err(LearningError::from)?)
+    }
+
+    /// The next observations, from the posterior's mean and `action` `[batch, 3]` in the form and units that the run's
+    /// spec says.
+    ///
+    /// # Errors
+    /// As [`Model::encode`].
+    pub fn predict(
+        &self,
+        batch: usize,
+        observation: &Values,
+        mut action: Vec<f32>,
+    ) -> Result<Values, ModelError> {
+        check("action", batch, ARM_JOINTS, &action)?;
+        let observation = self.observation(batch, observation)?;
+        self.standard.action.standardise(&mut action);
+        let predicted = || -> candle_core::Result<_> {
+            let latent = self.encoder.encode(&observation)?.mean()?;
+            let action = Tensor::from_vec(action, (batch, ARM_JOINTS), &Device::Cpu)?;
+            let (vector, frames) = self.decoder.decode(&latent, Some(&action))?;
+            predict::restored(&self.standard, &self.record.spec.output, vector, frames)
+        };
+        Ok(predicted().map_err(LearningError::from)?.into_iter().collect())
+    }
+
+    /// What the encoder is given, standardised and side by side.
+    fn observation(&self, batch: usize, values: &Values) -> Result<Observation, ModelError> {
+        let input = &self.record.spec.input;
+        let mut vectors = Vec::new();
+        let mut frames = Vec::new();
+        for &modality in input {
+            let values = values.get(&modality).ok_or_else(|| ModelError::Lacks {
+                run: self.record.run.clone(),
+                modality,
+                given: input.clone(),
+            })?;
+            check(modality.name(), batch, modality.width(), values)?;
+            let mut values = values.clone();
+            self.standard.scales[&modality].standardise(&mut values);
+            if modality.is_frame() { &mut frames } else { &mut vectors }.push((modality.width(), values));
+        }
+        let joined = || -> candle_core::Result<_> {
+            let vector = side_by_side(batch, &vectors)?;
+            let frames = side_by_side(batch, &frames)?.map(|frames| {
+                let channels = frames.dim(1)? / (FRAME_SIDE * FRAME_SIDE);
+                DenseFrames::new(&frames.reshape((batch, channels, FRAME_SIDE, FRAME_SIDE))?)
+            });
+            let frames = frames.transpose()?.map(|frames| Arc::new(frames) as Arc<dyn Frames>);
+            Ok(Observation { vector, frames })
+        };
+        Ok(joined().map_err(LearningError::from)?)
+    }
+}
+
+/// Whether `values` are those of a batch.
+fn check(name: &'static str, batch: usize, width: usize, values: &[f32]) -> Result<(), ModelError> {
+    if values.len() == batch * width {
+        return Ok(());
+    }
+    Err(ModelError::Shape { name, batch, width, found: values.len() })
+}
+
+/// Several `[batch, width]` as one, `[batch, all widths]`; `None` of none.
+fn side_by_side(batch: usize, parts: &[(usize, Vec<f32>)]) -> candle_core::Result<Option<Tensor>> {
+    if parts.is_empty() {
+        return Ok(None);
+    }
+    let parts = parts.iter().map(|(width, values)| Tensor::from_slice(values, (batch, *width), &Device::Cpu));
+    Tensor::cat(&parts.collect::<candle_core::Result<Vec<_>>>()?, 1).map(Some)
+}

@@ -1,0 +1,173 @@
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import disjoint_base
+
+__all__ = ["Dataset", "Model", "SimulationBatch", "Table", "main", "query", "run"]
+
+def main(arguments: list[str]) -> int:
+    """Runs the command line; returns its exit code."""
+
+def run(
+    path: Path, overrides: list[str], quick: bool, results: Path, progress: bool, jobs: int
+) -> tuple[int, int]:
+    """Numbers of runs that were done now and before; see `harness.run`."""
+
+def query(sql: str, results: Path) -> Table:
+    """See `harness.query`."""
+
+@final
+class Table:
+    """An answer, for whoever reads Arrow's C stream interface."""
+
+    def __arrow_c_stream__(self, requested_schema: object | None = None) -> Any: ...
+
+@disjoint_base
+class Dataset:
+    def __new__(cls, folder: str | Path, frames: bool = True) -> Dataset:
+        """Reads a dataset's folder, as `results/datasets/empty-…`, with its frames (12 kB a sample) or without.
+
+        Raises FileNotFoundError where there is no such folder, RuntimeError where an episode is missing or damaged.
+        """
+
+    def __len__(self) -> int:
+        """Samples in all."""
+
+    def __getitem__(self, name: str, /) -> NDArray[Any]:
+        """All samples of what was recorded: `[samples, width]`, float32; vision `[samples, 64, 64, 3]`, uint8.
+
+        proprioception: 20 joint angles, rad. arm, setpoint: rotation (rad), lift and extension (m). contact_force,
+        contact_force_mean: the normal force on each of 20 links at the instant, and averaged over the sample before it, N.
+        Raises KeyError for other names.
+        """
+
+    def keys(self) -> list[str]:
+        """What the dataset holds."""
+
+    @property
+    def name(self) -> str:
+        """The folder's name: the scenario and a hash of what decides the content."""
+    @property
+    def scenario(self) -> str: ...
+    @property
+    def sample_rate_hz(self) -> float:
+        """Samples a second."""
+    @property
+    def seed(self) -> int:
+        """Seed of the dataset; an episode is decided by it, the scenario and the episode's index."""
+    @property
+    def episodes(self) -> NDArray[np.uint64]:
+        """Where each episode's samples lie, `[episodes, 2]`: the first, and one past the last."""
+
+@final
+class Model:
+    """The network of a finished run, in physical units; it works on the CPU and never changes.
+
+    Observations are dictionaries by modality: vectors `[batch, width]`, float32; vision `[batch, 64, 64, 3]`, uint8 or
+    float32 in [0, 1]; frame_difference `[batch, 64, 64, 3]`, float32 in [-1, 1]. What the encoder is not given is
+    ignored.
+    """
+
+    def __new__(cls, run: str, results: Path) -> Model: ...
+    def encode(
+        self, observation: dict[str, NDArray[Any]]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Mean and log-variance of the posterior, `[batch, latent]` each.
+
+        Raises KeyError where a modality of `input` lacks, ValueError where one has another shape, TypeError where it has
+        another type.
+        """
+
+    def predict(
+        self, observation: dict[str, NDArray[Any]], action: NDArray[np.float32]
+    ) -> dict[str, NDArray[np.float32]]:
+        """The observation one sample later, by modality of `output`, from the posterior's mean.
+
+        action: `[batch, 3]`, float32, rotation (rad), lift and extension (m), in the form that `self.action` says. Frames
+        are `[batch, 64, 64, 3]`, those of vision in [0, 1]. Raises as `encode`.
+        """
+
+    @property
+    def run(self) -> str: ...
+    @property
+    def experiment(self) -> str: ...
+    @property
+    def dataset(self) -> str:
+        """Name of the dataset that it was trained on, a folder of `results/datasets`."""
+    @property
+    def scenario(self) -> str: ...
+    @property
+    def input(self) -> list[str]:
+        """The modalities that the encoder is given."""
+    @property
+    def output(self) -> list[str]:
+        """The modalities that the decoder predicts."""
+    @property
+    def latent(self) -> int:
+        """Size of the latent state."""
+    @property
+    def action(self) -> str:
+        """`increment`, the setpoint's change from this sample to the next, or `target`, the setpoint at the next."""
+
+@final
+class SimulationBatch:
+    """`count` simulations of a scenario (`empty`, `cluttered`), independent of each other and stepped in parallel.
+
+    Each is at a sample of an episode. What it senses is what a dataset records: `follow` goes through a dataset's episode
+    bit by bit. The simulation's settings are a spec's where one is given, with `overrides` as `key=value`.
+
+    A call while another thread's is at work, or in a forked process, raises RuntimeError. A simulation that diverges
+    raises RuntimeError too, until it is reset.
+    """
+
+    def __new__(
+        cls, scenario: str, count: int = 1, spec: str | Path | None = None, overrides: list[str] = ...
+    ) -> SimulationBatch: ...
+    def reset(self, index: int, seed: int, episode: int) -> None:
+        """Takes a simulation to the start of the episode of that index in the dataset of that seed."""
+
+    def step(self, setpoints: NDArray[np.float64], active: NDArray[np.bool_] | None = None) -> None:
+        """Takes each simulation to its next sample, while the arm's setpoint moves evenly to `setpoints[index]`.
+
+        setpoints: `[count, 3]`, rotation (rad), lift and extension (m); held to `setpoint_ranges`. active: `[count]`,
+        the simulations that are stepped; all by default. Raises ValueError for another shape or a value that is not
+        finite.
+        """
+
+    def follow(self) -> None:
+        """Takes each simulation to its next sample along its episode's own course."""
+
+    def sense(self, modality: str) -> NDArray[Any]:
+        """What the simulations sense: proprioception, contact_force and contact_force_mean `[count, 20]`, arm
+        `[count, 3]`, float32; vision `[count, 64, 64, 3]`, uint8. Raises KeyError for another modality."""
+
+    def portrait(self, index: int, width: int, height: int) -> NDArray[np.uint8]:
+        """A picture of a simulation in good quality, `[height, width, 3]`, each side 1 to 4096 pixels."""
+
+    @property
+    def scenario(self) -> str: ...
+    @property
+    def count(self) -> int: ...
+    @property
+    def seed(self) -> int:
+        """The seed of the spec's dataset."""
+    @property
+    def sample_seconds(self) -> float:
+        """Time from a sample to the next, s."""
+    @property
+    def actuation_seconds(self) -> float:
+        """Duration of one arm move in a dataset's episode, s."""
+    @property
+    def setpoint_ranges(self) -> NDArray[np.float64]:
+        """Lowest and highest rotation (rad), lift and extension (m), `[3, 2]`."""
+    @property
+    def setpoint(self) -> NDArray[np.float64]:
+        """The setpoints at this sample, `[count, 3]`."""
+    @property
+    def fingertip(self) -> NDArray[np.float64]:
+        """Where the fingers end in the world, m, `[count, 3]`."""
+    @property
+    def boxes(self) -> NDArray[np.float64]:
+        """Position (m) and orientation (unit quaternion w, x, y, z) of the boxes in the world, `[count, boxes, 7]`."""

@@ -1,0 +1,78 @@
+"""The finger as a `dm_env.Environment`, in dm_control's manner.
+
+    environment = harness.environments.load("cluttered", "push", seed=0)
+    step = environment.reset()
+    while not step.last():
+        step = environment.step(policy(step.observation))
+"""
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import dm_env
+import numpy as np
+from dm_env import specs
+from numpy.typing import NDArray
+
+from .episodes import MODALITIES, Episodes, one_action
+
+
+def load(
+    scenario: str,
+    task: str,
+    *,
+    seed: int | None = None,
+    modalities: tuple[str, ...] = MODALITIES,
+    samples: int = 100,
+    spec: str | os.PathLike[str] | None = None,
+) -> "Environment":
+    """An environment: `scenario` is empty or cluttered, `task` one of `harness.tasks.TASKS`.
+
+    seed: of the dataset whose episodes are gone through from the first; a random one by default. modalities: what is
+    observed besides the task's `goal`; `vision` may be among it. samples: actions an episode, 0.1 s each. spec: an
+    experiment's YAML file whose simulation settings to use. Raises ValueError or KeyError where one of them is wrong.
+    """
+    return Environment(Episodes(scenario, task, modalities=modalities, samples=samples, spec=spec), seed)
+
+
+class Environment(dm_env.Environment):
+    """One finger and its task; see `harness.episodes.Episodes` for what an action and an episode are."""
+
+    def __init__(self, episodes: Episodes, seed: int | None = None) -> None:
+        self._episodes = episodes
+        self._seed = seed
+        self._over = True
+
+    def reset(self) -> dm_env.TimeStep:
+        self._episodes.reset(0, self._seed)
+        self._seed, self._over = None, False
+        return dm_env.restart(self._observation())
+
+    def step(self, action: NDArray[Any]) -> dm_env.TimeStep:
+        """Takes an action `[3]`; the first step after an episode's end ignores it and begins the next."""
+        if self._over:
+            return self.reset()
+        reward = float(self._episodes.step(one_action(action))[0])
+        self._over = bool(self._episodes.ended[0])
+        if self._over:
+            return dm_env.truncation(reward, self._observation())
+        return dm_env.transition(reward, self._observation())
+
+    def action_spec(self) -> specs.BoundedArray:
+        fastest = self._episodes.fastest
+        return specs.BoundedArray((3,), np.float64, -fastest, fastest, name="increment")
+
+    def observation_spec(self) -> Mapping[str, specs.BoundedArray]:
+        bounds = self._episodes.bounds().items()
+        return {name: specs.BoundedArray(shape, kind, low, high, name) for name, (low, high, shape, kind) in bounds}
+
+    def reward_spec(self) -> specs.BoundedArray:
+        return specs.BoundedArray((), np.float64, 0.0, 1.0, name="reward")
+
+    def picture(self, width: int = 480, height: int = 480) -> NDArray[np.uint8]:
+        """A picture of the scene, `[height, width, 3]`."""
+        return self._episodes.simulations.portrait(0, width, height)
+
+    def _observation(self) -> dict[str, NDArray[Any]]:
+        return {name: values[0] for name, values in self._episodes.observe().items()}

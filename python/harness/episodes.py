@@ -1,0 +1,127 @@
+"""Episodes of a task side by side: what the environments of dm_env and of Gymnasium have in common."""
+
+import os
+import secrets
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._harness import SimulationBatch
+from .tasks import State, task_named
+
+MODALITIES = ("proprioception", "arm", "contact_force", "contact_force_mean")
+"""What is observed by default: everything but `vision`, which needs OpenGL."""
+
+MAX_SEED = 2**53 - 1
+"""The largest seed of a dataset."""
+
+FASTEST = 1.5
+"""Steepest slope of a dataset's smoothstep moves, in ranges an actuation: the arm goes no faster here."""
+
+
+class Episodes:
+    """`count` episodes of a task, independent of each other.
+
+    An action is the change of the arm's setpoint until the next sample, `[3]`: rotation (rad), lift and extension (m),
+    as networks with `action: increment` are told it. A simulation's episode is that of a dataset, given by its seed and
+    its index there: resetting with a seed goes to its first, resetting without to the next. So boxes stand as they do in
+    the dataset, and the goal is drawn from seed and index alone.
+    """
+
+    def __init__(
+        self,
+        scenario: str,
+        task: str,
+        count: int = 1,
+        *,
+        modalities: tuple[str, ...] = MODALITIES,
+        samples: int = 100,
+        spec: str | os.PathLike[str] | None = None,
+    ) -> None:
+        """samples: actions an episode, of 0.1 s each by default. spec: an experiment whose simulation settings to use."""
+        if samples < 1:
+            raise ValueError(f"samples: {samples} must be at least 1")
+        self.simulations = SimulationBatch(scenario, count, None if spec is None else os.fspath(spec))
+        self.task = task_named(task, scenario)
+        self.modalities = tuple(modalities)
+        self.samples = samples
+        self.ranges = self.simulations.setpoint_ranges
+        per_sample = FASTEST * self.simulations.sample_seconds / self.simulations.actuation_seconds
+        self.fastest = per_sample * (self.ranges[:, 1] - self.ranges[:, 0])
+        """The largest change of the setpoint in a sample, `[3]`."""
+        self.seeds: list[int | None] = [None] * count
+        self.indices = np.zeros(count, dtype=np.int64)
+        """Index of each simulation's episode in the dataset of its seed."""
+        self.taken = np.zeros(count, dtype=np.int64)
+        """Actions taken in each episode."""
+        self.goals = np.zeros((count, len(self.task.goal_low)))
+        for modality in self.modalities:
+            if modality != "vision":
+                self.simulations.sense(modality)
+
+    def reset(self, index: int, seed: int | None = None) -> None:
+        """Goes to the first episode of the seed, or to the next without one."""
+        if seed is not None and not 0 <= seed <= MAX_SEED:
+            raise ValueError(f"seed: {seed} must be 0 to {MAX_SEED}")
+        known = self.seeds[index] if seed is None else None
+        if known is None:
+            known = secrets.randbelow(MAX_SEED) if seed is None else int(seed)
+            episode = 0
+        else:
+            episode = int(self.indices[index]) + 1
+        self.simulations.reset(index, known, episode)
+        self.seeds[index], self.indices[index], self.taken[index] = known, episode, 0
+        self.goals[index] = self.task.draw(np.random.default_rng([known, episode]), self.state(), index)
+
+    def step(self, actions: NDArray[Any], active: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+        """Takes actions `[count, 3]`, held to `fastest`; returns the rewards `[count]`, 0 for those not active."""
+        change = np.clip(np.asarray(actions, dtype=np.float64), -self.fastest, self.fastest)
+        self.simulations.step(self.simulations.setpoint + change, active)
+        rewards = self.task.reward(self.state(), self.goals)
+        if active is None:
+            self.taken += 1
+            return rewards
+        self.taken += active
+        return np.where(active, rewards, 0.0)
+
+    @property
+    def ended(self) -> NDArray[np.bool_]:
+        """Which episodes have had all their samples, `[count]`."""
+        return np.asarray(self.taken >= self.samples)
+
+    def state(self) -> State:
+        return State(
+            setpoint_ranges=self.ranges,
+            fingertip=self.simulations.fingertip,
+            contact_force=self.simulations.sense("contact_force_mean").astype(np.float64),
+            boxes=self.simulations.boxes,
+        )
+
+    def observe(self) -> dict[str, NDArray[Any]]:
+        """The observations by modality, and the `goal`, `[count, …]`."""
+        observed = {modality: self.simulations.sense(modality) for modality in self.modalities}
+        return {**observed, "goal": self.goals.astype(np.float32)}
+
+    def bounds(self) -> dict[str, tuple[Any, Any, tuple[int, ...], type]]:
+        """Lowest and highest value, shape and type of what one simulation's observation holds, by name."""
+        # The arm lags its setpoint by 0.01 rad or m, the finger gives way beyond its joints' stops by less than that; and
+        # ten times the largest force of a dataset is far from what is bounded by the models.
+        arm = self.ranges + np.array([-0.5, 0.5])
+        force = (0.0, 1e4, (20,), np.float32)
+        known: dict[str, tuple[Any, Any, tuple[int, ...], type]] = {
+            "proprioception": (-np.pi, np.pi, (20,), np.float32),
+            "arm": (arm[:, 0], arm[:, 1], (3,), np.float32),
+            "contact_force": force,
+            "contact_force_mean": force,
+            "vision": (0, 255, (64, 64, 3), np.uint8),
+        }
+        goal = (np.array(self.task.goal_low), np.array(self.task.goal_high), self.goals.shape[1:], np.float32)
+        return {**{modality: known[modality] for modality in self.modalities}, "goal": goal}
+
+def one_action(action: NDArray[Any]) -> NDArray[np.float64]:
+    """An action as that of a batch of one. Raises ValueError where it is not three finite numbers."""
+    values = np.asarray(action, dtype=np.float64)
+    if values.shape != (3,) or not np.all(np.isfinite(values)):
+        raise ValueError(f"action: {action!r} must be three finite numbers: rotation (rad), lift and extension (m)")
+    return values[None]

@@ -1,0 +1,73 @@
+"""Datasets as files of other projects: LeRobot datasets and Rerun recordings.
+
+harness export --format lerobot results/datasets/empty-0123456789abcdef exported
+"""
+
+from __future__ import annotations
+
+import importlib
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from tqdm import tqdm
+
+from harness.recorded import Episode, RecordedDataset
+
+FORMATS = ("lerobot", "rerun")
+
+
+def export(
+    dataset: str | Path,
+    format: str,
+    output: str | Path,
+    episodes: Iterable[int] | None = None,
+    *,
+    progress: bool = True,
+) -> Path:
+    """Writes a recorded dataset in the format of another project.
+
+    Args:
+        dataset: the dataset's folder, `results/datasets/SCENARIO-HASH`.
+        format: `lerobot`, a LeRobot dataset of version 3, or `rerun`, a folder with one .rrd recording an episode.
+        output: the folder to write, which must not exist. It appears when all of it is written.
+        episodes: the episodes to export; all of them, if None.
+        progress: whether to show a bar on stderr.
+
+    Returns:
+        `output`.
+
+    Raises:
+        ValueError: an unknown format, an episode that the dataset does not have, a damaged file.
+        FileNotFoundError: no dataset, or an episode that is not collected yet.
+        FileExistsError: `output` is there already.
+        ImportError: the package that the format needs is not installed; it says which.
+    """
+    if format not in FORMATS:
+        raise ValueError(f"format: '{format}' is unknown; the formats are {', '.join(FORMATS)}")
+    source, output = RecordedDataset(dataset), Path(output)
+    chosen = source.choose(episodes)
+    if output.exists():
+        raise FileExistsError(f"{output} is there already; name a new folder, or remove it")
+    writer = importlib.import_module(f"{__name__}.{format}")
+    output.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = Path(tempfile.mkdtemp(prefix=f".unfinished-{output.name}-", dir=output.parent))
+    try:
+        written = unfinished / output.name
+        writer.write(source, _read(source, chosen, format if progress else None), written)
+        written.rename(output)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    return output
+
+
+def _read(source: RecordedDataset, episodes: list[int], what: str | None) -> Iterator[Episode]:
+    """Reads one episode after the other, and counts those that are dealt with."""
+    samples = len(episodes) * source.samples_per_episode
+    with tqdm(total=samples, desc=what, unit=" samples", file=sys.stderr, disable=what is None) as bar:
+        for index in episodes:
+            episode = source.read(index)
+            yield episode
+            bar.update(len(episode))

@@ -1,0 +1,169 @@
+"""The finger as Gymnasium environments, which importing this module registers.
+
+    import gymnasium
+    import harness.gymnasium
+
+    environment = gymnasium.make("SoftFinger-Cluttered-v0", task="push")
+    several = gymnasium.make_vec("SoftFinger-Cluttered-Push-v0", num_envs=8)
+
+`SoftFinger-Empty-v0` and `SoftFinger-Cluttered-v0` take the task as an argument (`reach` without one); with a task in the
+name, as in `SoftFinger-Empty-Press-v0`, it is that. Vector environments are stepped in parallel, in Rust.
+"""
+
+import os
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from .episodes import MODALITIES, Episodes, one_action
+from .tasks import TASKS
+
+Observation = dict[str, NDArray[Any]]
+
+RENDER_FPS = 10
+"""Samples a second."""
+
+
+class SoftFinger(gymnasium.Env[Any, Any]):
+    """One finger and its task; see `harness.episodes.Episodes` for what an action and an episode are.
+
+    An episode is truncated after `samples` actions, and never terminated. `render_mode="rgb_array"` draws pictures of
+    `width` times `height` pixels.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
+
+    def __init__(
+        self,
+        scenario: str,
+        task: str = "reach",
+        *,
+        modalities: tuple[str, ...] = MODALITIES,
+        samples: int = 100,
+        spec: str | os.PathLike[str] | None = None,
+        render_mode: str | None = None,
+        width: int = 480,
+        height: int = 480,
+    ) -> None:
+        check_render_mode(render_mode)
+        self.episodes = Episodes(scenario, task, modalities=modalities, samples=samples, spec=spec)
+        self.render_mode = render_mode
+        self.size = (width, height)
+        self.observation_space, self.action_space = spaces(self.episodes)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins the first episode of the dataset of that seed, or the next one of the same. `info` says which."""
+        super().reset(seed=seed)
+        self.episodes.reset(0, seed)
+        return self._observation(), {"seed": self.episodes.seeds[0], "episode": int(self.episodes.indices[0])}
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        reward = float(self.episodes.step(one_action(action))[0])
+        return self._observation(), reward, False, bool(self.episodes.ended[0]), {}
+
+    def render(self) -> NDArray[np.uint8] | None:
+        if self.render_mode is None:
+            return None
+        return self.episodes.simulations.portrait(0, *self.size)
+
+    def _observation(self) -> Observation:
+        return {name: values[0] for name, values in self.episodes.observe().items()}
+
+
+class SoftFingerVector(VectorEnv[Any, Any, Any]):
+    """`num_envs` fingers, stepped in parallel. The step after an episode's end ignores the action and begins the next."""
+
+    metadata = {
+        "render_modes": ["rgb_array"],
+        "render_fps": RENDER_FPS,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int,
+        scenario: str,
+        task: str = "reach",
+        *,
+        modalities: tuple[str, ...] = MODALITIES,
+        samples: int = 100,
+        spec: str | os.PathLike[str] | None = None,
+        render_mode: str | None = None,
+        width: int = 480,
+        height: int = 480,
+    ) -> None:
+        check_render_mode(render_mode)
+        self.episodes = Episodes(scenario, task, num_envs, modalities=modalities, samples=samples, spec=spec)
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.size = (width, height)
+        self.single_observation_space, self.single_action_space = spaces(self.episodes)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins an episode in each; a single seed stands for it and those that follow it, one each."""
+        if isinstance(seed, int):
+            super().reset(seed=seed)
+            seed = list(range(seed, seed + self.num_envs))
+        seeds = [None] * self.num_envs if seed is None else seed
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed: {len(seeds)} seeds for {self.num_envs} environments")
+        for index, each in enumerate(seeds):
+            self.episodes.reset(index, each)
+        info = {"seed": np.array(self.episodes.seeds), "episode": self.episodes.indices.copy()}
+        return self.episodes.observe(), info
+
+    def step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        over = self.episodes.ended
+        rewards = self.episodes.step(actions, ~over)
+        for index in np.flatnonzero(over):
+            self.episodes.reset(int(index))
+        return self.episodes.observe(), rewards, np.zeros(self.num_envs, dtype=bool), self.episodes.ended, {}
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        if self.render_mode is None:
+            return None
+        return tuple(self.episodes.simulations.portrait(index, *self.size) for index in range(self.num_envs))
+
+
+def check_render_mode(render_mode: str | None) -> None:
+    if render_mode not in (None, "rgb_array"):
+        raise ValueError(f"render_mode: there is no {render_mode!r}; allowed: None, 'rgb_array'")
+
+
+def spaces(episodes: Episodes) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Box]:
+    """The spaces of one environment's observations and actions."""
+    bounds = episodes.bounds().items()
+    boxes: dict[str, gymnasium.Space[Any]] = {
+        name: gymnasium.spaces.Box(np.full(shape, low, kind), np.full(shape, high, kind), dtype=kind)
+        for name, (low, high, shape, kind) in bounds
+    }
+    fastest = episodes.fastest.astype(np.float32)
+    return gymnasium.spaces.Dict(boxes), gymnasium.spaces.Box(-fastest, fastest, dtype=np.float32)
+
+
+def register() -> None:
+    """Registers the environments of every scenario and task."""
+    for scenario in ("empty", "cluttered"):
+        tasks = {f"-{name.title()}": {"task": name} for name, task in TASKS.items() if scenario in task.scenarios}
+        for suffix, arguments in {"": {}, **tasks}.items():
+            gymnasium.register(
+                f"SoftFinger-{scenario.title()}{suffix}-v0",
+                entry_point="harness.gymnasium:SoftFinger",
+                vector_entry_point="harness.gymnasium:SoftFingerVector",
+                kwargs={"scenario": scenario, **arguments},
+            )
+
+
+register()

@@ -1,0 +1,464 @@
+"""Data that was recorded elsewhere as datasets of the harness: LeRobot datasets and plain Parquet files.
+
+    harness import MAPPING.yaml
+
+prints the name under which experiments find it: `scenarios: [lab_finger-0123456789abcdef]`. The mapping says which
+columns of the recording make up which modality:
+
+    name: lab_finger                # the dataset becomes results/datasets/lab_finger-HASH
+    source: recordings              # a LeRobot dataset's folder, a Parquet file, or a folder of them; beside the mapping
+    format: lerobot                 # or parquet
+    modalities:
+      setpoint: action                            # what was commanded; the one that every dataset needs
+      proprioception: observation.state[0:20]     # elements of a column of lists
+      arm: [rotation, lift, extension]            # columns side by side
+      contact_force: force_??                     # columns by a pattern of * and ?, in their order in the file
+      contact_force_mean: {from: mean_??, scale: 9.81}      # a factor, or one an element, into rad, m and N
+      vision: observation.images.external         # pictures of any size; they become 64 x 64 pixels
+    episode: episode                # of Parquet: the column that tells episodes apart,
+    order: sample                   # the column that orders an episode's rows,
+    sample_rate_hz: 10              # and how many of them there are a second
+
+Networks have fixed sizes so far: 20 joint angles and forces, 3 values of the arm and its setpoint.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import fnmatch
+import hashlib
+import io
+import json
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from harness.recorded import FORMAT, FRAME_SHAPE, VECTORS, Episode, write_episode
+
+try:
+    import yaml
+    from PIL import Image
+    from tqdm import tqdm
+except ImportError as error:
+    raise ImportError(
+        f"importing needs the packages pillow, pyyaml and tqdm: pip install pillow pyyaml tqdm ({error})"
+    ) from error
+
+SCENARIOS = ("empty", "cluttered")
+FORMATS = ("lerobot", "parquet")
+MODALITIES = (*VECTORS, "vision")
+PARQUET_KEYS = ("episode", "order", "sample_rate_hz")
+
+Columns = dict[str, Any]
+"""What the columns of a recording hold in one episode: arrays or lists, [samples, …]."""
+
+_TERM = re.compile(r"(?P<column>[^\[\]]+)(\[(?P<first>\d+)(:(?P<last>\d+))?\])?")
+
+
+class MappingError(ValueError):
+    """A mapping asks for what can't be; the message says where and why."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The values that make up a modality, as a mapping gives them."""
+
+    modality: str
+    terms: tuple[str, ...]
+    scale: np.ndarray | None
+    """float64, one factor or one an element; None for values that are already in the harness's units."""
+
+    def columns(self, available: list[str]) -> list[str]:
+        """The recording's columns that it needs.
+
+        Raises:
+            MappingError: a term matches none.
+        """
+        return [column for term in self.terms for column, _ in self._matches(term, available)]
+
+    def pick(self, episode: Columns) -> np.ndarray:
+        """The modality's values, float32 [samples, elements].
+
+        Raises:
+            MappingError: they are too few, too many, no numbers, or not finite.
+        """
+        parts = []
+        for term in self.terms:
+            for column, elements in self._matches(term, list(episode)):
+                try:
+                    values = np.asarray(episode[column], np.float64)
+                except (TypeError, ValueError):
+                    raise self.error(f"'{column}' holds no numbers, or lists of different lengths") from None
+                parts.append(values.reshape(len(values), -1)[:, elements])
+        values = np.concatenate(parts, axis=1)
+        width = len(VECTORS[self.modality])
+        if values.shape[1] != width:
+            raise self.error(
+                f"{' + '.join(self.terms)} gives {values.shape[1]} values, and {width} are needed: this version's "
+                "networks are of fixed size"
+            )
+        if self.scale is not None:
+            values = values * self.scale
+        with np.errstate(over="ignore"):
+            values = values.astype(np.float32)
+        if not np.isfinite(values).all():
+            row, element = np.argwhere(~np.isfinite(values))[0]
+            raise self.error(
+                f"value {element} of row {row} is {values[row, element]}; nothing can be learnt from it"
+            )
+        return values
+
+    def error(self, problem: str) -> MappingError:
+        return MappingError(f"modalities.{self.modality}: {problem}")
+
+    def _matches(self, term: str, available: list[str]) -> list[tuple[str, slice]]:
+        """The columns that a term names, and which of their elements."""
+        found = _TERM.fullmatch(term)
+        if not found:
+            raise self.error(
+                f"'{term}' is not understood; write COLUMN, COLUMN[3], COLUMN[0:20] or PATTERN_*"
+            )
+        is_pattern = "*" in found["column"] or "?" in found["column"]
+        names = fnmatch.filter(available, found["column"]) if is_pattern else [found["column"]]
+        unknown = [name for name in names if name not in available]
+        if unknown or not names:
+            raise self.error(
+                f"there is no column '{found['column']}'; the columns are {', '.join(available)}"
+            )
+        first = int(found["first"] or 0)
+        last = int(found["last"]) if found["last"] else first + 1 if found["first"] else None
+        return [(name, slice(first, last)) for name in names]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What the rows of Parquet files are."""
+
+    episode: str
+    """The column that tells episodes apart."""
+    order: str
+    """The column that orders an episode's rows."""
+    sample_rate_hz: float
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """What a mapping's file says."""
+
+    name: str
+    source: Path
+    selections: dict[str, Selection]
+    rows: Rows | None
+    """Of Parquet alone."""
+    text: dict[str, Any]
+    """As it stands in the file."""
+
+    @classmethod
+    def load(cls, path: Path) -> Mapping:
+        """Reads a mapping.
+
+        Raises:
+            FileNotFoundError: there is no such file, or no source.
+            MappingError: it lacks something, or says what can't be.
+        """
+        try:
+            text = yaml.safe_load(path.read_text())
+        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            raise MappingError(f"{path} is no YAML: {' '.join(str(error).split())}") from None
+        try:
+            return cls._of(text, path.parent)
+        except MappingError as error:
+            raise MappingError(f"{path}: {error}") from None
+
+    @classmethod
+    def _of(cls, text: Any, folder: Path) -> Mapping:
+        if not isinstance(text, dict):
+            raise MappingError("a mapping has the keys name, source, format and modalities")
+        required: tuple[str, ...] = ("name", "source", "format", "modalities")
+        kind = text.get("format")
+        if kind not in FORMATS:
+            raise MappingError(f"format: must be {' or '.join(FORMATS)}, not {kind!r}")
+        required += PARQUET_KEYS if kind == "parquet" else ()
+        _check_keys(text, required, "")
+        name = text["name"]
+        if not re.fullmatch(r"[a-z][a-z0-9_]{0,63}", str(name)) or name in SCENARIOS:
+            raise MappingError(
+                f"name: {name!r} can't name an imported dataset; use 1 to 64 small letters, digits and _, and none of "
+                f"{', '.join(SCENARIOS)}"
+            )
+        rows = None
+        if kind == "parquet":
+            rate = text["sample_rate_hz"]
+            if not (isinstance(rate, int | float) and 0.01 <= rate <= 1000):
+                raise MappingError(f"sample_rate_hz: must be a number of 0.01 to 1000, not {rate!r}")
+            rows = Rows(str(text["episode"]), str(text["order"]), float(rate))
+        source = folder / str(text["source"])
+        if not source.exists():
+            raise FileNotFoundError(f"source: {source} is not there")
+        return cls(name, source, _selections(text["modalities"]), rows, text)
+
+
+def _selections(modalities: Any) -> dict[str, Selection]:
+    if not isinstance(modalities, dict):
+        raise MappingError(f"modalities: must say what makes up each of {', '.join(MODALITIES)}")
+    _check_keys(modalities, ("setpoint",), "modalities.", MODALITIES)
+    if len(modalities) == 1:
+        raise MappingError(
+            "modalities: there is nothing to learn from the setpoint alone; name what was sensed"
+        )
+    given = [modality for modality in MODALITIES if modality in modalities]
+    return {modality: _selection(modality, modalities[modality]) for modality in given}
+
+
+def _selection(modality: str, value: Any) -> Selection:
+    where = f"modalities.{modality}"
+    scale = None
+    if isinstance(value, dict):
+        _check_keys(value, ("from", "scale"), f"{where}.")
+        value, scale = value["from"], value["scale"]
+        numbers = scale if isinstance(scale, list) else [scale]
+        if modality == "vision" or not all(isinstance(number, int | float) for number in numbers):
+            raise MappingError(f"{where}.scale: must be a number or a list of them, and is for vectors alone")
+        if len(numbers) not in (1, len(VECTORS[modality])):
+            raise MappingError(
+                f"{where}.scale: must be 1 number or {len(VECTORS[modality])}, not {len(numbers)}"
+            )
+        scale = np.array(numbers, np.float64)
+    terms = value if isinstance(value, list) else [value]
+    if not terms or not all(isinstance(term, str) for term in terms):
+        raise MappingError(f"{where}: must be a column, or a list of columns, not {value!r}")
+    if modality == "vision" and len(terms) != 1:
+        raise MappingError(f"{where}: must be one column")
+    return Selection(modality, tuple(terms), scale)
+
+
+def _check_keys(
+    section: dict[str, Any], required: tuple[str, ...], prefix: str, allowed: tuple[str, ...] | None = None
+) -> None:
+    allowed = allowed or required
+    for key in section:
+        if key not in allowed:
+            raise MappingError(f"unknown key '{prefix}{key}'; allowed are {', '.join(allowed)}")
+    missing = [key for key in required if section.get(key) is None]
+    if missing:
+        raise MappingError(f"missing '{prefix}{missing[0]}'")
+
+
+def import_dataset(mapping: str | Path, results: str | Path = "results", *, progress: bool = True) -> str:
+    """Imports a recording; all of it is in memory at a time.
+
+    Args:
+        mapping: the mapping's file; the module's documentation says what it holds.
+        results: the harness's results folder; the dataset goes to `datasets` there, unless it is there already.
+        progress: whether to show a bar on stderr.
+
+    Returns:
+        The dataset's name, which ends in a hash of its content; experiments name it among their `scenarios`.
+
+    Raises:
+        ValueError: the mapping or the recording is not as it must be; the message says where.
+        FileNotFoundError: the mapping or its source is not there.
+        ImportError: the recording is LeRobot's, and the package lerobot is not installed.
+    """
+    chosen = Mapping.load(Path(mapping))
+    try:
+        rate, episodes = _read(chosen, progress)
+    except MappingError as error:
+        raise MappingError(f"{mapping}: {error}") from None
+    return _write(chosen, rate, episodes, Path(results))
+
+
+def _read(mapping: Mapping, progress: bool) -> tuple[float, list[Episode]]:
+    """The recording's samples a second, and its episodes."""
+    recording = _open_parquet(mapping, mapping.rows) if mapping.rows else _open_lerobot(mapping)
+    rate, episodes = recording.sample_rate_hz, []
+    bar = tqdm(
+        recording.episodes,
+        desc=mapping.name,
+        total=recording.length,
+        unit=" episodes",
+        file=sys.stderr,
+        disable=not progress,
+    )
+    for index, columns in enumerate(bar):
+        try:
+            episodes.append(_episode(index, columns, mapping, rate))
+        except MappingError as error:
+            raise MappingError(f"episode {index}: {error}") from None
+    if len(episodes) < 3:
+        raise MappingError(
+            f"{len(episodes)} episodes were found; training, validation and test need one each"
+        )
+    return rate, episodes
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a source holds."""
+
+    sample_rate_hz: float
+    length: int
+    """Episodes."""
+    episodes: Iterator[Columns]
+    """What each of the wanted columns holds, [samples, …]."""
+
+
+def _wanted(mapping: Mapping, available: list[str]) -> list[str]:
+    columns = [column for selection in mapping.selections.values() for column in selection.columns(available)]
+    return list(dict.fromkeys(columns))
+
+
+def _open_parquet(mapping: Mapping, what: Rows) -> Recording:
+    files = sorted(mapping.source.glob("**/*.parquet")) if mapping.source.is_dir() else [mapping.source]
+    if not files:
+        raise FileNotFoundError(f"source: {mapping.source} holds no .parquet file")
+    keys = list(dict.fromkeys([what.episode, what.order]))
+    try:
+        table = pl.scan_parquet(files, hive_partitioning=False)
+        available = table.collect_schema().names()
+        for key in keys:
+            if key not in available:
+                raise MappingError(f"there is no column '{key}'; the columns are {', '.join(available)}")
+        wanted = _wanted(mapping, available)
+        rows = table.select(list(dict.fromkeys([*keys, *wanted]))).sort(keys).collect()
+    except pl.exceptions.PolarsError as error:
+        raise MappingError(f"source: {mapping.source} can't be read: {error}") from None
+    if rows.select(keys).is_duplicated().any():
+        raise MappingError(f"order: two rows of an episode have the same '{what.order}'")
+    groups = rows.partition_by(what.episode, maintain_order=True)
+    episodes = ({name: group[name].to_list() for name in wanted} for group in groups)
+    return Recording(what.sample_rate_hz, len(groups), episodes)
+
+
+def _open_lerobot(mapping: Mapping) -> Recording:
+    try:
+        from lerobot.datasets import LeRobotDataset
+    except ImportError as error:
+        raise ImportError(
+            f"importing from LeRobot needs the package lerobot: pip install 'lerobot[dataset]' ({error})"
+        ) from error
+    if not (mapping.source / "meta/info.json").exists():
+        raise MappingError(f"source: {mapping.source} is no LeRobot dataset: it has no meta/info.json")
+    with _blaming(mapping.source):
+        dataset = LeRobotDataset("local/source", root=mapping.source, video_backend="pyav", return_uint8=True)
+    wanted = _wanted(mapping, list(dataset.meta.features))
+
+    def episodes() -> Iterator[Columns]:
+        for episode in dataset.meta.episodes:
+            rows = range(episode["dataset_from_index"], episode["dataset_to_index"])
+            with _blaming(mapping.source):
+                items = [dataset[row] for row in rows]
+            yield {name: np.stack([_plain(item[name]) for item in items]) for name in wanted}
+
+    return Recording(float(dataset.fps), len(dataset.meta.episodes), episodes())
+
+
+@contextlib.contextmanager
+def _blaming(source: Path) -> Iterator[None]:
+    """What LeRobot raises at a dataset that it can't read is of many kinds, of its own and of what it is made of."""
+    try:
+        yield
+    except Exception as error:
+        raise MappingError(f"source: LeRobot can't read {source}: {' '.join(str(error).split())}") from error
+
+
+def _plain(value: Any) -> np.ndarray:
+    """A tensor as an array; a picture's channels come last."""
+    array: np.ndarray = value.numpy()
+    return array.transpose(1, 2, 0) if array.ndim == 3 else array
+
+
+def _episode(index: int, columns: Columns, mapping: Mapping, rate: float) -> Episode:
+    samples = len(next(iter(columns.values())))
+    if samples < 2:
+        raise MappingError("it has 1 sample; a prediction needs a next one")
+    vectors = {name: mapping.selections[name].pick(columns) for name in VECTORS if name in mapping.selections}
+    frames = np.empty((0, *FRAME_SHAPE), np.uint8)
+    if selection := mapping.selections.get("vision"):
+        (column,) = selection.columns(list(columns))
+        frames = np.stack([_frame(picture, selection) for picture in columns[column]])
+    return Episode(index, np.arange(samples) / rate, vectors, frames)
+
+
+def _frame(picture: Any, selection: Selection) -> np.ndarray:
+    """A picture as 64 x 64 RGB pixels: an array, the bytes of such a frame, or a file's bytes, as PNG's."""
+    if isinstance(picture, dict):
+        picture = picture.get("bytes")
+    if isinstance(picture, bytes) and len(picture) == np.prod(FRAME_SHAPE):
+        return np.frombuffer(picture, np.uint8).reshape(FRAME_SHAPE)
+    try:
+        image = Image.open(io.BytesIO(picture)) if isinstance(picture, bytes) else Image.fromarray(picture)
+        height, width, _ = FRAME_SHAPE
+        if image.size == (width, height):
+            return np.asarray(image.convert("RGB"))
+        # Each new pixel is the mean of those that it covers.
+        return np.asarray(image.convert("RGB").resize((width, height), Image.Resampling.BOX))
+    except (OSError, TypeError, ValueError, AttributeError) as error:
+        raise selection.error(f"a value is no picture: {error}") from None
+
+
+def _write(mapping: Mapping, rate: float, episodes: list[Episode], results: Path) -> str:
+    """Writes a dataset, unless it is there already, and returns its name."""
+    content = {
+        "name": mapping.name,
+        "sample_rate_hz": rate,
+        "modalities": [name for name in MODALITIES if name in mapping.selections and name != "setpoint"],
+        "episodes": [{"samples": len(episode), "sha256": _digest(episode)} for episode in episodes],
+    }
+    identity = {"format": FORMAT, "imported": content}
+    text = json.dumps(identity, sort_keys=True, separators=(",", ":"))
+    name = f"{mapping.name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+    folder = results / "datasets" / name
+    if folder.exists():
+        return name
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = Path(tempfile.mkdtemp(prefix=".unfinished-import-", dir=results))
+    try:
+        unfinished.chmod(0o755)
+        for episode in episodes:
+            write_episode(unfinished / f"episode_{episode.index:05}.parquet", name, name, episode)
+        description = json.dumps(identity | {"mapping": mapping.text}, indent=2, default=str)
+        (unfinished / "dataset.json").write_text(description + "\n")
+        unfinished.rename(folder)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    return name
+
+
+def _digest(episode: Episode) -> str:
+    """The SHA-256 of all that an episode holds."""
+    digest = hashlib.sha256()
+    for name, values in [*episode.vectors.items(), ("vision", episode.frames)]:
+        if len(values):
+            digest.update(name.encode())
+            digest.update(np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes())
+    return digest.hexdigest()
+
+
+def main(words: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="harness import", description="Imports a recording as a dataset.")
+    parser.add_argument("mapping", type=Path, help="YAML: what to import, and which columns are what")
+    parser.add_argument("--results", type=Path, default=Path("results"), help="the results folder")
+    arguments = parser.parse_args(words)
+    try:
+        name = import_dataset(arguments.mapping, arguments.results)
+    except KeyboardInterrupt:
+        return 130
+    except (ValueError, OSError, ImportError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(f"{name}: in {arguments.results / 'datasets' / name}; train on it with 'scenarios=[{name}]'")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,224 @@
+"""Datasets as they lie on disk: a folder of sealed Parquet files, one an episode, and `dataset.json`."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import itertools
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+FORMAT = 2
+"""The format of the files that this version reads and writes; the harness's own `FORMAT`."""
+
+FRAME_SHAPE = (64, 64, 3)
+"""Rows from the top, pixels from the left, RGB."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the episodes' files."""
+
+    name: str
+    kind: str
+    """`text`, `integer`, `real` or `bytes`."""
+    unit: str
+    meaning: str
+
+
+COLUMNS = tuple(
+    Column(**column) for column in json.loads((Path(__file__).parent / "columns.json").read_text())
+)
+"""All of them, in order: a test compares them with those that the harness writes."""
+
+VECTORS: dict[str, tuple[Column, ...]] = {
+    vector: tuple(columns)
+    for vector, columns in itertools.groupby(
+        (column for column in COLUMNS if column.kind == "real" and column.name != "time"),
+        key=lambda column: column.name.rpartition("_")[0],
+    )
+}
+"""The columns of each vector, in the order of its elements: `proprioception` and the like."""
+
+_SEAL = b"sha256-seal:"
+_DIGITS = 64
+
+
+class DamagedError(ValueError):
+    """A file is not as it was written."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What one episode recorded."""
+
+    index: int
+    time: np.ndarray
+    """s since the episode's start, [samples]."""
+    vectors: dict[str, np.ndarray]
+    """float32 [samples, elements] by the names of `VECTORS`, in the units of the files' columns: rad, m, N. Those that
+    an imported dataset lacks are not there."""
+    frames: np.ndarray
+    """The camera's frames, uint8 [samples, 64, 64, 3]; empty where an imported dataset has none."""
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+class RecordedDataset:
+    """A dataset's folder, `results/datasets/SCENARIO-HASH`.
+
+    Raises:
+        FileNotFoundError: there is no dataset in the folder.
+        ValueError: it is in the format of another version, or was not simulated.
+    """
+
+    def __init__(self, folder: str | Path):
+        self.folder = Path(folder)
+        try:
+            self.description = json.loads((self.folder / "dataset.json").read_text())
+        except (FileNotFoundError, NotADirectoryError):
+            raise FileNotFoundError(
+                f"{self.folder} holds no dataset: a dataset is a folder with a dataset.json, as in results/datasets"
+            ) from None
+        except json.JSONDecodeError as error:
+            raise DamagedError(f"{self.folder / 'dataset.json'} is damaged: {error}") from None
+        if self.description.get("format") != FORMAT:
+            found = self.description.get("format")
+            raise ValueError(f"{self.folder} is in format {found}; this version reads format {FORMAT}")
+        if "simulation" not in self.description:
+            raise ValueError(f"{self.folder} was imported; only simulated datasets are exported")
+
+    @property
+    def name(self) -> str:
+        return self.folder.resolve().name
+
+    @property
+    def scenario(self) -> str:
+        """`empty` or `cluttered`."""
+        return str(self.description["scenario"])
+
+    @property
+    def sample_rate_hz(self) -> float:
+        return float(self.description["simulation"]["sample_rate_hz"])
+
+    @property
+    def episodes(self) -> range:
+        """The episodes that the dataset is to have."""
+        return range(self.description["simulation"]["episodes"])
+
+    @property
+    def samples_per_episode(self) -> int:
+        spec = self.description["simulation"]
+        return int(spec["actuations_per_episode"] * round(spec["actuation_seconds"] * spec["sample_rate_hz"]))
+
+    def choose(self, episodes: Iterable[int] | None) -> list[int]:
+        """Those of `episodes` that are on disk; all of them, if None.
+
+        Raises:
+            ValueError: one is not an episode of the dataset.
+            FileNotFoundError: one is not collected yet.
+        """
+        chosen = sorted(set(self.episodes if episodes is None else episodes))
+        foreign = [index for index in chosen if index not in self.episodes]
+        if foreign or not chosen:
+            what = f"{foreign[0]} is none of them" if foreign else "none is named"
+            raise ValueError(f"episodes: {self.name} has 0 to {len(self.episodes) - 1}; {what}")
+        missing = [index for index in chosen if not self._path(index).exists()]
+        if missing:
+            raise FileNotFoundError(
+                f"{len(missing)} of {len(chosen)} episodes of {self.name} are not there, the first is {missing[0]}; "
+                "collect them with `harness collect`, or name those that are there"
+            )
+        return chosen
+
+    def read(self, index: int) -> Episode:
+        """Reads one episode.
+
+        Raises:
+            FileNotFoundError: it is not there.
+            DamagedError: its file is not as it was written, or is another episode's.
+        """
+        path = self._path(index)
+        data = read_sealed(path)
+        stamp = pl.read_parquet_metadata(io.BytesIO(data))
+        if (stamp.get("harness.dataset"), stamp.get("harness.episode")) != (self.name, str(index)):
+            raise DamagedError(f"{path} is damaged: it is not episode {index} of {self.name}")
+        table = pl.read_parquet(io.BytesIO(data))
+        return Episode(
+            index=index,
+            time=table["time"].to_numpy(),
+            vectors={
+                vector: table.select(column.name for column in columns).to_numpy()
+                for vector, columns in VECTORS.items()
+            },
+            frames=np.frombuffer(b"".join(table["vision"]), np.uint8).reshape(-1, *FRAME_SHAPE),
+        )
+
+    def _path(self, index: int) -> Path:
+        return self.folder / f"episode_{index:05}.parquet"
+
+
+def read_sealed(path: Path) -> bytes:
+    """Reads a file whose seal holds: a SHA-256 over all of it, taken while dashes stood in the digits' place.
+
+    Raises:
+        DamagedError: it is not as it was written, or has no seal.
+    """
+    data = path.read_bytes()
+    start = data.rfind(_SEAL) + len(_SEAL)
+    if start < len(_SEAL):
+        raise DamagedError(
+            f"{path} is damaged: it has no seal; its end is missing, or the harness did not write it"
+        )
+    digest = _digest(data, start)
+    if data[start : start + _DIGITS] != digest:
+        raise DamagedError(f"{path} is damaged: it is not as it was written: its SHA-256 differs")
+    return data
+
+
+def _digest(data: bytes, start: int) -> bytes:
+    """The seal of `data`, whose digits begin at `start`."""
+    digest = hashlib.sha256(data[:start])
+    digest.update(b"-" * _DIGITS)
+    digest.update(data[start + _DIGITS :])
+    return digest.hexdigest().encode()
+
+
+def write_episode(path: Path, dataset: str, scenario: str, episode: Episode) -> None:
+    """Writes and seals an episode's file; what the episode lacks is null in it."""
+    samples = len(episode)
+    columns = {
+        "dataset": pl.repeat(dataset, samples, eager=True),
+        "scenario": pl.repeat(scenario, samples, eager=True),
+        "episode": pl.repeat(episode.index, samples, dtype=pl.UInt32, eager=True),
+        "sample": pl.arange(samples, dtype=pl.UInt32, eager=True),
+        "time": pl.Series(episode.time, dtype=pl.Float64),
+        "vision": pl.repeat(None, samples, dtype=pl.Binary, eager=True),
+    }
+    for vector, elements in VECTORS.items():
+        values = episode.vectors.get(vector)
+        for place, column in enumerate(elements):
+            row = [None] * samples if values is None else values[:, place]
+            columns[column.name] = pl.Series(row, dtype=pl.Float32)
+    if len(episode.frames):
+        columns["vision"] = pl.Series([frame.tobytes() for frame in episode.frames], dtype=pl.Binary)
+    metadata = {
+        "harness.columns": json.dumps([dataclasses.asdict(column) for column in COLUMNS]),
+        "harness.dataset": dataset,
+        "harness.episode": str(episode.index),
+        "harness.seal": (_SEAL + b"-" * _DIGITS).decode(),
+    }
+    buffer = io.BytesIO()
+    table = pl.DataFrame({column.name: columns[column.name] for column in COLUMNS})
+    table.write_parquet(buffer, metadata=metadata)
+    data = bytearray(buffer.getvalue())
+    start = data.rfind(_SEAL) + len(_SEAL)
+    data[start : start + _DIGITS] = _digest(bytes(data), start)
+    path.write_bytes(data)

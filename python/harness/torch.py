@@ -1,0 +1,60 @@
+"""Datasets for PyTorch."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from . import Dataset
+
+Observation = dict[str, torch.Tensor]
+
+
+class Transitions(torch.utils.data.Dataset[tuple[Observation, torch.Tensor, Observation]]):
+    """The transitions of a dataset: a sample, the action, and the next sample of the same episode.
+
+    An item is the observation by the modalities of `input`, the action `[3]` (`increment` or `target`, as in a spec) and
+    the next observation by those of `output`, all in physical units: vectors are float32, `vision` is `[3, 64, 64]`,
+    uint8, and `frame_difference` `[3, 64, 64]`, float32 in [-1, 1], what changed since the sample before. Processes of
+    a DataLoader share the dataset's memory.
+    """
+
+    def __init__(self, data: "Dataset", input: list[str], output: list[str], action: str = "increment") -> None:
+        if action not in ("increment", "target"):
+            raise ValueError(f"action: there is no '{action}'; allowed: increment, target")
+        needed = {"vision" if name == "frame_difference" else name for name in [*input, *output]}
+        self.arrays = {name: data[name] for name in sorted(needed)}
+        self.input, self.output, self.action = list(input), list(output), action
+        self.setpoint = data["setpoint"]
+        episodes = data.episodes.astype(np.int64)
+        self.first = np.concatenate([np.full(end - first, first) for first, end in episodes])
+        """The first sample of each sample's episode."""
+        self.samples = np.concatenate([np.arange(first, end - 1) for first, end in episodes])
+        """The sample that each transition starts from."""
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def __getitem__(self, index: int) -> tuple[Observation, torch.Tensor, Observation]:
+        sample = int(self.samples[index])
+        before = self.setpoint[sample] if self.action == "increment" else 0.0
+        action = torch.from_numpy(self.setpoint[sample + 1] - before)
+        return self._observation(sample, self.input), action, self._observation(sample + 1, self.output)
+
+    def _observation(self, sample: int, names: list[str]) -> Observation:
+        return {name: self._value(sample, name) for name in names}
+
+    def _value(self, sample: int, name: str) -> torch.Tensor:
+        if name == "frame_difference":
+            before = max(sample - 1, int(self.first[sample]))
+            now, then = (self._planes(at).astype(np.float32) for at in (sample, before))
+            return torch.from_numpy((now - then) / np.float32(255))
+        if name == "vision":
+            return torch.from_numpy(self._planes(sample).copy())
+        return torch.from_numpy(self.arrays[name][sample].copy())
+
+    def _planes(self, sample: int) -> NDArray[np.uint8]:
+        planes: NDArray[np.uint8] = self.arrays["vision"][sample].transpose(2, 0, 1)
+        return planes

@@ -1,0 +1,181 @@
+//! NumPy arrays over Rust's memory, and back, by Python's buffer protocol.
+//!
+//! The crate numpy would do this too, but its own dependencies ask for other features of what candle is built on, which
+//! then would be compiled twice.
+
+use harness::spec::{FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, Modality};
+use pyo3::buffer::{Element, PyBuffer};
+use pyo3::exceptions::{PyBufferError, PyTypeError, PyValueError};
+use pyo3::ffi;
+use pyo3::prelude::*;
+use std::any::Any;
+use std::ffi::{CStr, c_int, c_void};
+use std::ptr::null_mut;
+
+/// What an array may hold, with its name in NumPy and in the buffer protocol.
+pub trait Item: Element + Send + Sync + 'static {
+    const NAME: &str;
+    const FORMAT: &CStr;
+}
+
+impl Item for f32 {
+    const NAME: &str = "float32";
+    const FORMAT: &CStr = c"f";
+}
+impl Item for f64 {
+    const NAME: &str = "float64";
+    const FORMAT: &CStr = c"d";
+}
+impl Item for i64 {
+    const NAME: &str = "int64";
+    const FORMAT: &CStr = c"q";
+}
+impl Item for u8 {
+    const NAME: &str = "uint8";
+    const FORMAT: &CStr = c"B";
+}
+
+/// Memory that an array lies in, rows first; NumPy keeps it as long as the array.
+#[pyclass(frozen)]
+struct Memory {
+    /// Holds what `start` points to.
+    _owner: Box<dyn Any + Send + Sync>,
+    start: *mut c_void,
+    bytes: usize,
+    item_bytes: usize,
+    format: &'static CStr,
+    shape: Vec<ffi::Py_ssize_t>,
+    strides: Vec<ffi::Py_ssize_t>,
+    read_only: bool,
+}
+
+// SAFETY: it is never changed itself, and the memory is used by whoever holds the interpreter's lock.
+unsafe impl Send for Memory {}
+unsafe impl Sync for Memory {}
+
+impl Memory {
+    /// `start` must point to as many values as `shape` has, which `owner` holds and nobody else changes.
+    fn new<T: Item>(
+        owner: Box<dyn Any + Send + Sync>,
+        start: *mut T,
+        shape: &[usize],
+        read_only: bool,
+    ) -> Self {
+        let item_bytes = size_of::<T>();
+        let mut strides: Vec<ffi::Py_ssize_t> = vec![item_bytes as ffi::Py_ssize_t; shape.len()];
+        for axis in (1..shape.len()).rev() {
+            strides[axis - 1] = strides[axis] * shape[axis] as ffi::Py_ssize_t;
+        }
+        Self {
+            _owner: owner,
+            start: start.cast(),
+            bytes: item_bytes * shape.iter().product::<usize>(),
+            item_bytes,
+            format: T::FORMAT,
+            shape: shape.iter().map(|size| *size as ffi::Py_ssize_t).collect(),
+            strides,
+            read_only,
+        }
+    }
+}
+
+#[pymethods]
+impl Memory {
+    unsafe fn __getbuffer__(slf: Bound<Self>, view: *mut ffi::Py_buffer, flags: c_int) -> PyResult<()> {
+        let memory = slf.get();
+        if memory.read_only && flags & ffi::PyBUF_WRITABLE != 0 {
+            return Err(PyBufferError::new_err("the memory can't be written"));
+        }
+        let asked = |flag: c_int| flags & flag == flag;
+        // SAFETY: Python hands over a view to be filled; what it points to lives as long as `obj`, which it holds.
+        unsafe {
+            (*view).buf = memory.start;
+            (*view).len = memory.bytes as ffi::Py_ssize_t;
+            (*view).readonly = memory.read_only.into();
+            (*view).itemsize = memory.item_bytes as ffi::Py_ssize_t;
+            (*view).format =
+                if asked(ffi::PyBUF_FORMAT) { memory.format.as_ptr().cast_mut() } else { null_mut() };
+            (*view).ndim = memory.shape.len() as c_int;
+            (*view).shape = if asked(ffi::PyBUF_ND) { memory.shape.as_ptr().cast_mut() } else { null_mut() };
+            (*view).strides =
+                if asked(ffi::PyBUF_STRIDES) { memory.strides.as_ptr().cast_mut() } else { null_mut() };
+            (*view).suboffsets = null_mut();
+            (*view).internal = null_mut();
+            (*view).obj = slf.into_any().into_ptr();
+        }
+        Ok(())
+    }
+}
+
+fn as_array<'py>(py: Python<'py>, memory: Memory) -> PyResult<Bound<'py, PyAny>> {
+    py.import("numpy")?.call_method1("asarray", (Bound::new(py, memory)?,))
+}
+
+/// Values as an array of that shape, without copying.
+pub fn array<'py, T: Item>(
+    py: Python<'py>,
+    mut values: Vec<T>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyAny>> {
+    assert_eq!(values.len(), shape.iter().product::<usize>(), "an array has as many values as its shape");
+    let start = values.as_mut_ptr();
+    as_array(py, Memory::new(Box::new(values), start, shape, false))
+}
+
+/// Values that `owner` holds as an array that can't be written, without copying.
+///
+/// # Safety
+/// The values must stay where they are, and unchanged, as long as `owner` lives.
+pub unsafe fn view<'py, O, T: Item>(
+    owner: &Bound<'py, O>,
+    values: &[T],
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyAny>> {
+    assert_eq!(values.len(), shape.iter().product::<usize>(), "an array has as many values as its shape");
+    let start = values.as_ptr().cast_mut();
+    let holder: Py<PyAny> = owner.clone().into_any().unbind();
+    as_array(owner.py(), Memory::new(Box::new(holder), start, shape, true))
+}
+
+/// Frames `[…, channel, row, column]` as a view `[…, row, column, channel]`, as pictures are.
+pub fn pixels_last(planes: Bound<PyAny>) -> PyResult<Bound<PyAny>> {
+    planes.call_method1("transpose", (0, 2, 3, 1))
+}
+
+/// The values of an array that must have this type and shape, rows first; `name` says in messages which it is.
+///
+/// # Errors
+/// TypeError and ValueError.
+pub fn read<T: Item>(name: &str, given: &Bound<PyAny>, shape: &[usize]) -> PyResult<Vec<T>> {
+    let buffer = PyBuffer::<T>::get(given)
+        .map_err(|_| PyTypeError::new_err(format!("'{name}' must be a NumPy array of {}", T::NAME)))?;
+    if buffer.shape() != shape {
+        return Err(PyValueError::new_err(format!(
+            "'{name}' has the shape {:?}, must be {shape:?}",
+            buffer.shape()
+        )));
+    }
+    buffer.to_vec(given.py())
+}
+
+/// A batch of frames `[batch, 64, 64, 3]`, channel by channel; those of `vision` may be bytes.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_frames(modality: Modality, given: &Bound<PyAny>, batch: usize) -> PyResult<Vec<f32>> {
+    let shape = [batch, FRAME_SIDE, FRAME_SIDE, FRAME_CHANNELS];
+    if modality == Modality::Vision && PyBuffer::<u8>::get(given).is_ok() {
+        let bytes: Vec<u8> = read(modality.name(), given, &shape)?;
+        return Ok(planes(&bytes).map(|byte| f32::from(byte) / 255.0).collect());
+    }
+    let values: Vec<f32> = read(modality.name(), given, &shape)?;
+    Ok(planes(&values).collect())
+}
+
+/// Frames of pixels, channel by channel.
+fn planes<T: Copy>(pixels: &[T]) -> impl Iterator<Item = T> {
+    pixels.chunks_exact(FRAME_LEN).flat_map(|frame| {
+        (0..FRAME_CHANNELS)
+            .flat_map(move |channel| frame.iter().skip(channel).step_by(FRAME_CHANNELS).copied())
+    })
+}

@@ -1,0 +1,95 @@
+//! The Python exception that fits an error of the library, with its causes in one line.
+
+use harness::dataset::DatasetError;
+use harness::experiment::{ExperimentError, ModelError, describe};
+use harness::learning::LearningError;
+use harness::registry::{QueryError, RegistryError};
+use harness::simulation::SimulationError;
+use harness::spec::SpecError;
+use pyo3::PyErr;
+use pyo3::exceptions::{PyFileNotFoundError, PyKeyError, PyRuntimeError, PyValueError};
+use std::path::Path;
+
+/// An error that has a Python exception.
+pub trait Raise: std::error::Error + Sized {
+    /// The exception, whose message is [`describe`]'s.
+    fn raise(self) -> PyErr;
+
+    fn value_error(self) -> PyErr {
+        PyValueError::new_err(describe(&self))
+    }
+
+    fn runtime_error(self) -> PyErr {
+        PyRuntimeError::new_err(describe(&self))
+    }
+}
+
+impl Raise for SpecError {
+    fn raise(self) -> PyErr {
+        match &self {
+            Self::Unreadable { path, .. } if !Path::new(path).exists() => {
+                PyFileNotFoundError::new_err(self.to_string())
+            }
+            _ => self.value_error(),
+        }
+    }
+}
+
+impl Raise for SimulationError {
+    fn raise(self) -> PyErr {
+        match self {
+            Self::Spec { .. } | Self::PictureSize { .. } | Self::Setpoint { .. } | Self::Batch(_) => {
+                self.value_error()
+            }
+            _ => self.runtime_error(),
+        }
+    }
+}
+
+impl Raise for DatasetError {
+    fn raise(self) -> PyErr {
+        self.runtime_error()
+    }
+}
+
+impl Raise for RegistryError {
+    fn raise(self) -> PyErr {
+        match self {
+            Self::Unknown { .. } | Self::Ambiguous { .. } => PyKeyError::new_err(self.to_string()),
+            _ => self.runtime_error(),
+        }
+    }
+}
+
+impl Raise for QueryError {
+    fn raise(self) -> PyErr {
+        match self {
+            Self::Registry(error) => error.raise(),
+            Self::Sql(_) | Self::Refused(_) => self.value_error(),
+            _ => self.runtime_error(),
+        }
+    }
+}
+
+impl Raise for ExperimentError {
+    fn raise(self) -> PyErr {
+        match self {
+            Self::Simulation(error) => error.raise(),
+            Self::Registry(error) => error.raise(),
+            Self::NoTraining | Self::Learning(LearningError::Device { .. }) => self.value_error(),
+            _ => self.runtime_error(),
+        }
+    }
+}
+
+impl Raise for ModelError {
+    fn raise(self) -> PyErr {
+        match self {
+            Self::Registry(error) => error.raise(),
+            Self::NoNetwork(_) => PyFileNotFoundError::new_err(self.to_string()),
+            Self::Lacks { .. } => PyKeyError::new_err(self.to_string()),
+            Self::Shape { .. } => self.value_error(),
+            _ => self.runtime_error(),
+        }
+    }
+}

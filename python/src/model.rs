@@ -1,0 +1,124 @@
+//! Trained networks.
+
+use crate::array::{array, pixels_last, read, read_frames};
+use crate::errors::Raise;
+use crate::work::detached;
+use harness::experiment::{self, Values};
+use harness::registry::Registry;
+use harness::spec::{ARM_JOINTS, FRAME_CHANNELS, FRAME_SIDE, Modality};
+use pyo3::exceptions::{PyKeyError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::PathBuf;
+
+/// A trained run; see `_harness.pyi`.
+#[pyclass(frozen)]
+pub struct Model(experiment::Model);
+
+#[pymethods]
+impl Model {
+    #[new]
+    fn new(py: Python, run: &str, results: PathBuf) -> PyResult<Self> {
+        let load = || experiment::Model::load(&Registry::new(results), run);
+        detached(py, load)?.map(Self).map_err(Raise::raise)
+    }
+
+    #[getter]
+    fn run(&self) -> &str {
+        &self.0.record().run
+    }
+
+    #[getter]
+    fn experiment(&self) -> &str {
+        &self.0.record().experiment
+    }
+
+    #[getter]
+    fn dataset(&self) -> &str {
+        &self.0.record().dataset
+    }
+
+    #[getter]
+    fn scenario(&self) -> &str {
+        self.0.record().spec.scenario.name()
+    }
+
+    #[getter]
+    fn input(&self) -> Vec<&'static str> {
+        self.0.record().spec.input.iter().map(|modality| modality.name()).collect()
+    }
+
+    #[getter]
+    fn output(&self) -> Vec<&'static str> {
+        self.0.record().spec.output.iter().map(|modality| modality.name()).collect()
+    }
+
+    #[getter]
+    fn latent(&self) -> usize {
+        self.0.record().spec.latent
+    }
+
+    #[getter]
+    fn action(&self) -> &'static str {
+        self.0.record().spec.action.name()
+    }
+
+    fn encode<'py>(
+        &self,
+        py: Python<'py>,
+        observation: &Bound<'py, PyDict>,
+    ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+        let (batch, values) = self.read(observation)?;
+        let (mean, log_variance) = detached(py, || self.0.encode(batch, &values))?.map_err(Raise::raise)?;
+        let shape = [batch, self.latent()];
+        Ok((array(py, mean, &shape)?, array(py, log_variance, &shape)?))
+    }
+
+    fn predict<'py>(
+        &self,
+        py: Python<'py>,
+        observation: &Bound<'py, PyDict>,
+        action: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let (batch, values) = self.read(observation)?;
+        let action = read("action", action, &[batch, ARM_JOINTS])?;
+        let predicted = detached(py, || self.0.predict(batch, &values, action))?;
+        let answer = PyDict::new(py);
+        for (modality, values) in predicted.map_err(Raise::raise)? {
+            let values = match modality.is_frame() {
+                true => pixels_last(array(py, values, &[batch, FRAME_CHANNELS, FRAME_SIDE, FRAME_SIDE])?)?,
+                false => array(py, values, &[batch, modality.width()])?,
+            };
+            answer.set_item(modality.name(), values)?;
+        }
+        Ok(answer)
+    }
+}
+
+impl Model {
+    /// The batch's size, and of the observation what the encoder is given.
+    fn read(&self, observation: &Bound<PyDict>) -> PyResult<(usize, Values)> {
+        let input = &self.0.record().spec.input;
+        let given = input.iter().map(|&modality| Ok((modality, observation.get_item(modality.name())?)));
+        let given: Vec<(Modality, Option<Bound<PyAny>>)> = given.collect::<PyResult<_>>()?;
+        let Some(first) = given.iter().find_map(|(_, values)| values.as_ref()) else {
+            let message = format!("the observation has none of {}", self.input().join(", "));
+            return Err(PyKeyError::new_err(message));
+        };
+        let batch = first.len()?;
+        if batch == 0 {
+            return Err(PyValueError::new_err("the observation has no samples"));
+        }
+        let mut values = Values::new();
+        for (modality, given) in given {
+            // What lacks is named by the model.
+            let Some(given) = given else { continue };
+            let read = match modality.is_frame() {
+                true => read_frames(modality, &given, batch)?,
+                false => read(modality.name(), &given, &[batch, modality.width()])?,
+            };
+            values.insert(modality, read);
+        }
+        Ok((batch, values))
+    }
+}

@@ -1,0 +1,169 @@
+//! Experiments and tables.
+
+use crate::errors::Raise;
+use crate::work::interruptible;
+use harness::cli::progress::Bars;
+use harness::experiment::{ExperimentError, Laboratory};
+use harness::progress::{Progress, Silent};
+use harness::registry::{self, Provenance, Registry};
+use harness::spec;
+use polars::prelude::{CompatLevel, DataFrame, SchemaExt};
+use polars_arrow::array::StructArray;
+use polars_arrow::datatypes::{ArrowDataType, Field};
+use polars_arrow::ffi::{ArrowArrayStream, export_iterator};
+use pyo3::exceptions::{PyOSError, PyRuntimeError};
+use pyo3::prelude::*;
+use pyo3::types::PyCapsule;
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Does every run of an experiment that isn't done; see `harness.run`.
+#[pyfunction]
+#[pyo3(signature = (path, overrides, quick, results, progress, jobs))]
+#[expect(clippy::too_many_arguments, reason = "they are the options of `harness run`, named in Python")]
+pub fn run(
+    py: Python,
+    path: PathBuf,
+    overrides: Vec<String>,
+    quick: bool,
+    results: PathBuf,
+    progress: bool,
+    jobs: usize,
+) -> PyResult<(usize, usize)> {
+    let experiment = spec::load(&path, &overrides, quick).map_err(Raise::raise)?;
+    let registry = Registry::new(results);
+    registry.check_writable().map_err(|error| PyOSError::new_err(error.to_string()))?;
+    let threads = rayon::current_num_threads();
+    let command = std::env::args().collect::<Vec<_>>().join(" ");
+    let provenance = py.detach(|| Provenance::gather(threads, command));
+    let listener = Listener::new(progress);
+    let laboratory = Laboratory {
+        registry: &registry,
+        models: None,
+        threads,
+        jobs,
+        provenance: &provenance,
+        progress: &listener,
+    };
+    let work = || laboratory.run(&laboratory.plan(&experiment)?);
+    let summary = interruptible(py, work, || listener.cancelled.store(true, Ordering::Relaxed))?;
+    let summary = summary.map_err(|error: ExperimentError| error.raise())?;
+    if summary.failed > 0 {
+        let said = listener.said.into_inner().unwrap_or_default();
+        let reasons: Vec<String> = said.into_iter().filter(|line| line.contains(" failed: ")).collect();
+        return Err(PyRuntimeError::new_err(format!(
+            "{} runs failed: {}",
+            summary.failed,
+            reasons.join("; ")
+        )));
+    }
+    Ok((summary.done, summary.skipped))
+}
+
+/// Draws progress as the command line does, or nothing, and passes on a wish to stop.
+struct Listener {
+    shown: Box<dyn Progress>,
+    said: Mutex<Vec<String>>,
+    cancelled: AtomicBool,
+}
+
+impl Listener {
+    fn new(progress: bool) -> Self {
+        let shown: Box<dyn Progress> = if progress { Box::new(Bars::default()) } else { Box::new(Silent) };
+        Self { shown, said: Mutex::default(), cancelled: AtomicBool::new(false) }
+    }
+}
+
+impl Progress for Listener {
+    fn begin(&self, stage: &str, total: u64, unit: &str) {
+        self.shown.begin(stage, total, unit);
+    }
+    fn advance(&self, steps: u64) {
+        self.shown.advance(steps);
+    }
+    fn note(&self, text: &str) {
+        self.shown.note(text);
+    }
+    fn say(&self, text: &str) {
+        if let Ok(mut said) = self.said.lock() {
+            said.push(text.to_owned());
+        }
+        self.shown.say(text);
+    }
+    fn end(&self) {
+        self.shown.end();
+    }
+    fn job(&self, name: &str) -> Option<Box<dyn Progress + '_>> {
+        let shown = self.shown.job(name)?;
+        Some(Box::new(Job { shown, everyone: self }))
+    }
+    fn cancelled(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed)
+    }
+}
+
+/// One of several jobs: its own bar, everybody's wish to stop.
+struct Job<'a> {
+    shown: Box<dyn Progress + 'a>,
+    everyone: &'a Listener,
+}
+
+impl Progress for Job<'_> {
+    fn begin(&self, stage: &str, total: u64, unit: &str) {
+        self.shown.begin(stage, total, unit);
+    }
+    fn advance(&self, steps: u64) {
+        self.shown.advance(steps);
+    }
+    fn note(&self, text: &str) {
+        self.shown.note(text);
+    }
+    fn say(&self, text: &str) {
+        self.everyone.say(text);
+    }
+    fn end(&self) {
+        self.shown.end();
+    }
+    fn cancelled(&self) -> bool {
+        self.everyone.cancelled()
+    }
+}
+
+/// Answers a query; see `harness.query`.
+#[pyfunction]
+pub fn query(py: Python, sql: &str, results: PathBuf) -> PyResult<Table> {
+    let registry = Registry::new(results);
+    let answer = interruptible(py, || registry::query(&registry, sql), || ())?;
+    Ok(Table(answer.map_err(Raise::raise)?))
+}
+
+/// A table for whoever reads Arrow's C stream interface.
+#[pyclass(frozen)]
+pub struct Table(DataFrame);
+
+#[pymethods]
+impl Table {
+    /// The columns' own memory, chunk by chunk; a requested schema is not heeded, as the interface allows.
+    #[pyo3(signature = (requested_schema=None))]
+    fn __arrow_c_stream__<'py>(
+        &self,
+        py: Python<'py>,
+        requested_schema: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyCapsule>> {
+        let _ = requested_schema;
+        let mut table = self.0.clone();
+        let fields: Vec<Field> =
+            table.schema().iter_fields().map(|field| field.to_arrow(CompatLevel::newest())).collect();
+        let kind = ArrowDataType::Struct(fields);
+        let stream_field = Field::new("".into(), kind.clone(), false);
+        table.align_chunks();
+        let chunks: Vec<_> = table.iter_chunks(CompatLevel::newest(), false).collect();
+        let arrays = chunks.into_iter().map(move |chunk| {
+            let height = chunk.height();
+            StructArray::try_new(kind.clone(), height, chunk.into_arrays(), None).map(|array| array.boxed())
+        });
+        let stream: ArrowArrayStream = export_iterator(Box::new(arrays), stream_field);
+        PyCapsule::new_with_value(py, stream, c"arrow_array_stream")
+    }
+}

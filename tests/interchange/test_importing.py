@@ -1,0 +1,324 @@
+"""Recordings from elsewhere as datasets of the harness, and trained on by it."""
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+import yaml
+from conftest import SPEC
+from PIL import Image
+
+from harness.importing import import_dataset
+from harness.recorded import VECTORS, RecordedDataset
+
+PARQUET = {"format": "parquet", "episode": "episode", "order": "sample", "sample_rate_hz": 10}
+ITSELF = {
+    "setpoint": "setpoint_*",
+    "proprioception": "proprioception_*",
+    "arm": ["arm_rotation", "arm_lift", "arm_extension"],
+    "contact_force": "contact_force_??",
+    "contact_force_mean": "contact_force_mean_*",
+    "vision": "vision",
+}
+"""The harness's own files, as any Parquet files."""
+
+
+def write_mapping(folder: Path, source: Path, modalities: dict, **settings) -> Path:
+    path = folder / "mapping.yaml"
+    mapping = {"name": "lab_finger", "source": str(source), "modalities": modalities} | settings
+    path.write_text(yaml.safe_dump({key: value for key, value in mapping.items() if value is not None}))
+    return path
+
+
+def read_episodes(folder: Path) -> list[pl.DataFrame]:
+    return [pl.read_parquet(path) for path in sorted(folder.glob("episode_*.parquet"))]
+
+
+def metrics(results: Path) -> pl.DataFrame:
+    (path,) = results.glob("runs/smoke/*/metrics.parquet")
+    key = ["task", "model", "modality", "direction", "index", "metric"]
+    return pl.read_parquet(path).select(*key, "value").sort(key)
+
+
+def test_what_comes_back_by_parquet_is_the_same_and_trains_the_same_bit_by_bit(dataset, harness, tmp_path):
+    name = import_dataset(
+        write_mapping(tmp_path, dataset, ITSELF, **PARQUET), harness.results, progress=False
+    )
+    folder = harness.results / "datasets" / name
+    for original, imported in zip(read_episodes(dataset), read_episodes(folder), strict=True):
+        labels = ["dataset", "scenario"]
+        assert imported.drop(labels).equals(original.drop(labels)) and imported.schema == original.schema
+        assert imported["dataset"].unique().to_list() == [name]
+    answer = harness("run", SPEC, f"scenarios=[{name}]")
+    assert answer.returncode == 0 and "1 done" in answer.stdout, answer.stderr
+    of_parts = pl.col("metric").str.starts_with("relative_error_")
+    original, found = metrics(dataset.parents[1]), metrics(harness.results)
+    assert len(original) > 900 and found.filter(~of_parts).equals(original.filter(~of_parts))
+    # Only simulated frames tell the robot's parts by their colours.
+    assert found.filter(of_parts)["value"].null_count() == original.filter(of_parts)["value"].len() == 6
+    assert harness("verify").returncode == 0
+    # Once imported, it is not imported again.
+    before = folder.stat().st_mtime_ns
+    assert import_dataset(tmp_path / "mapping.yaml", harness.results, progress=False) == name
+    assert folder.stat().st_mtime_ns == before
+
+
+def test_what_comes_back_by_lerobot_has_the_same_numbers(dataset, harness, tmp_path):
+    pytest.importorskip("lerobot", reason="lerobot is not installed; it needs Python 3.12: make interchange")
+    from harness.export import export
+
+    source = export(dataset, "lerobot", tmp_path / "exported", progress=False)
+    modalities = {
+        "setpoint": "action",
+        "proprioception": "observation.state[0:20]",
+        "arm": "observation.state[20:23]",
+        "contact_force": "observation.contact_force",
+        "contact_force_mean": "observation.contact_force_mean",
+        "vision": "observation.images.external",
+    }
+    mapping = write_mapping(tmp_path, source, modalities, format="lerobot")
+    name = import_dataset(mapping, harness.results, progress=False)
+    originals, imports = read_episodes(dataset), read_episodes(harness.results / "datasets" / name)
+    for original, imported in zip(originals, imports, strict=True):
+        left_out = ["dataset", "scenario", "vision"]
+        assert imported.drop(left_out).equals(original.drop(left_out))
+        frames = [np.frombuffer(b"".join(episode["vision"]), np.uint8) for episode in (original, imported)]
+        assert np.abs(frames[0].astype(int) - frames[1]).mean() < 1.5
+    answer = harness("run", SPEC, f"scenarios=[{name}]")
+    assert answer.returncode == 0, answer.stderr
+
+
+def test_a_damaged_lerobot_dataset_is_an_error(dataset, harness, tmp_path):
+    pytest.importorskip("lerobot", reason="lerobot is not installed; it needs Python 3.12: make interchange")
+    from harness.export import export
+
+    source = export(dataset, "lerobot", tmp_path / "exported", progress=False)
+    modalities = {"setpoint": "action", "vision": "observation.images.external"}
+    mapping = write_mapping(tmp_path, source, modalities, format="lerobot")
+    (video,) = source.glob("videos/**/*.mp4")
+    video.write_bytes(video.read_bytes()[:5000])
+    with pytest.raises(ValueError, match="source: LeRobot can't read .*exported"):
+        import_dataset(mapping, harness.results, progress=False)
+    info = source / "meta/info.json"
+    info.write_text(info.read_text().replace("v3.0", "v2.1"))
+    with pytest.raises(ValueError, match="source: LeRobot can't read .*exported"):
+        import_dataset(mapping, harness.results, progress=False)
+    info.unlink()
+    with pytest.raises(ValueError, match="is no LeRobot dataset: it has no meta/info.json"):
+        import_dataset(mapping, harness.results, progress=False)
+    assert not harness.results.exists()
+
+
+def robot_rows(episode: int, samples: int, generator: np.random.Generator) -> pl.DataFrame:
+    """What a real robot may have recorded: degrees, millimetres, lists, pictures as PNG, and no mean forces."""
+    pictures = []
+    for sample in range(samples):
+        # Left half of one colour, right half of another; the colours tell episode and sample.
+        picture = np.zeros((96, 128, 3), np.uint8)
+        picture[:, :64], picture[:, 64:] = (episode * 10, sample, 200), (0, sample, 9)
+        buffer = io.BytesIO()
+        Image.fromarray(picture).save(buffer, "PNG")
+        pictures.append(buffer.getvalue())
+    degrees = generator.uniform(-60, 60, (samples, 20))
+    return pl.DataFrame(
+        {
+            "trial": [f"trial {episode}"] * samples,
+            "seconds": np.arange(samples) / 5,
+            "angles": degrees.tolist(),
+            "rotation": generator.uniform(150, 200, samples),
+            "lift": generator.uniform(-900, 0, samples),
+            "extension": generator.uniform(0, 1400, samples),
+            "command": generator.uniform(-1, 1, (samples, 5)).tolist(),
+            "camera": [{"bytes": picture, "path": None} for picture in pictures],
+        }
+    )
+
+
+ROBOT = {
+    "setpoint": "command[1:4]",
+    "proprioception": {"from": "angles", "scale": float(np.pi / 180)},
+    "arm": {"from": ["rotation", "lift", "extension"], "scale": [float(np.pi / 180), 0.001, 0.001]},
+    "vision": "camera",
+}
+TRIALS = {"format": "parquet", "episode": "trial", "order": "seconds", "sample_rate_hz": 5}
+LENGTHS = [9, 12, 2, 7]
+
+
+@pytest.fixture
+def recordings(tmp_path) -> Path:
+    """A folder of files, of which the second has its rows in disorder."""
+    folder, generator = tmp_path / "recordings", np.random.default_rng(0)
+    folder.mkdir()
+    rows = [robot_rows(episode, samples, generator) for episode, samples in enumerate(LENGTHS)]
+    rows[0].write_parquet(folder / "a.parquet")
+    pl.concat(rows[1:]).sample(fraction=1, shuffle=True, seed=0).write_parquet(folder / "b.parquet")
+    return folder
+
+
+def test_a_robots_recordings_are_converted_and_trained_on(recordings, harness, tmp_path):
+    mapping = write_mapping(tmp_path, recordings, ROBOT, **TRIALS)
+    name = import_dataset(mapping, harness.results, progress=False)
+    source = pl.read_parquet(recordings / "*.parquet").sort("trial", "seconds")
+    episodes = read_episodes(harness.results / "datasets" / name)
+    assert [len(episode) for episode in episodes] == LENGTHS
+    table = pl.concat(episodes)
+    np.testing.assert_allclose(table["time"].to_numpy(), source["seconds"].to_numpy())
+    values = {
+        vector: table.select(column.name for column in columns).to_numpy()
+        for vector, columns in VECTORS.items()
+    }
+    angles = np.radians(np.array(source["angles"].to_list()))
+    np.testing.assert_allclose(values["proprioception"], angles, rtol=1e-6)
+    np.testing.assert_allclose(values["arm"][:, 0], np.radians(source["rotation"].to_numpy()), rtol=1e-6)
+    np.testing.assert_allclose(values["arm"][:, 1], source["lift"].to_numpy() / 1000, rtol=1e-6)
+    commands = np.array(source["command"].to_list())[:, 1:4]
+    np.testing.assert_array_equal(values["setpoint"], commands.astype(np.float32))
+    assert table["contact_force_07"].null_count() == len(table), "nothing was recorded, so nothing is told"
+    frame = np.frombuffer(episodes[3]["vision"][5], np.uint8).reshape(64, 64, 3)
+    assert (frame[:, :32] == [30, 5, 200]).all() and (frame[:, 32:] == [0, 5, 9]).all()
+    assert harness("verify").returncode == 0
+    settings = [f"scenarios=[{name}]", "output=[proprioception,arm,frame_difference]"]
+    answer = harness("run", SPEC, *settings)
+    assert answer.returncode == 0, answer.stderr
+    (forces,) = harness.results.glob("runs/smoke/*/forces.parquet")
+    assert len(pl.read_parquet(forces)) == 0, "a force that wasn't recorded has no distribution"
+    sql = "select scenario, count(*) as samples, count(contact_force_00) as forces from episodes group by scenario"
+    answer = harness("query", sql, "--output", str(tmp_path / "answer.json"))
+    assert answer.returncode == 0, answer.stderr
+    assert json.loads((tmp_path / "answer.json").read_text()) == [
+        {"scenario": name, "samples": sum(LENGTHS), "forces": 0}
+    ]
+
+
+def test_the_name_follows_from_the_content_alone(recordings, harness, tmp_path):
+    mapping = write_mapping(tmp_path, recordings, ROBOT, **TRIALS)
+    first = import_dataset(mapping, harness.results, progress=False)
+    assert import_dataset(mapping, tmp_path / "elsewhere", progress=False) == first
+    changed = ROBOT | {"proprioception": {"from": "angles", "scale": 0.5}}
+    mapping = write_mapping(tmp_path, recordings, changed, **TRIALS)
+    second = import_dataset(mapping, harness.results, progress=False)
+    assert second != first and second.startswith("lab_finger-")
+
+
+def test_what_an_imported_dataset_lacks_is_refused_before_anything_is_done(recordings, harness, tmp_path):
+    mapping = write_mapping(tmp_path, recordings, ROBOT, **TRIALS)
+    name = import_dataset(mapping, harness.results, progress=False)
+    answer = harness("run", SPEC, f"scenarios=[{name}]")
+    assert answer.returncode == 2
+    assert f"the dataset {name} holds no contact_force" in answer.stderr
+    assert "it holds proprioception, arm, vision, frame_difference" in answer.stderr
+    answer = harness("run", SPEC, "scenarios=[lab_finger-0123456789abcdef]")
+    assert answer.returncode == 2 and "there is no imported dataset" in answer.stderr
+    assert "harness import MAPPING.yaml" in answer.stderr
+    with pytest.raises(ValueError, match="was imported; only simulated datasets are exported"):
+        RecordedDataset(harness.results / "datasets" / name)
+
+
+def test_a_damaged_or_missing_episode_is_found_and_not_trained_on(recordings, harness, tmp_path):
+    mapping = write_mapping(tmp_path, recordings, ROBOT, **TRIALS)
+    name = import_dataset(mapping, harness.results, progress=False)
+    folder = harness.results / "datasets" / name
+    path = folder / "episode_00001.parquet"
+    whole = path.read_bytes()
+    run = ["run", SPEC, f"scenarios=[{name}]", "output=[proprioception]"]
+    path.write_bytes(whole[:2000] + bytes([whole[2000] ^ 1]) + whole[2001:])
+    for problem in ("SHA-256 differs", "missing"):
+        answer = harness("verify")
+        assert answer.returncode == 1 and problem in answer.stdout and "harness import" in answer.stdout
+        answer = harness(*run)
+        assert answer.returncode == 1 and "episode_00001.parquet" in answer.stderr, answer.stderr
+        path.unlink(missing_ok=True)
+    path.write_bytes(whole)
+    assert harness("verify").returncode == 0
+    description = folder / "dataset.json"
+    description.write_text(description.read_text().replace('"samples": 9', '"samples": 8'))
+    assert "it does not describe this dataset" in harness("verify").stdout
+    assert "it does not describe this dataset" in harness(*run).stderr
+
+
+def without(section: dict, key: str) -> dict:
+    return {name: value for name, value in section.items() if name != key}
+
+
+@pytest.mark.parametrize(
+    ("changes", "modalities", "words"),
+    [
+        (
+            {"sorce": "x"},
+            {},
+            "mapping.yaml: unknown key 'sorce'; allowed are name, source, format, modalities, episode",
+        ),
+        ({"format": "hdf5"}, {}, "format: must be lerobot or parquet, not 'hdf5'"),
+        ({"format": None}, {}, "format: must be lerobot or parquet, not None"),
+        ({"episode": None}, {}, "missing 'episode'"),
+        ({"episode": "run"}, {}, "there is no column 'run'; the columns are trial, seconds, angles"),
+        ({"order": "trial"}, {}, "order: two rows of an episode have the same 'trial'"),
+        ({"sample_rate_hz": 0}, {}, "sample_rate_hz: must be a number of 0.01 to 1000, not 0"),
+        ({"name": "empty"}, {}, "name: 'empty' can't name an imported dataset"),
+        ({"name": "../x"}, {}, "name: '../x' can't name an imported dataset"),
+        ({"modalities": ["setpoint"]}, {}, "modalities: must say what makes up each of proprioception, arm"),
+        ({}, {"touch": "x"}, "unknown key 'modalities.touch'; allowed are proprioception, arm, setpoint"),
+        ({}, {"setpoint": None}, "missing 'modalities.setpoint'"),
+        ({}, {"setpoint": "order"}, "modalities.setpoint: there is no column 'order'; the columns are trial"),
+        (
+            {},
+            {"setpoint": "command[1:"},
+            r"modalities.setpoint: 'command\[1:' is not understood; write COLUMN",
+        ),
+        (
+            {},
+            {"setpoint": "command"},
+            "episode 0: modalities.setpoint: command gives 5 values, and 3 are needed",
+        ),
+        ({}, {"setpoint": "command[3:9]"}, r"command\[3:9\] gives 2 values, and 3 are needed"),
+        ({}, {"setpoint": "trial"}, "modalities.setpoint: 'trial' holds no numbers"),
+        ({}, {"arm": {"from": "command[0:3]", "scale": [1, 2]}}, "arm.scale: must be 1 number or 3, not 2"),
+        ({}, {"arm": {"from": "command[0:3]"}}, "missing 'modalities.arm.scale'"),
+        ({}, {"arm": 3}, "modalities.arm: must be a column, or a list of columns, not 3"),
+        ({}, {"vision": "trial"}, "modalities.vision: a value is no picture"),
+        ({}, {"vision": ["camera", "camera"]}, "modalities.vision: must be one column"),
+        ({}, {"arm": {"from": "command[0:3]", "scale": float("nan")}}, "value 0 of row 0 is nan"),
+    ],
+)
+def test_a_mistake_in_a_mapping_is_an_error_with_its_place(
+    recordings, harness, tmp_path, changes, modalities, words
+):
+    mapping = write_mapping(tmp_path, recordings, **({"modalities": ROBOT | modalities} | TRIALS | changes))
+    with pytest.raises(ValueError, match=words):
+        import_dataset(mapping, harness.results, progress=False)
+    assert not harness.results.exists()
+
+
+def test_too_few_or_too_short_episodes_are_an_error(recordings, harness, tmp_path):
+    (recordings / "a.parquet").unlink()
+    rows = pl.read_parquet(recordings / "b.parquet")
+    mapping = write_mapping(tmp_path, recordings, ROBOT, **TRIALS)
+    for kept, words in [
+        (rows.filter(pl.col("trial") != "trial 1"), "2 episodes were found"),
+        (
+            rows.filter((pl.col("trial") != "trial 2") | (pl.col("seconds") == 0)),
+            "episode 1: it has 1 sample",
+        ),
+        (rows.clear(), "0 episodes were found"),
+    ]:
+        kept.write_parquet(recordings / "b.parquet")
+        with pytest.raises(ValueError, match=words):
+            import_dataset(mapping, harness.results, progress=False)
+
+
+def test_what_is_not_there_or_no_such_file_is_an_error(harness, tmp_path):
+    with pytest.raises(FileNotFoundError, match="nowhere.yaml"):
+        import_dataset(tmp_path / "nowhere.yaml", harness.results)
+    mapping = write_mapping(tmp_path, tmp_path / "nowhere", ROBOT, **TRIALS)
+    with pytest.raises(FileNotFoundError, match="source: .*nowhere is not there"):
+        import_dataset(mapping, harness.results)
+    (tmp_path / "text.parquet").write_text("no table")
+    mapping = write_mapping(tmp_path, tmp_path / "text.parquet", ROBOT, **TRIALS)
+    with pytest.raises(ValueError, match="can't be read"):
+        import_dataset(mapping, harness.results)
+    mapping.write_text("name: [")
+    with pytest.raises(ValueError, match="mapping.yaml is no YAML"):
+        import_dataset(mapping, harness.results)

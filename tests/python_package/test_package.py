@@ -1,0 +1,260 @@
+"""Experiments, tables, datasets and networks, against independent readers of the same files."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import polars
+import pyarrow
+import pytest
+from conftest import ROOT, SMOKE
+
+import harness
+
+
+def test_a_finished_experiment_is_skipped(results: Path) -> None:
+    assert harness.run(SMOKE, results=results, progress=False) == harness.Summary(done=0, skipped=2)
+
+
+def test_overrides_are_those_of_the_command_line(results: Path, tmp_path: Path) -> None:
+    overrides = {"latent": [4, 5], "scenarios": ["empty"], "training.epochs": 1, "tasks": ["prediction"]}
+    assert harness.run(SMOKE, overrides, results=tmp_path, progress=False, jobs=2) == (2, 0)
+    runs = harness.query("select run from runs order by run", tmp_path)
+    assert [run.split("-")[1] for run in runs["run"]] == ["z4", "z5"]
+
+
+def test_an_answer_is_what_polars_reads_from_the_tables(results: Path) -> None:
+    answer = harness.query("select * from metrics", results)
+    files = sorted((results / "runs").rglob("metrics.parquet"))
+    assert answer.equals(polars.concat([polars.read_parquet(file) for file in files]))
+    text = harness.query("select run, started from runs", results)
+    assert text.schema == {"run": polars.String, "started": polars.String}
+    assert harness.query("select * from metrics where value > 1000000000", results).height == 0
+
+
+def test_an_answer_is_handed_over_without_copying(results: Path) -> None:
+    table = harness._harness.query("select value from metrics", results)
+
+    def places(answer: pyarrow.Table) -> list[int]:
+        return [buffer.address for chunk in answer["value"].chunks for buffer in chunk.buffers() if buffer]
+
+    # Each takes the table's own memory, or they would lie in different places.
+    assert places(polars.DataFrame(table).to_arrow()) == places(pyarrow.table(table)) != []
+
+
+@pytest.mark.parametrize("scenario", ["empty", "cluttered"])
+def test_a_dataset_is_what_polars_reads_from_its_files(folders: dict[str, Path], scenario: str) -> None:
+    data = harness.Dataset(folders[scenario])
+    files = sorted(folders[scenario].glob("episode_*.parquet"))
+    table = polars.concat([polars.read_parquet(file) for file in files])
+    assert (len(data), data.scenario, data.sample_rate_hz) == (table.height, scenario, 10.0)
+    assert data.episodes.tolist() == [[30 * episode, 30 * episode + 30] for episode in range(4)]
+    for name in ("proprioception", "arm", "setpoint", "contact_force", "contact_force_mean"):
+        columns = [column for column in table.columns if column.rsplit("_", 1)[0] == name]
+        assert np.array_equal(data[name], table.select(columns).to_numpy()), name
+    frames = np.stack([np.frombuffer(frame, np.uint8) for frame in table["vision"]])
+    assert np.array_equal(data["vision"], frames.reshape(-1, 64, 64, 3))
+
+
+def test_a_datasets_arrays_are_its_own_memory_and_keep_it(folders: dict[str, Path]) -> None:
+    data = harness.Dataset(folders["empty"])
+    episode = data.episode(2)
+    assert episode["vision"].shape == (30, 64, 64, 3)
+    for name in data.keys():
+        assert np.shares_memory(data[name], episode[name])
+        assert not data[name].flags.writeable
+    force = data["contact_force_mean"]
+    before = force.sum()
+    del data, episode
+    assert force.sum() == before > 0
+    assert "vision" not in harness.Dataset(folders["empty"], frames=False).keys()
+
+
+def test_a_model_predicts_what_the_run_recorded_of_its_test_samples(results: Path, folders: dict[str, Path]) -> None:
+    model = harness.load_model("cluttered-z4", results)
+    assert (model.input, model.action, model.latent) == (["proprioception", "vision"], "increment", 4)
+    data = harness.Dataset(folders["cluttered"])
+    # The last of four episodes is the test's.
+    first, end = data.episodes[-1]
+    at = np.arange(first, end - 1)
+    observation = {name: data[name][at] for name in model.input}
+    predicted = model.predict(observation, data["setpoint"][at + 1] - data["setpoint"][at])
+    recorded = harness.query(
+        "select modality, sample, index, predicted from predictions "
+        f"where run = '{model.run}' and task = 'prediction' and sample is not null",
+        results,
+    )
+    assert recorded.height > 0
+    for modality, sample, index, value in recorded.iter_rows():
+        assert predicted[modality][sample - 1, index] == pytest.approx(value, rel=1e-4, abs=1e-4)
+    # Frames: the error of all test samples, relative to "no change".
+    change = (data["vision"][at + 1].astype(float) - data["vision"][at]) / 255
+    error = np.sum((predicted["frame_difference"] - change) ** 2) / np.sum(change**2)
+    metric = harness.query(
+        f"select value from metrics where run = '{model.run}' and task = 'prediction' and model = 'network' "
+        "and modality = 'frame_difference' and metric = 'relative_error'",
+        results,
+    )
+    assert error == pytest.approx(metric.item(), rel=1e-4)
+
+
+def test_a_posterior_does_not_depend_on_the_batch_or_the_form_of_frames(
+    results: Path, folders: dict[str, Path]
+) -> None:
+    model, data = harness.load_model("smoke/empty", results), harness.Dataset(folders["empty"])
+    observation = {name: data[name] for name in model.input}
+    mean, log_variance = model.encode(observation)
+    assert mean.shape == log_variance.shape == (120, 4)
+    assert np.all(np.isfinite(log_variance)) and np.ptp(mean) > 0
+    single, _ = model.encode({name: values[7:8] for name, values in observation.items()})
+    assert np.allclose(single[0], mean[7], atol=1e-5)
+    as_numbers, _ = model.encode({**observation, "vision": data["vision"].astype(np.float32) / np.float32(255)})
+    assert np.allclose(as_numbers, mean, atol=1e-6)
+
+
+def test_transitions_are_a_map_style_dataset(folders: dict[str, Path]) -> None:
+    torch = pytest.importorskip("torch")
+    data = harness.Dataset(folders["empty"])
+    transitions = data.torch(["proprioception", "vision"], ["contact_force", "frame_difference"])
+    assert len(transitions) == 4 * 29
+    observation, action, following = transitions[29]  # the second episode's first
+    assert torch.equal(observation["proprioception"], torch.tensor(np.array(data["proprioception"][30])))
+    assert np.array_equal(observation["vision"].numpy().transpose(1, 2, 0), data["vision"][30])
+    assert np.array_equal(action.numpy(), data["setpoint"][31] - data["setpoint"][30])
+    assert np.array_equal(following["contact_force"].numpy(), data["contact_force"][31])
+    change = (data["vision"][31].astype(np.float32) - data["vision"][30].astype(np.float32)) / np.float32(255)
+    assert np.array_equal(following["frame_difference"].numpy().transpose(1, 2, 0), change)
+    loader = torch.utils.data.DataLoader(transitions, batch_size=16, num_workers=2, shuffle=True)
+    assert sum(len(actions) for _, actions, _ in loader) == len(transitions)
+
+
+def test_an_interrupted_run_raises_and_goes_on(tmp_path: Path) -> None:
+    overrides = {"simulation.episodes": 30, "scenarios": ["empty"]}
+    finished = threading.Event()
+
+    def interrupt_at_the_first_episode() -> None:
+        while not list(tmp_path.glob("datasets/*/episode_*.parquet")) and not finished.is_set():
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    # That it gets on at all shows that the interpreter's lock is free meanwhile.
+    threading.Thread(target=interrupt_at_the_first_episode, daemon=True).start()
+    with pytest.raises(KeyboardInterrupt):
+        harness.run(SMOKE, overrides, results=tmp_path, progress=False)
+        finished.set()
+    episodes = {file: file.stat().st_mtime_ns for file in tmp_path.glob("datasets/*/episode_*.parquet")}
+    assert 0 < len(episodes) < 30
+    assert harness.run(SMOKE, overrides, results=tmp_path, progress=False) == (1, 0)
+    assert all(file.stat().st_mtime_ns == time for file, time in episodes.items())
+
+
+def test_a_run_that_fails_says_why(tmp_path: Path) -> None:
+    # f32 overflows at such steps.
+    changes = {"training.learning_rate": 1.0, "training.kl_weight": 1e6, "training.epochs": 50}
+    with pytest.raises(RuntimeError, match="2 runs failed: .*no longer finite.*learning_rate"):
+        harness.run(SMOKE, {**changes, "training.patience": None}, results=tmp_path, progress=False)
+
+
+def call_wrongly(name: str, results: Path, folder: Path) -> None:
+    data, model = harness.Dataset(folder), harness.load_model("smoke/empty", results)
+    observation = {key: data[key][:3] for key in model.input}
+    action = np.zeros((3, 3), np.float32)
+    {
+        "spec": lambda: harness.run(results / "none.yaml", results=results),
+        "override": lambda: harness.run(SMOKE, {"training.epochs": 0}, results=results),
+        "key": lambda: harness.run(SMOKE, {"training.epoch": 1}, results=results),
+        "jobs": lambda: harness.run(SMOKE, results=results, jobs=0),
+        "sql": lambda: harness.query("selekt", results),
+        "column": lambda: harness.query("select nothing from runs", results),
+        "change": lambda: harness.query("drop table runs", results),
+        "run": lambda: harness.load_model("nothing", results),
+        "several runs": lambda: harness.load_model("smoke", results),
+        "dataset": lambda: harness.Dataset(results / "datasets" / "none"),
+        "no dataset": lambda: harness.Dataset(results),
+        "modality": lambda: data["touch"],
+        "episode": lambda: data.episode(9),
+        "lacking": lambda: model.encode({"vision": observation["vision"]}),
+        "shape": lambda: model.encode({**observation, "proprioception": np.zeros((3, 19), np.float32)}),
+        "batch": lambda: model.encode({**observation, "vision": data["vision"][:2]}),
+        "type": lambda: model.encode({**observation, "proprioception": np.zeros((3, 20))}),
+        "no array": lambda: model.encode({**observation, "proprioception": "1, 2, 3"}),
+        "nothing": lambda: model.encode({}),
+        "action": lambda: model.predict(observation, action[:, :2].copy()),
+        "action type": lambda: model.predict(observation, action.astype(np.float64)),
+    }[name]()
+
+
+@pytest.mark.parametrize(
+    ("name", "exception", "message"),
+    [
+        ("spec", FileNotFoundError, "none.yaml"),
+        ("override", ValueError, "training.epochs"),
+        ("key", ValueError, "did you mean 'training.epochs'|unknown"),
+        ("jobs", ValueError, "jobs"),
+        ("sql", ValueError, "selekt|SELECT"),
+        ("column", ValueError, "nothing"),
+        ("change", ValueError, "no question"),
+        ("run", KeyError, "nothing"),
+        ("several runs", KeyError, "several"),
+        ("dataset", FileNotFoundError, "harness collect"),
+        ("no dataset", RuntimeError, "dataset.json"),
+        ("modality", KeyError, "touch.*proprioception"),
+        ("episode", IndexError, "9"),
+        ("lacking", KeyError, "proprioception"),
+        ("shape", ValueError, r"proprioception.*\[3, 19\].*\[3, 20\]"),
+        ("batch", ValueError, "vision"),
+        ("type", TypeError, "proprioception.*float32"),
+        ("no array", TypeError, "proprioception.*float32"),
+        ("nothing", KeyError, "proprioception, vision"),
+        ("action", ValueError, "action"),
+        ("action type", TypeError, "action"),
+    ],
+)
+def test_a_wrong_call_raises_what_fits_and_names_what_is_wrong(
+    results: Path, folders: dict[str, Path], name: str, exception: type[Exception], message: str
+) -> None:
+    with pytest.raises(exception, match=message):
+        call_wrongly(name, results, folders["empty"])
+
+
+def test_a_specs_mistake_is_named_with_its_place(tmp_path: Path) -> None:
+    spec = tmp_path / "touch.yaml"
+    spec.write_text(SMOKE.read_text().replace("[proprioception, vision]", "[proprioception, visoin]"))
+    with pytest.raises(ValueError, match=r"touch.yaml:\d+:\d+: unknown modality 'visoin'"):
+        harness.run(spec, results=tmp_path)
+
+
+def test_after_a_fork_what_needs_threads_is_refused(results: Path) -> None:
+    child = os.fork()
+    if child == 0:
+        try:
+            harness.query("select * from runs", results)
+        except RuntimeError as error:
+            os._exit(0 if "forked" in str(error) else 2)
+        os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def test_the_command_is_the_program(tmp_path: Path) -> None:
+    command = Path(sys.executable).parent / "harness"
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("LD_")}
+
+    def answer(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([command, *arguments], cwd=tmp_path, env=environment, capture_output=True, text=True)
+
+    assert answer("--version").stdout.startswith("harness ")
+    listed = answer("validate", str(SMOKE))
+    assert (listed.returncode, listed.stdout.count("\n")) == (0, 3)
+    assert answer("validate", str(SMOKE), "training.epochs=0").returncode == 2
+    assert answer("query", "select nothing from runs").returncode == 2
+
+
+def test_the_stubs_are_those_of_the_extension(tmp_path: Path) -> None:
+    check = [sys.executable, "-m", "mypy.stubtest", "harness._harness", "--mypy-config-file", ROOT / "pyproject.toml"]
+    ended = subprocess.run(check, cwd=tmp_path, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
