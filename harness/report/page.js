@@ -361,6 +361,8 @@ function valueAxis(rows, series) {
   const label = withUnit(METRICS[metric] ?? metric, unit);
   const networks = series.filter((one) => !one.behind);
   const points = (networks.length ? networks : series).flatMap((one) => one.points);
+  // Nothing is defined here, as no percentage is of a link that is never touched.
+  if (points.length === 0) return { label, low: 0, high: 1 };
   const means = points.map((point) => point.y);
   const ends = points.flatMap((point) => point.bounds ?? [point.y]);
   // R2 has no lower bound, and where it is below -1 it matters little by how much.
