@@ -217,6 +217,24 @@ fn a_killed_collection_leaves_whole_episodes_and_goes_on_from_them() {
 }
 
 #[test]
+fn a_training_that_stops_early_says_after_how_many_epochs() {
+    let folder = Folder::new();
+    let results = folder.path("results");
+    let hasty =
+        ["tasks=[prediction]", "training.epochs=60", "training.patience=1", "training.learning_rate=0.1"];
+    let answer = finish(&mut harness(&results, &[&ONE[..3], &hasty].concat()));
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    let epochs = succeed(&results, &["query", "select max(epoch) as epochs from epochs"]);
+    let epochs = epochs.lines().last().unwrap().trim().to_owned();
+    assert_ne!(epochs, "60");
+    assert!(
+        answer.stderr.contains(&format!("prediction: {epochs} epochs in ")),
+        "{epochs}: {}",
+        answer.stderr
+    );
+}
+
+#[test]
 fn a_killed_run_is_listed_as_interrupted_and_planned_again() {
     let folder = Folder::new();
     let results = folder.path("results");

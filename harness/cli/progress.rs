@@ -97,8 +97,10 @@ impl Progress for Bars {
 
     fn end(&self) {
         if let Some(stage) = self.stage().take() {
+            // Finishing would fill the bar, and training may have stopped early.
+            let line = stage.end();
             stage.bar.finish_and_clear();
-            self.print(&stage.end());
+            self.print(&line);
         }
     }
 

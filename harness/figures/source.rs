@@ -3,7 +3,7 @@
 use super::FigureError;
 use crate::metrics::interval::{Interval, LEVEL, mean_interval};
 use crate::registry::{Registry, RunRecord, Status, query};
-use crate::spec::RunSpec;
+use crate::spec::{Origin, RunSpec, Scenario};
 use polars::prelude::*;
 use std::collections::BTreeMap;
 
@@ -69,7 +69,9 @@ impl<'a> Source<'a> {
         let command = format!("harness run experiments/{}.yaml{option}", study.name());
         let mut by_settings: BTreeMap<String, Vec<RunRecord>> = BTreeMap::new();
         for record in self.registry.records() {
-            if record.experiment == experiment && record.status == Status::Done {
+            // The figures are about the simulated scenarios.
+            let is_simulated = matches!(record.spec.scenario, Origin::Simulated(_));
+            if is_simulated && record.experiment == experiment && record.status == Status::Done {
                 by_settings.entry(settings(&record.spec)).or_default().push(record);
             }
         }
@@ -89,7 +91,7 @@ fn settings(spec: &RunSpec) -> String {
     let mut spec = spec.clone();
     spec.seed = 0;
     spec.latent = 0;
-    spec.scenario = crate::spec::Scenario::ALL[0].into();
+    spec.scenario = Scenario::ALL[0].into();
     spec.hash()
 }
 

@@ -154,8 +154,9 @@ function mark(kind, hollow, [x, y]) {
  * A chart as wide as its place. The pointer, a touch or the arrow keys show the values of a point.
  *
  * What it shows has axes `x` and `y` (`label`, `low`, `high`, and `ticks` or `logarithmic`) and `series`, each with a
- * `name`, a `look` (classes of the style sheet), `line` and `kind` (of its marks), and `points` with `x`, `y`, the
- * ends of an interval `bounds`, and `says`, lines for the tooltip. Series without a name can't be pointed at.
+ * `name`, a `look` (classes of the style sheet), `line` and `kind` (of its marks), whether it lies `behind` others, and
+ * `points` with `x`, `y`, the ends of an interval `bounds`, and `says`, lines for the tooltip. Series without a name
+ * can't be pointed at.
  */
 class Chart {
   constructor(place, name) {
@@ -171,7 +172,8 @@ class Chart {
     this.content = content;
     this.draw();
     const named = content.series.filter((series) => series.name);
-    const entries = named.filter((series, index) => named.findIndex((other) => other.name === series.name) === index);
+    const unique = named.filter((series, index) => named.findIndex((other) => other.name === series.name) === index);
+    const entries = [...unique.filter((series) => !series.behind), ...unique.filter((series) => series.behind)];
     this.legend.replaceChildren(...entries.map((series) => element("li", {}, swatch(series), series.name)));
   }
 
@@ -210,7 +212,10 @@ class Chart {
     if (square) {
       svg.append(shape("path", { class: "diagonal", d: `M${across(x.low)} ${up(x.low)}L${across(x.high)} ${up(x.high)}` }));
     }
-    this.points = series.map((one) => this.drawSeries(svg, one, across, up, y));
+    const drawn = series.map((one) => this.drawSeries(one, across, up, y));
+    svg.append(...drawn.filter((_, index) => series[index].behind).map(({ group }) => group));
+    svg.append(...drawn.filter((_, index) => !series[index].behind).map(({ group }) => group));
+    this.points = drawn.map(({ points }) => points);
     this.cursor = shape("circle", { class: "cursor", r: 7, visibility: "hidden" });
     svg.append(this.cursor);
     this.listen(svg);
@@ -218,8 +223,8 @@ class Chart {
     this.hide();
   }
 
-  /** Draws a series and returns where its points lie, if it has a name. */
-  drawSeries(svg, series, across, up, y) {
+  /** Draws a series. Returns it with its points' places, if it has a name to point at. */
+  drawSeries(series, across, up, y) {
     const group = shape("g", { class: `series ${series.look}` });
     const points = series.points.filter((point) => point.y !== null && point.y !== undefined);
     const places = points.map((point) => [across(point.x), up(point.y)]);
@@ -235,8 +240,7 @@ class Chart {
       const beyond = point.y < y.low || point.y > y.high;
       if (series.kind) group.append(mark(beyond ? "beyond" : series.kind, series.hollow, places[index]));
     });
-    svg.append(group);
-    return series.name ? points.map((point, index) => ({ ...point, place: places[index] })) : [];
+    return { group, points: series.name ? points.map((point, index) => ({ ...point, place: places[index] })) : [] };
   }
 
   listen(svg) {
@@ -245,7 +249,8 @@ class Chart {
       const [x, y] = [event.clientX - box.left, event.clientY - box.top];
       let best = { distance: 40 };
       this.points.forEach((points, series) => points.forEach(({ place }, point) => {
-        const distance = Math.hypot(place[0] - x, place[1] - y);
+        // Where marks cover one another, the one in front is meant.
+        const distance = Math.hypot(place[0] - x, place[1] - y) + (this.content.series[series].behind ? 6 : 0);
         if (distance < best.distance) best = { distance, series, point };
       }));
       if (best.series === undefined) this.hide();
@@ -265,7 +270,8 @@ class Chart {
     const full = this.points.map((points, index) => index).filter((index) => this.points[index].length > 0);
     if (!move || full.length === 0) return undefined;
     event.preventDefault();
-    const { series, point } = this.at ?? { series: full[0], point: -move[1] };
+    const first = full.find((index) => !this.content.series[index].behind) ?? full[0];
+    const { series, point } = this.at ?? { series: first, point: -move[1] };
     const next = full[(full.indexOf(series) + move[0] + full.length) % full.length];
     const last = this.points[next].length - 1;
     return this.point(next, Math.min(Math.max(point + move[1], 0), last));
@@ -328,6 +334,7 @@ function lookOf(row, direction) {
     kind: lateral ? "square" : "disc",
     hollow: lateral,
     line: true,
+    behind: row.model !== "network",
   };
 }
 
@@ -355,7 +362,7 @@ function valueAxis(rows, points) {
   const means = points.map((point) => point.y);
   const ends = points.flatMap((point) => point.bounds ?? [point.y]);
   // R2 has no lower bound, and where it is below -1 it matters little by how much.
-  if (metric === "r2") return { label, low: Math.max(-1, Math.min(0, ...ends)), high: 1 };
+  if (metric === "r2") return { label, low: Math.max(-1, Math.floor(Math.min(0.9, ...ends) * 10) / 10), high: 1 };
   const most = Math.max(...means);
   return { label, low: 0, high: Math.max(most, Math.min(Math.max(...ends), 1.3 * most)) * 1.04 || 1 };
 }
@@ -516,7 +523,7 @@ function curves(row, background) {
     }));
     const look = split === "train" ? "first" : "second";
     const name = background ? undefined : { train: "training", validation: "validation" }[split] ?? split;
-    return { name, look: background ? `${look} pale` : look, dash: split === "train" ? "" : "dashed", line: true, points };
+    return { name, look: `${look} ${background ? "pale" : "chosen"}`, dash: split === "train" ? "" : "dashed", line: true, points };
   });
 }
 

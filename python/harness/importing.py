@@ -25,6 +25,7 @@ Networks have fixed sizes so far: 20 joint angles and forces, 3 values of the ar
 from __future__ import annotations
 
 import argparse
+import contextlib
 import fnmatch
 import hashlib
 import io
@@ -347,16 +348,27 @@ def _open_lerobot(mapping: Mapping) -> Recording:
         ) from error
     if not (mapping.source / "meta/info.json").exists():
         raise MappingError(f"source: {mapping.source} is no LeRobot dataset: it has no meta/info.json")
-    dataset = LeRobotDataset("local/source", root=mapping.source, video_backend="pyav", return_uint8=True)
+    with _blaming(mapping.source):
+        dataset = LeRobotDataset("local/source", root=mapping.source, video_backend="pyav", return_uint8=True)
     wanted = _wanted(mapping, list(dataset.meta.features))
 
     def episodes() -> Iterator[Columns]:
         for episode in dataset.meta.episodes:
             rows = range(episode["dataset_from_index"], episode["dataset_to_index"])
-            items = [dataset[row] for row in rows]
+            with _blaming(mapping.source):
+                items = [dataset[row] for row in rows]
             yield {name: np.stack([_plain(item[name]) for item in items]) for name in wanted}
 
     return Recording(float(dataset.fps), len(dataset.meta.episodes), episodes())
+
+
+@contextlib.contextmanager
+def _blaming(source: Path) -> Iterator[None]:
+    """What LeRobot raises at a dataset that it can't read is of many kinds, of its own and of what it is made of."""
+    try:
+        yield
+    except Exception as error:
+        raise MappingError(f"source: LeRobot can't read {source}: {' '.join(str(error).split())}") from error
 
 
 def _plain(value: Any) -> np.ndarray:

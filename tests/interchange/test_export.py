@@ -25,9 +25,7 @@ def copy(dataset: Path, target: Path) -> Path:
 
 
 def test_a_lerobot_dataset_opens_with_lerobot_and_holds_the_same(dataset, tmp_path):
-    pytest.importorskip(
-        "lerobot", reason="lerobot is not installed; it needs Python 3.12: setup/setup.sh --lerobot"
-    )
+    pytest.importorskip("lerobot", reason="lerobot is not installed; it needs Python 3.12: make interchange")
     from lerobot.datasets import LeRobotDataset
 
     output = export(dataset, "lerobot", tmp_path / "exported", progress=False)

@@ -67,9 +67,7 @@ def test_what_comes_back_by_parquet_is_the_same_and_trains_the_same_bit_by_bit(d
 
 
 def test_what_comes_back_by_lerobot_has_the_same_numbers(dataset, harness, tmp_path):
-    pytest.importorskip(
-        "lerobot", reason="lerobot is not installed; it needs Python 3.12: setup/setup.sh --lerobot"
-    )
+    pytest.importorskip("lerobot", reason="lerobot is not installed; it needs Python 3.12: make interchange")
     from harness.export import export
 
     source = export(dataset, "lerobot", tmp_path / "exported", progress=False)
@@ -91,6 +89,27 @@ def test_what_comes_back_by_lerobot_has_the_same_numbers(dataset, harness, tmp_p
         assert np.abs(frames[0].astype(int) - frames[1]).mean() < 1.5
     answer = harness("run", SPEC, f"scenarios=[{name}]")
     assert answer.returncode == 0, answer.stderr
+
+
+def test_a_damaged_lerobot_dataset_is_an_error(dataset, harness, tmp_path):
+    pytest.importorskip("lerobot", reason="lerobot is not installed; it needs Python 3.12: make interchange")
+    from harness.export import export
+
+    source = export(dataset, "lerobot", tmp_path / "exported", progress=False)
+    modalities = {"setpoint": "action", "vision": "observation.images.external"}
+    mapping = write_mapping(tmp_path, source, modalities, format="lerobot")
+    (video,) = source.glob("videos/**/*.mp4")
+    video.write_bytes(video.read_bytes()[:5000])
+    with pytest.raises(ValueError, match="source: LeRobot can't read .*exported"):
+        import_dataset(mapping, harness.results, progress=False)
+    info = source / "meta/info.json"
+    info.write_text(info.read_text().replace("v3.0", "v2.1"))
+    with pytest.raises(ValueError, match="source: LeRobot can't read .*exported"):
+        import_dataset(mapping, harness.results, progress=False)
+    info.unlink()
+    with pytest.raises(ValueError, match="is no LeRobot dataset: it has no meta/info.json"):
+        import_dataset(mapping, harness.results, progress=False)
+    assert not harness.results.exists()
 
 
 def robot_rows(episode: int, samples: int, generator: np.random.Generator) -> pl.DataFrame:
