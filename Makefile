@@ -15,9 +15,10 @@ setup: ## make .venv with MuJoCo in it; check EGL and Rust
 run: setup ## run the main experiment; `make run QUICK=` at full scale
 	cargo run -- run experiments/multi_to_multi.yaml $(QUICK)
 
-test: ## run every test
+test: ## run every test, the Python package's as well
 	@setup/setup.sh --test
 	cargo test
+	$(MAKE) python
 
 python: ## build the Python package into .venv and test it
 	@setup/setup.sh --python
