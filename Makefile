@@ -15,9 +15,10 @@ setup: ## make .venv with MuJoCo in it; check EGL and Rust
 run: setup ## run the main experiment; `make run QUICK=` at full scale
 	cargo run -- run experiments/multi_to_multi.yaml $(QUICK)
 
-test: ## run every test
+test: ## run every test, the Python package's as well
 	@setup/setup.sh --test
 	cargo test
+	$(MAKE) python
 
 python: ## build the Python package into .venv and test it
 	@setup/setup.sh --python
@@ -31,8 +32,8 @@ soak: ## kill a run and a collection at many moments and compare what comes out;
 lint: setup ## check formatting, and clippy without warnings
 	@cargo fmt --version >/dev/null && cargo clippy --version >/dev/null \
 		|| { echo 'lint: rustfmt or clippy is missing; install both: rustup component add rustfmt clippy' >&2; exit 1; }
-	cargo fmt --check
-	cargo clippy --all-targets -- -D warnings
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets -- -D warnings
 
 bench: ## compare speed with PyTorch, Python's mujoco, PyBullet and the raw limits (half an hour on an idle machine)
 	@setup/setup.sh --bench

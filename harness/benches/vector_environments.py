@@ -10,7 +10,7 @@ touch sensors, which the model is given for it. Both must go where the harness g
 """
 
 import argparse
-import json
+import os
 import statistics
 import time
 from functools import partial
@@ -33,9 +33,9 @@ ARM = ("arm_rotation", "arm_lift", "arm_extension")
 class Peer(gymnasium.Env):
     """The finger in Python's `mujoco`: the same world, actions and sensors as the harness's, written plainly."""
 
-    def __init__(self, scenario: str, boxes: np.ndarray, touch_sensors: bool) -> None:
-        """boxes: where the boxes start, `[boxes, 7]`."""
-        self.boxes = boxes
+    def __init__(self, scenario: str, ranges: np.ndarray, boxes: np.ndarray, touch_sensors: bool) -> None:
+        """ranges: of the setpoint, `[3, 2]`. boxes: where the boxes start, `[boxes, 7]`."""
+        self.ranges, self.boxes = ranges, boxes
         spec = mujoco.MjSpec.from_file(str(ROOT / "models" / f"{scenario}.xml"))
         if touch_sensors:
             for link in range(LINKS):
@@ -54,7 +54,6 @@ class Peer(gymnasium.Env):
         self.joints = [self.model.joint(f"finger_joint_{joint:02}").qposadr[0] for joint in range(LINKS)]
         self.arm = [self.model.joint(name).qposadr[0] for name in ARM]
         self.actuators = [self.model.actuator(name).id for name in ARM]
-        self.ranges = self.model.actuator_ctrlrange[self.actuators]
         links = {self.model.geom(f"finger_link_{link:02}").id: link for link in range(LINKS)}
         self.link_of_geom = np.array([links.get(geom, -1) for geom in range(self.model.ngeom)])
         self.observation_space = gymnasium.spaces.Dict(
@@ -70,7 +69,8 @@ class Peer(gymnasium.Env):
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
-        self.setpoint = np.array([np.pi, self.ranges[1, 1], self.ranges[2, 0]])
+        self.setpoint = np.array([self.ranges[0].mean(), self.ranges[1, 1], self.ranges[2, 0]])
+        self.data.qpos[self.arm] = self.setpoint
         for index, pose in enumerate(self.boxes):
             self.data.joint(f"box_{index}").qpos[:] = pose
         self.taken = 0
@@ -121,12 +121,22 @@ class Peer(gymnasium.Env):
         }
 
 
-def rate(environment: VectorEnv, actions: np.ndarray) -> float:
-    """Environment steps a second."""
-    begin = time.perf_counter()
+def processor_seconds(environment: VectorEnv) -> float:
+    """Processor time of this process and the environment's own so far."""
+    ticks = 0
+    for process in [os.getpid(), *(worker.pid for worker in getattr(environment, "processes", []))]:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        ticks += int(fields[11]) + int(fields[12])
+    return ticks / os.sysconf("SC_CLK_TCK")
+
+
+def rates(environment: VectorEnv, actions: np.ndarray) -> tuple[float, float]:
+    """Environment steps a second, and a second of processor time: the latter also tells where other work goes on."""
+    steps = len(actions) * environment.num_envs
+    before, begin = processor_seconds(environment), time.perf_counter()
     for action in actions:
         environment.step(action)
-    return len(actions) * environment.num_envs / (time.perf_counter() - begin)
+    return steps / (time.perf_counter() - begin), steps / (processor_seconds(environment) - before)
 
 
 def check_same_world(scenario: str, actions: np.ndarray) -> None:
@@ -134,7 +144,7 @@ def check_same_world(scenario: str, actions: np.ndarray) -> None:
     for touch_sensors in (False, True):
         episodes = harness.episodes.Episodes(scenario, "press")
         episodes.reset(0, seed=0)
-        peer = Peer(scenario, episodes.simulations.boxes[0], touch_sensors)
+        peer = Peer(scenario, episodes.ranges, episodes.simulations.boxes[0], touch_sensors)
         seen, _ = peer.reset()
         for action in actions:
             mine = episodes.observe()
@@ -143,7 +153,7 @@ def check_same_world(scenario: str, actions: np.ndarray) -> None:
                 exact = name in ("proprioception", "arm")
                 same = np.array_equal(mine[name][0], values) if exact else np.allclose(mine[name][0], values, rtol=1e-5)
                 if not same:
-                    raise SystemExit(f"the peer's {name} is not the harness's: {mine[name][0]} {values}")
+                    raise SystemExit(f"the peer's {name} differs by {np.abs(mine[name][0] - values).max()}")
             episodes.step(action[None])
             seen, *_ = peer.step(action)
 
@@ -164,24 +174,24 @@ def main() -> None:
     actions = random.uniform(space.low, space.high, (options.actions, count, 3)).astype(np.float32)
     check_same_world(options.scenario, actions[:30, 0])
     mine.reset(seed=0)
-    boxes = mine.unwrapped.episodes.simulations.boxes
+    world = mine.unwrapped.episodes
+    boxes = world.simulations.boxes
     contenders: dict[str, VectorEnv] = {"harness": mine}
     for name, touch_sensors in {"contacts": False, "sensors": True}.items():
-        make = [partial(Peer, options.scenario, boxes[index], touch_sensors) for index in range(count)]
+        make = [partial(Peer, options.scenario, world.ranges, boxes[index], touch_sensors) for index in range(count)]
         contenders[name] = AsyncVectorEnv(make)
-    rates: dict[str, list[float]] = {name: [] for name in contenders}
+    measured: dict[str, list[tuple[float, float]]] = {name: [] for name in contenders}
     for _ in range(options.rounds):
         for name, environment in contenders.items():
             environment.reset(seed=0)
-            rates[name].append(rate(environment, actions))
+            measured[name].append(rates(environment, actions))
     for environment in contenders.values():
         environment.close()
-    medians = {name: statistics.median(values) for name, values in rates.items()}
-    print(f"{options.scenario}, {count} environments, {options.rounds} rounds of {options.actions} actions")
-    for name, median in medians.items():
-        ratio = statistics.median(mine / theirs for mine, theirs in zip(rates["harness"], rates[name]))
-        print(f"{name:8} {median:8.0f} environment steps/s, harness / {name}: {ratio:.2f}")
-    print(json.dumps({"rates": rates}))
+    print(f"{options.scenario}, {count} environments, {options.rounds} rounds of {options.actions} actions: environment steps")
+    for name, values in measured.items():
+        for unit, own, theirs in zip(("a second", "a processor second"), zip(*measured["harness"]), zip(*values)):
+            ratio = statistics.median(mine / other for mine, other in zip(own, theirs))
+            print(f"{name:9} {statistics.median(theirs):7.0f} {unit:18} harness / {name}: {ratio:.2f}")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@
     environment = gymnasium.make("SoftFinger-Cluttered-v0", task="push")
     several = gymnasium.make_vec("SoftFinger-Cluttered-Push-v0", num_envs=8)
 
+Without the import, `gymnasium.make("harness.gymnasium:SoftFinger-Cluttered-v0")` does both.
 `SoftFinger-Empty-v0` and `SoftFinger-Cluttered-v0` take the task as an argument (`reach` without one); with a task in the
 name, as in `SoftFinger-Empty-Press-v0`, it is that. Vector environments are stepped in parallel, in Rust.
 """
@@ -111,9 +112,9 @@ class SoftFingerVector(VectorEnv[Any, Any, Any]):
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Begins an episode in each; a single seed stands for it and those that follow it, one each."""
-        if isinstance(seed, int):
-            super().reset(seed=seed)
-            seed = list(range(seed, seed + self.num_envs))
+        if isinstance(seed, (int, np.integer)):
+            super().reset(seed=int(seed))
+            seed = [int(seed) + index for index in range(self.num_envs)]
         seeds = [None] * self.num_envs if seed is None else seed
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed: {len(seeds)} seeds for {self.num_envs} environments")

@@ -1,6 +1,10 @@
 """The smoke experiment, done once for all tests by the package itself."""
 
+import os
 from pathlib import Path
+
+# For the renderer of MuJoCo's own package, which reads it when it is imported.
+os.environ.setdefault("MUJOCO_GL", "egl")
 
 import pytest
 

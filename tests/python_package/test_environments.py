@@ -8,10 +8,11 @@ from typing import Any
 
 import dm_env
 import gymnasium
+import mujoco
 import numpy as np
 import pytest
 from absl.testing import absltest
-from conftest import SMOKE
+from conftest import ROOT, SMOKE
 from dm_env import test_utils
 from gymnasium.utils.env_checker import check_env
 
@@ -205,6 +206,20 @@ def test_a_simulation_goes_from_thread_to_thread() -> None:
         thread.start()
         thread.join()
     assert np.array_equal(seen[0], seen[1]) and np.array_equal(seen[0], batch.sense("vision"))
+
+
+def test_mujocos_own_package_works_beside_it() -> None:
+    batch = harness.SimulationBatch("empty")
+    frame = batch.sense("vision")
+    model = mujoco.MjModel.from_xml_path(str(ROOT / "models" / "empty.xml"))
+    data = mujoco.MjData(model)
+    with pytest.raises(mujoco.FatalError, match="actuator"):
+        mujoco.mj_setLengthRange(model, data, 99, mujoco.MjLROpt())
+    mujoco.mj_forward(model, data)
+    with mujoco.Renderer(model, 64, 64) as renderer:
+        renderer.update_scene(data, camera="external")
+        assert np.ptp(renderer.render()) > 100
+    assert np.array_equal(batch.sense("vision"), frame)
 
 
 @pytest.mark.parametrize("count", [1, 2])
