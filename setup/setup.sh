@@ -107,12 +107,24 @@ check_egl() {
     egl_works || fail "no EGL driver answers, so frames can't be rendered; install one as root: apt-get install $packages"
 }
 
+# The report's page is read in a real browser, where there is one.
+check_browser() {
+    command -v chromedriver >/dev/null && return
+    if can_install; then apt_install chromium chromium-driver fonts-liberation || true; fi
+    command -v chromedriver >/dev/null ||
+        say 'no Chromium with its driver, so the tests that read the report in it are skipped; install both as root:' \
+            'apt-get install chromium chromium-driver'
+}
+
 check_rust
 make_venv .venv
 install_packages .venv requirements.txt
 link_mujoco
 case ${1-} in
---test) install_packages .venv requirements-test.txt ;;
+--test)
+    install_packages .venv requirements-test.txt
+    check_browser
+    ;;
 --python) install_packages .venv requirements-python.txt ;;
 --bench)
     make_venv .venv-bench

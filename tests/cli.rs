@@ -224,8 +224,11 @@ fn a_training_that_stops_early_says_after_how_many_epochs() {
         ["tasks=[prediction]", "training.epochs=60", "training.patience=1", "training.learning_rate=0.1"];
     let answer = finish(&mut harness(&results, &[&ONE[..3], &hasty].concat()));
     assert_eq!(answer.code, 0, "{}", answer.stderr);
-    let epochs = succeed(&results, &["query", "select max(epoch) as epochs from epochs"]);
-    let epochs = epochs.lines().last().unwrap().trim().to_owned();
+    let csv = folder.path("epochs.csv");
+    let query = "select max(epoch) as epochs from epochs";
+    succeed(&results, &["query", query, "--output", csv.to_str().unwrap()]);
+    let epochs = std::fs::read_to_string(csv).unwrap();
+    let epochs = epochs.lines().last().unwrap();
     assert_ne!(epochs, "60");
     assert!(
         answer.stderr.contains(&format!("prediction: {epochs} epochs in ")),

@@ -5,6 +5,7 @@ mod common;
 use common::{finish, harness, smoke_run, succeed};
 use harness::figures::Figure;
 use harness::metrics::interval::{LEVEL, mean_interval};
+use harness::numbers::duration;
 use harness::registry::{Registry, query};
 use harness::seal::{self, hex};
 use harness::tables::{read_table, write_table};
@@ -53,6 +54,16 @@ fn page(results: &Path, name: &str, more: &[&str]) -> String {
     let out = results.join(name);
     let said = succeed(results, &[&["report", "--out", out.to_str().unwrap()][..], more].concat());
     assert!(said.contains(name) && said.trim_end().ends_with(" MB"), "{said}");
+    fs::read_to_string(out).unwrap()
+}
+
+/// The same without its rendered pictures, which take most of the time: EGL finds no driver.
+fn page_without_pictures(results: &Path, name: &str, more: &[&str]) -> String {
+    let out = results.join(name);
+    let arguments = [&["report", "--out", out.to_str().unwrap()][..], more].concat();
+    let mut command = harness(results, &arguments);
+    let answer = finish(command.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json"));
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
     fs::read_to_string(out).unwrap()
 }
 
@@ -184,6 +195,48 @@ fn numbers_to_look_closer_at_are_those_of_a_query() {
 }
 
 #[test]
+fn the_page_of_the_published_results_is_small() {
+    let results = folder("report_reference");
+    let out = results.join("report.html");
+    let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
+    succeed(&reference, &["report", "--out", out.to_str().unwrap()]);
+    let page = fs::read_to_string(out).unwrap();
+    assert!(page.len() < 6_000_000, "{} bytes", page.len());
+    // Long trainings are thinned, and keep their ends.
+    let answer = query(
+        &Registry::new(&reference),
+        "select experiment, run, task, max(epoch) as last from epochs group by experiment, run, task",
+    );
+    let answer = answer.unwrap();
+    let column = |name: &str| answer.column(name).unwrap().clone();
+    let (experiments, runs, tasks, last) =
+        (column("experiment"), column("run"), column("task"), column("last"));
+    let data = data(&page);
+    let mut long = 0;
+    for row in 0..answer.height() {
+        let text = |column: &Column| column.get(row).unwrap().str_value().into_owned();
+        let last = last.get(row).unwrap().try_extract::<u64>().unwrap();
+        let curves = data["training"].as_array().unwrap().iter().find(|curves| {
+            curves["experiment"] == text(&experiments)
+                && curves["run"] == text(&runs)
+                && curves["task"] == text(&tasks)
+        });
+        let epochs: Vec<u64> = serde_json::from_value(curves.unwrap()["epochs"].clone()).unwrap();
+        assert_eq!((epochs.first(), epochs.last()), (Some(&1), Some(&last)));
+        assert_eq!(epochs.len() as u64, last.min(100));
+        assert!(epochs.is_sorted_by(|a, b| a < b));
+        long += u64::from(last > 100);
+    }
+    assert!(long > 0, "no published training is long");
+}
+
+#[test]
+fn times_are_what_a_person_would_say() {
+    let said = [0.04, 9.94, 31.8, 119.4, 120.0, 2640.0, 7199.0, 7200.0, 18_720.0].map(duration);
+    assert_eq!(said, ["0.0 s", "9.9 s", "32 s", "119 s", "2 min", "44 min", "120 min", "2.0 h", "5.2 h"]);
+}
+
+#[test]
 fn the_same_tables_give_the_same_bytes() {
     assert!(*PAGE == page(&RESULTS, "again.html", &["--threads", "1"]));
 }
@@ -228,7 +281,7 @@ fn without_runs_the_page_names_the_commands_that_make_them() {
     }
     assert_eq!(data(&empty)["joints"], serde_json::json!([]));
 
-    let quick = page(&results, "quick.html", &["--quick"]);
+    let quick = page_without_pictures(&results, "quick.html", &["--quick"]);
     assert!(quick.contains(&code("harness run experiments/multi_to_multi.yaml --quick")));
     assert!(!quick.contains(&code("harness run experiments/multi_to_multi.yaml")));
 }
@@ -239,7 +292,7 @@ fn one_study_alone_is_shown_and_the_other_named() {
     let arguments =
         [&["run", SINGLE][..], &TINY, &["latent=[2]", "scenarios=[cluttered]", "seeds=[0]"]].concat();
     succeed(&results, &arguments);
-    let page = page(&results, "report.html", &[]);
+    let page = page_without_pictures(&results, "report.html", &[]);
     for section in ["joints", "regression"] {
         let part = between(&page, &format!("<section id=\"{section}\">"), "</section>");
         assert!(part.contains("There is no finished run of multi_to_multi."), "{part}");
@@ -251,11 +304,7 @@ fn one_study_alone_is_shown_and_the_other_named() {
 #[test]
 fn without_an_opengl_driver_the_page_says_so_and_goes_on() {
     let results = folder("report_no_driver");
-    let out = results.join("report.html");
-    let mut command = harness(&results, &["report", "--out", out.to_str().unwrap()]);
-    let answer = finish(command.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json"));
-    assert_eq!(answer.code, 0, "{}", answer.stderr);
-    let page = fs::read_to_string(out).unwrap();
+    let page = page_without_pictures(&results, "report.html", &[]);
     let scenes = between(&page, "<section id=\"scenes\">", "</section>");
     assert!(scenes.contains("no OpenGL context") && scenes.contains("apt-get install libegl1"), "{scenes}");
     assert!(page.contains("id=\"claim-"));
@@ -271,21 +320,26 @@ fn a_page_that_cant_be_written_is_an_error_and_leaves_nothing() {
     assert!(answer.stderr.contains(&format!("can't write {}: ", out.display())), "{}", answer.stderr);
 
     let claims = results.join("claims.yaml");
-    fs::write(&claims, "- id: [").unwrap();
+    let claim = "- id: x\n  paper: x\n  section: x\n  measured: x\n  experiments: []\n  condition: above 0\n";
+    let wrong = format!("{claim}  query: select sed from metrics\n");
     let out = results.join("report.html");
-    let arguments = ["report", "--out", out.to_str().unwrap(), "--claims", claims.to_str().unwrap()];
-    let answer = finish(&mut harness(&results, &arguments));
-    assert_eq!(answer.code, 2, "{}", answer.stderr);
-    assert!(answer.stderr.contains("claims.yaml:1:"), "{}", answer.stderr);
-    assert!(!out.exists());
+    for (text, problem) in [("- id: [", "claims.yaml:1:"), (&wrong, "claim 'x', query at line 7: ")] {
+        fs::write(&claims, text).unwrap();
+        let arguments = ["report", "--out", out.to_str().unwrap(), "--claims", claims.to_str().unwrap()];
+        let mut command = harness(&results, &arguments);
+        let answer = finish(command.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json"));
+        assert_eq!(answer.code, 2, "{}", answer.stderr);
+        assert!(answer.stderr.contains(problem), "{}", answer.stderr);
+        assert!(!out.exists());
+    }
 }
 
 const HOSTILE: &str =
     "</script><script>window.hostile=1</script><img src=x onerror=window.hostile=1>\"'{{7*7}}&lt;";
 
-/// Results of which every text that somebody else may have written is hostile, and a file of such claims.
-fn hostile(name: &str) -> (PathBuf, PathBuf) {
-    let results = smoke_run(name);
+/// Results of which every text that somebody else may have written is hostile, and the page of them and of such claims.
+static HOSTILE_PAGE: LazyLock<(PathBuf, String)> = LazyLock::new(|| {
+    let results = smoke_run("report_hostile");
     let run = fs::read_dir(results.join("runs/smoke")).unwrap().next().unwrap().unwrap().path();
     let record_path = run.join("run.json");
     let mut record: Value = serde_json::from_slice(&fs::read(&record_path).unwrap()).unwrap();
@@ -319,13 +373,13 @@ fn hostile(name: &str) -> (PathBuf, PathBuf) {
         "'</pre><script>window.hostile=1</script>'"
     );
     fs::write(&claims, claim).unwrap();
-    (results, claims)
-}
+    let page = page_without_pictures(&results, "report.html", &["--claims", claims.to_str().unwrap()]);
+    (results, page)
+});
 
 #[test]
 fn hostile_text_stays_text() {
-    let (results, claims) = hostile("report_hostile");
-    let page = page(&results, "report.html", &["--claims", claims.to_str().unwrap()]);
+    let (_, page) = &*HOSTILE_PAGE;
     assert!(!page.contains("<script>window") && !page.contains("<img src=x"));
     // The script of the data, and the page's own.
     assert_eq!(page.matches("<script").count(), 2);
@@ -335,7 +389,7 @@ fn hostile_text_stays_text() {
     // the run: each changed field.
     assert!(page.matches(shown.as_str()).count() >= 4 + 10, "{}", page.matches(shown.as_str()).count());
     // The script gets the very text.
-    let training = &data(&page)["training"];
+    let training = &data(page)["training"];
     let runs: BTreeSet<&str> =
         training.as_array().unwrap().iter().map(|row| row["run"].as_str().unwrap()).collect();
     assert!(runs.contains(HOSTILE), "{runs:?}");
@@ -383,7 +437,6 @@ fn a_reader_can_use_the_page_in_chromium() {
 
 #[test]
 fn hostile_text_does_nothing_in_chromium() {
-    let (results, claims) = hostile("report_hostile_chromium");
-    page(&results, "report.html", &["--claims", claims.to_str().unwrap()]);
-    read_page(&results.join("report.html"), &results, &["--hostile"]);
+    let (results, _) = &*HOSTILE_PAGE;
+    read_page(&results.join("report.html"), results, &["--hostile"]);
 }

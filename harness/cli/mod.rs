@@ -21,6 +21,7 @@ use harness::dataset::DatasetError;
 use harness::experiment::{ExperimentError, describe};
 use harness::learning::LearningError;
 use harness::registry::{QueryError, Registry, RegistryError};
+use harness::report::ReportError;
 use harness::simulation::SimulationError;
 use harness::spec::SpecError;
 use std::ffi::OsString;
@@ -230,6 +231,7 @@ fn is_cancelled(error: &anyhow::Error) -> bool {
 fn is_usage(error: &anyhow::Error) -> bool {
     error.is::<SpecError>()
         || error.is::<ClaimsError>()
+        || matches!(error.downcast_ref(), Some(ReportError::Claims(_)))
         || error.is::<compare::CompareError>()
         || error.is::<render::RenderError>()
         || matches!(

@@ -17,6 +17,7 @@ pub struct Imported {
 /// What `dataset.json` says of an imported dataset's content, of which its name holds the hash.
 #[derive(Debug, Clone, Deserialize)]
 pub(super) struct Content {
+    sample_rate_hz: f64,
     /// What its episodes hold besides the setpoint, which every one has.
     modalities: Vec<Modality>,
     episodes: Vec<ImportedEpisode>,
@@ -54,6 +55,11 @@ impl Imported {
     /// The folder's name.
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// Samples recorded a second, Hz.
+    pub fn sample_rate_hz(&self) -> f64 {
+        self.content.sample_rate_hz
     }
 
     /// Samples of the whole dataset.

@@ -310,7 +310,6 @@ function swatch(series) {
 const DIRECTIONS = { fe: "flexion/extension", aa: "adduction/abduction" };
 const directionOf = (joint) => (joint % 2 === 0 ? "fe" : "aa");
 const METRICS = { r2: "R\u00b2", rmse: "RMSE", mae: "MAE", smape: "SMAPE", wmape: "WMAPE" };
-const MODELS = { persistence: "persistence", ridge: "ridge regression" };
 const MODALITIES = { proprioception: "joint angles", contact_force: "contact forces" };
 const spaced = (name) => name.replaceAll("_", " ");
 const modalityWords = (name) => MODALITIES[name] ?? spaced(name);
@@ -325,11 +324,16 @@ const BOTH = "both";
 /** Names and looks of a row's line in one direction. */
 function lookOf(row, direction) {
   const lateral = direction === "aa";
-  const words = row.model === "network" ? row.input : `${MODELS[row.model] ?? spaced(row.model)}`;
-  const baseline = { persistence: "baseline", ridge: "third" }[row.model] ?? "fourth";
+  const looks = {
+    network: [row.input, colourOf(row.study)],
+    // It needs nothing but what is predicted, so it is the same for both studies.
+    persistence: ["persistence", "baseline"],
+    ridge: [`ridge regression ${row.input}`, colourOf(row.study) === "first" ? "third" : "fourth"],
+  };
+  const [words, look] = looks[row.model];
   return {
     name: `${words}, ${DIRECTIONS[direction]}`,
-    look: row.model === "network" ? colourOf(row.study) : baseline,
+    look,
     dash: row.model !== "network" ? "dotted" : lateral ? "dashed" : "",
     kind: lateral ? "square" : "disc",
     hollow: lateral,
@@ -338,14 +342,10 @@ function lookOf(row, direction) {
   };
 }
 
-/** Of baselines that both studies share, one. */
+/** The rows without the second study's persistence, if there are two. */
 function withoutTwins(rows) {
-  const seen = new Set();
-  return rows.filter((row) => {
-    if (row.model === "network") return true;
-    const key = JSON.stringify([row.model, row.values]);
-    return !seen.has(key) && seen.add(key);
-  });
+  const first = rows.find((row) => row.model === "persistence");
+  return rows.filter((row) => row.model !== "persistence" || row === first);
 }
 
 function valuePoint(x, value, row, says) {
@@ -355,16 +355,22 @@ function valuePoint(x, value, row, says) {
   return { x, y: value[0], bounds: value.length > 1 ? value.slice(1) : undefined, says: [says, line, ...seeds] };
 }
 
-/** The ends of the axis of a metric. */
-function valueAxis(rows, points) {
+/** The axis of a metric, for the networks: what lies beyond it of a baseline is marked so. */
+function valueAxis(rows, series) {
   const { metric, unit } = rows[0];
   const label = withUnit(METRICS[metric] ?? metric, unit);
+  const networks = series.filter((one) => !one.behind);
+  const points = (networks.length ? networks : series).flatMap((one) => one.points);
+  // Nothing is defined here, as no percentage is of a link that is never touched.
+  if (points.length === 0) return { label, low: 0, high: 1 };
   const means = points.map((point) => point.y);
   const ends = points.flatMap((point) => point.bounds ?? [point.y]);
   // R2 has no lower bound, and where it is below -1 it matters little by how much.
   if (metric === "r2") return { label, low: Math.max(-1, Math.floor(Math.min(0.9, ...ends) * 10) / 10), high: 1 };
   const most = Math.max(...means);
-  return { label, low: 0, high: Math.max(most, Math.min(Math.max(...ends), 1.3 * most)) * 1.04 || 1 };
+  const baselines = series.filter((one) => one.behind).flatMap((one) => one.points.map((point) => point.y));
+  const reach = Math.min(Math.max(...ends, ...baselines), 1.4 * most);
+  return { label, low: 0, high: Math.max(most, reach) * 1.04 || 1 };
 }
 
 function jointSeries(rows, directions) {
@@ -431,7 +437,7 @@ function showJoints(place) {
     const x = byLatent
       ? { label: "latent size", low: -0.4, high: latents.length - 0.6, ticks: latents.map((latent, at) => ({ at, text: String(latent) })) }
       : { label: `${part}, 0 at the base, 19 at the tip`, low: -0.5, high: 19.5, ticks: joints };
-    chart.show({ x, y: valueAxis(rows, series.flatMap((one) => one.points)), series });
+    chart.show({ x, y: valueAxis(rows, series), series });
   });
 }
 

@@ -44,19 +44,20 @@ class Dataset:
         """
 
     def keys(self) -> list[str]:
-        """What the dataset holds."""
+        """What the dataset holds; an imported one may lack some."""
 
     @property
     def name(self) -> str:
-        """The folder's name: the scenario and a hash of what decides the content."""
+        """The folder's name: the scenario, or an imported dataset's own name, and a hash of what decides the content."""
     @property
-    def scenario(self) -> str: ...
+    def scenario(self) -> str:
+        """`empty`, `cluttered`, or the name of an imported dataset."""
     @property
     def sample_rate_hz(self) -> float:
         """Samples a second."""
     @property
-    def seed(self) -> int:
-        """Seed of the dataset; an episode is decided by it, the scenario and the episode's index."""
+    def seed(self) -> int | None:
+        """Seed of the dataset; an episode is decided by it, the scenario and the episode's index. None of an import."""
     @property
     def episodes(self) -> NDArray[np.uint64]:
         """Where each episode's samples lie, `[episodes, 2]`: the first, and one past the last."""

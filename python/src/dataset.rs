@@ -3,17 +3,48 @@
 use crate::array::{array, pixels_last, view};
 use crate::errors::Raise;
 use crate::work::interruptible;
-use harness::dataset::{self, Samples};
-use harness::spec::{ARM_JOINTS, FRAME_CHANNELS, FRAME_SIDE, Modality};
+use harness::dataset::{self, DatasetError, Imported, Samples};
+use harness::spec::{ARM_JOINTS, FRAME_CHANNELS, FRAME_SIDE, Modality, Origin};
 use pyo3::exceptions::{PyFileNotFoundError, PyKeyError};
 use pyo3::prelude::*;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// A dataset in memory; see `_harness.pyi`.
 #[pyclass(frozen, subclass)]
 pub struct Dataset {
     samples: Samples,
-    described: dataset::Dataset,
+    described: Described,
+}
+
+/// Where the samples come from.
+enum Described {
+    Simulated(dataset::Dataset),
+    Imported(Imported),
+}
+
+impl Described {
+    /// The dataset that a folder holds: its name tells which kind it is.
+    fn at(folder: &Path) -> Result<Self, DatasetError> {
+        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        match (Origin::try_from(name), folder.parent()) {
+            (Ok(Origin::Imported(name)), Some(root)) => Imported::open(root, &name).map(Self::Imported),
+            _ => dataset::Dataset::at(folder).map(Self::Simulated),
+        }
+    }
+
+    fn load(&self, frames: bool) -> Result<Samples, DatasetError> {
+        match self {
+            Self::Simulated(dataset) => dataset.load(frames),
+            Self::Imported(dataset) => dataset.load(frames && dataset.holds(Modality::Vision)),
+        }
+    }
+
+    fn holds(&self, modality: Modality) -> bool {
+        match self {
+            Self::Simulated(_) => true,
+            Self::Imported(dataset) => dataset.holds(modality),
+        }
+    }
 }
 
 #[pymethods]
@@ -29,10 +60,10 @@ impl Dataset {
             return Err(PyFileNotFoundError::new_err(message));
         }
         let read = || {
-            let described = dataset::Dataset::at(&folder)?;
+            let described = Described::at(&folder)?;
             Ok(Self { samples: described.load(frames)?, described })
         };
-        interruptible(py, read, || ())?.map_err(|error: dataset::DatasetError| error.raise())
+        interruptible(py, read, || ())?.map_err(|error: DatasetError| error.raise())
     }
 
     fn __len__(&self) -> usize {
@@ -41,22 +72,34 @@ impl Dataset {
 
     #[getter]
     fn name(&self) -> &str {
-        self.described.name()
+        match &self.described {
+            Described::Simulated(dataset) => dataset.name(),
+            Described::Imported(dataset) => dataset.name(),
+        }
     }
 
     #[getter]
-    fn scenario(&self) -> &'static str {
-        self.described.scenario().name()
+    fn scenario(&self) -> &str {
+        match &self.described {
+            Described::Simulated(dataset) => dataset.scenario().name(),
+            Described::Imported(dataset) => dataset.name(),
+        }
     }
 
     #[getter]
     fn sample_rate_hz(&self) -> f64 {
-        self.described.spec().sample_rate_hz
+        match &self.described {
+            Described::Simulated(dataset) => dataset.spec().sample_rate_hz,
+            Described::Imported(dataset) => dataset.sample_rate_hz(),
+        }
     }
 
     #[getter]
-    fn seed(&self) -> u64 {
-        self.described.spec().seed
+    fn seed(&self) -> Option<u64> {
+        match &self.described {
+            Described::Simulated(dataset) => Some(dataset.spec().seed),
+            Described::Imported(_) => None,
+        }
     }
 
     #[getter]
@@ -68,7 +111,8 @@ impl Dataset {
 
     fn keys(&self) -> Vec<&'static str> {
         let frames = self.samples.has_frames().then_some("vision");
-        VECTORS.map(|(name, _)| name).into_iter().chain(["setpoint"]).chain(frames).collect()
+        let held = VECTORS.iter().filter(|(_, modality)| self.described.holds(*modality));
+        held.map(|(name, _)| *name).chain(["setpoint"]).chain(frames).collect()
     }
 
     fn __getitem__<'py>(slf: &Bound<'py, Self>, name: &str) -> PyResult<Bound<'py, PyAny>> {
@@ -78,7 +122,8 @@ impl Dataset {
             let shape = [samples.len(), FRAME_CHANNELS, FRAME_SIDE, FRAME_SIDE];
             return pixels_last(unsafe { view(slf, samples.frames(), &shape) }?);
         }
-        let vectors = VECTORS.iter().find(|(other, _)| *other == name);
+        let held = |modality| slf.get().described.holds(modality);
+        let vectors = VECTORS.iter().find(|(other, modality)| *other == name && held(*modality));
         let (values, width) = match vectors {
             Some((_, modality)) => (samples.vectors(*modality), modality.width()),
             None if name == "setpoint" => (samples.setpoints(), ARM_JOINTS),

@@ -124,6 +124,33 @@ def test_the_finger_in_space_is_where_the_camera_saw_it(dataset, tmp_path):
             assert red > blue + 50, (link, sample, frames[sample, int(row), int(column)])
 
 
+def test_the_links_in_space_hang_together(dataset, tmp_path):
+    """Each capsule ends where the next begins, whichever way the finger is bent."""
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    from rerun.chunk import RrdReader
+
+    file = export(dataset, "rerun", tmp_path / "exported", episodes=[0], progress=False) / "episode_00000.rrd"
+    begins = {}
+    for chunk in RrdReader(file).stream():
+        if chunk.is_static and "finger_link" in chunk.entity_path:
+            shape = chunk.to_record_batch().to_pydict()
+            begins[chunk.entity_path] = np.array(shape["Capsules3D:translations"][0][0])
+            assert shape["Capsules3D:lengths"][0] == pytest.approx([0.05])
+            assert shape["Capsules3D:radii"][0] == pytest.approx([0.045])
+    assert len(begins) == 20
+    found = entities(file)
+    for sample in range(SAMPLES):
+        ends = []
+        for link in sorted(begins):
+            position = np.array(found[link]["Transform3D:translation"][sample][0])
+            rotation = rotation_matrix(found[link]["Transform3D:quaternion"][sample][0])
+            # Rerun's capsule goes from where it begins along its z, which points up the finger.
+            lower, upper = begins[link], begins[link] + [0, 0, 0.05]
+            ends.append((position + rotation @ upper, position + rotation @ lower))
+        for (_, lower), (upper, _) in zip(ends, ends[1:], strict=False):
+            np.testing.assert_allclose(lower, upper, atol=1e-6)
+
+
 def rotation_matrix(quaternion) -> np.ndarray:
     """Of a unit quaternion x, y, z, w."""
     x, y, z, w = quaternion

@@ -11,6 +11,7 @@ import yaml
 from conftest import SPEC
 from PIL import Image
 
+import harness as harness_package
 from harness.importing import import_dataset
 from harness.recorded import VECTORS, RecordedDataset
 
@@ -183,6 +184,13 @@ def test_a_robots_recordings_are_converted_and_trained_on(recordings, harness, t
     settings = [f"scenarios=[{name}]", "output=[proprioception,arm,frame_difference]"]
     answer = harness("run", SPEC, *settings)
     assert answer.returncode == 0, answer.stderr
+    data = harness_package.Dataset(harness.results / "datasets" / name)
+    assert data.keys() == ["proprioception", "arm", "setpoint", "vision"]
+    assert (data.scenario, data.sample_rate_hz, data.seed) == (name, 5.0, None)
+    np.testing.assert_array_equal(data["proprioception"], values["proprioception"])
+    np.testing.assert_array_equal(data.episode(3)["vision"][5], frame)
+    with pytest.raises(KeyError, match="has no 'contact_force' in memory; it has proprioception, arm"):
+        data["contact_force"]
     (forces,) = harness.results.glob("runs/smoke/*/forces.parquet")
     assert len(pl.read_parquet(forces)) == 0, "a force that wasn't recorded has no distribution"
     sql = "select scenario, count(*) as samples, count(contact_force_00) as forces from episodes group by scenario"

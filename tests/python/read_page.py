@@ -95,8 +95,11 @@ class Page:
         raise AssertionError(f"none of the tooltips begins with {name!r}: {heard}")
 
     def shoot(self, name: str, selector: str | None = None):
-        """Saves a picture of the whole page or of one element."""
+        """Saves a picture of the whole page, of one element, or of what the window shows."""
         if not self.screenshots:
+            return
+        if selector == "window":
+            self.browser.save_screenshot(str(self.screenshots / f"{name}.png"))
             return
         target = "document.documentElement" if selector is None else f"document.querySelector('{selector}')"
         box = self.run(f"const b = {target}.getBoundingClientRect();"
@@ -148,6 +151,9 @@ def check_joints(page: Page, metrics: pd.DataFrame):
                     assert abs((high - low) / 2 - half) <= 2e-3 * max(half, abs(values.mean())), (said, half)
                     assert f"over {len(values)} seeds" in said, said
 
+    page.shoot("desktop-pointed", "window")
+    names = [entry.text for entry in page.all("#joints .legend li")]
+    assert len(names) == len(set(names)) == len(page.all("#joints .plot .line")), names
     both = len(page.marks("joints"))
     page.choose("joints", "Direction", "fe")
     assert 0 < len(page.marks("joints")) < both
@@ -267,10 +273,9 @@ def read_on_desktop(page: Page, metrics: pd.DataFrame, predictions: pd.DataFrame
     assert len(page.all("#figures .paper > svg")) + len(page.all("#figures .absent")) == 9
     page.shoot("desktop")
     check_joints(page, metrics)
-    page.shoot("desktop-pointed", "#joints")
     check_keys(page)
     check_regression(page, predictions)
-    page.shoot("desktop-pointed-regression", "#regression")
+    page.shoot("desktop-pointed-regression", "window")
     check_training(page, epochs)
     check_clip(page)
     check_claims(page)
@@ -286,7 +291,7 @@ def read_on_phone(page: Page):
     page.choose("joints", "Latent", last)
     page.point_at(page.marks("joints")[-1])
     assert f"latent size {last}" in page.tooltip("joints")
-    page.shoot("phone-pointed", "#joints")
+    page.shoot("phone-pointed", "window")
     check_width(page)
     page.shoot("phone-open")
     page.check_quiet()
