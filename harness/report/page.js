@@ -154,9 +154,9 @@ function mark(kind, hollow, [x, y]) {
  * A chart as wide as its place. The pointer, a touch or the arrow keys show the values of a point.
  *
  * What it shows has axes `x` and `y` (`label`, `low`, `high`, and `ticks` or `logarithmic`) and `series`, each with a
- * `name`, a `look` (classes of the style sheet), `line` and `kind` (of its marks), whether it lies `behind` others, and
- * `points` with `x`, `y`, the ends of an interval `bounds`, and `says`, lines for the tooltip. Series without a name
- * can't be pointed at.
+ * `name`, an `entry` of the legend where that is shorter, a `look` (classes of the style sheet), `line` and `kind` (of
+ * its marks), whether it lies `behind` others, and `points` with `x`, `y`, the ends of an interval `bounds`, and `says`,
+ * lines for the tooltip. Series without a name can't be pointed at.
  */
 class Chart {
   constructor(place, name) {
@@ -172,9 +172,10 @@ class Chart {
     this.content = content;
     this.draw();
     const named = content.series.filter((series) => series.name);
-    const unique = named.filter((series, index) => named.findIndex((other) => other.name === series.name) === index);
+    const entry = (series) => series.entry ?? series.name;
+    const unique = named.filter((series, index) => named.findIndex((other) => entry(other) === entry(series)) === index);
     const entries = [...unique.filter((series) => !series.behind), ...unique.filter((series) => series.behind)];
-    this.legend.replaceChildren(...entries.map((series) => element("li", {}, swatch(series), series.name)));
+    this.legend.replaceChildren(...entries.map((series) => element("li", {}, swatch(series), entry(series))));
   }
 
   draw() {
@@ -333,6 +334,7 @@ function lookOf(row, direction) {
   const [words, look] = looks[row.model];
   return {
     name: `${words}, ${DIRECTIONS[direction]}`,
+    entry: words,
     look,
     dash: row.model !== "network" ? "dotted" : lateral ? "dashed" : "",
     kind: lateral ? "square" : "disc",
