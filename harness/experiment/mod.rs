@@ -86,7 +86,7 @@ pub struct Planned {
 
 /// Where a scenario's samples come from.
 enum Source {
-    Simulated { scene: Scene, dataset: Dataset },
+    Simulated { scene: Box<Scene>, dataset: Dataset },
     Imported(Imported),
 }
 
@@ -161,7 +161,7 @@ impl Laboratory<'_> {
         let root = self.registry.datasets();
         match &spec.scenario {
             Origin::Simulated(scenario) => {
-                let scene = Scene::load(*scenario, self.models.as_deref())?;
+                let scene = Box::new(Scene::load(*scenario, self.models.as_deref())?);
                 let simulation = spec.simulation.clone().unwrap_or_default();
                 let dataset = Dataset::new(&root, &scene, &simulation);
                 Ok(Source::Simulated { scene, dataset })

@@ -21,7 +21,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Does every run of an experiment that isn't done; see `harness.run`.
 #[pyfunction]
 #[pyo3(signature = (path, overrides, quick, results, progress, jobs))]
-#[expect(clippy::too_many_arguments, reason = "they are the options of `harness run`, named in Python")]
 pub fn run(
     py: Python,
     path: PathBuf,

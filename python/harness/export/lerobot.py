@@ -31,9 +31,9 @@ a row of LeRobot's is an observation and the command that is given upon it."""
 
 CAMERA = "observation.images.external"
 
-# The finger is two or three pixels across. With LeRobot's own settings a colour of the cluttered scene is off by up to 208
-# of 255, with these by 16 (mean 0.7), at 2 KB a frame. Full colour resolution (4:4:4) matters most; ffmpeg plays it, few
-# browsers do.
+# The finger is two or three pixels across. With LeRobot's own settings a colour of the cluttered scene is off by up to
+# 208 of 255, with these by 16 (mean 0.7), at 2 KB a frame. Full colour resolution (4:4:4) matters most; ffmpeg plays it,
+# few browsers do.
 VIDEO = {"vcodec": "h264", "pix_fmt": "yuv444p", "crf": 1}
 
 
