@@ -25,7 +25,7 @@ use harness::report::ReportError;
 use harness::simulation::SimulationError;
 use harness::spec::SpecError;
 use std::ffi::OsString;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// A research harness for multi-modal perception of a soft robot.
@@ -215,6 +215,14 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         eprintln!("error: {}", describe(error.as_ref()));
         ExitCode::from(if is_usage(&error) { USAGE } else { FAILED })
     })
+}
+
+/// This process's command as it was typed, with its program by name: where that lies is no part of what was done.
+pub fn command_line() -> String {
+    let mut words = std::env::args();
+    let program = words.next().unwrap_or_default();
+    let name = Path::new(&program).file_name().map(|name| name.to_string_lossy().into_owned());
+    name.into_iter().chain(words).collect::<Vec<_>>().join(" ")
 }
 
 fn all_threads() -> usize {

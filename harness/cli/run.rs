@@ -53,8 +53,7 @@ pub struct Run {
 impl Run {
     pub fn execute(self, registry: &Registry, threads: usize) -> Result<ExitCode> {
         let experiment = self.spec.load()?;
-        let command = std::env::args().collect::<Vec<_>>().join(" ");
-        let provenance = Provenance::gather(threads, command);
+        let provenance = Provenance::gather(threads, super::command_line());
         let bars = Bars::default();
         let laboratory = Laboratory {
             registry,

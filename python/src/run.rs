@@ -34,8 +34,7 @@ pub fn run(
     let registry = Registry::new(results);
     registry.check_writable().map_err(|error| PyOSError::new_err(error.to_string()))?;
     let threads = rayon::current_num_threads();
-    let command = std::env::args().collect::<Vec<_>>().join(" ");
-    let provenance = py.detach(|| Provenance::gather(threads, command));
+    let provenance = py.detach(|| Provenance::gather(threads, harness::cli::command_line()));
     let listener = Listener::new(progress);
     let laboratory = Laboratory {
         registry: &registry,
