@@ -219,7 +219,7 @@ fn a_killed_collection_leaves_whole_episodes_and_goes_on_from_them() {
 #[test]
 fn a_record_holds_the_command_and_not_where_the_program_lies() {
     let answer = succeed(&RESULTS, &["show", "smoke/empty"]);
-    assert!(answer.contains("harness run ") && !answer.contains("/harness run "), "{answer}");
+    assert!(answer.contains("harness --results ") && !answer.contains("/harness --results "), "{answer}");
 }
 
 #[test]
