@@ -1,6 +1,6 @@
 //! How well each joint's angle and each link's force is predicted.
 
-use super::{Absent, Part, part, short};
+use super::{Absent, of_both, short};
 use crate::figures::FigureError;
 use crate::figures::source::{Runs, Source, Study};
 use crate::metrics::interval::{Interval, LEVEL, mean_interval};
@@ -69,14 +69,7 @@ enum Place {
 /// # Errors
 /// When a table can't be read.
 pub fn series(source: &Source) -> Result<(Vec<Series>, BTreeSet<Absent>), FigureError> {
-    let (mut series, mut absent) = (Vec::new(), BTreeSet::new());
-    for study in Study::BOTH {
-        match part(source.runs(study).and_then(|runs| of_study(&runs, study)))? {
-            Part::There(more) => series.extend(more),
-            Part::Absent(reason) => drop(absent.insert(reason)),
-        }
-    }
-    Ok((series, absent))
+    of_both(source, of_study)
 }
 
 fn of_study(runs: &Runs, study: Study) -> Result<Vec<Series>, FigureError> {

@@ -16,7 +16,7 @@ mod verdicts;
 
 use crate::claims::{Claim, ClaimsError};
 use crate::figures::FigureError;
-use crate::figures::source::Source;
+use crate::figures::source::{Runs, Source, Study};
 use crate::progress::Progress;
 use crate::registry::{QueryError, Registry};
 use crate::simulation::SimulationError;
@@ -81,6 +81,21 @@ fn part<T>(outcome: Result<T, FigureError>) -> Result<Part<T>, FigureError> {
         Err(error) => return Err(error),
     };
     Ok(Part::Absent(Absent { reason, command }))
+}
+
+/// What `of_study` makes of the runs of both studies, and the studies without runs.
+fn of_both<T>(
+    source: &Source,
+    of_study: impl Fn(&Runs, Study) -> Result<Vec<T>, FigureError>,
+) -> Result<(Vec<T>, BTreeSet<Absent>), FigureError> {
+    let (mut all, mut absent) = (Vec::new(), BTreeSet::new());
+    for study in Study::BOTH {
+        match part(source.runs(study).and_then(|runs| of_study(&runs, study)))? {
+            Part::There(more) => all.extend(more),
+            Part::Absent(reason) => drop(absent.insert(reason)),
+        }
+    }
+    Ok((all, absent))
 }
 
 /// What the page's template is filled with.

@@ -1,7 +1,7 @@
 //! Predictions over references at the fingertip.
 
 use super::joints::{Value, value};
-use super::{Absent, Part, part, short};
+use super::{Absent, of_both, short};
 use crate::figures::FigureError;
 use crate::figures::source::{Runs, Source, Study, intervals};
 use crate::metrics::Direction;
@@ -61,14 +61,7 @@ struct Score {
 /// # Errors
 /// When a table can't be read.
 pub fn clouds(source: &Source) -> Result<(Vec<Cloud>, BTreeSet<Absent>), FigureError> {
-    let (mut clouds, mut absent) = (Vec::new(), BTreeSet::new());
-    for study in Study::BOTH {
-        match part(source.runs(study).and_then(|runs| of_study(&runs, study)))? {
-            Part::There(more) => clouds.extend(more),
-            Part::Absent(reason) => drop(absent.insert(reason)),
-        }
-    }
-    Ok((clouds, absent))
+    of_both(source, of_study)
 }
 
 fn of_study(runs: &Runs, study: Study) -> Result<Vec<Cloud>, FigureError> {
