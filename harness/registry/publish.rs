@@ -9,6 +9,7 @@ use crate::spec::JOINTS;
 use crate::tables::{TableError, TableFile, write_table};
 use polars::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 
 /// What was published.
 #[derive(Debug, Default, PartialEq, Eq)]
@@ -51,6 +52,7 @@ impl Registry {
         let chosen = runs.iter().filter(|(_, record)| experiments.contains(&record.experiment));
         let chosen: Vec<_> = chosen.map(|(folder, record)| (folder, record)).collect();
         let shown = Shown::of(chosen.iter().map(|(_, record)| *record));
+        let published_before = to.recorded();
         let mut published = Published::default();
         progress.begin("publishing", chosen.len() as u64, "runs");
         for (folder, record) in chosen {
@@ -60,7 +62,7 @@ impl Registry {
                 id: record.run.clone(),
                 dataset: record.dataset.clone(),
             };
-            to.remove_same(record)?;
+            remove_same(&published_before, record)?;
             let spec = record.check_file(folder, SPEC)?;
             let spec = std::fs::read(&spec)
                 .map_err(|error| RegistryError::File { path: spec.clone(), reason: error.to_string() })?;
@@ -82,19 +84,17 @@ impl Registry {
         progress.end();
         Ok(published)
     }
+}
 
-    /// Removes runs of the same cell and seed.
-    fn remove_same(&self, record: &RunRecord) -> Result<(), RegistryError> {
-        for (folder, other) in self.recorded() {
-            if (&other.experiment, other.label()) == (&record.experiment, record.label()) {
-                std::fs::remove_dir_all(&folder).map_err(|error| RegistryError::File {
-                    path: folder.clone(),
-                    reason: error.to_string(),
-                })?;
-            }
+/// Removes those of `published` that are of the same cell and seed.
+fn remove_same(published: &[(PathBuf, RunRecord)], record: &RunRecord) -> Result<(), RegistryError> {
+    for (folder, other) in published {
+        if (&other.experiment, other.label()) == (&record.experiment, record.label()) {
+            std::fs::remove_dir_all(folder)
+                .map_err(|error| RegistryError::File { path: folder.clone(), reason: error.to_string() })?;
         }
-        Ok(())
     }
+    Ok(())
 }
 
 /// Of which runs single samples are kept.
