@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{finish, harness, succeed};
+use common::{MULTI, SINGLE, TINY, finish, fresh, harness, succeed};
 use harness::dataset::Dataset;
 use harness::figures::Figure;
 use harness::figures::page::{Anchor, Page, Stroke, Type};
@@ -18,43 +18,27 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-const SINGLE: &str = "experiments/single_to_multi.yaml";
-const MULTI: &str = "experiments/multi_to_multi.yaml";
 const EPISODES: u32 = 4;
 const ACTUATIONS: u32 = 3;
-const TINY: [&str; 6] = [
-    "simulation.episodes=4",
-    "simulation.actuations_per_episode=3",
-    "training.epochs=2",
-    "training.batch_size=16",
-    "network.hidden=16",
-    "seeds=[0,1]",
-];
 
 fn run(results: &Path, spec: &str, more: &[&str]) {
     let arguments: Vec<&str> = ["run", spec].iter().chain(&TINY).chain(more).copied().collect();
     succeed(results, &arguments);
 }
 
-fn folder(name: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-    let _ = fs::remove_dir_all(&folder);
-    folder
-}
-
 /// Runs of both experiments, two scenarios, two seeds. The datasets are gone: tables alone are left, as in
 /// published results.
 static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
-    let results = folder("figures");
+    let results = fresh("figures");
     run(&results, SINGLE, &["latent=[2,4]"]);
     run(&results, MULTI, &["latent=[4]", "network.channels=4"]);
-    fs::rename(results.join("datasets"), folder("figures_datasets")).unwrap();
+    fs::rename(results.join("datasets"), fresh("figures_datasets")).unwrap();
     results
 });
 
 /// All figures of [`RESULTS`].
 static DRAWN: LazyLock<PathBuf> = LazyLock::new(|| {
-    let out = folder("figures_drawn");
+    let out = fresh("figures_drawn");
     succeed(&RESULTS, &["figures", "--out", out.to_str().unwrap()]);
     out
 });
@@ -130,7 +114,7 @@ fn every_svg_is_whole_self_contained_and_within_its_page() {
 
 #[test]
 fn the_same_tables_give_the_same_bytes() {
-    let again = folder("figures_again");
+    let again = fresh("figures_again");
     succeed(&RESULTS, &["figures", "--out", again.to_str().unwrap(), "--threads", "1"]);
     for figure in Figure::ALL {
         for ending in ["svg", "png", "csv"] {
@@ -260,7 +244,7 @@ fn diagrams_have_the_layers_of_the_network_that_was_trained() {
 
 #[test]
 fn forces_and_frames_are_those_of_the_dataset() {
-    let results = folder("figures_frames");
+    let results = fresh("figures_frames");
     run(&results, MULTI, &["latent=[4]", "network.channels=4", "scenarios=[cluttered]", "seeds=[0]"]);
     let scene = Scene::load(Scenario::Cluttered, None).unwrap();
     let spec = Simulation { episodes: EPISODES, actuations_per_episode: ACTUATIONS, ..Simulation::default() };
@@ -330,7 +314,7 @@ fn forces_and_frames_are_those_of_the_dataset() {
 
 #[test]
 fn missing_runs_are_named_with_the_command_and_the_others_are_drawn() {
-    let results = folder("figures_missing");
+    let results = fresh("figures_missing");
     run(&results, SINGLE, &["latent=[2]", "scenarios=[cluttered]", "seeds=[0]"]);
     let out = results.join("drawn");
     let figures = |more: &[&str]| {
@@ -365,7 +349,7 @@ fn missing_runs_are_named_with_the_command_and_the_others_are_drawn() {
 
 #[test]
 fn one_seed_has_no_bars_and_other_settings_are_left_out() {
-    let results = folder("figures_seeds");
+    let results = fresh("figures_seeds");
     let draw = |name: &str| {
         let out = results.join(name);
         succeed(&results, &["figures", "reconstruction_performance", "--out", out.to_str().unwrap()]);

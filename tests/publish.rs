@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{SMOKE, finish, harness, succeed};
+use common::{SMOKE, finish, fresh, harness, succeed};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -15,12 +15,6 @@ static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
     succeed(&results, &[&["run", SMOKE][..], &sweep].concat());
     results
 });
-
-fn fresh(name: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-    let _ = std::fs::remove_dir_all(&folder);
-    folder
-}
 
 fn publish(to: &Path) -> String {
     succeed(&RESULTS, &["publish", "smoke", "sweep", "--to", to.to_str().unwrap()])

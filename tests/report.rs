@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{finish, harness, smoke_run, succeed};
+use common::{MULTI, SINGLE, TINY, finish, fresh, harness, smoke_run, succeed};
 use harness::figures::Figure;
 use harness::metrics::interval::{LEVEL, mean_interval};
 use harness::numbers::duration;
@@ -18,20 +18,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
 
-const SINGLE: &str = "experiments/single_to_multi.yaml";
-const MULTI: &str = "experiments/multi_to_multi.yaml";
-const TINY: [&str; 6] = [
-    "simulation.episodes=4",
-    "simulation.actuations_per_episode=3",
-    "training.epochs=2",
-    "training.batch_size=16",
-    "network.hidden=16",
-    "seeds=[0,1]",
-];
-
 fn folder(name: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-    let _ = fs::remove_dir_all(&folder);
+    let folder = fresh(name);
     fs::create_dir_all(&folder).unwrap();
     folder
 }

@@ -5,6 +5,17 @@ use assert_cmd::Command;
 use std::path::{Path, PathBuf};
 
 pub const SMOKE: &str = "experiments/smoke.yaml";
+pub const SINGLE: &str = "experiments/single_to_multi.yaml";
+pub const MULTI: &str = "experiments/multi_to_multi.yaml";
+/// What makes the paper's experiments a matter of seconds, with two seeds.
+pub const TINY: [&str; 6] = [
+    "simulation.episodes=4",
+    "simulation.actuations_per_episode=3",
+    "training.epochs=2",
+    "training.batch_size=16",
+    "network.hidden=16",
+    "seeds=[0,1]",
+];
 
 /// What a command ended with.
 pub struct Answer {
@@ -38,10 +49,16 @@ pub fn succeed(results: &Path, arguments: &[&str]) -> String {
     answer.stdout
 }
 
+/// Where there is no folder yet; cargo keeps what is put there until the next time.
+pub fn fresh(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&folder);
+    folder
+}
+
 /// The results of a smoke run in a folder of its own, which cargo keeps for the tests.
 pub fn smoke_run(name: &str) -> PathBuf {
-    let results = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-    let _ = std::fs::remove_dir_all(&results);
+    let results = fresh(name);
     let said = succeed(&results, &["run", SMOKE]);
     assert!(said.contains("2 done, 0 done before, 0 failed"), "{said}");
     results
