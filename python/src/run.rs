@@ -15,8 +15,8 @@ use pyo3::exceptions::{PyOSError, PyRuntimeError};
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 use std::path::PathBuf;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Does every run of an experiment that isn't done; see `harness.run`.
 #[pyfunction]
@@ -35,7 +35,9 @@ pub fn run(
     registry.check_writable().map_err(|error| PyOSError::new_err(error.to_string()))?;
     let threads = rayon::current_num_threads();
     let provenance = py.detach(|| Provenance::gather(threads, harness::cli::command_line()));
-    let listener = Listener::new(progress);
+    let everyone = Everyone::default();
+    let shown: Box<dyn Progress> = if progress { Box::new(Bars::default()) } else { Box::new(Silent) };
+    let listener = Listener { shown, everyone: &everyone };
     let laboratory = Laboratory {
         registry: &registry,
         models: None,
@@ -45,11 +47,12 @@ pub fn run(
         progress: &listener,
     };
     let work = || laboratory.run(&laboratory.plan(&experiment)?);
-    let summary = interruptible(py, work, || listener.cancelled.store(true, Ordering::Relaxed))?;
+    let summary = interruptible(py, work, || everyone.cancelled.store(true, Ordering::Relaxed))?;
     let summary = summary.map_err(|error: ExperimentError| error.raise())?;
     if summary.failed > 0 {
-        let said = listener.said.into_inner().unwrap_or_default();
-        let reasons: Vec<String> = said.into_iter().filter(|line| line.contains(" failed: ")).collect();
+        let said = everyone.said();
+        let reasons: Vec<&str> =
+            said.iter().map(String::as_str).filter(|line| line.contains(" failed: ")).collect();
         return Err(PyRuntimeError::new_err(format!(
             "{} runs failed: {}",
             summary.failed,
@@ -60,20 +63,25 @@ pub fn run(
 }
 
 /// Draws progress as the command line does, or nothing, and passes on a wish to stop.
-struct Listener {
-    shown: Box<dyn Progress>,
+struct Listener<'a> {
+    shown: Box<dyn Progress + 'a>,
+    everyone: &'a Everyone,
+}
+
+/// What all jobs have in common.
+#[derive(Default)]
+struct Everyone {
     said: Mutex<Vec<String>>,
     cancelled: AtomicBool,
 }
 
-impl Listener {
-    fn new(progress: bool) -> Self {
-        let shown: Box<dyn Progress> = if progress { Box::new(Bars::default()) } else { Box::new(Silent) };
-        Self { shown, said: Mutex::default(), cancelled: AtomicBool::new(false) }
+impl Everyone {
+    fn said(&self) -> MutexGuard<'_, Vec<String>> {
+        self.said.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Progress for Listener {
+impl Progress for Listener<'_> {
     fn begin(&self, stage: &str, total: u64, unit: &str) {
         self.shown.begin(stage, total, unit);
     }
@@ -84,47 +92,17 @@ impl Progress for Listener {
         self.shown.note(text);
     }
     fn say(&self, text: &str) {
-        if let Ok(mut said) = self.said.lock() {
-            said.push(text.to_owned());
-        }
+        self.everyone.said().push(text.to_owned());
         self.shown.say(text);
     }
     fn end(&self) {
         self.shown.end();
     }
     fn job(&self, name: &str) -> Option<Box<dyn Progress + '_>> {
-        let shown = self.shown.job(name)?;
-        Some(Box::new(Job { shown, everyone: self }))
+        Some(Box::new(Listener { shown: self.shown.job(name)?, everyone: self.everyone }))
     }
     fn cancelled(&self) -> bool {
-        self.cancelled.load(Ordering::Relaxed)
-    }
-}
-
-/// One of several jobs: its own bar, everybody's wish to stop.
-struct Job<'a> {
-    shown: Box<dyn Progress + 'a>,
-    everyone: &'a Listener,
-}
-
-impl Progress for Job<'_> {
-    fn begin(&self, stage: &str, total: u64, unit: &str) {
-        self.shown.begin(stage, total, unit);
-    }
-    fn advance(&self, steps: u64) {
-        self.shown.advance(steps);
-    }
-    fn note(&self, text: &str) {
-        self.shown.note(text);
-    }
-    fn say(&self, text: &str) {
-        self.everyone.say(text);
-    }
-    fn end(&self) {
-        self.shown.end();
-    }
-    fn cancelled(&self) -> bool {
-        self.everyone.cancelled()
+        self.everyone.cancelled.load(Ordering::Relaxed)
     }
 }
 
