@@ -7,6 +7,7 @@
 #   setup/setup.sh --python  and what building and testing the Python package needs
 #   setup/setup.sh --bench   and .venv-bench, with what the benchmarks compare with
 #   setup/setup.sh --interchange   and .venv-interchange, with LeRobot and Rerun
+#   setup/setup.sh --notebooks     and .venv-notebooks, with Stable-Baselines3 and Jupyter
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -134,6 +135,10 @@ case ${1-} in
     pythons=3.12 # LeRobot's oldest
     make_venv .venv-interchange
     install_packages .venv-interchange requirements-interchange.txt
+    ;;
+--notebooks)
+    make_venv .venv-notebooks
+    install_packages .venv-notebooks requirements-notebooks.txt
     ;;
 esac
 check_egl
