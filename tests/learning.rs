@@ -10,8 +10,8 @@ use harness::learning::kernels::product::{self, Matrix, Unit};
 use harness::learning::network::{Decoder, Encoder, Observation, Parameters, Sizes, Targets, scalar};
 use harness::learning::objective::{Draw, Objective, Prediction, View, Weighted};
 use harness::learning::ops::{
-    Adam, FrameDecoder, TwoLayers, backward, divergence, frame_decoder, frame_encoder, frame_loss, linear,
-    sample, squared_errors, two_layers,
+    Adam, Dropout, FrameDecoder, TwoLayers, backward, divergence, frame_decoder, frame_encoder, frame_loss,
+    linear, sample, squared_errors, two_layers,
 };
 use harness::learning::random::{Random, Stream};
 use harness::learning::state::StateFile;
@@ -102,9 +102,11 @@ fn gradients_of_the_frame_encoder_are_those_of_finite_differences() {
         variable(&mut random, &[3]),
         variable(&mut random, &[5, 3 * 4 * 4]),
     ];
-    assert_gradients(&arguments, |args| {
-        frame_encoder(frames.clone(), &args[0], &args[1], &args[2], Precision::F32)
-    });
+    for dropout in [None, Some(Dropout::new(0.3, 7))] {
+        assert_gradients(&arguments, |args| {
+            frame_encoder(frames.clone(), &args[0], &args[1], &args[2], Precision::F32, dropout)
+        });
+    }
 }
 
 #[test]
@@ -263,12 +265,45 @@ fn products_are_the_same_bits_at_any_number_of_threads() {
 }
 
 #[test]
+fn dropout_leaves_out_its_share_and_keeps_the_mean() {
+    let kept = |share: f64, seed: u64, sample: usize| {
+        let mut values = vec![1.0f32; 100_001];
+        Dropout::new(share, seed).apply(sample, &mut values);
+        values
+    };
+    for share in [0.1, 0.5, 0.9] {
+        let values = kept(share, 3, 0);
+        let left_out = values.iter().filter(|value| **value == 0.0).count() as f64 / values.len() as f64;
+        assert!((left_out - share).abs() < 0.005, "{left_out} of the values, not {share}");
+        let mean = values.iter().map(|value| f64::from(*value)).sum::<f64>() / values.len() as f64;
+        assert!((mean - 1.0).abs() < 0.03, "{share}: a mean of {mean}");
+    }
+    let values = kept(0.5, 3, 0);
+    assert!(values == kept(0.5, 3, 0), "the same again");
+    assert!(values != kept(0.5, 4, 0), "another seed");
+    assert!(values != kept(0.5, 3, 1), "another sample");
+}
+
+#[test]
+fn dropout_is_for_training_alone_and_goes_by_the_seed() {
+    let mut bench = Bench::new();
+    let (without, _) = bench.train_undisturbed(7);
+    bench.training.dropout = 0.5;
+    let (with, parameters) = bench.train_undisturbed(7);
+    assert_ne!(losses(&without), losses(&with));
+    let (again, same) = bench.train_undisturbed(7);
+    assert!(losses(&with) == losses(&again) && bits(&parameters) == bits(&same));
+    // Both begin with the same weights, so the first batches of training tell that values were left out.
+    assert_ne!(without[0].train[TOTAL].to_bits(), with[0].train[TOTAL].to_bits());
+}
+
+#[test]
 fn own_ops_agree_with_candles_operations() {
     let mut random = random(5);
     let frames = normal(&mut random, &[3, 3, 16, 16]);
     let (kernel, bias) = (normal(&mut random, &[4, 3, 4, 4]), normal(&mut random, &[4]));
     let hidden = normal(&mut random, &[6, 4 * 64]);
-    let found = frame_encoder(dense(&frames), &kernel, &bias, &hidden, Precision::F32).unwrap();
+    let found = frame_encoder(dense(&frames), &kernel, &bias, &hidden, Precision::F32, None).unwrap();
     let convolved = frames.conv2d(&kernel, 1, 2, 1, 1).unwrap();
     let active = convolved.broadcast_add(&bias.reshape((1, 4, 1, 1)).unwrap()).unwrap().relu().unwrap();
     let expected = active.flatten_from(1).unwrap().matmul(&hidden.t().unwrap()).unwrap();
@@ -536,6 +571,7 @@ impl Bench {
             output: &OUTPUT,
             kl_weight: self.training.kl_weight,
             loss_weights: &self.weights,
+            dropout: self.training.dropout,
         };
         let partition = &self.partition;
         let fit = Fit { task: Task::Prediction, training: &self.training, seed, partition, state, progress };

@@ -64,6 +64,11 @@ fn a_published_registry_answers_as_the_whole_one_but_for_single_samples() {
     let others =
         "select count(run) as n from predictions where index < 18 or (experiment = 'smoke' and seed = 5)";
     assert_eq!(csv(&copy, others), "n\n0\n");
+    for table in ["predictions", "frames", "forces"] {
+        let of_the_sweep = format!("select count(run) as n from {table} where experiment = 'sweep'");
+        assert_eq!(csv(&copy, &of_the_sweep), "n\n0\n", "{table}");
+        assert_ne!(csv(&RESULTS, &of_the_sweep), "n\n0\n", "{table}");
+    }
     let pictures =
         "select distinct experiment, scenario, seed from frames order by experiment, scenario, seed";
     assert!(!csv(&copy, pictures).contains(",5\n"), "{}", csv(&copy, pictures));

@@ -152,7 +152,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         (
             "training:\n  bacth_size: 5\n",
             "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
-             learning_rate, batch_size, epochs, patience, kl_weight, loss_weights, precision, device",
+             learning_rate, batch_size, epochs, patience, kl_weight, loss_weights, dropout, precision, device",
         ),
         (
             "split: {holdout: 0.1}\n",
@@ -676,7 +676,7 @@ fn each_combination_of_what_varies_must_be_possible() {
              training.epochs, training.patience, training.kl_weight, training.loss_weights.proprioception, \
              training.loss_weights.arm, training.loss_weights.contact_force, \
              training.loss_weights.contact_force_mean, training.loss_weights.vision, \
-             training.loss_weights.frame_difference, training.precision, training.device",
+             training.loss_weights.frame_difference, training.dropout, training.precision, training.device",
         ),
         (
             "vary:\n  training.epochs: [5, 0]\n",
@@ -820,6 +820,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             patience: if random.random() { Some(random.random_range(1..=100)) } else { None },
             kl_weight: random.random_range(0.0..1e6),
             loss_weights,
+            dropout: if random.random() { 0.0 } else { random.random_range(0.0..1.0) },
             precision: harness::spec::Precision::F32,
             device: harness::spec::Device::Cpu,
         },

@@ -75,7 +75,7 @@ impl Run {
             eprintln!("warning: the results can't be shown: {error}");
         }
         print_summary(registry, &experiment, &summary);
-        Ok(ExitCode::from(if summary.failed == 0 { DONE } else { FAILED }))
+        Ok(ExitCode::from(if summary.failed.is_empty() { DONE } else { FAILED }))
     }
 }
 
@@ -156,7 +156,8 @@ fn print_results(registry: &Registry, experiment: &Experiment, plan: &[Planned])
 
 fn print_summary(registry: &Registry, experiment: &Experiment, summary: &Summary) {
     let Summary { done, skipped, failed } = summary;
-    let why = if *failed > 0 { ", `harness ls` says why" } else { "" };
+    let failed = failed.len();
+    let why = if failed > 0 { ", `harness ls` says why" } else { "" };
     println!("{done} done, {skipped} done before, {failed} failed{why}");
     let root = registry.root();
     println!("runs      {}", shown(&root.join("runs").join(&experiment.name)));

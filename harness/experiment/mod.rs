@@ -326,6 +326,7 @@ impl Trainee<'_> {
             output: &spec.output,
             kl_weight: spec.training.kl_weight,
             loss_weights: &spec.training.loss_weights,
+            dropout: spec.training.dropout,
         };
         let state = StateFile::at(self.folder.state(task));
         let epochs = self.fit(task, &state).run(&objective, &parameters)?;

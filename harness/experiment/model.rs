@@ -6,11 +6,11 @@ use crate::dataset::frames::{DenseFrames, Frames};
 use crate::learning::network::{Decoder, Encoder, Observation, Parameters};
 use crate::learning::random::{Random, Stream};
 use crate::learning::{LearningError, checkpoint, predict};
-use crate::registry::{Registry, RegistryError, RunRecord, Status};
+use crate::registry::{Registry, RegistryError, RunFolder, RunRecord, Status};
 use crate::spec::{ARM_JOINTS, FRAME_SIDE, Modality, Task};
 use candle_core::{Device, Tensor};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// A batch by modality, `[batch, width]` in physical units; frames channel by channel, those of `vision` in [0, 1].
@@ -27,6 +27,8 @@ pub enum ModelError {
     Unfinished { run: String, status: Status },
     #[error("there is no network at {}; published results leave networks out, so do the run again", .0.display())]
     NoNetwork(PathBuf),
+    #[error("{run} trained no reconstruction; its spec's tasks are {}", .tasks.iter().map(|task| task.name()).collect::<Vec<_>>().join(", "))]
+    NoReconstruction { run: String, tasks: Vec<Task> },
     #[error("the observation lacks '{modality}'; the encoder of {run} is given {}", names(given))]
     Lacks { run: String, modality: Modality, given: Vec<Modality> },
     #[error("'{name}' has {found} values for a batch of {batch}, which must be {batch} times {width}")]
@@ -37,12 +39,14 @@ fn names(modalities: &[Modality]) -> String {
     modalities.iter().map(|modality| modality.name()).collect::<Vec<_>>().join(", ")
 }
 
-/// A finished run's encoder, and the decoder that predicts the next observation.
+/// A finished run's encoder, the decoder that predicts the next observation, and the one that reconstructs the present.
 pub struct Model {
     record: RunRecord,
     standard: Standard,
     encoder: Encoder,
     decoder: Decoder,
+    /// `None` where the run trained none.
+    reconstruction: Option<Decoder>,
 }
 
 impl Model {
@@ -56,10 +60,6 @@ impl Model {
             return Err(ModelError::Unfinished { run: record.run, status: record.status });
         }
         let task = Task::Prediction;
-        let path = folder.checkpoint(task);
-        if !path.exists() {
-            return Err(ModelError::NoNetwork(path));
-        }
         let sizes = network_sizes(&record.spec, task);
         let mut parameters = Parameters::new();
         let mut random = Random::new(record.spec.seed, Stream::Parameters(task));
@@ -67,8 +67,10 @@ impl Model {
         let encoder = encoder.map_err(LearningError::from)?.detached();
         let decoder = Decoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu);
         let decoder = decoder.map_err(LearningError::from)?.detached();
-        let standard = checkpoint::load(&path, &parameters)?;
-        Ok(Self { record, standard, encoder, decoder })
+        let standard = load_network(&folder.checkpoint(task), &parameters)?;
+        let reconstructs = record.spec.tasks.contains(&Task::Reconstruction);
+        let reconstruction = reconstructs.then(|| load_reconstruction(&folder, &record)).transpose()?;
+        Ok(Self { record, standard, encoder, decoder, reconstruction })
     }
 
     /// The run's record, with its spec.
@@ -114,6 +116,27 @@ impl Model {
         Ok(predicted().map_err(LearningError::from)?.into_iter().collect())
     }
 
+    /// The observations that latent states `[batch, latent]` hold, by the encoder's own modalities.
+    ///
+    /// # Errors
+    /// When the run trained no reconstruction, or `latent` has another number of values.
+    pub fn reconstruct(&self, batch: usize, latent: Vec<f32>) -> Result<Values, ModelError> {
+        let spec = &self.record.spec;
+        let Some(decoder) = &self.reconstruction else {
+            return Err(ModelError::NoReconstruction {
+                run: self.record.run.clone(),
+                tasks: spec.tasks.clone(),
+            });
+        };
+        check("latent", batch, spec.latent, &latent)?;
+        let reconstructed = || -> candle_core::Result<_> {
+            let latent = Tensor::from_vec(latent, (batch, spec.latent), &Device::Cpu)?;
+            let (vector, frames) = decoder.decode(&latent, None)?;
+            predict::restored(&self.standard, &spec.input, vector, frames)
+        };
+        Ok(reconstructed().map_err(LearningError::from)?.into_iter().collect())
+    }
+
     /// What the encoder is given, standardised and side by side.
     fn observation(&self, batch: usize, values: &Values) -> Result<Observation, ModelError> {
         let input = &self.record.spec.input;
@@ -141,6 +164,25 @@ impl Model {
         };
         Ok(joined().map_err(LearningError::from)?)
     }
+}
+
+/// Loads the parameters of a network that must be there, and returns the scales saved with them.
+fn load_network(path: &Path, parameters: &Parameters) -> Result<Standard, ModelError> {
+    if !path.exists() {
+        return Err(ModelError::NoNetwork(path.to_owned()));
+    }
+    Ok(checkpoint::load(path, parameters)?)
+}
+
+fn load_reconstruction(folder: &RunFolder, record: &RunRecord) -> Result<Decoder, ModelError> {
+    let task = Task::Reconstruction;
+    let mut parameters = Parameters::new();
+    let mut random = Random::new(record.spec.seed, Stream::Parameters(task));
+    let sizes = network_sizes(&record.spec, task);
+    let decoder = Decoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu);
+    let decoder = decoder.map_err(LearningError::from)?.detached();
+    load_network(&folder.checkpoint(task), &parameters)?;
+    Ok(decoder)
 }
 
 /// Whether `values` are those of a batch.

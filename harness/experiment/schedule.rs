@@ -15,16 +15,16 @@ pub struct Summary {
     pub done: usize,
     /// Done before, or by another process.
     pub skipped: usize,
-    /// Each was reported when it failed; the record says why, if it could be written.
-    pub failed: usize,
+    /// Which run failed, and why; each was reported when it did, and is in its record if that could be written.
+    pub failed: Vec<String>,
 }
 
 /// What became of one run.
-#[derive(Clone, Copy)]
 enum End {
     Done,
     Skipped,
-    Failed,
+    /// Which run it was, and why.
+    Failed(String),
     /// Another process is at it.
     Held,
 }
@@ -50,7 +50,7 @@ impl Laboratory<'_> {
                     match end {
                         End::Done => summary.done += 1,
                         End::Skipped => summary.skipped += 1,
-                        End::Failed => summary.failed += 1,
+                        End::Failed(failure) => summary.failed.push(failure),
                         End::Held => held.push(*planned),
                     }
                 }
@@ -86,7 +86,8 @@ impl Laboratory<'_> {
             let joined = workers.into_iter().map(|worker| worker.join());
             joined.map(|end| end.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
         });
-        let mut ends = ends.into_iter().collect::<Result<Vec<_>, _>>()?.concat();
+        let mut ends: Vec<_> =
+            ends.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect();
         ends.sort_by_key(|(index, _)| *index);
         Ok(ends.into_iter().map(|(_, end)| end).collect())
     }
@@ -130,8 +131,7 @@ impl Shift<'_> {
             }
             let end = match self.attempt(planned) {
                 Err(error) if !error.is_cancelled() => {
-                    self.say_failed(planned, &describe(&error));
-                    End::Failed
+                    End::Failed(self.say_failed(planned, &describe(&error)))
                 }
                 end => end?,
             };
@@ -150,8 +150,7 @@ impl Shift<'_> {
                 if record.status == Status::Failed && planned.record.as_ref() != Some(&record) =>
             {
                 let reason = record.reason.unwrap_or_default();
-                self.say_failed(planned, &format!("{reason} (in another process)"));
-                return Ok(End::Failed);
+                return Ok(End::Failed(self.say_failed(planned, &format!("{reason} (in another process)"))));
             }
             _ => {}
         }
@@ -191,7 +190,10 @@ impl Shift<'_> {
         slot.insert(made).clone().map_err(ExperimentError::Preparation)
     }
 
-    fn say_failed(&self, planned: &Planned, reason: &str) {
-        self.laboratory.progress.say(&format!("{} failed: {reason}", planned.folder.id()));
+    /// Reports that a run failed, and returns what was said.
+    fn say_failed(&self, planned: &Planned, reason: &str) -> String {
+        let failure = format!("{} failed: {reason}", planned.folder.id());
+        self.laboratory.progress.say(&failure);
+        failure
     }
 }

@@ -6,7 +6,7 @@
 //! stride 2 before them, and its transpose after them.
 
 use super::ops::{
-    self, FrameDecoder, TwoLayers, frame_decoder, frame_encoder, frame_loss, linear, squared_errors,
+    self, Dropout, FrameDecoder, TwoLayers, frame_decoder, frame_encoder, frame_loss, linear, squared_errors,
     two_layers,
 };
 use super::random::Random;
@@ -190,6 +190,11 @@ impl Encoder {
 
     /// The posterior of a batch.
     pub fn encode(&self, observation: &Observation) -> Result<Posterior> {
+        self.encode_without(observation, None)
+    }
+
+    /// The posterior of a batch, where `dropout` leaves out some of what the convolution makes of the frames.
+    pub fn encode_without(&self, observation: &Observation, dropout: Option<Dropout>) -> Result<Posterior> {
         let vector = observation.vector.as_ref().zip(self.hidden_vector.as_ref());
         let frames =
             observation.frames.as_ref().zip(self.convolution.as_ref()).zip(self.hidden_frame.as_ref());
@@ -205,7 +210,7 @@ impl Encoder {
         let mut hidden =
             vector.map(|(vector, weight)| linear(vector, weight, &self.hidden_bias, false)).transpose()?;
         if let Some(((frames, Layer { weight: kernel, bias }), weight)) = frames {
-            let seen = frame_encoder(frames.clone(), kernel, bias, weight, self.precision)?;
+            let seen = frame_encoder(frames.clone(), kernel, bias, weight, self.precision, dropout)?;
             let sum = match hidden {
                 Some(hidden) => (hidden + seen)?,
                 None => seen.broadcast_add(&self.hidden_bias)?,

@@ -1,6 +1,7 @@
 //! What is minimised: the terms of a loss for a batch of transitions.
 
 use super::network::{Decoder, Encoder, Observation, Targets};
+use super::ops::Dropout;
 use super::random::Random;
 use crate::dataset::{Samples, Standard};
 use crate::spec::{Action, Modality};
@@ -50,7 +51,7 @@ pub struct Weighted {
 
 /// How latent states are drawn.
 pub enum Draw<'a> {
-    /// From the posterior, with this source of noise: training.
+    /// From the posterior, with this source of noise and of what dropout leaves out: training.
     Sample(&'a mut Random),
     /// The posterior's mean: validation and test.
     Mean,
@@ -74,18 +75,27 @@ pub struct Prediction<'a> {
     pub output: &'a [Modality],
     pub kl_weight: f64,
     pub loss_weights: &'a BTreeMap<Modality, f64>,
+    /// Share of what the convolution makes of the frames that a training step leaves out.
+    pub dropout: f64,
 }
 
 impl Objective for Prediction<'_> {
     fn terms(&self, at: &[usize], draw: Draw) -> Result<Vec<Weighted>> {
-        let posterior = self.encoder.encode(&self.view.observation(at, self.input)?)?;
-        let latent = match draw {
+        let observation = self.view.observation(at, self.input)?;
+        let (posterior, latent) = match draw {
             Draw::Sample(random) => {
+                let dropout = (self.dropout > 0.0).then(|| Dropout::new(self.dropout, random.seed()));
+                let posterior = self.encoder.encode_without(&observation, dropout)?;
                 let shape = (at.len(), self.encoder.latent()?);
                 let noise = Tensor::from_vec(random.normal(shape.0 * shape.1), shape, &Device::Cpu)?;
-                posterior.sample(&noise.to_device(&self.view.device)?)?
+                let latent = posterior.sample(&noise.to_device(&self.view.device)?)?;
+                (posterior, latent)
             }
-            Draw::Mean => posterior.mean()?,
+            Draw::Mean => {
+                let posterior = self.encoder.encode(&observation)?;
+                let latent = posterior.mean()?;
+                (posterior, latent)
+            }
         };
         let next: Vec<usize> = at.iter().map(|sample| sample + 1).collect();
         let targets = self.view.targets(&next, self.output)?;

@@ -1,8 +1,8 @@
 //! The random numbers of a run. candle's CPU generator can't be seeded, so none of its own are used.
 
 use crate::spec::Task;
-use rand::SeedableRng;
 use rand::seq::SliceRandom;
+use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, Uniform};
 
@@ -11,7 +11,7 @@ use rand_distr::{Distribution, StandardNormal, Uniform};
 pub enum Stream {
     /// Initial parameters of what a task trains.
     Parameters(Task),
-    /// Order of the samples and latent noise of one epoch, counted from 0.
+    /// Order of the samples, latent noise and dropout of one epoch, counted from 0.
     Epoch { task: Task, index: usize },
 }
 
@@ -44,6 +44,11 @@ impl Random {
             Ok(uniform) => uniform.sample_iter(&mut self.0).take(len).collect(),
             Err(_) => vec![0.0; len],
         }
+    }
+
+    /// A seed for a generator of its own.
+    pub fn seed(&mut self) -> u64 {
+        self.0.next_u64()
     }
 
     /// `values` in a random order.

@@ -23,8 +23,8 @@ impl Registry {
     /// of their rows that are about single samples. Networks stay behind.
     ///
     /// Kept are all epochs and metrics; the predictions of the last two joints and links, and the pictures, of each
-    /// cell's lowest seed; and the forces of one run a dataset. A run of the same cell and seed that was published
-    /// before is replaced.
+    /// cell's lowest seed; and the forces of one run a dataset; but of a sweep's runs no more than epochs and metrics. A
+    /// run of the same cell and seed that was published before is replaced.
     ///
     /// # Errors
     /// When `to` is this registry, an experiment has no finished runs, or a file can't be read or written; what is there already stays whole.
@@ -108,7 +108,7 @@ struct Shown {
 impl Shown {
     fn of<'a>(records: impl Iterator<Item = &'a RunRecord>) -> Self {
         let mut shown = Self { seeds: BTreeMap::new(), datasets: BTreeMap::new() };
-        for record in records {
+        for record in records.filter(|record| record.spec.variant.is_empty()) {
             let lowest = shown.seeds.entry(cell(record)).or_insert(record.spec.seed);
             *lowest = record.spec.seed.min(*lowest);
             shown.datasets.entry(dataset(record)).or_insert_with(|| record.run.clone());

@@ -369,6 +369,12 @@ pub struct Training {
     /// Weight of an output modality's mean squared error; 1 where none is given.
     #[schemars(schema_with = "loss_weights_schema")]
     pub loss_weights: BTreeMap<Modality, f64>,
+    /// Share of what the convolution makes of the frames that each training step leaves out (dropout; Srivastava et
+    /// al., 2014), in [0, 1); without effect on a fully connected network.
+    // Not written where it is 0, so that runs keep the names they had before it was a setting.
+    #[serde(skip_serializing_if = "is_zero")]
+    #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1.0))]
+    pub dropout: f64,
     /// Of the products of the two large layers beside the frames' convolutions.
     pub precision: Precision,
     pub device: Device,
@@ -442,12 +448,16 @@ impl Default for Training {
             // What experiments/choose_kl_weight.yaml and choose_multi_losses.yaml found.
             kl_weight: 1e-4,
             loss_weights: BTreeMap::new(),
+            dropout: 0.0,
             precision: Precision::F32,
             device: Device::Cpu,
         }
     }
 }
 
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
 fn default_seeds() -> Vec<u64> {
     vec![0]
 }

@@ -90,6 +90,12 @@ class Model:
         are `[batch, 64, 64, 3]`, those of vision in [0, 1]. Raises as `encode`.
         """
 
+    def reconstruct(self, latent: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+        """The observation that a latent state `[batch, latent]`, float32, holds, by modality of `input`.
+
+        Raises RuntimeError where the run trained no reconstruction, ValueError where `latent` has another shape.
+        """
+
     @property
     def run(self) -> str: ...
     @property

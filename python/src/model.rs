@@ -83,15 +83,35 @@ impl Model {
         let (batch, values) = self.read(observation)?;
         let action = read("action", action, &[batch, ARM_JOINTS])?;
         let predicted = detached(py, || self.0.predict(batch, &values, action))?;
-        let answer = PyDict::new(py);
-        for (modality, values) in predicted.map_err(Raise::raise)? {
-            let values = match modality.is_frame() {
-                true => pixels_last(array(py, values, &[batch, FRAME_CHANNELS, FRAME_SIDE, FRAME_SIDE])?)?,
-                false => array(py, values, &[batch, modality.width()])?,
-            };
-            answer.set_item(modality.name(), values)?;
-        }
-        Ok(answer)
+        by_modality(py, batch, predicted.map_err(Raise::raise)?)
+    }
+
+    fn reconstruct<'py>(&self, py: Python<'py>, latent: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyDict>> {
+        let batch = batch_of("latent", latent)?;
+        let latent = read("latent", latent, &[batch, self.latent()])?;
+        let reconstructed = detached(py, || self.0.reconstruct(batch, latent))?;
+        by_modality(py, batch, reconstructed.map_err(Raise::raise)?)
+    }
+}
+
+/// A batch as a dictionary of arrays.
+fn by_modality(py: Python, batch: usize, values: Values) -> PyResult<Bound<PyDict>> {
+    let answer = PyDict::new(py);
+    for (modality, values) in values {
+        let values = match modality.is_frame() {
+            true => pixels_last(array(py, values, &[batch, FRAME_CHANNELS, FRAME_SIDE, FRAME_SIDE])?)?,
+            false => array(py, values, &[batch, modality.width()])?,
+        };
+        answer.set_item(modality.name(), values)?;
+    }
+    Ok(answer)
+}
+
+/// How many samples an array has, at least one.
+fn batch_of(name: &str, values: &Bound<PyAny>) -> PyResult<usize> {
+    match values.len()? {
+        0 => Err(PyValueError::new_err(format!("the {name} has no samples"))),
+        batch => Ok(batch),
     }
 }
 
@@ -105,10 +125,7 @@ impl Model {
             let message = format!("the observation has none of {}", self.input().join(", "));
             return Err(PyKeyError::new_err(message));
         };
-        let batch = first.len()?;
-        if batch == 0 {
-            return Err(PyValueError::new_err("the observation has no samples"));
-        }
+        let batch = batch_of("observation", first)?;
         let mut values = Values::new();
         for (modality, given) in given {
             // What lacks is named by the model.

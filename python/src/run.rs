@@ -16,7 +16,6 @@ use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Does every run of an experiment that isn't done; see `harness.run`.
 #[pyfunction]
@@ -35,9 +34,9 @@ pub fn run(
     registry.check_writable().map_err(|error| PyOSError::new_err(error.to_string()))?;
     let threads = rayon::current_num_threads();
     let provenance = py.detach(|| Provenance::gather(threads, harness::cli::command_line()));
-    let everyone = Everyone::default();
+    let cancelled = AtomicBool::new(false);
     let shown: Box<dyn Progress> = if progress { Box::new(Bars::default()) } else { Box::new(Silent) };
-    let listener = Listener { shown, everyone: &everyone };
+    let listener = Listener { shown, cancelled: &cancelled };
     let laboratory = Laboratory {
         registry: &registry,
         models: None,
@@ -47,17 +46,11 @@ pub fn run(
         progress: &listener,
     };
     let work = || laboratory.run(&laboratory.plan(&experiment)?);
-    let summary = interruptible(py, work, || everyone.cancelled.store(true, Ordering::Relaxed))?;
+    let summary = interruptible(py, work, || cancelled.store(true, Ordering::Relaxed))?;
     let summary = summary.map_err(|error: ExperimentError| error.raise())?;
-    if summary.failed > 0 {
-        let said = everyone.said();
-        let reasons: Vec<&str> =
-            said.iter().map(String::as_str).filter(|line| line.contains(" failed: ")).collect();
-        return Err(PyRuntimeError::new_err(format!(
-            "{} runs failed: {}",
-            summary.failed,
-            reasons.join("; ")
-        )));
+    if !summary.failed.is_empty() {
+        let (number, failures) = (summary.failed.len(), summary.failed.join("; "));
+        return Err(PyRuntimeError::new_err(format!("{number} runs failed: {failures}")));
     }
     Ok((summary.done, summary.skipped))
 }
@@ -65,20 +58,7 @@ pub fn run(
 /// Draws progress as the command line does, or nothing, and passes on a wish to stop.
 struct Listener<'a> {
     shown: Box<dyn Progress + 'a>,
-    everyone: &'a Everyone,
-}
-
-/// What all jobs have in common.
-#[derive(Default)]
-struct Everyone {
-    said: Mutex<Vec<String>>,
-    cancelled: AtomicBool,
-}
-
-impl Everyone {
-    fn said(&self) -> MutexGuard<'_, Vec<String>> {
-        self.said.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+    cancelled: &'a AtomicBool,
 }
 
 impl Progress for Listener<'_> {
@@ -92,17 +72,16 @@ impl Progress for Listener<'_> {
         self.shown.note(text);
     }
     fn say(&self, text: &str) {
-        self.everyone.said().push(text.to_owned());
         self.shown.say(text);
     }
     fn end(&self) {
         self.shown.end();
     }
     fn job(&self, name: &str) -> Option<Box<dyn Progress + '_>> {
-        Some(Box::new(Listener { shown: self.shown.job(name)?, everyone: self.everyone }))
+        Some(Box::new(Listener { shown: self.shown.job(name)?, cancelled: self.cancelled }))
     }
     fn cancelled(&self) -> bool {
-        self.everyone.cancelled.load(Ordering::Relaxed)
+        self.cancelled.load(Ordering::Relaxed)
     }
 }
 

@@ -103,6 +103,32 @@ def test_a_model_predicts_what_the_run_recorded_of_its_test_samples(results: Pat
     assert error == pytest.approx(metric.item(), rel=1e-4)
 
 
+def test_a_model_reconstructs_what_the_run_recorded_of_its_test_samples(results: Path, folders: dict[str, Path]) -> None:
+    model, data = harness.load_model("cluttered-z4", results), harness.Dataset(folders["cluttered"])
+    episode = data.episode(3)
+    mean, _ = model.encode({name: episode[name] for name in model.input})
+    reconstructed = model.reconstruct(mean)
+    assert {name: values.shape[1:] for name, values in reconstructed.items()} == {
+        "proprioception": (20,),
+        "vision": (64, 64, 3),
+    }
+    recorded = harness.query(
+        "select sample, index, predicted from predictions where task = 'reconstruction' "
+        f"and modality = 'proprioception' and run = '{model.run}' and sample is not null",
+        results,
+    )
+    assert recorded.height > 0
+    for sample, index, value in recorded.iter_rows():
+        assert reconstructed["proprioception"][sample, index] == pytest.approx(value, rel=1e-4, abs=1e-4)
+
+
+def test_a_run_without_a_reconstruction_says_so(tmp_path: Path) -> None:
+    harness.run(SMOKE, {"scenarios": ["empty"], "tasks": ["prediction"]}, results=tmp_path, progress=False)
+    model = harness.load_model("smoke", tmp_path)
+    with pytest.raises(RuntimeError, match="no reconstruction.*prediction"):
+        model.reconstruct(np.zeros((1, model.latent), np.float32))
+
+
 def test_a_posterior_does_not_depend_on_the_batch_or_the_form_of_frames(
     results: Path, folders: dict[str, Path]
 ) -> None:
@@ -186,6 +212,8 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         "nothing": lambda: model.encode({}),
         "action": lambda: model.predict(observation, action[:, :2].copy()),
         "action type": lambda: model.predict(observation, action.astype(np.float64)),
+        "latent": lambda: model.reconstruct(np.zeros((3, 5), np.float32)),
+        "no latent": lambda: model.reconstruct(np.zeros((0, 4), np.float32)),
     }[name]()
 
 
@@ -213,6 +241,8 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         ("nothing", KeyError, "proprioception, vision"),
         ("action", ValueError, "action"),
         ("action type", TypeError, "action"),
+        ("latent", ValueError, r"latent.*\[3, 5\].*\[3, 4\]"),
+        ("no latent", ValueError, "latent has no samples"),
     ],
 )
 def test_a_wrong_call_raises_what_fits_and_names_what_is_wrong(

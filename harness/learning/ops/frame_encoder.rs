@@ -3,7 +3,7 @@
 //! The frames are data, so no gradient is computed for them, and the activations of the convolution never pass
 //! through candle's gradient store.
 
-use super::{hand_over, is_trained, slice, tensor, threads, with_values};
+use super::{Dropout, hand_over, is_trained, slice, tensor, threads, with_values};
 use crate::dataset::frames::Frames;
 use crate::learning::kernels::convolution::{Coarse, Convolution, Fine, KernelSums};
 use crate::learning::kernels::product::{Into, Matrix, product};
@@ -16,13 +16,15 @@ use std::sync::{Arc, OnceLock};
 /// `relu(conv(frames))`, flattened channel by channel, times `hiddenᵀ`; result `[batch, hidden]`.
 ///
 /// `kernel` `[channels, frame channels, 4, 4]` and `bias` `[channels]` make the convolution (stride 2, padding
-/// 1); `hidden` is `[hidden, channels * (side / 2)²]`, a variable or detached, and its product has `precision`.
+/// 1); `hidden` is `[hidden, channels * (side / 2)²]`, a variable or detached, and its product has `precision`. With
+/// `dropout`, that leaves values out before the product.
 pub fn frame_encoder(
     frames: Arc<dyn Frames>,
     kernel: &Tensor,
     bias: &Tensor,
     hidden: &Tensor,
     precision: Precision,
+    dropout: Option<Dropout>,
 ) -> Result<Tensor> {
     let (channels, device) = (kernel.dim(0)?, kernel.device());
     if device.is_cpu() {
@@ -34,6 +36,7 @@ pub fn frame_encoder(
             hidden: hidden.clone(),
             trained: is_trained(hidden)?,
             precision,
+            dropout,
             active: OnceLock::new(),
         };
         return kernel.apply_op2(bias, op);
@@ -41,7 +44,14 @@ pub fn frame_encoder(
     let frames = frames.tensor(device)?;
     let active =
         frames.conv2d(kernel, 1, 2, 1, 1)?.broadcast_add(&bias.reshape((1, channels, 1, 1))?)?.relu()?;
-    active.flatten_from(1)?.matmul(&hidden.t()?)
+    let mut active = active.flatten_from(1)?;
+    if let Some(dropout) = dropout {
+        let (batch, len) = active.dims2()?;
+        let mut mask = vec![1.0; batch * len];
+        mask.chunks_exact_mut(len).enumerate().for_each(|(image, mask)| dropout.apply(image, mask));
+        active = (active * tensor(mask, (batch, len))?.to_device(device)?)?;
+    }
+    active.matmul(&hidden.t()?)
 }
 
 struct FrameEncoder {
@@ -50,7 +60,8 @@ struct FrameEncoder {
     hidden: Tensor,
     trained: bool,
     precision: Precision,
-    /// `relu(conv(frames))` `[batch, channels * positions]`, kept for the gradients.
+    dropout: Option<Dropout>,
+    /// `relu(conv(frames))` `[batch, channels * positions]`, without what is left out; kept for the gradients.
     active: OnceLock<Buffer>,
 }
 
@@ -66,10 +77,14 @@ impl FrameEncoder {
         active.par_chunks_mut(part * sizes.coarse_len()).enumerate().for_each(|(part_index, active)| {
             let (mut frame, mut fine) = (kernels::scratch(sizes.fine_len()), Fine::new(sizes));
             for (index, active) in active.chunks_exact_mut(sizes.coarse_len()).enumerate() {
-                self.frames.write(part_index * part + index, &mut frame);
+                let image = part_index * part + index;
+                self.frames.write(image, &mut frame);
                 fine.set(&frame);
                 sizes.convolve(&fine, kernel, active);
                 activate(active, bias);
+                if let Some(dropout) = self.dropout {
+                    dropout.apply(image, active);
+                }
             }
         });
         active
@@ -99,10 +114,13 @@ impl FrameEncoder {
                 (kernel.total(), bias)
             });
         let (kernel, bias): (Vec<_>, Vec<_>) = sums.collect::<Vec<_>>().into_iter().unzip();
-        (
-            kernels::sum_in_order(kernel, sizes.kernel_len()),
-            kernels::sum_in_order(bias, sizes.coarse_channels),
-        )
+        let mut kernel = kernels::sum_in_order(kernel, sizes.kernel_len());
+        let mut bias = kernels::sum_in_order(bias, sizes.coarse_channels);
+        if let Some(dropout) = self.dropout {
+            // What was left out is zero like what the ReLU cut, and passes no gradient; the rest was raised.
+            kernel.iter_mut().chain(&mut bias).for_each(|grad| *grad *= dropout.scale());
+        }
+        (kernel, bias)
     }
 }
 

@@ -8,6 +8,7 @@
 //! the gradients of large weights directly; [`backward`] brings them together with candle's own.
 
 mod adam;
+mod dropout;
 mod frame_encoder;
 mod frame_loss;
 mod linear;
@@ -16,6 +17,7 @@ mod squared_errors;
 mod two_layers;
 
 pub use adam::Adam;
+pub use dropout::Dropout;
 pub use frame_encoder::frame_encoder;
 pub use frame_loss::{FrameDecoder, frame_decoder, frame_loss};
 pub use linear::linear;
