@@ -4,7 +4,7 @@
 QUICK = --quick
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test python soak lint bench interchange
+.PHONY: help setup run test python soak lint bench interchange notebooks
 
 help: ## show this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 8
@@ -45,3 +45,9 @@ interchange: ## open exported data with LeRobot and Rerun, and import it again (
 	cargo build --bin harness
 	.venv-interchange/bin/python -m pip install --quiet --no-deps .
 	.venv-interchange/bin/python -m pytest tests/interchange
+
+notebooks: ## run the notebooks from top to bottom, in place (minutes; 5 GB of packages, once)
+	@setup/setup.sh --notebooks
+	.venv-notebooks/bin/python -m pip install --quiet --disable-pip-version-check --no-deps .
+	.venv-notebooks/bin/python -m nbconvert --to notebook --execute --inplace --ExecutePreprocessor.record_timing=False \
+		python/notebooks/*.ipynb
