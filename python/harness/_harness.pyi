@@ -46,6 +46,12 @@ class Dataset:
     def keys(self) -> list[str]:
         """What the dataset holds; an imported one may lack some."""
 
+    def simulation(self, count: int = 1) -> SimulationBatch:
+        """Simulations of the same scenario with the dataset's own settings, in which its episodes can be followed.
+
+        Raises ValueError where the dataset was imported.
+        """
+
     @property
     def name(self) -> str:
         """The folder's name: the scenario, or an imported dataset's own name, and a hash of what decides the content."""
@@ -123,15 +129,13 @@ class SimulationBatch:
     """`count` simulations of a scenario (`empty`, `cluttered`), independent of each other and stepped in parallel.
 
     Each is at a sample of an episode. What it senses is what a dataset records: `follow` goes through a dataset's episode
-    bit by bit. The simulation's settings are a spec's where one is given, with `overrides` as `key=value`.
+    bit by bit, where the settings are the dataset's: a spec's where one is given, or by `Dataset.simulation`.
 
     A call while another thread's is at work, or in a forked process, raises RuntimeError. A simulation that diverges
     raises RuntimeError too, until it is reset.
     """
 
-    def __new__(
-        cls, scenario: str, count: int = 1, spec: str | Path | None = None, overrides: list[str] = ...
-    ) -> SimulationBatch: ...
+    def __new__(cls, scenario: str, count: int = 1, spec: str | Path | None = None) -> SimulationBatch: ...
     def reset(self, index: int, seed: int, episode: int) -> None:
         """Takes a simulation to the start of the episode of that index in the dataset of that seed."""
 

@@ -119,6 +119,7 @@ class Episodes:
         goal = (np.array(self.task.goal_low), np.array(self.task.goal_high), self.goals.shape[1:], np.float32)
         return {**{modality: known[modality] for modality in self.modalities}, "goal": goal}
 
+
 def one_action(action: NDArray[Any]) -> NDArray[np.float64]:
     """An action as that of a batch of one. Raises ValueError where it is not three finite numbers."""
     values = np.asarray(action, dtype=np.float64)

@@ -2,10 +2,11 @@
 
 use crate::array::{array, pixels_last, view};
 use crate::errors::Raise;
+use crate::simulation::SimulationBatch;
 use crate::work::interruptible;
 use harness::dataset::{self, DatasetError, Imported, Samples};
 use harness::spec::{ARM_JOINTS, FRAME_CHANNELS, FRAME_SIDE, Modality, Origin};
-use pyo3::exceptions::{PyFileNotFoundError, PyKeyError};
+use pyo3::exceptions::{PyFileNotFoundError, PyKeyError, PyValueError};
 use pyo3::prelude::*;
 use std::path::{Path, PathBuf};
 
@@ -107,6 +108,18 @@ impl Dataset {
         let episodes = self.samples.episodes();
         let bounds = episodes.iter().flat_map(|range| [range.start as i64, range.end as i64]);
         array(py, bounds.collect(), &[episodes.len(), 2])
+    }
+
+    #[pyo3(signature = (count=1))]
+    fn simulation(&self, py: Python, count: usize) -> PyResult<SimulationBatch> {
+        match &self.described {
+            Described::Simulated(dataset) => {
+                SimulationBatch::start(py, dataset.scenario(), dataset.spec().clone(), count)
+            }
+            Described::Imported(dataset) => {
+                Err(PyValueError::new_err(format!("{} was imported, not simulated", dataset.name())))
+            }
+        }
     }
 
     fn keys(&self) -> Vec<&'static str> {

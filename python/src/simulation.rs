@@ -42,6 +42,17 @@ impl Work {
 }
 
 impl SimulationBatch {
+    /// `count` simulations with these settings.
+    pub fn start(py: Python, scenario: Scenario, spec: Simulation, count: usize) -> PyResult<Self> {
+        let batch = py.detach(|| Batch::new(scenario, &spec, count)).map_err(Raise::raise)?;
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let threads =
+            (count > 1).then(|| rayon::ThreadPoolBuilder::new().num_threads(cores.min(count)).build());
+        let threads = threads.transpose().map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
+        let work = Mutex::new(Work { batch, threads });
+        Ok(Self { work, spec, scenario, count, process: std::process::id() })
+    }
+
     fn lock(&self) -> PyResult<MutexGuard<'_, Work>> {
         belongs_here(self.process, "these simulations")?;
         self.work.try_lock().map_err(|error| {
@@ -93,27 +104,14 @@ pub fn scenario(name: &str) -> PyResult<Scenario> {
 #[pymethods]
 impl SimulationBatch {
     #[new]
-    #[pyo3(signature = (scenario, count=1, spec=None, overrides=vec![]))]
-    fn new(
-        py: Python,
-        scenario: &str,
-        count: usize,
-        spec: Option<PathBuf>,
-        overrides: Vec<String>,
-    ) -> PyResult<Self> {
+    #[pyo3(signature = (scenario, count=1, spec=None))]
+    fn new(py: Python, scenario: &str, count: usize, spec: Option<PathBuf>) -> PyResult<Self> {
         let scenario = self::scenario(scenario)?;
-        let spec = match spec {
-            Some(path) => spec::load(&path, &overrides, false).map_err(Raise::raise)?.simulation,
-            None if overrides.is_empty() => Simulation::default(),
-            None => return Err(PyValueError::new_err("overrides: they need a spec that they change")),
+        let settings = match spec {
+            Some(path) => spec::load(&path, &[], false).map_err(Raise::raise)?.simulation,
+            None => Simulation::default(),
         };
-        let batch = py.detach(|| Batch::new(scenario, &spec, count)).map_err(Raise::raise)?;
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let threads =
-            (count > 1).then(|| rayon::ThreadPoolBuilder::new().num_threads(cores.min(count)).build());
-        let threads = threads.transpose().map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
-        let work = Mutex::new(Work { batch, threads });
-        Ok(Self { work, spec, scenario, count, process: std::process::id() })
+        Self::start(py, scenario, settings, count)
     }
 
     fn reset(&self, py: Python, index: usize, seed: u64, episode: u32) -> PyResult<()> {
