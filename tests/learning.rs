@@ -308,6 +308,14 @@ fn own_ops_agree_with_candles_operations() {
     let active = convolved.broadcast_add(&bias.reshape((1, 4, 1, 1)).unwrap()).unwrap().relu().unwrap();
     let expected = active.flatten_from(1).unwrap().matmul(&hidden.t().unwrap()).unwrap();
     assert_close(&found, &expected, 1e-5, "the frame encoder");
+    let dropout = Dropout::new(0.4, 9);
+    let found =
+        frame_encoder(dense(&frames), &kernel, &bias, &hidden, Precision::F32, Some(dropout)).unwrap();
+    let mut mask = vec![1.0f32; 3 * 4 * 64];
+    mask.chunks_exact_mut(4 * 64).enumerate().for_each(|(image, mask)| dropout.apply(image, mask));
+    let mask = Tensor::from_vec(mask, (3, 4 * 64), &Device::Cpu).unwrap();
+    let expected = (active.flatten_from(1).unwrap() * mask).unwrap().matmul(&hidden.t().unwrap()).unwrap();
+    assert_close(&found, &expected, 1e-5, "the frame encoder with dropout");
 
     let (hidden, weight) = (normal(&mut random, &[3, 5]), normal(&mut random, &[4 * 64, 5]));
     let (weight_bias, bias) = (normal(&mut random, &[4 * 64]), normal(&mut random, &[3]));

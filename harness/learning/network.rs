@@ -190,11 +190,15 @@ impl Encoder {
 
     /// The posterior of a batch.
     pub fn encode(&self, observation: &Observation) -> Result<Posterior> {
-        self.encode_without(observation, None)
+        self.encode_with_dropout(observation, None)
     }
 
     /// The posterior of a batch, where `dropout` leaves out some of what the convolution makes of the frames.
-    pub fn encode_without(&self, observation: &Observation, dropout: Option<Dropout>) -> Result<Posterior> {
+    pub fn encode_with_dropout(
+        &self,
+        observation: &Observation,
+        dropout: Option<Dropout>,
+    ) -> Result<Posterior> {
         let vector = observation.vector.as_ref().zip(self.hidden_vector.as_ref());
         let frames =
             observation.frames.as_ref().zip(self.convolution.as_ref()).zip(self.hidden_frame.as_ref());

@@ -85,7 +85,7 @@ impl Objective for Prediction<'_> {
         let (posterior, latent) = match draw {
             Draw::Sample(random) => {
                 let dropout = (self.dropout > 0.0).then(|| Dropout::new(self.dropout, random.seed()));
-                let posterior = self.encoder.encode_without(&observation, dropout)?;
+                let posterior = self.encoder.encode_with_dropout(&observation, dropout)?;
                 let shape = (at.len(), self.encoder.latent()?);
                 let noise = Tensor::from_vec(random.normal(shape.0 * shape.1), shape, &Device::Cpu)?;
                 let latent = posterior.sample(&noise.to_device(&self.view.device)?)?;
