@@ -80,22 +80,20 @@ pub struct Prediction<'a> {
 }
 
 impl Objective for Prediction<'_> {
-    fn terms(&self, at: &[usize], draw: Draw) -> Result<Vec<Weighted>> {
+    fn terms(&self, at: &[usize], mut draw: Draw) -> Result<Vec<Weighted>> {
+        let dropout = match &mut draw {
+            Draw::Sample(random) if self.dropout > 0.0 => Some(Dropout::new(self.dropout, random.seed())),
+            _ => None,
+        };
         let observation = self.view.observation(at, self.input)?;
-        let (posterior, latent) = match draw {
+        let posterior = self.encoder.encode_with_dropout(&observation, dropout)?;
+        let latent = match draw {
             Draw::Sample(random) => {
-                let dropout = (self.dropout > 0.0).then(|| Dropout::new(self.dropout, random.seed()));
-                let posterior = self.encoder.encode_with_dropout(&observation, dropout)?;
                 let shape = (at.len(), self.encoder.latent()?);
                 let noise = Tensor::from_vec(random.normal(shape.0 * shape.1), shape, &Device::Cpu)?;
-                let latent = posterior.sample(&noise.to_device(&self.view.device)?)?;
-                (posterior, latent)
+                posterior.sample(&noise.to_device(&self.view.device)?)?
             }
-            Draw::Mean => {
-                let posterior = self.encoder.encode(&observation)?;
-                let latent = posterior.mean()?;
-                (posterior, latent)
-            }
+            Draw::Mean => posterior.mean()?,
         };
         let next: Vec<usize> = at.iter().map(|sample| sample + 1).collect();
         let targets = self.view.targets(&next, self.output)?;
