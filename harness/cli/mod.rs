@@ -119,8 +119,9 @@ stands half of the 95 % interval of the mean over seeds (Student's t). LaTeX nee
   harness figures --results results/reference
   harness publish my_experiment --to paper/results
 
-Kept are records, specs, all epochs and metrics; of single samples, what the figures show: the last two joints and
-links, and the pictures, of each cell's lowest seed, and none of what varies. Networks stay behind.")]
+Kept are records, specs, all epochs and metrics. Of single samples, what the figures show is
+kept: the last two joints and links, and the pictures, of each cell's lowest seed; of sweeps,
+none. Networks stay behind.")]
     Publish(publish::Publish),
     /// Check that everything in the results folder is as it was written
     #[command(after_help = "Examples:
