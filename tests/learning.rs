@@ -2,6 +2,7 @@
 //! training: deterministic, resumable, stopped early.
 
 use candle_core::{Device, Result, Tensor, Var};
+use candle_nn::{AdamW, Optimizer, ParamsAdamW};
 use harness::dataset::frames::{DenseFrames, Frames};
 use harness::dataset::{Partition, Samples, Standard};
 use harness::learning::kernels;
@@ -15,12 +16,14 @@ use harness::learning::ops::{
 };
 use harness::learning::random::{Random, Stream};
 use harness::learning::state::StateFile;
-use harness::learning::training::{Epoch, Fit, TOTAL};
+use harness::learning::training::{Epoch, Fit, TOTAL, learning_rate};
 use harness::learning::{LearningError, checkpoint};
 use harness::progress::Progress;
 use harness::simulation::Episode;
-use harness::spec::{ARM_JOINTS, Action, FRAME_LEN, JOINTS, Modality, Precision, Split, Task, Training};
-use std::cell::RefCell;
+use harness::spec::{
+    ARM_JOINTS, Action, FRAME_LEN, JOINTS, Modality, Precision, Schedule, Split, Stop, Task, Training,
+};
+use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 use std::sync::Arc;
@@ -358,6 +361,113 @@ fn adam_takes_the_steps_of_its_algorithm() {
     }
 }
 
+#[test]
+fn reference_adam_with_weight_decay_takes_the_steps_of_candles_adamw() {
+    let mut random = random(0);
+    // More values than one thread takes at a time.
+    let (weight, bias) = (variable(&mut random, &[300, 250]), variable(&mut random, &[250]));
+    let copy = |var: &Var| Var::from_tensor(&var.as_tensor().copy().unwrap()).unwrap();
+    let (theirs_weight, theirs_bias) = (copy(&weight), copy(&bias));
+    let adamw = |var: &Var, weight_decay: f64| {
+        let settings = ParamsAdamW { lr: 0.01, weight_decay, ..ParamsAdamW::default() };
+        AdamW::new(vec![var.clone()], settings).unwrap()
+    };
+    let mut theirs = [adamw(&theirs_weight, 0.5), adamw(&theirs_bias, 0.0)];
+    let mut ours = Adam::new(vec![weight.clone(), bias.clone()], 0.01).unwrap().with_weight_decay(0.5);
+    for step in 0..5 {
+        let slopes = [normal(&mut random, &[300, 250]), normal(&mut random, &[250])];
+        let gradients = |weight: &Var, bias: &Var| {
+            let product = |var: &Var, slope: &Tensor| (var.as_tensor() * slope)?.sum_all();
+            (product(weight, &slopes[0]).unwrap() + product(bias, &slopes[1]).unwrap())
+                .unwrap()
+                .backward()
+                .unwrap()
+        };
+        let learning_rate = 0.01 / f64::from(step + 1);
+        ours.set_learning_rate(learning_rate);
+        ours.step(&gradients(&weight, &bias)).unwrap();
+        for optimiser in &mut theirs {
+            optimiser.set_learning_rate(learning_rate);
+            optimiser.step(&gradients(&theirs_weight, &theirs_bias)).unwrap();
+        }
+    }
+    assert_close(&weight, &theirs_weight, 1e-6, "the weight");
+    assert_close(&bias, &theirs_bias, 1e-6, "the bias, which does not decay");
+}
+
+#[test]
+fn a_gradient_longer_than_the_norm_to_clip_to_is_scaled_down_to_it() {
+    // Two parameters, whose gradients are (3, 0) and (4, 0) times a number: together five times as long as that.
+    let step = |adam: &mut Adam, pair: &[Var; 2], times: f32| {
+        let product = |var: &Var, slope: f32| {
+            let slope = Tensor::new(&[slope * times, 0.0], &Device::Cpu)?.reshape(var.shape())?;
+            (var.as_tensor() * slope)?.sum_all()
+        };
+        let loss = (product(&pair[0], 3.0).unwrap() + product(&pair[1], 4.0).unwrap()).unwrap();
+        adam.step(&loss.backward().unwrap()).unwrap();
+    };
+    let pair = || [Var::new(&[1.0f32, 2.0], &Device::Cpu), Var::new(&[[3.0f32], [4.0]], &Device::Cpu)];
+    let [clipped, scaled, free] = [(); 3].map(|()| pair().map(Result::unwrap));
+    let adam = |pair: &[Var; 2]| Adam::new(pair.to_vec(), 0.1).unwrap();
+    let mut clipping = adam(&clipped).with_clip_norm(Some(10.0));
+    let (mut by_hand, mut unclipped) = (adam(&scaled), adam(&free));
+    // Norms 5, 50 and 1: only the second is above 10, five times.
+    for (times, after_clipping) in [(1.0, 1.0), (10.0, 2.0), (0.2, 0.2)] {
+        step(&mut clipping, &clipped, times);
+        step(&mut by_hand, &scaled, after_clipping);
+        step(&mut unclipped, &free, times);
+    }
+    for index in 0..2 {
+        assert_close(&clipped[index], &scaled[index], 1e-6, "the clipped parameter");
+        let moved = (clipped[index].as_tensor() - free[index].as_tensor()).unwrap().abs().unwrap();
+        assert!(moved.max_all().unwrap().to_scalar::<f32>().unwrap() > 1e-3, "clipping makes a difference");
+    }
+}
+
+#[test]
+fn a_sum_of_squares_is_the_same_bits_at_any_number_of_threads() {
+    let values = random(3).normal(1_000_003);
+    let expected: f64 = values.iter().map(|value| f64::from(*value).powi(2)).sum();
+    let with_threads = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| kernels::adam::sum_of_squares(&values))
+    };
+    assert!((with_threads(1) - expected).abs() < 1e-9 * expected);
+    assert_eq!(with_threads(1).to_bits(), with_threads(3).to_bits());
+}
+
+#[test]
+fn a_learning_rate_rises_over_the_warm_up_and_falls_to_nothing_over_the_rest() {
+    let cosine = Training {
+        learning_rate: 0.2,
+        epochs: 5,
+        warmup_epochs: 1.0,
+        schedule: Schedule::Cosine,
+        ..Training::default()
+    };
+    // Five epochs of ten steps: ten of warm-up, then forty of half a cosine, worked by hand.
+    let expected = [
+        (0, 0.02),
+        (4, 0.1),
+        (9, 0.2),
+        (10, 0.2),
+        (20, 0.1 + 0.1 * 0.5f64.sqrt()),
+        (30, 0.1),
+        (40, 0.1 - 0.1 * 0.5f64.sqrt()),
+    ];
+    for (step, expected) in expected {
+        let found = learning_rate(&cosine, 10, step);
+        assert!((found - expected).abs() < 1e-12, "step {step}: {found} instead of {expected}");
+    }
+    let last = learning_rate(&cosine, 10, 49);
+    assert!(last > 0.0 && last < 0.001, "{last}");
+    let constant = Training { schedule: Schedule::Constant, warmup_epochs: 0.25, ..cosine };
+    let rates: Vec<f64> = (0..4).map(|step| learning_rate(&constant, 10, step)).collect();
+    assert_eq!(rates, [0.2 * (1.0 / 2.5), 0.2 * (2.0 / 2.5), 0.2, 0.2]);
+    let default = Training { warmup_epochs: 0.0, ..constant };
+    assert_eq!(learning_rate(&default, 10, 0), 0.2);
+}
+
 /// What tests/fixtures/twin.py wrote: the same network in PyTorch.
 struct Twin {
     tensors: HashMap<String, Tensor>,
@@ -553,6 +663,20 @@ impl Bench {
         Self { view, partition, training, weights: BTreeMap::from([(Modality::ContactForce, 2.0)]) }
     }
 
+    /// With every setting that changes a step.
+    fn with_schedule() -> Self {
+        let mut bench = Self::new();
+        bench.training = Training {
+            schedule: Schedule::Cosine,
+            warmup_epochs: 1.5,
+            weight_decay: 1.0,
+            clip_norm: Some(0.5),
+            dropout: 0.2,
+            ..bench.training
+        };
+        bench
+    }
+
     /// Trains from scratch, or from `state` on, and returns the epochs and the parameters.
     fn train(
         &self,
@@ -604,16 +728,34 @@ fn losses(epochs: &[Epoch]) -> Vec<u64> {
 
 #[test]
 fn a_training_depends_on_its_seed_alone() {
+    for bench in [Bench::new(), Bench::with_schedule()] {
+        let with_threads = |threads: usize, seed: u64| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let (epochs, parameters) = pool.install(|| bench.train_undisturbed(seed));
+            (losses(&epochs), bits(&parameters))
+        };
+        let once = with_threads(1, 7);
+        assert!(once == with_threads(1, 7), "the same again");
+        assert!(once == with_threads(3, 7), "on three threads");
+        assert!(once != with_threads(1, 8), "another seed");
+    }
+}
+
+#[test]
+fn schedule_warm_up_decay_and_clipping_each_change_a_training() {
     let bench = Bench::new();
-    let with_threads = |threads: usize, seed: u64| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let (epochs, parameters) = pool.install(|| bench.train_undisturbed(seed));
-        (losses(&epochs), bits(&parameters))
-    };
-    let once = with_threads(1, 7);
-    assert!(once == with_threads(1, 7), "the same again");
-    assert!(once == with_threads(3, 7), "on three threads");
-    assert!(once != with_threads(1, 8), "another seed");
+    let plain = bench.training.clone();
+    let changes: [(&str, Training); 4] = [
+        ("schedule", Training { schedule: Schedule::Cosine, ..plain.clone() }),
+        ("warm-up", Training { warmup_epochs: 1.0, ..plain.clone() }),
+        ("weight decay", Training { weight_decay: 1.0, ..plain.clone() }),
+        ("clipping", Training { clip_norm: Some(0.1), ..plain }),
+    ];
+    let (_, unchanged) = bench.train_undisturbed(7);
+    for (what, training) in changes {
+        let (_, changed) = Bench { training, ..Bench::new() }.train_undisturbed(7);
+        assert!(bits(&changed) != bits(&unchanged), "{what}");
+    }
 }
 
 /// Cancels after so many steps are asked for.
@@ -695,19 +837,20 @@ fn every_epoch_visits_every_transition_once_in_an_order_of_its_own() {
 
 #[test]
 fn an_interrupted_training_ends_as_an_undisturbed_one() {
-    let bench = Bench::new();
-    let (epochs, parameters) = bench.train_undisturbed(7);
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("state.safetensors");
-    let state = || StateFile::at(path.clone()).every(Duration::ZERO);
-    let steps_per_epoch = bench.partition.training.len().div_ceil(bench.training.batch_size);
-    // In the middle of the second epoch, so that part of it is lost.
-    let stopped = bench.train(7, &state(), &Impatient(AtomicUsize::new(steps_per_epoch + 1)));
-    assert!(matches!(stopped, Err(LearningError::Cancelled)));
-    assert!(path.exists(), "the first epoch was saved");
-    let (resumed_epochs, resumed) = bench.train(7, &state(), &harness::progress::Silent).unwrap();
-    assert_eq!(losses(&epochs), losses(&resumed_epochs));
-    assert!(bits(&parameters) == bits(&resumed));
+    for bench in [Bench::new(), Bench::with_schedule()] {
+        let (epochs, parameters) = bench.train_undisturbed(7);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("state.safetensors");
+        let state = || StateFile::at(path.clone()).every(Duration::ZERO);
+        let steps_per_epoch = bench.partition.training.len().div_ceil(bench.training.batch_size);
+        // In the middle of the second epoch, so that part of it is lost.
+        let stopped = bench.train(7, &state(), &Impatient(AtomicUsize::new(steps_per_epoch + 1)));
+        assert!(matches!(stopped, Err(LearningError::Cancelled)));
+        assert!(path.exists(), "the first epoch was saved");
+        let (resumed_epochs, resumed) = bench.train(7, &state(), &harness::progress::Silent).unwrap();
+        assert_eq!(losses(&epochs), losses(&resumed_epochs));
+        assert!(bits(&parameters) == bits(&resumed));
+    }
 }
 
 /// Keeps what it is told.
@@ -783,6 +926,77 @@ fn early_stopping_keeps_the_best_epoch() {
     let shorter = Training { epochs: best, patience: None, ..bench.training.clone() };
     let (_, best_parameters) = Bench { training: shorter, ..bench }.train_undisturbed(7);
     assert!(bits(&parameters) == bits(&best_parameters));
+}
+
+/// Has the validation errors that it was given, an epoch each, and a divergence that falls for ever.
+struct Scripted {
+    parameter: Tensor,
+    /// Proprioception and contact force.
+    errors: Vec<[f32; 2]>,
+    epoch: Cell<usize>,
+    /// The parameter after each epoch.
+    reached: RefCell<Vec<f32>>,
+}
+
+impl Objective for Scripted {
+    fn terms(&self, _: &[usize], draw: Draw) -> Result<Vec<Weighted>> {
+        let term = |name: &str, weight: f64, value: f32| -> Result<Weighted> {
+            // The parameter always goes the same way, and changes no value.
+            let falling = (&self.parameter - self.parameter.detach())?;
+            Ok(Weighted { name: name.into(), weight, value: (falling + f64::from(value))? })
+        };
+        let epoch = self.epoch.get();
+        if matches!(draw, Draw::Mean) {
+            self.reached.borrow_mut().push(self.parameter.to_scalar()?);
+            self.epoch.set(epoch + 1);
+        }
+        let [angles, forces] = self.errors[epoch];
+        Ok(vec![
+            term("proprioception", 1.0, angles)?,
+            term("contact_force", 1.0, forces)?,
+            term("kl", 1e-3, -(epoch as f32))?,
+        ])
+    }
+
+    fn detached(&self) -> Box<dyn Objective + '_> {
+        Box::new(self)
+    }
+}
+
+impl Objective for &Scripted {
+    fn terms(&self, at: &[usize], draw: Draw) -> Result<Vec<Weighted>> {
+        (*self).terms(at, draw)
+    }
+
+    fn detached(&self) -> Box<dyn Objective + '_> {
+        (*self).detached()
+    }
+}
+
+#[test]
+fn patience_counts_from_the_best_total_or_from_the_last_term_that_improved() {
+    let errors = [[1.0, 1.0], [0.5, 1.1], [0.4, 1.1], [0.7, 0.9], [0.6, 0.95], [0.6, 1.0], [0.6, 1.0]];
+    let epochs = |stop: Stop| {
+        let parameter = Var::new(1.0f32, &Device::Cpu).unwrap();
+        let scripted = Scripted {
+            parameter: parameter.as_tensor().clone(),
+            errors: errors.to_vec(),
+            epoch: Cell::default(),
+            reached: RefCell::default(),
+        };
+        let parameters = Parameters::from([("parameter".to_owned(), parameter.clone())]);
+        let partition = Partition { training: vec![0], validation: vec![1], test: vec![2] };
+        let training = Training { epochs: 7, patience: Some(2), stop, ..Training::default() };
+        let (state, progress) = (StateFile::none(), &harness::progress::Silent);
+        let task = Task::Prediction;
+        let fit = Fit { task, training: &training, seed: 0, partition: &partition, state: &state, progress };
+        let done = fit.run(&scripted, &parameters).unwrap().len();
+        let kept = parameter.to_scalar::<f32>().unwrap();
+        assert_eq!(kept, scripted.reached.borrow()[2], "the parameters of the third epoch, the best total");
+        done
+    };
+    assert_eq!(epochs(Stop::Total), 3 + 2);
+    assert_eq!(epochs(Stop::EveryTerm), 4 + 2, "the fourth epoch has the best force");
 }
 
 #[test]

@@ -2,8 +2,8 @@
 //! the same.
 
 use harness::spec::{
-    self, Action, Architecture, Experiment, Modality, Network, Origin, Scenario, Simulation, Split,
-    SplitCounts, Task, Training,
+    self, Action, Architecture, Experiment, Modality, Network, Origin, Scenario, Schedule, Simulation, Split,
+    SplitCounts, Stop, Task, Training,
 };
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
@@ -152,7 +152,8 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         (
             "training:\n  bacth_size: 5\n",
             "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
-             learning_rate, batch_size, epochs, patience, kl_weight, loss_weights, dropout, precision, device",
+             learning_rate, schedule, warmup_epochs, weight_decay, clip_norm, batch_size, epochs, patience, stop, \
+             kl_weight, loss_weights, dropout, precision, device",
         ),
         (
             "split: {holdout: 0.1}\n",
@@ -386,6 +387,15 @@ fn rules_that_tie_settings_together_are_checked() {
         (
             "tasks: [reconstruction, prediction]\n",
             "spec.yaml:7:9: reconstruction uses the encoder that prediction trains; put prediction before it",
+        ),
+        (
+            "training: {epochs: 5, warmup_epochs: 5.5}\n",
+            "spec.yaml:7:38: 5.5 epochs of warm-up don't fit into training.epochs, 5; use fewer",
+        ),
+        (
+            "training: {learning_rate: 0.01, weight_decay: 101}\n",
+            "spec.yaml:7:47: a step takes learning_rate times weight_decay of each weight away, here more than all \
+             of it; use 100 at most",
         ),
         (
             "training: {device: cuda, precision: bf16}\n",
@@ -672,8 +682,9 @@ fn each_combination_of_what_varies_must_be_possible() {
         (
             "vary:\n  simulation.seed: [0, 1]\n",
             "spec.yaml:8:3: unknown key 'simulation.seed' in 'vary'. Allowed: input, output, tasks, action, \
-             network.architecture, network.hidden, network.channels, training.learning_rate, training.batch_size, \
-             training.epochs, training.patience, training.kl_weight, training.loss_weights.proprioception, \
+             network.architecture, network.hidden, network.channels, training.learning_rate, training.schedule, \
+             training.warmup_epochs, training.weight_decay, training.clip_norm, training.batch_size, \
+             training.epochs, training.patience, training.stop, training.kl_weight, training.loss_weights.proprioception, \
              training.loss_weights.arm, training.loss_weights.contact_force, \
              training.loss_weights.contact_force_mean, training.loss_weights.vision, \
              training.loss_weights.frame_difference, training.dropout, training.precision, training.device",
@@ -757,6 +768,19 @@ fn the_hash_is_stable() {
 }
 
 #[test]
+fn settings_that_came_later_change_the_hash_only_where_they_are_set() {
+    let with = |training: &str| first_hash(&format!("{BASE}training: {{{training}}}\n"));
+    let defaults =
+        "schedule: constant, warmup_epochs: 0, weight_decay: 0, clip_norm: null, stop: total, dropout: 0";
+    assert_eq!(with(defaults), first_hash(BASE));
+    let set =
+        ["schedule: cosine", "warmup_epochs: 1", "weight_decay: 0.1", "clip_norm: 1", "stop: every_term"];
+    for setting in set {
+        assert_ne!(with(setting), first_hash(BASE), "{setting}");
+    }
+}
+
+#[test]
 fn a_run_survives_json() {
     let run = load(BASE).runs().remove(0);
     let json = serde_json::to_string(&run).unwrap();
@@ -815,9 +839,14 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
         split: Split { validation: random.random_range(0.01..0.3), test: random.random_range(0.01..0.3) },
         training: Training {
             learning_rate: 10f64.powf(random.random_range(-12.0..0.0)),
+            schedule: *Schedule::ALL.choose(random).unwrap(),
+            warmup_epochs: *[0.0, 0.5, 1.0].choose(random).unwrap(),
+            weight_decay: *[0.0, 0.01, 1.0].choose(random).unwrap(),
+            clip_norm: *[None, Some(0.5), Some(10.0)].choose(random).unwrap(),
             batch_size: random.random_range(1..=4096),
             epochs: random.random_range(1..=1000),
             patience: if random.random() { Some(random.random_range(1..=100)) } else { None },
+            stop: *Stop::ALL.choose(random).unwrap(),
             kl_weight: random.random_range(0.0..1e6),
             loss_weights,
             dropout: if random.random() { 0.0 } else { random.random_range(0.0..1.0) },
@@ -879,6 +908,8 @@ fn names_are_those_of_serde() {
     check(Action::ALL);
     check(Task::ALL);
     check(Architecture::ALL);
+    check(Schedule::ALL);
+    check(Stop::ALL);
 }
 
 fn experiments() -> std::path::PathBuf {

@@ -6,6 +6,7 @@ use super::ops::Adam;
 use super::tensors::TensorFile;
 use super::training::{Epoch, TOTAL};
 use crate::progress::Progress;
+use crate::spec::Modality;
 use candle_core::{Result as CandleResult, Tensor, Var};
 use serde_json::{Map, json};
 use std::cell::{Cell, RefCell};
@@ -30,7 +31,17 @@ pub struct State {
 impl State {
     /// The epoch, counted from 1, with the lowest validation loss; 0 before the first.
     pub fn best_epoch(&self) -> usize {
-        let loss = |epoch: &&Epoch| epoch.validation.get(TOTAL).copied().unwrap_or(f64::INFINITY);
+        self.best_epoch_of(TOTAL)
+    }
+
+    /// The last epoch, counted from 1, that brought some output modality's validation error to its lowest value so far; 0
+    /// before the first.
+    pub fn last_improvement(&self) -> usize {
+        Modality::ALL.iter().map(|modality| self.best_epoch_of(modality.name())).max().unwrap_or_default()
+    }
+
+    fn best_epoch_of(&self, term: &str) -> usize {
+        let loss = |epoch: &&Epoch| epoch.validation.get(term).copied().unwrap_or(f64::INFINITY);
         self.epochs.iter().min_by(|a, b| loss(a).total_cmp(&loss(b))).map_or(0, |epoch| epoch.epoch)
     }
 

@@ -8,10 +8,11 @@ use super::random::{Random, Stream};
 use super::state::{State, StateFile};
 use crate::dataset::Partition;
 use crate::progress::Progress;
-use crate::spec::{Task, Training};
+use crate::spec::{Schedule, Stop, Task, Training};
 use candle_core::{Result as CandleResult, Tensor};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::f64::consts::PI;
 use std::time::Instant;
 
 /// Mean of every term of the loss over a split, on standardised values and before weighting; `total` is the
@@ -29,6 +30,23 @@ pub struct Epoch {
     pub train: Losses,
     pub validation: Losses,
     pub seconds: f64,
+}
+
+/// The learning rate of a training's step, counted from 0 over all epochs of `epoch_steps` steps each. It depends on
+/// nothing else, so that a resumed training goes on as it would have.
+pub fn learning_rate(training: &Training, epoch_steps: usize, step: u64) -> f64 {
+    let (step, epoch_steps) = (step as f64, epoch_steps as f64);
+    let (warmup, end) = (training.warmup_epochs * epoch_steps, training.epochs as f64 * epoch_steps);
+    let share = if step < warmup {
+        // From 0 itself, the first step would change nothing.
+        ((step + 1.0) / warmup).min(1.0)
+    } else {
+        match training.schedule {
+            Schedule::Constant => 1.0,
+            Schedule::Cosine => 0.5 + 0.5 * (PI * (step - warmup) / (end - warmup)).cos(),
+        }
+    };
+    training.learning_rate * share
 }
 
 /// A training to its end.
@@ -53,7 +71,9 @@ impl Fit<'_> {
         objective: &dyn Objective,
         parameters: &Parameters,
     ) -> Result<Vec<Epoch>, LearningError> {
-        let mut adam = Adam::new(parameters.values().cloned().collect(), self.training.learning_rate)?;
+        let mut adam = Adam::new(parameters.values().cloned().collect(), self.training.learning_rate)?
+            .with_weight_decay(self.training.weight_decay)
+            .with_clip_norm(self.training.clip_norm);
         let mut state = self.state.resume(parameters, &mut adam, self.progress)?.unwrap_or_default();
         let stage = match self.task {
             Task::Prediction => "prediction",
@@ -85,8 +105,12 @@ impl Fit<'_> {
 
     fn finished(&self, state: &State) -> bool {
         let done = state.epochs.len();
+        let improved = match self.training.stop {
+            Stop::Total => state.best_epoch(),
+            Stop::EveryTerm => state.last_improvement(),
+        };
         done >= self.training.epochs
-            || self.training.patience.is_some_and(|patience| done >= state.best_epoch() + patience)
+            || self.training.patience.is_some_and(|patience| done >= improved + patience)
     }
 
     fn epoch(
@@ -100,6 +124,7 @@ impl Fit<'_> {
         let mut order = self.partition.training.clone();
         random.shuffle(&mut order);
         let mut train = Sums::default();
+        let epoch_steps = order.len().div_ceil(self.training.batch_size);
         for at in order.chunks(self.training.batch_size) {
             if self.progress.cancelled() {
                 return Err(LearningError::Cancelled);
@@ -107,6 +132,7 @@ impl Fit<'_> {
             let terms = objective.terms(at, Draw::Sample(&mut random))?;
             let total = total(&terms)?;
             train.add(&terms, &total, at.len())?;
+            adam.set_learning_rate(learning_rate(self.training, epoch_steps, adam.steps()));
             adam.step(&backward(&total)?)?;
         }
         let validation = self.validate(objective)?;

@@ -241,6 +241,32 @@ pub enum Device {
 }
 names!(Device { Cpu => "cpu", Cuda => "cuda" });
 
+/// How the learning rate changes over a training, after its warm-up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Schedule {
+    /// Not at all.
+    #[default]
+    Constant,
+    /// Half a cosine, from its full value down to 0 at the end of the last of `epochs` (Loshchilov & Hutter, 2017,
+    /// without restarts), also where the training stops earlier.
+    Cosine,
+}
+names!(Schedule { Constant => "constant", Cosine => "cosine" });
+
+/// Which validation loss has to improve for a training to go on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Stop {
+    /// The weighted sum of all terms.
+    #[default]
+    Total,
+    /// The error of any output modality: the training goes on as long as one of them is still being learned, whatever
+    /// the sum does.
+    EveryTerm,
+}
+names!(Stop { Total => "total", EveryTerm => "every_term" });
+
 /// One experiment: a question that a YAML file asks.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -348,21 +374,43 @@ pub struct Split {
 }
 
 /// How a network is trained.
+// A setting that came later is not written where it has its default, so that runs keep the names they had before it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Training {
     /// Adam's step size.
     #[schemars(range(max = 1.0), extend("exclusiveMinimum" = 0.0))]
     pub learning_rate: f64,
+    /// How the step size changes after the warm-up.
+    #[serde(skip_serializing_if = "is_default")]
+    pub schedule: Schedule,
+    /// Epochs over which the step size first rises, linearly from 0; parts of an epoch are allowed.
+    #[serde(skip_serializing_if = "is_default")]
+    #[schemars(range(min = 0.0, max = 100_000.0))]
+    pub warmup_epochs: f64,
+    /// Share of each weight, times the step size, that every step takes away (AdamW; Loshchilov & Hutter, 2019). Biases
+    /// are left alone.
+    #[serde(skip_serializing_if = "is_default")]
+    #[schemars(range(min = 0.0, max = 1e6))]
+    pub weight_decay: f64,
+    /// Largest Euclidean norm of the gradient of all parameters together; a longer one is scaled down to it. `null`
+    /// never scales.
+    #[serde(skip_serializing_if = "is_default")]
+    #[schemars(range(max = 1e6), extend("exclusiveMinimum" = 0.0))]
+    pub clip_norm: Option<f64>,
     /// Samples a step.
     #[schemars(range(min = 1, max = 65536))]
     pub batch_size: usize,
     /// Epochs at most.
     #[schemars(range(min = 1, max = 100_000))]
     pub epochs: usize,
-    /// Epochs without a better validation loss before training stops; `null` never stops early.
+    /// Epochs without a better validation loss before training stops, whereupon the parameters of the epoch with the
+    /// lowest total are kept; `null` never stops early, and keeps the last ones.
     #[schemars(range(min = 1, max = 100_000))]
     pub patience: Option<usize>,
+    /// Which validation loss `patience` looks at; without effect where it is `null`.
+    #[serde(skip_serializing_if = "is_default")]
+    pub stop: Stop,
     /// Weight of the Kullback-Leibler divergence beside the mean squared errors.
     #[schemars(range(min = 0.0, max = 1e6))]
     pub kl_weight: f64,
@@ -371,8 +419,7 @@ pub struct Training {
     pub loss_weights: BTreeMap<Modality, f64>,
     /// Share of what the convolution makes of the frames that each training step leaves out (dropout; Srivastava et
     /// al., 2014), in [0, 1); without effect on a fully connected network.
-    // Not written where it is 0, so that runs keep the names they had before it was a setting.
-    #[serde(skip_serializing_if = "is_zero")]
+    #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1.0))]
     pub dropout: f64,
     /// Of the products of the two large layers beside the frames' convolutions.
@@ -442,9 +489,14 @@ impl Default for Training {
     fn default() -> Self {
         Self {
             learning_rate: 1e-3,
+            schedule: Schedule::Constant,
+            warmup_epochs: 0.0,
+            weight_decay: 0.0,
+            clip_norm: None,
             batch_size: 1024,
             epochs: 200,
             patience: Some(20),
+            stop: Stop::Total,
             // What experiments/choose_kl_weight.yaml and choose_multi_losses.yaml found.
             kl_weight: 1e-4,
             loss_weights: BTreeMap::new(),
@@ -455,8 +507,8 @@ impl Default for Training {
     }
 }
 
-fn is_zero(value: &f64) -> bool {
-    *value == 0.0
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 fn default_seeds() -> Vec<u64> {
     vec![0]

@@ -34,6 +34,7 @@ pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     tensors(&experiment.network, &experiment.training)?;
     loss_weights(experiment)?;
     precision(&experiment.training)?;
+    steps(&experiment.training)?;
     ranges(&experiment.simulation)?;
     timing(&experiment.simulation)?;
     samples(&experiment.simulation)?;
@@ -134,6 +135,28 @@ fn tensors(network: &Network, training: &Training) -> Result<(), Fault> {
 fn precision(training: &Training) -> Result<(), Fault> {
     if (training.device, training.precision) == (Device::Cuda, Precision::Bf16) {
         return fault("training.precision", "bf16 is for the cpu; a network on cuda is trained in f32");
+    }
+    Ok(())
+}
+
+/// Refuses a warm-up that never ends, and a decay that would turn weights around.
+fn steps(training: &Training) -> Result<(), Fault> {
+    let Training { learning_rate, warmup_epochs, weight_decay, epochs, .. } = *training;
+    if warmup_epochs > epochs as f64 {
+        return fault(
+            "training.warmup_epochs",
+            format!("{warmup_epochs} epochs of warm-up don't fit into training.epochs, {epochs}; use fewer"),
+        );
+    }
+    if learning_rate * weight_decay > 1.0 {
+        return fault(
+            "training.weight_decay",
+            format!(
+                "a step takes learning_rate times weight_decay of each weight away, here more than all of it; \
+                 use {} at most",
+                1.0 / learning_rate
+            ),
+        );
     }
     Ok(())
 }

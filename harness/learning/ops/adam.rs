@@ -1,7 +1,8 @@
-//! Adam as one pass over a parameter and its moments, in place.
+//! Adam as one pass over a parameter and its moments, in place. Weight decay and clipping are part of that pass; for
+//! clipping alone the gradients are read once more, before it.
 
-use super::slice;
-use crate::learning::kernels::adam::{AdamStep, adam};
+use super::{slice, with_values};
+use crate::learning::kernels::adam::{AdamStep, adam, sum_of_squares};
 use candle_core::backprop::GradStore;
 use candle_core::{CpuStorage, Device, InplaceOp2, Layout, Result, Tensor, Var};
 use std::sync::Mutex;
@@ -11,8 +12,12 @@ const BETA_SQUARE: f64 = 0.999;
 const EPSILON: f64 = 1e-8;
 
 /// Adam (Kingma & Ba, 2015, algorithm 1) with its usual constants, over a fixed list of parameters.
+///
+/// With weight decay it is AdamW (Loshchilov & Hutter, 2019).
 pub struct Adam {
     learning_rate: f64,
+    weight_decay: f64,
+    clip_norm: Option<f64>,
     steps: u64,
     slots: Vec<Slot>,
 }
@@ -31,14 +36,31 @@ enum Moments {
 }
 
 impl Adam {
-    /// For `parameters`, with moments at zero.
+    /// For `parameters`, with moments at zero, without weight decay and clipping.
     pub fn new(parameters: Vec<Var>, learning_rate: f64) -> Result<Self> {
         let slots = parameters.into_iter().map(|parameter| {
             let zeros = parameter.zeros_like()?;
             let moments = Moments::new(&zeros, &zeros)?;
             Ok(Slot { parameter, moments })
         });
-        Ok(Self { learning_rate, steps: 0, slots: slots.collect::<Result<_>>()? })
+        let slots = slots.collect::<Result<_>>()?;
+        Ok(Self { learning_rate, weight_decay: 0.0, clip_norm: None, steps: 0, slots })
+    }
+
+    /// Takes `weight_decay` times the learning rate of each weight away at every step; matrices and kernels are weights,
+    /// vectors are biases.
+    pub fn with_weight_decay(self, weight_decay: f64) -> Self {
+        Self { weight_decay, ..self }
+    }
+
+    /// Scales the gradient of all parameters together down to this Euclidean norm where it is longer.
+    pub fn with_clip_norm(self, clip_norm: Option<f64>) -> Self {
+        Self { clip_norm, ..self }
+    }
+
+    /// Of the steps from now on.
+    pub fn set_learning_rate(&mut self, learning_rate: f64) {
+        self.learning_rate = learning_rate;
     }
 
     /// Steps taken so far.
@@ -70,7 +92,10 @@ impl Adam {
     pub fn step(&mut self, gradients: &GradStore) -> Result<()> {
         self.steps += 1;
         let correction = |beta: f64| (1.0 / (1.0 - beta.powf(self.steps as f64))) as f32;
+        let decayed = (1.0 - self.learning_rate * self.weight_decay) as f32;
         let step = AdamStep {
+            gradient_scale: self.gradient_scale(gradients)? as f32,
+            kept: 1.0,
             learning_rate: self.learning_rate as f32,
             beta_mean: BETA_MEAN as f32,
             beta_square: BETA_SQUARE as f32,
@@ -80,11 +105,27 @@ impl Adam {
         };
         for slot in &mut self.slots {
             if let Some(grad) = gradients.get(&slot.parameter) {
-                slot.moments.step(step, &slot.parameter, grad)?;
+                let kept = if slot.parameter.rank() > 1 { decayed } else { 1.0 };
+                slot.moments.step(AdamStep { kept, ..step }, &slot.parameter, grad)?;
             }
         }
         Ok(())
     }
+
+    /// What clipping multiplies the gradients by.
+    fn gradient_scale(&self, gradients: &GradStore) -> Result<f64> {
+        let Some(clip_norm) = self.clip_norm else { return Ok(1.0) };
+        let found = self.slots.iter().filter_map(|slot| gradients.get(&slot.parameter));
+        let squares = found.map(squared_norm).sum::<Result<f64>>()?;
+        Ok((clip_norm / squares.sqrt()).min(1.0))
+    }
+}
+
+fn squared_norm(gradient: &Tensor) -> Result<f64> {
+    if gradient.device().is_cpu() {
+        return with_values(gradient, |values| Ok(sum_of_squares(values)));
+    }
+    Ok(f64::from(gradient.sqr()?.sum_all()?.to_scalar::<f32>()?))
 }
 
 impl Moments {
@@ -110,12 +151,14 @@ impl Moments {
                 .inplace_op2(&grad.contiguous()?, &AdamOp { step, moments: Mutex::new((mean, square)) }),
             Self::Device { mean, square } => {
                 let (keep_mean, keep_square) = (f64::from(step.beta_mean), f64::from(step.beta_square));
-                *mean = ((&*mean * keep_mean)? + (grad * (1.0 - keep_mean))?)?;
+                let grad = (grad * f64::from(step.gradient_scale))?;
+                *mean = ((&*mean * keep_mean)? + (&grad * (1.0 - keep_mean))?)?;
                 *square = ((&*square * keep_square)? + (grad.sqr()? * (1.0 - keep_square))?)?;
                 let spread = (&*square * f64::from(step.square_correction))?.sqrt()?;
                 let change = (&*mean * f64::from(step.learning_rate * step.mean_correction))?;
                 let change = change.div(&(spread + f64::from(step.epsilon))?)?;
-                parameter.set(&parameter.as_tensor().detach().sub(&change)?)
+                let kept = (parameter.as_tensor().detach() * f64::from(step.kept))?;
+                parameter.set(&kept.sub(&change)?)
             }
         }
     }
