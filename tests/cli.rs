@@ -432,7 +432,7 @@ fn bad_specs_are_refused_with_file_line_and_reason_and_nothing_is_written() {
 fn bad_overrides_are_refused() {
     let cases = [
         ("training.epochs", "has no '='; write KEY=VALUE, as in training.epochs=3"),
-        ("training.epohcs=3", "unknown key 'training.epohcs'; did you mean 'training.epochs'?"),
+        ("training.epohcs=3", "unknown key 'training.epohcs'; did you mean 'training.epochs=3'?"),
         (
             "training.epochs=0",
             "'training.epochs': expected an integer of at least 1 and at most 100000, found 0",

@@ -316,10 +316,11 @@ fn wrong_types_and_values_out_of_bounds_are_refused() {
             "spec.yaml:5:10: 'latent': expected an integer of at least 1 and at most 4096, found 5000",
         ),
         (
-            "latent: 16",
+            "latent: sixteen",
             "spec.yaml:5:9: 'latent': expected a list of at least one item, each an integer of at least 1 and \
-             at most 4096, found 16",
+             at most 4096, found the text 'sixteen'",
         ),
+        ("latent: 0", "spec.yaml:5:9: 'latent': expected an integer of at least 1 and at most 4096, found 0"),
         (
             "network: {architecture: fully_connected, hidden: 1000000}",
             "spec.yaml:6:50: 'network.hidden': expected an integer of at least 1 and at most 16384, found 1000000",
@@ -491,6 +492,28 @@ fn overrides_replace_single_settings() {
 }
 
 #[test]
+fn a_single_value_stands_for_a_list_of_one() {
+    let list =
+        base_with("latent: [2]") + "tasks: [prediction]\nvary:\n  training.epochs: [5]\n  output: [[arm]]\n";
+    let single = base_with("latent: 2") + "tasks: prediction\nvary:\n  training.epochs: 5\n  output: arm\n";
+    assert_eq!(load(&single), load(&list));
+    let settings = ["seeds", "scenarios", "output", "vary"];
+    let lists = ["[7]", "[empty]", "[arm]", "{training.patience: [null]}"];
+    let singles = ["7", "empty", "arm", "{training.patience: null}"];
+    let given = |values: [&str; 4]| {
+        let overrides: Vec<String> =
+            settings.iter().zip(values).map(|(key, value)| format!("{key}={value}")).collect();
+        load_with(BASE, &overrides.iter().map(String::as_str).collect::<Vec<_>>(), false).unwrap()
+    };
+    assert_eq!(given(singles), given(lists));
+    let quick = |value| load_with(format!("{BASE}quick:\n  seeds: {value}\n"), &[], true).unwrap();
+    assert_eq!(quick("7"), quick("[7]"));
+    // A pair is no list of one, and nothing is no value.
+    assert!(override_refusal("simulation.lift_range_m=0").contains("expected a list of 2 items"));
+    assert!(override_refusal("seeds=null").contains("expected a list of at least one item"));
+}
+
+#[test]
 fn bad_overrides_are_refused_by_name() {
     let cases = [
         (
@@ -504,7 +527,7 @@ fn bad_overrides_are_refused_by_name() {
         ),
         (
             "split.tset=0.2",
-            "override 'split.tset=0.2': unknown key 'split.tset'; did you mean 'split.test'? \
+            "override 'split.tset=0.2': unknown key 'split.tset'; did you mean 'split.test=0.2'? \
              Allowed: split.validation, split.test",
         ),
         (
@@ -534,11 +557,18 @@ fn bad_overrides_are_refused_by_name() {
     let message = override_refusal("batch_size=512");
     assert!(
         message.starts_with(
-            "override 'batch_size=512': unknown key 'batch_size'; did you mean 'training.batch_size'? Allowed: \
+            "override 'batch_size=512': unknown key 'batch_size'; did you mean 'training.batch_size=512'? Allowed: \
              name, description, "
         ),
         "{message}"
     );
+    // Both differ by one letter from a setting, and `simulation.seed` would change the data instead.
+    for (text, suggestion) in
+        [("seed=7", "seeds=[7]"), ("seed=[7, 8]", "seeds=[7, 8]"), ("sees=7", "seeds=[7]")]
+    {
+        let message = override_refusal(text);
+        assert!(message.contains(&format!("; did you mean '{suggestion}'? Allowed: ")), "{message}");
+    }
     assert!(override_refusal("quick={}").starts_with("override 'quick={}': unknown key 'quick'"));
 }
 
@@ -563,6 +593,54 @@ fn quick_settings_apply_when_asked_and_before_overrides() {
     assert_eq!(load_with(&text, &[], true).unwrap(), expected);
     expected.training.epochs = 7;
     assert_eq!(load_with(&text, &["training.epochs=7"], true).unwrap(), expected);
+}
+
+#[test]
+fn a_spec_without_quick_settings_has_no_quick_runs() {
+    for text in [BASE.to_owned(), format!("{BASE}quick: {{}}\n")] {
+        assert_eq!(
+            load_with(&text, &["training.epochs=1"], true).unwrap_err(),
+            "spec.yaml:1:1: there is no 'quick' section, so a quick run would be the full one under another name; \
+             add the section, or leave out --quick"
+        );
+    }
+}
+
+#[test]
+fn a_varied_setting_that_is_given_is_tried_with_that_value_alone() {
+    let text = format!(
+        "{}vary:\n  training.epochs: [1, 2]\n  training.kl_weight: [0, 1]\nquick:\n  training.epochs: 3\n",
+        base_with("latent: [2]").replace("[empty, cluttered]", "[empty]")
+    );
+    let tried = |overrides: &[&str], quick| -> Vec<(usize, f64)> {
+        let runs = load_with(&text, overrides, quick).unwrap().runs();
+        let settings = runs.iter().map(|run| (run.training.epochs, run.training.kl_weight)).collect();
+        let named = |run: &spec::RunSpec| {
+            format!("epochs={},kl_weight={}", run.training.epochs, run.training.kl_weight)
+        };
+        assert!(runs.iter().all(|run| run.variant == named(run)), "{settings:?}");
+        settings
+    };
+    assert_eq!(tried(&[], false), [(1, 0.0), (1, 1.0), (2, 0.0), (2, 1.0)]);
+    assert_eq!(tried(&["training.epochs=5"], false), [(5, 0.0), (5, 1.0)]);
+    assert_eq!(tried(&[], true), [(3, 0.0), (3, 1.0)]);
+    assert_eq!(tried(&["training.epochs=5", "training.kl_weight=1"], true), [(5, 1.0)]);
+    // In whatever order they are given.
+    let vary = "vary={training.epochs: [7, 8], training.kl_weight: [0]}";
+    assert_eq!(tried(&[vary], true), [(7, 0.0), (8, 0.0)]);
+    assert_eq!(tried(&["training.epochs=5", vary], false), tried(&[vary, "training.epochs=5"], false));
+    assert_eq!(tried(&["training.epochs=5", vary], false), [(5, 0.0)]);
+    let refused = load_with(&text, &["training.epochs=0"], false).unwrap_err();
+    assert!(refused.starts_with("override 'training.epochs=0': "), "{refused}");
+}
+
+/// The run of a sweep with one value is the sweep's own, so it isn't done again.
+#[test]
+fn a_given_value_that_the_spec_tries_gives_the_same_run() {
+    let text = base_with("latent: [2]") + "vary:\n  training.epochs: [1, 2]\n";
+    let all = load(&text).runs();
+    let one = load_with(&text, &["training.epochs=2"], false).unwrap().runs();
+    assert_eq!(one, [all[1].clone(), all[3].clone()]);
 }
 
 #[test]
@@ -923,9 +1001,13 @@ fn every_experiment_here_loads_under_its_file_name() {
         let path = entry.unwrap().path();
         // The claims are about experiments, and no experiment.
         if path.extension().is_some_and(|extension| extension == "yaml") && !path.ends_with("claims.yaml") {
+            let stem = path.file_stem().unwrap().to_str().unwrap();
             for quick in [false, true] {
+                // It is quick as it is.
+                if stem == "smoke" && quick {
+                    continue;
+                }
                 let experiment = spec::load(&path, &[], quick).unwrap_or_else(|error| panic!("{error}"));
-                let stem = path.file_stem().unwrap().to_str().unwrap();
                 assert_eq!(experiment.name, if quick { format!("{stem}-quick") } else { stem.to_owned() });
             }
             names.push(path);

@@ -20,10 +20,11 @@ pub struct Spec {
     /// The experiment's YAML file
     #[arg(value_name = "SPEC")]
     path: PathBuf,
-    /// Settings to change, as key=value: training.epochs=5 latent=[8,16]
+    /// Settings to change, as key=value: training.epochs=5 latent=[8,16] seeds=7. A single value will do for a list. A
+    /// setting that the spec varies is tried with the value given here alone
     #[arg(value_name = "KEY=VALUE")]
     overrides: Vec<String>,
-    /// Apply the spec's own `quick` settings: minutes instead of hours
+    /// Apply the spec's own `quick` settings before KEY=VALUE: minutes instead of hours. A spec without any is refused
     #[arg(long)]
     quick: bool,
 }

@@ -26,7 +26,8 @@ use std::path::Path;
 
 /// Reads a spec, applies its own `quick` settings if `quick` says so, then `overrides` (`KEY=VALUE`, the key
 /// dotted and the value YAML), and resolves it. With `quick` its name ends in `-quick`, so that small results
-/// never stand among those that count.
+/// never stand among those that count. A setting that the spec varies is tried with its value in `quick` or in an
+/// override alone.
 ///
 /// # Errors
 /// The first fault of the spec as it stands in the file, of its `quick` settings, even when they are not
@@ -49,6 +50,9 @@ pub fn parse_spec(
     Ok(experiment)
 }
 
+const NOT_QUICK: &str = "there is no 'quick' section, so a quick run would be the full one under another name; add the \
+                         section, or leave out --quick";
+
 fn load_text(text: &str, overrides: &[String], quick: bool) -> Result<Experiment, Problem> {
     let mut tree = parse::parse(text)?;
     if matches!(tree.value, Value::Null) {
@@ -57,17 +61,23 @@ fn load_text(text: &str, overrides: &[String], quick: bool) -> Result<Experiment
             "the file is empty; see `harness schema` for what a spec holds",
         ));
     }
+    schema::list_single_values(&mut tree);
     resolve(&tree)?;
     let mut quick_tree = tree.clone();
-    if let Some(Node { value: Value::Section(settings), .. }) = tree.get("quick") {
-        overrides::apply(&mut quick_tree, settings);
-        resolve(&quick_tree).map_err(|problem| problem.after("applying 'quick'"))?;
+    match tree.get("quick") {
+        Some(Node { value: Value::Section(settings), .. }) if !settings.is_empty() => {
+            overrides::apply(&mut quick_tree, settings);
+            resolve(&quick_tree).map_err(|problem| problem.after("applying 'quick'"))?;
+        }
+        _ if quick => return Err(Problem::new(&tree.origin, NOT_QUICK)),
+        _ => {}
     }
     if quick {
         tree = quick_tree;
     }
     let overrides = overrides.iter().map(|text| overrides::read(text)).collect::<Result<Vec<_>, _>>()?;
     overrides::apply(&mut tree, &overrides);
+    schema::list_single_values(&mut tree);
     let experiment = resolve(&tree).map_err(|problem| problem.after("applying the overrides"))?;
     check_variants(&tree, &experiment)?;
     Ok(experiment)

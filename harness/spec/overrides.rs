@@ -4,6 +4,9 @@ use super::error::{Origin, Problem};
 use super::parse::{self, Entry, Node, Value};
 use super::schema;
 
+/// Key of the settings to try in every combination.
+const VARY: &str = "vary";
+
 /// Reads `KEY=VALUE`: the dotted key of a setting, and its value in YAML.
 pub(super) fn read(text: &str) -> Result<Entry, Problem> {
     let origin = Origin::Override(parse::shorten(text));
@@ -14,7 +17,7 @@ pub(super) fn read(text: &str) -> Result<Entry, Problem> {
     let names = schema::setting_names();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     if !names.contains(&key) {
-        return Err(Problem::new(&origin, not_a_setting(key, &names)));
+        return Err(Problem::new(&origin, not_a_setting(key, value, &names)));
     }
     if value.len() as u64 > parse::MAX_FILE_BYTES {
         return Err(Problem::new(&origin, "is larger than 1 MiB"));
@@ -23,19 +26,38 @@ pub(super) fn read(text: &str) -> Result<Entry, Problem> {
     Ok(Entry { key: key.to_owned(), key_origin: origin.clone(), node: node.attributed_to(&origin) })
 }
 
-fn not_a_setting(key: &str, names: &[&str]) -> String {
+fn not_a_setting(key: &str, value: &str, names: &[&str]) -> String {
     let prefix = format!("{key}.");
     let section: Vec<&str> = names.iter().filter(|name| name.starts_with(&prefix)).copied().collect();
     if section.is_empty() {
-        return schema::unknown("key", key, "", names);
+        let suggest = |name: &str| {
+            let is_single = schema::is_list(name) && !value.trim_start().starts_with('[');
+            let value = parse::shorten(value);
+            if is_single { format!("{name}=[{value}]") } else { format!("{name}={value}") }
+        };
+        return schema::unknown("key", key, "", names, suggest);
     }
     format!("'{key}' is a section; override its keys one by one: {}", section.join(", "))
 }
 
-/// Applies settings to a tree that has passed the checks; of two for the same key, the later one stands.
+/// Applies settings to a tree that has passed the checks; of two for the same key, the later one stands. A setting that
+/// the tree varies is tried with the value given here alone.
 pub(super) fn apply(tree: &mut Node, settings: &[Entry]) {
-    for setting in settings {
+    // What is varied comes first, so that the order of the settings makes no difference to what is tried.
+    let (varied, others): (Vec<&Entry>, Vec<&Entry>) =
+        settings.iter().partition(|setting| setting.key == VARY);
+    for setting in varied.into_iter().chain(others) {
         set(tree, &setting.key, setting);
+        try_alone(tree, setting);
+    }
+}
+
+/// Leaves a setting that the tree varies this one value.
+fn try_alone(tree: &mut Node, setting: &Entry) {
+    let Some(Node { value: Value::Section(varied), .. }) = tree.get_mut(VARY) else { return };
+    if let Some(entry) = varied.iter_mut().find(|entry| entry.key == setting.key) {
+        let only = setting.node.clone();
+        entry.node = Node { origin: only.origin.clone(), value: Value::List(vec![only]) };
     }
 }
 

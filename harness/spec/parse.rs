@@ -48,6 +48,16 @@ impl Node {
         }
     }
 
+    /// The same, to be changed.
+    pub fn get_mut(&mut self, key: &str) -> Option<&mut Node> {
+        match &mut self.value {
+            Value::Section(entries) => {
+                entries.iter_mut().find(|entry| entry.key == key).map(|entry| &mut entry.node)
+            }
+            _ => None,
+        }
+    }
+
     /// Where the value at a dotted path was written; where it was not, the nearest section around it.
     /// A number in the path is an index into a list.
     pub fn origin_of(&self, path: &str) -> &Origin {

@@ -14,9 +14,12 @@ static SCHEMA: LazyLock<Json> = LazyLock::new(build);
 
 /// The JSON schema of an experiment, with descriptions, defaults and bounds.
 ///
-/// `quick` and `vary` list the settings by dotted key, so that editors complete those as well.
+/// `quick` and `vary` list the settings by dotted key, so that editors complete those as well. Where a list is wanted,
+/// a single value will do.
 pub fn schema() -> Json {
-    SCHEMA.clone()
+    let mut schema = SCHEMA.clone();
+    allow_single_values(&mut schema);
+    schema
 }
 
 /// The dotted keys of all settings, which an override or `quick` may change.
@@ -66,6 +69,66 @@ fn collect_settings(root: &Json, schema: &Json, prefix: &str, settings: &mut ser
     }
 }
 
+/// Lets a single value stand for each list that may have one item alone, down from `schema`.
+fn allow_single_values(schema: &mut Json) {
+    match schema {
+        Json::Array(schemas) => schemas.iter_mut().for_each(allow_single_values),
+        Json::Object(keywords) => keywords.values_mut().for_each(allow_single_values),
+        _ => return,
+    }
+    if !takes_one_item(schema) {
+        return;
+    }
+    let mut either = json!({ "anyOf": [schema, schema["items"]] });
+    for key in ["description", "default"] {
+        if let Some(value) = either["anyOf"][0].as_object_mut().and_then(|list| list.remove(key)) {
+            either[key] = value;
+        }
+    }
+    *schema = either;
+}
+
+/// Makes a list of each single value that stands where the schema wants one: `latent: 4` is `latent: [4]`.
+pub(super) fn list_single_values(tree: &mut Node) {
+    list_below(&SCHEMA, tree);
+}
+
+fn list_below(schema: &Json, node: &mut Node) {
+    let (schema, _) = resolve(&SCHEMA, schema);
+    let is_list = matches!(node.value, Value::List(_));
+    if takes_one_item(schema) && !is_list && fits(&schema["items"], &node.value) {
+        node.value = Value::List(vec![node.clone()]);
+    }
+    match &mut node.value {
+        Value::List(items) => items.iter_mut().for_each(|item| list_below(&schema["items"], item)),
+        Value::Section(entries) => {
+            entries
+                .iter_mut()
+                .for_each(|entry| list_below(&schema["properties"][&entry.key], &mut entry.node));
+        }
+        _ => {}
+    }
+}
+
+/// Whether a list may have a single item.
+fn takes_one_item(schema: &Json) -> bool {
+    types(schema) == ["array"] && schema["minItems"] == 1
+}
+
+/// Whether a value, or the list that is made of it, has the type that the schema wants.
+fn fits(schema: &Json, value: &Value) -> bool {
+    let (schema, _) = resolve(&SCHEMA, schema);
+    if choices(schema).is_some() {
+        return matches!(value, Value::Text(_));
+    }
+    has_type(schema, value) || takes_one_item(schema) && fits(&schema["items"], value)
+}
+
+/// Whether a setting is a list that may have a single item.
+pub(super) fn is_list(setting: &str) -> bool {
+    takes_one_item(resolve(&SCHEMA, &SCHEMA["properties"]["quick"]["properties"][setting]).0)
+}
+
 /// Refuses a tree that the schema does not allow.
 pub(super) fn check(tree: &Node) -> Result<(), Problem> {
     check_node(&SCHEMA, tree, "")
@@ -90,7 +153,7 @@ fn check_choice(schema: &Json, choices: &[&str], what: &str, node: &Node, path: 
     let is_imported = |text: &str| takes_imported(schema) && Origin::try_from(text.to_owned()).is_ok();
     let message = match &node.value {
         Value::Text(text) if choices.contains(&text.as_str()) || is_imported(text) => return Ok(()),
-        Value::Text(text) => unknown(what, text, path, choices) + imported_words(schema),
+        Value::Text(text) => unknown(what, text, path, choices, str::to_owned) + imported_words(schema),
         other => unexpected(&expected(schema), other, path),
     };
     Err(Problem::new(&node.origin, message))
@@ -122,7 +185,10 @@ fn check_keys(schema: &Json, section: &Node, entries: &[Entry], path: &str) -> R
     let names: Vec<&str> = properties(schema).map(|(name, _)| name.as_str()).collect();
     for entry in entries {
         if !names.contains(&entry.key.as_str()) {
-            return Err(Problem::new(&entry.key_origin, unknown("key", &entry.key, path, &names)));
+            return Err(Problem::new(
+                &entry.key_origin,
+                unknown("key", &entry.key, path, &names, str::to_owned),
+            ));
         }
     }
     let required = schema["required"].as_array().into_iter().flatten().filter_map(Json::as_str);
@@ -144,14 +210,20 @@ fn unexpected(expected: &str, found: &Value, path: &str) -> String {
     format!("{place}expected {expected}, found {found}{hint}")
 }
 
-/// Says that a name is not known, which one may have been meant, and which there are.
-pub(super) fn unknown(what: &str, found: &str, path: &str, names: &[&str]) -> String {
+/// Says that a name is not known, which one may have been meant, as `suggest` writes it, and which there are.
+pub(super) fn unknown(
+    what: &str,
+    found: &str,
+    path: &str,
+    names: &[&str],
+    suggest: impl Fn(&str) -> String,
+) -> String {
     let mut message = format!("unknown {what} '{}'", shorten(found));
     if !path.is_empty() {
         message += &format!(" in '{path}'");
     }
     if let Some(name) = nearest(found, names) {
-        message += &format!("; did you mean '{name}'?");
+        message += &format!("; did you mean '{}'?", suggest(name));
     } else {
         message += ".";
     }
@@ -163,21 +235,21 @@ pub(super) fn unknown(what: &str, found: &str, path: &str, names: &[&str]) -> St
     message + &format!(" Allowed: {}", allowed.join(", "))
 }
 
-/// The name that differs by the fewest typing errors, if they are few; of a dotted key, the last part will do.
+/// The name that differs by the fewest typing errors, if they are few; else the dotted key whose last part does.
 fn nearest<'a>(found: &str, names: &[&'a str]) -> Option<&'a str> {
     // Comparing takes time and memory for each pair of letters; what is this long is no typing error.
     if found.len() > 100 {
         return None;
     }
     let found = found.to_lowercase();
-    let distance = |name: &str| {
-        let last = name.rsplit('.').next().unwrap_or(name);
-        strsim::damerau_levenshtein(&found, name).min(strsim::damerau_levenshtein(&found, last))
-    };
     let tolerated = (found.chars().count() / 3).max(1);
-    let (errors, name) =
-        names.iter().map(|name| (distance(name), *name)).min_by_key(|(errors, _)| *errors)?;
-    (errors <= tolerated).then_some(name)
+    let nearest_by = |part: fn(&str) -> &str| {
+        let errors = |name: &&'a str| strsim::damerau_levenshtein(&found, part(name));
+        let (errors, name) =
+            names.iter().map(|name| (errors(name), *name)).min_by_key(|(errors, _)| *errors)?;
+        (errors <= tolerated).then_some(name)
+    };
+    nearest_by(|name| name).or_else(|| nearest_by(|name| name.rsplit('.').next().unwrap_or(name)))
 }
 
 /// Follows a reference into the definitions: the schema meant, and the definition's name.

@@ -51,9 +51,9 @@ def run(
 ) -> Summary:
     """Does every run of an experiment that isn't done yet, as `harness run` does.
 
-    path: the experiment's YAML file. overrides: settings to change, by dotted key: `{"training.epochs": 5}`.
-    quick: applies the spec's own `quick` settings. results: the folder of datasets and runs. progress: draws bars on
-    the terminal. jobs: runs of a scenario to train side by side.
+    path: the experiment's YAML file. overrides: settings to change, by dotted key: `{"training.epochs": 5}`; a
+    single value will do for a list. quick: applies the spec's own `quick` settings. results: the folder of datasets and
+    runs. progress: draws bars on the terminal. jobs: runs of a scenario to train side by side.
 
     Raises FileNotFoundError without the file, ValueError where the spec is wrong (with file, line and column, or the
     override), RuntimeError with the reasons after some run failed, and KeyboardInterrupt when it is interrupted; the
