@@ -6,6 +6,10 @@ pub trait Progress: Sync {
     fn begin(&self, stage: &str, total: u64, unit: &str);
     /// `steps` more are done.
     fn advance(&self, steps: u64);
+    /// `steps` of the stage were done before it began: by the process that it goes on from.
+    fn resume(&self, steps: u64) {
+        self.advance(steps);
+    }
     /// A short note on the current stage, such as the latest losses; the next one replaces it.
     fn note(&self, text: &str);
     /// Something that a person should read even when the stage is long over.

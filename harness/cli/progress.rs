@@ -26,6 +26,8 @@ struct Stage {
     /// Hidden where the output is no terminal; it still measures the rate.
     bar: ProgressBar,
     last_line: Instant,
+    /// Steps that were done before it began.
+    resumed: u64,
 }
 
 impl Bars {
@@ -54,7 +56,15 @@ impl Stage {
 
     fn end(&self) -> String {
         let seconds = self.bar.elapsed().as_secs_f64();
-        format!("{}: {} {} in {seconds:.1} s{}", self.name, self.bar.position(), self.unit, self.note())
+        let resumed =
+            if self.resumed > 0 { format!(", {} of them before,", self.resumed) } else { String::new() };
+        format!(
+            "{}: {} {}{resumed} in {seconds:.1} s{}",
+            self.name,
+            self.bar.position(),
+            self.unit,
+            self.note()
+        )
     }
 
     fn note(&self) -> String {
@@ -72,7 +82,7 @@ impl Progress for Bars {
         let bar = if lines() { ProgressBar::hidden() } else { self.all.add(ProgressBar::no_length()) };
         let bar = bar.with_style(style).with_prefix(name.clone()).with_finish(ProgressFinish::AndClear);
         bar.set_length(total);
-        *self.stage() = Some(Stage { name, unit: unit.into(), bar, last_line: Instant::now() });
+        *self.stage() = Some(Stage { name, unit: unit.into(), bar, last_line: Instant::now(), resumed: 0 });
     }
 
     fn advance(&self, steps: u64) {
@@ -82,6 +92,16 @@ impl Progress for Bars {
                 self.print(&stage.progress());
                 stage.last_line = Instant::now();
             }
+        }
+    }
+
+    fn resume(&self, steps: u64) {
+        if let Some(stage) = self.stage().as_mut() {
+            stage.resumed = steps;
+            stage.bar.inc(steps);
+            // The rate begins here: the bar takes in what was done, and forgets how fast it seemed to be.
+            stage.bar.tick();
+            stage.bar.reset_eta();
         }
     }
 
@@ -110,5 +130,32 @@ impl Progress for Bars {
 
     fn cancelled(&self) -> bool {
         interrupt::requested()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_rate_leaves_out_what_was_done_before_an_interruption() {
+        let bars = Bars::default();
+        bars.begin("prediction", 2000, "epochs");
+        bars.resume(1000);
+        for _ in 0..5 {
+            std::thread::sleep(Duration::from_millis(20));
+            bars.advance(1);
+        }
+        let stage = bars.stage();
+        let stage = stage.as_ref().unwrap();
+        let rate = stage.bar.per_sec();
+        // 50 a second at most, and less where sleeping takes longer.
+        assert!(rate > 0.0 && rate < 60.0, "{rate} a second: {}", stage.progress());
+        assert!(stage.progress().starts_with("prediction: 1005/2000 epochs, "), "{}", stage.progress());
+        assert!(
+            stage.end().starts_with("prediction: 1005 epochs, 1000 of them before, in 0."),
+            "{}",
+            stage.end()
+        );
     }
 }

@@ -80,7 +80,7 @@ impl Fit<'_> {
             Task::Reconstruction => "reconstruction",
         };
         self.progress.begin(stage, self.training.epochs as u64, "epochs");
-        self.progress.advance(state.epochs.len() as u64);
+        self.progress.resume(state.epochs.len() as u64);
         while !self.finished(&state) {
             let epoch = match self.epoch(objective, &mut adam, state.epochs.len()) {
                 Err(LearningError::Cancelled) => {

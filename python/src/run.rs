@@ -68,6 +68,9 @@ impl Progress for Listener<'_> {
     fn advance(&self, steps: u64) {
         self.shown.advance(steps);
     }
+    fn resume(&self, steps: u64) {
+        self.shown.resume(steps);
+    }
     fn note(&self, text: &str) {
         self.shown.note(text);
     }
