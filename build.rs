@@ -1,4 +1,7 @@
-//! What the compiler has to be told: where MuJoCo's library lies, and candle's version.
+//! What the compiler has to be told: where MuJoCo's library lies, candle's version, and what the program is made of.
+
+use std::hash::{DefaultHasher, Hasher};
+use std::path::Path;
 
 /// Lets every binary and test of this package find MuJoCo's library without environment variables: a
 /// dependency's link arguments do not reach the final binary, so the rpath is set here.
@@ -16,8 +19,31 @@ fn candle_version() -> Option<String> {
     Some(after.split_once('"')?.0.to_owned())
 }
 
+/// A hash of all that decides what the program does: its sources, the models, the versions of what it uses.
+fn sources() -> String {
+    let mut hasher = DefaultHasher::new();
+    for path in ["harness", "models", "Cargo.lock"] {
+        println!("cargo:rerun-if-changed={path}");
+        hash(Path::new(path), &mut hasher);
+    }
+    format!("{:016x}", hasher.finish())
+}
+
+/// Adds a file, or those of a folder by their names.
+fn hash(path: &Path, hasher: &mut DefaultHasher) {
+    hasher.write(path.as_os_str().as_encoded_bytes());
+    if path.is_dir() {
+        let mut paths: Vec<_> =
+            std::fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
+        paths.sort();
+        paths.iter().for_each(|path| hash(path, hasher));
+    } else {
+        hasher.write(&std::fs::read(path).unwrap_or_default());
+    }
+}
+
 fn main() {
     set_rpath();
-    println!("cargo:rerun-if-changed=Cargo.lock");
+    println!("cargo:rustc-env=HARNESS_SOURCES={}", sources());
     println!("cargo:rustc-env=CANDLE_VERSION={}", candle_version().unwrap_or_else(|| "unknown".into()));
 }

@@ -45,12 +45,18 @@ fn page(results: &Path, name: &str, more: &[&str]) -> String {
     fs::read_to_string(out).unwrap()
 }
 
-/// The same without its rendered pictures, which take most of the time: EGL finds no driver.
+/// The same without its rendered pictures, which take most of the time.
 fn page_without_pictures(results: &Path, name: &str, more: &[&str]) -> String {
+    page_without_driver(results, name, more, Path::new("/dev/null"))
+}
+
+/// The same where EGL finds no driver, with a folder for what was rendered before.
+fn page_without_driver(results: &Path, name: &str, more: &[&str], cache: &Path) -> String {
+    let mut command = harness(results, &arguments);
+    command.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json").env("XDG_CACHE_HOME", cache);
     let out = results.join(name);
     let arguments = [&["report", "--out", out.to_str().unwrap()][..], more].concat();
-    let mut command = harness(results, &arguments);
-    let answer = finish(command.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json"));
+    let answer = finish(&mut command);
     assert_eq!(answer.code, 0, "{}", answer.stderr);
     fs::read_to_string(out).unwrap()
 }
@@ -225,8 +231,37 @@ fn times_are_what_a_person_would_say() {
 }
 
 #[test]
-fn the_same_tables_give_the_same_bytes() {
-    assert!(*PAGE == page(&RESULTS, "again.html", &["--threads", "1"]));
+fn the_same_tables_give_the_same_bytes_with_pictures_rendered_anew_or_before() {
+    let caches = folder("report_caches");
+    let cache = caches.join("harness");
+    let names = || -> Vec<String> {
+        let entries = fs::read_dir(&cache).unwrap().flatten();
+        let mut names: Vec<_> = entries.map(|entry| entry.file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    };
+    fs::create_dir(&cache).unwrap();
+    fs::write(cache.join("task-0123456789abcdef"), "another program's").unwrap();
+    let out = RESULTS.join("anew.html");
+    let mut anew = harness(&RESULTS, &["report", "--threads", "1", "--out", out.to_str().unwrap()]);
+    assert_eq!(finish(anew.env("XDG_CACHE_HOME", &caches)).code, 0);
+    assert!(*PAGE == fs::read_to_string(out).unwrap());
+    let kept = names();
+    let expected = ["clip-cluttered-", "clip-empty-", "sim_env-", "task-"];
+    assert!(
+        kept.len() == 4 && kept.iter().zip(expected).all(|(name, begin)| name.starts_with(begin)),
+        "{kept:?}"
+    );
+
+    // Without a driver nothing can be rendered, so all of it is from before; but nothing damaged.
+    assert!(*PAGE == page_without_driver(&RESULTS, "before.html", &[], &caches));
+    let mut damaged = fs::read(cache.join(&kept[3])).unwrap();
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 1;
+    fs::write(cache.join(&kept[3]), damaged).unwrap();
+    let page = page_without_driver(&RESULTS, "damaged.html", &[], &caches);
+    let task = between(&page, "<figure id=\"figure-task\">", "</figure>");
+    assert!(task.contains("It could not be rendered"), "{task}");
 }
 
 #[test]

@@ -127,6 +127,11 @@ impl Figure {
         }
     }
 
+    /// Whether it depends on runs; the others show the simulated world alone.
+    pub fn shows_runs(self) -> bool {
+        !matches!(self, Figure::Task | Figure::SimEnv)
+    }
+
     /// Draws it.
     ///
     /// # Errors

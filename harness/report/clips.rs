@@ -1,5 +1,6 @@
 //! Clips of both scenes.
 
+use super::cache::cached;
 use crate::figures::FigureError;
 use crate::progress::Progress;
 use crate::simulation::{Portrait, Scene, replay};
@@ -8,7 +9,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use image::RgbImage;
 use image::codecs::jpeg::JpegEncoder;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Pixels.
 const SIZE: [u32; 2] = [640, 400];
@@ -26,7 +27,7 @@ fn take(scenario: Scenario) -> (u32, usize) {
 }
 
 /// A clip as the page shows it before it plays.
-#[derive(Serialize)]
+#[derive(Serialize, Deserialize)]
 pub struct Clip {
     pub scenario: Scenario,
     pub episode: u32,
@@ -39,7 +40,7 @@ pub struct Clip {
 }
 
 /// A clip's pictures.
-#[derive(Serialize)]
+#[derive(Serialize, Deserialize)]
 pub struct Frames {
     scenario: Scenario,
     /// The first picture's sample.
@@ -50,15 +51,22 @@ pub struct Frames {
     frames: Vec<String>,
 }
 
-/// Simulates and renders a clip of each scenario.
+/// A clip of each scenario, simulated and rendered unless it was before.
 ///
 /// # Errors
 /// When the scene can't be simulated or rendered.
 pub fn film(progress: &dyn Progress) -> Result<Vec<(Clip, Frames)>, FigureError> {
-    progress.begin("filming", (SAMPLES * Scenario::ALL.len()) as u64, "frames");
-    let clips = Scenario::ALL.iter().map(|scenario| clip(*scenario, progress)).collect();
-    progress.end();
-    clips
+    let unreadable = |error: serde_json::Error| FigureError::Picture(error.to_string());
+    let film = |scenario: &Scenario| {
+        let film = cached(&format!("clip-{scenario}"), || {
+            progress.begin(&format!("filming {scenario}"), SAMPLES as u64, "frames");
+            let clip = clip(*scenario, progress);
+            progress.end();
+            serde_json::to_vec(&clip?).map_err(unreadable)
+        })?;
+        serde_json::from_slice(&film).map_err(unreadable)
+    };
+    Scenario::ALL.iter().map(film).collect()
 }
 
 fn clip(scenario: Scenario, progress: &dyn Progress) -> Result<(Clip, Frames), FigureError> {

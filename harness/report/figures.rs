@@ -1,5 +1,6 @@
 //! The paper's figures as the page shows them.
 
+use super::cache::cached;
 use super::{Part, part};
 use crate::figures::source::Source;
 use crate::figures::{Figure, FigureError};
@@ -22,11 +23,22 @@ pub struct Drawn {
 pub fn draw(source: &Source, progress: &dyn Progress) -> Result<Vec<Drawn>, FigureError> {
     progress.begin("drawing", Figure::ALL.len() as u64, "figures");
     let drawn = Figure::ALL.into_iter().map(|figure| {
-        let svg = part(figure.draw(source).map(|drawing| drawing.page.svg()))?;
+        let draw = || figure.draw(source).map(|drawing| drawing.page.svg());
+        let svg = if figure.shows_runs() { draw() } else { rendered(figure, draw) };
+        let svg = part(svg)?;
         progress.advance(1);
         Ok(Drawn { name: figure.name(), meaning: figure.meaning(), svg })
     });
     let drawn = drawn.collect();
     progress.end();
     drawn
+}
+
+/// A figure that shows the simulated world alone, rendered unless it was before.
+fn rendered(
+    figure: Figure,
+    draw: impl FnOnce() -> Result<String, FigureError>,
+) -> Result<String, FigureError> {
+    let svg = cached(figure.name(), || draw().map(String::into_bytes))?;
+    String::from_utf8(svg).map_err(|error| FigureError::Picture(error.to_string()))
 }

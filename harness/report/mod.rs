@@ -6,6 +6,7 @@
 //! `page.html` is the template, in which minijinja escapes whatever is not said to be HTML already. `page.css` and
 //! `page.js` go into it as they are; a content security policy lets browsers run this script alone, and load nothing.
 
+mod cache;
 mod clips;
 mod figures;
 mod joints;
