@@ -15,10 +15,12 @@ setup: ## make .venv with MuJoCo in it; check EGL and Rust
 run: setup ## run the main experiment; `make run QUICK=` at full scale
 	cargo run -- run experiments/multi_to_multi.yaml $(QUICK)
 
-test: ## run every test, the Python package's as well
+test: ## run every test, the Python package's as well; what fails doesn't keep the rest from being tested
 	@setup/setup.sh --test
-	cargo test
-	$(MAKE) python
+	@worst=0; \
+	cargo test --no-fail-fast || worst=1; \
+	$(MAKE) --no-print-directory python || worst=1; \
+	exit $$worst
 
 python: ## build the Python package into .venv and test it
 	@setup/setup.sh --python

@@ -14,6 +14,8 @@ use serde_json::Value;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeSet;
 use std::fs;
+use std::io::{Read, Write};
+use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
@@ -52,10 +54,10 @@ fn page_without_pictures(results: &Path, name: &str, more: &[&str]) -> String {
 
 /// The same where EGL finds no driver, with a folder for what was rendered before.
 fn page_without_driver(results: &Path, name: &str, more: &[&str], cache: &Path) -> String {
-    let mut command = harness(results, &arguments);
-    command.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json").env("XDG_CACHE_HOME", cache);
     let out = results.join(name);
     let arguments = [&["report", "--out", out.to_str().unwrap()][..], more].concat();
+    let mut command = harness(results, &arguments);
+    command.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json").env("XDG_CACHE_HOME", cache);
     let answer = finish(&mut command);
     assert_eq!(answer.code, 0, "{}", answer.stderr);
     fs::read_to_string(out).unwrap()
@@ -434,12 +436,10 @@ fn browser() -> Result<(PathBuf, PathBuf), &'static str> {
     Ok((chromium, program(&["chromedriver"]).ok_or(missing)?))
 }
 
-/// Lets tests/python/read_page.py read a page.
-fn read_page(page: &Path, results: &Path, more: &[&str]) {
-    let (chromium, driver) = match browser() {
-        Ok(found) => found,
-        Err(reason) => return eprintln!("{reason}"),
-    };
+/// Lets tests/python/read_page.py read a page, and returns whether it found all as it should be, and what it said; `None`
+/// where there is no browser.
+fn reading(page: &Path, results: &Path, more: &[&str]) -> Option<(bool, String)> {
+    let (chromium, driver) = browser().inspect_err(|reason| eprintln!("{reason}")).ok()?;
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let output = Command::new(root.join(".venv/bin/python"))
         .arg(root.join("tests/python/read_page.py"))
@@ -447,9 +447,45 @@ fn read_page(page: &Path, results: &Path, more: &[&str]) {
         .args(more)
         .output()
         .unwrap();
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    assert!(output.status.success(), "{}{}", text(&output.stdout), text(&output.stderr));
-    assert!(text(&output.stdout).contains("the page reads well"));
+    let said =
+        [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat();
+    Some((output.status.success(), said))
+}
+
+/// Reads a page that must be as it should be.
+fn read_page(page: &Path, results: &Path, more: &[&str]) {
+    if let Some((well, said)) = reading(page, results, more) {
+        assert!(well && said.contains("the page reads well"), "{said}");
+    }
+}
+
+/// A server that answers every request with an empty style sheet, and its address.
+fn serve_styles() -> String {
+    let server = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("http://{}/style.css", server.local_addr().unwrap());
+    std::thread::spawn(move || {
+        for mut asked in server.incoming().flatten() {
+            let _ = asked.read(&mut [0; 4096]);
+            let head =
+                "HTTP/1.1 200 OK\r\nContent-Type: text/css\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
+            let _ = asked.write_all(head.as_bytes());
+        }
+    });
+    address
+}
+
+/// Chromium loads a page of its own in another tab meanwhile.
+#[test]
+fn only_what_a_page_itself_asks_for_is_noticed_in_chromium() {
+    let folder = folder("quiet");
+    let (quiet, loud) = (folder.join("quiet.html"), folder.join("loud.html"));
+    fs::write(&quiet, "<p>quiet").unwrap();
+    read_page(&quiet, &folder, &["--quiet"]);
+    let address = serve_styles();
+    fs::write(&loud, format!("<link rel=\"stylesheet\" href=\"{address}\"><p>loud")).unwrap();
+    if let Some((well, said)) = reading(&loud, &folder, &["--quiet"]) {
+        assert!(!well && said.contains(&format!("AssertionError: {address}")), "{said}");
+    }
 }
 
 #[test]

@@ -1,10 +1,11 @@
 """Reads a page of `harness report` in a real headless Chromium, as a person would: chooses, points, types, plays.
 
-    read_page.py PAGE RESULTS CHROMIUM CHROMEDRIVER [--hostile] [--screenshots DIR]
+    read_page.py PAGE RESULTS CHROMIUM CHROMEDRIVER [--hostile | --quiet] [--screenshots DIR]
 
 RESULTS is the folder that the page was made of; what the page shows is compared with its tables, read by pandas.
-With --hostile, names on the page try to run scripts that set `window.hostile`, and only that is looked at. Ends with an
-error at the first thing that is not as it should be.
+With --hostile, names on the page try to run scripts that set `window.hostile`, and only that is looked at. With --quiet,
+only whether the page asks for anything, while the browser shows a page of its own beside it. Ends with an error at the
+first thing that is not as it should be.
 """
 
 import argparse
@@ -36,7 +37,10 @@ def open_browser(chromium: str, driver: str, profile: str) -> webdriver.Chrome:
                      "--disable-dev-shm-usage", "--hide-scrollbars", f"--user-data-dir={profile}"]:
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    return webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+    browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+    # The first tab is the browser's, which loads what it likes there.
+    browser.switch_to.new_window("tab")
+    return browser
 
 
 class Page:
@@ -44,6 +48,7 @@ class Page:
 
     def __init__(self, browser: webdriver.Chrome, path: Path, screenshots: Path | None):
         self.browser, self.path, self.screenshots = browser, path, screenshots
+        self.browsers_tab = browser.window_handles[0]
 
     def open(self, size: tuple[int, int], dark: bool = False):
         width, height = size
@@ -113,9 +118,9 @@ class Page:
         """No script failed, nothing was refused, and nothing was asked of any network."""
         complaints = [entry for entry in self.browser.get_log("browser") if entry["level"] != "DEBUG"]
         assert not complaints, complaints
-        for entry in self.browser.get_log("performance"):
-            message = json.loads(entry["message"])["message"]
-            if message["method"] == "Network.requestWillBeSent":
+        for entry in map(json.loads, (entry["message"] for entry in self.browser.get_log("performance"))):
+            message = entry["message"]
+            if entry["webview"] != self.browsers_tab and message["method"] == "Network.requestWillBeSent":
                 url = message["params"]["request"]["url"]
                 assert url.split(":")[0] in ("file", "data"), url
 
@@ -322,6 +327,15 @@ def read_hostile(page: Page):
     page.check_quiet()
 
 
+def read_quiet(page: Page):
+    pages_tab = page.browser.current_window_handle
+    page.browser.switch_to.window(page.browsers_tab)
+    page.browser.get("chrome://new-tab-page/")
+    page.browser.switch_to.window(pages_tab)
+    page.open(DESKTOP)
+    page.check_quiet()
+
+
 def main():
     parser = argparse.ArgumentParser()
     for name in ["page", "results"]:
@@ -329,17 +343,19 @@ def main():
     for name in ["chromium", "chromedriver"]:
         parser.add_argument(name)
     parser.add_argument("--hostile", action="store_true")
+    parser.add_argument("--quiet", action="store_true")
     parser.add_argument("--screenshots", type=Path)
     arguments = parser.parse_args()
-    tables = [table(arguments.results, name) for name in ["metrics", "predictions", "epochs"]]
-
     with tempfile.TemporaryDirectory() as profile:
         browser = open_browser(arguments.chromium, arguments.chromedriver, profile)
         try:
             page = Page(browser, arguments.page.resolve(), arguments.screenshots)
             if arguments.hostile:
                 read_hostile(page)
+            elif arguments.quiet:
+                read_quiet(page)
             else:
+                tables = [table(arguments.results, name) for name in ["metrics", "predictions", "epochs"]]
                 read_on_desktop(page, *tables)
                 read_on_phone(page)
                 read_in_the_dark(page)

@@ -1,0 +1,64 @@
+//! `make` as whoever clones the repository uses it, with stand-ins for what it calls.
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::process::Command;
+
+/// A script that notes its name and arguments, and ends with a code.
+fn stand_in(path: &Path, code: i32) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    let name = path.file_name().unwrap().to_string_lossy();
+    fs::write(path, format!("#!/bin/sh\necho \"{name} $*\" >>\"$CALLS\"\nexit {code}\n")).unwrap();
+    fs::set_permissions(path, fs::Permissions::from_mode(0o755)).unwrap();
+}
+
+/// What is called, in order, and the exit code of a command in a clone where cargo and Python end with these codes.
+fn calls(command: &[&str], cargo: i32, python: i32) -> (Vec<String>, i32) {
+    let (root, folder) = (Path::new(env!("CARGO_MANIFEST_DIR")), tempfile::tempdir().unwrap());
+    let path = |name: &str| folder.path().join(name);
+    fs::create_dir(path(".ci")).unwrap();
+    for file in ["Makefile", ".ci/run"] {
+        fs::copy(root.join(file), path(file)).unwrap();
+    }
+    stand_in(&path("setup/setup.sh"), 0);
+    stand_in(&path(".venv/bin/python"), python);
+    stand_in(&path("bin/cargo"), cargo);
+    let programs = format!("{}:{}", path("bin").display(), std::env::var("PATH").unwrap());
+    let output = Command::new(command[0])
+        .args(&command[1..])
+        .current_dir(folder.path())
+        .env("PATH", programs)
+        .env("CALLS", path("calls"))
+        // Whoever runs the tests may be make.
+        .env_remove("MAKEFLAGS")
+        .env_remove("MAKELEVEL")
+        .output()
+        .unwrap();
+    let calls = fs::read_to_string(path("calls")).unwrap().lines().map(str::to_owned).collect();
+    (calls, output.status.code().unwrap())
+}
+
+#[test]
+fn a_failed_test_does_not_keep_the_others_from_running() {
+    for (cargo, python, succeeds) in [(0, 0, true), (101, 0, false), (0, 1, false), (101, 1, false)] {
+        let (calls, code) = calls(&["make", "test"], cargo, python);
+        assert!(calls.contains(&"cargo test --no-fail-fast".into()), "{calls:?}");
+        let packaged = calls.iter().any(|call| call.starts_with("python -m pip install "));
+        let tested = calls
+            .iter()
+            .any(|call| call.starts_with("python -m pytest ") && call.ends_with("tests/python_package"));
+        assert!(packaged && (tested || python != 0), "{calls:?}");
+        assert_eq!(code == 0, succeeds, "{calls:?}");
+    }
+}
+
+#[test]
+fn what_every_change_must_pass_is_tested_also_where_formatting_is_wrong() {
+    let (calls, code) = calls(&[".ci/run"], 1, 0);
+    for part in ["cargo fmt ", "cargo test ", "python -m pytest "] {
+        assert!(calls.iter().any(|call| call.starts_with(part)), "no {part}in {calls:?}");
+    }
+    assert_ne!(code, 0);
+    assert_eq!(self::calls(&[".ci/run"], 0, 0).1, 0);
+}
