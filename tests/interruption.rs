@@ -541,6 +541,25 @@ fn a_full_disk_fails_what_it_must_and_leaves_nothing_half_written() {
         disk.remount("size=64m");
         succeed(disk.path(), &command);
         assert_same(disk.path(), undisturbed.path());
+/// 24 copies of 336 million parameters of 4 bytes are more than the 12 GB that the process may have.
+#[test]
+fn a_network_larger_than_memory_fails_its_run_and_the_others_go_on() {
+    let results = Results::new();
+    let mut command = std::process::Command::new("sh");
+    command.args(["-c", "ulimit -v 12000000; exec \"$@\"", "sh", env!("CARGO_BIN_EXE_harness"), "--results"]);
+    let networks = ["latent=4096", "vary={network.hidden: [16, 16384]}", "training.epochs=1"];
+    command.arg(results.path()).args(["run", SMOKE, "scenarios=empty"]).args(networks);
+    let answer = end(start_command(command.stdout(Stdio::piped()).stderr(Stdio::piped())));
+    assert_eq!((answer.code, counts(&answer)), (1, [1, 0, 1]), "{}", answer.stderr);
+    let statuses = statuses(results.path());
+    let (status, reason) = statuses.iter().find(|(status, _)| status != "done").unwrap();
+    assert_eq!(status, "failed");
+    assert!(
+        reason.starts_with("the network takes up to 32.3 GB") && reason.contains("lower network.hidden"),
+        "{reason}"
+    );
+}
+
         assert_whole(disk.path(), true);
     }
 }

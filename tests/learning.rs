@@ -1081,3 +1081,26 @@ fn a_term_of_the_loss_is_a_finite_scalar() {
     assert!((sum - term(TOTAL)).abs() < 1e-4 * sum, "{sum} is not {}", term(TOTAL));
     assert_eq!(scalar(&Tensor::new(2.5f32, &Device::Cpu).unwrap()).unwrap(), 2.5);
 }
+
+#[test]
+fn the_number_of_parameters_is_known_before_they_are_made() {
+    use Modality::*;
+    let sides: [&[Modality]; 4] =
+        [&[Arm], &[Proprioception, ContactForce], &[Vision], &[Proprioception, Vision, FrameDifference]];
+    for (input, output) in sides.iter().flat_map(|input| sides.iter().map(move |output| (input, output))) {
+        let sizes = Sizes {
+            input: input.to_vec(),
+            output: output.to_vec(),
+            latent: 3,
+            hidden: 7,
+            channels: 2,
+            action: ARM_JOINTS,
+            precision: Precision::F32,
+        };
+        let mut parameters = Parameters::new();
+        Encoder::new(&sizes, &mut parameters, &mut random(0), &Device::Cpu).unwrap();
+        Decoder::new(&sizes, &mut parameters, &mut random(0), &Device::Cpu).unwrap();
+        let made: usize = parameters.values().map(|parameter| parameter.elem_count()).sum();
+        assert_eq!(sizes.parameters(), made, "{input:?} to {output:?}");
+    }
+}

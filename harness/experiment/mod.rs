@@ -16,7 +16,7 @@ use crate::learning::objective::{Prediction, Reconstruction, View};
 use crate::learning::random::{Random, Stream};
 use crate::learning::state::StateFile;
 use crate::learning::training::{Epoch, Fit};
-use crate::learning::{LearningError, checkpoint, open_device, predict};
+use crate::learning::{self, LearningError, checkpoint, open_device, predict};
 use crate::memory;
 use crate::metrics::MetricsError;
 use crate::progress::Progress;
@@ -52,6 +52,12 @@ pub enum ExperimentError {
         *needed as f64 / 1e9, *available as f64 / 1e9
     )]
     Memory { dataset: String, needed: u64, available: u64 },
+    #[error(
+        "the network takes up to {:.1} GB of memory to train and only {:.1} GB are free; free some, or lower \
+         network.hidden, network.channels, training.batch_size or --jobs",
+        *needed as f64 / 1e9, *available as f64 / 1e9
+    )]
+    NetworkMemory { needed: u64, available: u64 },
     /// What all runs of a scenario need could not be made; the first of them tried.
     #[error("{0}")]
     Preparation(String),
@@ -176,7 +182,7 @@ impl Laboratory<'_> {
 
     /// The samples of a run's dataset, of which what is missing is collected first.
     fn samples(&self, source: &Source, frames: bool) -> Result<Samples, ExperimentError> {
-        let (needed, available) = (Samples::bytes(source.len(), frames), memory::available_bytes());
+        let (needed, available) = (Samples::bytes(source.len(), frames), memory::within_reach());
         if needed > available {
             return Err(ExperimentError::Memory { dataset: source.name().to_owned(), needed, available });
         }
@@ -209,8 +215,9 @@ impl Laboratory<'_> {
         }
         let forces = evaluate::forces(&view.samples, |modality| source.holds(modality));
         let storyboard = evaluate::storyboard(&view.samples, &partition.test);
+        let bytes = Samples::bytes(source.len(), modalities.iter().any(|modality| modality.is_frame()));
         let seconds = begin.elapsed().as_secs_f64();
-        Ok(Material { view, partition, baselines, forces, storyboard, seconds })
+        Ok(Material { view, partition, baselines, forces, storyboard, bytes, seconds })
     }
 }
 
@@ -262,6 +269,15 @@ pub fn network_sizes(spec: &RunSpec, task: Task) -> Sizes {
     }
 }
 
+/// Memory that training a run's networks takes, one after the other, bytes: a generous estimate.
+fn training_bytes(spec: &RunSpec) -> u64 {
+    let networks = spec.tasks.iter().map(|task| network_sizes(spec, *task));
+    let batch = spec.training.batch_size;
+    let bytes =
+        |network: Sizes| learning::memory::training_bytes(network.parameters(), network.activations(), batch);
+    networks.map(bytes).max().unwrap_or_default()
+}
+
 /// A scenario's data, shared by runs that want the same of it.
 struct Material {
     view: View,
@@ -270,6 +286,8 @@ struct Material {
     forces: Vec<ForceRows>,
     /// The test transitions whose pictures are kept.
     storyboard: Vec<Story>,
+    /// Memory that the samples take, bytes.
+    bytes: u64,
     seconds: f64,
 }
 

@@ -1,7 +1,9 @@
 //! Which run is done when, and by whom: several jobs of this process, or other processes on the same results folder.
 
-use super::{ExperimentError, Laboratory, Material, Planned, Trainee, describe};
+use super::{ExperimentError, Laboratory, Material, Planned, Trainee, describe, training_bytes};
+use crate::memory;
 use crate::registry::{Decision, Outcome, Provenance, Status};
+use crate::spec::RunSpec;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -73,6 +75,7 @@ impl Laboratory<'_> {
             runs,
             next: AtomicUsize::new(0),
             material: Mutex::new(None),
+            promised: Mutex::new(0),
         };
         if jobs == 1 {
             return Ok(shift.work()?.into_iter().map(|(_, end)| end).collect());
@@ -117,6 +120,20 @@ struct Shift<'a> {
     next: AtomicUsize,
     /// Made by the first job that needs it; or why it can't be.
     material: Mutex<Option<Result<Arc<Material>, String>>>,
+    /// Memory for the trainings that are going on, bytes.
+    promised: Mutex<u64>,
+}
+
+/// Memory for one training, until this is dropped.
+struct Promise<'a> {
+    promised: &'a Mutex<u64>,
+    bytes: u64,
+}
+
+impl Drop for Promise<'_> {
+    fn drop(&mut self) {
+        *self.promised.lock().unwrap_or_else(PoisonError::into_inner) -= self.bytes;
+    }
 }
 
 impl Shift<'_> {
@@ -168,10 +185,24 @@ impl Shift<'_> {
 
     fn train(&self, planned: &Planned) -> Result<Outcome, ExperimentError> {
         let material = self.material(planned)?;
+        let _memory = self.promise(&planned.spec, &material)?;
         let everyone = self.laboratory.progress;
         let own = everyone.job(&planned.spec.label());
         let progress = own.as_deref().unwrap_or(everyone);
         Trainee { spec: &planned.spec, folder: &planned.folder, material: &material, progress }.run()
+    }
+
+    /// Makes sure that there is memory to train a run beside the other jobs: where there is none, the system would end the
+    /// process, and all runs with it.
+    fn promise(&self, spec: &RunSpec, material: &Material) -> Result<Promise<'_>, ExperimentError> {
+        let needed = training_bytes(spec);
+        let mut promised = self.promised.lock().unwrap_or_else(PoisonError::into_inner);
+        let available = memory::within_reach().saturating_sub(material.bytes).saturating_sub(*promised);
+        if needed > available {
+            return Err(ExperimentError::NetworkMemory { needed, available });
+        }
+        *promised += needed;
+        Ok(Promise { promised: &self.promised, bytes: needed })
     }
 
     /// What the runs share; the jobs that come while it is made wait.

@@ -2,6 +2,7 @@
 
 pub mod checkpoint;
 pub mod kernels;
+pub mod memory;
 pub mod network;
 pub mod objective;
 pub mod ops;

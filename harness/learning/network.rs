@@ -46,6 +46,34 @@ impl Sizes {
         modalities.iter().filter(|modality| modality.is_frame()).count() * crate::spec::FRAME_CHANNELS
     }
 
+    /// Values that are trained, of the encoder and the decoder.
+    pub fn parameters(&self) -> usize {
+        let (hidden, latent) = (self.hidden, self.latent);
+        // Weights and biases; a layer without outputs is left out.
+        let layer = |inputs: usize, outputs: usize| (inputs + usize::from(outputs > 0)) * outputs;
+        let (seen, shown) = (Self::frame_channels(&self.input), Self::frame_channels(&self.output));
+        let kernel = |channels: usize, biases: usize| {
+            if channels > 0 { self.channels * channels * 16 + biases } else { 0 }
+        };
+        let coarse = |channels: usize| if channels > 0 { self.coarse() } else { 0 };
+        kernel(seen, self.channels)
+            + layer(Self::vector(&self.input) + coarse(seen), hidden)
+            + layer(hidden, 2 * latent)
+            + layer(latent + self.action, hidden)
+            + layer(hidden, Self::vector(&self.output))
+            + layer(hidden, coarse(shown))
+            + kernel(shown, shown)
+    }
+
+    /// Values that all layers together make of a sample, what goes in and comes out included.
+    pub fn activations(&self) -> usize {
+        let observation = |modalities: &[Modality]| {
+            let coarse = if Self::frame_channels(modalities) > 0 { self.coarse() } else { 0 };
+            modalities.iter().map(|modality| modality.width()).sum::<usize>() + coarse + self.hidden
+        };
+        observation(&self.input) + 3 * self.latent + self.action + observation(&self.output)
+    }
+
     /// Values that the convolution makes of a frame.
     fn coarse(&self) -> usize {
         self.channels * (FRAME_SIDE / 2) * (FRAME_SIDE / 2)
