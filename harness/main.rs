@@ -9,9 +9,9 @@ use std::process::ExitCode;
 static ALLOCATOR: MiMalloc = MiMalloc;
 
 fn main() -> ExitCode {
+    harness::cli::prepare_process();
     // SAFETY: nothing has started a thread yet.
     unsafe {
-        harness::cli::prepare_process();
         harness::simulation::prepare_rendering();
         harness::learning::prepare_threads();
     }

@@ -9,6 +9,7 @@ use image::AnimationDecoder;
 use polars::prelude::SerReader;
 use predicates::prelude::*;
 use std::collections::BTreeMap;
+use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::sync::LazyLock;
@@ -388,7 +389,61 @@ fn a_reader_that_goes_away_is_no_failure() {
         drop(child.stdout.take());
         let output = child.wait_with_output().unwrap();
         assert_eq!(String::from_utf8_lossy(&output.stderr), "", "{arguments:?}");
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}");
     }
+}
+
+#[test]
+fn an_answer_that_cannot_be_printed_is_a_failure() {
+    for arguments in
+        [&["schema"][..], &["ls"], &["query", "select * from epochs"], &["run", SMOKE, "--dry-run"]]
+    {
+        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let output = spawnable(&RESULTS, arguments).stdout(full).output().unwrap();
+        assert_eq!(
+            String::from_utf8_lossy(&output.stderr),
+            "error: the standard output can't be written: No space left on device (os error 28)\n",
+            "{arguments:?}"
+        );
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}");
+    }
+}
+
+// --- words that are no Unicode ---
+
+#[test]
+fn arguments_that_are_no_unicode_are_paths_or_refused() {
+    let folder = Folder::new();
+    let strange = std::ffi::OsStr::from_bytes(b"\xff\xfe");
+    let path = folder.0.path().join(strange);
+    std::fs::create_dir(&path).unwrap();
+    std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join(SMOKE), path.join("smoke.yaml")).unwrap();
+    let answer = |arguments: &[&std::ffi::OsStr]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_harness"));
+        let output = command.current_dir(&path).args(arguments).output().unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(!stderr.contains("panicked"), "{stderr}");
+        (output.status.code().unwrap(), String::from_utf8(output.stdout).unwrap(), stderr)
+    };
+    let word = std::ffi::OsStr::new;
+    let spec = path.join("smoke.yaml");
+    let one =
+        [word("scenarios=empty"), word("training.epochs=1"), word("simulation.actuations_per_episode=2")];
+    let results = folder.path("results");
+    let results = [word("--results"), results.as_os_str()];
+
+    let (code, said, complaint) = answer(&[&results[..], &[word("run"), spec.as_os_str()], &one].concat());
+    assert_eq!(code, 0, "{complaint}");
+    assert!(said.contains("1 done, 0 done before, 0 failed"), "{said}");
+    for arguments in
+        [[word("query"), strange], [word("show"), strange], [strange, strange], [word("--results"), strange]]
+    {
+        let (code, _, complaint) = answer(&arguments);
+        assert_eq!(code, 2, "{complaint}");
+        assert!(complaint.starts_with("error: "), "{complaint}");
+    }
+    let (code, _, complaint) = answer(&[word("run"), spec.as_os_str(), strange]);
+    assert!(code == 2 && complaint.starts_with("error: "), "{complaint}");
 }
 
 // --- bad input ---

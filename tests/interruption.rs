@@ -9,6 +9,8 @@ use harness::spec::Scenario;
 use harness::tables::read_footer;
 use rand::{RngExt, SeedableRng};
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
 use std::sync::LazyLock;
@@ -101,9 +103,21 @@ fn assert_whole(results: &Path, at_rest: bool) {
 /// work there.
 fn start(results: &Path, arguments: &[&str]) -> Child {
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_harness"));
-    command.current_dir(env!("CARGO_MANIFEST_DIR")).env("GIT_DIR", "/nonexistent");
     command.arg("--results").arg(results).args(arguments);
-    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+    start_command(command.stdout(Stdio::piped()).stderr(Stdio::piped()))
+}
+
+/// The same with whatever program and output.
+fn start_command(command: &mut std::process::Command) -> Child {
+    command.current_dir(env!("CARGO_MANIFEST_DIR")).env("GIT_DIR", "/nonexistent").stdin(Stdio::null());
+    // SAFETY: between fork and exec nothing else is done. Whoever runs the tests may have been started by `nohup`.
+    unsafe {
+        command.pre_exec(|| {
+            libc::signal(libc::SIGHUP, libc::SIG_DFL);
+            Ok(())
+        })
+    };
+    command.spawn().unwrap()
 }
 
 /// Runs the program to its end.
@@ -289,7 +303,9 @@ fn the_state_of_a_finished_run_is_removed() {
 
 #[test]
 fn a_run_that_is_asked_to_stop_says_so_and_goes_on_when_asked_again() {
-    for (number, signal_name, code) in [(libc::SIGINT, "SIGINT", 130), (libc::SIGTERM, "SIGTERM", 143)] {
+    let signals =
+        [(libc::SIGINT, "SIGINT", 130), (libc::SIGTERM, "SIGTERM", 143), (libc::SIGHUP, "SIGHUP", 129)];
+    for (number, signal_name, code) in signals {
         let results = Results::new();
         let mut child = start(results.path(), &RUN);
         wait_until(&mut child, "a saved state", || has_state(results.path()));
@@ -299,7 +315,7 @@ fn a_run_that_is_asked_to_stop_says_so_and_goes_on_when_asked_again() {
         let last = answer.stderr.lines().last().unwrap();
         assert!(
             last.starts_with(&format!("stopped by {signal_name}; the same command goes on from here: "))
-                && last.ends_with(&RUN.join(" ")),
+                && last.ends_with(&shlex::try_join(RUN).unwrap()),
             "{last}"
         );
         assert!(!answer.stderr.contains("failed"), "{}", answer.stderr);
@@ -310,6 +326,61 @@ fn a_run_that_is_asked_to_stop_says_so_and_goes_on_when_asked_again() {
         assert_same(results.path(), &UNDISTURBED);
         assert_whole(results.path(), true);
     }
+}
+
+#[test]
+fn a_run_under_nohup_outlives_its_terminal() {
+    let results = Results::new();
+    let mut command = std::process::Command::new("nohup");
+    command.arg(env!("CARGO_BIN_EXE_harness")).arg("--results").arg(results.path()).args(RUN);
+    let mut child = start_command(command.stdout(Stdio::piped()).stderr(Stdio::piped()));
+    wait_until(&mut child, "a saved state", || has_state(results.path()));
+    signal(&child, libc::SIGHUP);
+    let answer = end(child);
+    assert_eq!((answer.code, counts(&answer)), (0, [1, 0, 0]), "{}", answer.stderr);
+}
+
+/// What the program prints, where nobody can read it.
+fn unreadable() -> [(&'static str, Stdio); 2] {
+    let full = File::options().write(true).open("/dev/full").unwrap();
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    [("full", full.into()), ("closed", writer.into())]
+}
+
+#[test]
+fn a_run_goes_on_where_nobody_can_read_what_it_says() {
+    for ((what, stdout), (_, stderr)) in unreadable().into_iter().zip(unreadable()) {
+        let results = Results::new();
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_harness"));
+        command.arg("--results").arg(results.path()).args(RUN).stdout(stdout).stderr(stderr);
+        assert_eq!(start_command(&mut command).wait().unwrap().code(), Some(0), "{what}");
+        assert_same(results.path(), &UNDISTURBED);
+        assert_whole(results.path(), true);
+    }
+}
+
+/// As `2>&-` leaves it.
+#[test]
+fn a_run_goes_on_without_any_standard_output_and_error() {
+    let results = Results::new();
+    let mut command = std::process::Command::new("sh");
+    command.args(["-c", "exec \"$@\" >&- 2>&-", "sh", env!("CARGO_BIN_EXE_harness"), "--results"]);
+    command.arg(results.path()).args(RUN);
+    assert_eq!(start_command(&mut command).wait().unwrap().code(), Some(0));
+    assert_same(results.path(), &UNDISTURBED);
+}
+
+#[test]
+fn a_full_standard_output_is_a_warning_where_something_was_done() {
+    let results = Results::new();
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_harness"));
+    command.arg("--results").arg(results.path()).args(COLLECTION);
+    let [(_, full), _] = unreadable();
+    let answer = end(start_command(command.stdout(full).stderr(Stdio::piped())));
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    let warning = "warning: the standard output can't be written: No space left on device";
+    assert!(answer.stderr.lines().last().unwrap().starts_with(warning), "{}", answer.stderr);
 }
 
 #[test]
@@ -470,6 +541,25 @@ fn a_dataset_larger_than_memory_is_refused_before_it_is_collected() {
     }
 }
 
+/// 24 copies of 336 million parameters of 4 bytes are more than the 12 GB that the process may have.
+#[test]
+fn a_network_larger_than_memory_fails_its_run_and_the_others_go_on() {
+    let results = Results::new();
+    let mut command = std::process::Command::new("sh");
+    command.args(["-c", "ulimit -v 12000000; exec \"$@\"", "sh", env!("CARGO_BIN_EXE_harness"), "--results"]);
+    let networks = ["latent=4096", "vary={network.hidden: [16, 16384]}", "training.epochs=1"];
+    command.arg(results.path()).args(["run", SMOKE, "scenarios=empty"]).args(networks);
+    let answer = end(start_command(command.stdout(Stdio::piped()).stderr(Stdio::piped())));
+    assert_eq!((answer.code, counts(&answer)), (1, [1, 0, 1]), "{}", answer.stderr);
+    let statuses = statuses(results.path());
+    let (status, reason) = statuses.iter().find(|(status, _)| status != "done").unwrap();
+    assert_eq!(status, "failed");
+    assert!(
+        reason.starts_with("the network takes up to 32.3 GB") && reason.contains("lower network.hidden"),
+        "{reason}"
+    );
+}
+
 #[test]
 fn a_run_whose_folder_cannot_be_written_fails_and_the_others_go_on() {
     let results = Results::new();
@@ -541,25 +631,6 @@ fn a_full_disk_fails_what_it_must_and_leaves_nothing_half_written() {
         disk.remount("size=64m");
         succeed(disk.path(), &command);
         assert_same(disk.path(), undisturbed.path());
-/// 24 copies of 336 million parameters of 4 bytes are more than the 12 GB that the process may have.
-#[test]
-fn a_network_larger_than_memory_fails_its_run_and_the_others_go_on() {
-    let results = Results::new();
-    let mut command = std::process::Command::new("sh");
-    command.args(["-c", "ulimit -v 12000000; exec \"$@\"", "sh", env!("CARGO_BIN_EXE_harness"), "--results"]);
-    let networks = ["latent=4096", "vary={network.hidden: [16, 16384]}", "training.epochs=1"];
-    command.arg(results.path()).args(["run", SMOKE, "scenarios=empty"]).args(networks);
-    let answer = end(start_command(command.stdout(Stdio::piped()).stderr(Stdio::piped())));
-    assert_eq!((answer.code, counts(&answer)), (1, [1, 0, 1]), "{}", answer.stderr);
-    let statuses = statuses(results.path());
-    let (status, reason) = statuses.iter().find(|(status, _)| status != "done").unwrap();
-    assert_eq!(status, "failed");
-    assert!(
-        reason.starts_with("the network takes up to 32.3 GB") && reason.contains("lower network.hidden"),
-        "{reason}"
-    );
-}
-
         assert_whole(disk.path(), true);
     }
 }

@@ -1,5 +1,9 @@
 //! The command line of the harness: arguments, terminal and exit codes; nothing scientific.
 
+// First, since its macros are known from here on.
+#[macro_use]
+mod output;
+
 mod claims;
 mod compare;
 mod doctor;
@@ -15,6 +19,7 @@ mod sheet;
 mod table;
 mod verify;
 
+use anyhow::bail;
 use clap::{Parser, Subcommand};
 use harness::claims::ClaimsError;
 use harness::dataset::DatasetError;
@@ -41,13 +46,18 @@ use std::process::ExitCode;
 )]
 struct Arguments {
     /// Folder of datasets and runs
-    #[arg(long, global = true, value_name = "DIR", default_value = "results")]
+    // Read as text, since Polars takes no other paths.
+    #[arg(long, global = true, value_name = "DIR", default_value = "results", value_parser = text_path)]
     results: PathBuf,
     /// Threads for simulation and training [default: all processors]
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
     #[command(subcommand)]
     command: Command,
+}
+
+fn text_path(path: &str) -> Result<PathBuf, std::convert::Infallible> {
+    Ok(path.into())
 }
 
 #[derive(Subcommand)]
@@ -160,20 +170,13 @@ const FAILED: u8 = 1;
 /// The spec or the arguments are wrong; nothing was done.
 const USAGE: u8 = 2;
 
-/// Makes a process the program's own: a closed pipe ends it, and its allocator gives nothing back.
-///
-/// # Safety
-/// To be called before any other thread exists, in a process that does nothing else.
-pub unsafe fn prepare_process() {
+/// Makes a process the program's own: its allocator gives nothing back.
+pub fn prepare_process() {
     /// `mi_option_purge_delay` of mimalloc.h (versions 2 and 3), to which the bindings give no name.
     const PURGE_DELAY: libmimalloc_sys::mi_option_t = 15;
     const NEVER: std::ffi::c_long = -1;
-    // SAFETY: the caller vouches for the signal; the option is a number that may be set at any time.
-    unsafe {
-        // Rust ignores the signal, and `harness query … | head` would end in a panic.
-        libc::signal(libc::SIGPIPE, libc::SIG_DFL);
-        libmimalloc_sys::mi_option_set(PURGE_DELAY, NEVER);
-    }
+    // SAFETY: the option is a number that may be set at any time.
+    unsafe { libmimalloc_sys::mi_option_set(PURGE_DELAY, NEVER) };
 }
 
 /// Runs the command that `arguments` give, the first of which is the program's name, and reports its error, once.
@@ -207,9 +210,10 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Verify => verify::execute(&registry),
         Command::Doctor => doctor::execute(&registry, threads),
     };
+    let outcome = outcome.and_then(|code| output::lost().map_or(Ok(code), |lost| bail!(lost)));
     outcome.unwrap_or_else(|error| {
         if let Some((signal, code)) = interrupt::received().filter(|_| is_cancelled(&error)) {
-            let command = std::env::args().collect::<Vec<_>>().join(" ");
+            let command = words().map(|word| quoted(&word)).collect::<Vec<_>>().join(" ");
             eprintln!("stopped by {signal}; the same command goes on from here: {command}");
             return ExitCode::from(code);
         }
@@ -218,9 +222,20 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     })
 }
 
+/// This process's command in words; what is not Unicode in them is replaced.
+fn words() -> impl Iterator<Item = String> {
+    std::env::args_os().map(|word| word.to_string_lossy().into_owned())
+}
+
+/// A word as a shell takes it.
+fn quoted(word: &str) -> String {
+    // Fails for a NUL alone, which no argument holds.
+    shlex::try_quote(word).map_or(word.to_owned(), Into::into)
+}
+
 /// This process's command as it was typed, with its program by name: where that lies is no part of what was done.
 pub fn command_line() -> String {
-    let mut words = std::env::args();
+    let mut words = words();
     let program = words.next().unwrap_or_default();
     let name = Path::new(&program).file_name().map(|name| name.to_string_lossy().into_owned());
     name.into_iter().chain(words).collect::<Vec<_>>().join(" ")

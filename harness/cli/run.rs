@@ -1,9 +1,8 @@
 //! `harness run` and `harness validate`.
 
-use super::interrupt;
 use super::progress::Bars;
 use super::table::{print, shown};
-use super::{DONE, FAILED};
+use super::{DONE, FAILED, interrupt, output};
 use anyhow::Result;
 use clap::Args;
 use harness::dataset::{Dataset, collect};
@@ -76,6 +75,7 @@ impl Run {
             eprintln!("warning: the results can't be shown: {error}");
         }
         print_summary(registry, &experiment, &summary);
+        warn_of_loss();
         Ok(ExitCode::from(if summary.failed.is_empty() { DONE } else { FAILED }))
     }
 }
@@ -115,7 +115,15 @@ impl Collect {
                 }
             }
         }
+        warn_of_loss();
         Ok(ExitCode::from(if failed { FAILED } else { DONE }))
+    }
+}
+
+/// What was done is done, whether or not it could be shown: the exit code tells of the work.
+fn warn_of_loss() {
+    if let Some(lost) = output::lost() {
+        eprintln!("warning: {lost}");
     }
 }
 

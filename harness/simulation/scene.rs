@@ -3,6 +3,7 @@
 use super::{MUJOCO_VERSION, SimulationError, mujoco_version};
 use crate::spec::{ARM_JOINTS, JOINTS, Scenario};
 use mujoco_rs::prelude::*;
+use std::io::{self, Write};
 use std::path::Path;
 use std::sync::{Once, OnceLock};
 
@@ -337,6 +338,7 @@ fn silence_mujoco_warnings() {
 /// MuJoCo ends the process after an error: the reason has no other way out.
 fn print_fatal(message: &MjLogMessage) {
     if message.level() == MjtLogLevel::mjLOG_ERROR {
-        eprintln!("MuJoCo stops the program: {}", message.subject());
+        // A panic would hide it where the standard error is full.
+        let _ = writeln!(io::stderr(), "MuJoCo stops the program: {}", message.subject());
     }
 }

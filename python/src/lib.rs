@@ -37,12 +37,10 @@ mod _harness {
     /// Runs the command line; returns its exit code.
     #[pyfunction]
     fn main(py: Python, arguments: Vec<OsString>) -> u8 {
-        // SAFETY: called by the `harness` script alone, whose process does nothing else; the signals are those that
-        // the program would have found, had it not been started by Python.
-        unsafe {
-            cli::prepare_process();
-            libc::signal(libc::SIGINT, libc::SIG_DFL);
-        }
+        cli::prepare_process();
+        // SAFETY: called by the `harness` script alone, whose process does nothing else; the signal is as the program
+        // would have found it, had it not been started by Python.
+        unsafe { libc::signal(libc::SIGINT, libc::SIG_DFL) };
         let code = py.detach(|| cli::main(arguments));
         // An exit code does not tell its number, but what it equals.
         (0..=u8::MAX).find(|number| ExitCode::from(*number) == code).unwrap_or(u8::MAX)
