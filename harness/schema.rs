@@ -123,7 +123,7 @@ fn run_key() -> Vec<Column> {
         text("scenario", "empty, cluttered, or the name of an imported dataset"),
         text("input", "modalities given to the encoder, joined by +"),
         text("output", "modalities predicted, joined by +"),
-        text("architecture", "fully_connected or convolutional"),
+        text("architecture", "the preset that the network starts from: single_to_multi or multi_to_multi"),
         integer("latent", "size of the latent state"),
         text(
             "variant",

@@ -3,15 +3,15 @@
 
 use candle_core::{Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
-use harness::dataset::frames::{DenseFrames, Frames};
+use harness::dataset::frames::{Averaged, DenseFrames, Frames};
 use harness::dataset::{Partition, Samples, Standard};
 use harness::learning::kernels;
-use harness::learning::kernels::convolution::{Coarse, Convolution, Fine, KernelSums};
-use harness::learning::kernels::product::{self, Matrix, Unit};
-use harness::learning::network::{Decoder, Encoder, Observation, Parameters, Sizes, Targets, scalar};
+use harness::learning::kernels::convolution::{Convolution, Images, KernelSums, LANES};
+use harness::learning::kernels::product::{self, Accumulate, Arithmetic, Matrix, Unit};
+use harness::learning::network::{Architecture, Observation, Parameters, Targets, scalar};
 use harness::learning::objective::{Draw, Objective, Prediction, View, Weighted};
 use harness::learning::ops::{
-    Adam, Dropout, FrameDecoder, TwoLayers, backward, divergence, frame_decoder, frame_encoder, frame_loss,
+    Adam, Dropout, FrameDecoder, Stack, TwoLayers, divergence, frame_decoder, frame_encoder, frame_loss,
     linear, sample, squared_errors, two_layers,
 };
 use harness::learning::random::{Random, Stream};
@@ -21,7 +21,8 @@ use harness::learning::{LearningError, checkpoint};
 use harness::progress::Progress;
 use harness::simulation::Episode;
 use harness::spec::{
-    ARM_JOINTS, Action, FRAME_LEN, JOINTS, Modality, Precision, Schedule, Split, Stop, Task, Training,
+    ARM_JOINTS, Action, FRAME_LEN, Fusion, JOINTS, Modality, Network, Precision, Preset, Schedule, Split,
+    Stop, Task, Training,
 };
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, HashMap};
@@ -60,7 +61,7 @@ fn assert_gradients(arguments: &[Var], function: impl Fn(&[Tensor]) -> Result<Te
     let output = function(&tensors).unwrap();
     // A random weighting of the outputs makes a scalar that depends on every one of them.
     let weights = normal(&mut random, output.dims());
-    let gradients = backward(&(&output * &weights).unwrap().sum_all().unwrap()).unwrap();
+    let gradients = (&output * &weights).unwrap().sum_all().unwrap().backward().unwrap();
     for (index, argument) in arguments.iter().enumerate() {
         let direction = normal(&mut random, argument.dims());
         let at = |step: f64| {
@@ -92,22 +93,25 @@ fn gradients_of_linear_are_those_of_finite_differences() {
     let arguments =
         [variable(&mut random, &[5, 7]), variable(&mut random, &[4, 7]), variable(&mut random, &[4])];
     for relu in [false, true] {
-        assert_gradients(&arguments, |args| linear(&args[0], &args[1], &args[2], relu));
+        assert_gradients(&arguments, |args| linear(&args[0], &args[1], &args[2], relu, Arithmetic::best()));
     }
+}
+
+/// Two convolutions, and images that fill one group of lanes and a part of another.
+fn stack() -> (Stack, usize) {
+    (Stack::new(2, 8, &[3, 5]), LANES + 3)
 }
 
 #[test]
 fn gradients_of_the_frame_encoder_are_those_of_finite_differences() {
     let mut random = random(2);
-    let frames = dense(&normal(&mut random, &[3, 2, 8, 8]));
-    let arguments = [
-        variable(&mut random, &[3, 2, 4, 4]),
-        variable(&mut random, &[3]),
-        variable(&mut random, &[5, 3 * 4 * 4]),
-    ];
+    let (stack, images) = stack();
+    let frames = dense(&normal(&mut random, &[images, 2, 8, 8]));
+    let parameters = stack.layers().iter().map(|sizes| sizes.kernel_len() + sizes.coarse_channels).sum();
+    let arguments = [variable(&mut random, &[parameters]), variable(&mut random, &[4, stack.coarse_len()])];
     for dropout in [None, Some(Dropout::new(0.3, 7))] {
         assert_gradients(&arguments, |args| {
-            frame_encoder(frames.clone(), &args[0], &args[1], &args[2], Precision::F32, dropout)
+            frame_encoder(frames.clone(), &stack, &args[0], &args[1], Arithmetic::best(), dropout)
         });
     }
 }
@@ -119,31 +123,27 @@ fn gradients_of_two_layers_are_those_of_finite_differences() {
     let shapes: [&[usize]; 5] = [&[11, 7], &[6, 7], &[6], &[4, 6], &[4]];
     let arguments = shapes.map(|shape| variable(&mut random, shape));
     assert_gradients(&arguments, |args| {
-        let [x, hidden_weight, hidden_bias, weight, bias] = [0, 1, 2, 3, 4].map(|index| args[index].clone());
-        two_layers(&x, TwoLayers { hidden_weight, hidden_bias, weight, bias })
+        let [x, hidden_weight, hidden_bias, weight, bias] = [0, 1, 2, 3, 4].map(|index| &args[index]);
+        two_layers(x, TwoLayers { hidden_weight, hidden_bias, weight, bias }, Arithmetic::best())
     });
-}
-
-/// A decoder's way to frames from weight, bias, kernel and the kernel's bias.
-fn decoder(parameters: [&Tensor; 4]) -> FrameDecoder {
-    let [weight, bias, kernel, kernel_bias] = parameters.map(Tensor::clone);
-    FrameDecoder { weight, bias, kernel, kernel_bias, precision: Precision::F32 }
 }
 
 #[test]
 fn gradients_of_the_frame_loss_are_those_of_finite_differences() {
     let mut random = random(3);
-    let target = dense(&normal(&mut random, &[3, 2, 8, 8]));
+    let (stack, images) = stack();
+    let target = dense(&normal(&mut random, &[images, 2, 8, 8]));
+    let parameters: usize = stack.layers().iter().map(|sizes| sizes.kernel_len() + sizes.fine_channels).sum();
     let arguments = [
-        variable(&mut random, &[3, 5]),
-        variable(&mut random, &[3 * 4 * 4, 5]),
-        variable(&mut random, &[3 * 4 * 4]),
-        variable(&mut random, &[3, 2, 4, 4]),
-        variable(&mut random, &[2]),
+        variable(&mut random, &[images, 4]),
+        variable(&mut random, &[stack.coarse_len(), 4]),
+        variable(&mut random, &[parameters + stack.coarse_len()]),
     ];
     assert_gradients(&arguments, |args| {
+        let [hidden, weight, packed] = [0, 1, 2].map(|index| args[index].clone());
+        let decoder = FrameDecoder { stack: stack.clone(), weight, packed, arithmetic: Arithmetic::best() };
         // A factor other than one comes from upstream when a term is weighted.
-        frame_loss(&args[0], decoder([&args[1], &args[2], &args[3], &args[4]]), target.clone())? * 3.0
+        frame_loss(&hidden, decoder, target.clone())? * 3.0
     });
 }
 
@@ -157,31 +157,38 @@ fn gradients_of_the_posterior_and_of_squared_errors_are_those_of_finite_differen
 }
 
 #[test]
-fn weights_that_are_computed_from_others_are_refused() {
-    // Their gradient is handed over, and would never reach what they are computed from.
+fn gradients_reach_what_weights_are_computed_from() {
     let mut random = random(32);
-    let (x, bias) = (normal(&mut random, &[2, 3]), normal(&mut random, &[4]));
-    let doubled = (variable(&mut random, &[4, 3]).as_tensor() * 2.0).unwrap();
-    assert!(linear(&x, &doubled, &bias, false).is_err());
+    let x = normal(&mut random, &[2, 3]);
+    assert_gradients(&[variable(&mut random, &[4, 3]), variable(&mut random, &[4])], |args| {
+        linear(&x, &(&args[0] * 2.0)?, &args[1], false, Arithmetic::best())
+    });
 }
 
 #[test]
 fn convolving_spreading_and_the_kernels_gradient_are_one_bilinear_form() {
-    // Sizes that no vector divides, and the network's own.
-    for (fine_channels, coarse_channels, side) in [(2, 1, 6), (3, 9, 20), (6, 16, 64)] {
+    // Sizes that no group of places or channels divides, and the networks' own.
+    for (fine_channels, coarse_channels, side) in [(2, 1, 2), (2, 3, 6), (3, 9, 20), (32, 32, 8), (6, 16, 64)]
+    {
         let sizes = Convolution { fine_channels, coarse_channels, side };
         let mut random = random(4);
-        let (image, kernel) = (random.normal(sizes.fine_len()), random.normal(sizes.kernel_len()));
-        let grad = random.normal(sizes.coarse_len());
-        let (mut fine, mut coarse) = (Fine::new(sizes), Coarse::new(sizes));
+        let image = random.normal(LANES * sizes.fine_len());
+        let (kernel, grad) = (random.normal(sizes.kernel_len()), random.normal(LANES * sizes.coarse_len()));
+        let values = |images: &Images, len: usize| {
+            let mut values = vec![0.0; LANES * len];
+            images.write(&mut values);
+            values
+        };
+        let (mut fine, mut coarse) = (sizes.fine(), sizes.coarse());
         fine.set(&image);
-        coarse.set_masked(&grad, &vec![1.0; grad.len()]);
-        let mut convolved = vec![0.0; grad.len()];
-        sizes.convolve(&fine, &kernel, &mut convolved);
-        let mut spread = vec![0.0; image.len()];
-        sizes.spread(&coarse, &kernel, &vec![0.0; fine_channels], &mut spread);
+        coarse.set(&grad);
+        assert!(values(&fine, sizes.fine_len()) == image, "setting and writing at side {side}");
         let mut sums = KernelSums::new(sizes);
         sizes.add_kernel_gradient(&fine, &coarse, &mut sums);
+        let (mut convolved, mut spread) = (sizes.coarse(), sizes.fine());
+        sizes.convolve(&fine, &kernel, &mut convolved);
+        sizes.spread(&coarse, &kernel, &mut spread);
+        let (convolved, spread) = (values(&convolved, sizes.coarse_len()), values(&spread, sizes.fine_len()));
         let dot = |a: &[f32], b: &[f32]| -> f64 { a.iter().zip(b).map(|(a, b)| f64::from(a * b)).sum() };
         let expected = dot(&convolved, &grad);
         let scale = dot(&convolved, &convolved).sqrt() * dot(&grad, &grad).sqrt();
@@ -210,7 +217,7 @@ fn product_error(
     };
     let mut out = vec![1.0; m * n];
     let (left, right) = (view(&a, m, k, views[0]), view(&b, k, n, views[1]));
-    product::product_on(unit, left, right, &mut out, product::Into::Add, precision, threads);
+    product::product(left, right, &mut out, Accumulate::Add, Arithmetic { unit, precision }, threads);
     let mut worst: f64 = 0.0;
     for row in 0..m {
         for column in 0..n {
@@ -259,7 +266,8 @@ fn products_are_the_same_bits_at_any_number_of_threads() {
         let bits = |threads: usize| -> Vec<u32> {
             let mut out = vec![0.0; 300 * 500];
             let (a, b) = (Matrix::plain(&a, 300, 700), Matrix::plain(&b, 700, 500));
-            product::product(a, b, &mut out, product::Into::Overwrite, precision, threads);
+            let arithmetic = Arithmetic { precision, ..Arithmetic::best() };
+            product::product(a, b, &mut out, Accumulate::Overwrite, arithmetic, threads);
             out.into_iter().map(f32::to_bits).collect()
         };
         assert_eq!(bits(1), bits(2));
@@ -303,37 +311,70 @@ fn dropout_is_for_training_alone_and_goes_by_the_seed() {
 #[test]
 fn own_ops_agree_with_candles_operations() {
     let mut random = random(5);
-    let frames = normal(&mut random, &[3, 3, 16, 16]);
-    let (kernel, bias) = (normal(&mut random, &[4, 3, 4, 4]), normal(&mut random, &[4]));
-    let hidden = normal(&mut random, &[6, 4 * 64]);
-    let found = frame_encoder(dense(&frames), &kernel, &bias, &hidden, Precision::F32, None).unwrap();
-    let convolved = frames.conv2d(&kernel, 1, 2, 1, 1).unwrap();
-    let active = convolved.broadcast_add(&bias.reshape((1, 4, 1, 1)).unwrap()).unwrap().relu().unwrap();
-    let expected = active.flatten_from(1).unwrap().matmul(&hidden.t().unwrap()).unwrap();
-    assert_close(&found, &expected, 1e-5, "the frame encoder");
-    let dropout = Dropout::new(0.4, 9);
-    let found =
-        frame_encoder(dense(&frames), &kernel, &bias, &hidden, Precision::F32, Some(dropout)).unwrap();
-    let mut mask = vec![1.0f32; 3 * 4 * 64];
-    mask.chunks_exact_mut(4 * 64).enumerate().for_each(|(image, mask)| dropout.apply(image, mask));
-    let mask = Tensor::from_vec(mask, (3, 4 * 64), &Device::Cpu).unwrap();
-    let expected = (active.flatten_from(1).unwrap() * mask).unwrap().matmul(&hidden.t().unwrap()).unwrap();
-    assert_close(&found, &expected, 1e-5, "the frame encoder with dropout");
+    let (stack, batch) = (Stack::new(3, 16, &[4, 6]), LANES + 3);
+    let frames = normal(&mut random, &[batch, 3, 16, 16]);
+    let kernels = [normal(&mut random, &[4, 3, 4, 4]), normal(&mut random, &[6, 4, 4, 4])];
+    let flat = |tensors: &[&Tensor]| {
+        let flat = tensors.iter().map(|tensor| tensor.flatten_all().unwrap()).collect::<Vec<_>>();
+        Tensor::cat(&flat, 0).unwrap()
+    };
+    let channelwise = |image: &Tensor, bias: &Tensor| {
+        image.broadcast_add(&bias.reshape((1, bias.elem_count(), 1, 1)).unwrap()).unwrap()
+    };
 
-    let (hidden, weight) = (normal(&mut random, &[3, 5]), normal(&mut random, &[4 * 64, 5]));
-    let (weight_bias, bias) = (normal(&mut random, &[4 * 64]), normal(&mut random, &[3]));
-    let layers = || decoder([&weight, &weight_bias, &kernel, &bias]);
-    let found = frame_decoder(&hidden, &layers(), 16).unwrap();
+    let (biases, weight) = ([4, 6].map(|len| normal(&mut random, &[len])), normal(&mut random, &[5, 6 * 16]));
+    let packed = flat(&[&kernels[0], &biases[0], &kernels[1], &biases[1]]);
+    let mut active = frames.clone();
+    for (kernel, bias) in kernels.iter().zip(&biases) {
+        active = channelwise(&active.conv2d(kernel, 1, 2, 1, 1).unwrap(), bias).relu().unwrap();
+    }
+    let active = active.flatten_from(1).unwrap();
+    let found = |dropout| {
+        frame_encoder(dense(&frames), &stack, &packed, &weight, Arithmetic::best(), dropout).unwrap()
+    };
+    assert_close(&found(None), &active.matmul(&weight.t().unwrap()).unwrap(), 1e-5, "the frame encoder");
+    let dropout = Dropout::new(0.4, 9);
+    let mut mask = vec![1.0f32; batch * 6 * 16];
+    mask.chunks_exact_mut(6 * 16).enumerate().for_each(|(image, mask)| dropout.apply(image, mask));
+    let mask = Tensor::from_vec(mask, (batch, 6 * 16), &Device::Cpu).unwrap();
+    let expected = (active * mask).unwrap().matmul(&weight.t().unwrap()).unwrap();
+    assert_close(&found(Some(dropout)), &expected, 1e-5, "the frame encoder with dropout");
+
+    let (hidden, weight) = (normal(&mut random, &[batch, 5]), normal(&mut random, &[6 * 16, 5]));
+    let (weight_bias, biases) =
+        (normal(&mut random, &[6 * 16]), [3, 4].map(|len| normal(&mut random, &[len])));
+    let packed = flat(&[&kernels[0], &biases[0], &kernels[1], &biases[1], &weight_bias]);
+    let layers = || FrameDecoder {
+        stack: stack.clone(),
+        weight: weight.clone(),
+        packed: packed.clone(),
+        arithmetic: Arithmetic::best(),
+    };
+    let found = frame_decoder(&hidden, &layers()).unwrap();
     let coarse = hidden.matmul(&weight.t().unwrap()).unwrap().broadcast_add(&weight_bias).unwrap();
-    let images = coarse.relu().unwrap().reshape((3, 4, 8, 8)).unwrap();
-    let expected = images.conv_transpose2d(&kernel, 1, 0, 2, 1).unwrap();
-    let expected = expected.broadcast_add(&bias.reshape((1, 3, 1, 1)).unwrap()).unwrap();
+    let mut expected = coarse.reshape((batch, 6, 4, 4)).unwrap();
+    for (kernel, bias) in kernels.iter().zip(&biases).rev() {
+        let spread = expected.relu().unwrap().conv_transpose2d(kernel, 1, 0, 2, 1).unwrap();
+        expected = channelwise(&spread, bias);
+    }
     assert_close(&found, &expected, 1e-5, "the frame decoder");
 
-    let target = normal(&mut random, &[3, 3, 16, 16]);
+    let target = normal(&mut random, &[batch, 3, 16, 16]);
     let found = frame_loss(&hidden, layers(), dense(&target)).unwrap();
     let mean = (expected - target).unwrap().sqr().unwrap().mean_all().unwrap();
     assert_close(&found, &mean, 1e-5, "the frame loss");
+}
+
+#[test]
+fn averaged_frames_are_the_means_of_their_squares() {
+    let frame: Vec<f32> = (0..2 * 16).map(|value| value as f32).collect();
+    let frames = dense(&Tensor::from_vec(frame, (1, 2, 4, 4), &Device::Cpu).unwrap());
+    let averaged = Averaged::over(frames, 2);
+    assert_eq!((averaged.side(), averaged.frame_len()), (2, 8));
+    let mut found = vec![0.0; 8];
+    averaged.write(0, &mut found);
+    // The first square holds 0, 1, 4 and 5.
+    assert_eq!(found, [2.5, 4.5, 10.5, 12.5, 18.5, 20.5, 26.5, 28.5]);
 }
 
 #[test]
@@ -473,7 +514,18 @@ struct Twin {
     tensors: HashMap<String, Tensor>,
     weights: BTreeMap<Modality, f64>,
     kl_weight: f64,
-    sizes: Sizes,
+    architecture: Architecture,
+}
+
+/// The paper's network of these widths.
+fn network(hidden: usize, channels: usize) -> Network {
+    Network {
+        preset: Preset::MultiToMulti,
+        hidden: vec![hidden],
+        channels: Some(vec![channels]),
+        average: 1,
+        fusion: Fusion::Early,
+    }
 }
 
 impl Twin {
@@ -492,14 +544,13 @@ impl Twin {
             tensors: candle_core::safetensors::load_buffer(&bytes, &Device::Cpu).unwrap(),
             weights: serde_json::from_value(settings["weights"].clone()).unwrap(),
             kl_weight: settings["kl_weight"].as_f64().unwrap(),
-            sizes: Sizes {
+            architecture: Architecture {
                 input: only(&[Modality::Proprioception, Modality::Vision]),
                 output: only(&[Modality::Proprioception, Modality::ContactForce, Modality::FrameDifference]),
                 latent: size("latent"),
-                hidden: size("hidden"),
-                channels: size("channels"),
                 action: ARM_JOINTS,
-                precision: Precision::F32,
+                network: network(size("hidden"), size("channels")),
+                arithmetic: Arithmetic::best(),
             },
         }
     }
@@ -517,8 +568,8 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool) {
     const TOLERANCE: f64 = 1e-4;
     let twin = Twin::load(name, frames);
     let mut parameters = Parameters::new();
-    let encoder = Encoder::new(&twin.sizes, &mut parameters, &mut random(0), &Device::Cpu).unwrap();
-    let decoder = Decoder::new(&twin.sizes, &mut parameters, &mut random(0), &Device::Cpu).unwrap();
+    let encoder = twin.architecture.encoder(&mut parameters, &mut random(0), &Device::Cpu).unwrap();
+    let decoder = twin.architecture.decoder(&mut parameters, &mut random(0), &Device::Cpu).unwrap();
     for (name, parameter) in &parameters {
         parameter.set(twin.get(name)).unwrap();
     }
@@ -544,16 +595,21 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool) {
         for term in &terms {
             total = (total + (&term.value * twin.weights[&term.modality]).unwrap()).unwrap();
         }
-        let gradients = backward(&total).unwrap();
+        let gradients = total.backward().unwrap();
         if step == 0 {
             let found =
                 Tensor::cat(&[posterior.mean().unwrap(), posterior.log_variance().unwrap()], 1).unwrap();
             assert_close(&found, twin.get("output.posterior"), TOLERANCE, "the posterior");
-            let (vector, predicted) = decoder.decode(&latent, Some(twin.get("action"))).unwrap();
-            assert_close(&vector.unwrap(), twin.get("output.vector"), TOLERANCE, "the predicted vectors");
+            let decoded = decoder.decode(&latent, Some(twin.get("action"))).unwrap();
+            assert_close(
+                &decoded.vector.unwrap(),
+                twin.get("output.vector"),
+                TOLERANCE,
+                "the predicted vectors",
+            );
             if frames {
                 assert_close(
-                    &predicted.unwrap(),
+                    &decoded.frames.unwrap(),
                     twin.get("output.frame"),
                     TOLERANCE,
                     "the predicted frames",
@@ -684,21 +740,20 @@ impl Bench {
         state: &StateFile,
         progress: &dyn Progress,
     ) -> std::result::Result<(Vec<Epoch>, Parameters), LearningError> {
-        let sizes = Sizes {
+        let architecture = Architecture {
             input: INPUT.to_vec(),
             output: OUTPUT.to_vec(),
             latent: 3,
-            hidden: 8,
-            channels: 2,
             action: ARM_JOINTS,
-            precision: Precision::F32,
+            network: network(8, 2),
+            arithmetic: Arithmetic::best(),
         };
         let mut parameters = Parameters::new();
         let mut random = random(seed);
         let objective = Prediction {
             view: &self.view,
-            encoder: Encoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu)?,
-            decoder: Decoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu)?,
+            encoder: architecture.encoder(&mut parameters, &mut random, &Device::Cpu)?,
+            decoder: architecture.decoder(&mut parameters, &mut random, &Device::Cpu)?,
             input: &INPUT,
             output: &OUTPUT,
             kl_weight: self.training.kl_weight,
@@ -1088,19 +1143,23 @@ fn the_number_of_parameters_is_known_before_they_are_made() {
     let sides: [&[Modality]; 4] =
         [&[Arm], &[Proprioception, ContactForce], &[Vision], &[Proprioception, Vision, FrameDifference]];
     for (input, output) in sides.iter().flat_map(|input| sides.iter().map(move |output| (input, output))) {
-        let sizes = Sizes {
-            input: input.to_vec(),
-            output: output.to_vec(),
-            latent: 3,
-            hidden: 7,
-            channels: 2,
-            action: ARM_JOINTS,
-            precision: Precision::F32,
-        };
-        let mut parameters = Parameters::new();
-        Encoder::new(&sizes, &mut parameters, &mut random(0), &Device::Cpu).unwrap();
-        Decoder::new(&sizes, &mut parameters, &mut random(0), &Device::Cpu).unwrap();
-        let made: usize = parameters.values().map(|parameter| parameter.elem_count()).sum();
-        assert_eq!(sizes.parameters(), made, "{input:?} to {output:?}");
+        for (fusion, hidden) in
+            [(Fusion::Early, vec![7]), (Fusion::Early, vec![5, 6]), (Fusion::Late, vec![7, 4])]
+        {
+            let architecture = Architecture {
+                input: input.to_vec(),
+                output: output.to_vec(),
+                latent: 3,
+                action: ARM_JOINTS,
+                network: Network { hidden, channels: Some(vec![2, 5]), fusion, ..network(0, 0) },
+                arithmetic: Arithmetic::best(),
+            };
+            let mut parameters = Parameters::new();
+            architecture.encoder(&mut parameters, &mut random(0), &Device::Cpu).unwrap();
+            architecture.decoder(&mut parameters, &mut random(0), &Device::Cpu).unwrap();
+            let made: usize = parameters.values().map(|parameter| parameter.elem_count()).sum();
+            let summary = architecture.summary().unwrap();
+            assert_eq!(summary.parameters(), made, "{input:?} to {output:?}, {fusion}");
+        }
     }
 }

@@ -2,8 +2,8 @@
 //! the same.
 
 use harness::spec::{
-    self, Action, Architecture, Experiment, Modality, Network, Origin, Scenario, Schedule, Simulation, Split,
-    SplitCounts, Stop, Task, Training,
+    self, Action, Experiment, Fusion, Modality, Network, Origin, Preset, Scenario, Schedule, Simulation,
+    Split, SplitCounts, Stop, Task, Training,
 };
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
@@ -18,7 +18,7 @@ scenarios: [empty, cluttered]
 input: [proprioception, arm]
 output: [proprioception, contact_force]
 latent: [2, 4]
-network: {architecture: fully_connected}
+network: {preset: single_to_multi}
 ";
 
 fn load_with(text: impl AsRef<[u8]>, overrides: &[&str], quick: bool) -> Result<Experiment, String> {
@@ -69,7 +69,13 @@ fn what_is_left_out_gets_its_default() {
         seeds: vec![0],
         tasks: vec![Task::Prediction, Task::Reconstruction],
         action: Action::Increment,
-        network: Network { architecture: Architecture::FullyConnected, hidden: 256, channels: 16 },
+        network: Network {
+            preset: Preset::SingleToMulti,
+            hidden: vec![256],
+            channels: Some(Vec::new()),
+            average: 1,
+            fusion: Fusion::Early,
+        },
         simulation: Simulation::default(),
         split: Split::default(),
         training: Training {
@@ -153,7 +159,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
             "training:\n  bacth_size: 5\n",
             "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
              learning_rate, schedule, warmup_epochs, weight_decay, clip_norm, batch_size, epochs, patience, stop, \
-             kl_weight, loss_weights, dropout, precision, device",
+             kl_weight, loss_weights, dropout, precision, tiles, device",
         ),
         (
             "split: {holdout: 0.1}\n",
@@ -191,9 +197,9 @@ fn unknown_names_are_refused_with_the_nearest_one() {
              empty, cluttered, or the name of an imported dataset",
         ),
         (
-            "network: {architecture: Fully_Connected}",
-            "spec.yaml:6:25: unknown architecture 'Fully_Connected' in 'network.architecture'; \
-             did you mean 'fully_connected'? Allowed: fully_connected, convolutional",
+            "network: {preset: Single_To_Multi}",
+            "spec.yaml:6:19: unknown preset 'Single_To_Multi' in 'network.preset'; \
+             did you mean 'single_to_multi'? Allowed: single_to_multi, multi_to_multi",
         ),
     ];
     for (line, expected) in cases {
@@ -214,7 +220,7 @@ fn missing_keys_are_named_together() {
         refusal("name: a\nlatent: [2]\n"),
         "spec.yaml:1:1: missing 'scenarios', 'input', 'output', 'network'"
     );
-    assert_eq!(refusal(base_with("network: {hidden: 8}")), "spec.yaml:6:10: missing 'network.architecture'");
+    assert_eq!(refusal(base_with("network: {hidden: 8}")), "spec.yaml:6:10: missing 'network.preset'");
 }
 
 #[test]
@@ -322,8 +328,8 @@ fn wrong_types_and_values_out_of_bounds_are_refused() {
         ),
         ("latent: 0", "spec.yaml:5:9: 'latent': expected an integer of at least 1 and at most 4096, found 0"),
         (
-            "network: {architecture: fully_connected, hidden: 1000000}",
-            "spec.yaml:6:50: 'network.hidden': expected an integer of at least 1 and at most 16384, found 1000000",
+            "network: {preset: single_to_multi, hidden: [1000000]}",
+            "spec.yaml:6:45: 'network.hidden': expected an integer of at least 1 and at most 16384, found 1000000",
         ),
         ("input: [arm, vision, arm]", "spec.yaml:3:22: \"arm\" stands twice in 'input'"),
         ("latent: [2, 4, 2]", "spec.yaml:5:16: 2 stands twice in 'latent'"),
@@ -352,7 +358,7 @@ fn names_that_are_no_folder_names_are_refused() {
 }
 
 #[test]
-fn frames_and_architecture_must_fit() {
+fn frames_need_convolutions_that_fit_them() {
     for (line, position, frame) in [
         ("input: [arm, vision]", "3:14", "vision"),
         ("output: [frame_difference]", "4:10", "frame_difference"),
@@ -360,22 +366,40 @@ fn frames_and_architecture_must_fit() {
         assert_eq!(
             refusal(base_with(line)),
             format!(
-                "spec.yaml:{position}: '{frame}' is a frame, and a fully_connected network takes vectors alone; \
-                 leave it out or use network.architecture: convolutional"
+                "spec.yaml:{position}: '{frame}' is a frame, and a single_to_multi network takes vectors alone; \
+                 leave it out, use network.preset: multi_to_multi, or give it convolutions by network.channels"
             )
         );
     }
-    assert_eq!(
-        refusal(base_with("network: {architecture: convolutional}")),
-        "spec.yaml:6:25: a convolutional network needs vision or frame_difference in 'input' or 'output'; \
-         use fully_connected"
-    );
-    let convolutional = base_with("network: {architecture: convolutional}");
-    for line in ["input: [vision]", "output: [vision]", "output: [arm, frame_difference]"] {
-        let key = line.split_once(':').unwrap().0;
-        let text = convolutional.lines().map(|old| if old.starts_with(key) { line } else { old });
-        load(&text.collect::<Vec<_>>().join("\n"));
+    let seeing = |network: &str| {
+        let text = base_with(&format!("network: {network}"));
+        text.replace("input: [proprioception, arm]", "input: [vision]")
+    };
+    for network in [
+        "{preset: multi_to_multi}",
+        "{preset: single_to_multi, channels: [4]}",
+        "{preset: multi_to_multi, channels: [8, 16, 32, 32, 8, 4]}",
+        "{preset: multi_to_multi, channels: [8, 16], average: 16, hidden: [64, 32], fusion: late}",
+    ] {
+        load(&seeing(network));
     }
+    assert_eq!(
+        refusal(seeing("{preset: multi_to_multi, channels: [8, 8, 8], average: 16}")),
+        "spec.yaml:6:45: 3 convolutions halve the side of a frame as often, and it has 4 pixels after averaging; \
+         give 2 channels at most"
+    );
+    assert_eq!(
+        refusal(seeing("{preset: multi_to_multi, average: 3}")),
+        "spec.yaml:6:44: frames of 64 x 64 pixels have no whole squares of 3 x 3"
+    );
+}
+
+#[test]
+fn a_network_without_frames_has_no_convolutions() {
+    // The preset, and settings that have no effect, make no difference to the layers.
+    let vectors = load(BASE).network;
+    let other = load(&base_with("network: {preset: single_to_multi, channels: [8, 16], average: 4}")).network;
+    assert_eq!(vectors, other);
 }
 
 #[test]
@@ -440,8 +464,8 @@ fn rules_that_tie_settings_together_are_checked() {
     ]);
     let wide = "name: wide\nscenarios: [empty]\ninput: [vision]\noutput: [arm]\nlatent: [2]\n";
     assert_eq!(
-        refusal(format!("{wide}network:\n  architecture: convolutional\n  channels: 256\n  hidden: 2048\n")),
-        "spec.yaml:9:11: a tensor of the network would pass 1 GiB: with 256 channels, \
+        refusal(format!("{wide}network:\n  preset: multi_to_multi\n  channels: [256]\n  hidden: [2048]\n")),
+        "spec.yaml:9:11: a tensor of the network would pass 1 GiB: with 262144 values behind the convolutions, \
          'network.hidden' can be 1024 at most, found 2048"
     );
 }
@@ -543,8 +567,8 @@ fn bad_overrides_are_refused_by_name() {
         ),
         (
             "input=[vision]",
-            "override 'input=[vision]': 'vision' is a frame, and a fully_connected network takes vectors alone; \
-             leave it out or use network.architecture: convolutional",
+            "override 'input=[vision]': 'vision' is a frame, and a single_to_multi network takes vectors alone; \
+             leave it out, use network.preset: multi_to_multi, or give it convolutions by network.channels",
         ),
         (
             "simulation.lift_range_m=[0, -1]",
@@ -656,9 +680,9 @@ fn quick_settings_are_checked_even_when_not_applied() {
             "spec.yaml:8:20: 'quick.training.epochs': expected an integer of at least 1 and at most 100000, found 0",
         ),
         (
-            "quick:\n  network.architecture: convolutional\n",
-            "spec.yaml:8:25: a convolutional network needs vision or frame_difference in 'input' or 'output'; \
-             use fully_connected (after applying 'quick')",
+            "quick:\n  input: [vision]\n",
+            "spec.yaml:8:11: 'vision' is a frame, and a single_to_multi network takes vectors alone; leave it out, \
+             use network.preset: multi_to_multi, or give it convolutions by network.channels (after applying 'quick')",
         ),
     ]);
 }
@@ -760,21 +784,22 @@ fn each_combination_of_what_varies_must_be_possible() {
         (
             "vary:\n  simulation.seed: [0, 1]\n",
             "spec.yaml:8:3: unknown key 'simulation.seed' in 'vary'. Allowed: input, output, tasks, action, \
-             network.architecture, network.hidden, network.channels, training.learning_rate, training.schedule, \
+             network.preset, network.hidden, network.channels, network.average, network.fusion, \
+             training.learning_rate, training.schedule, \
              training.warmup_epochs, training.weight_decay, training.clip_norm, training.batch_size, \
              training.epochs, training.patience, training.stop, training.kl_weight, training.loss_weights.proprioception, \
              training.loss_weights.arm, training.loss_weights.contact_force, \
              training.loss_weights.contact_force_mean, training.loss_weights.vision, \
-             training.loss_weights.frame_difference, training.dropout, training.precision, training.device",
+             training.loss_weights.frame_difference, training.dropout, training.precision, training.tiles, training.device",
         ),
         (
             "vary:\n  training.epochs: [5, 0]\n",
             "spec.yaml:8:24: 'vary.training.epochs': expected an integer of at least 1 and at most 100000, found 0",
         ),
         (
-            "vary:\n  network.architecture: [fully_connected, convolutional]\n",
-            "spec.yaml:8:43: a convolutional network needs vision or frame_difference in 'input' or 'output'; \
-             use fully_connected (after applying 'vary')",
+            "vary:\n  input: [[arm], [vision]]\n",
+            "spec.yaml:8:19: 'vision' is a frame, and a single_to_multi network takes vectors alone; leave it out, \
+             use network.preset: multi_to_multi, or give it convolutions by network.channels (after applying 'vary')",
         ),
         (
             "vary:\n  training.kl_weight: [0, 1, 0]\n",
@@ -783,7 +808,7 @@ fn each_combination_of_what_varies_must_be_possible() {
     ]);
     let lists: String = (0..3)
         .map(|list| {
-            let key = ["training.epochs", "training.batch_size", "network.hidden"][list];
+            let key = ["training.epochs", "training.batch_size", "training.patience"][list];
             let values: Vec<String> = (1..=20).map(|value| value.to_string()).collect();
             format!("  {key}: [{}]\n", values.join(", "))
         })
@@ -805,7 +830,7 @@ fn the_hash_depends_on_what_decides_the_result_alone() {
         training: {\"batch_size\": 1024, learning_rate: 0.001, loss_weights: {contact_force: 1}}\n\
         output: [contact_force, proprioception]\n\
         input:\n- arm\n- proprioception\n\
-        network:\n    hidden: 0x100\n    architecture: fully_connected\n\
+        network:\n    hidden: [0x100]\n    preset: single_to_multi\n\
         latent: [2]\n\
         name: another\n\
         description: Other words.\n\
@@ -823,7 +848,7 @@ fn the_hash_depends_on_what_decides_the_result_alone() {
         "seeds=[1]",
         "tasks=[prediction]",
         "action=target",
-        "network.hidden=255",
+        "network.hidden=[255]",
         "simulation.seed=1",
         "simulation.lift_range_m=[-1, -0.001]",
         "split.test=0.2",
@@ -842,7 +867,7 @@ fn the_hash_depends_on_what_decides_the_result_alone() {
 /// one platform to another.
 #[test]
 fn the_hash_is_stable() {
-    assert_eq!(first_hash(BASE), "235795390add5a9d");
+    assert_eq!(first_hash(BASE), "3878ffe86883afc2");
 }
 
 #[test]
@@ -882,9 +907,15 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
     output.sort();
     let has_frame = input.iter().chain(&output).any(|modality| modality.is_frame());
     let network = Network {
-        architecture: if has_frame { Architecture::Convolutional } else { Architecture::FullyConnected },
-        hidden: random.random_range(1..=1024),
-        channels: random.random_range(1..=64),
+        preset: *Preset::ALL.choose(random).unwrap(),
+        hidden: (0..random.random_range(1..=3)).map(|_| random.random_range(1..=1024)).collect(),
+        channels: Some(
+            (0..if has_frame { random.random_range(1..=4) } else { 0 })
+                .map(|_| random.random_range(1..=64))
+                .collect(),
+        ),
+        average: if has_frame { *[1, 2, 4].choose(random).unwrap() } else { 1 },
+        fusion: *Fusion::ALL.choose(random).unwrap(),
     };
     let mut range = || {
         let (a, b): (f64, f64) = (random.random_range(-3.0..3.0), random.random_range(-3.0..3.0));
@@ -929,10 +960,11 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             loss_weights,
             dropout: if random.random() { 0.0 } else { random.random_range(0.0..1.0) },
             precision: harness::spec::Precision::F32,
+            tiles: random.random(),
             device: harness::spec::Device::Cpu,
         },
         vary: if random.random() {
-            [("network.hidden".into(), vec![64.into(), 128.into()])].into()
+            [("training.batch_size".into(), vec![64.into(), 128.into()])].into()
         } else {
             Default::default()
         },
@@ -985,7 +1017,8 @@ fn names_are_those_of_serde() {
     check(Modality::ALL);
     check(Action::ALL);
     check(Task::ALL);
-    check(Architecture::ALL);
+    check(Preset::ALL);
+    check(Fusion::ALL);
     check(Schedule::ALL);
     check(Stop::ALL);
 }

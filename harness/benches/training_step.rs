@@ -1,16 +1,19 @@
-//! One training step of the paper's networks on random data, timed; the twin of training_step.py.
+//! One training step of a network on random data, timed; the twin of training_step.py.
 //!
-//!     cargo run --example training_step -- --architecture convolutional --latent 64 --steps 20
+//!     cargo run --example training_step -- --channels 16 --latent 64 --steps 20              the paper's
+//!     cargo run --example training_step -- --channels 8 16 32 32 --fusion late --hidden 256  the deep one
+//!     cargo run --example training_step -- --latent 4                                        vectors alone
 //!
 //! Prints one line of JSON: median, least and greatest seconds a step.
 
 use candle_core::{Device, Tensor};
 use clap::Parser;
 use harness::dataset::frames::{DenseFrames, Frames};
-use harness::learning::network::{Decoder, Encoder, Observation, Parameters, Sizes, Targets};
-use harness::learning::ops::{Adam, backward};
+use harness::learning::kernels::product::{Arithmetic, Unit};
+use harness::learning::network::{Architecture, Observation, Parameters, Targets};
+use harness::learning::ops::Adam;
 use harness::learning::random::{Random, Stream};
-use harness::spec::{ARM_JOINTS, Architecture, Modality, Precision, Task};
+use harness::spec::{ARM_JOINTS, Fusion, Modality, Network, Precision, Preset, Task};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -20,15 +23,16 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 #[derive(Parser)]
 struct Arguments {
-    /// convolutional or fully_connected
-    #[arg(long, default_value = "convolutional")]
-    architecture: String,
+    /// Channels of each convolution; without any, a network for vectors alone.
+    #[arg(long, num_args = 0..)]
+    channels: Vec<usize>,
+    /// early or late
+    #[arg(long, default_value = "early", value_parser = fusion)]
+    fusion: Fusion,
+    #[arg(long, num_args = 1.., default_values_t = [256])]
+    hidden: Vec<usize>,
     #[arg(long, default_value_t = 64)]
     latent: usize,
-    #[arg(long, default_value_t = 256)]
-    hidden: usize,
-    #[arg(long, default_value_t = 16)]
-    channels: usize,
     #[arg(long, default_value_t = 1024)]
     batch: usize,
     #[arg(long, default_value_t = 20)]
@@ -36,6 +40,14 @@ struct Arguments {
     /// f32 or bf16
     #[arg(long, default_value = "f32", value_parser = precision)]
     precision: Precision,
+    /// Leave the processor's tile unit alone.
+    #[arg(long)]
+    no_tiles: bool,
+}
+
+fn fusion(name: &str) -> Result<Fusion, String> {
+    let found = Fusion::ALL.iter().copied().find(|fusion| fusion.name() == name);
+    found.ok_or_else(|| format!("'{name}' is neither early nor late"))
 }
 
 fn precision(name: &str) -> Result<Precision, String> {
@@ -50,29 +62,37 @@ fn main() -> candle_core::Result<()> {
         libmimalloc_sys::mi_option_set(15, -1);
     }
     let arguments = Arguments::parse();
-    let frames = arguments.architecture == Architecture::Convolutional.name();
+    let frames = !arguments.channels.is_empty();
     let only = |modalities: &[Modality]| -> Vec<Modality> {
         modalities.iter().copied().filter(|modality| frames || !modality.is_frame()).collect()
     };
-    let sizes = Sizes {
+    let architecture = Architecture {
         input: only(&[Modality::Proprioception, Modality::Vision]),
         output: only(&[Modality::Proprioception, Modality::ContactForce, Modality::FrameDifference]),
         latent: arguments.latent,
-        hidden: arguments.hidden,
-        channels: arguments.channels,
         action: ARM_JOINTS,
-        precision: arguments.precision,
+        network: Network {
+            preset: Preset::MultiToMulti,
+            hidden: arguments.hidden.clone(),
+            channels: Some(arguments.channels.clone()),
+            average: 1,
+            fusion: arguments.fusion,
+        },
+        arithmetic: Arithmetic {
+            unit: if arguments.no_tiles { Unit::Vectors } else { Unit::best() },
+            precision: arguments.precision,
+        },
     };
     let batch = arguments.batch;
     let mut random = Random::new(0, Stream::Parameters(Task::Prediction));
     let mut parameters = Parameters::new();
-    let encoder = Encoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu)?;
-    let decoder = Decoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu)?;
+    let encoder = architecture.encoder(&mut parameters, &mut random, &Device::Cpu)?;
+    let decoder = architecture.decoder(&mut parameters, &mut random, &Device::Cpu)?;
     let mut adam = Adam::new(parameters.values().cloned().collect(), 1e-3)?;
     let mut matrix =
         |width: usize| Tensor::from_vec(random.normal(batch * width), (batch, width), &Device::Cpu);
     let (vector, action, noise, target) =
-        (matrix(20)?, matrix(ARM_JOINTS)?, matrix(sizes.latent)?, matrix(40)?);
+        (matrix(20)?, matrix(ARM_JOINTS)?, matrix(arguments.latent)?, matrix(40)?);
     let mut picture = || -> candle_core::Result<Arc<dyn Frames>> {
         let values = random.normal(batch * 3 * 64 * 64);
         Ok(Arc::new(DenseFrames::new(&Tensor::from_vec(values, (batch, 3, 64, 64), &Device::Cpu)?)?))
@@ -96,7 +116,7 @@ fn main() -> candle_core::Result<()> {
         for term in decoder.losses(&latent, Some(&action), &targets)? {
             loss = (loss + term.value)?;
         }
-        adam.step(&backward(&loss)?)?;
+        adam.step(&loss.backward()?)?;
         seconds.push(begin.elapsed().as_secs_f64());
     }
     // The first two warm up caches and the allocator.
@@ -105,7 +125,8 @@ fn main() -> candle_core::Result<()> {
     println!(
         "{}",
         serde_json::json!({
-            "architecture": arguments.architecture, "latent": arguments.latent, "batch": batch,
+            "channels": arguments.channels, "fusion": arguments.fusion.name(), "hidden": arguments.hidden,
+            "latent": arguments.latent, "batch": batch, "unit": format!("{:?}", architecture.arithmetic.unit),
             "median_seconds": seconds[seconds.len() / 2], "min": seconds[0], "max": seconds[seconds.len() - 1],
             "threads": rayon::current_num_threads(),
         })

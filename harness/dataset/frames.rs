@@ -4,6 +4,7 @@
 //! processor's cache instead, and nothing has to be assembled beforehand.
 
 use candle_core::{Device, Result, Tensor};
+use std::sync::Arc;
 
 /// A batch of standardised frames, `[channels, side, side]` each.
 pub trait Frames: Send + Sync {
@@ -58,5 +59,46 @@ impl Frames for DenseFrames {
     }
     fn write(&self, index: usize, frame: &mut [f32]) {
         frame.copy_from_slice(&self.values[index * self.frame_len()..][..self.frame_len()]);
+    }
+}
+
+/// Frames of which squares of pixels are averaged.
+pub struct Averaged {
+    frames: Arc<dyn Frames>,
+    /// Side of a square, pixels.
+    by: usize,
+}
+
+impl Averaged {
+    /// `frames` averaged over squares of `by` pixels, which must divide their side; themselves where `by` is 1.
+    pub fn over(frames: Arc<dyn Frames>, by: usize) -> Arc<dyn Frames> {
+        if by == 1 { frames } else { Arc::new(Self { frames, by }) }
+    }
+}
+
+impl Frames for Averaged {
+    fn batch(&self) -> usize {
+        self.frames.batch()
+    }
+    fn channels(&self) -> usize {
+        self.frames.channels()
+    }
+    fn side(&self) -> usize {
+        self.frames.side() / self.by
+    }
+    fn write(&self, index: usize, frame: &mut [f32]) {
+        let mut whole = vec![0.0; self.frames.frame_len()];
+        self.frames.write(index, &mut whole);
+        let (fine_side, side) = (self.frames.side(), self.side());
+        frame.fill(0.0);
+        for (row, values) in whole.chunks_exact(fine_side).enumerate() {
+            let (channel, row) = (row / fine_side, row % fine_side / self.by);
+            let averaged = &mut frame[(channel * side + row) * side..][..side];
+            for (average, square) in averaged.iter_mut().zip(values.chunks_exact(self.by)) {
+                *average += square.iter().sum::<f32>();
+            }
+        }
+        let factor = 1.0 / (self.by * self.by) as f32;
+        frame.iter_mut().for_each(|value| *value *= factor);
     }
 }

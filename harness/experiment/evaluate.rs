@@ -54,7 +54,7 @@ pub struct Evaluated {
 pub fn network(
     view: &View,
     task: Task,
-    decoder: &Decoder,
+    decoder: &dyn Decoder,
     output: &[Modality],
     latent: &Tensor,
     test: &[usize],

@@ -11,7 +11,8 @@ pub use schedule::Summary;
 use evaluate::{Evaluated, Story};
 
 use crate::dataset::{Dataset, DatasetError, Imported, Partition, Samples, Standard, collect};
-use crate::learning::network::{Decoder, Encoder, Parameters, Sizes};
+use crate::learning::kernels::product::{Arithmetic, Unit};
+use crate::learning::network::{Architecture, Encoder, Parameters};
 use crate::learning::objective::{Prediction, Reconstruction, View};
 use crate::learning::random::{Random, Stream};
 use crate::learning::state::StateFile;
@@ -252,30 +253,32 @@ pub fn describe(error: &dyn std::error::Error) -> String {
     text
 }
 
-/// The sizes of the network that a run trains for a task.
-pub fn network_sizes(spec: &RunSpec, task: Task) -> Sizes {
+/// The network that a run trains for a task.
+pub fn architecture(spec: &RunSpec, task: Task) -> Architecture {
     let (output, action) = match task {
         Task::Prediction => (&spec.output, crate::spec::ARM_JOINTS),
         Task::Reconstruction => (&spec.input, 0),
     };
-    Sizes {
+    let unit = if spec.training.tiles { Unit::best() } else { Unit::Vectors };
+    Architecture {
         input: spec.input.clone(),
         output: output.clone(),
         latent: spec.latent,
-        hidden: spec.network.hidden,
-        channels: spec.network.channels,
         action,
-        precision: spec.training.precision,
+        network: spec.network.clone(),
+        arithmetic: Arithmetic { unit, precision: spec.training.precision },
     }
 }
 
 /// Memory that training a run's networks takes, one after the other, bytes: a generous estimate.
-fn training_bytes(spec: &RunSpec) -> u64 {
-    let networks = spec.tasks.iter().map(|task| network_sizes(spec, *task));
-    let batch = spec.training.batch_size;
-    let bytes =
-        |network: Sizes| learning::memory::training_bytes(network.parameters(), network.activations(), batch);
-    networks.map(bytes).max().unwrap_or_default()
+fn training_bytes(spec: &RunSpec) -> Result<u64, LearningError> {
+    let bytes = |task: &Task| {
+        let summary = architecture(spec, *task).summary()?;
+        let (parameters, activations) = (summary.parameters(), summary.activations());
+        Ok(learning::memory::training_bytes(parameters, activations, spec.training.batch_size))
+    };
+    let bytes: candle_core::Result<Vec<u64>> = spec.tasks.iter().map(bytes).collect();
+    Ok(bytes.map_err(LearningError::from)?.into_iter().max().unwrap_or_default())
 }
 
 /// A scenario's data, shared by runs that want the same of it.
@@ -310,7 +313,7 @@ impl Trainee<'_> {
         let (encoder, parameters) = self.predict(&mut outcome)?;
         outcome.parameters = parameters.values().map(|var| var.elem_count()).sum();
         if self.spec.tasks.contains(&Task::Reconstruction) {
-            self.reconstruct(&encoder, &mut outcome)?;
+            self.reconstruct(&*encoder, &mut outcome)?;
         }
         Ok(outcome)
     }
@@ -327,18 +330,20 @@ impl Trainee<'_> {
     }
 
     /// Trains encoder and decoder, and evaluates them.
-    fn predict(&self, outcome: &mut Outcome) -> Result<(Encoder, Parameters), ExperimentError> {
+    fn predict(&self, outcome: &mut Outcome) -> Result<(Box<dyn Encoder>, Parameters), ExperimentError> {
         let Self { spec, material: Material { view, partition, storyboard, .. }, .. } = self;
         let begin = Instant::now();
         let task = Task::Prediction;
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
-        let sizes = network_sizes(spec, task);
+        let architecture = architecture(spec, task);
         let objective = Prediction {
             view,
-            encoder: Encoder::new(&sizes, &mut parameters, &mut random, &view.device)
+            encoder: architecture
+                .encoder(&mut parameters, &mut random, &view.device)
                 .map_err(LearningError::from)?,
-            decoder: Decoder::new(&sizes, &mut parameters, &mut random, &view.device)
+            decoder: architecture
+                .decoder(&mut parameters, &mut random, &view.device)
                 .map_err(LearningError::from)?,
             input: &spec.input,
             output: &spec.output,
@@ -351,12 +356,12 @@ impl Trainee<'_> {
         outcome.timings.prediction = begin.elapsed().as_secs_f64();
         checkpoint::save(&self.folder.checkpoint(task), &parameters, &view.standard)?;
         let begin = Instant::now();
-        let latent = predict::encode(view, &objective.encoder, &spec.input, &partition.test);
+        let latent = predict::encode(view, &*objective.encoder, &spec.input, &partition.test);
         let latent = latent.map_err(LearningError::from)?;
         let evaluated = evaluate::network(
             view,
             task,
-            &objective.decoder,
+            &*objective.decoder,
             &spec.output,
             &latent,
             &partition.test,
@@ -368,7 +373,7 @@ impl Trainee<'_> {
     }
 
     /// Trains a new decoder on the frozen encoder's latent states, and evaluates it.
-    fn reconstruct(&self, encoder: &Encoder, outcome: &mut Outcome) -> Result<(), ExperimentError> {
+    fn reconstruct(&self, encoder: &dyn Encoder, outcome: &mut Outcome) -> Result<(), ExperimentError> {
         let Self { spec, material: Material { view, partition, storyboard, .. }, .. } = self;
         let begin = Instant::now();
         let task = Task::Reconstruction;
@@ -376,7 +381,7 @@ impl Trainee<'_> {
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
         let everything: Vec<usize> = (0..view.samples.len()).collect();
         let latent = predict::encode(view, encoder, &spec.input, &everything).map_err(LearningError::from)?;
-        let decoder = Decoder::new(&network_sizes(spec, task), &mut parameters, &mut random, &view.device);
+        let decoder = architecture(spec, task).decoder(&mut parameters, &mut random, &view.device);
         let objective = Reconstruction {
             view,
             latent: &latent,
@@ -392,7 +397,7 @@ impl Trainee<'_> {
         let evaluated = evaluate::network(
             view,
             task,
-            &objective.decoder,
+            &*objective.decoder,
             &spec.input,
             &test,
             &partition.test,

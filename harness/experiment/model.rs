@@ -1,6 +1,6 @@
 //! A trained network at work on observations from anywhere, in physical units.
 
-use super::network_sizes;
+use super::architecture;
 use crate::dataset::Standard;
 use crate::dataset::frames::{DenseFrames, Frames};
 use crate::learning::network::{Decoder, Encoder, Observation, Parameters};
@@ -43,10 +43,10 @@ fn names(modalities: &[Modality]) -> String {
 pub struct Model {
     record: RunRecord,
     standard: Standard,
-    encoder: Encoder,
-    decoder: Decoder,
+    encoder: Box<dyn Encoder>,
+    decoder: Box<dyn Decoder>,
     /// `None` where the run trained none.
-    reconstruction: Option<Decoder>,
+    reconstruction: Option<Box<dyn Decoder>>,
 }
 
 impl Model {
@@ -60,12 +60,12 @@ impl Model {
             return Err(ModelError::Unfinished { run: record.run, status: record.status });
         }
         let task = Task::Prediction;
-        let sizes = network_sizes(&record.spec, task);
+        let architecture = architecture(&record.spec, task);
         let mut parameters = Parameters::new();
         let mut random = Random::new(record.spec.seed, Stream::Parameters(task));
-        let encoder = Encoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu);
+        let encoder = architecture.encoder(&mut parameters, &mut random, &Device::Cpu);
         let encoder = encoder.map_err(LearningError::from)?.detached();
-        let decoder = Decoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu);
+        let decoder = architecture.decoder(&mut parameters, &mut random, &Device::Cpu);
         let decoder = decoder.map_err(LearningError::from)?.detached();
         let standard = load_network(&folder.checkpoint(task), &parameters)?;
         let reconstructs = record.spec.tasks.contains(&Task::Reconstruction);
@@ -110,8 +110,8 @@ impl Model {
         let predicted = || -> candle_core::Result<_> {
             let latent = self.encoder.encode(&observation)?.mean()?;
             let action = Tensor::from_vec(action, (batch, ARM_JOINTS), &Device::Cpu)?;
-            let (vector, frames) = self.decoder.decode(&latent, Some(&action))?;
-            predict::restored(&self.standard, &self.record.spec.output, vector, frames)
+            let decoded = self.decoder.decode(&latent, Some(&action))?;
+            predict::restored(&self.standard, &self.record.spec.output, decoded)
         };
         Ok(predicted().map_err(LearningError::from)?.into_iter().collect())
     }
@@ -131,8 +131,8 @@ impl Model {
         check("latent", batch, spec.latent, &latent)?;
         let reconstructed = || -> candle_core::Result<_> {
             let latent = Tensor::from_vec(latent, (batch, spec.latent), &Device::Cpu)?;
-            let (vector, frames) = decoder.decode(&latent, None)?;
-            predict::restored(&self.standard, &spec.input, vector, frames)
+            let decoded = decoder.decode(&latent, None)?;
+            predict::restored(&self.standard, &spec.input, decoded)
         };
         Ok(reconstructed().map_err(LearningError::from)?.into_iter().collect())
     }
@@ -174,12 +174,11 @@ fn load_network(path: &Path, parameters: &Parameters) -> Result<Standard, ModelE
     Ok(checkpoint::load(path, parameters)?)
 }
 
-fn load_reconstruction(folder: &RunFolder, record: &RunRecord) -> Result<Decoder, ModelError> {
+fn load_reconstruction(folder: &RunFolder, record: &RunRecord) -> Result<Box<dyn Decoder>, ModelError> {
     let task = Task::Reconstruction;
     let mut parameters = Parameters::new();
     let mut random = Random::new(record.spec.seed, Stream::Parameters(task));
-    let sizes = network_sizes(&record.spec, task);
-    let decoder = Decoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu);
+    let decoder = architecture(&record.spec, task).decoder(&mut parameters, &mut random, &Device::Cpu);
     let decoder = decoder.map_err(LearningError::from)?.detached();
     load_network(&folder.checkpoint(task), &parameters)?;
     Ok(decoder)

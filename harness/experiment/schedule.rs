@@ -195,7 +195,7 @@ impl Shift<'_> {
     /// Makes sure that there is memory to train a run beside the other jobs: where there is none, the system would end the
     /// process, and all runs with it.
     fn promise(&self, spec: &RunSpec, material: &Material) -> Result<Promise<'_>, ExperimentError> {
-        let needed = training_bytes(spec);
+        let needed = training_bytes(spec)?;
         let mut promised = self.promised.lock().unwrap_or_else(PoisonError::into_inner);
         let available = memory::within_reach().saturating_sub(material.bytes).saturating_sub(*promised);
         if needed > available {

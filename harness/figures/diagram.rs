@@ -4,9 +4,9 @@ use super::FigureError;
 use super::page::{BLACK, GREY, Page, Point, Stroke, Type, WHITE};
 use super::source::{Source, Study};
 use super::text::Face;
-use crate::experiment::network_sizes;
+use crate::experiment::architecture;
 use crate::learning::LearningError;
-use crate::learning::network::{Decoder, Encoder, Parameters};
+use crate::learning::network::Parameters;
 use crate::learning::random::{Random, Stream};
 use crate::spec::{FRAME_CHANNELS, FRAME_SIDE, Modality, RunSpec, Task};
 use candle_core::Device;
@@ -36,8 +36,8 @@ impl Anatomy {
         let spec = &runs.records[0].spec;
         let build = |latent: &usize| shapes(&RunSpec { latent: *latent, ..spec.clone() }, task);
         let networks = latents.iter().map(build).collect::<Result<_, _>>()?;
-        let sizes = network_sizes(spec, task);
-        Ok(Self { task, input: sizes.input, output: sizes.output, latents, networks })
+        let architecture = architecture(spec, task);
+        Ok(Self { task, input: architecture.input, output: architecture.output, latents, networks })
     }
 
     /// The shape of a parameter, which is the same at every latent size but for the latent layers'.
@@ -96,10 +96,10 @@ impl Anatomy {
 
 /// Names and shapes of the parameters that a run's network has for a task.
 fn shapes(spec: &RunSpec, task: Task) -> Result<Vec<(String, Vec<usize>)>, FigureError> {
-    let sizes = network_sizes(spec, task);
+    let architecture = architecture(spec, task);
     let (mut parameters, mut random) = (Parameters::new(), Random::new(spec.seed, Stream::Parameters(task)));
-    Encoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu).map_err(LearningError::from)?;
-    Decoder::new(&sizes, &mut parameters, &mut random, &Device::Cpu).map_err(LearningError::from)?;
+    architecture.encoder(&mut parameters, &mut random, &Device::Cpu).map_err(LearningError::from)?;
+    architecture.decoder(&mut parameters, &mut random, &Device::Cpu).map_err(LearningError::from)?;
     Ok(parameters.iter().map(|(name, var)| (name.clone(), var.dims().to_vec())).collect())
 }
 

@@ -69,8 +69,8 @@ pub trait Objective {
 /// The next observation from this one and the action: squared errors plus the weighted divergence.
 pub struct Prediction<'a> {
     pub view: &'a View,
-    pub encoder: Encoder,
-    pub decoder: Decoder,
+    pub encoder: Box<dyn Encoder>,
+    pub decoder: Box<dyn Decoder>,
     pub input: &'a [Modality],
     pub output: &'a [Modality],
     pub kl_weight: f64,
@@ -89,7 +89,7 @@ impl Objective for Prediction<'_> {
         let posterior = self.encoder.encode_with_dropout(&observation, dropout)?;
         let latent = match draw {
             Draw::Sample(random) => {
-                let shape = (at.len(), self.encoder.latent()?);
+                let shape = (at.len(), posterior.latent()?);
                 let noise = Tensor::from_vec(random.normal(shape.0 * shape.1), shape, &Device::Cpu)?;
                 posterior.sample(&noise.to_device(&self.view.device)?)?
             }
@@ -113,7 +113,7 @@ pub struct Reconstruction<'a> {
     pub view: &'a View,
     /// The posterior's mean of every sample, `[samples, latent]`: the encoder is frozen, so it runs once.
     pub latent: &'a Tensor,
-    pub decoder: Decoder,
+    pub decoder: Box<dyn Decoder>,
     pub input: &'a [Modality],
 }
 

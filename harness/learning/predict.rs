@@ -1,6 +1,6 @@
 //! Trained networks at work on chosen transitions, in physical units.
 
-use super::network::{Decoder, Encoder};
+use super::network::{Decoded, Decoder, Encoder};
 use super::objective::{View, rows};
 use crate::dataset::Standard;
 use crate::spec::{FRAME_CHANNELS, Modality};
@@ -10,7 +10,7 @@ use candle_core::{Result, Tensor};
 const BATCH: usize = 256;
 
 /// The posterior's mean for every transition in `at`, `[at, latent]`.
-pub fn encode(view: &View, encoder: &Encoder, input: &[Modality], at: &[usize]) -> Result<Tensor> {
+pub fn encode(view: &View, encoder: &dyn Encoder, input: &[Modality], at: &[usize]) -> Result<Tensor> {
     let encoder = encoder.detached();
     let means = at.chunks(BATCH).map(|at| encoder.encode(&view.observation(at, input)?)?.mean());
     Tensor::cat(&means.collect::<Result<Vec<_>>>()?, 0)?.contiguous()
@@ -28,7 +28,7 @@ pub struct Predicted<'a> {
 /// batch and in order. The decoder is told the action if `acting`.
 pub fn decode(
     view: &View,
-    decoder: &Decoder,
+    decoder: &dyn Decoder,
     output: &[Modality],
     acting: bool,
     latent: &Tensor,
@@ -39,8 +39,8 @@ pub fn decode(
     for (index, at) in at.chunks(BATCH).enumerate() {
         let places: Vec<usize> = (index * BATCH..index * BATCH + at.len()).collect();
         let action = acting.then(|| view.actions(at)).transpose()?;
-        let (vector, frames) = decoder.decode(&rows(latent, &places)?, action.as_ref())?;
-        for (modality, values) in restored(&view.standard, output, vector, frames)? {
+        let decoded = decoder.decode(&rows(latent, &places)?, action.as_ref())?;
+        for (modality, values) in restored(&view.standard, output, decoded)? {
             each(Predicted { modality, at, values });
         }
     }
@@ -51,8 +51,7 @@ pub fn decode(
 pub fn restored(
     standard: &Standard,
     output: &[Modality],
-    vector: Option<Tensor>,
-    frames: Option<Tensor>,
+    Decoded { vector, frames }: Decoded,
 ) -> Result<Vec<(Modality, Vec<f32>)>> {
     let (mut column, mut channel) = (0, 0);
     let mut restored = Vec::with_capacity(output.len());

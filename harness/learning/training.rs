@@ -3,7 +3,7 @@
 use super::LearningError;
 use super::network::{Parameters, scalar};
 use super::objective::{Draw, Objective, Weighted};
-use super::ops::{Adam, backward};
+use super::ops::Adam;
 use super::random::{Random, Stream};
 use super::state::{State, StateFile};
 use crate::dataset::Partition;
@@ -133,7 +133,7 @@ impl Fit<'_> {
             let total = total(&terms)?;
             train.add(&terms, &total, at.len())?;
             adam.set_learning_rate(learning_rate(self.training, epoch_steps, adam.steps()));
-            adam.step(&backward(&total)?)?;
+            adam.step(&total.backward()?)?;
         }
         let validation = self.validate(objective)?;
         let epoch = Epoch {

@@ -283,7 +283,7 @@ impl RunRecord {
             text(spec.scenario.name()),
             text(joined(&spec.input)),
             text(joined(&spec.output)),
-            text(spec.network.architecture.name()),
+            text(spec.network.preset.name()),
             count(spec.latent as u64),
             text(&spec.variant),
             count(spec.seed),

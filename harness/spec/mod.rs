@@ -121,6 +121,12 @@ impl Experiment {
         for &modality in &self.output {
             self.training.loss_weights.entry(modality).or_insert(1.0);
         }
+        let uses_frames = self.input.iter().chain(&self.output).any(|modality| modality.is_frame());
+        if uses_frames {
+            self.network.channels = Some(self.network.channels().to_vec());
+        } else {
+            (self.network.channels, self.network.average) = (Some(Vec::new()), 1);
+        }
         self.quick.clear();
     }
 

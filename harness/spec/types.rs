@@ -206,16 +206,32 @@ pub enum Task {
 }
 names!(Task { Prediction => "prediction", Reconstruction => "reconstruction" });
 
-/// The paper's two architectures.
+/// The paper's two networks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum Architecture {
-    /// Two fully connected layers on each side, for vectors alone.
-    FullyConnected,
+pub enum Preset {
+    /// Two fully connected layers on each side.
+    // Specs of earlier versions have the other names.
+    #[serde(alias = "fully_connected")]
+    SingleToMulti,
     /// A 4 x 4 convolution of stride 2 on the frames, then two fully connected layers; the decoder mirrors it.
-    Convolutional,
+    #[serde(alias = "convolutional")]
+    MultiToMulti,
 }
-names!(Architecture { FullyConnected => "fully_connected", Convolutional => "convolutional" });
+names!(Preset { SingleToMulti => "single_to_multi", MultiToMulti => "multi_to_multi" });
+
+/// Where an encoder joins frames and vectors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Fusion {
+    /// In the first fully connected layer, behind the convolutions. The decoder's hidden layers serve both.
+    #[default]
+    Early,
+    /// Behind hidden layers of their own, normalized (layer normalization), in one more fully connected layer. The decoder
+    /// has hidden layers for each.
+    Late,
+}
+names!(Fusion { Early => "early", Late => "late" });
 
 /// Arithmetic of a network's large matrix products.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
@@ -316,19 +332,39 @@ pub struct Experiment {
     pub quick: BTreeMap<String, serde_json::Value>,
 }
 
-/// Architecture and widths of the network; the paper does not give the widths.
+/// Layers of the networks, on each side. A preset is the paper's network; every other setting overrides a part of it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Network {
-    pub architecture: Architecture,
-    /// Units of the hidden fully connected layer, on each side.
-    #[serde(default = "default_hidden")]
-    #[schemars(range(min = 1, max = 16384))]
-    pub hidden: usize,
-    /// Channels of the convolution, on each side; without effect on a fully connected network.
-    #[serde(default = "default_channels")]
-    #[schemars(range(min = 1, max = 512))]
-    pub channels: usize,
+    #[serde(alias = "architecture")]
+    pub preset: Preset,
+    /// Units of each fully connected hidden layer. The paper gives their number, one, and not their width.
+    #[serde(default = "default_hidden", deserialize_with = "one_or_many")]
+    #[schemars(length(min = 1, max = 16), inner(range(min = 1, max = 16384)))]
+    pub hidden: Vec<usize>,
+    /// Channels of each convolution on frames (4 x 4 kernels, stride 2); the decoder mirrors them. The preset's if left
+    /// out: `[16]` for multi_to_multi, none for single_to_multi. Without effect where no frames are used.
+    #[serde(default, deserialize_with = "maybe_one_or_many")]
+    #[schemars(schema_with = "channels_schema")]
+    pub channels: Option<Vec<usize>>,
+    /// Frames are averaged over squares of so many pixels before the encoder's first convolution.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[schemars(range(min = 1, max = 32))]
+    pub average: usize,
+    /// Where the encoder joins frames and vectors.
+    #[serde(default, skip_serializing_if = "is_early")]
+    pub fusion: Fusion,
+}
+
+impl Network {
+    /// Channels of each convolution; those of the preset where none are given.
+    pub fn channels(&self) -> &[usize] {
+        match (&self.channels, self.preset) {
+            (Some(channels), _) => channels,
+            (None, Preset::MultiToMulti) => &[16],
+            (None, Preset::SingleToMulti) => &[],
+        }
+    }
 }
 
 /// How episodes are simulated. Everything here decides a dataset's content, and so its hash.
@@ -422,8 +458,12 @@ pub struct Training {
     #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1.0))]
     pub dropout: f64,
-    /// Of the products of the two large layers beside the frames' convolutions.
+    /// Of the matrix products.
     pub precision: Precision,
+    /// Whether matrix products use the processor's tile unit (Intel AMX) where it has one. Results with and without it
+    /// differ by rounding.
+    #[serde(default = "yes", skip_serializing_if = "is_true")]
+    pub tiles: bool,
     pub device: Device,
 }
 
@@ -502,6 +542,7 @@ impl Default for Training {
             loss_weights: BTreeMap::new(),
             dropout: 0.0,
             precision: Precision::F32,
+            tiles: true,
             device: Device::Cpu,
         }
     }
@@ -519,11 +560,51 @@ fn default_tasks() -> Vec<Task> {
 fn default_action() -> Action {
     Action::Increment
 }
-fn default_hidden() -> usize {
-    256
+fn default_hidden() -> Vec<usize> {
+    vec![256]
 }
-fn default_channels() -> usize {
-    16
+fn one() -> usize {
+    1
+}
+fn is_one(value: &usize) -> bool {
+    *value == 1
+}
+fn is_early(fusion: &Fusion) -> bool {
+    *fusion == Fusion::Early
+}
+fn yes() -> bool {
+    true
+}
+fn is_true(value: &bool) -> bool {
+    *value
+}
+
+/// A list, or a single value, which specs of earlier versions have.
+fn one_or_many<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<usize>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum OneOrMany {
+        One(usize),
+        Many(Vec<usize>),
+    }
+    Ok(match OneOrMany::deserialize(deserializer)? {
+        OneOrMany::One(value) => vec![value],
+        OneOrMany::Many(values) => values,
+    })
+}
+
+fn maybe_one_or_many<'de, D: serde::Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<Vec<usize>>, D::Error> {
+    one_or_many(deserializer).map(Some)
+}
+
+/// A plain list: that it may be missing is no choice of a spec's.
+fn channels_schema(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({
+        "type": "array", "maxItems": 16,
+        "items": { "type": "integer", "minimum": 1, "maximum": 512 },
+    })
 }
 
 /// One weight a modality. Derived, the schema would allow any key, since `Modality`'s has a description a value.

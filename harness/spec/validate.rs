@@ -1,8 +1,7 @@
 //! What the schema cannot say: rules that tie several settings together.
 
 use super::types::{
-    Architecture, Device, Experiment, FRAME_SIDE, Modality, Network, Precision, STEP_RATE_HZ, Simulation,
-    Task, Training,
+    Device, Experiment, FRAME_SIDE, Modality, Network, Precision, STEP_RATE_HZ, Simulation, Task, Training,
 };
 
 /// Largest tensor of a network, values: 1 GiB in single precision.
@@ -31,7 +30,6 @@ pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     runs(experiment)?;
     tasks(&experiment.tasks)?;
     frames(experiment)?;
-    tensors(&experiment.network, &experiment.training)?;
     loss_weights(experiment)?;
     precision(&experiment.training)?;
     steps(&experiment.training)?;
@@ -93,38 +91,60 @@ fn frames(experiment: &Experiment) -> Result<(), Fault> {
         let index = modalities.iter().position(|modality| modality.is_frame())?;
         Some((format!("{list}.{index}"), modalities[index]))
     });
-    match (experiment.network.architecture, frame) {
-        (Architecture::FullyConnected, Some((path, modality))) => fault(
+    let Some((path, modality)) = frame else { return Ok(()) };
+    let Network { preset, average, .. } = experiment.network;
+    if experiment.network.channels().is_empty() {
+        return fault(
             path,
             format!(
-                "'{modality}' is a frame, and a fully_connected network takes vectors alone; \
-                     leave it out or use network.architecture: convolutional"
+                "'{modality}' is a frame, and a {preset} network takes vectors alone; leave it out, use \
+                 network.preset: multi_to_multi, or give it convolutions by network.channels"
             ),
-        ),
-        (Architecture::Convolutional, None) => fault(
-            "network.architecture",
-            "a convolutional network needs vision or frame_difference in 'input' or 'output'; \
-             use fully_connected",
-        ),
-        _ => Ok(()),
+        );
     }
+    if !FRAME_SIDE.is_multiple_of(average) {
+        return fault(
+            "network.average",
+            format!(
+                "frames of {FRAME_SIDE} x {FRAME_SIDE} pixels have no whole squares of {average} x {average}"
+            ),
+        );
+    }
+    convolutions(&experiment.network)?;
+    tensors(&experiment.network, &experiment.training)
 }
 
-/// Bounds the largest tensors of the convolution: a layer's weights, and a batch of its activations.
-fn tensors(network: &Network, training: &Training) -> Result<(), Fault> {
-    if network.architecture != Architecture::Convolutional {
+/// Each convolution halves the side of its image, which must therefore be even.
+fn convolutions(network: &Network) -> Result<(), Fault> {
+    let side = FRAME_SIDE / network.average;
+    let (most, asked) = (side.trailing_zeros() as usize, network.channels().len());
+    if asked <= most {
         return Ok(());
     }
-    let activations = network.channels * (FRAME_SIDE / 2).pow(2);
-    for (path, factor) in [("network.hidden", network.hidden), ("training.batch_size", training.batch_size)] {
-        if activations * factor > MAX_TENSOR_LEN {
-            let largest = MAX_TENSOR_LEN / activations;
-            let channels = network.channels;
+    let averaged = if network.average > 1 { " after averaging" } else { "" };
+    fault(
+        "network.channels",
+        format!(
+            "{asked} convolutions halve the side of a frame as often, and it has {side} pixels{averaged}; \
+             give {most} channels at most"
+        ),
+    )
+}
+
+/// Bounds the largest tensors of the convolutions: the weights of the layer behind them, and a batch of what they make.
+fn tensors(network: &Network, training: &Training) -> Result<(), Fault> {
+    let convolutions = network.channels();
+    let side = FRAME_SIDE >> convolutions.len();
+    let values = convolutions.last().map_or(0, |channels| channels * side * side);
+    let hidden = network.hidden.iter().copied().max().unwrap_or(1);
+    for (path, factor) in [("network.hidden", hidden), ("training.batch_size", training.batch_size)] {
+        if values * factor > MAX_TENSOR_LEN {
+            let largest = MAX_TENSOR_LEN / values;
             return fault(
                 path,
                 format!(
-                    "a tensor of the network would pass 1 GiB: with {channels} channels, \
-                         '{path}' can be {largest} at most, found {factor}"
+                    "a tensor of the network would pass 1 GiB: with {values} values behind the convolutions, \
+                     '{path}' can be {largest} at most, found {factor}"
                 ),
             );
         }

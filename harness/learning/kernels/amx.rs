@@ -9,7 +9,7 @@
 //!
 //! Every element of the destination is summed in the same order whatever the number of threads.
 
-use super::product::{Into, Matrix};
+use super::product::{Accumulate, Matrix};
 use rayon::prelude::*;
 use std::arch::asm;
 use std::arch::x86_64::*;
@@ -56,7 +56,7 @@ fn allowed_by_linux() -> bool {
 }
 
 /// `out (+)= a b` with `PARTS` bf16 parts a value, 3 or 1, `threads` wide. Needs [`available`].
-pub fn product<const PARTS: usize>(a: Matrix, b: Matrix, out: &mut [f32], into: Into, threads: usize) {
+pub fn product<const PARTS: usize>(a: Matrix, b: Matrix, out: &mut [f32], into: Accumulate, threads: usize) {
     const { assert!(PARTS == 1 || PARTS == 3) };
     assert!(available(), "the tile unit was asked for where there is none");
     let ((m, depth), (_, n)) = (a.shape(), b.shape());
@@ -64,7 +64,7 @@ pub fn product<const PARTS: usize>(a: Matrix, b: Matrix, out: &mut [f32], into: 
         return;
     }
     if depth == 0 {
-        if into == Into::Overwrite {
+        if into == Accumulate::Overwrite {
             out.fill(0.0);
         }
         return;
@@ -172,7 +172,7 @@ unsafe fn multiply_strips<const PARTS: usize>(
     right: Operand,
     strips: std::ops::Range<usize>,
     out: Destination,
-    into: Into,
+    into: Accumulate,
 ) {
     let (packed, streamed) = if left.lines >= right.lines { (right, left) } else { (left, right) };
     let block_lines = packed.lines.min(PACKED_LINES).next_multiple_of(STRIP);
@@ -194,7 +194,7 @@ unsafe fn multiply_strips<const PARTS: usize>(
                 for first_depth in (0..packed.depth).step_by(block_depth) {
                     let depth = (packed.depth - first_depth).min(block_depth);
                     let rows = strip_rows::<PARTS>(depth.div_ceil(STEP));
-                    let block_into = if first_depth == 0 { into } else { Into::Add };
+                    let block_into = if first_depth == 0 { into } else { Accumulate::Add };
                     for (strip, room) in packed_rows.chunks_exact_mut(rows).take(packed_strips).enumerate() {
                         pack::<PARTS>(packed, first_line + strip * STRIP, first_depth, depth, room);
                     }
@@ -430,14 +430,14 @@ impl Tiles {
         pair: Pair,
         out: Destination,
         place: (usize, usize),
-        into: Into,
+        into: Accumulate,
     ) {
         let (row, column) = place;
         let (rows, columns) = ((out.m - row).min(STRIP), (out.n - column).min(STRIP));
         // SAFETY: the caller vouches for the place, and rows and columns end with the matrix.
         unsafe {
             let first = out.first.add(row * out.n + column);
-            if into == Into::Overwrite && rows == STRIP && columns == STRIP {
+            if into == Accumulate::Overwrite && rows == STRIP && columns == STRIP {
                 self.kernel::<PARTS>(pair, first, out.n);
                 return;
             }
@@ -446,8 +446,8 @@ impl Tiles {
             for (row, block) in block.chunks_exact(STRIP).take(rows).enumerate() {
                 let line = std::slice::from_raw_parts_mut(first.add(row * out.n), columns);
                 match into {
-                    Into::Overwrite => line.copy_from_slice(&block[..columns]),
-                    Into::Add => super::add_to(line, block),
+                    Accumulate::Overwrite => line.copy_from_slice(&block[..columns]),
+                    Accumulate::Add => super::add_to(line, block),
                 }
             }
         }

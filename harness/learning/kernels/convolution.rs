@@ -1,29 +1,29 @@
-//! A 4 x 4 convolution of stride 2 with a padding of one pixel, its transpose, and the gradient of its kernel.
+//! 4 x 4 convolutions of stride 2 with a padding of one pixel, their transposes, and the gradients of their kernels.
 //!
-//! Done directly instead of by patches and a matrix product: with a stride of 2, each of the kernel's columns sees
-//! either the even or the odd columns of an image. Laid out so, with a border of zeros, every sum runs over values
-//! that lie side by side, and no patches have to be written.
+//! Sixteen images are computed side by side: a vector holds the same pixel of all of them. So every sum is one
+//! multiplication and addition a vector whatever the image's size, no pixel has to be moved within a vector, and layers
+//! chain to any depth. Sixteen images with all their layers fit in a core's second-level cache.
 
 // Sums that are indexed by constants stay in registers; behind an iterator they would not.
-#![allow(clippy::needless_range_loop, clippy::manual_memcpy)]
+#![allow(clippy::needless_range_loop)]
 
 use super::simd;
 use pulp::{Simd, WithSimd};
 
+/// Images side by side.
+pub const LANES: usize = 16;
 /// Side of the kernel, pixels.
 const KERNEL: usize = 4;
 /// Step of the convolution, pixels.
 const STRIDE: usize = 2;
 /// Weights of one pair of channels.
 pub const TAPS: usize = KERNEL * KERNEL;
-/// Places of a row that lie side by side in every layout: two of the widest vectors.
-const LANES: usize = 32;
-/// Values of the widest vector.
-const SUM_LANES: usize = 16;
-/// Coarse channels that are computed at once.
-const CHANNELS: usize = 8;
+/// Coarse places of a row that are computed at once.
+const PLACES: usize = 4;
+/// Fine columns that the convolution sees from as many coarse places.
+const SEEN: usize = STRIDE * PLACES + 2;
 
-/// Sizes of the convolution.
+/// Sizes of a convolution.
 ///
 /// The fine side has `fine_channels` x `side` x `side` values, the coarse side `coarse_channels` x `side / 2` x
 /// `side / 2`. The convolution leads from fine to coarse, its transpose back. The kernel is `[coarse, fine, 4, 4]`,
@@ -32,6 +32,7 @@ const CHANNELS: usize = 8;
 pub struct Convolution {
     pub fine_channels: usize,
     pub coarse_channels: usize,
+    /// Of the fine image, pixels; even.
     pub side: usize,
 }
 
@@ -41,11 +42,6 @@ impl Convolution {
         self.side / STRIDE
     }
 
-    /// Places of a coarse channel.
-    pub fn positions(&self) -> usize {
-        self.coarse_side() * self.coarse_side()
-    }
-
     /// Values of a fine image.
     pub fn fine_len(&self) -> usize {
         self.fine_channels * self.side * self.side
@@ -53,7 +49,7 @@ impl Convolution {
 
     /// Values of a coarse image.
     pub fn coarse_len(&self) -> usize {
-        self.coarse_channels * self.positions()
+        self.coarse_channels * self.coarse_side() * self.coarse_side()
     }
 
     /// Values of the kernel.
@@ -61,171 +57,204 @@ impl Convolution {
         self.coarse_channels * self.fine_channels * TAPS
     }
 
-    /// `coarse` `[coarse, side / 2, side / 2]`: the convolution of `fine`, without a bias.
-    pub fn convolve(&self, fine: &Fine, kernel: &[f32], coarse: &mut [f32]) {
+    /// Zeros of the fine side.
+    pub fn fine(&self) -> Images {
+        Images::new(self.fine_channels, self.side)
+    }
+
+    /// Zeros of the coarse side.
+    pub fn coarse(&self) -> Images {
+        Images::new(self.coarse_channels, self.coarse_side())
+    }
+
+    /// `coarse`: the convolution of `fine`, without a bias.
+    pub fn convolve(&self, fine: &Images, kernel: &[f32], coarse: &mut Images) {
+        self.check(fine, kernel.len(), coarse);
         simd(Convolve { sizes: *self, fine, kernel, coarse });
     }
 
-    /// `fine` `[fine, side, side]`: the transposed convolution of `coarse`, on top of `bias` `[fine]`.
-    pub fn spread(&self, coarse: &Coarse, kernel: &[f32], bias: &[f32], fine: &mut [f32]) {
-        for (channel, image) in fine.chunks_exact_mut(self.side * self.side).enumerate() {
-            simd(Spread { sizes: *self, coarse, kernel, channel, bias: bias[channel], image });
-        }
+    /// `fine`: the transposed convolution of `coarse`, without a bias.
+    pub fn spread(&self, coarse: &Images, kernel: &[f32], fine: &mut Images) {
+        self.check(fine, kernel.len(), coarse);
+        simd(Spread { sizes: *self, coarse, kernel, fine });
     }
 
     /// Adds to `sums` what `fine` and the gradient `coarse` of its convolution give for the kernel's gradient.
-    pub fn add_kernel_gradient(&self, fine: &Fine, coarse: &Coarse, sums: &mut KernelSums) {
+    pub fn add_kernel_gradient(&self, fine: &Images, coarse: &Images, sums: &mut KernelSums) {
+        self.check(fine, sums.0.len(), coarse);
         simd(AddKernelGradient { sizes: *self, fine, coarse, sums: &mut sums.0 });
+    }
+
+    fn check(&self, fine: &Images, kernel_len: usize, coarse: &Images) {
+        assert_eq!((fine.channels, fine.side), (self.fine_channels, self.side), "the fine images");
+        assert_eq!(
+            (coarse.channels, coarse.side),
+            (self.coarse_channels, self.coarse_side()),
+            "the coarse images"
+        );
+        assert_eq!(kernel_len, self.kernel_len(), "the kernel");
     }
 }
 
-/// A fine image, each row as its odd and its even columns, with a border of zeros.
-pub struct Fine {
-    values: Vec<f32>,
+/// Sixteen images `[channel, row, column, image]` with a border of zeros.
+pub struct Images {
+    values: Vec<[f32; LANES]>,
+    channels: usize,
     side: usize,
-    /// Values between the beginnings of two lines.
-    stride: usize,
+    /// Columns of a row with its border and room to read whole groups of places from it.
+    columns: usize,
 }
 
-impl Fine {
+impl Images {
     /// Zeros.
-    pub fn new(sizes: Convolution) -> Self {
-        let stride = padded(sizes.coarse_side());
-        Self {
-            values: vec![0.0; sizes.fine_channels * (sizes.side + 2) * 2 * stride],
-            side: sizes.side,
-            stride,
+    pub fn new(channels: usize, side: usize) -> Self {
+        let columns = side.next_multiple_of(STRIDE * PLACES) + 2;
+        Self { values: vec![[0.0; LANES]; channels * (side + 2) * columns], channels, side, columns }
+    }
+
+    /// Values of one image.
+    pub fn image_len(&self) -> usize {
+        self.channels * self.side * self.side
+    }
+
+    /// Takes images that lie one after the other, each `[channel, row, column]`; those past the last are zero.
+    pub fn set(&mut self, images: &[f32]) {
+        let (side, len) = (self.side, self.image_len());
+        for (index, row) in self.rows_mut().enumerate() {
+            // Blocks of a few columns read whole cache lines of every image once.
+            for (block, columns) in row.chunks_mut(LANES).enumerate() {
+                let first = index * side + block * LANES;
+                let mut lines = [[0.0; LANES]; LANES];
+                for (line, image) in lines.iter_mut().zip(images.chunks_exact(len)) {
+                    line[..columns.len()].copy_from_slice(&image[first..first + columns.len()]);
+                }
+                for (column, values) in columns.iter_mut().enumerate() {
+                    *values = std::array::from_fn(|lane| lines[lane][column]);
+                }
+            }
         }
     }
 
-    /// Takes an image `[fine, side, side]`.
-    pub fn set(&mut self, image: &[f32]) {
-        let (side, stride) = (self.side, self.stride);
+    /// The reverse of [`Images::set`]: writes as many images as there is room for.
+    pub fn write(&self, images: &mut [f32]) {
+        let (side, len) = (self.side, self.image_len());
+        for (index, row) in self.rows().enumerate() {
+            for (block, columns) in row.chunks(LANES).enumerate() {
+                let first = index * side + block * LANES;
+                let mut lines = [[0.0; LANES]; LANES];
+                for (column, values) in columns.iter().enumerate() {
+                    (0..LANES).for_each(|lane| lines[lane][column] = values[lane]);
+                }
+                for (line, image) in lines.iter().zip(images.chunks_exact_mut(len)) {
+                    image[first..first + columns.len()].copy_from_slice(&line[..columns.len()]);
+                }
+            }
+        }
+    }
+
+    /// Adds a bias to each channel, then cuts negative values where `relu` says so.
+    pub fn add_bias(&mut self, bias: &[f32], relu: bool) {
+        let floor = if relu { 0.0 } else { f32::NEG_INFINITY };
+        let side = self.side;
         simd(
             #[inline(always)]
             || {
-                for (index, row) in image.chunks_exact(side).enumerate() {
-                    let line = line_of(index, side) * 2;
-                    let (even, odd) = self.values[line * stride..][..2 * stride].split_at_mut(stride);
-                    for ((pair, even), odd) in row.as_chunks::<2>().0.iter().zip(even).zip(&mut odd[1..]) {
-                        *even = pair[0];
-                        *odd = pair[1];
+                for (index, row) in self.rows_mut().enumerate() {
+                    let bias = bias[index / side];
+                    for value in row.as_flattened_mut() {
+                        *value = (*value + bias).max(floor);
                     }
                 }
             },
         );
     }
 
-    /// What column `tap_column` of the kernel sees where its row `tap_row` lies for the coarse row `row`, and all
-    /// that follows.
-    #[inline(always)]
-    fn lines(&self, channel: usize, row: usize, tap_row: usize, tap_column: usize) -> &[f32] {
-        // Image column = 2 * place + tap column - 1. Odd columns lie behind one zero, even ones before it.
-        let (odd, first) = [(true, 0), (false, 0), (true, 1), (false, 1)][tap_column];
-        let line = (channel * (self.side + 2) + STRIDE * row + tap_row) * 2 + usize::from(odd);
-        &self.values[line * self.stride + first..]
-    }
-}
-
-/// A coarse image with a border of zeros.
-pub struct Coarse {
-    values: Vec<f32>,
-    side: usize,
-    stride: usize,
-}
-
-impl Coarse {
-    /// Zeros.
-    pub fn new(sizes: Convolution) -> Self {
-        let (side, stride) = (sizes.coarse_side(), padded(sizes.coarse_side()));
-        Self { values: vec![0.0; sizes.coarse_channels * (side + 2) * stride], side, stride }
-    }
-
-    /// Takes `relu(image + bias)`, both `[coarse, side, side]`.
-    pub fn set_active(&mut self, image: &[f32], bias: &[f32]) {
-        self.set(
-            image,
-            bias,
+    /// Sets values to zero where those of `output`, a ReLU's output of the same size, are zero: the gradient before
+    /// the ReLU, given the one after it.
+    pub fn mask(&mut self, output: &Images) {
+        simd(
             #[inline(always)]
-            |value, bias| (value + bias).max(0.0),
+            || {
+                let values = self.values.as_flattened_mut().iter_mut().zip(output.values.as_flattened());
+                for (value, output) in values {
+                    *value = if *output > 0.0 { *value } else { 0.0 };
+                }
+            },
         );
     }
 
-    /// Takes the gradient before a ReLU, given the one after it and its output, all `[coarse, side, side]`.
-    pub fn set_masked(&mut self, grad: &[f32], output: &[f32]) {
-        self.set(
-            grad,
-            output,
+    /// Replaces values by `scale * (value - target)`, where `scale` has a factor an image; returns the sum of the
+    /// squared differences of the first `images` images.
+    pub fn become_errors(&mut self, target: &Images, images: usize, scale: f32) -> f64 {
+        let scales: [f32; LANES] = std::array::from_fn(|lane| if lane < images { scale } else { 0.0 });
+        let mut sum = [0.0f64; LANES];
+        simd(
             #[inline(always)]
-            |grad, output| if output > 0.0 { grad } else { 0.0 },
+            || {
+                for (row, target) in self.rows_mut().zip(target.rows()) {
+                    let mut squares = [0.0f32; LANES];
+                    for (values, target) in row.iter_mut().zip(target) {
+                        for lane in 0..LANES {
+                            let error = values[lane] - target[lane];
+                            squares[lane] += error * error;
+                            values[lane] = error * scales[lane];
+                        }
+                    }
+                    (0..LANES).for_each(|lane| sum[lane] += f64::from(squares[lane]));
+                }
+            },
         );
+        sum[..images].iter().sum()
     }
 
-    /// Adds the sum of each channel to `sums` `[coarse]`.
+    /// Adds the sum of each channel over all images to `sums` `[channels]`.
     pub fn add_channel_sums(&self, sums: &mut [f32]) {
         // The border adds zeros.
-        let channels = self.values.chunks_exact((self.side + 2) * self.stride);
-        sums.iter_mut().zip(channels).for_each(|(sum, channel)| *sum += super::sum(channel));
+        let channels = self.values.chunks_exact((self.side + 2) * self.columns);
+        sums.iter_mut().zip(channels).for_each(|(sum, channel)| *sum += super::sum(channel.as_flattened()));
     }
 
-    /// Sets `grad` to zero where this image, the output of a ReLU, is zero.
-    pub fn mask(&self, grad: &mut [f32]) {
-        let (side, stride) = (self.side, self.stride);
-        simd(
-            #[inline(always)]
-            || {
-                for (index, row) in grad.chunks_exact_mut(side).enumerate() {
-                    let line = &self.values[line_of(index, side) * stride + 1..][..side];
-                    for (grad, output) in row.iter_mut().zip(line) {
-                        *grad = if *output > 0.0 { *grad } else { 0.0 };
-                    }
-                }
-            },
-        );
+    /// The rows without their borders, through all channels.
+    fn rows(&self) -> impl Iterator<Item = &[[f32; LANES]]> {
+        let (side, columns) = (self.side, self.columns);
+        let channels = self.values.chunks_exact((side + 2) * columns);
+        channels.flat_map(move |channel| {
+            channel.chunks_exact(columns).skip(1).take(side).map(move |row| &row[1..=side])
+        })
     }
 
+    fn rows_mut(&mut self) -> impl Iterator<Item = &mut [[f32; LANES]]> {
+        let (side, columns) = (self.side, self.columns);
+        let channels = self.values.chunks_exact_mut((side + 2) * columns);
+        channels.flat_map(move |channel| {
+            channel.chunks_exact_mut(columns).skip(1).take(side).map(move |row| &mut row[1..=side])
+        })
+    }
+
+    /// Place of a row's first column, borders counted.
     #[inline(always)]
-    fn set(&mut self, a: &[f32], b: &[f32], of: impl Fn(f32, f32) -> f32) {
-        let (side, stride) = (self.side, self.stride);
-        simd(
-            #[inline(always)]
-            || {
-                for (index, (a, b)) in a.chunks_exact(side).zip(b.chunks_exact(side)).enumerate() {
-                    let line = &mut self.values[line_of(index, side) * stride + 1..][..side];
-                    for ((value, a), b) in line.iter_mut().zip(a).zip(b) {
-                        *value = of(*a, *b);
-                    }
-                }
-            },
-        );
+    fn at(&self, channel: usize, row: usize) -> usize {
+        (channel * (self.side + 2) + row) * self.columns
     }
 
-    /// The line of `row` and all that follow. The row above the first is row 0, the column before the first is at
-    /// place 0.
+    /// `N` places from column `first` on, each as its first vector and those that follow.
     #[inline(always)]
-    fn lines(&self, channel: usize, row: usize) -> &[f32] {
-        &self.values[(channel * (self.side + 2) + row) * self.stride..]
+    fn places<const N: usize>(&self, channel: usize, row: usize, first: usize) -> &[[f32; LANES]; N] {
+        let start = self.at(channel, row) + first;
+        match self.values[start..].first_chunk() {
+            Some(places) => places,
+            None => unreachable!("rows have room for whole groups of places"),
+        }
     }
 }
 
-/// The line of an image with a border above and below that holds row `index`, counted through all channels.
-#[inline(always)]
-fn line_of(index: usize, side: usize) -> usize {
-    index / side * (side + 2) + index % side + 1
-}
-
-/// Length of a line of `side` values with a zero on either side, and room to read whole groups of lanes from it.
-fn padded(side: usize) -> usize {
-    side.next_multiple_of(LANES) + SUM_LANES
-}
-
-/// Sums of a kernel's gradient `[coarse, fine, 4, 4]`, kept in several lanes to the end.
-pub struct KernelSums(Vec<[f32; SUM_LANES]>);
+/// Sums of a kernel's gradient `[coarse, fine, 4, 4]`, kept for each image lane to the end.
+pub struct KernelSums(Vec<[f32; LANES]>);
 
 impl KernelSums {
     /// Zeros.
     pub fn new(sizes: Convolution) -> Self {
-        Self(vec![[0.0; SUM_LANES]; sizes.kernel_len()])
+        Self(vec![[0.0; LANES]; sizes.kernel_len()])
     }
 
     /// The gradient.
@@ -234,23 +263,47 @@ impl KernelSums {
     }
 }
 
-/// Vectors that are computed at once, of places side by side.
-const GROUP: usize = 2;
+/// Channels that are computed at once: what the registers hold beside their inputs.
+const fn block_of(vector_len: usize) -> usize {
+    if vector_len == LANES { 4 } else { 2 }
+}
 
-/// The vectors of a line from place `from` on.
+/// Vector `part` of a place.
 ///
 /// Here and below, SIMD values stay out of closures that the standard library calls: those are compiled for the
 /// plainest processor, and would pass them through memory.
 #[inline(always)]
-fn vectors<S: Simd>(line: &[f32], from: usize) -> &[S::f32s] {
-    S::as_simd_f32s(&line[from..]).0
+fn vector<S: Simd>(place: &[f32; LANES], part: usize) -> S::f32s {
+    S::as_simd_f32s(place).0[part]
+}
+
+#[inline(always)]
+fn vector_mut<S: Simd>(place: &mut [f32; LANES], part: usize) -> &mut S::f32s {
+    &mut S::as_mut_simd_f32s(place).0[part]
+}
+
+/// One row of the kernels of a block of channels. Channels past the last repeat it.
+#[inline(always)]
+fn weights<const BLOCK: usize>(
+    kernel: &[f32],
+    first: usize,
+    stride: usize,
+    channels: usize,
+) -> [&[f32; KERNEL]; BLOCK] {
+    let mut rows = [&[0.0; KERNEL]; BLOCK];
+    for channel in 0..BLOCK {
+        if let Some(row) = kernel[first + channel.min(channels - 1) * stride..].first_chunk() {
+            rows[channel] = row;
+        }
+    }
+    rows
 }
 
 struct Convolve<'a> {
     sizes: Convolution,
-    fine: &'a Fine,
+    fine: &'a Images,
     kernel: &'a [f32],
-    coarse: &'a mut [f32],
+    coarse: &'a mut Images,
 }
 
 impl WithSimd for Convolve<'_> {
@@ -258,39 +311,44 @@ impl WithSimd for Convolve<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
+        if block_of(S::F32_LANES) == 4 { self.run::<S, 4>(simd) } else { self.run::<S, 2>(simd) }
+    }
+}
+
+impl Convolve<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const BLOCK: usize>(self, simd: S) {
         let Self { sizes, fine, kernel, coarse } = self;
         let (side, taps) = (sizes.coarse_side(), sizes.fine_channels * TAPS);
-        for first_channel in (0..sizes.coarse_channels).step_by(CHANNELS) {
-            let channels = (sizes.coarse_channels - first_channel).min(CHANNELS);
-            // Channels past the last repeat it, and are not written.
-            let weights: [&[f32]; CHANNELS] = std::array::from_fn(|channel| {
-                &kernel[(first_channel + channel.min(channels - 1)) * taps..][..taps]
-            });
-            for row in 0..side {
-                for place in (0..side).step_by(GROUP * S::F32_LANES) {
-                    let mut sums = [[simd.splat_f32s(0.0); GROUP]; CHANNELS];
-                    for fine_channel in 0..sizes.fine_channels {
-                        for tap_row in 0..KERNEL {
-                            let tap = (fine_channel * KERNEL + tap_row) * KERNEL;
-                            for tap_column in 0..KERNEL {
-                                let line = fine.lines(fine_channel, row, tap_row, tap_column);
-                                let seen = &vectors::<S>(line, place)[..GROUP];
-                                for channel in 0..CHANNELS {
-                                    let weight = simd.splat_f32s(weights[channel][tap + tap_column]);
-                                    for vector in 0..GROUP {
-                                        sums[channel][vector] =
-                                            simd.mul_add_f32s(weight, seen[vector], sums[channel][vector]);
+        for row in 0..side {
+            for place in (0..side).step_by(PLACES) {
+                for first_channel in (0..sizes.coarse_channels).step_by(BLOCK) {
+                    let channels = (sizes.coarse_channels - first_channel).min(BLOCK);
+                    for part in 0..LANES / S::F32_LANES {
+                        let mut sums = [[simd.splat_f32s(0.0); PLACES]; BLOCK];
+                        for fine_channel in 0..sizes.fine_channels {
+                            for tap_row in 0..KERNEL {
+                                let seen: &[_; SEEN] =
+                                    fine.places(fine_channel, STRIDE * row + tap_row, STRIDE * place);
+                                let first = first_channel * taps + (fine_channel * KERNEL + tap_row) * KERNEL;
+                                let weights = weights::<BLOCK>(kernel, first, taps, channels);
+                                for tap in 0..KERNEL {
+                                    for channel in 0..BLOCK {
+                                        let weight = simd.splat_f32s(weights[channel][tap]);
+                                        for place in 0..PLACES {
+                                            let seen = vector::<S>(&seen[STRIDE * place + tap], part);
+                                            sums[channel][place] =
+                                                simd.mul_add_f32s(weight, seen, sums[channel][place]);
+                                        }
                                     }
                                 }
                             }
                         }
-                    }
-                    for channel in 0..channels {
-                        let line = &mut coarse[((first_channel + channel) * side + row) * side..][..side];
-                        for vector in 0..GROUP {
-                            let place = (place + vector * S::F32_LANES).min(side);
-                            let places = (side - place).min(S::F32_LANES);
-                            simd.partial_store_f32s(&mut line[place..place + places], sums[channel][vector]);
+                        for channel in 0..channels {
+                            let at = coarse.at(first_channel + channel, row + 1) + 1 + place;
+                            for place in 0..PLACES.min(side - place) {
+                                *vector_mut::<S>(&mut coarse.values[at + place], part) = sums[channel][place];
+                            }
                         }
                     }
                 }
@@ -299,17 +357,16 @@ impl WithSimd for Convolve<'_> {
     }
 }
 
-/// One channel of the fine image, `[side, side]`.
-///
 /// A fine row or column of even index `2 u` is reached by the kernel's places 1 (from coarse index `u`) and 3 (from
-/// `u - 1`), one of odd index `2 u + 1` by 0 (from `u + 1`) and 2 (from `u`).
+/// `u - 1`), one of odd index `2 u + 1` by 0 (from `u + 1`) and 2 (from `u`). For each parity: the kernel's place, and
+/// the coarse index's offset plus one, which counts the border.
+const REACHED_BY: [[(usize, usize); 2]; 2] = [[(1, 1), (3, 0)], [(0, 2), (2, 1)]];
+
 struct Spread<'a> {
     sizes: Convolution,
-    coarse: &'a Coarse,
+    coarse: &'a Images,
     kernel: &'a [f32],
-    channel: usize,
-    bias: f32,
-    image: &'a mut [f32],
+    fine: &'a mut Images,
 }
 
 impl WithSimd for Spread<'_> {
@@ -317,72 +374,73 @@ impl WithSimd for Spread<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { sizes, coarse, kernel, channel, bias, image } = self;
-        let side = coarse.side;
-        // Even and odd columns of an even and an odd row.
-        let mut lines = [[[0.0f32; LANES]; 2]; 2];
+        if block_of(S::F32_LANES) == 4 { self.run::<S, 4>(simd) } else { self.run::<S, 2>(simd) }
+    }
+}
+
+impl Spread<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const BLOCK: usize>(mut self, simd: S) {
+        let side = self.sizes.coarse_side();
         for row in 0..side {
-            for group in (0..side).step_by(LANES) {
-                for place in (group..side.min(group + LANES)).step_by(GROUP * S::F32_LANES) {
-                    let mut sums = [[[simd.splat_f32s(bias); GROUP]; 2]; 2];
-                    for coarse_channel in 0..sizes.coarse_channels {
-                        let kernel =
-                            &kernel[(coarse_channel * sizes.fine_channels + channel) * TAPS..][..TAPS];
-                        let upper = coarse.lines(coarse_channel, row);
-                        let middle = coarse.lines(coarse_channel, row + 1);
-                        let lower = coarse.lines(coarse_channel, row + 2);
-                        let [even, odd] = &mut sums;
-                        add_line(simd, even, middle, place, &kernel[KERNEL..]);
-                        add_line(simd, even, upper, place, &kernel[3 * KERNEL..]);
-                        add_line(simd, odd, lower, place, kernel);
-                        add_line(simd, odd, middle, place, &kernel[2 * KERNEL..]);
-                    }
-                    // Constant indices keep the sums in registers.
-                    for row in 0..2 {
-                        for column in 0..2 {
-                            let line = &mut lines[row][column][place - group..];
-                            let (vectors, _) = S::as_mut_simd_f32s(line);
-                            for vector in 0..GROUP {
-                                vectors[vector] = sums[row][column][vector];
-                            }
-                        }
-                    }
-                }
-                let places = (side - group).min(LANES);
-                for (parity, [even, odd]) in lines.iter().enumerate() {
-                    let start = (2 * row + parity) * sizes.side + 2 * group;
-                    let pairs = image[start..start + 2 * places].as_chunks_mut::<2>().0;
-                    for ((pair, even), odd) in pairs.iter_mut().zip(even).zip(odd) {
-                        *pair = [*even, *odd];
+            for place in (0..side).step_by(PLACES) {
+                for first_channel in (0..self.sizes.fine_channels).step_by(BLOCK) {
+                    for part in 0..LANES / S::F32_LANES {
+                        // Constant parities keep the sums in registers.
+                        self.parity::<S, BLOCK, 0, 0>(simd, [row, place, first_channel, part]);
+                        self.parity::<S, BLOCK, 0, 1>(simd, [row, place, first_channel, part]);
+                        self.parity::<S, BLOCK, 1, 0>(simd, [row, place, first_channel, part]);
+                        self.parity::<S, BLOCK, 1, 1>(simd, [row, place, first_channel, part]);
                     }
                 }
             }
         }
     }
-}
 
-/// Adds to the even and the odd columns of a fine row what a coarse `line` gives, by one row of the kernel.
-#[inline(always)]
-fn add_line<S: Simd>(simd: S, sums: &mut [[S::f32s; GROUP]; 2], line: &[f32], place: usize, kernel: &[f32]) {
-    let (before, at, after) =
-        (vectors::<S>(line, place), vectors::<S>(line, place + 1), vectors::<S>(line, place + 2));
-    let kernel = &kernel[..KERNEL];
-    let (left, middle_left) = (simd.splat_f32s(kernel[0]), simd.splat_f32s(kernel[1]));
-    let (middle_right, right) = (simd.splat_f32s(kernel[2]), simd.splat_f32s(kernel[3]));
-    let [even, odd] = sums;
-    for vector in 0..GROUP {
-        even[vector] = simd.mul_add_f32s(right, before[vector], even[vector]);
-        even[vector] = simd.mul_add_f32s(middle_left, at[vector], even[vector]);
-        odd[vector] = simd.mul_add_f32s(left, after[vector], odd[vector]);
-        odd[vector] = simd.mul_add_f32s(middle_right, at[vector], odd[vector]);
+    /// The fine rows of parity `ODD_ROW` and columns of parity `ODD_COLUMN` that a group of coarse places is the first
+    /// to reach.
+    #[inline(always)]
+    fn parity<S: Simd, const BLOCK: usize, const ODD_ROW: usize, const ODD_COLUMN: usize>(
+        &mut self,
+        simd: S,
+        [row, place, first_channel, part]: [usize; 4],
+    ) {
+        let Self { sizes, coarse, kernel, fine } = self;
+        let channels = (sizes.fine_channels - first_channel).min(BLOCK);
+        let mut sums = [[simd.splat_f32s(0.0); PLACES]; BLOCK];
+        for coarse_channel in 0..sizes.coarse_channels {
+            for (tap_row, row_offset) in REACHED_BY[ODD_ROW] {
+                let seen: &[_; PLACES + 2] = coarse.places(coarse_channel, row + row_offset, place);
+                let first = (coarse_channel * sizes.fine_channels + first_channel) * TAPS + tap_row * KERNEL;
+                let weights = weights::<BLOCK>(kernel, first, TAPS, channels);
+                for (tap, column_offset) in REACHED_BY[ODD_COLUMN] {
+                    for channel in 0..BLOCK {
+                        let weight = simd.splat_f32s(weights[channel][tap]);
+                        for place in 0..PLACES {
+                            let seen = vector::<S>(&seen[place + column_offset], part);
+                            sums[channel][place] = simd.mul_add_f32s(weight, seen, sums[channel][place]);
+                        }
+                    }
+                }
+            }
+        }
+        for channel in 0..channels {
+            let at = fine.at(first_channel + channel, STRIDE * row + ODD_ROW + 1)
+                + STRIDE * place
+                + ODD_COLUMN
+                + 1;
+            for index in 0..PLACES.min(coarse.side - place) {
+                *vector_mut::<S>(&mut fine.values[at + STRIDE * index], part) = sums[channel][index];
+            }
+        }
     }
 }
 
 struct AddKernelGradient<'a> {
     sizes: Convolution,
-    fine: &'a Fine,
-    coarse: &'a Coarse,
-    sums: &'a mut [[f32; SUM_LANES]],
+    fine: &'a Images,
+    coarse: &'a Images,
+    sums: &'a mut [[f32; LANES]],
 }
 
 impl WithSimd for AddKernelGradient<'_> {
@@ -390,44 +448,48 @@ impl WithSimd for AddKernelGradient<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        /// Coarse channels at once.
-        const BLOCK: usize = 4;
+        if block_of(S::F32_LANES) == 4 { self.run::<S, 4>(simd) } else { self.run::<S, 2>(simd) }
+    }
+}
+
+impl AddKernelGradient<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const BLOCK: usize>(self, simd: S) {
         let Self { sizes, fine, coarse, sums } = self;
-        let side = coarse.side;
-        let (count, stride) = (side.div_ceil(S::F32_LANES), coarse.stride / S::F32_LANES);
+        let side = sizes.coarse_side();
         for first_channel in (0..sizes.coarse_channels).step_by(BLOCK) {
-            let channels: [usize; BLOCK] =
-                std::array::from_fn(|channel| (first_channel + channel).min(sizes.coarse_channels - 1));
+            let channels = (sizes.coarse_channels - first_channel).min(BLOCK);
             for fine_channel in 0..sizes.fine_channels {
                 for tap_row in 0..KERNEL {
-                    let mut block = [[simd.splat_f32s(0.0); KERNEL]; BLOCK];
-                    // Lines are whole vectors long, so that one index leads through all of them.
-                    let grads: [&[S::f32s]; BLOCK] =
-                        std::array::from_fn(|channel| vectors::<S>(coarse.lines(channels[channel], 1), 1));
-                    let seen: [&[S::f32s]; KERNEL] = std::array::from_fn(|tap_column| {
-                        vectors::<S>(fine.lines(fine_channel, 0, tap_row, tap_column), 0)
-                    });
-                    for row in 0..side {
-                        for place in 0..count {
-                            let (at, seen_at) = (row * stride + place, row * 2 * STRIDE * stride + place);
-                            let (grads_0, grads_1) = (grads[0][at], grads[1][at]);
-                            let (grads_2, grads_3) = (grads[2][at], grads[3][at]);
-                            for tap in 0..KERNEL {
-                                let seen = seen[tap][seen_at];
-                                block[0][tap] = simd.mul_add_f32s(grads_0, seen, block[0][tap]);
-                                block[1][tap] = simd.mul_add_f32s(grads_1, seen, block[1][tap]);
-                                block[2][tap] = simd.mul_add_f32s(grads_2, seen, block[2][tap]);
-                                block[3][tap] = simd.mul_add_f32s(grads_3, seen, block[3][tap]);
+                    for part in 0..LANES / S::F32_LANES {
+                        let mut block = [[simd.splat_f32s(0.0); KERNEL]; BLOCK];
+                        for row in 0..side {
+                            for place in (0..side).step_by(PLACES) {
+                                let seen: &[_; SEEN] =
+                                    fine.places(fine_channel, STRIDE * row + tap_row, STRIDE * place);
+                                for channel in 0..BLOCK {
+                                    let channel_at = first_channel + channel.min(channels - 1);
+                                    // Places past the last are zero.
+                                    let grads: &[_; PLACES] = coarse.places(channel_at, row + 1, place + 1);
+                                    for place in 0..PLACES {
+                                        let grad = vector::<S>(&grads[place], part);
+                                        for tap in 0..KERNEL {
+                                            let seen = vector::<S>(&seen[STRIDE * place + tap], part);
+                                            block[channel][tap] =
+                                                simd.mul_add_f32s(grad, seen, block[channel][tap]);
+                                        }
+                                    }
+                                }
                             }
                         }
-                    }
-                    for channel in 0..BLOCK.min(sizes.coarse_channels - first_channel) {
-                        let first_tap = ((first_channel + channel) * sizes.fine_channels + fine_channel)
-                            * TAPS
-                            + tap_row * KERNEL;
-                        for tap in 0..KERNEL {
-                            let sum = &mut S::as_mut_simd_f32s(&mut sums[first_tap + tap]).0[0];
-                            *sum = simd.add_f32s(*sum, block[channel][tap]);
+                        for channel in 0..channels {
+                            let first = ((first_channel + channel) * sizes.fine_channels + fine_channel)
+                                * TAPS
+                                + tap_row * KERNEL;
+                            for tap in 0..KERNEL {
+                                let sum = vector_mut::<S>(&mut sums[first + tap], part);
+                                *sum = simd.add_f32s(*sum, block[channel][tap]);
+                            }
                         }
                     }
                 }

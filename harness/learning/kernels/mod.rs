@@ -76,19 +76,22 @@ impl DerefMut for Buffer {
 
 /// Adds `bias` `[width]` to every row of `rows` `[n, width]`, then cuts negative values where `relu` says so.
 pub fn add_bias(rows: &mut [f32], bias: &[f32], relu: bool) {
+    for_each_part(rows, bias.len(), |_, part| add_bias_to_rows(part, bias, relu));
+}
+
+/// The same on this thread alone.
+pub fn add_bias_to_rows(rows: &mut [f32], bias: &[f32], relu: bool) {
     let floor = if relu { 0.0 } else { f32::NEG_INFINITY };
-    for_each_part(rows, bias.len(), |_, part| {
-        simd(
-            #[inline(always)]
-            || {
-                for row in part.chunks_exact_mut(bias.len()) {
-                    for (value, bias) in row.iter_mut().zip(bias) {
-                        *value = (*value + bias).max(floor);
-                    }
+    simd(
+        #[inline(always)]
+        || {
+            for row in rows.chunks_exact_mut(bias.len()) {
+                for (value, bias) in row.iter_mut().zip(bias) {
+                    *value = (*value + bias).max(floor);
                 }
-            },
-        );
-    });
+            }
+        },
+    );
 }
 
 /// Calls `work` with the place and the values of parts of `rows` `[n, width]`, in parallel if there are many.

@@ -58,7 +58,7 @@ impl<'a> Matrix<'a> {
 
 /// Whether a product replaces what its destination holds or is added to it.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub enum Into {
+pub enum Accumulate {
     Overwrite,
     Add,
 }
@@ -83,21 +83,29 @@ impl Unit {
     }
 }
 
-/// `out (+)= a b`, `threads` wide, on the processor's best unit.
-///
-/// With [`Precision::Bf16`] the operands are rounded to bf16 before they are multiplied; sums are f32 always.
-pub fn product(a: Matrix, b: Matrix, out: &mut [f32], into: Into, precision: Precision, threads: usize) {
-    product_on(Unit::best(), a, b, out, into, precision, threads);
+/// How products are computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Arithmetic {
+    pub unit: Unit,
+    pub precision: Precision,
 }
 
-/// [`product`] on a chosen unit.
-pub fn product_on(
-    unit: Unit,
+impl Arithmetic {
+    /// The processor's best unit, in single precision.
+    pub fn best() -> Self {
+        Self { unit: Unit::best(), precision: Precision::F32 }
+    }
+}
+
+/// `out (+)= a b`, `threads` wide.
+///
+/// With [`Precision::Bf16`] the operands are rounded to bf16 before they are multiplied; sums are f32 always.
+pub fn product(
     a: Matrix,
     b: Matrix,
     out: &mut [f32],
-    into: Into,
-    precision: Precision,
+    into: Accumulate,
+    Arithmetic { unit, precision }: Arithmetic,
     threads: usize,
 ) {
     let ((m, k), (k_b, n)) = (a.shape(), b.shape());
@@ -116,7 +124,7 @@ pub fn product_on(
     }
 }
 
-fn by_gemm(a: Matrix, b: Matrix, out: &mut [f32], into: Into, threads: usize) {
+fn by_gemm(a: Matrix, b: Matrix, out: &mut [f32], into: Accumulate, threads: usize) {
     let ((m, k), (_, n)) = (a.shape(), b.shape());
     let ((a_columns, a_rows), (b_columns, b_rows)) = (a.strides(), b.strides());
     let parallelism = if threads > 1 { Parallelism::Rayon(threads) } else { Parallelism::None };
@@ -130,7 +138,7 @@ fn by_gemm(a: Matrix, b: Matrix, out: &mut [f32], into: Into, threads: usize) {
             out.as_mut_ptr(),
             1,
             n as isize,
-            into == Into::Add,
+            into == Accumulate::Add,
             a.values.as_ptr(),
             a_columns,
             a_rows,

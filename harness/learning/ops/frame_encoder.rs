@@ -1,49 +1,48 @@
-//! The frames' way into the encoder: convolution, ReLU and the first fully connected layer's product, as one op.
+//! The frames' way into the encoder: chained convolutions, each with a ReLU, and the product of the first fully
+//! connected layer, as one op.
 //!
-//! The frames are data, so no gradient is computed for them, and the activations of the convolution never pass
-//! through candle's gradient store.
+//! Sixteen images pass all layers while they are in cache; only the last layer's activations are kept, and the backward
+//! pass computes the others once more, which costs less than writing and reading them. The frames are data, so no
+//! gradient is computed for them.
 
-use super::{Dropout, hand_over, is_trained, slice, tensor, threads, with_values};
+use super::stack::{Layer, Side, Stack, StackSums, part_len, sum_packed};
+use super::{Arithmetic, Dropout, slice, tensor, threads, with_values};
 use crate::dataset::frames::Frames;
-use crate::learning::kernels::convolution::{Coarse, Convolution, Fine, KernelSums};
-use crate::learning::kernels::product::{Into, Matrix, product};
-use crate::learning::kernels::{self, Buffer, PARTS, simd};
-use crate::spec::Precision;
+use crate::learning::kernels::convolution::{Images, LANES};
+use crate::learning::kernels::product::{Accumulate, Matrix, product};
+use crate::learning::kernels::{self, Buffer};
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 use std::sync::{Arc, OnceLock};
 
-/// `relu(conv(frames))`, flattened channel by channel, times `hiddenᵀ`; result `[batch, hidden]`.
+/// What the stack makes of `frames`, flattened channel by channel, times `weightᵀ`; result `[batch, outputs]`.
 ///
-/// `kernel` `[channels, frame channels, 4, 4]` and `bias` `[channels]` make the convolution (stride 2, padding
-/// 1); `hidden` is `[hidden, channels * (side / 2)²]`, a variable or detached, and its product has `precision`. With
-/// `dropout`, that leaves values out before the product.
+/// `packed` holds each convolution's kernel `[channels, channels before, 4, 4]` and bias `[channels]`, one after the
+/// other; `weight` is `[outputs, values of the last layer]`. A ReLU follows each convolution. With `dropout`, that leaves
+/// values out before the product.
 pub fn frame_encoder(
     frames: Arc<dyn Frames>,
-    kernel: &Tensor,
-    bias: &Tensor,
-    hidden: &Tensor,
-    precision: Precision,
+    stack: &Stack,
+    packed: &Tensor,
+    weight: &Tensor,
+    arithmetic: Arithmetic,
     dropout: Option<Dropout>,
 ) -> Result<Tensor> {
-    let (channels, device) = (kernel.dim(0)?, kernel.device());
+    let device = packed.device();
     if device.is_cpu() {
-        let sizes =
-            Convolution { fine_channels: frames.channels(), coarse_channels: channels, side: frames.side() };
-        let op = FrameEncoder {
-            frames,
-            sizes,
-            hidden: hidden.clone(),
-            trained: is_trained(hidden)?,
-            precision,
-            dropout,
-            active: OnceLock::new(),
-        };
-        return kernel.apply_op2(bias, op);
+        let op = FrameEncoder { frames, stack: stack.clone(), arithmetic, dropout, active: OnceLock::new() };
+        return packed.apply_op2(&weight.contiguous()?, op);
     }
-    let frames = frames.tensor(device)?;
-    let active =
-        frames.conv2d(kernel, 1, 2, 1, 1)?.broadcast_add(&bias.reshape((1, channels, 1, 1))?)?.relu()?;
+    let mut active = frames.tensor(device)?;
+    let mut first = 0;
+    for sizes in stack.layers() {
+        let (coarse, fine) = (sizes.coarse_channels, sizes.fine_channels);
+        let kernel = packed.narrow(0, first, sizes.kernel_len())?.reshape((coarse, fine, 4, 4))?;
+        first += sizes.kernel_len();
+        let bias = packed.narrow(0, first, coarse)?.reshape((1, coarse, 1, 1))?;
+        first += coarse;
+        active = active.conv2d(&kernel, 1, 2, 1, 1)?.broadcast_add(&bias)?.relu()?;
+    }
     let mut active = active.flatten_from(1)?;
     if let Some(dropout) = dropout {
         let (batch, len) = active.dims2()?;
@@ -51,92 +50,111 @@ pub fn frame_encoder(
         mask.chunks_exact_mut(len).enumerate().for_each(|(image, mask)| dropout.apply(image, mask));
         active = (active * tensor(mask, (batch, len))?.to_device(device)?)?;
     }
-    active.matmul(&hidden.t()?)
+    active.matmul(&weight.t()?)
 }
 
 struct FrameEncoder {
     frames: Arc<dyn Frames>,
-    sizes: Convolution,
-    hidden: Tensor,
-    trained: bool,
-    precision: Precision,
+    stack: Stack,
+    arithmetic: Arithmetic,
     dropout: Option<Dropout>,
-    /// `relu(conv(frames))` `[batch, channels * positions]`, without what is left out; kept for the gradients.
+    /// What the last layer makes of the frames `[batch, values]`, without what is left out; kept for the gradients.
     active: OnceLock<Buffer>,
 }
 
-impl FrameEncoder {
-    /// Images in a part of the batch.
-    fn part(&self) -> usize {
-        self.frames.batch().div_ceil(PARTS)
+/// What a thread needs for sixteen images.
+struct Workspace {
+    frames: Vec<f32>,
+    levels: Vec<Images>,
+}
+
+impl Workspace {
+    fn new(stack: &Stack) -> Self {
+        Self { frames: kernels::scratch(LANES * stack.fine_len()), levels: stack.levels() }
     }
 
-    fn convolve(&self, kernel: &[f32], bias: &[f32]) -> Buffer {
-        let (sizes, part) = (self.sizes, self.part());
-        let mut active = Buffer::new(self.frames.batch() * sizes.coarse_len());
-        active.par_chunks_mut(part * sizes.coarse_len()).enumerate().for_each(|(part_index, active)| {
-            let (mut frame, mut fine) = (kernels::scratch(sizes.fine_len()), Fine::new(sizes));
-            for (index, active) in active.chunks_exact_mut(sizes.coarse_len()).enumerate() {
-                let image = part_index * part + index;
-                self.frames.write(image, &mut frame);
-                fine.set(&frame);
-                sizes.convolve(&fine, kernel, active);
-                activate(active, bias);
-                if let Some(dropout) = self.dropout {
-                    dropout.apply(image, active);
-                }
-            }
-        });
-        active
-    }
-
-    /// Gradients of the convolution's kernel and bias, given that of its activations.
-    fn convolution_gradients(&self, grad_active: &[f32]) -> (Vec<f32>, Vec<f32>) {
-        let (sizes, part) = (self.sizes, self.part());
-        let active = self.active.get().map(|active| &**active).unwrap_or_default();
-        let sums = grad_active
-            .par_chunks(part * sizes.coarse_len())
-            .zip(active.par_chunks(part * sizes.coarse_len()))
-            .enumerate()
-            .map(|(part_index, (grad, active))| {
-                let (mut frame, mut fine) = (kernels::scratch(sizes.fine_len()), Fine::new(sizes));
-                let (mut coarse, mut kernel) = (Coarse::new(sizes), KernelSums::new(sizes));
-                let mut bias = vec![0.0; sizes.coarse_channels];
-                let images =
-                    grad.chunks_exact(sizes.coarse_len()).zip(active.chunks_exact(sizes.coarse_len()));
-                for (index, (grad, active)) in images.enumerate() {
-                    coarse.set_masked(grad, active);
-                    self.frames.write(part_index * part + index, &mut frame);
-                    fine.set(&frame);
-                    sizes.add_kernel_gradient(&fine, &coarse, &mut kernel);
-                    coarse.add_channel_sums(&mut bias);
-                }
-                (kernel.total(), bias)
-            });
-        let (kernel, bias): (Vec<_>, Vec<_>) = sums.collect::<Vec<_>>().into_iter().unzip();
-        let mut kernel = kernels::sum_in_order(kernel, sizes.kernel_len());
-        let mut bias = kernels::sum_in_order(bias, sizes.coarse_channels);
-        if let Some(dropout) = self.dropout {
-            // What was left out is zero like what the ReLU cut, and passes no gradient; the rest was raised.
-            kernel.iter_mut().chain(&mut bias).for_each(|grad| *grad *= dropout.scale());
+    /// Takes the frames from `first` on, as many as are left of sixteen.
+    fn load(&mut self, frames: &dyn Frames, first: usize) {
+        let images = (frames.batch() - first).min(LANES);
+        let values = &mut self.frames[..images * frames.frame_len()];
+        for (index, frame) in values.chunks_exact_mut(frames.frame_len()).enumerate() {
+            frames.write(first + index, frame);
         }
-        (kernel, bias)
+        self.levels[0].set(values);
+    }
+
+    /// Goes through the given layers, the first one first.
+    fn forward(&mut self, layers: &[Layer]) {
+        for (index, layer) in layers.iter().enumerate() {
+            let (fine, coarse) = self.levels.split_at_mut(index + 1);
+            layer.sizes.convolve(&fine[index], layer.kernel, &mut coarse[0]);
+            coarse[0].add_bias(layer.bias, true);
+        }
     }
 }
 
-/// `relu(channel + bias)` for each channel, in place.
-fn activate(channels: &mut [f32], bias: &[f32]) {
-    let positions = channels.len() / bias.len();
-    simd(
-        #[inline(always)]
-        || {
-            for (channel, bias) in channels.chunks_exact_mut(positions).zip(bias) {
-                for value in channel {
-                    *value = (*value + bias).max(0.0);
+impl FrameEncoder {
+    fn activate(&self, packed: &[f32]) -> Buffer {
+        let (layers, _) = self.stack.unpack(Side::Encoder, packed);
+        let (batch, len) = (self.frames.batch(), self.stack.coarse_len());
+        let part = part_len(batch);
+        let mut active = Buffer::new(batch * len);
+        active.par_chunks_mut(part * len).enumerate().for_each_init(
+            || Workspace::new(&self.stack),
+            |workspace, (part_index, active)| {
+                for (group, active) in active.chunks_mut(LANES * len).enumerate() {
+                    let first = part_index * part + group * LANES;
+                    workspace.load(&*self.frames, first);
+                    workspace.forward(&layers);
+                    workspace.levels[layers.len()].write(active);
+                    if let Some(dropout) = self.dropout {
+                        let images = active.chunks_exact_mut(len).enumerate();
+                        images.for_each(|(index, active)| dropout.apply(first + index, active));
+                    }
                 }
-            }
-        },
-    );
+            },
+        );
+        active
+    }
+
+    /// The gradient of the packed parameters, given that of what the last layer makes.
+    fn gradient(&self, packed: &[f32], active: &[f32], grad_active: &[f32]) -> Vec<f32> {
+        let (layers, _) = self.stack.unpack(Side::Encoder, packed);
+        let (last, len) = (layers.len(), self.stack.coarse_len());
+        let part = part_len(self.frames.batch());
+        let parts = grad_active.par_chunks(part * len).zip(active.par_chunks(part * len)).enumerate();
+        let parts = parts.map_init(
+            || (Workspace::new(&self.stack), self.stack.levels()),
+            |(workspace, gradients), (part_index, (grad, active))| {
+                let mut sums = StackSums::new(&self.stack, Side::Encoder);
+                for (group, (grad, active)) in
+                    grad.chunks(LANES * len).zip(active.chunks(LANES * len)).enumerate()
+                {
+                    workspace.load(&*self.frames, part_index * part + group * LANES);
+                    workspace.forward(&layers[..last - 1]);
+                    workspace.levels[last].set(active);
+                    gradients[last].set(grad);
+                    gradients[last].mask(&workspace.levels[last]);
+                    for index in (0..last).rev() {
+                        let (fine, coarse) = gradients.split_at_mut(index + 1);
+                        let Layer { sizes, kernel, .. } = layers[index];
+                        sums.add(index, &sizes, &workspace.levels[index], &coarse[0], &coarse[0]);
+                        if index > 0 {
+                            sizes.spread(&coarse[0], kernel, &mut fine[index]);
+                            fine[index].mask(&workspace.levels[index]);
+                        }
+                    }
+                }
+                sums.packed()
+            },
+        );
+        let mut gradient = sum_packed(parts.collect());
+        if let Some(dropout) = self.dropout {
+            // What was left out is zero like what the ReLU cut, and passes no gradient; the rest was raised.
+            gradient.iter_mut().for_each(|grad| *grad *= dropout.scale());
+        }
+        gradient
+    }
 }
 
 impl CustomOp2 for FrameEncoder {
@@ -146,50 +164,50 @@ impl CustomOp2 for FrameEncoder {
 
     fn cpu_fwd(
         &self,
-        kernel: &CpuStorage,
-        kernel_layout: &Layout,
-        bias: &CpuStorage,
-        bias_layout: &Layout,
+        packed: &CpuStorage,
+        packed_layout: &Layout,
+        weight: &CpuStorage,
+        weight_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        let active = self.convolve(slice(kernel, kernel_layout)?, slice(bias, bias_layout)?);
-        let (batch, (outputs, inputs)) = (self.frames.batch(), self.hidden.dims2()?);
+        let active = self.activate(slice(packed, packed_layout)?);
+        let (batch, (outputs, inputs)) = (self.frames.batch(), weight_layout.shape().dims2()?);
         let mut out = kernels::scratch(batch * outputs);
-        with_values(&self.hidden, |hidden| {
-            let (active, hidden) =
-                (Matrix::plain(&active, batch, inputs), Matrix::transposed(hidden, outputs, inputs));
-            product(active, hidden, &mut out, Into::Overwrite, self.precision, threads());
-            Ok(())
-        })?;
+        let weight = Matrix::transposed(slice(weight, weight_layout)?, outputs, inputs);
+        product(
+            Matrix::plain(&active, batch, inputs),
+            weight,
+            &mut out,
+            Accumulate::Overwrite,
+            self.arithmetic,
+            threads(),
+        );
         self.active.get_or_init(|| active);
         Ok((CpuStorage::F32(out), (batch, outputs).into()))
     }
 
     fn bwd(
         &self,
-        kernel: &Tensor,
-        bias: &Tensor,
+        packed: &Tensor,
+        weight: &Tensor,
         _out: &Tensor,
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let (batch, (outputs, inputs)) = (self.frames.batch(), self.hidden.dims2()?);
+        let (batch, (outputs, inputs)) = (self.frames.batch(), weight.dims2()?);
         let active = self.active.get().map(|active| &**active).unwrap_or_default();
         let mut grad_active = Buffer::new(batch * inputs);
+        let mut grad_weight = kernels::scratch(outputs * inputs);
         with_values(grad, |grad| {
-            if self.trained {
-                let mut grad_hidden = kernels::scratch(outputs * inputs);
-                let (grad, active) =
-                    (Matrix::transposed(grad, batch, outputs), Matrix::plain(active, batch, inputs));
-                product(grad, active, &mut grad_hidden, Into::Overwrite, self.precision, threads());
-                hand_over(&self.hidden, grad_hidden)?;
-            }
-            with_values(&self.hidden, |hidden| {
-                let (grad, hidden) =
-                    (Matrix::plain(grad, batch, outputs), Matrix::plain(hidden, outputs, inputs));
-                product(grad, hidden, &mut grad_active, Into::Overwrite, self.precision, threads());
+            let (plain, transposed) =
+                (Matrix::plain(grad, batch, outputs), Matrix::transposed(grad, batch, outputs));
+            let active = Matrix::plain(active, batch, inputs);
+            product(transposed, active, &mut grad_weight, Accumulate::Overwrite, self.arithmetic, threads());
+            with_values(weight, |weight| {
+                let weight = Matrix::plain(weight, outputs, inputs);
+                product(plain, weight, &mut grad_active, Accumulate::Overwrite, self.arithmetic, threads());
                 Ok(())
             })
         })?;
-        let (grad_kernel, grad_bias) = self.convolution_gradients(&grad_active);
-        Ok((Some(tensor(grad_kernel, kernel.shape())?), Some(tensor(grad_bias, bias.shape())?)))
+        let gradient = with_values(packed, |packed| Ok(self.gradient(packed, active, &grad_active)))?;
+        Ok((Some(tensor(gradient, packed.shape())?), Some(tensor(grad_weight, (outputs, inputs))?)))
     }
 }

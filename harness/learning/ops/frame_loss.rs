@@ -1,64 +1,66 @@
-//! The decoder's last two layers, to frames: a fully connected layer, ReLU, transposed convolution and the mean
-//! squared error, as one op.
+//! The decoder's way to frames: a fully connected layer with a ReLU, chained transposed convolutions with a ReLU between
+//! each two, and the mean squared error, as one op.
 //!
-//! Predicted frames and their gradients exist one image at a time, in cache. Since a loss is a scalar, its
-//! gradients are known up to a factor as soon as it is, and are computed in the forward pass, where they take the
-//! place of the activations.
+//! Sixteen predicted frames and all gradients on their way exist at a time, in cache. Since a loss is a scalar, its
+//! gradients are known up to a factor as soon as it is, and are computed in the forward pass, where they take the place
+//! of the fully connected layer's output.
 
-use super::{hand_over, is_trained, slice, tensor, threads, with_values};
+use super::stack::{Layer, Side, Stack, StackSums, part_len, sum_packed};
+use super::{Arithmetic, slice, tensor, threads, with_values};
 use crate::dataset::frames::Frames;
-use crate::learning::kernels::convolution::{Coarse, Convolution, Fine, KernelSums};
-use crate::learning::kernels::product::{Into, Matrix, product};
-use crate::learning::kernels::{self, Buffer, PARTS, add_to, simd};
-use crate::spec::Precision;
+use crate::learning::kernels::convolution::{Images, LANES};
+use crate::learning::kernels::product::{Accumulate, Matrix, product};
+use crate::learning::kernels::{self, Buffer, add_to};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 use std::sync::{Arc, Mutex};
 
 /// The parameters between the decoder's hidden layer and a frame.
 pub struct FrameDecoder {
-    /// `[channels * (side / 2)², hidden]`, a variable or detached.
+    /// Of the convolutions that are transposed; the last one of the stack comes first.
+    pub stack: Stack,
+    /// Of the fully connected layer: `[values of the stack's last layer, hidden]`.
     pub weight: Tensor,
-    /// `[channels * (side / 2)²]`, a variable or detached.
-    pub bias: Tensor,
-    /// Of the transposed convolution (stride 2, padding 1): `[channels, frame channels, 4, 4]`.
-    pub kernel: Tensor,
-    /// `[frame channels]`.
-    pub kernel_bias: Tensor,
-    /// Of the fully connected layer's products.
-    pub precision: Precision,
+    /// Each convolution's kernel `[channels, channels before, 4, 4]` and the bias of its transpose `[channels before]`, in
+    /// the stack's order, and last the bias of the fully connected layer.
+    pub packed: Tensor,
+    pub arithmetic: Arithmetic,
 }
 
 impl FrameDecoder {
-    fn sizes(&self, side: usize) -> Result<Convolution> {
-        let (coarse_channels, fine_channels, ..) = self.kernel.dims4()?;
-        Ok(Convolution { fine_channels, coarse_channels, side })
-    }
-
-    /// `hidden weightᵀ` `[batch, channels * (side / 2)²]`, without the bias.
-    fn coarse(&self, hidden: &[f32]) -> Result<Buffer> {
+    /// `hidden weightᵀ` `[batch, values of the stack's last layer]`, without the bias.
+    fn coarse(&self, hidden: &[f32], weight: &[f32]) -> Result<Buffer> {
         let (outputs, inputs) = self.weight.dims2()?;
         let batch = hidden.len() / inputs;
         let mut coarse = Buffer::new(batch * outputs);
-        with_values(&self.weight, |weight| {
-            let (hidden, weight) =
-                (Matrix::plain(hidden, batch, inputs), Matrix::transposed(weight, outputs, inputs));
-            product(hidden, weight, &mut coarse, Into::Overwrite, self.precision, threads());
-            Ok(())
-        })?;
+        let (hidden, weight) =
+            (Matrix::plain(hidden, batch, inputs), Matrix::transposed(weight, outputs, inputs));
+        product(hidden, weight, &mut coarse, Accumulate::Overwrite, self.arithmetic, threads());
         Ok(coarse)
     }
 
     /// The same as [`frame_decoder`] from candle's operations.
-    fn compose(&self, hidden: &Tensor, side: usize) -> Result<Tensor> {
-        let (channels, frame_channels, ..) = self.kernel.dims4()?;
-        hidden
+    fn compose(&self, hidden: &Tensor) -> Result<Tensor> {
+        let layers = self.stack.layers();
+        let mut parameters = Vec::new();
+        let mut first = 0;
+        for sizes in layers {
+            let (coarse, fine) = (sizes.coarse_channels, sizes.fine_channels);
+            let kernel = self.packed.narrow(0, first, sizes.kernel_len())?.reshape((coarse, fine, 4, 4))?;
+            first += sizes.kernel_len();
+            parameters.push((kernel, self.packed.narrow(0, first, fine)?.reshape((1, fine, 1, 1))?));
+            first += fine;
+        }
+        let (last, len) = (&layers[layers.len() - 1], self.stack.coarse_len());
+        let (channels, side) = (last.coarse_channels, last.coarse_side());
+        let mut image = hidden
             .matmul(&self.weight.t()?)?
-            .broadcast_add(&self.bias)?
-            .relu()?
-            .reshape((hidden.dim(0)?, channels, side / 2, side / 2))?
-            .conv_transpose2d(&self.kernel, 1, 0, 2, 1)?
-            .broadcast_add(&self.kernel_bias.reshape((1, frame_channels, 1, 1))?)
+            .broadcast_add(&self.packed.narrow(0, first, len)?)?
+            .reshape((hidden.dim(0)?, channels, side, side))?;
+        for (kernel, bias) in parameters.iter().rev() {
+            image = image.relu()?.conv_transpose2d(kernel, 1, 0, 2, 1)?.broadcast_add(bias)?;
+        }
+        Ok(image)
     }
 }
 
@@ -66,168 +68,144 @@ impl FrameDecoder {
 /// values of the batch; a scalar.
 pub fn frame_loss(hidden: &Tensor, decoder: FrameDecoder, target: Arc<dyn Frames>) -> Result<Tensor> {
     if !hidden.device().is_cpu() {
-        let predicted = decoder.compose(hidden, target.side())?;
+        let predicted = decoder.compose(hidden)?;
         return (predicted - target.tensor(hidden.device())?)?.sqr()?.mean_all();
     }
-    let trained = is_trained(&decoder.weight)? | is_trained(&decoder.bias)?;
-    let arguments = [hidden, &decoder.kernel, &decoder.kernel_bias];
-    let trained = trained || arguments.iter().any(|tensor| tensor.track_op());
-    let sizes = decoder.sizes(target.side())?;
-    let (kernel, kernel_bias) = (decoder.kernel.clone(), decoder.kernel_bias.clone());
-    let op = FrameLoss { decoder, target, sizes, trained, gradients: Mutex::new(None) };
-    hidden.contiguous()?.apply_op3(&kernel, &kernel_bias, op)
+    let (weight, packed) = (decoder.weight.contiguous()?, decoder.packed.clone());
+    let trained = [hidden, &weight, &packed].iter().any(|tensor| tensor.track_op());
+    let op = FrameLoss { decoder, target, trained, gradients: Mutex::new(None) };
+    hidden.contiguous()?.apply_op3(&weight, &packed, op)
 }
 
 /// The frames that `decoder` makes of `hidden` `[batch, hidden]`: `[batch, frame channels, side, side]`, without
 /// gradients.
-pub fn frame_decoder(hidden: &Tensor, decoder: &FrameDecoder, side: usize) -> Result<Tensor> {
+pub fn frame_decoder(hidden: &Tensor, decoder: &FrameDecoder) -> Result<Tensor> {
     if !hidden.device().is_cpu() {
-        return decoder.compose(hidden, side);
+        return decoder.compose(hidden);
     }
-    let sizes = decoder.sizes(side)?;
-    let coarse = with_values(hidden, |hidden| decoder.coarse(hidden))?;
-    let batch = hidden.dim(0)?;
-    let mut frames = kernels::scratch(batch * sizes.fine_len());
-    with_values(&decoder.bias, |bias| {
-        with_values(&decoder.kernel, |kernel| {
-            with_values(&decoder.kernel_bias, |kernel_bias| {
-                let images =
-                    frames.par_chunks_mut(sizes.fine_len()).zip(coarse.par_chunks(sizes.coarse_len()));
-                images.for_each_init(
-                    || Coarse::new(sizes),
-                    |active, (frame, coarse)| {
-                        active.set_active(coarse, bias);
-                        sizes.spread(active, kernel, kernel_bias, frame);
-                    },
-                );
-                Ok(())
-            })
-        })
+    let mut coarse =
+        with_values(hidden, |hidden| with_values(&decoder.weight, |weight| decoder.coarse(hidden, weight)))?;
+    let (stack, batch) = (&decoder.stack, hidden.dim(0)?);
+    let mut frames = kernels::scratch(batch * stack.fine_len());
+    with_values(&decoder.packed, |packed| {
+        let (layers, bias) = stack.unpack(Side::Decoder, packed);
+        let groups = frames.par_chunks_mut(LANES * stack.fine_len());
+        groups.zip(coarse.par_chunks_mut(LANES * stack.coarse_len())).for_each_init(
+            || stack.levels(),
+            |levels, (frames, coarse)| {
+                forward(&layers, bias, coarse, levels);
+                levels[0].write(frames);
+            },
+        );
+        Ok(())
     })?;
-    tensor(frames, (batch, sizes.fine_channels, side, side))
+    let first = &stack.layers()[0];
+    tensor(frames, (batch, first.fine_channels, first.side, first.side))
+}
+
+/// Fills the levels from the last to the first, given the fully connected layer's output without its bias and ReLU,
+/// which are added to it.
+fn forward(layers: &[Layer], bias: &[f32], coarse: &mut [f32], levels: &mut [Images]) {
+    kernels::add_bias_to_rows(coarse, bias, true);
+    levels[layers.len()].set(coarse);
+    for (index, layer) in layers.iter().enumerate().rev() {
+        let (fine, coarse) = levels.split_at_mut(index + 1);
+        layer.sizes.spread(&coarse[0], layer.kernel, &mut fine[index]);
+        fine[index].add_bias(layer.bias, index > 0);
+    }
 }
 
 struct FrameLoss {
     decoder: FrameDecoder,
     target: Arc<dyn Frames>,
-    sizes: Convolution,
     trained: bool,
     gradients: Mutex<Option<Gradients>>,
 }
 
-/// Of the parameters, and of the hidden layer's output.
+/// Of the arguments, for a loss whose own gradient is one.
 struct Gradients {
     hidden: Vec<f32>,
     weight: Vec<f32>,
-    bias: Vec<f32>,
-    kernel: Vec<f32>,
-    kernel_bias: Vec<f32>,
+    packed: Vec<f32>,
 }
 
 /// What one part of the batch adds to the sums.
 struct Part {
     squared_error: f64,
-    bias: Vec<f32>,
-    kernel: Vec<f32>,
-    kernel_bias: Vec<f32>,
+    /// Gradient of the packed parameters; empty where none is wanted.
+    packed: Vec<f32>,
+}
+
+/// What a thread needs for sixteen images.
+struct Workspace {
+    frames: Vec<f32>,
+    target: Images,
+    levels: Vec<Images>,
+    /// Gradients of the levels before the first convolution's.
+    gradients: Vec<Images>,
 }
 
 impl FrameLoss {
-    /// One part of the batch, from image `first` on. Replaces `coarse`, the activations without bias and ReLU, by
-    /// the gradient with regard to them where gradients are wanted.
-    fn part(
-        &self,
-        first: usize,
-        coarse: &mut [f32],
-        bias: &[f32],
-        kernel: &[f32],
-        kernel_bias: &[f32],
-    ) -> Part {
-        let sizes = self.sizes;
-        let scale = 2.0 / (self.target.batch() * sizes.fine_len()) as f32;
-        let (mut active, mut fine, mut sums) = (Coarse::new(sizes), Fine::new(sizes), KernelSums::new(sizes));
-        let (mut frame, mut target) =
-            (kernels::scratch(sizes.fine_len()), kernels::scratch(sizes.fine_len()));
-        let mut part = Part {
-            squared_error: 0.0,
-            bias: vec![0.0; bias.len()],
-            kernel: Vec::new(),
-            kernel_bias: vec![0.0; kernel_bias.len()],
-        };
-        for (index, coarse) in coarse.chunks_exact_mut(sizes.coarse_len()).enumerate() {
-            active.set_active(coarse, bias);
-            sizes.spread(&active, kernel, kernel_bias, &mut frame);
-            self.target.write(first + index, &mut target);
-            part.squared_error += errors(&mut frame, &target, scale);
+    fn workspace(&self) -> Workspace {
+        let stack = &self.decoder.stack;
+        Workspace {
+            frames: kernels::scratch(LANES * stack.fine_len()),
+            target: stack.layers()[0].fine(),
+            levels: stack.levels(),
+            gradients: if self.trained { stack.levels().split_off(1) } else { Vec::new() },
+        }
+    }
+
+    /// One part of the batch, from image `first` on. Replaces `coarse`, the fully connected layer's output without bias
+    /// and ReLU, by the gradient with regard to it where gradients are wanted.
+    fn part(&self, workspace: &mut Workspace, first: usize, coarse: &mut [f32], packed: &[f32]) -> Part {
+        let stack = &self.decoder.stack;
+        let (layers, bias) = stack.unpack(Side::Decoder, packed);
+        let (len, frame_len) = (stack.coarse_len(), stack.fine_len());
+        let scale = 2.0 / (self.target.batch() * frame_len) as f32;
+        let mut sums = StackSums::new(stack, Side::Decoder);
+        let mut bias_sums = vec![0.0; bias.len()];
+        let mut squared_error = 0.0;
+        let Workspace { frames, target, levels, gradients } = workspace;
+        for (group, coarse) in coarse.chunks_mut(LANES * len).enumerate() {
+            let images = coarse.len() / len;
+            forward(&layers, bias, coarse, levels);
+            let frames = &mut frames[..images * frame_len];
+            for (index, frame) in frames.chunks_exact_mut(frame_len).enumerate() {
+                self.target.write(first + group * LANES + index, frame);
+            }
+            target.set(frames);
+            squared_error += levels[0].become_errors(target, images, scale);
             if self.trained {
-                fine.set(&frame);
-                sizes.convolve(&fine, kernel, coarse);
-                active.mask(coarse);
-                add_to(&mut part.bias, coarse);
-                sizes.add_kernel_gradient(&fine, &active, &mut sums);
-                let channels = frame.chunks_exact(sizes.side * sizes.side);
-                for (sum, channel) in part.kernel_bias.iter_mut().zip(channels) {
-                    *sum += kernels::sum(channel);
+                for (index, Layer { sizes, kernel, .. }) in layers.iter().enumerate() {
+                    let (finer, coarser) = gradients.split_at_mut(index);
+                    let fine = finer.last().unwrap_or(&levels[0]);
+                    sums.add(index, sizes, fine, &levels[index + 1], fine);
+                    sizes.convolve(fine, kernel, &mut coarser[0]);
+                    coarser[0].mask(&levels[index + 1]);
                 }
+                gradients[layers.len() - 1].write(coarse);
+                coarse.chunks_exact(len).for_each(|grad| add_to(&mut bias_sums, grad));
             }
         }
-        part.kernel = sums.total();
-        part
+        let packed = if self.trained { [sums.packed(), bias_sums].concat() } else { Vec::new() };
+        Part { squared_error, packed }
     }
 
-    /// The gradients, given that of the activations before the ReLU.
-    fn gradients(&self, hidden: &[f32], grad_coarse: &[f32], parts: Vec<Part>) -> Result<Gradients> {
-        let (outputs, inputs) = self.decoder.weight.dims2()?;
-        let batch = self.target.batch();
+    /// The gradients, given that of the fully connected layer's output before the ReLU.
+    fn gradients(&self, hidden: &[f32], weight: &[f32], grad: &[f32], parts: Vec<Part>) -> Result<Gradients> {
+        let ((outputs, inputs), batch) = (self.decoder.weight.dims2()?, self.target.batch());
+        let arithmetic = self.decoder.arithmetic;
         let mut grad_hidden = kernels::scratch(batch * inputs);
-        with_values(&self.decoder.weight, |weight| {
-            let (grad, weight) =
-                (Matrix::plain(grad_coarse, batch, outputs), Matrix::plain(weight, outputs, inputs));
-            product(grad, weight, &mut grad_hidden, Into::Overwrite, self.decoder.precision, threads());
-            Ok(())
-        })?;
+        let (plain, weight) = (Matrix::plain(grad, batch, outputs), Matrix::plain(weight, outputs, inputs));
+        product(plain, weight, &mut grad_hidden, Accumulate::Overwrite, arithmetic, threads());
         let mut grad_weight = kernels::scratch(outputs * inputs);
-        let (grad, hidden) =
-            (Matrix::transposed(grad_coarse, batch, outputs), Matrix::plain(hidden, batch, inputs));
-        product(grad, hidden, &mut grad_weight, Into::Overwrite, self.decoder.precision, threads());
-        let (mut bias, mut kernel, mut kernel_bias) = (Vec::new(), Vec::new(), Vec::new());
-        for part in parts {
-            bias.push(part.bias);
-            kernel.push(part.kernel);
-            kernel_bias.push(part.kernel_bias);
-        }
-        Ok(Gradients {
-            hidden: grad_hidden,
-            weight: grad_weight,
-            bias: kernels::sum_in_order(bias, outputs),
-            kernel: kernels::sum_in_order(kernel, self.sizes.kernel_len()),
-            kernel_bias: kernels::sum_in_order(kernel_bias, self.sizes.fine_channels),
-        })
+        let (transposed, hidden) =
+            (Matrix::transposed(grad, batch, outputs), Matrix::plain(hidden, batch, inputs));
+        product(transposed, hidden, &mut grad_weight, Accumulate::Overwrite, arithmetic, threads());
+        let packed = sum_packed(parts.into_iter().map(|part| part.packed).collect());
+        Ok(Gradients { hidden: grad_hidden, weight: grad_weight, packed })
     }
-}
-
-/// `values = scale * (values - target)`; the sum of the squared differences.
-fn errors(values: &mut [f32], target: &[f32], scale: f32) -> f64 {
-    const LANES: usize = 16;
-    const RUN: usize = 64 * LANES;
-    simd(
-        #[inline(always)]
-        || {
-            let mut sum = 0.0;
-            for (values, target) in values.chunks_mut(RUN).zip(target.chunks(RUN)) {
-                let mut squares = [0.0f32; LANES];
-                for (values, target) in values.chunks_mut(LANES).zip(target.chunks(LANES)) {
-                    for ((value, target), square) in values.iter_mut().zip(target).zip(&mut squares) {
-                        let error = *value - target;
-                        *square += error * error;
-                        *value = error * scale;
-                    }
-                }
-                sum += squares.iter().map(|square| f64::from(*square)).sum::<f64>();
-            }
-            sum
-        },
-    )
 }
 
 impl CustomOp3 for FrameLoss {
@@ -239,25 +217,27 @@ impl CustomOp3 for FrameLoss {
         &self,
         hidden: &CpuStorage,
         hidden_layout: &Layout,
-        kernel: &CpuStorage,
-        kernel_layout: &Layout,
-        kernel_bias: &CpuStorage,
-        kernel_bias_layout: &Layout,
+        weight: &CpuStorage,
+        weight_layout: &Layout,
+        packed: &CpuStorage,
+        packed_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        let hidden = slice(hidden, hidden_layout)?;
-        let (kernel, kernel_bias) = (slice(kernel, kernel_layout)?, slice(kernel_bias, kernel_bias_layout)?);
-        let mut coarse = self.decoder.coarse(hidden)?;
-        let images = self.target.batch().div_ceil(PARTS);
-        let parts: Vec<Part> = with_values(&self.decoder.bias, |bias| {
-            let parts = coarse.par_chunks_mut(images * self.sizes.coarse_len()).enumerate();
-            Ok(parts
-                .map(|(index, coarse)| self.part(index * images, coarse, bias, kernel, kernel_bias))
-                .collect())
-        })?;
+        let (hidden, weight) = (slice(hidden, hidden_layout)?, slice(weight, weight_layout)?);
+        let packed = slice(packed, packed_layout)?;
+        let (batch, stack) = (self.target.batch(), &self.decoder.stack);
+        let mut coarse = self.decoder.coarse(hidden, weight)?;
+        let part = part_len(batch);
+        let parts = coarse.par_chunks_mut(part * stack.coarse_len()).enumerate();
+        let parts: Vec<Part> = parts
+            .map_init(
+                || self.workspace(),
+                |workspace, (index, coarse)| self.part(workspace, index * part, coarse, packed),
+            )
+            .collect();
         let squared_error: f64 = parts.iter().map(|part| part.squared_error).sum();
-        let mean = squared_error / (self.target.batch() * self.sizes.fine_len()) as f64;
+        let mean = squared_error / (batch * stack.fine_len()) as f64;
         if self.trained {
-            let gradients = self.gradients(hidden, &coarse, parts)?;
+            let gradients = self.gradients(hidden, weight, &coarse, parts)?;
             *self.gradients.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(gradients);
         }
         Ok((CpuStorage::F32(vec![mean as f32]), ().into()))
@@ -266,8 +246,8 @@ impl CustomOp3 for FrameLoss {
     fn bwd(
         &self,
         hidden: &Tensor,
-        kernel: &Tensor,
-        kernel_bias: &Tensor,
+        weight: &Tensor,
+        packed: &Tensor,
         _loss: &Tensor,
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
@@ -276,23 +256,16 @@ impl CustomOp3 for FrameLoss {
             candle_core::bail!("the frame loss's gradients were already taken; run its forward pass again")
         };
         let factor = grad.to_scalar::<f32>()?;
-        let scaled = |mut values: Vec<f32>| {
+        let scaled = |mut values: Vec<f32>, like: &Tensor| {
             if factor != 1.0 {
                 values.par_iter_mut().for_each(|value| *value *= factor);
             }
-            values
+            tensor(values, like.shape()).map(Some)
         };
-        for (weight, gradient) in
-            [(&self.decoder.weight, gradients.weight), (&self.decoder.bias, gradients.bias)]
-        {
-            if is_trained(weight)? {
-                hand_over(weight, scaled(gradient))?;
-            }
-        }
         Ok((
-            Some(tensor(scaled(gradients.hidden), hidden.shape())?),
-            Some(tensor(scaled(gradients.kernel), kernel.shape())?),
-            Some(tensor(scaled(gradients.kernel_bias), kernel_bias.shape())?),
+            scaled(gradients.hidden, hidden)?,
+            scaled(gradients.weight, weight)?,
+            scaled(gradients.packed, packed)?,
         ))
     }
 }

@@ -1,0 +1,144 @@
+//! From a latent state, and an action, to an observation.
+
+use super::layers::{Builder, FrameOutput, Perceptron};
+use super::{Architecture, Decoded, Decoder, LayerSummary, Targets, Term};
+use crate::learning::ops::{Stack, frame_decoder, frame_loss, squared_errors};
+use crate::spec::{FRAME_SIDE, Fusion, Modality};
+use candle_core::{Result, Tensor};
+
+/// The decoder that an architecture describes.
+pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Result<Box<dyn Decoder>> {
+    let (vector, channels) = (architecture.vector_outputs(), architecture.frame_outputs());
+    let hidden =
+        [&[architecture.latent + architecture.action], architecture.network.hidden.as_slice()].concat();
+    let width = hidden[hidden.len() - 1];
+    let shares = vector > 0 && channels > 0 && architecture.network.fusion == Fusion::Early;
+    let mut shared = None;
+    let mut vectors = None;
+    if shares {
+        shared = Some(builder.perceptron("hidden", &hidden)?);
+        vectors = Some(builder.perceptron("vector", &[width, vector])?);
+    } else if vector > 0 {
+        let last = |builder: &mut Builder| builder.dense("vector", width, vector);
+        vectors = Some(builder.perceptron("hidden", &hidden)?.then("vector", last(builder)?));
+    }
+    let frames = (channels > 0)
+        .then(|| {
+            let name = if vector > 0 { "frame_hidden" } else { "hidden" };
+            let own = (!shares).then(|| builder.perceptron(name, &hidden)).transpose()?;
+            let stack = Stack::new(channels, FRAME_SIDE, architecture.network.channels());
+            let dense = builder.dense("frame", width, stack.coarse_len())?;
+            let convolutions = builder.transposed_convolutions(&stack)?;
+            let output = FrameOutput { stack, convolutions, dense, arithmetic: architecture.arithmetic };
+            Ok::<_, candle_core::Error>((own, output))
+        })
+        .transpose()?;
+    let (frame_hidden, frames) = frames.map_or((None, None), |(own, output)| (own, Some(output)));
+    Ok(Box::new(PerceptronDecoder {
+        output: architecture.output.clone(),
+        shared,
+        vectors,
+        frame_hidden,
+        frames,
+    }))
+}
+
+/// Hidden layers, shared by vectors and frames or one series each, then the vectors and the frames.
+struct PerceptronDecoder {
+    output: Vec<Modality>,
+    /// Hidden layers that vectors and frames share.
+    shared: Option<Perceptron>,
+    /// To the vectors, from what is shared or from the latent state.
+    vectors: Option<Perceptron>,
+    /// Hidden layers of the frames alone.
+    frame_hidden: Option<Perceptron>,
+    frames: Option<FrameOutput>,
+}
+
+/// What the last layers are given.
+struct Hidden {
+    /// For the vectors, all but the last of whose layers may still follow.
+    vectors: Tensor,
+    frames: Tensor,
+}
+
+impl PerceptronDecoder {
+    fn hidden(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Hidden> {
+        let condition = match action {
+            Some(action) => Tensor::cat(&[latent, action], 1)?,
+            None => latent.clone(),
+        };
+        let vectors = match &self.shared {
+            Some(shared) => shared.forward(&condition, true)?,
+            None => condition,
+        };
+        let frames = match &self.frame_hidden {
+            Some(own) => own.forward(&vectors, true)?,
+            None => vectors.clone(),
+        };
+        Ok(Hidden { vectors, frames })
+    }
+
+    fn vectors(&self, hidden: &Hidden) -> Result<Option<Tensor>> {
+        self.vectors.as_ref().map(|layers| layers.forward(&hidden.vectors, false)).transpose()
+    }
+}
+
+impl Decoder for PerceptronDecoder {
+    fn decode(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Decoded> {
+        let hidden = self.hidden(latent, action)?;
+        let frames = self.frames.as_ref().map(|output| {
+            let channels = output.stack.layers()[0].fine_channels;
+            frame_decoder(&hidden.frames, &output.decoder(0, channels)?)
+        });
+        Ok(Decoded { vector: self.vectors(&hidden)?, frames: frames.transpose()? })
+    }
+
+    fn losses(&self, latent: &Tensor, action: Option<&Tensor>, targets: &Targets) -> Result<Vec<Term>> {
+        let hidden = self.hidden(latent, action)?;
+        let mut terms = Vec::with_capacity(self.output.len());
+        if let (Some(predicted), Some(target)) = (self.vectors(&hidden)?, &targets.vector) {
+            let modalities: Vec<Modality> =
+                self.output.iter().copied().filter(|modality| !modality.is_frame()).collect();
+            let widths: Vec<usize> = modalities.iter().map(|modality| modality.width()).collect();
+            let errors = squared_errors(&predicted, target, &widths)?;
+            for (index, modality) in modalities.into_iter().enumerate() {
+                terms.push(Term { modality, value: errors.get(index)? });
+            }
+        }
+        let mut first = 0;
+        for (modality, target) in &targets.frames {
+            if let Some(output) = &self.frames {
+                let decoder = output.decoder(first, target.channels())?;
+                terms.push(Term {
+                    modality: *modality,
+                    value: frame_loss(&hidden.frames, decoder, target.clone())?,
+                });
+            }
+            first += target.channels();
+        }
+        Ok(terms)
+    }
+
+    fn detached(&self) -> Box<dyn Decoder> {
+        let detached = |layers: &Option<Perceptron>| layers.as_ref().map(Perceptron::detached);
+        Box::new(Self {
+            output: self.output.clone(),
+            shared: detached(&self.shared),
+            vectors: detached(&self.vectors),
+            frame_hidden: detached(&self.frame_hidden),
+            frames: self.frames.as_ref().map(FrameOutput::detached),
+        })
+    }
+
+    fn layers(&self) -> Result<Vec<LayerSummary>> {
+        let mut layers = Vec::new();
+        for perceptron in [&self.shared, &self.vectors, &self.frame_hidden].into_iter().flatten() {
+            layers.extend(perceptron.summary()?);
+        }
+        if let Some(frames) = &self.frames {
+            layers.extend(frames.summary()?);
+        }
+        Ok(layers)
+    }
+}

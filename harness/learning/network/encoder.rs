@@ -1,0 +1,258 @@
+//! From an observation to a posterior.
+
+use super::layers::{Builder, Dense, FrameInput, Norm, Perceptron, numbered};
+use super::{Architecture, Encoder, LayerSummary, Observation, Posterior};
+use crate::dataset::frames::Frames;
+use crate::learning::ops::{Arithmetic, Dropout, Stack};
+use crate::spec::{FRAME_SIDE, Fusion};
+use candle_core::{Result, Tensor};
+use std::sync::Arc;
+
+/// The encoder that an architecture describes.
+pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Result<Box<dyn Encoder>> {
+    let (vector, channels) = (architecture.vector_inputs(), architecture.frame_inputs());
+    Ok(match architecture.network.fusion {
+        Fusion::Early if channels == 0 => Box::new(VectorEncoder::new(architecture, vector, builder)?),
+        Fusion::Early => Box::new(EarlyEncoder::new(architecture, vector, channels, builder)?),
+        Fusion::Late => Box::new(LateEncoder::new(architecture, vector, channels, builder)?),
+    })
+}
+
+/// Convolutions of frames with `channels` channels, and the weight of the fully connected layer behind them.
+fn frame_input(
+    architecture: &Architecture,
+    channels: usize,
+    weight: &str,
+    outputs: usize,
+    builder: &mut Builder,
+) -> Result<FrameInput> {
+    let average = architecture.network.average;
+    let stack = Stack::new(channels, FRAME_SIDE / average, architecture.network.channels());
+    let convolutions = builder.convolutions(&stack)?;
+    let len = stack.coarse_len();
+    let weight = builder.uniform(weight, &[outputs, len], len)?;
+    Ok(FrameInput { stack, average, convolutions, weight, arithmetic: architecture.arithmetic })
+}
+
+/// Appends all hidden layers but the first, and the posterior's layer.
+fn to_posterior(
+    mut layers: Perceptron,
+    architecture: &Architecture,
+    builder: &mut Builder,
+) -> Result<Perceptron> {
+    let hidden = &architecture.network.hidden;
+    for (index, pair) in hidden.windows(2).enumerate() {
+        let name = numbered("hidden", index + 1);
+        let layer = builder.dense(&name, pair[0], pair[1])?;
+        layers = layers.then(&name, layer);
+    }
+    let last = builder.dense("posterior", hidden[hidden.len() - 1], 2 * architecture.latent)?;
+    Ok(layers.then("posterior", last))
+}
+
+/// What an observation lacks is a mistake of the caller.
+fn given<T>(part: &Option<T>) -> Result<&T> {
+    match part {
+        Some(part) => Ok(part),
+        None => candle_core::bail!("the observation lacks what the encoder is given"),
+    }
+}
+
+/// Fully connected layers on vectors alone.
+struct VectorEncoder(Perceptron);
+
+impl VectorEncoder {
+    fn new(architecture: &Architecture, vector: usize, builder: &mut Builder) -> Result<Self> {
+        let hidden = &architecture.network.hidden;
+        // The first layer's two names are those that it has beside frames.
+        let first = Dense {
+            weight: builder.uniform("hidden_vector.weight", &[hidden[0], vector], vector)?,
+            bias: builder.uniform("hidden.bias", &[hidden[0]], vector)?,
+        };
+        let layers = Perceptron::empty(builder.arithmetic).then("hidden", first);
+        Ok(Self(to_posterior(layers, architecture, builder)?))
+    }
+}
+
+impl Encoder for VectorEncoder {
+    fn encode_with_dropout(&self, observation: &Observation, _dropout: Option<Dropout>) -> Result<Posterior> {
+        Ok(Posterior(self.0.forward(given(&observation.vector)?, false)?))
+    }
+
+    fn detached(&self) -> Box<dyn Encoder> {
+        Box::new(Self(self.0.detached()))
+    }
+
+    fn layers(&self) -> Result<Vec<LayerSummary>> {
+        self.0.summary()
+    }
+}
+
+/// Frames and vectors meet in the first fully connected layer.
+struct EarlyEncoder {
+    frames: FrameInput,
+    /// The first layer's weights for the vectors, where there are any. Frames and vectors are two blocks of one layer,
+    /// each initialised by its own fan-in. By their joint one, a few joint angles would begin unheard among thousands of
+    /// pixels' values.
+    vector: Option<Tensor>,
+    bias: Tensor,
+    /// The other hidden layers and the posterior's.
+    rest: Perceptron,
+}
+
+impl EarlyEncoder {
+    fn new(
+        architecture: &Architecture,
+        vector: usize,
+        channels: usize,
+        builder: &mut Builder,
+    ) -> Result<Self> {
+        let hidden = &architecture.network.hidden;
+        let frames = frame_input(architecture, channels, "hidden_frame.weight", hidden[0], builder)?;
+        let fan_in = vector + frames.stack.coarse_len();
+        let vector = (vector > 0)
+            .then(|| builder.uniform("hidden_vector.weight", &[hidden[0], vector], vector))
+            .transpose()?;
+        let bias = builder.uniform("hidden.bias", &[hidden[0]], fan_in)?;
+        let rest = to_posterior(Perceptron::empty(builder.arithmetic), architecture, builder)?;
+        Ok(Self { frames, vector, bias, rest })
+    }
+}
+
+impl Encoder for EarlyEncoder {
+    fn encode_with_dropout(&self, observation: &Observation, dropout: Option<Dropout>) -> Result<Posterior> {
+        let seen = self.frames.forward(given(&observation.frames)?, dropout)?;
+        let hidden = match &self.vector {
+            Some(weight) => {
+                let layer = Dense { weight: weight.clone(), bias: self.bias.clone() };
+                (seen + layer.forward(given(&observation.vector)?, false, self.frames.arithmetic)?)?
+            }
+            None => seen.broadcast_add(&self.bias)?,
+        };
+        Ok(Posterior(self.rest.forward(&hidden.relu()?, false)?))
+    }
+
+    fn detached(&self) -> Box<dyn Encoder> {
+        Box::new(Self {
+            frames: self.frames.detached(),
+            vector: self.vector.as_ref().map(Tensor::detach),
+            bias: self.bias.detach(),
+            rest: self.rest.detached(),
+        })
+    }
+
+    fn layers(&self) -> Result<Vec<LayerSummary>> {
+        let mut layers = self.frames.summary();
+        layers.push(LayerSummary {
+            name: "hidden".into(),
+            output: vec![self.bias.dim(0)?],
+            parameters: self.frames.weight.elem_count()
+                + self.vector.as_ref().map_or(0, Tensor::elem_count)
+                + self.bias.elem_count(),
+        });
+        layers.extend(self.rest.summary()?);
+        Ok(layers)
+    }
+}
+
+/// An encoder each for frames and vectors; their outputs are normalized, and one more layer joins them.
+struct LateEncoder {
+    vector: Option<(Perceptron, Norm)>,
+    frames: Option<LateFrames>,
+    joint: Dense,
+    posterior: Dense,
+    arithmetic: Arithmetic,
+}
+
+struct LateFrames {
+    input: FrameInput,
+    bias: Tensor,
+    norm: Norm,
+}
+
+impl LateFrames {
+    fn forward(&self, frames: &Arc<dyn Frames>, dropout: Option<Dropout>) -> Result<Tensor> {
+        let hidden = self.input.forward(frames, dropout)?.broadcast_add(&self.bias)?.relu()?;
+        self.norm.forward(&hidden)
+    }
+}
+
+impl LateEncoder {
+    fn new(
+        architecture: &Architecture,
+        vector: usize,
+        channels: usize,
+        builder: &mut Builder,
+    ) -> Result<Self> {
+        let hidden = &architecture.network.hidden;
+        let width = hidden[hidden.len() - 1];
+        let frames = (channels > 0)
+            .then(|| {
+                let input = frame_input(architecture, channels, "frame.weight", width, builder)?;
+                let bias = builder.uniform("frame.bias", &[width], input.stack.coarse_len())?;
+                Ok::<_, candle_core::Error>(LateFrames {
+                    input,
+                    bias,
+                    norm: builder.norm("frame_norm", width)?,
+                })
+            })
+            .transpose()?;
+        let vector = (vector > 0)
+            .then(|| {
+                let widths = [&[vector], hidden.as_slice()].concat();
+                Ok::<_, candle_core::Error>((
+                    builder.perceptron("vector", &widths)?,
+                    builder.norm("vector_norm", width)?,
+                ))
+            })
+            .transpose()?;
+        let inputs = (usize::from(frames.is_some()) + usize::from(vector.is_some())) * width;
+        let joint = builder.dense("joint", inputs, width)?;
+        let posterior = builder.dense("posterior", width, 2 * architecture.latent)?;
+        Ok(Self { vector, frames, joint, posterior, arithmetic: architecture.arithmetic })
+    }
+}
+
+impl Encoder for LateEncoder {
+    fn encode_with_dropout(&self, observation: &Observation, dropout: Option<Dropout>) -> Result<Posterior> {
+        let mut parts = Vec::new();
+        if let Some((perceptron, norm)) = &self.vector {
+            parts.push(norm.forward(&perceptron.forward(given(&observation.vector)?, true)?)?);
+        }
+        if let Some(frames) = &self.frames {
+            parts.push(frames.forward(given(&observation.frames)?, dropout)?);
+        }
+        let joint = self.joint.forward(&Tensor::cat(&parts, 1)?, true, self.arithmetic)?;
+        Ok(Posterior(self.posterior.forward(&joint, false, self.arithmetic)?))
+    }
+
+    fn detached(&self) -> Box<dyn Encoder> {
+        Box::new(Self {
+            vector: self.vector.as_ref().map(|(perceptron, norm)| (perceptron.detached(), norm.detached())),
+            frames: self.frames.as_ref().map(|frames| LateFrames {
+                input: frames.input.detached(),
+                bias: frames.bias.detach(),
+                norm: frames.norm.detached(),
+            }),
+            joint: self.joint.detached(),
+            posterior: self.posterior.detached(),
+            arithmetic: self.arithmetic,
+        })
+    }
+
+    fn layers(&self) -> Result<Vec<LayerSummary>> {
+        let mut layers = Vec::new();
+        if let Some((perceptron, norm)) = &self.vector {
+            layers.extend(perceptron.summary()?);
+            layers.push(norm.summary("vector_norm")?);
+        }
+        if let Some(LateFrames { input, bias, norm }) = &self.frames {
+            layers.extend(input.summary());
+            layers.push(Dense { weight: input.weight.clone(), bias: bias.clone() }.summary("frame")?);
+            layers.push(norm.summary("frame_norm")?);
+        }
+        layers.push(self.joint.summary("joint")?);
+        layers.push(self.posterior.summary("posterior")?);
+        Ok(layers)
+    }
+}
