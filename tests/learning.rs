@@ -922,6 +922,57 @@ impl Progress for Listener {
     fn end(&self) {}
 }
 
+/// Keeps what it is told of the stage, in order.
+#[derive(Default)]
+struct Heard(std::sync::Mutex<Vec<String>>);
+
+impl Heard {
+    fn hear(&self, text: String) {
+        self.0.lock().unwrap().push(text);
+    }
+}
+
+impl Progress for Heard {
+    fn begin(&self, stage: &str, total: u64, unit: &str) {
+        self.hear(format!("begin {stage}, {total} {unit}"));
+    }
+    fn resume(&self, steps: u64) {
+        self.hear(format!("resume {steps}"));
+    }
+    fn advance(&self, steps: u64) {
+        self.hear(format!("advance {steps}"));
+    }
+    fn note(&self, text: &str) {
+        self.hear(text.to_owned());
+    }
+    fn say(&self, _: &str) {}
+    fn end(&self) {
+        self.hear("end".to_owned());
+    }
+}
+
+#[test]
+fn a_training_tells_its_losses_before_it_counts_the_epoch() {
+    let bench = Bench::new();
+    let heard = Heard::default();
+    let (epochs, _) = bench.train(7, &StateFile::none(), &heard).unwrap();
+    let mut expected = vec!["begin prediction, 4 epochs".to_owned(), "resume 0".to_owned()];
+    let mut lowest = (f64::INFINITY, 0);
+    for Epoch { epoch, train, validation, .. } in &epochs {
+        let (train, validation) = (train[TOTAL], validation[TOTAL]);
+        let best = if validation < lowest.0 {
+            lowest = (validation, *epoch);
+            "lowest so far".to_owned()
+        } else {
+            format!("lowest {:.4}, epoch {}", lowest.0, lowest.1)
+        };
+        expected.push(format!("validation {validation:.4} ({best}), training {train:.4}"));
+        expected.push("advance 1".to_owned());
+    }
+    expected.push("end".to_owned());
+    assert_eq!(heard.0.into_inner().unwrap(), expected);
+}
+
 #[test]
 fn a_cancelled_training_keeps_its_last_whole_epoch() {
     let bench = Bench::new();

@@ -1,6 +1,7 @@
 //! Progress on the terminal: a bar for each job, or plain lines where the output is no terminal.
 
 use super::interrupt;
+use harness::numbers::duration;
 use harness::progress::Progress;
 use indicatif::{MultiProgress, ProgressBar, ProgressFinish, ProgressStyle};
 use std::io::IsTerminal;
@@ -23,7 +24,9 @@ pub struct Bars {
 struct Stage {
     name: String,
     unit: String,
-    /// Hidden where the output is no terminal; it still measures the rate.
+    /// The latest note, or nothing.
+    note: String,
+    /// Hidden where the output is no terminal; it still counts.
     bar: ProgressBar,
     last_line: Instant,
     /// Steps that were done before it began.
@@ -47,49 +50,57 @@ fn lines() -> bool {
 }
 
 impl Stage {
+    /// The note, since it matters most, and then how far the stage is.
     fn progress(&self) -> String {
         let (done, total) = (self.bar.position(), self.bar.length().unwrap_or_default());
-        let left = indicatif::HumanDuration(self.bar.eta());
-        let rate = self.bar.per_sec();
-        format!("{}: {done}/{total} {}, {rate:.1}/s, {left:#} left{}", self.name, self.unit, self.note())
+        let pace = pace(done - self.resumed, total.saturating_sub(done), self.bar.elapsed());
+        sentence(&[&self.note, &format!("{done}/{total} {}", self.unit), &pace])
     }
 
     fn end(&self) -> String {
         let seconds = self.bar.elapsed().as_secs_f64();
         let resumed =
             if self.resumed > 0 { format!(", {} of them before,", self.resumed) } else { String::new() };
-        format!(
-            "{}: {} {}{resumed} in {seconds:.1} s{}",
-            self.name,
-            self.bar.position(),
-            self.unit,
-            self.note()
-        )
+        let done = format!("{} {}{resumed} in {seconds:.1} s", self.bar.position(), self.unit);
+        format!("{}: {}", self.name, sentence(&[&done, &self.note]))
     }
+}
 
-    fn note(&self) -> String {
-        let note = self.bar.message();
-        if note.is_empty() { note } else { format!(", {note}") }
+/// The parts that aren't empty, one after the other.
+fn sentence(parts: &[&str]) -> String {
+    let parts = parts.iter().copied().filter(|part| !part.is_empty());
+    parts.collect::<Vec<_>>().join(", ")
+}
+
+/// How fast a stage goes and how long it will still take at most, going by all of its steps so far.
+fn pace(done: u64, left: u64, elapsed: Duration) -> String {
+    if done == 0 {
+        return String::new();
     }
+    let each = elapsed.as_secs_f64().max(1e-6) / done as f64;
+    let rate = if each < 1.0 { format!("{:.1}/s", 1.0 / each) } else { format!("{each:.1} s each") };
+    format!("{rate}, {} left", duration(each * left as f64))
 }
 
 impl Progress for Bars {
     fn begin(&self, name: &str, total: u64, unit: &str) {
         let name = [self.job.as_str(), name].join(" ").trim_start().to_owned();
-        let style =
-            format!("{{prefix}} {{bar:20}} {{pos}}/{{len}} {unit} {{per_sec}} {{eta}} left {{wide_msg}}");
-        let style = ProgressStyle::with_template(&style).unwrap_or_else(|_| ProgressStyle::default_bar());
+        let style = ProgressStyle::with_template("{prefix} {bar:10} {wide_msg}")
+            .unwrap_or_else(|_| ProgressStyle::default_bar());
         let bar = if lines() { ProgressBar::hidden() } else { self.all.add(ProgressBar::no_length()) };
         let bar = bar.with_style(style).with_prefix(name.clone()).with_finish(ProgressFinish::AndClear);
         bar.set_length(total);
-        *self.stage() = Some(Stage { name, unit: unit.into(), bar, last_line: Instant::now(), resumed: 0 });
+        let (unit, note, last_line, resumed) = (unit.into(), String::new(), Instant::now(), 0);
+        *self.stage() = Some(Stage { name, unit, note, bar, last_line, resumed });
     }
 
     fn advance(&self, steps: u64) {
         if let Some(stage) = self.stage().as_mut() {
             stage.bar.inc(steps);
-            if lines() && stage.last_line.elapsed() >= LINE_INTERVAL {
-                self.print(&stage.progress());
+            if !lines() {
+                stage.bar.set_message(stage.progress());
+            } else if stage.last_line.elapsed() >= LINE_INTERVAL {
+                self.print(&format!("{}: {}", stage.name, stage.progress()));
                 stage.last_line = Instant::now();
             }
         }
@@ -98,16 +109,13 @@ impl Progress for Bars {
     fn resume(&self, steps: u64) {
         if let Some(stage) = self.stage().as_mut() {
             stage.resumed = steps;
-            stage.bar.inc(steps);
-            // The rate begins here: the bar takes in what was done, and forgets how fast it seemed to be.
-            stage.bar.tick();
-            stage.bar.reset_eta();
+            stage.bar.set_position(steps);
         }
     }
 
     fn note(&self, text: &str) {
         if let Some(stage) = self.stage().as_mut() {
-            stage.bar.set_message(text.to_owned());
+            stage.note = text.to_owned();
         }
     }
 
@@ -138,6 +146,13 @@ mod tests {
     use super::*;
 
     #[test]
+    fn what_is_left_goes_by_the_steps_so_far() {
+        assert_eq!(pace(0, 10, Duration::from_secs(5)), "");
+        assert_eq!(pace(4, 10, Duration::from_secs(120)), "30.0 s each, 5 min left");
+        assert_eq!(pace(500, 1000, Duration::from_secs(10)), "50.0/s, 20 s left");
+    }
+
+    #[test]
     fn the_rate_leaves_out_what_was_done_before_an_interruption() {
         let bars = Bars::default();
         bars.begin("prediction", 2000, "epochs");
@@ -146,16 +161,16 @@ mod tests {
             std::thread::sleep(Duration::from_millis(20));
             bars.advance(1);
         }
+        bars.note("validation 0.5");
         let stage = bars.stage();
         let stage = stage.as_ref().unwrap();
-        let rate = stage.bar.per_sec();
+        let said = stage.progress();
+        let rest = said.strip_prefix("validation 0.5, 1005/2000 epochs, ").unwrap_or_else(|| panic!("{said}"));
         // 50 a second at most, and less where sleeping takes longer.
-        assert!(rate > 0.0 && rate < 60.0, "{rate} a second: {}", stage.progress());
-        assert!(stage.progress().starts_with("prediction: 1005/2000 epochs, "), "{}", stage.progress());
-        assert!(
-            stage.end().starts_with("prediction: 1005 epochs, 1000 of them before, in 0."),
-            "{}",
-            stage.end()
-        );
+        let rate: f64 = rest.split("/s").next().unwrap().parse().unwrap();
+        assert!(rate > 0.0 && rate < 60.0, "{said}");
+        let end = stage.end();
+        assert!(end.starts_with("prediction: 1005 epochs, 1000 of them before, in 0."), "{end}");
+        assert!(end.ends_with(" s, validation 0.5"), "{end}");
     }
 }

@@ -89,9 +89,9 @@ impl Fit<'_> {
                 }
                 epoch => epoch?,
             };
-            self.progress.advance(1);
-            self.progress.note(&describe(&epoch));
             state.record(epoch, parameters)?;
+            self.progress.note(&describe(&state));
+            self.progress.advance(1);
             self.state.save_now_and_then(&state, parameters, &adam)?;
         }
         // What comes after this training may be interrupted too.
@@ -197,7 +197,15 @@ impl Sums {
     }
 }
 
-fn describe(epoch: &Epoch) -> String {
+/// The last epoch's losses, beside the lowest validation loss so far.
+fn describe(state: &State) -> String {
+    let Some(last) = state.epochs.last() else { return String::new() };
     let of = |losses: &Losses| losses.get(TOTAL).copied().unwrap_or(f64::NAN);
-    format!("train {:.4}, validation {:.4}", of(&epoch.train), of(&epoch.validation))
+    let best = &state.epochs[state.best_epoch() - 1];
+    let lowest = if best.epoch == last.epoch {
+        "lowest so far".into()
+    } else {
+        format!("lowest {:.4}, epoch {}", of(&best.validation), best.epoch)
+    };
+    format!("validation {:.4} ({lowest}), training {:.4}", of(&last.validation), of(&last.train))
 }
