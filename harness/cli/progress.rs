@@ -165,7 +165,8 @@ mod tests {
         let stage = bars.stage();
         let stage = stage.as_ref().unwrap();
         let said = stage.progress();
-        let rest = said.strip_prefix("validation 0.5, 1005/2000 epochs, ").unwrap_or_else(|| panic!("{said}"));
+        let rest =
+            said.strip_prefix("validation 0.5, 1005/2000 epochs, ").unwrap_or_else(|| panic!("{said}"));
         // 50 a second at most, and less where sleeping takes longer.
         let rate: f64 = rest.split("/s").next().unwrap().parse().unwrap();
         assert!(rate > 0.0 && rate < 60.0, "{said}");

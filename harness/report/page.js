@@ -133,8 +133,9 @@ function ticks(low, high, count) {
   return Array.from({ length: last - first + 1 }, (_, index) => (first + index) * step);
 }
 
-/** Powers of ten from low to high, and their multiples where there are few. */
+/** Powers of ten from low to high, their multiples where there are few, and round values where there are none. */
 function logarithmicTicks(low, high) {
+  if (high / low < 8) return ticks(low, high, 4);
   const all = [];
   const few = Math.log10(high / low) < 2.5;
   for (let power = Math.floor(Math.log10(low)); power <= Math.log10(high); power += 1) {
@@ -156,7 +157,7 @@ function mark(kind, hollow, [x, y]) {
  * What it shows has axes `x` and `y` (`label`, `low`, `high`, and `ticks` or `logarithmic`) and `series`, each with a
  * `name`, an `entry` of the legend where that is shorter, a `look` (classes of the style sheet), `line` and `kind` (of
  * its marks), whether it lies `behind` others, and `points` with `x`, `y`, the ends of an interval `bounds`, and `says`,
- * lines for the tooltip. Series without a name can't be pointed at.
+ * lines for the tooltip. Series without a name can't be pointed at. A `small` chart leaves the legend to whoever shows it.
  */
 class Chart {
   constructor(place, name) {
@@ -171,17 +172,14 @@ class Chart {
   show(content) {
     this.content = content;
     this.draw();
-    const named = content.series.filter((series) => series.name);
-    const entry = (series) => series.entry ?? series.name;
-    const unique = named.filter((series, index) => named.findIndex((other) => entry(other) === entry(series)) === index);
-    const entries = [...unique.filter((series) => !series.behind), ...unique.filter((series) => series.behind)];
-    this.legend.replaceChildren(...entries.map((series) => element("li", {}, swatch(series), entry(series))));
+    this.legend.replaceChildren(...(content.small ? [] : legendEntries(content.series)));
   }
 
   draw() {
-    const { x, y, series, square } = this.content;
+    const { x, y, series, square, small } = this.content;
     this.width = this.plot.clientWidth;
-    const height = square ? Math.min(this.width, 520) : Math.max(260, Math.min(420, this.width * 0.5));
+    const oblong = small ? Math.max(200, this.width * 0.62) : Math.max(260, Math.min(420, this.width * 0.5));
+    const height = square ? Math.min(this.width, 520) : oblong;
     const width = square ? Math.min(this.width, 560) : this.width;
     const right = width - MARGIN.right;
     const bottom = height - MARGIN.bottom;
@@ -296,6 +294,15 @@ class Chart {
     this.tooltip.hidden = true;
     this.cursor.setAttribute("visibility", "hidden");
   }
+}
+
+/** An entry for each look of the series that have a name. */
+function legendEntries(all) {
+  const named = all.filter((series) => series.name);
+  const entry = (series) => series.entry ?? series.name;
+  const unique = named.filter((series, index) => named.findIndex((other) => entry(other) === entry(series)) === index);
+  const entries = [...unique.filter((series) => !series.behind), ...unique.filter((series) => series.behind)];
+  return entries.map((series) => element("li", {}, swatch(series), entry(series)));
 }
 
 /** What a series looks like, for the legend. */
@@ -494,45 +501,84 @@ function cloudSeries(cloud) {
 
 // --- Training ---
 
+const TERMS = { total: "weighted sum", kl: "Kullback-Leibler divergence" };
+const termWords = (term) => (Object.hasOwn(TERMS, term) ? TERMS[term] : modalityWords(term));
+
+/** The terms of a loss: their sum first, the divergence last, the errors between them. */
+function orderedTerms(terms) {
+  const errors = Object.keys(terms).filter((term) => !Object.hasOwn(TERMS, term));
+  return ["total", ...errors, "kl"].filter((term) => Object.hasOwn(terms, term));
+}
+
 function showTraining(place) {
-  let chart;
-  const terms = data.training.flatMap(({ terms, ...rest }) => Object.keys(terms).map((term) => ({ ...rest, term, splits: terms[term] })));
-  const studies = distinct(terms.map((row) => row.experiment));
+  const legend = element("ul", { class: "legend" });
+  const charts = element("div", { class: "terms" });
+  const studies = distinct(data.training.map((row) => row.experiment));
+  const wanted = ["multi_to_multi_best", "multi_to_multi", "single_to_multi"];
+  const first = wanted.flatMap((study) => studies.filter((name) => name === study || name === `${study}-quick`))[0];
   const fields = [
-    { key: "experiment", label: "Experiment", first: studies.find((name) => name.startsWith("multi_to_multi")) ?? studies.find((name) => name.startsWith("single_to_multi")) },
+    { key: "experiment", label: "Experiment", first },
     { key: "task", label: "Task" },
-    { key: "term", label: "Term", first: "total", words: spaced },
     { key: "run", label: "Run" },
-    { key: "scale", label: "Scale", values: ["linear", "logarithmic"] },
+    { key: "scale", label: "Scale", values: ["logarithmic", "linear"] },
   ];
-  new Choices(place, terms, fields, (chosen, left) => {
-    chart ??= new Chart(place, "Training curves");
-    const others = terms.filter((row) => ["experiment", "task", "term"].every((key) => row[key] === chosen[key]) && row.run !== chosen.run);
-    const series = [...others.flatMap((row) => curves(row, true)), ...left.flatMap((row) => curves(row, false))];
-    const values = series.flatMap((one) => one.points.map((point) => point.y)).filter((value) => value !== null);
-    const logarithmic = chosen.scale === "logarithmic";
-    const above = values.filter((value) => value > 0);
-    const high = values.reduce((a, b) => Math.max(a, b), 0) * 1.04 || 1;
-    const low = logarithmic ? above.reduce((a, b) => Math.min(a, b), high) * 0.9 : Math.min(0, values.reduce((a, b) => Math.min(a, b), 0));
-    const last = series.flatMap((one) => one.points.map((point) => point.x)).reduce((a, b) => Math.max(a, b), 2);
-    const label = chosen.term === "total" ? "loss" : spaced(chosen.term);
-    chart.show({ x: { label: "epoch", low: 1, high: last }, y: { label, low, high, logarithmic }, series });
+  new Choices(place, data.training, fields, (chosen, [run]) => {
+    if (!charts.isConnected) place.append(legend, charts);
+    const others = data.training.filter((row) => row !== run && row.experiment === run.experiment && row.task === run.task);
+    charts.replaceChildren();
+    for (const term of orderedTerms(run.terms)) {
+      const figure = element("figure", { "data-term": term }, element("figcaption", {}, termWords(term)));
+      charts.append(figure);
+      const series = [...others.flatMap((other) => curves(other, term, true)), ...curves(run, term, false)];
+      legend.replaceChildren(...legendEntries(series));
+      new Chart(figure, `Training curves of the ${termWords(term)}`).show(curveChart(series, term, chosen.scale === "logarithmic"));
+      figure.append(element("p", { class: "aside" }, endWords(run.terms[term])));
+    }
   });
 }
 
+function curveChart(series, term, logarithmic) {
+  const points = series.flatMap((one) => one.points).filter((point) => point.y !== null);
+  const values = points.map((point) => point.y).filter((value) => !logarithmic || value > 0);
+  const most = (values) => values.reduce((a, b) => Math.max(a, b));
+  const high = values.length ? most(values) * 1.04 || 1 : 1;
+  const least = values.length ? -most(values.map((value) => -value)) : high / 10;
+  const low = logarithmic ? least / 1.04 : Math.min(0, least);
+  const last = most([2, ...points.map((point) => point.x)]);
+  const label = term === "total" || term === "kl" ? "loss" : "error";
+  return { small: true, x: { label: "epoch", low: 1, high: last }, y: { label, low, high, logarithmic }, series };
+}
+
 /** A run's losses as lines; in the background they are pale and have no names. */
-function curves(row, background) {
-  return Object.keys(row.splits).map((split) => {
-    const values = row.splits[split];
-    const points = row.epochs.map((epoch, index) => ({
+function curves(run, term, background) {
+  const splits = run.terms[term] ?? {};
+  return Object.keys(splits).map((split) => {
+    const values = splits[split];
+    const points = run.epochs.map((epoch, index) => ({
       x: epoch,
       y: values[index],
-      says: [`epoch ${epoch}: ${values[index] === null ? "not finite" : rounded(values[index])}`, row.run],
+      says: [`epoch ${epoch}: ${values[index] === null ? "not finite" : rounded(values[index])}`, run.run],
     }));
     const look = split === "train" ? "first" : "second";
-    const name = background ? undefined : { train: "training", validation: "validation" }[split] ?? split;
+    const name = background ? undefined : splitWords(split);
     return { name, look: `${look} ${background ? "pale" : "chosen"}`, dash: split === "train" ? "" : "dashed", line: true, points };
   });
+}
+
+const splitWords = (split) => ({ train: "training" })[split] ?? split;
+
+/** How a term ended: its mean over the last tenth of the epochs, and how far that is from the mean over the tenth before. */
+function endWords(splits) {
+  const parts = Object.entries(splits).map(([split, values]) => {
+    const tenth = Math.max(1, Math.round(values.length / 10));
+    const mean = (from, to) => values.slice(from, to).reduce((sum, value) => sum + value, 0) / tenth;
+    const [end, before] = [mean(values.length - tenth), mean(values.length - 2 * tenth, values.length - tenth)];
+    if (values.length < 2 || !(Math.abs(before) > 0) || !Number.isFinite(end)) return `${splitWords(split)} ${rounded(end)}`;
+    const change = 100 * (end / before - 1);
+    const sign = change > 0 ? "+" : "";
+    return `${splitWords(split)} ${rounded(end)} (${sign}${change.toFixed(1).replace("-", "\u2212")} %)`;
+  });
+  return `At the end: ${parts.join(", ")}`;
 }
 
 // --- The page ---

@@ -208,18 +208,25 @@ def check_regression(page: Page, predictions: pd.DataFrame):
 
 
 def check_training(page: Page, epochs: pd.DataFrame):
+    """Each term has a chart with the table's values, and says how far it still fell at the end."""
     run = page.select("training", "Run").first_selected_option.get_attribute("value")
-    page.choose("training", "Term", "kl")
-    plot = page.one("#training .plot svg")
-    plot.send_keys(Keys.ARROW_RIGHT)
-    said = page.tooltip("training")
+    stored = epochs[(epochs.run == run) & (epochs.task == "prediction") & (epochs.split == "train")]
+    terms = [chart.get_attribute("data-term") for chart in page.all("#training figure")]
+    assert sorted(terms) == sorted(stored.term.unique()) and (terms[0], terms[-1]) == ("total", "kl"), terms
+    chart = page.one("#training figure[data-term=kl]")
+    values = [stored[(stored.term == "kl") & (stored.epoch == epoch)].value.item() for epoch in [1, 2]]
+    chart.find_element(By.CSS_SELECTOR, ".plot svg").send_keys(Keys.ARROW_RIGHT)
+    said = chart.find_element(By.CSS_SELECTOR, ".tooltip").text
     assert said.splitlines()[0] == "training" and run in said, said
-    stored = epochs[(epochs.run == run) & (epochs.task == "prediction") & (epochs.split == "train")
-                    & (epochs.term == "kl") & (epochs.epoch == 1)].value.item()
-    assert abs(number(re.search(r"epoch 1: (\S+)", said)[1]) - stored) <= 1e-3 * abs(stored), (said, stored)
-    page.choose("training", "Scale", "logarithmic")
-    assert page.one("#training .plot .line").get_attribute("d")
-    page.choose("training", "Scale", "linear")
+    assert abs(number(re.search(r"epoch 1: (\S+)", said)[1]) - values[0]) <= 1e-3 * abs(values[0]), (said, values)
+    # Of two epochs, the last tenth is the second.
+    said = chart.find_element(By.CSS_SELECTOR, ".aside").text
+    change = number(re.search(r"training \S+ \(([+\u2212]?[\d.]+) %\)", said)[1])
+    assert abs(change - 100 * (values[1] / values[0] - 1)) <= 0.1, (said, values)
+    for scale in ["linear", "logarithmic"]:
+        page.choose("training", "Scale", scale)
+        lines = page.all("#training figure .plot .chosen .line")
+        assert len(lines) == 2 * len(terms) and all(line.get_attribute("d") for line in lines), (scale, len(lines))
 
 
 def check_clip(page: Page):
