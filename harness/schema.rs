@@ -164,7 +164,7 @@ fn run_details() -> Vec<Column> {
         text("host", "name of the machine"),
         text("processor", "the machine's processor"),
         integer("threads", "threads used"),
-        text("command", "the command line"),
+        text("command", "the command line, cut down to this run"),
     ]
 }
 

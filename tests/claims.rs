@@ -473,6 +473,7 @@ fn the_command_prints_every_claim_with_its_verdict() {
 #[test]
 fn without_runs_the_command_says_which_to_make() {
     let nowhere = tempfile::tempdir().unwrap();
+    std::fs::create_dir(nowhere.path().join("runs")).unwrap();
     let printed = succeed(nowhere.path(), &["claims", "--quick"]);
     for name in EXPERIMENTS {
         assert!(printed.contains(&format!("harness run experiments/{name}.yaml --quick\n")), "{printed}");

@@ -303,14 +303,70 @@ fn tables_are_found_in_folders_of_any_name() {
 }
 
 #[test]
-fn an_empty_results_folder_has_empty_answers() {
-    let nowhere = Folder::new().path("nothing");
+fn a_results_folder_without_runs_has_empty_answers() {
+    let folder = Folder::new();
+    std::fs::create_dir(folder.path("runs")).unwrap();
     for table in harness::schema::Table::ALL {
-        let answer = succeed(&nowhere, &["query", &format!("select * from {}", table.name())]);
+        let answer = succeed(folder.0.path(), &["query", &format!("select * from {}", table.name())]);
         assert!(answer.contains("scenario"), "{answer}");
     }
-    assert!(succeed(&nowhere, &["ls"]).contains("experiment"));
-    assert!(!nowhere.exists());
+    assert!(succeed(folder.0.path(), &["ls"]).contains("experiment"));
+}
+
+#[test]
+fn commands_that_read_say_that_there_are_no_results() {
+    let folder = Folder::new();
+    let nowhere = folder.path("reslts");
+    let commands: [&[&str]; 9] = [
+        &["ls"],
+        &["verify"],
+        &["query", "select * from runs"],
+        &["show", "empty"],
+        &["claims"],
+        &["compare"],
+        &["figures"],
+        &["report"],
+        &["publish", "smoke"],
+    ];
+    for arguments in commands {
+        let message = error(&finish(&mut harness(&nowhere, arguments)), 2);
+        let expected = format!("there are no results in {}: there is no such folder; ", nowhere.display());
+        assert!(message.starts_with(&expected), "{message}");
+        assert!(message.contains("--results"), "{message}");
+        // A folder that is there, but of something else.
+        let message = error(&finish(&mut harness(folder.0.path(), arguments)), 2);
+        assert!(message.contains(": it holds neither runs nor datasets; "), "{message}");
+    }
+    assert!(files(folder.0.path()).is_empty());
+}
+
+#[test]
+fn a_run_keeps_the_part_of_the_command_that_makes_it_alone() {
+    let folder = Folder::new();
+    let results = folder.path("my results");
+    let lists = ["seeds=[3, 4]", "latent=[2,4]", "vary={training.kl_weight: [0, 0.01]}"];
+    let some = ["scenarios=[empty]", "tasks=[prediction]", "simulation.actuations_per_episode=2"];
+    succeed(&results, &[&["run", SMOKE, "training.epochs=1"], &lists[..], &some].concat());
+    let json = folder.path("runs.json").display().to_string();
+    succeed(&results, &["query", "select run, command from runs order by run", "--output", &json]);
+    let rows: serde_json::Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+    let rows = rows.as_array().unwrap();
+    assert_eq!(rows.len(), 8);
+    for row in rows {
+        let (run, command) = (row["run"].as_str().unwrap(), row["command"].as_str().unwrap());
+        // What a shell makes of it, to be asked for as it stands.
+        let words = shlex::split(command).unwrap();
+        let words: Vec<&str> = words.iter().skip(1).map(String::as_str).chain(["--dry-run"]).collect();
+        let planned = finish(
+            assert_cmd::cargo::cargo_bin_cmd!("harness").current_dir(env!("CARGO_MANIFEST_DIR")).args(words),
+        );
+        assert_eq!(planned.stdout.lines().count(), 1, "{command}: {}{}", planned.stdout, planned.stderr);
+        assert!(
+            planned.stdout.contains(run) && planned.stdout.starts_with("skip"),
+            "{command}: {}",
+            planned.stdout
+        );
+    }
 }
 
 #[test]

@@ -171,6 +171,7 @@ fn what_is_chosen_is_what_is_printed() {
 #[test]
 fn a_comparison_of_nothing_is_refused() {
     let nowhere = tempfile::tempdir().unwrap();
+    std::fs::create_dir(nowhere.path().join("runs")).unwrap();
     for (results, arguments, expected) in [
         (nowhere.path(), &["compare"][..], "error: there are no finished runs to compare; `harness run "),
         (&RESULTS, &["compare", "smok"], "error: 'smok' has no finished runs; those that have: smoke\n"),

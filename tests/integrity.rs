@@ -137,7 +137,10 @@ fn a_damaged_table_gives_no_answer() {
             let error = query(&registry, &sql).expect_err(what);
             assert!(matches!(error, QueryError::Registry(RegistryError::File { .. })), "{what}: {error}");
             let message = error.to_string();
-            assert!(message.contains(&name) && message.contains("`harness verify`"), "{what}: {message}");
+            assert!(
+                message.contains(&name) && message.contains(" verify` says what mends it"),
+                "{what}: {message}"
+            );
             let error = read_table(&copy.run("empty").join(&name), None).expect_err(what);
             assert!(matches!(error, TableError::Read { .. }), "{what}: {error}");
         });
@@ -146,7 +149,7 @@ fn a_damaged_table_gives_no_answer() {
     let episode = copy.dataset("cluttered").join("episode_00001.parquet");
     damage(&episode, 4, |what| {
         let message = query(&registry, "select avg(time) from episodes").expect_err(what).to_string();
-        assert!(message.contains("episode_00001.parquet can't be read"), "{what}: {message}");
+        assert!(message.contains("episode_00001.parquet is damaged"), "{what}: {message}");
     });
 }
 
@@ -171,10 +174,11 @@ fn a_damaged_record_is_left_out_and_said_so() {
     let count = || query(&registry, "select * from runs").unwrap().height();
     assert_eq!(count(), 2);
     damage(&copy.run("empty").join("run.json"), 5, |what| {
+        let registry = copy.registry();
         assert_eq!(registry.records().len(), 1, "{what}");
-        let damaged = registry.damaged();
-        assert_eq!(damaged.len(), 1, "{what}");
-        assert!(damaged[0].to_string().contains("run.json is no record of a run"), "{what}: {}", damaged[0]);
+        let left_out = registry.left_out();
+        assert_eq!(left_out.len(), 1, "{what}");
+        assert!(left_out[0].contains("run.json is no record of a run"), "{what}: {}", left_out[0]);
     });
     let record = copy.run("empty").join("run.json");
     let edited = std::fs::read_to_string(&record).unwrap().replacen("\"seed\": 0", "\"seed\": 1", 1);
@@ -261,6 +265,15 @@ fn mended(act: impl Fn(&Copy) -> PathBuf, problem: &str) {
         lines[1].strip_prefix("        mend: ").unwrap_or_else(|| panic!("no command: {}", said.stdout));
     assert!(said.stdout.lines().last().unwrap().contains("broken"), "{}", said.stdout);
 
+    shell(command);
+    let said = verify(&copy.results);
+    assert_eq!(said.code, 0, "after {command}: {}", said.stdout);
+    assert!(said.stdout.ends_with(": everything is whole\n"), "{}", said.stdout);
+}
+
+/// Gives a command as a person who pastes it, in the repository's root.
+#[track_caller]
+fn shell(command: &str) {
     let program = Path::new(env!("CARGO_BIN_EXE_harness")).parent().unwrap();
     let search = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
     let shell = Command::new("sh")
@@ -270,9 +283,6 @@ fn mended(act: impl Fn(&Copy) -> PathBuf, problem: &str) {
         .output()
         .unwrap();
     assert!(shell.status.success(), "{command}: {}", String::from_utf8_lossy(&shell.stderr));
-    let said = verify(&copy.results);
-    assert_eq!(said.code, 0, "after {command}: {}", said.stdout);
-    assert!(said.stdout.ends_with(": everything is whole\n"), "{}", said.stdout);
 }
 
 fn flip(path: PathBuf) -> PathBuf {
@@ -298,9 +308,6 @@ fn remove(path: PathBuf) -> PathBuf {
 fn whole_results_are_called_whole_and_left_alone() {
     let said = succeed(&RESULTS, &["verify"]);
     assert_eq!(said, "2 runs, 2 datasets, 30 files: everything is whole\n");
-    let nowhere = tempfile::tempdir().unwrap().path().join("nothing");
-    assert_eq!(succeed(&nowhere, &["verify"]), "0 runs, 0 datasets, 0 files: everything is whole\n");
-    assert!(!nowhere.exists());
 }
 
 #[test]
@@ -344,26 +351,18 @@ fn damaged_runs_are_named_and_mended() {
 }
 
 #[test]
-fn damaged_records_are_named_with_what_to_do() {
-    for damaged in [flip, cut] {
-        let copy = Copy::new();
-        let record = damaged(copy.run("empty").join("run.json"));
-        let said = verify(&copy.results);
-        assert_eq!(said.code, 1);
-        assert!(said.stdout.contains(&format!("broken  {}: ", record.display())), "{}", said.stdout);
-        assert!(said.stdout.contains("&& harness run the spec of smoke"), "{}", said.stdout);
-    }
-    let copy = Copy::new();
-    remove(copy.run("empty").join("run.json"));
-    let said = verify(&copy.results);
-    assert_eq!(said.code, 1);
-    assert!(said.stdout.contains("there is no run.json"), "{}", said.stdout);
-
-    let copy = Copy::new();
-    std::fs::copy(copy.run("empty").join("run.json"), copy.run("cluttered").join("run.json")).unwrap();
-    let said = verify(&copy.results);
-    assert_eq!(said.code, 1);
-    assert!(said.stdout.contains("it is the record of smoke/empty-z4-seed0-"), "{}", said.stdout);
+fn damaged_and_lost_records_are_named_and_their_runs_done_again() {
+    mended(|copy| flip(copy.run("empty").join("run.json")), "its SHA-256 differs");
+    mended(|copy| cut(copy.run("cluttered").join("run.json")), "it has no seal");
+    mended(|copy| remove(copy.run("empty").join("run.json")), "there is no such file");
+    // Where not even the spec is left, nobody knows what the run was.
+    mended(
+        |copy| {
+            remove(copy.run("empty").join("spec.yaml"));
+            flip(copy.run("empty").join("run.json"))
+        },
+        "its SHA-256 differs",
+    );
 }
 
 #[test]
@@ -387,6 +386,205 @@ fn what_does_not_belong_is_noted_but_not_broken() {
     assert_eq!(said.stdout.lines().filter(|line| line.starts_with("note ")).count(), 5, "{}", said.stdout);
 }
 
+// --- what lies in the wrong place ---
+
+/// The number that a query gives, and what was left out of it.
+fn number(copy: &Copy, sql: &str) -> (i64, Vec<String>) {
+    let registry = copy.registry();
+    let answer = query(&registry, sql).unwrap();
+    let number = answer.columns()[0].get(0).unwrap().try_extract().unwrap();
+    (number, registry.left_out())
+}
+
+/// Copies a folder of the results to another place among them; no number may change, what is left out must be said,
+/// and `verify` must know how to undo it.
+#[track_caller]
+fn not_counted(from: impl Fn(&Copy) -> PathBuf, to: impl Fn(&Copy) -> PathBuf, sql: &str, copies: usize) {
+    let act = |results: &Copy| {
+        copy(&from(results), &to(results));
+        to(results)
+    };
+    let results = Copy::new();
+    let before = number(&results, sql);
+    assert_eq!(before.1, [""; 0], "nothing is left out");
+    let to = act(&results);
+    let (counted, left_out) = number(&results, sql);
+    assert_eq!(counted, before.0, "{sql} with {}", to.display());
+    assert_eq!(left_out.len(), copies, "{left_out:?}");
+    assert!(left_out.iter().all(|text| text.contains(to.to_str().unwrap())), "{left_out:?}");
+    let answer = finish(&mut harness(&results.results, &["query", sql]));
+    assert_eq!(
+        answer.stderr.lines().filter(|line| line.starts_with("warning: ")).count(),
+        copies,
+        "{}",
+        answer.stderr
+    );
+    mend_all(&results);
+    assert_eq!(number(&results, sql), before);
+    assert!(!to.exists() || std::fs::read_dir(&to).unwrap().next().is_none(), "{}", to.display());
+}
+
+/// Gives every command that `verify` suggests for what is broken, after which nothing may be.
+#[track_caller]
+fn mend_all(copy: &Copy) {
+    let said = verify(&copy.results);
+    assert_eq!(said.code, 1, "{}", said.stdout);
+    for command in said.stdout.lines().filter_map(|line| line.strip_prefix("        mend: ")) {
+        shell(command);
+    }
+    let said = verify(&copy.results);
+    assert_eq!(said.code, 0, "{}", said.stdout);
+}
+
+const RUNS: &str = "select count(run) from runs";
+const METRICS: &str = "select count(run) from metrics";
+const EPISODES: &str = "select count(sample) from episodes";
+
+#[test]
+fn copies_of_runs_are_not_counted() {
+    let experiment = |copy: &Copy| copy.results.join("runs/smoke");
+    let run = |copy: &Copy| copy.run("empty");
+    let own_name = |copy: &Copy| copy.run("empty").file_name().unwrap().to_owned();
+    for sql in [RUNS, METRICS] {
+        not_counted(experiment, |copy| copy.results.join("runs/smoke-backup"), sql, 2);
+        not_counted(run, |copy| copy.results.join("runs/smoke/zz copy of empty"), sql, 1);
+        not_counted(run, |copy| copy.results.join("runs/a copy"), sql, 1);
+        not_counted(run, |copy| copy.results.join("runs/other").join(own_name(copy)), sql, 1);
+    }
+    // A folder within an experiment's holds no run, whatever is in it; only people know what it is for.
+    let results = Copy::new();
+    copy(&RESULTS.join("runs/smoke"), &results.results.join("runs/smoke/older"));
+    let (counted, left_out) = number(&results, RUNS);
+    assert_eq!((counted, left_out.len()), (2, 1), "{left_out:?}");
+    assert!(verify(&results.results).stdout.contains("runs lie in runs/EXPERIMENT/RUN"));
+}
+
+#[test]
+fn a_record_in_another_runs_folder_is_not_counted_and_that_run_is_done_again() {
+    let act = |copy: &Copy| {
+        let record = copy.run("cluttered").join("run.json");
+        std::fs::copy(copy.run("empty").join("run.json"), &record).unwrap();
+        record
+    };
+    let copy = Copy::new();
+    act(&copy);
+    let (counted, left_out) = number(&copy, "select count(distinct run) from metrics");
+    assert_eq!((counted, left_out.len()), (1, 1), "{left_out:?}");
+    assert!(left_out[0].contains("is the record of smoke/empty-z4-seed0-"), "{left_out:?}");
+    let plan = succeed(&copy.results, &["run", SMOKE, "--dry-run"]);
+    assert!(plan.lines().any(|line| line.starts_with("run ") && line.contains("cluttered-z4")), "{plan}");
+    mended(act, "it is the record of smoke/empty-z4-seed0-");
+}
+
+#[test]
+fn moved_runs_are_not_counted_until_they_are_moved_back() {
+    let copy = Copy::new();
+    let moved = copy.results.join("runs/renamed");
+    std::fs::rename(copy.results.join("runs/smoke"), &moved).unwrap();
+    let (counted, left_out) = number(&copy, RUNS);
+    assert_eq!((counted, left_out.len()), (0, 2), "{left_out:?}");
+    mend_all(&copy);
+    assert_eq!(number(&copy, RUNS), (2, vec![]));
+}
+
+#[test]
+fn copies_of_datasets_are_not_counted() {
+    not_counted(|copy| copy.dataset("empty"), |copy| copy.results.join("datasets/a copy"), EPISODES, 1);
+    // Moved, it is missing as well, until it is moved back.
+    let copy = Copy::new();
+    std::fs::rename(copy.dataset("empty"), copy.results.join("datasets/moved")).unwrap();
+    let (counted, left_out) = number(&copy, EPISODES);
+    assert_eq!((counted, left_out.len()), (120, 2), "{left_out:?}");
+    std::fs::remove_dir_all(copy.results.join("runs")).unwrap();
+    mend_all(&copy);
+    assert_eq!(number(&copy, EPISODES), (240, vec![]));
+}
+
+// --- what is not there ---
+
+#[test]
+fn a_query_of_episodes_notices_which_are_missing_or_swapped() {
+    let refused = |act: &dyn Fn(&Copy), problem: &str| {
+        let copy = Copy::new();
+        assert_eq!(number(&copy, EPISODES), (240, vec![]));
+        act(&copy);
+        let message = query(&copy.registry(), EPISODES).unwrap_err().to_string();
+        assert!(message.contains(problem) && message.contains(" verify` says what mends it"), "{message}");
+    };
+    let episode = |copy: &Copy, index: u32| copy.dataset("empty").join(format!("episode_{index:05}.parquet"));
+    refused(&|copy| drop(remove(episode(copy, 1))), "lacks 1 of its 4 episodes");
+    refused(&|copy| drop(remove(episode(copy, 3))), "lacks 1 of its 4 episodes");
+    refused(
+        &|copy| {
+            std::fs::copy(episode(copy, 2), episode(copy, 1)).unwrap();
+        },
+        "it is not episode 1 of empty-",
+    );
+    refused(
+        &|copy| {
+            let other = copy.dataset("cluttered").join("episode_00001.parquet");
+            std::fs::copy(other, episode(copy, 1)).unwrap();
+        },
+        "it is not episode 1 of empty-",
+    );
+    // The description speaks of fewer episodes than a finished run used.
+    refused(
+        &|copy| {
+            let path = copy.dataset("empty").join("dataset.json");
+            let text = std::fs::read_to_string(&path).unwrap();
+            std::fs::write(&path, text.replace("\"episodes\": 4", "\"episodes\": 2")).unwrap();
+            remove(episode(copy, 3));
+        },
+        "lacks 1 of its 4 episodes",
+    );
+    // Other names are no episodes.
+    let copy = Copy::new();
+    std::fs::copy(episode(&copy, 1), copy.dataset("empty").join("episode_1.parquet")).unwrap();
+    assert_eq!(number(&copy, EPISODES).0, 240);
+}
+
+#[test]
+fn datasets_that_finished_runs_used_and_that_are_gone_are_named_and_made_again() {
+    let act = |copy: &Copy| {
+        let dataset = copy.dataset("empty");
+        std::fs::remove_dir_all(&dataset).unwrap();
+        dataset
+    };
+    let copy = Copy::new();
+    let dataset = act(&copy);
+    let (counted, left_out) = number(&copy, EPISODES);
+    assert_eq!((counted, left_out.len()), (120, 1), "{left_out:?}");
+    assert!(left_out[0].contains(dataset.file_name().unwrap().to_str().unwrap()), "{left_out:?}");
+    mended(act, "1 finished runs used this dataset, which is not there");
+}
+
+#[test]
+fn a_finished_run_with_a_damaged_file_is_not_taken_for_done_and_comes_to_the_same_end() {
+    for (act, name) in [
+        (flip as fn(PathBuf) -> PathBuf, "metrics.parquet"),
+        (cut, "predictions.parquet"),
+        (remove, "epochs.parquet"),
+        (flip, "prediction.safetensors"),
+    ] {
+        let copy = Copy::new();
+        let path = copy.run("empty").join(name);
+        let whole = std::fs::read(copy.run("empty").join("prediction.safetensors")).unwrap();
+        act(path.clone());
+        let plan = succeed(&copy.results, &["run", SMOKE, "--dry-run"]);
+        let line = plan.lines().find(|line| line.contains("empty-z4")).unwrap();
+        assert!(line.starts_with("run ") && line.contains(&format!("{name} is damaged: ")), "{plan}");
+        assert!(
+            plan.lines().any(|line| line.starts_with("skip ") && line.contains("cluttered-z4")),
+            "{plan}"
+        );
+        let answer = finish(&mut harness(&copy.results, &["run", SMOKE]));
+        assert!(answer.stdout.contains("1 done, 1 done before, 0 failed"), "{}", answer.stdout);
+        assert!(answer.stderr.contains(&format!("{name} is damaged")), "{}", answer.stderr);
+        assert_eq!(verify(&copy.results).code, 0);
+        assert!(std::fs::read(copy.run("empty").join("prediction.safetensors")).unwrap() == whole);
+    }
+}
+
 #[test]
 fn datasets_in_another_format_are_set_apart() {
     let copy = Copy::new();
@@ -399,4 +597,6 @@ fn datasets_in_another_format_are_set_apart() {
     assert!(said.stdout.contains("in the format of another version"), "{}", said.stdout);
     let answer = query(&copy.registry(), "select distinct scenario from episodes").unwrap();
     assert_eq!(answer.height(), 1, "the other dataset");
+    let left_out = number(&copy, EPISODES).1;
+    assert!(left_out[0].contains("in the format of another version"), "{left_out:?}");
 }

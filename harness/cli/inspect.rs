@@ -26,9 +26,6 @@ impl Query {
         let answer = registry::query(registry, &self.sql);
         std::panic::set_hook(hook);
         let mut answer = answer?;
-        for error in registry.damaged() {
-            eprintln!("warning: a run is left out: {error}");
-        }
         match self.output {
             Some(path) => {
                 registry::save(&mut answer, &path)?;
@@ -46,9 +43,6 @@ pub fn list(registry: &Registry) -> Result<ExitCode> {
                collect_seconds + prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds \
                as seconds, reason from runs order by experiment, run";
     print(&registry::query(registry, sql)?);
-    for error in registry.damaged() {
-        eprintln!("damaged: {error}");
-    }
     Ok(ExitCode::from(DONE))
 }
 

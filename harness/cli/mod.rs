@@ -25,7 +25,7 @@ use harness::claims::ClaimsError;
 use harness::dataset::DatasetError;
 use harness::experiment::{ExperimentError, describe};
 use harness::learning::LearningError;
-use harness::registry::{QueryError, Registry, RegistryError};
+use harness::registry::{QueryError, Registry, RegistryError, quoted};
 use harness::report::ReportError;
 use harness::simulation::SimulationError;
 use harness::spec::SpecError;
@@ -193,27 +193,15 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     // Fails only if a pool exists already, and this is the first use.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
     let registry = Registry::new(&arguments.results);
-    let outcome = match arguments.command {
-        Command::Run(run) => run.execute(&registry, threads),
-        Command::Collect(collect) => collect.execute(&registry, threads),
-        Command::Validate(validate) => validate.execute(),
-        Command::Query(query) => query.execute(&registry),
-        Command::Claims(claims) => claims.execute(&registry),
-        Command::Compare(compare) => compare.execute(&registry),
-        Command::Ls => inspect::list(&registry),
-        Command::Show(show) => show.execute(&registry),
-        Command::Schema(schema) => schema.execute(),
-        Command::Render(render) => render.execute(),
-        Command::Figures(figures) => figures.execute(&registry),
-        Command::Report(report) => report.execute(&registry),
-        Command::Publish(publish) => publish.execute(&registry),
-        Command::Verify => verify::execute(&registry),
-        Command::Doctor => doctor::execute(&registry, threads),
-    };
+    let outcome = execute(arguments.command, &registry, threads);
+    for left_out in registry.left_out() {
+        eprintln!("warning: {left_out}");
+    }
     let outcome = outcome.and_then(|code| output::lost().map_or(Ok(code), |lost| bail!(lost)));
     outcome.unwrap_or_else(|error| {
         if let Some((signal, code)) = interrupt::received().filter(|_| is_cancelled(&error)) {
-            let command = words().map(|word| quoted(&word)).collect::<Vec<_>>().join(" ");
+            let words: Vec<String> = words().collect();
+            let command = quoted(words.iter().map(String::as_str));
             eprintln!("stopped by {signal}; the same command goes on from here: {command}");
             return ExitCode::from(code);
         }
@@ -222,15 +210,44 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     })
 }
 
+fn execute(command: Command, registry: &Registry, threads: usize) -> anyhow::Result<ExitCode> {
+    if command.reads_results() {
+        registry.check_there()?;
+    }
+    match command {
+        Command::Run(run) => run.execute(registry, threads),
+        Command::Collect(collect) => collect.execute(registry, threads),
+        Command::Validate(validate) => validate.execute(),
+        Command::Query(query) => query.execute(registry),
+        Command::Claims(claims) => claims.execute(registry),
+        Command::Compare(compare) => compare.execute(registry),
+        Command::Ls => inspect::list(registry),
+        Command::Show(show) => show.execute(registry),
+        Command::Schema(schema) => schema.execute(),
+        Command::Render(render) => render.execute(),
+        Command::Figures(figures) => figures.execute(registry),
+        Command::Report(report) => report.execute(registry),
+        Command::Publish(publish) => publish.execute(registry),
+        Command::Verify => verify::execute(registry),
+        Command::Doctor => doctor::execute(registry, threads),
+    }
+}
+
+impl Command {
+    /// Whether the command answers from results, which must be there.
+    fn reads_results(&self) -> bool {
+        match self {
+            Self::Query(_) | Self::Claims(_) | Self::Compare(_) | Self::Ls | Self::Show(_) => true,
+            Self::Figures(_) | Self::Report(_) | Self::Publish(_) | Self::Verify => true,
+            Self::Run(_) | Self::Collect(_) | Self::Validate(_) => false,
+            Self::Schema(_) | Self::Render(_) | Self::Doctor => false,
+        }
+    }
+}
+
 /// This process's command in words; what is not Unicode in them is replaced.
 fn words() -> impl Iterator<Item = String> {
     std::env::args_os().map(|word| word.to_string_lossy().into_owned())
-}
-
-/// A word as a shell takes it.
-fn quoted(word: &str) -> String {
-    // Fails for a NUL alone, which no argument holds.
-    shlex::try_quote(word).map_or(word.to_owned(), Into::into)
 }
 
 /// This process's command as it was typed, with its program by name: where that lies is no part of what was done.
@@ -238,7 +255,8 @@ pub fn command_line() -> String {
     let mut words = words();
     let program = words.next().unwrap_or_default();
     let name = Path::new(&program).file_name().map(|name| name.to_string_lossy().into_owned());
-    name.into_iter().chain(words).collect::<Vec<_>>().join(" ")
+    let words: Vec<String> = name.into_iter().chain(words).collect();
+    quoted(words.iter().map(String::as_str))
 }
 
 fn all_threads() -> usize {
@@ -270,6 +288,10 @@ fn is_usage(error: &anyhow::Error) -> bool {
         || matches!(error.downcast_ref(), Some(ExperimentError::Learning(LearningError::Device { .. })))
         || matches!(
             error.downcast_ref(),
-            Some(RegistryError::Unknown { .. } | RegistryError::Ambiguous { .. })
+            Some(
+                RegistryError::Unknown { .. }
+                    | RegistryError::Ambiguous { .. }
+                    | RegistryError::NoResults { .. }
+            )
         )
 }

@@ -20,8 +20,11 @@ pub struct Publish {
 
 impl Publish {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let Published { runs, bytes } =
-            registry.publish(&self.experiments, &Registry::new(&self.to), &Bars::default())?;
+        let to = Registry::new(&self.to);
+        let Published { runs, bytes } = registry.publish(&self.experiments, &to, &Bars::default())?;
+        for left_out in to.left_out() {
+            eprintln!("warning: {left_out}");
+        }
         println!("{runs} runs, {:.1} MB in {}", bytes as f64 / 1e6, self.to.display());
         Ok(ExitCode::from(DONE))
     }

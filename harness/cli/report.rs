@@ -29,9 +29,6 @@ impl Report {
         let claims = claims::load(&self.claims)?;
         let page = report::page(registry, &claims, self.quick, &Bars::default())?;
         write_bytes(&self.out, page.as_bytes())?;
-        for error in registry.damaged() {
-            eprintln!("warning: a run is left out: {error}");
-        }
         println!("{}, {:.1} MB", shown(&self.out), page.len() as f64 / 1e6);
         Ok(ExitCode::from(DONE))
     }

@@ -7,7 +7,7 @@ use anyhow::Result;
 use clap::Args;
 use harness::dataset::{Dataset, collect};
 use harness::experiment::{Laboratory, Planned, Summary, describe};
-use harness::registry::{Decision, Provenance, Registry, query};
+use harness::registry::{Decision, Provenance, Registry, query, quoted};
 use harness::simulation::Scene;
 use harness::spec::{self, Experiment, Origin};
 use std::path::PathBuf;
@@ -166,17 +166,13 @@ fn print_results(registry: &Registry, experiment: &Experiment, plan: &[Planned])
 fn print_summary(registry: &Registry, experiment: &Experiment, summary: &Summary) {
     let Summary { done, skipped, failed } = summary;
     let failed = failed.len();
-    let why = if failed > 0 { ", `harness ls` says why" } else { "" };
+    let why = if failed > 0 { format!(", `{}` says why", registry.command("ls")) } else { String::new() };
     println!("{done} done, {skipped} done before, {failed} failed{why}");
     let root = registry.root();
     println!("runs      {}", shown(&root.join("runs").join(&experiment.name)));
     println!("datasets  {}", shown(&registry.datasets()));
-    let option =
-        if root.as_os_str() == "results" { String::new() } else { format!(" --results {}", root.display()) };
-    println!(
-        "queries   harness query{option} \"select * from metrics where experiment = '{}'\"",
-        experiment.name
-    );
+    let query = quoted([&*format!("select * from metrics where experiment = '{}'", experiment.name)]);
+    println!("queries   {}", registry.command(&format!("query {query}")));
 }
 
 #[derive(Args)]

@@ -1,6 +1,6 @@
 //! Datasets that were recorded elsewhere and imported: read like those that are simulated here, and never made.
 
-use super::store::{Description, read_episode};
+use super::store::{Description, episode_file, read_episode};
 use super::{DatasetError, Samples};
 use crate::spec::Modality;
 use serde::Deserialize;
@@ -93,7 +93,7 @@ impl Imported {
         let mut samples = Samples::with_capacity(self.len(), frames);
         samples.is_simulated = false;
         for (index, length) in (0..).zip(self.content.samples()) {
-            let path = self.folder.join(format!("episode_{index:05}.parquet"));
+            let path = self.folder.join(episode_file(index));
             let holds = |vector: &str| {
                 vector == "setpoint" || self.content.modalities.iter().any(|held| held.name() == vector)
             };

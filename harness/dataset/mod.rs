@@ -13,7 +13,7 @@ pub use collect::collect;
 pub use imported::Imported;
 pub use samples::{FRAME_PLANE, Partition, Samples};
 pub use standard::{Scale, Standard, frame_difference};
-pub use store::{Dataset, episode_scan};
+pub use store::Dataset;
 pub use verify::{Inspection, inspect, is_lock};
 
 use crate::files::{LockError, WriteError};

@@ -8,7 +8,7 @@ use crate::schema::{ARM, frame_column, sample_columns};
 use crate::seal::hex;
 use crate::simulation::{Episode, Scene, mujoco_version};
 use crate::spec::{ARM_JOINTS, FRAME_LEN, JOINTS, Scenario, Simulation};
-use crate::tables::{Stamp, TableError, TableFile, scan, write_table};
+use crate::tables::{Stamp, TableError, TableFile, write_table};
 use polars::prelude::*;
 use rayon::prelude::*;
 use serde_json::json;
@@ -52,7 +52,7 @@ impl Dataset {
         let damaged = |problem: &str| DatasetError::Damaged { path: path.clone(), problem: problem.into() };
         let description = Description::read(folder).map_err(|problem| damaged(&problem))?;
         if !description.is_current() {
-            return Err(damaged("it is of another format; `harness collect` makes it again"));
+            return Err(damaged("it is of another format; collect it again"));
         }
         let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let (scenario, spec) = description
@@ -89,7 +89,7 @@ impl Dataset {
     }
 
     fn episode_path(&self, index: u32) -> PathBuf {
-        self.folder.join(format!("episode_{index:05}.parquet"))
+        self.folder.join(episode_file(index))
     }
 
     /// Episodes that are not there, or whose file is not as it was written.
@@ -178,6 +178,11 @@ impl Dataset {
         let (path, samples) = (self.episode_path(index), self.spec.samples_per_episode());
         read_episode(&path, &self.name, index, samples, frames, &|_| true)
     }
+}
+
+/// The name of an episode's file.
+pub(super) fn episode_file(index: u32) -> String {
+    format!("episode_{index:05}.parquet")
 }
 
 /// Reads the file of episode `index` of the dataset named `dataset`, which must hold `samples` samples. A vector that
@@ -281,29 +286,6 @@ pub(super) fn open_episode(
         return Err(damaged(format!("it has {} samples instead of {samples}", footer.rows)));
     }
     Ok(file)
-}
-
-/// Every episode file of every dataset in `root`, as one lazy table without the frames. Datasets of another
-/// format are left out.
-///
-/// # Errors
-/// When a file is not as it was written; all of them are compared with their seals.
-pub fn episode_scan(root: &Path) -> Result<Option<LazyFrame>, TableError> {
-    let mut paths: Vec<PathBuf> = Vec::new();
-    for folder in std::fs::read_dir(root).into_iter().flatten().flatten() {
-        if Description::read(&folder.path()).is_ok_and(|description| !description.is_current()) {
-            continue;
-        }
-        for file in std::fs::read_dir(folder.path()).into_iter().flatten().flatten() {
-            let name = file.file_name();
-            if name.to_string_lossy().starts_with("episode_") {
-                paths.push(file.path());
-            }
-        }
-    }
-    paths.sort();
-    paths.par_iter().try_for_each(|path| TableFile::open(path).map(drop))?;
-    Ok(scan(&paths, &sample_columns())?)
 }
 
 /// The vector columns of an episode: name, width and values, in the order of the file.

@@ -1,11 +1,12 @@
 //! What is wrong with a dataset's folder.
 
 use super::DatasetError;
-use super::store::{Description, open_episode};
+use super::store::{Description, episode_file, open_episode};
 use crate::files::UNFINISHED;
-use crate::seal;
 use crate::spec::Simulation;
-use std::collections::BTreeSet;
+use crate::tables::{TableError, TableFile};
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// What a dataset's folder holds, and what is wrong with it.
@@ -15,9 +16,16 @@ pub struct Inspection {
     pub imported: bool,
     /// Written in another format; nothing is known about its files, and no run uses them.
     pub outdated: bool,
-    /// Episodes that its description speaks of, and that are not there.
+    /// Why its description can't be used: it is damaged, missing, or that of a dataset of another name. Episodes are
+    /// compared with their seals alone then.
+    pub undescribed: Option<String>,
+    /// Episodes that are what they should be, by index.
+    pub whole: BTreeMap<u32, PathBuf>,
+    /// Episodes that its description speaks of.
+    pub promised: u32,
+    /// Those of them that are not there.
     pub missing: Vec<u32>,
-    /// Files that are not as they were written, and what is wrong with each.
+    /// Episodes that are not as they were written, and what is wrong with each.
     pub damaged: Vec<(PathBuf, String)>,
     /// Files that don't belong there.
     pub unknown: Vec<PathBuf>,
@@ -55,10 +63,9 @@ impl Lengths {
 
 /// Compares every file in a dataset's folder with its seal, and all of them with the dataset's description;
 /// calls `advance` at each.
-pub fn inspect(folder: &Path, advance: &dyn Fn()) -> Inspection {
+pub fn inspect(folder: &Path, advance: &(dyn Fn() + Sync)) -> Inspection {
     let mut found = Inspection::default();
     let name = folder.file_name().unwrap_or_default().to_string_lossy();
-    let described = folder.join(Description::FILE);
     let lengths = match Description::read(folder) {
         Ok(description) if !description.is_current() => {
             found.outdated = true;
@@ -69,43 +76,66 @@ pub fn inspect(folder: &Path, advance: &dyn Fn()) -> Inspection {
         }
         Err(reason) => Err(reason),
     };
-    let lengths = match lengths {
-        Ok(lengths) => Some(lengths),
-        Err(reason) => {
-            found.damaged.push((described.clone(), reason));
-            None
-        }
-    };
+    found.undescribed = lengths.as_ref().err().cloned();
+    let lengths = lengths.ok();
     found.imported = matches!(lengths, Some(Lengths::Imported(_)));
-    let mut present = BTreeSet::new();
-    for path in sorted(folder) {
+    let checked = sorted(folder).into_par_iter().map(|path| {
         advance();
-        let name_of = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let index = name_of.strip_prefix("episode_").and_then(|rest| rest.strip_suffix(".parquet"));
-        let index: Option<u32> = index.and_then(|digits| digits.parse().ok());
-        let samples = index.zip(lengths.as_ref()).map(|(index, lengths)| lengths.samples(index));
-        match (index, samples) {
-            (Some(index), Some(Some(samples))) => {
+        let checked = check(&path, &name, lengths.as_ref());
+        (path, checked)
+    });
+    let mut present = BTreeSet::new();
+    for (path, checked) in checked.collect::<Vec<_>>() {
+        match checked {
+            Checked::Whole(index) => drop((present.insert(index), found.whole.insert(index, path))),
+            Checked::Damaged(index, problem) => {
                 present.insert(index);
-                match open_episode(&path, &name, index, samples) {
-                    Err(DatasetError::Damaged { path, problem }) => found.damaged.push((path, problem)),
-                    Err(error) => found.damaged.push((path, error.to_string())),
-                    Ok(_) => {}
-                }
+                found.damaged.push((path, problem));
             }
-            (Some(_), None) => {
-                if let Err(error) = seal::read(&path) {
-                    found.damaged.push((path, error.to_string()));
-                }
-            }
-            (Some(_), Some(None)) => found.unknown.push(path),
-            (None, _) if path == described || is_lock(&name_of) => {}
-            (None, _) => found.unknown.push(path),
+            Checked::Known => {}
+            Checked::Unknown => found.unknown.push(path),
         }
     }
-    let promised = lengths.map_or(0, |lengths| lengths.episodes());
-    found.missing = (0..promised).filter(|index| !present.contains(index)).collect();
+    found.promised = lengths.map_or(0, |lengths| lengths.episodes());
+    found.missing = (0..found.promised).filter(|index| !present.contains(index)).collect();
     found
+}
+
+/// What a file in a dataset's folder is.
+enum Checked {
+    /// The episode of that index.
+    Whole(u32),
+    /// The same, and what is wrong with it.
+    Damaged(u32, String),
+    /// The description, or a lock.
+    Known,
+    Unknown,
+}
+
+fn check(path: &Path, dataset: &str, lengths: Option<&Lengths>) -> Checked {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let Some(index) = episode_index(&name) else {
+        return if name == Description::FILE || is_lock(&name) { Checked::Known } else { Checked::Unknown };
+    };
+    let opened = match lengths.map(|lengths| lengths.samples(index)) {
+        Some(Some(samples)) => open_episode(path, dataset, index, samples).map(drop),
+        Some(None) => return Checked::Unknown,
+        None => TableFile::open(path).map(drop).map_err(DatasetError::from),
+    };
+    match opened {
+        Ok(()) => Checked::Whole(index),
+        Err(
+            DatasetError::Damaged { problem, .. }
+            | DatasetError::Table(TableError::Read { reason: problem, .. }),
+        ) => Checked::Damaged(index, problem),
+        Err(error) => Checked::Damaged(index, error.to_string()),
+    }
+}
+
+/// The index in an episode's file name, `episode_00012.parquet`.
+fn episode_index(name: &str) -> Option<u32> {
+    let index = name.strip_prefix("episode_")?.strip_suffix(".parquet")?.parse().ok()?;
+    (name == episode_file(index)).then_some(index)
 }
 
 /// Whether a file is what processes lock to keep out of each other's way; it holds nothing.

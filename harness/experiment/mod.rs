@@ -27,6 +27,7 @@ use crate::registry::{
 };
 use crate::simulation::{Scene, SimulationError};
 use crate::spec::{Experiment, Modality, Origin, RunSpec, Task};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -143,10 +144,9 @@ impl Planned {
 impl Laboratory<'_> {
     /// Each run of the experiment with what will happen to it, and why.
     pub fn plan(&self, experiment: &Experiment) -> Result<Vec<Planned>, ExperimentError> {
-        let known = self.registry.records();
-        let mut sources: BTreeMap<Origin, Arc<Source>> = BTreeMap::new();
-        let mut plan = Vec::new();
         open_device(experiment.training.device)?;
+        let mut sources: BTreeMap<Origin, Arc<Source>> = BTreeMap::new();
+        let mut wanted = Vec::new();
         for spec in experiment.runs() {
             let source = match sources.get(&spec.scenario) {
                 Some(source) => source.clone(),
@@ -156,12 +156,15 @@ impl Laboratory<'_> {
                     source
                 }
             };
-            let folder = self.registry.run(&experiment.name, &spec, source.name());
-            let decision = self.registry.decide(&folder, &spec, &known);
-            let record = folder.record().ok().flatten();
-            plan.push(Planned { spec, folder, decision, record, source });
+            wanted.push((self.registry.run(&experiment.name, &spec, source.name()), spec, source));
         }
-        Ok(plan)
+        let known = self.registry.known(&experiment.name);
+        let decide = |(folder, spec, _): &(RunFolder, RunSpec, _)| self.registry.decide(folder, spec, &known);
+        let decided: Vec<_> = wanted.par_iter().map(decide).collect();
+        let planned = wanted.into_iter().zip(decided).map(|((folder, spec, source), (decision, record))| {
+            Planned { spec, folder, decision, record, source }
+        });
+        Ok(planned.collect())
     }
 
     fn source(&self, spec: &RunSpec) -> Result<Source, ExperimentError> {

@@ -162,7 +162,12 @@ impl Shift<'_> {
         let Some(_lock) = registry.claim(folder)? else { return Ok(End::Held) };
         // Another process may have been here since the plan was made.
         match folder.record() {
-            Ok(Some(record)) if record.status == Status::Done => return Ok(End::Skipped),
+            Ok(Some(record)) if record.status == Status::Done => match folder.damage(&record) {
+                None => return Ok(End::Skipped),
+                Some(damage) => {
+                    self.laboratory.progress.say(&format!("{}: {damage}; it is done again", folder.id()));
+                }
+            },
             Ok(Some(record))
                 if record.status == Status::Failed && planned.record.as_ref() != Some(&record) =>
             {

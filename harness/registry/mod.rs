@@ -7,12 +7,16 @@
 //!     prediction.safetensors, reconstruction.safetensors
 //! ```
 
+mod commands;
+mod episodes;
+mod folders;
 mod provenance;
 mod publish;
 mod query;
 mod record;
 mod verify;
 
+pub use commands::quoted;
 pub use provenance::{Provenance, peak_memory_bytes};
 pub use publish::Published;
 pub use query::{QueryError, query, query_latest, rows, save, table};
@@ -24,12 +28,16 @@ pub use verify::{Finding, Report};
 use crate::files::{FolderLock, LockError, WriteError, write_bytes};
 use crate::spec::{RunSpec, Task};
 use crate::tables::TableError;
+use commands::command_in;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
 
 /// Raised whenever the same spec on the same data would train or be judged differently than before.
 const REVISION: u32 = 3;
+/// The results folder where none is named.
+const DEFAULT_ROOT: &str = "results";
 /// The file that says how a run went; one that says it is done was written after everything else.
 const RECORD: &str = "run.json";
 /// The file with a run's resolved spec.
@@ -46,12 +54,18 @@ pub enum RegistryError {
     Lock(#[from] LockError),
     #[error(transparent)]
     Table(#[from] TableError),
-    #[error("{} is no record of a run ({reason}); delete the folder and run the experiment again", path.display())]
+    #[error("there are no results in {}: {problem}; --results names the folder that runs were written to", root.display())]
+    NoResults { root: PathBuf, problem: &'static str },
+    #[error("{} is no record of a run ({reason}); `{}` says what mends it", path.display(), verify_command(path))]
     Record { path: PathBuf, reason: String },
-    #[error("{} is damaged ({reason}); `harness verify` says what mends it", path.display())]
+    #[error("{} is the record of {of}, which belongs in another folder; `{}` says what to do", path.display(), verify_command(path))]
+    Misplaced { path: PathBuf, of: String },
+    #[error("{} is damaged ({reason}); `{}` says what mends it", path.display(), verify_command(path))]
     File { path: PathBuf, reason: String },
-    #[error("no run matches '{wanted}'{}; `harness ls` lists them", nearest.as_ref().map(|n| format!(", the nearest is '{n}'")).unwrap_or_default())]
-    Unknown { wanted: String, nearest: Option<String> },
+    #[error("{} lacks {missing} of its {episodes} episodes; `{}` says what mends it", path.display(), verify_command(path))]
+    Incomplete { path: PathBuf, missing: usize, episodes: u32 },
+    #[error("no run matches '{wanted}'{}; `{list}` lists them", nearest.as_ref().map(|n| format!(", the nearest is '{n}'")).unwrap_or_default())]
+    Unknown { wanted: String, nearest: Option<String>, list: String },
     #[error("'{wanted}' has no finished runs; those that have: {}", there.join(", "))]
     NothingFinished { wanted: String, there: Vec<String> },
     #[error("{} can't be published into itself; choose another folder", .0.display())]
@@ -81,7 +95,12 @@ pub enum Decision {
 #[derive(Debug, Clone)]
 pub struct Registry {
     root: PathBuf,
+    /// What reading it has left out so far, and why, by path.
+    left_out: Arc<Mutex<BTreeMap<PathBuf, String>>>,
 }
+
+/// The runs of an experiment that are there, by their labels.
+pub struct Known(BTreeMap<String, Vec<RunRecord>>);
 
 /// The place of one run.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -94,7 +113,7 @@ pub struct RunFolder {
 
 impl Registry {
     pub fn new(root: impl Into<PathBuf>) -> Self {
-        Self { root: root.into() }
+        Self { root: root.into(), left_out: Arc::default() }
     }
 
     pub fn root(&self) -> &Path {
@@ -120,70 +139,58 @@ impl Registry {
         RunFolder { path, experiment: experiment.to_owned(), id, dataset: dataset.to_owned() }
     }
 
+    /// Checks that there are results: whoever only reads would take a mistyped folder for one without runs.
+    pub fn check_there(&self) -> Result<(), RegistryError> {
+        let problem = match self.root.is_dir() {
+            _ if self.runs().is_dir() || self.datasets().is_dir() => return Ok(()),
+            true => "it holds neither runs nor datasets",
+            false => "there is no such folder",
+        };
+        Err(RegistryError::NoResults { root: self.root.clone(), problem })
+    }
+
     /// Checks that something can be written below the root, and leaves nothing there.
     pub fn check_writable(&self) -> Result<(), WriteError> {
         let attempt = std::fs::create_dir_all(&self.root).and_then(|()| tempfile::tempfile_in(&self.root));
         attempt.map(drop).map_err(|source| WriteError { path: self.root.clone(), source })
     }
 
-    /// What is to be done about a run, by its folder and by `known`, the records of all runs.
-    pub fn decide(&self, folder: &RunFolder, spec: &RunSpec, known: &[RunRecord]) -> Decision {
-        let record = match folder.record() {
-            // Nobody holds a run that is done, but for the moment in which its holder lets go.
-            Ok(Some(record)) if record.status == Status::Done => return Decision::Skip,
-            record => record,
-        };
-        if let Some(holder) = FolderLock::holder(&folder.path) {
-            return Decision::Running { holder };
-        }
-        let reason = match record {
+    /// What is to be done about a run, by its folder and by the runs of its experiment that are known; and its record,
+    /// if it has one.
+    pub fn decide(&self, folder: &RunFolder, spec: &RunSpec, known: &Known) -> (Decision, Option<RunRecord>) {
+        let record = folder.record();
+        let reason = match &record {
+            Ok(Some(record)) if record.status == Status::Done => match folder.damage(record) {
+                // Nobody holds a run that is done, but for the moment in which its holder lets go.
+                None => return (Decision::Skip, Some(record.clone())),
+                Some(damage) => damage,
+            },
             Ok(Some(RunRecord { status: Status::Failed, reason, .. })) => {
-                format!("it failed before: {}", reason.unwrap_or_default())
+                format!("it failed before: {}", reason.clone().unwrap_or_default())
             }
             Ok(Some(_)) => "it was interrupted".into(),
-            Ok(None) => why_new(folder, spec, known),
+            Ok(None) => known.why_new(folder, spec),
             Err(error) => error.to_string(),
         };
         let resumable =
             [Task::Prediction, Task::Reconstruction].iter().any(|task| folder.state(*task).exists());
-        match resumable {
-            true => Decision::Resume { reason: format!("{reason}; a saved state of its training is there") },
-            false => Decision::Run { reason },
-        }
-    }
-
-    /// Every run's record, by experiment and id; those that can't be read are left out, see [`Registry::damaged`].
-    pub fn records(&self) -> Vec<RunRecord> {
-        self.recorded().into_iter().map(|(_, record)| record).collect()
-    }
-
-    /// Every run's folder and record, likewise.
-    fn recorded(&self) -> Vec<(PathBuf, RunRecord)> {
-        let read = |folder: PathBuf| {
-            let mut record = RunRecord::read(&folder.join(RECORD)).ok()??;
-            if record.status == Status::Running && FolderLock::holder(&folder).is_none() {
-                record.status = Status::Interrupted;
+        let decision = match FolderLock::holder(&folder.path) {
+            Some(holder) => Decision::Running { holder },
+            None if resumable => {
+                Decision::Resume { reason: format!("{reason}; a saved state of its training is there") }
             }
-            Some((folder, record))
+            None => Decision::Run { reason },
         };
-        self.run_folders().into_iter().filter_map(read).collect()
+        (decision, record.ok().flatten())
     }
 
-    /// Why records can't be read, one error each.
-    pub fn damaged(&self) -> Vec<RegistryError> {
-        self.run_folders().iter().filter_map(|folder| RunRecord::read(&folder.join(RECORD)).err()).collect()
-    }
-
-    /// The folders of all runs, sorted.
-    fn run_folders(&self) -> Vec<PathBuf> {
-        let inside = |folder: &Path| -> Vec<PathBuf> {
-            let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-            entries.map(|entry| entry.path()).filter(|path| path.is_dir()).collect()
-        };
-        let mut folders: Vec<PathBuf> =
-            inside(&self.runs()).iter().flat_map(|experiment| inside(experiment)).collect();
-        folders.sort();
-        folders
+    /// The runs of an experiment that are there, to say in what a new one differs from them.
+    pub fn known(&self, experiment: &str) -> Known {
+        let mut by_label: BTreeMap<String, Vec<RunRecord>> = BTreeMap::new();
+        for (_, record) in self.recorded_of(experiment) {
+            by_label.entry(record.label()).or_default().push(record);
+        }
+        Known(by_label)
     }
 
     /// The runs that count, in the order of their folders: done, and of several of the same cell and seed in an
@@ -225,7 +232,7 @@ impl Registry {
                 let nearest = nearest.max_by(|a, b| {
                     strsim::jaro_winkler(wanted, a).total_cmp(&strsim::jaro_winkler(wanted, b))
                 });
-                Err(RegistryError::Unknown { wanted: wanted.to_owned(), nearest })
+                Err(RegistryError::Unknown { wanted: wanted.to_owned(), nearest, list: self.command("ls") })
             }
             several => Err(RegistryError::Ambiguous {
                 wanted: wanted.to_owned(),
@@ -308,26 +315,53 @@ impl RunFolder {
     }
 
     /// How far the run is; `None` if it never began.
+    ///
+    /// # Errors
+    /// When the record is damaged, or that of another run.
     pub fn record(&self) -> Result<Option<RunRecord>, RegistryError> {
-        RunRecord::read(&self.path.join(RECORD))
+        let path = self.path.join(RECORD);
+        match RunRecord::read(&path)? {
+            Some(record) if (&record.experiment, &record.run) != (&self.experiment, &self.id) => {
+                Err(RegistryError::Misplaced { path, of: record.name() })
+            }
+            record => Ok(record),
+        }
+    }
+
+    /// What is wrong with the first of its files that is not as its record says; `None` where all are whole.
+    pub fn damage(&self, record: &RunRecord) -> Option<String> {
+        record.damage(&self.path)
     }
 }
 
-/// Why a run isn't one of those that are there: what differs from the nearest of them.
-fn why_new(folder: &RunFolder, spec: &RunSpec, known: &[RunRecord]) -> String {
-    let alike =
-        |record: &&RunRecord| record.experiment == folder.experiment && record.label() == spec.label();
-    let described = known.iter().filter(alike).map(|record| {
-        let mut differences = differences(&record.spec, spec);
-        if record.dataset != folder.dataset && differences.is_empty() {
-            differences.push("the model or MuJoCo".into());
+impl Known {
+    /// Why a run isn't one of these: what differs from the nearest of those of its label.
+    fn why_new(&self, folder: &RunFolder, spec: &RunSpec) -> String {
+        let alike = self.0.get(&spec.label()).into_iter().flatten();
+        let described = alike.map(|record| {
+            let mut differences = differences(&record.spec, spec);
+            if record.dataset != folder.dataset && differences.is_empty() {
+                differences.push("the model or MuJoCo".into());
+            }
+            (differences, &record.run)
+        });
+        match described.min_by_key(|(differences, _)| differences.len()) {
+            Some((differences, run)) => format!("new; {run} differs in {}", differences.join(", ")),
+            None => "new".into(),
         }
-        (differences, &record.run)
-    });
-    match described.min_by_key(|(differences, _)| differences.len()) {
-        Some((differences, run)) => format!("new; {run} differs in {}", differences.join(", ")),
-        None => "new".into(),
     }
+}
+
+/// The command that verifies the results folder in which `path` lies.
+fn verify_command(path: &Path) -> String {
+    // How deep a run's file lies, then a dataset's, a misplaced run's, and a dataset.
+    let names = [("runs", 3), ("datasets", 2), ("runs", 2), ("datasets", 1)];
+    let is_place = |(name, depth): &(&str, usize)| {
+        path.ancestors().nth(*depth).and_then(Path::file_name).is_some_and(|found| found == *name)
+    };
+    let root =
+        names.iter().find(|place| is_place(place)).and_then(|(_, depth)| path.ancestors().nth(depth + 1));
+    command_in(root.unwrap_or(Path::new(DEFAULT_ROOT)), "verify")
 }
 
 /// The settings in which two specs differ, as `training.epochs (5, now 200)`.

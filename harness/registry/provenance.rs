@@ -20,6 +20,7 @@ pub struct Provenance {
     pub host: String,
     pub processor: String,
     pub threads: usize,
+    /// As a shell takes it. A run keeps the part of it that makes the run alone.
     pub command: String,
 }
 

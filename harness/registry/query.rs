@@ -1,8 +1,8 @@
 //! SQL over the tables of a results folder.
 
+use super::folders::Recorded;
 use super::record::{RunRecord, runs_table};
 use super::{Registry, RegistryError, Status};
-use crate::dataset::episode_scan;
 use crate::files::{WriteError, write_whole};
 use crate::schema::{Column, Table};
 use crate::tables::{TableError, data_type, scan};
@@ -53,7 +53,7 @@ pub enum QueryError {
 /// Answers a query in Polars' SQL over the tables of [`Table::ALL`].
 ///
 /// A query asks and does nothing else: Polars also knows statements that change tables and functions that read any
-/// file, and both are refused. Runs whose record is damaged are left out, see [`Registry::damaged`].
+/// file, and both are refused. What can't be used as it lies there is left out, see [`Registry::left_out`].
 ///
 /// # Errors
 /// When the SQL is not understood, is more than a question, names what isn't there, or when a table's file is
@@ -67,9 +67,6 @@ pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
 pub fn query_latest(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
     answer(registry, sql, &registry.latest())
 }
-
-/// A run's folder and its record.
-type Recorded = (PathBuf, RunRecord);
 
 fn answer(registry: &Registry, sql: &str, runs: &[Recorded]) -> Result<DataFrame, QueryError> {
     std::thread::scope(|scope| {
@@ -210,7 +207,7 @@ fn table_of(registry: &Registry, table: Table, runs: &[Recorded]) -> Result<Lazy
                 Some(runs_table(&records).map_err(TableError::from).map_err(RegistryError::from)?.lazy())
             }
         }
-        Table::Episodes => episode_scan(&registry.datasets()).map_err(RegistryError::from)?,
+        Table::Episodes => scan(&registry.episode_files(runs)?, &columns).map_err(QueryError::Sql)?,
         Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
             let name = format!("{}.parquet", table.name());
             // A run's tables count once its record says that it is done, and as its record lists them.

@@ -1,5 +1,6 @@
 //! The record of a run, and its tables.
 
+use super::commands::command_of;
 use super::{Provenance, RegistryError, RunFolder, SPEC, peak_memory_bytes};
 use crate::learning::training::Epoch;
 use crate::metrics::Row;
@@ -10,6 +11,7 @@ use crate::spec::{Modality, RunSpec, Task};
 use crate::tables::{Stamp, TableError, data_type, read_footer, write_table};
 use jiff::Timestamp;
 use polars::prelude::*;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -154,7 +156,7 @@ impl RunRecord {
             timings: None,
             peak_memory_bytes: None,
             parameters: None,
-            provenance: by.clone(),
+            provenance: Provenance { command: command_of(&by.command, spec), ..by.clone() },
             spec: spec.clone(),
             files: BTreeMap::new(),
         }
@@ -178,6 +180,21 @@ impl RunRecord {
     /// The run in short, without its hash.
     pub fn label(&self) -> String {
         self.spec.label()
+    }
+
+    /// `experiment/run`, by which a run is found.
+    pub fn name(&self) -> String {
+        format!("{}/{}", self.experiment, self.run)
+    }
+
+    /// Episodes of a simulated dataset that the run used.
+    pub(super) fn episodes(&self) -> u32 {
+        self.spec.simulation.as_ref().map_or(0, |simulation| simulation.episodes)
+    }
+
+    /// Whether this is the record of a published run, whose networks and dataset stay behind.
+    pub(super) fn is_published(&self) -> bool {
+        self.status == Status::Done && self.expected_files().iter().any(|name| !self.files.contains_key(name))
     }
 
     /// Lists these of the run's files as they now are.
@@ -230,6 +247,17 @@ impl RunRecord {
             return damaged("it is not as it was written: its SHA-256 differs".into());
         }
         Ok(path)
+    }
+
+    /// What is wrong with the first of the listed files that is not as it was written; `None` where all are whole.
+    pub(super) fn damage(&self, folder: &Path) -> Option<String> {
+        let damage = self.files.par_iter().find_map_first(|(name, _)| {
+            let RegistryError::File { reason, .. } = self.check_file(folder, name).err()? else {
+                return None;
+            };
+            Some(format!("{name} is damaged: {reason}"))
+        });
+        damage
     }
 
     /// Reads a record, whose seal must hold; `None` if there is none.

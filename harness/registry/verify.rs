@@ -1,5 +1,8 @@
 //! Whether everything in the results folder is as it was written, and what mends what is not.
 
+use super::commands::{Commands, quoted};
+use super::episodes::episodes_used;
+use super::folders::{Recorded, folders, sorted};
 use super::record::RunRecord;
 use super::{RECORD, Registry, RegistryError, Status, UNCOMMITTED};
 use crate::dataset::{Inspection, inspect, is_lock};
@@ -7,15 +10,16 @@ use crate::files::UNFINISHED;
 use crate::progress::Progress;
 use crate::seal;
 use crate::tables::read_footer;
-use std::cell::Cell;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Something that is not as it should be.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
     pub path: PathBuf,
     pub problem: String,
-    /// A command that mends it.
+    /// A command that mends it, where one is known.
     pub mend: Option<String>,
     /// Whether something was lost or changed; if not, it is only worth knowing.
     pub broken: bool,
@@ -31,9 +35,9 @@ pub struct Report {
 }
 
 impl Report {
-    fn broken(&mut self, path: &Path, problem: impl Into<String>, mend: String) {
+    fn broken(&mut self, path: &Path, problem: impl Into<String>, mend: Option<String>) {
         let (path, problem) = (path.to_owned(), problem.into());
-        self.findings.push(Finding { path, problem, mend: Some(mend), broken: true });
+        self.findings.push(Finding { path, problem, mend, broken: true });
     }
 
     fn note(&mut self, path: &Path, problem: impl Into<String>, mend: Option<String>) {
@@ -47,35 +51,48 @@ impl Registry {
     /// belong there. It changes nothing.
     pub fn verify(&self, progress: &dyn Progress) -> Report {
         let (datasets, runs) = (folders(&self.datasets()), self.run_folders());
-        let entries = |folder: &PathBuf| sorted(folder).len();
-        let total = datasets.iter().chain(&runs).map(entries).sum::<usize>();
-        let mut report = Report { runs: runs.len(), datasets: datasets.len(), ..Report::default() };
-        let files = Cell::new(0);
-        let advance = || {
-            files.set(files.get() + 1);
-            progress.advance(1);
-        };
+        let total = datasets.iter().chain(&runs).map(|folder| sorted(folder).len()).sum::<usize>();
         progress.begin("verifying", total as u64, "files");
         let recorded = self.recorded();
-        for folder in &datasets {
-            let inspection = inspect(folder, &advance);
-            self.report_dataset(folder, inspection, &recorded, &mut report);
-        }
-        for folder in &runs {
-            self.verify_run(folder, &advance, &mut report);
-        }
-        self.report_strays(&mut report);
+        let verification = Verification {
+            registry: self,
+            recorded: &recorded,
+            commands: Commands::new(self, &recorded),
+            progress,
+            files: AtomicUsize::new(0),
+        };
+        let mut report = Report { runs: runs.len(), datasets: datasets.len(), ..Report::default() };
+        datasets.iter().for_each(|folder| verification.dataset(folder, &mut report));
+        verification.datasets_that_are_gone(&datasets, &mut report);
+        runs.iter().for_each(|folder| verification.run(folder, &mut report));
+        verification.strays(&mut report);
         progress.end();
-        Report { files: files.get(), ..report }
+        Report { files: verification.files.into_inner(), ..report }
+    }
+}
+
+/// A results folder that is being verified.
+struct Verification<'a> {
+    registry: &'a Registry,
+    recorded: &'a [Recorded],
+    commands: Commands<'a>,
+    progress: &'a dyn Progress,
+    files: AtomicUsize,
+}
+
+impl Verification<'_> {
+    /// Counts a file that was looked at.
+    fn advance(&self) {
+        self.files.fetch_add(1, Ordering::Relaxed);
+        self.progress.advance(1);
     }
 
-    fn report_dataset(
-        &self,
-        folder: &Path,
-        inspection: Inspection,
-        recorded: &[(PathBuf, RunRecord)],
-        report: &mut Report,
-    ) {
+    fn dataset(&self, folder: &Path, report: &mut Report) {
+        let (files, progress) = (&self.files, self.progress);
+        let inspection = inspect(folder, &|| {
+            files.fetch_add(1, Ordering::Relaxed);
+            progress.advance(1);
+        });
         let name = folder.file_name().unwrap_or_default().to_string_lossy();
         if inspection.outdated {
             let problem = "in the format of another version, which this one neither reads nor checks";
@@ -85,20 +102,24 @@ impl Registry {
             return report_imported(folder, inspection, report);
         }
         // Of all runs on this dataset, the one that needs the most of it.
-        let users = recorded.iter().map(|(_, record)| record).filter(|record| record.dataset == name);
-        let user = users.max_by_key(|record| (episodes(record), record.status == Status::Done));
-        let collect = user.and_then(|record| self.again("collect", record));
-        for (path, problem) in inspection.damaged {
-            let mend = collect.clone().unwrap_or_else(|| remove(&path));
+        let users = self.recorded.iter().map(|(_, record)| record).filter(|record| record.dataset == name);
+        let user = users.max_by_key(|record| (record.episodes(), record.status == Status::Done));
+        let collect = user.and_then(|record| self.commands.collect(record));
+        if let Some(problem) = &inspection.undescribed
+            && user.is_none()
+        {
+            return self.report_undescribed(folder, problem, report);
+        }
+        let described = inspection.undescribed.map(|problem| (folder.join("dataset.json"), problem));
+        for (path, problem) in described.into_iter().chain(inspection.damaged) {
+            let mend = collect.clone().or_else(|| user.is_none().then(|| remove(&path)));
             report.broken(&path, problem, mend);
         }
-        let needed = user.filter(|record| record.status == Status::Done);
-        let needed = needed.map_or(0, episodes);
+        let needed = user.filter(|record| record.status == Status::Done).map_or(0, RunRecord::episodes);
         let lost = inspection.missing.iter().filter(|index| **index < needed).count();
         if lost > 0 {
             let problem = format!("{lost} of the {needed} episodes that a finished run used are missing");
-            let mend = collect.unwrap_or_else(|| "harness collect its experiment".into());
-            report.broken(folder, problem, mend);
+            report.broken(folder, problem, collect);
         } else if !inspection.missing.is_empty() {
             let problem = format!("{} episodes are not collected yet", inspection.missing.len());
             report.note(folder, problem, collect);
@@ -106,24 +127,74 @@ impl Registry {
         inspection.unknown.iter().for_each(|path| report_stray(path, report));
     }
 
-    fn verify_run(&self, folder: &Path, advance: &dyn Fn(), report: &mut Report) {
+    /// Reports a folder that is no dataset of its name, and that no run refers to.
+    fn report_undescribed(&self, folder: &Path, problem: &str, report: &mut Report) {
+        let own = stamped_dataset(folder).map(|name| self.registry.datasets().join(name));
+        match own.filter(|own| own != folder) {
+            Some(own) if !own.exists() => {
+                let problem = format!("these are the episodes of {}, which belong there", own.display());
+                report.broken(folder, problem, Some(rename(folder, &own)));
+            }
+            Some(own) => {
+                let problem =
+                    format!("not used: these are episodes of {}, which has its own folder", own.display());
+                report.broken(folder, problem, Some(remove(folder)));
+            }
+            None => report.broken(folder, format!("dataset.json: {problem}"), Some(remove(folder))),
+        }
+    }
+
+    /// Reports the datasets that finished runs used and that are not there. Published runs come without.
+    fn datasets_that_are_gone(&self, there: &[PathBuf], report: &mut Report) {
+        let there: BTreeSet<_> = there.iter().filter_map(|folder| folder.file_name()?.to_str()).collect();
+        let records = || self.recorded.iter().map(|(_, record)| record);
+        let is_gone =
+            |record: &&RunRecord| record.status == Status::Done && !there.contains(record.dataset.as_str());
+        for name in episodes_used(records()).into_keys().filter(|name| !there.contains(name)) {
+            let users = || records().filter(|record| record.dataset == name && is_gone(record));
+            let collect = users().find_map(|record| self.commands.collect(record));
+            let path = self.registry.datasets().join(name);
+            report.broken(
+                &path,
+                format!("{} finished runs used this dataset, which is not there", users().count()),
+                collect,
+            );
+        }
+        let published: Vec<_> = records().filter(|record| is_gone(record) && record.is_published()).collect();
+        if !published.is_empty() {
+            let datasets: BTreeSet<_> = published.iter().map(|record| &record.dataset).collect();
+            let problem = format!(
+                "{} runs were published without their {} datasets, as publishing does",
+                published.len(),
+                datasets.len()
+            );
+            report.note(&self.registry.datasets(), problem, None);
+        }
+    }
+
+    fn run(&self, folder: &Path, report: &mut Report) {
         let path = folder.join(RECORD);
-        let record = match RunRecord::read(&path) {
+        let record = match self.registry.read_run(folder) {
             Ok(Some(record)) => record,
             Ok(None) => {
-                return report.broken(folder, format!("there is no {RECORD}"), self.anew(folder, None));
+                return report.note(
+                    folder,
+                    "a run that had not begun when its process ended",
+                    Some(remove(folder)),
+                );
             }
-            Err(error) => return report.broken(&path, reason(error), self.anew(folder, None)),
+            Err(RegistryError::Misplaced { .. }) => return self.misplaced_run(folder, report),
+            Err(error) => return self.unreadable_run(folder, &path, &reason(error), report),
         };
-        advance();
-        if !folder.ends_with(Path::new(&record.experiment).join(&record.run)) {
-            let problem = format!("it is the record of {}/{}", record.experiment, record.run);
-            report.broken(&path, problem, self.anew(folder, None));
-        }
+        self.advance();
         for name in record.files.keys() {
-            advance();
-            if let Err(problem) = check_listed(&record, folder, name) {
-                report.broken(&folder.join(name), problem, self.anew(folder, Some(&record)));
+            self.advance();
+            if let Err(mut problem) = check_listed(&record, folder, name) {
+                let mend = self.commands.run(folder, Some(&record)).unwrap_or_else(|| {
+                    problem += "; no command is known that makes this run again, so it can only be removed";
+                    remove(folder)
+                });
+                report.broken(&folder.join(name), problem, Some(mend));
             }
         }
         for path in sorted(folder) {
@@ -132,21 +203,48 @@ impl Registry {
             if known || record.files.contains_key(&name) {
                 continue;
             }
-            advance();
+            self.advance();
             if record.status == Status::Done || !record.expects(&name) {
                 report_stray(&path, report);
             } else if let Err(error) = seal::read(&path) {
-                let mend = self.again("run", &record);
-                let mend = mend.map_or_else(|| remove(&path), |run| format!("{} && {run}", remove(&path)));
-                report.broken(&path, error.to_string(), mend);
+                report.broken(&path, error.to_string(), Some(remove(&path)));
             }
         }
     }
 
+    /// Reports a folder whose record is damaged or missing: the run is done again in place, if its command is known.
+    fn unreadable_run(&self, folder: &Path, path: &Path, problem: &str, report: &mut Report) {
+        let inner = folders(folder);
+        if let Some(inner) = inner.first() {
+            let problem = format!(
+                "no run, but a folder of folders as {}; runs lie in runs/EXPERIMENT/RUN",
+                inner.display()
+            );
+            return report.broken(folder, problem, None);
+        }
+        let mend = self.commands.run(folder, None).unwrap_or_else(|| remove(folder));
+        report.broken(path, problem, Some(mend));
+    }
+
+    /// Reports a folder with the record of another run.
+    fn misplaced_run(&self, folder: &Path, report: &mut Report) {
+        let path = folder.join(RECORD);
+        let Ok(Some(record)) = RunRecord::read(&path) else { return };
+        let own = self.registry.own_folder(&record);
+        let problem = format!("it is the record of {}", record.name());
+        let mend = match self.commands.run(folder, None) {
+            Some(run) => run,
+            None if own.exists() => remove(folder),
+            None => rename(folder, &own),
+        };
+        report.broken(&path, problem, Some(mend));
+    }
+
     /// What is neither a dataset nor a run.
-    fn report_strays(&self, report: &mut Report) {
-        let experiments = folders(&self.runs());
-        let places = [self.datasets(), self.runs()].into_iter().chain(experiments);
+    fn strays(&self, report: &mut Report) {
+        let experiments = folders(&self.registry.runs());
+        let experiments = experiments.into_iter().filter(|folder| !folder.join(RECORD).is_file());
+        let places = [self.registry.datasets(), self.registry.runs()].into_iter().chain(experiments);
         for path in places.flat_map(|place| sorted(&place)).filter(|path| !path.is_dir()) {
             let name = path.file_name().unwrap_or_default().to_string_lossy();
             if !is_lock(&name) {
@@ -154,53 +252,32 @@ impl Registry {
             }
         }
     }
-
-    /// The command that makes a run anew.
-    fn anew(&self, folder: &Path, record: Option<&RunRecord>) -> String {
-        let run = record.and_then(|record| self.again("run", record));
-        let run = run.unwrap_or_else(|| {
-            let experiment = folder.parent().and_then(Path::file_name).unwrap_or_default();
-            format!("harness run the spec of {}", experiment.to_string_lossy())
-        });
-        format!("{} && {run}", remove(folder))
-    }
-
-    /// The command that made a run, to be given again as `run` or as `collect`.
-    fn again(&self, command: &str, record: &RunRecord) -> Option<String> {
-        let mut words = record.provenance.command.split_whitespace().skip(1).peekable();
-        let mut kept = Vec::new();
-        while let Some(word) = words.next() {
-            let is_setting = word.contains('=') && !word.starts_with('-');
-            if word.ends_with(".yaml") || word.ends_with(".yml") || is_setting || word == "--quick" {
-                kept.push(quoted(word));
-            } else if word == "--models" {
-                kept.extend([quoted(word), quoted(words.next()?)]);
-            }
-        }
-        let has_spec = kept.iter().any(|word| word.contains(".yaml") || word.contains(".yml"));
-        let results = match self.root.to_str() {
-            Some("results") => String::new(),
-            root => format!("--results {} ", quoted(root?)),
-        };
-        has_spec.then(|| format!("harness {results}{command} {}", kept.join(" ")))
-    }
-}
-
-/// Episodes that a run simulated and used.
-fn episodes(record: &RunRecord) -> u32 {
-    record.spec.simulation.as_ref().map_or(0, |simulation| simulation.episodes)
 }
 
 /// What is wrong with a dataset that can only be imported again.
 fn report_imported(folder: &Path, inspection: Inspection, report: &mut Report) {
-    let mend = || format!("{} && harness import its mapping", remove(folder));
+    let again = "; remove the folder and import its mapping again";
     for (path, problem) in inspection.damaged {
-        report.broken(&path, problem, mend());
+        report.broken(&path, problem + again, None);
     }
     if !inspection.missing.is_empty() {
-        report.broken(folder, format!("{} of its episodes are missing", inspection.missing.len()), mend());
+        report.broken(
+            folder,
+            format!("{} of its episodes are missing{again}", inspection.missing.len()),
+            None,
+        );
     }
     inspection.unknown.iter().for_each(|path| report_stray(path, report));
+}
+
+/// The dataset that every episode in a folder says it belongs to.
+fn stamped_dataset(folder: &Path) -> Option<String> {
+    let episodes =
+        sorted(folder).into_iter().filter(|path| path.extension().is_some_and(|ending| ending == "parquet"));
+    let names: Option<BTreeSet<String>> =
+        episodes.map(|path| read_footer(&path).ok()?.stamp.remove("dataset")).collect();
+    let mut names = names?.into_iter();
+    names.next().filter(|_| names.next().is_none())
 }
 
 /// What is wrong with a file, without its name.
@@ -235,26 +312,15 @@ fn report_stray(path: &Path, report: &mut Report) {
 
 fn remove(path: &Path) -> String {
     let option = if path.is_dir() { "-r " } else { "" };
-    format!("rm {option}{}", quoted(&path.display().to_string()))
+    format!("rm {option}{}", quoted([&*path.to_string_lossy()]))
 }
 
-/// A word as a shell takes it.
-fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "_-./=:,+@%".contains(c);
-    if !word.is_empty() && word.chars().all(plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', r"'\''"))
-    }
-}
-
-fn sorted(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
-    paths.sort();
-    paths
-}
-
-fn folders(folder: &Path) -> Vec<PathBuf> {
-    sorted(folder).into_iter().filter(|path| path.is_dir()).collect()
+fn rename(from: &Path, to: &Path) -> String {
+    let parent = to.parent().unwrap_or(Path::new("."));
+    let words = [from, to].map(|path| path.to_string_lossy().into_owned());
+    format!(
+        "mkdir -p {} && mv {}",
+        quoted([&*parent.to_string_lossy()]),
+        quoted(words.iter().map(String::as_str))
+    )
 }

@@ -96,7 +96,7 @@ impl Experiment {
 }
 
 /// Names a combination of settings: `kl_weight=0.001,hidden=64`; fit for a folder's name.
-fn name(combination: &[(&str, &serde_json::Value)]) -> String {
+pub(super) fn name(combination: &[(&str, &serde_json::Value)]) -> String {
     let named = combination.iter().map(|(key, value)| {
         let key = key.split_once('.').map_or(*key, |(_section, key)| key);
         let value: String = value.to_string().chars().filter(|c| !"\"[]{} ".contains(*c)).collect();

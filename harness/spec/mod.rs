@@ -7,6 +7,7 @@
 
 mod cells;
 mod error;
+mod narrow;
 mod overrides;
 mod parse;
 mod schema;

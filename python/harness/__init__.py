@@ -69,7 +69,8 @@ def query(sql: str, results: str | os.PathLike[str] = "results") -> "polars.Data
     """Answers a question in SQL over the tables of a results folder, as `harness query` does, without copying.
 
     The tables are runs, epochs, metrics, predictions, forces, frames and episodes; `harness schema --tables` lists their
-    columns with units. Raises ValueError where the query can't be answered, RuntimeError where a table is damaged.
+    columns with units. Raises ValueError where the query can't be answered, RuntimeError where a table is damaged, and
+    FileNotFoundError without a results folder. Warns of each run or dataset that is left out.
     """
     import polars
 

@@ -56,6 +56,7 @@ impl Raise for RegistryError {
     fn raise(self) -> PyErr {
         match self {
             Self::Unknown { .. } | Self::Ambiguous { .. } => PyKeyError::new_err(self.to_string()),
+            Self::NoResults { .. } => PyFileNotFoundError::new_err(self.to_string()),
             _ => self.runtime_error(),
         }
     }

@@ -19,8 +19,9 @@ pub struct Model(experiment::Model);
 impl Model {
     #[new]
     fn new(py: Python, run: &str, results: PathBuf) -> PyResult<Self> {
-        let load = || experiment::Model::load(&Registry::new(results), run);
-        detached(py, load)?.map(Self).map_err(Raise::raise)
+        let registry = Registry::new(results);
+        registry.check_there().map_err(Raise::raise)?;
+        detached(py, || experiment::Model::load(&registry, run))?.map(Self).map_err(Raise::raise)
     }
 
     #[getter]

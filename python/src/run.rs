@@ -5,16 +5,17 @@ use crate::work::interruptible;
 use harness::cli::progress::Bars;
 use harness::experiment::{ExperimentError, Laboratory};
 use harness::progress::{Progress, Silent};
-use harness::registry::{self, Provenance, Registry};
+use harness::registry::{self, Provenance, Registry, quoted};
 use harness::spec;
 use polars::prelude::{CompatLevel, DataFrame, SchemaExt};
 use polars_arrow::array::StructArray;
 use polars_arrow::datatypes::{ArrowDataType, Field};
 use polars_arrow::ffi::{ArrowArrayStream, export_iterator};
-use pyo3::exceptions::{PyOSError, PyRuntimeError};
+use pyo3::exceptions::{PyOSError, PyRuntimeError, PyUserWarning};
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
-use std::path::PathBuf;
+use std::ffi::CString;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Does every run of an experiment that isn't done; see `harness.run`.
@@ -33,7 +34,8 @@ pub fn run(
     let registry = Registry::new(results);
     registry.check_writable().map_err(|error| PyOSError::new_err(error.to_string()))?;
     let threads = rayon::current_num_threads();
-    let provenance = py.detach(|| Provenance::gather(threads, harness::cli::command_line()));
+    let command = command(&path, &overrides, quick, &registry);
+    let provenance = py.detach(|| Provenance::gather(threads, command));
     let cancelled = AtomicBool::new(false);
     let shown: Box<dyn Progress> = if progress { Box::new(Bars::default()) } else { Box::new(Silent) };
     let listener = Listener { shown, cancelled: &cancelled };
@@ -47,12 +49,31 @@ pub fn run(
     };
     let work = || laboratory.run(&laboratory.plan(&experiment)?);
     let summary = interruptible(py, work, || cancelled.store(true, Ordering::Relaxed))?;
+    warn(py, &registry)?;
     let summary = summary.map_err(|error: ExperimentError| error.raise())?;
     if !summary.failed.is_empty() {
         let (number, failures) = (summary.failed.len(), summary.failed.join("; "));
         return Err(PyRuntimeError::new_err(format!("{number} runs failed: {failures}")));
     }
     Ok((summary.done, summary.skipped))
+}
+
+/// The command that does the same as a call of `harness.run`.
+fn command(path: &Path, overrides: &[String], quick: bool, registry: &Registry) -> String {
+    let path = path.to_string_lossy();
+    let quick = quick.then_some("--quick");
+    let words = [&*path].into_iter().chain(overrides.iter().map(String::as_str)).chain(quick);
+    registry.command(&format!("run {}", quoted(words)))
+}
+
+/// Warns of what a registry left out.
+fn warn(py: Python, registry: &Registry) -> PyResult<()> {
+    let category = py.get_type::<PyUserWarning>();
+    for left_out in registry.left_out() {
+        let text = CString::new(left_out).unwrap_or_default();
+        PyErr::warn(py, &category, &text, 2)?;
+    }
+    Ok(())
 }
 
 /// Draws progress as the command line does, or nothing, and passes on a wish to stop.
@@ -92,8 +113,11 @@ impl Progress for Listener<'_> {
 #[pyfunction]
 pub fn query(py: Python, sql: &str, results: PathBuf) -> PyResult<Table> {
     let registry = Registry::new(results);
+    registry.check_there().map_err(Raise::raise)?;
     let answer = interruptible(py, || registry::query(&registry, sql), || ())?;
-    Ok(Table(answer.map_err(Raise::raise)?))
+    let answer = answer.map_err(Raise::raise)?;
+    warn(py, &registry)?;
+    Ok(Table(answer))
 }
 
 /// A table for whoever reads Arrow's C stream interface.

@@ -1,6 +1,7 @@
 """Experiments, tables, datasets and networks, against independent readers of the same files."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -35,6 +36,26 @@ def test_an_answer_is_what_polars_reads_from_the_tables(results: Path) -> None:
     text = harness.query("select run, started from runs", results)
     assert text.schema == {"run": polars.String, "started": polars.String}
     assert harness.query("select * from metrics where value > 1000000000", results).height == 0
+
+
+def test_a_results_folder_that_is_not_there_is_an_error(tmp_path: Path) -> None:
+    for ask in (lambda: harness.query("select run from runs", tmp_path), lambda: harness.load_model("run", tmp_path)):
+        with pytest.raises(FileNotFoundError, match="there are no results in"):
+            ask()
+
+
+def test_what_a_query_leaves_out_is_a_warning(results: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "results"
+    shutil.copytree(results, copy)
+    shutil.copytree(copy / "runs" / "smoke", copy / "runs" / "backup")
+    with pytest.warns(UserWarning, match="a run is left out") as warned:
+        runs = harness.query("select run from runs", copy)
+    assert runs.height == 2 and len(warned) == 2
+
+
+def test_a_run_keeps_a_command_that_does_the_same(results: Path) -> None:
+    commands = harness.query("select distinct command from runs", results)["command"]
+    assert commands.to_list() == [f"harness --results {results} run {SMOKE}"]
 
 
 def test_an_answer_is_handed_over_without_copying(results: Path) -> None:

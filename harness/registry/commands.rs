@@ -1,0 +1,172 @@
+//! Commands: as runs keep them, and as they are suggested to make something again.
+
+use super::folders::{Recorded, folders};
+use super::record::RunRecord;
+use super::{DEFAULT_ROOT, Registry, SPEC};
+use crate::spec::{self, RunSpec};
+use std::cell::RefCell;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+
+/// Words as a shell takes them, with a space between two.
+pub fn quoted<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
+    let quote = |word: &'a str| match shlex::try_quote(word) {
+        Ok(quoted) => quoted.into_owned(),
+        // Only a null byte can't be quoted, and no argument of a program holds one.
+        Err(_) => word.to_owned(),
+    };
+    words.into_iter().map(quote).collect::<Vec<_>>().join(" ")
+}
+
+impl Registry {
+    /// A command of the harness for this results folder.
+    pub fn command(&self, command: &str) -> String {
+        command_in(&self.root, command)
+    }
+}
+
+/// A command of the harness for a results folder.
+pub(super) fn command_in(root: &Path, command: &str) -> String {
+    if root == Path::new(DEFAULT_ROOT) {
+        return format!("harness {command}");
+    }
+    format!("harness --results {} {command}", quoted([&*root.to_string_lossy()]))
+}
+
+/// The command that makes one of the runs that `command` makes: its lists of seeds, latent sizes, scenarios and varied
+/// settings are cut down to the run's own. A thousand runs with a thousand seeds would keep a million seeds otherwise.
+pub(super) fn command_of(command: &str, spec: &RunSpec) -> String {
+    let Some(words) = shlex::split(command) else { return command.to_owned() };
+    let own: Vec<String> = words.iter().map(|word| spec.own_override(word)).collect();
+    quoted(own.iter().map(String::as_str))
+}
+
+/// Finds the commands that make runs and datasets again. Each is tried before it is suggested: its spec is read, from
+/// where this process works, and must expand to the very run.
+pub(super) struct Commands<'a> {
+    registry: &'a Registry,
+    recorded: &'a [Recorded],
+    /// What each command makes, as far as that was asked.
+    made: RefCell<BTreeMap<String, Rc<Made>>>,
+}
+
+/// The runs that a command makes: their experiment, and the hashes of their specs. None where its spec can't be read.
+#[derive(Default)]
+struct Made {
+    experiment: String,
+    specs: BTreeSet<String>,
+}
+
+impl<'a> Commands<'a> {
+    pub fn new(registry: &'a Registry, recorded: &'a [Recorded]) -> Self {
+        Self { registry, recorded, made: RefCell::default() }
+    }
+
+    /// The command that makes the run of a folder again, by its record or, where that is lost, by its spec and the
+    /// commands of other runs.
+    pub fn run(&self, folder: &Path, record: Option<&RunRecord>) -> Option<String> {
+        let experiment = folder.parent()?.file_name()?.to_str()?;
+        let spec = match record {
+            Some(record) => record.spec.clone(),
+            None => read_spec(folder)?,
+        };
+        let is_own = |dataset: &str| self.registry.run(experiment, &spec, dataset).path() == folder;
+        if !self.datasets().iter().any(|dataset| is_own(dataset)) {
+            return None;
+        }
+        let others =
+            self.recorded.iter().map(|(_, other)| other).filter(|other| other.experiment == experiment);
+        let commands: BTreeSet<String> = record
+            .into_iter()
+            .chain(others)
+            .map(|record| command_of(&record.provenance.command, &spec))
+            .collect();
+        commands.iter().find_map(|command| self.again("run", command, experiment, &spec))
+    }
+
+    /// The command that collects a run's dataset again.
+    pub fn collect(&self, record: &RunRecord) -> Option<String> {
+        self.again("collect", &record.provenance.command, &record.experiment, &record.spec)
+    }
+
+    /// The names of all datasets that runs used or that are there.
+    fn datasets(&self) -> BTreeSet<String> {
+        let used = self.recorded.iter().map(|(_, record)| record.dataset.clone());
+        let there = folders(&self.registry.datasets());
+        let there = there.iter().filter_map(|folder| Some(folder.file_name()?.to_str()?.to_owned()));
+        used.chain(there).collect()
+    }
+
+    /// A command, to be given again as `run` or as `collect`, if it makes the run of that spec.
+    fn again(&self, verb: &str, command: &str, experiment: &str, spec: &RunSpec) -> Option<String> {
+        let asked = Asked::of(command)?;
+        let made = self.made.borrow().get(command).cloned();
+        let made = made.unwrap_or_else(|| {
+            let made = Rc::new(asked.made());
+            self.made.borrow_mut().insert(command.to_owned(), made.clone());
+            made
+        });
+        let makes_it = made.experiment == experiment && made.specs.contains(&spec.hash());
+        makes_it.then(|| self.registry.command(&format!("{verb} {}", asked.words())))
+    }
+}
+
+/// The spec that a run left in its folder.
+fn read_spec(folder: &Path) -> Option<RunSpec> {
+    serde_yaml::from_str(&spec::read_text(&folder.join(SPEC)).ok()?).ok()
+}
+
+/// The words of a command that decide which runs it makes.
+#[derive(Default)]
+struct Asked {
+    spec: PathBuf,
+    overrides: Vec<String>,
+    quick: bool,
+    models: Option<PathBuf>,
+}
+
+impl Asked {
+    /// Reads a command of the harness; `None` if it names no spec.
+    fn of(command: &str) -> Option<Self> {
+        let mut asked = Self::default();
+        let mut words = shlex::split(command)?.into_iter().skip(1);
+        while let Some(word) = words.next() {
+            match word.as_str() {
+                "run" | "collect" => {}
+                "--quick" => asked.quick = true,
+                "--models" => asked.models = words.next().map(PathBuf::from),
+                "--results" | "--threads" | "--jobs" => drop(words.next()),
+                option if option.starts_with('-') => {
+                    if let Some(models) = option.strip_prefix("--models=") {
+                        asked.models = Some(models.into());
+                    }
+                }
+                setting if setting.contains('=') => asked.overrides.push(word),
+                path => asked.spec = path.into(),
+            }
+        }
+        (!asked.spec.as_os_str().is_empty()).then_some(asked)
+    }
+
+    fn words(&self) -> String {
+        let (spec, models) =
+            (self.spec.to_string_lossy(), self.models.as_ref().map(|path| path.to_string_lossy()));
+        let quick = self.quick.then_some("--quick");
+        let models = models.iter().flat_map(|models| ["--models", models]);
+        quoted(
+            [&*spec].into_iter().chain(self.overrides.iter().map(String::as_str)).chain(quick).chain(models),
+        )
+    }
+
+    fn made(&self) -> Made {
+        let has_models = self.models.as_ref().is_none_or(|models| models.is_dir());
+        match spec::load(&self.spec, &self.overrides, self.quick) {
+            Ok(experiment) if has_models => {
+                let specs = experiment.runs().iter().map(RunSpec::hash).collect();
+                Made { experiment: experiment.name, specs }
+            }
+            _ => Made::default(),
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! The files behind the `episodes` table.
+
+use super::folders::{Recorded, folders};
+use super::record::RunRecord;
+use super::{Registry, RegistryError, Status};
+use crate::dataset::inspect;
+use crate::files::FolderLock;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+impl Registry {
+    /// The file of every episode of every dataset. Datasets that are not what their folder's name says (as a copy), or in
+    /// the format of another version, are left out.
+    ///
+    /// # Errors
+    /// When an episode is damaged, or one is missing that its dataset's description or one of `runs` speaks of, unless
+    /// the dataset is being collected.
+    pub(super) fn episode_files(&self, runs: &[Recorded]) -> Result<Vec<PathBuf>, RegistryError> {
+        let mut used = episodes_used(runs.iter().map(|(_, record)| record));
+        let mut files = Vec::new();
+        for folder in folders(&self.datasets()) {
+            let name = folder.file_name().unwrap_or_default().to_string_lossy();
+            files.extend(self.episodes_in(&folder, used.remove(&*name).unwrap_or_default())?);
+        }
+        for name in used.keys() {
+            let folder = self.datasets().join(name);
+            self.leave_out(&folder, format!("a dataset that finished runs used is not there: {name}"));
+        }
+        Ok(files)
+    }
+
+    /// The episodes in a dataset's folder, at least `used` of them.
+    fn episodes_in(&self, folder: &Path, used: u32) -> Result<Vec<PathBuf>, RegistryError> {
+        let found = inspect(folder, &|| ());
+        if found.outdated {
+            let problem = "it is in the format of another version, which this one does not read";
+            self.leave_out(folder, format!("{} is left out: {problem}", folder.display()));
+            return Ok(Vec::new());
+        }
+        if let Some(problem) = found.undescribed {
+            // A folder that only holds a lock is that of a collection which has not begun.
+            if !found.whole.is_empty() || !found.damaged.is_empty() {
+                self.leave_out(folder, format!("{} is left out: dataset.json: {problem}", folder.display()));
+            }
+            return Ok(Vec::new());
+        }
+        if let Some((path, reason)) = found.damaged.into_iter().next() {
+            return Err(RegistryError::File { path, reason });
+        }
+        let episodes = found.promised.max(used);
+        let missing = (0..episodes).filter(|index| !found.whole.contains_key(index)).count();
+        match FolderLock::holder(folder) {
+            _ if missing == 0 => {}
+            Some(holder) => self.leave_out(
+                folder,
+                format!(
+                    "{missing} of the {episodes} episodes of {} are not there yet; {holder} collects them",
+                    folder.display()
+                ),
+            ),
+            None => return Err(RegistryError::Incomplete { path: folder.to_owned(), missing, episodes }),
+        }
+        Ok(found.whole.into_values().collect())
+    }
+}
+
+/// How many episodes of each simulated dataset finished runs used; those of published runs aside, whose datasets stay
+/// behind.
+pub(super) fn episodes_used<'a>(records: impl Iterator<Item = &'a RunRecord>) -> BTreeMap<&'a str, u32> {
+    let mut used = BTreeMap::new();
+    for record in records.filter(|record| record.status == Status::Done && !record.is_published()) {
+        let most = used.entry(record.dataset.as_str()).or_default();
+        *most = record.episodes().max(*most);
+    }
+    used
+}

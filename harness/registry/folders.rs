@@ -1,0 +1,106 @@
+//! The folders of runs: whose records count, and what is left out because it is damaged or lies in the wrong place.
+
+use super::record::RunRecord;
+use super::{RECORD, Registry, RegistryError, Status};
+use crate::files::FolderLock;
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+use std::sync::PoisonError;
+
+/// A run's folder and its record.
+pub(super) type Recorded = (PathBuf, RunRecord);
+
+impl Registry {
+    /// Every run's record, by experiment and id. Those that can't be read, or lie in the folder of another run, are left
+    /// out, see [`Registry::left_out`].
+    pub fn records(&self) -> Vec<RunRecord> {
+        self.recorded().into_iter().map(|(_, record)| record).collect()
+    }
+
+    /// Every run's folder and record, likewise.
+    pub(super) fn recorded(&self) -> Vec<Recorded> {
+        self.read(self.run_folders())
+    }
+
+    /// The same for the runs of one experiment.
+    pub(super) fn recorded_of(&self, experiment: &str) -> Vec<Recorded> {
+        self.read(folders(&self.runs().join(experiment)))
+    }
+
+    /// What was left out of all that was read so far, and why: a sentence for each run or dataset.
+    pub fn left_out(&self) -> Vec<String> {
+        let left_out = self.left_out.lock().unwrap_or_else(PoisonError::into_inner);
+        left_out.values().cloned().collect()
+    }
+
+    /// Remembers that something is left out, and why.
+    pub(super) fn leave_out(&self, path: &Path, why: String) {
+        let mut left_out = self.left_out.lock().unwrap_or_else(PoisonError::into_inner);
+        left_out.insert(path.to_owned(), why);
+    }
+
+    /// The folders of all runs, sorted; among them those of records that lie where an experiment's folder should.
+    pub(super) fn run_folders(&self) -> Vec<PathBuf> {
+        let experiments = folders(&self.runs());
+        let (misplaced, experiments): (Vec<PathBuf>, Vec<PathBuf>) =
+            experiments.into_iter().partition(|folder| folder.join(RECORD).is_file());
+        misplaced.into_iter().chain(experiments.iter().flat_map(|experiment| folders(experiment))).collect()
+    }
+
+    fn read(&self, folders: Vec<PathBuf>) -> Vec<Recorded> {
+        let read = folders.into_par_iter().map(|folder| (self.read_run(&folder), folder));
+        let read: Vec<_> = read.collect();
+        let kept = read.into_iter().filter_map(|(record, folder)| match record {
+            Ok(record) => Some((folder, record?)),
+            Err(error) => {
+                self.leave_out(&folder, format!("a run is left out: {error}"));
+                None
+            }
+        });
+        kept.collect()
+    }
+
+    /// The record of a folder, which must be that of the run whose folder it is; `None` where none has begun.
+    pub(super) fn read_run(&self, folder: &Path) -> Result<Option<RunRecord>, RegistryError> {
+        let path = folder.join(RECORD);
+        let Some(mut record) = RunRecord::read(&path)? else {
+            return match holds_results(folder) {
+                true => Err(RegistryError::Record { path, reason: "there is no such file".into() }),
+                false => Ok(None),
+            };
+        };
+        if self.own_folder(&record) != folder {
+            return Err(RegistryError::Misplaced { path, of: record.name() });
+        }
+        if record.status == Status::Running && FolderLock::holder(folder).is_none() {
+            record.status = Status::Interrupted;
+        }
+        Ok(Some(record))
+    }
+
+    /// Where a run belongs.
+    pub(super) fn own_folder(&self, record: &RunRecord) -> PathBuf {
+        self.runs().join(&record.experiment).join(&record.run)
+    }
+}
+
+/// Whether a folder holds what runs write after their record, or folders.
+fn holds_results(folder: &Path) -> bool {
+    let is_result = |path: &PathBuf| {
+        path.is_dir() || path.extension().is_some_and(|ending| ending == "parquet" || ending == "safetensors")
+    };
+    sorted(folder).iter().any(is_result)
+}
+
+/// What lies in a folder.
+pub(super) fn sorted(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
+    paths.sort();
+    paths
+}
+
+/// The folders that lie in a folder.
+pub(super) fn folders(folder: &Path) -> Vec<PathBuf> {
+    sorted(folder).into_iter().filter(|path| path.is_dir()).collect()
+}

@@ -1,0 +1,35 @@
+//! Overrides of an experiment, cut down to one of its runs.
+
+use super::cells::{RunSpec, name};
+use std::collections::BTreeMap;
+
+impl RunSpec {
+    /// What an override (`KEY=VALUE`) of the experiment comes to for this run alone: of `seeds=[0,1,2]` it is `seeds=[1]`
+    /// for a run of seed 1. Any other text stays as it is.
+    pub fn own_override(&self, text: &str) -> String {
+        let Some((key, value)) = text.split_once('=') else { return text.to_owned() };
+        match key.trim() {
+            "seeds" => format!("seeds=[{}]", self.seed),
+            "latent" => format!("latent=[{}]", self.latent),
+            "scenarios" => format!("scenarios=[{}]", self.scenario),
+            "vary" => self.own_variant(value).unwrap_or_else(|| text.to_owned()),
+            _ => text.to_owned(),
+        }
+    }
+
+    /// The override of `vary` by the one combination of settings that this run has.
+    fn own_variant(&self, varied: &str) -> Option<String> {
+        let mut varied: BTreeMap<String, Vec<serde_json::Value>> = serde_yaml::from_str(varied).ok()?;
+        for (key, values) in &mut varied {
+            let is_own = |value: &serde_json::Value| {
+                let setting = name(&[(key, value)]);
+                self.variant.split(',').any(|own| own == setting)
+            };
+            values.retain(is_own);
+            if values.is_empty() {
+                return None;
+            }
+        }
+        Some(format!("vary={}", serde_json::to_string(&varied).ok()?))
+    }
+}
