@@ -170,13 +170,22 @@ const FAILED: u8 = 1;
 /// The spec or the arguments are wrong; nothing was done.
 const USAGE: u8 = 2;
 
-/// Makes a process the program's own: its allocator gives nothing back.
+/// Makes a process the program's own: its allocator gives nothing back, and a standard stream that was closed leads
+/// nowhere, since the next file to be opened would take its place and receive what is printed.
 pub fn prepare_process() {
     /// `mi_option_purge_delay` of mimalloc.h (versions 2 and 3), to which the bindings give no name.
     const PURGE_DELAY: libmimalloc_sys::mi_option_t = 15;
     const NEVER: std::ffi::c_long = -1;
     // SAFETY: the option is a number that may be set at any time.
     unsafe { libmimalloc_sys::mi_option_set(PURGE_DELAY, NEVER) };
+    for stream in 0..=2 {
+        // SAFETY: asks whether the descriptor is open; the lowest that is not is what `open` returns.
+        unsafe {
+            if libc::fcntl(stream, libc::F_GETFD) == -1 {
+                libc::open(c"/dev/null".as_ptr(), libc::O_RDWR);
+            }
+        }
+    }
 }
 
 /// Runs the command that `arguments` give, the first of which is the program's name, and reports its error, once.

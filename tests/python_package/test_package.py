@@ -305,6 +305,18 @@ def test_the_command_is_the_program(tmp_path: Path) -> None:
     assert answer("query", "select nothing from runs").returncode == 2
 
 
+def test_closed_outputs_of_the_command_lead_nowhere(results: Path) -> None:
+    """The next file to be opened would take their place, and what is printed would go into it."""
+    check = (
+        "import os; from harness import _harness\n"
+        f"code = _harness.main(['harness', '--results', {str(results)!r}, 'ls'])\n"
+        "nowhere = all(os.readlink(f'/proc/self/fd/{stream}') == '/dev/null' for stream in (1, 2))\n"
+        "os._exit(code if nowhere else 3)\n"
+    )
+    closed = ["sh", "-c", 'exec "$@" >&- 2>&-', "sh", sys.executable, "-c", check]
+    assert subprocess.run(closed).returncode == 0
+
+
 def test_the_stubs_are_those_of_the_extension(tmp_path: Path) -> None:
     check = [sys.executable, "-m", "mypy.stubtest", "harness._harness", "--mypy-config-file", ROOT / "pyproject.toml"]
     ended = subprocess.run(check, cwd=tmp_path, capture_output=True, text=True)
