@@ -56,7 +56,7 @@ pub enum ExperimentError {
     Memory { dataset: String, needed: u64, available: u64 },
     #[error(
         "the network takes up to {:.1} GB of memory to train and only {:.1} GB are free; free some, or lower \
-         network.hidden, network.channels, training.batch_size or --jobs",
+         network.hidden, network.channels or training.batch_size",
         *needed as f64 / 1e9, *available as f64 / 1e9
     )]
     NetworkMemory { needed: u64, available: u64 },

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// Time between two looks at whether another process has let go of a run.
+/// Time between two looks at whether another process has let go of a run, or another job of its memory.
 const PATIENCE: Duration = Duration::from_millis(500);
 
 /// What became of an experiment's runs.
@@ -197,17 +197,26 @@ impl Shift<'_> {
         Trainee { spec: &planned.spec, folder: &planned.folder, material: &material, progress }.run()
     }
 
-    /// Makes sure that there is memory to train a run beside the other jobs: where there is none, the system would end the
-    /// process, and all runs with it.
+    /// Makes sure that there is memory to train a run, once there is enough beside the other jobs' trainings: where there
+    /// is none, the system would end the process, and all runs with it.
     fn promise(&self, spec: &RunSpec, material: &Material) -> Result<Promise<'_>, ExperimentError> {
         let needed = training_bytes(spec)?;
-        let mut promised = self.promised.lock().unwrap_or_else(PoisonError::into_inner);
-        let available = memory::within_reach().saturating_sub(material.bytes).saturating_sub(*promised);
-        if needed > available {
-            return Err(ExperimentError::NetworkMemory { needed, available });
+        loop {
+            let mut promised = self.promised.lock().unwrap_or_else(PoisonError::into_inner);
+            let available = memory::within_reach().saturating_sub(material.bytes).saturating_sub(*promised);
+            if needed <= available {
+                *promised += needed;
+                return Ok(Promise { promised: &self.promised, bytes: needed });
+            }
+            if *promised == 0 {
+                return Err(ExperimentError::NetworkMemory { needed, available });
+            }
+            drop(promised);
+            if self.laboratory.progress.cancelled() {
+                return Err(ExperimentError::Cancelled);
+            }
+            std::thread::sleep(PATIENCE);
         }
-        *promised += needed;
-        Ok(Promise { promised: &self.promised, bytes: needed })
     }
 
     /// What the runs share; the jobs that come while it is made wait.
