@@ -560,6 +560,18 @@ fn a_network_larger_than_memory_fails_its_run_and_the_others_go_on() {
     );
 }
 
+/// Each takes up to 1.6 GB, and of the 4.2 GB that the process may have, the program itself takes 1.8.
+#[test]
+fn trainings_that_have_no_room_side_by_side_wait_for_each_other() {
+    let results = Results::new();
+    let mut command = std::process::Command::new("sh");
+    command.args(["-c", "ulimit -v 4100000; exec \"$@\"", "sh", env!("CARGO_BIN_EXE_harness"), "--results"]);
+    let two = ["network.hidden=2048", "seeds=[0,1]", "training.epochs=1", "--jobs", "2"];
+    command.arg(results.path()).args(["run", SMOKE, "scenarios=empty"]).args(two);
+    let answer = end(start_command(command.stdout(Stdio::piped()).stderr(Stdio::piped())));
+    assert_eq!((answer.code, counts(&answer)), (0, [2, 0, 0]), "{}", answer.stderr);
+}
+
 #[test]
 fn a_run_whose_folder_cannot_be_written_fails_and_the_others_go_on() {
     let results = Results::new();
