@@ -136,6 +136,50 @@ fn a_dry_run_says_what_would_be_done_and_why_and_does_nothing() {
     assert!(!nowhere.exists());
 }
 
+/// The smoke run's layers, worked by hand: 4 x 4 kernels from 3 to 4 channels and back, 16 hidden units, 20 joints and 20
+/// links, a latent state of 4, an action of 3.
+const LAYERS: [(&str, &str, usize); 11] = [
+    ("encoder.conv", "4 x 32 x 32", 4 * 3 * 16 + 4),
+    ("encoder.hidden", "16", 16 * (4 * 32 * 32 + 20) + 16),
+    ("encoder.posterior", "8", 8 * 16 + 8),
+    ("decoder.hidden", "16", 16 * (4 + 3) + 16),
+    ("decoder.vector", "40", 40 * 16 + 40),
+    ("decoder.frame", "4096", 4096 * 16 + 4096),
+    ("decoder.conv", "3 x 64 x 64", 3 * 4 * 16 + 3),
+    ("reconstruction.hidden", "16", 16 * 4 + 16),
+    ("reconstruction.vector", "20", 20 * 16 + 20),
+    ("reconstruction.frame", "4096", 4096 * 16 + 4096),
+    ("reconstruction.conv", "3 x 64 x 64", 3 * 4 * 16 + 3),
+];
+
+#[test]
+fn every_layer_is_printed_with_its_shape_and_its_parameters() {
+    let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let sum = |part: &str| -> usize {
+        LAYERS.iter().filter(|(name, ..)| name.starts_with(part)).map(|(.., parameters)| parameters).sum()
+    };
+    let mut expected: Vec<String> =
+        LAYERS.iter().map(|(name, output, parameters)| format!("{name} {output} {parameters}")).collect();
+    let trained = sum("encoder.") + sum("decoder.");
+    expected.push(format!("prediction in all {trained}"));
+    expected.push(format!("reconstruction in all {}", sum("reconstruction.")));
+    for printed in [["show", "cluttered"].as_slice(), &["run", SMOKE, "--dry-run"]] {
+        let printed = succeed(&RESULTS, printed);
+        let lines: Vec<String> = printed.lines().map(words).collect();
+        for line in &expected {
+            assert_eq!(lines.iter().filter(|printed| *printed == line).count(), 1, "{line} in {printed}");
+        }
+    }
+    let parameters = succeed(&RESULTS, &["query", "select distinct parameters from runs"]);
+    assert!(words(&parameters).contains(&trained.to_string()), "{parameters}");
+    // A block for each network, with the runs that train it.
+    let plan = succeed(&RESULTS, &["run", SMOKE, "--dry-run", "latent=[4,5]"]);
+    let blocks: Vec<&str> = plan.lines().filter(|line| line.starts_with("the network of ")).collect();
+    assert_eq!(blocks.len(), 2, "{plan}");
+    assert!(blocks[0].contains("empty-z4-seed0-") && blocks[0].ends_with(" and 1 more:"), "{plan}");
+    assert!(blocks[1].contains("empty-z5-seed0-") && blocks[1].ends_with(" and 1 more:"), "{plan}");
+}
+
 #[test]
 fn a_run_gives_the_same_tables_whatever_the_threads() {
     let folder = Folder::new();
@@ -252,7 +296,8 @@ fn a_killed_run_is_listed_as_interrupted_and_planned_again() {
     let begun = || files(&results).iter().any(|path| path.ends_with("run.json"));
     kill_when(spawnable(&results, &long), begun);
     let plan = succeed(&results, &[&long[..], &["--dry-run"]].concat());
-    assert!(plan.starts_with("run ") && plan.trim_end().ends_with("it was interrupted"), "{plan}");
+    let line = plan.lines().next().unwrap();
+    assert!(line.starts_with("run ") && line.ends_with("it was interrupted"), "{plan}");
     assert!(succeed(&results, &["ls"]).contains("interrupted"));
 }
 
@@ -657,7 +702,8 @@ fn without_a_renderer_runs_fail_with_the_reason_and_leave_no_episode() {
         assert!(reason.contains("apt-get install libegl1"), "{reason}");
     }
     let plan = succeed(&results, &["run", SMOKE, "--dry-run"]);
-    assert!(plan.lines().all(|line| line.contains("it failed before: no OpenGL context")), "{plan}");
+    let mut runs = plan.lines().take(2);
+    assert!(runs.all(|line| line.contains("it failed before: no OpenGL context")), "{plan}");
     // With a driver it goes on as if nothing had been.
     assert!(succeed(&results, &["run", SMOKE]).contains("2 done, 0 done before, 0 failed"));
     assert_whole(&results);

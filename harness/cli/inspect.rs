@@ -1,6 +1,7 @@
 //! `harness query`, `ls`, `show` and `schema`.
 
 use super::DONE;
+use super::layers;
 use super::table::{print, shown};
 use anyhow::Result;
 use clap::Args;
@@ -61,6 +62,7 @@ impl Show {
         }
         println!("folder  {}", shown(folder.path()));
         println!("\n{}", record.spec.to_yaml());
+        println!("{}\n", layers::table(&record.spec)?);
         let runs = registry::query(registry, &format!("select * from runs where run = '{}'", record.run))?;
         for column in runs.columns().iter().skip_while(|column| column.name() != "status") {
             let value = column.get(0).map_or(String::new(), |value| value.str_value().into_owned());

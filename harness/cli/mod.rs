@@ -10,6 +10,7 @@ mod doctor;
 mod figures;
 mod inspect;
 mod interrupt;
+mod layers;
 pub mod progress;
 mod publish;
 mod render;
@@ -106,7 +107,7 @@ stands half of the 95 % interval of the mean over seeds (Student's t). LaTeX nee
     Compare(compare::Compare),
     /// List all runs
     Ls,
-    /// Show one run: its spec, provenance, times and metrics
+    /// Show one run: its spec, its networks' layers, provenance, times and metrics
     #[command(after_help = "Example:\n  harness show cluttered-z64-seed0")]
     Show(inspect::Show),
     /// Print the JSON schema of experiment specs, for editors, or the columns of the tables

@@ -2,7 +2,7 @@
 
 use super::progress::Bars;
 use super::table::{print, shown};
-use super::{DONE, FAILED, interrupt, output};
+use super::{DONE, FAILED, interrupt, layers, output};
 use anyhow::Result;
 use clap::Args;
 use harness::dataset::{Dataset, collect};
@@ -38,7 +38,7 @@ impl Spec {
 pub struct Run {
     #[command(flatten)]
     spec: Spec,
-    /// Say for each run whether it will be done, and why, and do nothing
+    /// Say for each run whether it will be done, and why, and print the layers of the networks; do nothing
     #[arg(long)]
     dry_run: bool,
     /// Runs of a scenario to train side by side, each with its share of the threads: faster for small networks
@@ -66,6 +66,7 @@ impl Run {
         let plan = laboratory.plan(&experiment)?;
         if self.dry_run {
             print_plan(&plan);
+            print_networks(&plan)?;
             return Ok(ExitCode::from(DONE));
         }
         registry.check_writable()?;
@@ -137,6 +138,23 @@ fn print_plan(plan: &[Planned]) {
         };
         println!("{verb:<7} {:<36} {reason}", planned.folder.id());
     }
+}
+
+/// The layers of each network that the plan's runs train.
+fn print_networks(plan: &[Planned]) -> Result<()> {
+    let mut networks: Vec<(String, Vec<&str>)> = Vec::new();
+    for planned in plan {
+        let (layers, run) = (layers::table(&planned.spec)?, planned.folder.id());
+        match networks.iter_mut().find(|(others, _)| *others == layers) {
+            Some((_, runs)) => runs.push(run),
+            None => networks.push((layers, vec![run])),
+        }
+    }
+    for (layers, runs) in networks {
+        let others = if runs.len() > 1 { format!(" and {} more", runs.len() - 1) } else { String::new() };
+        println!("\nthe network of {}{others}:\n{layers}", runs[0]);
+    }
+    Ok(())
 }
 
 /// The aggregate metrics of the plan's runs, averaged over seeds, beside the baselines.

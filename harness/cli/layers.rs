@@ -1,0 +1,37 @@
+//! The layers of the networks that runs train, as `harness show` and `harness run --dry-run` print them.
+
+use anyhow::Result;
+use harness::experiment::architecture;
+use harness::learning::network::LayerSummary;
+use harness::spec::{RunSpec, Task};
+
+/// A line for each layer: its name, the shape of what it makes of one sample, and how many parameters it has; and for each
+/// task how many it trains.
+pub fn table(spec: &RunSpec) -> Result<String> {
+    let mut lines = vec![["layer".to_owned(), "output".to_owned(), "parameters".to_owned()]];
+    for &task in &spec.tasks {
+        let summary = architecture(spec, task).summary()?;
+        // A reconstruction's encoder is the prediction's, and isn't trained again.
+        let parts = match task {
+            Task::Prediction => vec![("encoder", summary.encoder), ("decoder", summary.decoder)],
+            Task::Reconstruction => vec![("reconstruction", summary.decoder)],
+        };
+        let layers = || parts.iter().flat_map(|(_, layers)| layers);
+        let parameters: usize = layers().map(|layer| layer.parameters).sum();
+        for (part, layers) in &parts {
+            lines.extend(layers.iter().map(|layer| line(part, layer)));
+        }
+        lines.push([format!("{task} in all"), String::new(), parameters.to_string()]);
+    }
+    let widths =
+        [0, 1, 2].map(|column| lines.iter().map(|line| line[column].len()).max().unwrap_or_default());
+    let shown = lines.iter().map(|[layer, output, parameters]| {
+        format!("{layer:<0$}  {output:<1$}  {parameters:>2$}", widths[0], widths[1], widths[2])
+    });
+    Ok(shown.collect::<Vec<_>>().join("\n"))
+}
+
+fn line(part: &str, layer: &LayerSummary) -> [String; 3] {
+    let shape: Vec<String> = layer.output.iter().map(usize::to_string).collect();
+    [format!("{part}.{}", layer.name), shape.join(" x "), layer.parameters.to_string()]
+}
