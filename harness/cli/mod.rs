@@ -162,7 +162,8 @@ const REPORT_HELP: &str = "Examples:
   harness report --results results/reference
 
 One HTML file that needs no network: open it in a browser, or send it. Runs are those of `harness figures` and \
-`harness claims`; what there are none for is named in the page.";
+`harness claims`; what there are none for is named in the page. What shows the simulated world alone is rendered once, \
+and kept in $XDG_CACHE_HOME/harness (~/.cache/harness) until the program changes.";
 
 /// Everything went well, or was done before.
 const DONE: u8 = 0;
