@@ -186,8 +186,8 @@ fn convolving_spreading_and_the_kernels_gradient_are_one_bilinear_form() {
         let mut sums = KernelSums::new(sizes);
         sizes.add_kernel_gradient(&fine, &coarse, &mut sums);
         let (mut convolved, mut spread) = (sizes.coarse(), sizes.fine());
-        sizes.convolve(&fine, &kernel, &mut convolved);
-        sizes.spread(&coarse, &kernel, &mut spread);
+        sizes.convolve(&fine, &sizes.convolving(&kernel), &mut convolved);
+        sizes.spread(&coarse, &sizes.spreading(&kernel), &mut spread);
         let (convolved, spread) = (values(&convolved, sizes.coarse_len()), values(&spread, sizes.fine_len()));
         let dot = |a: &[f32], b: &[f32]| -> f64 { a.iter().zip(b).map(|(a, b)| f64::from(a * b)).sum() };
         let expected = dot(&convolved, &grad);

@@ -9,6 +9,7 @@
 
 use super::simd;
 use pulp::{Simd, WithSimd};
+use std::sync::Mutex;
 
 /// Images side by side.
 pub const LANES: usize = 16;
@@ -18,10 +19,12 @@ const KERNEL: usize = 4;
 const STRIDE: usize = 2;
 /// Weights of one pair of channels.
 pub const TAPS: usize = KERNEL * KERNEL;
-/// Coarse places of a row that are computed at once.
+/// Coarse places of a row that rows have room for as a group; as many are computed at once at most.
 const PLACES: usize = 4;
-/// Fine columns that the convolution sees from as many coarse places.
-const SEEN: usize = STRIDE * PLACES + 2;
+/// Channels that are computed at once.
+const BLOCK: usize = 4;
+/// Images sets that wait for their next use at most: those of a deep network's training step on some threads.
+const MAX_IDLE: usize = 256;
 
 /// Sizes of a convolution.
 ///
@@ -57,44 +60,98 @@ impl Convolution {
         self.coarse_channels * self.fine_channels * TAPS
     }
 
-    /// Zeros of the fine side.
+    /// Images of the fine side, to be set.
     pub fn fine(&self) -> Images {
         Images::new(self.fine_channels, self.side)
     }
 
-    /// Zeros of the coarse side.
+    /// Images of the coarse side, to be set.
     pub fn coarse(&self) -> Images {
         Images::new(self.coarse_channels, self.coarse_side())
     }
 
     /// `coarse`: the convolution of `fine`, without a bias.
-    pub fn convolve(&self, fine: &Images, kernel: &[f32], coarse: &mut Images) {
-        self.check(fine, kernel.len(), coarse);
-        simd(Convolve { sizes: *self, fine, kernel, coarse });
+    pub fn convolve(&self, fine: &Images, kernel: &Kernel, coarse: &mut Images) {
+        self.check(
+            fine,
+            kernel.0.len(),
+            self.coarse_channels.div_ceil(BLOCK) * self.fine_channels * TAPS,
+            coarse,
+        );
+        simd(Convolve { sizes: *self, fine, kernel: &kernel.0, coarse });
     }
 
     /// `fine`: the transposed convolution of `coarse`, without a bias.
-    pub fn spread(&self, coarse: &Images, kernel: &[f32], fine: &mut Images) {
-        self.check(fine, kernel.len(), coarse);
-        simd(Spread { sizes: *self, coarse, kernel, fine });
+    pub fn spread(&self, coarse: &Images, kernel: &Kernel, fine: &mut Images) {
+        self.check(
+            fine,
+            kernel.0.len(),
+            self.fine_channels.div_ceil(BLOCK) * self.coarse_channels * TAPS,
+            coarse,
+        );
+        simd(Spread { sizes: *self, coarse, kernel: &kernel.0, fine });
+    }
+
+    /// The weights `[coarse, fine, 4, 4]` as [`Convolution::convolve`] reads them.
+    pub fn convolving(&self, weights: &[f32]) -> Kernel {
+        let weight = |coarse: usize, fine: usize, tap: usize| {
+            weights[(coarse * self.fine_channels + fine) * TAPS + tap]
+        };
+        let mut packed = Vec::with_capacity(self.kernel_len());
+        for first in (0..self.coarse_channels).step_by(BLOCK) {
+            for (fine, tap) in (0..self.fine_channels).flat_map(|fine| (0..TAPS).map(move |tap| (fine, tap)))
+            {
+                packed.push(block(first, self.coarse_channels, |coarse| weight(coarse, fine, tap)));
+            }
+        }
+        Kernel(packed)
+    }
+
+    /// The weights `[coarse, fine, 4, 4]` as [`Convolution::spread`] reads them.
+    pub fn spreading(&self, weights: &[f32]) -> Kernel {
+        let weight = |coarse: usize, fine: usize, tap: usize| {
+            weights[(coarse * self.fine_channels + fine) * TAPS + tap]
+        };
+        let mut packed = Vec::with_capacity(self.kernel_len());
+        for first in (0..self.fine_channels).step_by(BLOCK) {
+            for (rows, columns) in PARITIES.map(|(row, column)| (REACHED_BY[row], REACHED_BY[column])) {
+                for coarse in 0..self.coarse_channels {
+                    for (row, _) in rows {
+                        for (column, _) in columns {
+                            let tap = row * KERNEL + column;
+                            packed.push(block(first, self.fine_channels, |fine| weight(coarse, fine, tap)));
+                        }
+                    }
+                }
+            }
+        }
+        Kernel(packed)
     }
 
     /// Adds to `sums` what `fine` and the gradient `coarse` of its convolution give for the kernel's gradient.
     pub fn add_kernel_gradient(&self, fine: &Images, coarse: &Images, sums: &mut KernelSums) {
-        self.check(fine, sums.0.len(), coarse);
+        self.check(fine, sums.0.len(), self.kernel_len(), coarse);
         simd(AddKernelGradient { sizes: *self, fine, coarse, sums: &mut sums.0 });
     }
 
-    fn check(&self, fine: &Images, kernel_len: usize, coarse: &Images) {
+    fn check(&self, fine: &Images, kernel_len: usize, expected: usize, coarse: &Images) {
         assert_eq!((fine.channels, fine.side), (self.fine_channels, self.side), "the fine images");
         assert_eq!(
             (coarse.channels, coarse.side),
             (self.coarse_channels, self.coarse_side()),
             "the coarse images"
         );
-        assert_eq!(kernel_len, self.kernel_len(), "the kernel");
+        assert_eq!(kernel_len, expected, "the kernel");
     }
 }
+
+/// What `of` gives for each channel of the block that begins with channel `first`; 0 past the last channel.
+fn block(first: usize, channels: usize, of: impl Fn(usize) -> f32) -> [f32; BLOCK] {
+    std::array::from_fn(|index| if first + index < channels { of(first + index) } else { 0.0 })
+}
+
+/// A convolution's weights, block by block of the channels that are computed at once.
+pub struct Kernel(Vec<[f32; BLOCK]>);
 
 /// Sixteen images `[channel, row, column, image]` with a border of zeros.
 pub struct Images {
@@ -105,11 +162,31 @@ pub struct Images {
     columns: usize,
 }
 
+/// Images that wait for their next use, by channels and side. Their borders are zero. Fresh memory would be cleared by
+/// the allocator or the system first.
+static IDLE: Mutex<Vec<((usize, usize), Vec<[f32; LANES]>)>> = Mutex::new(Vec::new());
+
+impl Drop for Images {
+    fn drop(&mut self) {
+        let mut idle = IDLE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        if idle.len() == MAX_IDLE {
+            idle.remove(0);
+        }
+        idle.push(((self.channels, self.side), std::mem::take(&mut self.values)));
+    }
+}
+
 impl Images {
-    /// Zeros.
+    /// Images whose values the caller sets before it reads any.
     pub fn new(channels: usize, side: usize) -> Self {
         let columns = side.next_multiple_of(STRIDE * PLACES) + 2;
-        Self { values: vec![[0.0; LANES]; channels * (side + 2) * columns], channels, side, columns }
+        let mut idle = IDLE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let found = idle.iter().rposition(|(sizes, _)| *sizes == (channels, side));
+        let values = match found {
+            Some(index) => idle.swap_remove(index).1,
+            None => vec![[0.0; LANES]; channels * (side + 2) * columns],
+        };
+        Self { values, channels, side, columns }
     }
 
     /// Values of one image.
@@ -237,14 +314,11 @@ impl Images {
         (channel * (self.side + 2) + row) * self.columns
     }
 
-    /// `N` places from column `first` on, each as its first vector and those that follow.
+    /// A row from `column` on, borders counted.
     #[inline(always)]
-    fn places<const N: usize>(&self, channel: usize, row: usize, first: usize) -> &[[f32; LANES]; N] {
-        let start = self.at(channel, row) + first;
-        match self.values[start..].first_chunk() {
-            Some(places) => places,
-            None => unreachable!("rows have room for whole groups of places"),
-        }
+    fn row(&self, channel: usize, row: usize, column: usize) -> &[[f32; LANES]] {
+        let start = self.at(channel, row);
+        &self.values[start + column..start + self.columns]
     }
 }
 
@@ -263,11 +337,6 @@ impl KernelSums {
     }
 }
 
-/// Channels that are computed at once: what the registers hold beside their inputs.
-const fn block_of(vector_len: usize) -> usize {
-    if vector_len == LANES { 4 } else { 2 }
-}
-
 /// Vector `part` of a place.
 ///
 /// Here and below, SIMD values stay out of closures that the standard library calls: those are compiled for the
@@ -282,27 +351,19 @@ fn vector_mut<S: Simd>(place: &mut [f32; LANES], part: usize) -> &mut S::f32s {
     &mut S::as_mut_simd_f32s(place).0[part]
 }
 
-/// One row of the kernels of a block of channels. Channels past the last repeat it.
+/// The first `N` places of a row.
 #[inline(always)]
-fn weights<const BLOCK: usize>(
-    kernel: &[f32],
-    first: usize,
-    stride: usize,
-    channels: usize,
-) -> [&[f32; KERNEL]; BLOCK] {
-    let mut rows = [&[0.0; KERNEL]; BLOCK];
-    for channel in 0..BLOCK {
-        if let Some(row) = kernel[first + channel.min(channels - 1) * stride..].first_chunk() {
-            rows[channel] = row;
-        }
+fn places<const N: usize>(row: &[[f32; LANES]]) -> &[[f32; LANES]; N] {
+    match row.first_chunk() {
+        Some(places) => places,
+        None => unreachable!("rows have room for whole groups of places"),
     }
-    rows
 }
 
 struct Convolve<'a> {
     sizes: Convolution,
     fine: &'a Images,
-    kernel: &'a [f32],
+    kernel: &'a [[f32; BLOCK]],
     coarse: &'a mut Images,
 }
 
@@ -311,42 +372,42 @@ impl WithSimd for Convolve<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        if block_of(S::F32_LANES) == 4 { self.run::<S, 4>(simd) } else { self.run::<S, 2>(simd) }
+        // As many places as the registers hold the sums of, and the columns that those see.
+        if S::F32_LANES == LANES { self.run::<S, 4, 10>(simd) } else { self.run::<S, 2, 6>(simd) }
     }
 }
 
 impl Convolve<'_> {
     #[inline(always)]
-    fn run<S: Simd, const BLOCK: usize>(self, simd: S) {
+    fn run<S: Simd, const N: usize, const SEEN: usize>(self, simd: S) {
         let Self { sizes, fine, kernel, coarse } = self;
-        let (side, taps) = (sizes.coarse_side(), sizes.fine_channels * TAPS);
+        let side = sizes.coarse_side();
+        let blocks = kernel.chunks_exact(sizes.fine_channels * TAPS);
         for row in 0..side {
-            for place in (0..side).step_by(PLACES) {
-                for first_channel in (0..sizes.coarse_channels).step_by(BLOCK) {
-                    let channels = (sizes.coarse_channels - first_channel).min(BLOCK);
+            for place in (0..side).step_by(N) {
+                for (block, kernel) in blocks.clone().enumerate() {
                     for part in 0..LANES / S::F32_LANES {
-                        let mut sums = [[simd.splat_f32s(0.0); PLACES]; BLOCK];
-                        for fine_channel in 0..sizes.fine_channels {
-                            for tap_row in 0..KERNEL {
-                                let seen: &[_; SEEN] =
-                                    fine.places(fine_channel, STRIDE * row + tap_row, STRIDE * place);
-                                let first = first_channel * taps + (fine_channel * KERNEL + tap_row) * KERNEL;
-                                let weights = weights::<BLOCK>(kernel, first, taps, channels);
-                                for tap in 0..KERNEL {
-                                    for channel in 0..BLOCK {
-                                        let weight = simd.splat_f32s(weights[channel][tap]);
-                                        for place in 0..PLACES {
-                                            let seen = vector::<S>(&seen[STRIDE * place + tap], part);
-                                            sums[channel][place] =
-                                                simd.mul_add_f32s(weight, seen, sums[channel][place]);
-                                        }
+                        let mut sums = [[simd.splat_f32s(0.0); N]; BLOCK];
+                        // One row of the kernels of a fine channel after the other.
+                        for (index, weights) in kernel.as_chunks::<KERNEL>().0.iter().enumerate() {
+                            let (fine_channel, tap_row) = (index / KERNEL, index % KERNEL);
+                            let seen: &[_; SEEN] =
+                                places(fine.row(fine_channel, STRIDE * row + tap_row, STRIDE * place));
+                            for tap in 0..KERNEL {
+                                for channel in 0..BLOCK {
+                                    let weight = simd.splat_f32s(weights[tap][channel]);
+                                    for place in 0..N {
+                                        let seen = vector::<S>(&seen[STRIDE * place + tap], part);
+                                        sums[channel][place] =
+                                            simd.mul_add_f32s(weight, seen, sums[channel][place]);
                                     }
                                 }
                             }
                         }
-                        for channel in 0..channels {
+                        let first_channel = block * BLOCK;
+                        for channel in 0..BLOCK.min(sizes.coarse_channels - first_channel) {
                             let at = coarse.at(first_channel + channel, row + 1) + 1 + place;
-                            for place in 0..PLACES.min(side - place) {
+                            for place in 0..N.min(side - place) {
                                 *vector_mut::<S>(&mut coarse.values[at + place], part) = sums[channel][place];
                             }
                         }
@@ -362,10 +423,13 @@ impl Convolve<'_> {
 /// the coarse index's offset plus one, which counts the border.
 const REACHED_BY: [[(usize, usize); 2]; 2] = [[(1, 1), (3, 0)], [(0, 2), (2, 1)]];
 
+/// Parities of a fine row and a fine column.
+const PARITIES: [(usize, usize); 4] = [(0, 0), (0, 1), (1, 0), (1, 1)];
+
 struct Spread<'a> {
     sizes: Convolution,
     coarse: &'a Images,
-    kernel: &'a [f32],
+    kernel: &'a [[f32; BLOCK]],
     fine: &'a mut Images,
 }
 
@@ -374,63 +438,69 @@ impl WithSimd for Spread<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        if block_of(S::F32_LANES) == 4 { self.run::<S, 4>(simd) } else { self.run::<S, 2>(simd) }
+        // As many places as the registers hold the sums of, and the columns that those see.
+        if S::F32_LANES == LANES { self.run::<S, 4, 6>(simd) } else { self.run::<S, 2, 4>(simd) }
     }
 }
 
 impl Spread<'_> {
     #[inline(always)]
-    fn run<S: Simd, const BLOCK: usize>(mut self, simd: S) {
+    fn run<S: Simd, const N: usize, const SEEN: usize>(mut self, simd: S) {
         let side = self.sizes.coarse_side();
+        let blocks = self.kernel.chunks_exact(self.sizes.coarse_channels * TAPS);
         for row in 0..side {
-            for place in (0..side).step_by(PLACES) {
-                for first_channel in (0..self.sizes.fine_channels).step_by(BLOCK) {
-                    for part in 0..LANES / S::F32_LANES {
-                        // Constant parities keep the sums in registers.
-                        self.parity::<S, BLOCK, 0, 0>(simd, [row, place, first_channel, part]);
-                        self.parity::<S, BLOCK, 0, 1>(simd, [row, place, first_channel, part]);
-                        self.parity::<S, BLOCK, 1, 0>(simd, [row, place, first_channel, part]);
-                        self.parity::<S, BLOCK, 1, 1>(simd, [row, place, first_channel, part]);
-                    }
+            for place in (0..side).step_by(N) {
+                for (block, kernel) in blocks.clone().enumerate() {
+                    let (parities, _) = kernel.as_chunks::<KERNEL>();
+                    let mut parities = parities.chunks_exact(self.sizes.coarse_channels);
+                    // Constant parities keep the sums in registers.
+                    let mut next = || parities.next().unwrap_or_default();
+                    let at = [row, place, block * BLOCK];
+                    self.parity::<S, N, SEEN, 0, 0>(simd, next(), at);
+                    self.parity::<S, N, SEEN, 0, 1>(simd, next(), at);
+                    self.parity::<S, N, SEEN, 1, 0>(simd, next(), at);
+                    self.parity::<S, N, SEEN, 1, 1>(simd, next(), at);
                 }
             }
         }
     }
 
-    /// The fine rows of parity `ODD_ROW` and columns of parity `ODD_COLUMN` that a group of coarse places is the first
-    /// to reach.
+    /// The fine rows of parity `ODD_ROW` and columns of parity `ODD_COLUMN` that lie beside a group of coarse places.
     #[inline(always)]
-    fn parity<S: Simd, const BLOCK: usize, const ODD_ROW: usize, const ODD_COLUMN: usize>(
+    fn parity<S: Simd, const N: usize, const SEEN: usize, const ODD_ROW: usize, const ODD_COLUMN: usize>(
         &mut self,
         simd: S,
-        [row, place, first_channel, part]: [usize; 4],
+        kernel: &[[[f32; BLOCK]; KERNEL]],
+        [row, place, first_channel]: [usize; 3],
     ) {
-        let Self { sizes, coarse, kernel, fine } = self;
-        let channels = (sizes.fine_channels - first_channel).min(BLOCK);
-        let mut sums = [[simd.splat_f32s(0.0); PLACES]; BLOCK];
-        for coarse_channel in 0..sizes.coarse_channels {
-            for (tap_row, row_offset) in REACHED_BY[ODD_ROW] {
-                let seen: &[_; PLACES + 2] = coarse.places(coarse_channel, row + row_offset, place);
-                let first = (coarse_channel * sizes.fine_channels + first_channel) * TAPS + tap_row * KERNEL;
-                let weights = weights::<BLOCK>(kernel, first, TAPS, channels);
-                for (tap, column_offset) in REACHED_BY[ODD_COLUMN] {
-                    for channel in 0..BLOCK {
-                        let weight = simd.splat_f32s(weights[channel][tap]);
-                        for place in 0..PLACES {
-                            let seen = vector::<S>(&seen[place + column_offset], part);
-                            sums[channel][place] = simd.mul_add_f32s(weight, seen, sums[channel][place]);
+        let Self { sizes, coarse, fine, .. } = self;
+        let [(_, first_row), (_, second_row)] = REACHED_BY[ODD_ROW];
+        for part in 0..LANES / S::F32_LANES {
+            let mut sums = [[simd.splat_f32s(0.0); N]; BLOCK];
+            for (coarse_channel, weights) in kernel.iter().enumerate() {
+                let rows: [&[_; SEEN]; 2] = [
+                    places(coarse.row(coarse_channel, row + first_row, place)),
+                    places(coarse.row(coarse_channel, row + second_row, place)),
+                ];
+                for tap_row in 0..2 {
+                    for tap_column in 0..2 {
+                        let (_, offset) = REACHED_BY[ODD_COLUMN][tap_column];
+                        for channel in 0..BLOCK {
+                            let weight = simd.splat_f32s(weights[2 * tap_row + tap_column][channel]);
+                            for place in 0..N {
+                                let seen = vector::<S>(&rows[tap_row][place + offset], part);
+                                sums[channel][place] = simd.mul_add_f32s(weight, seen, sums[channel][place]);
+                            }
                         }
                     }
                 }
             }
-        }
-        for channel in 0..channels {
-            let at = fine.at(first_channel + channel, STRIDE * row + ODD_ROW + 1)
-                + STRIDE * place
-                + ODD_COLUMN
-                + 1;
-            for index in 0..PLACES.min(coarse.side - place) {
-                *vector_mut::<S>(&mut fine.values[at + STRIDE * index], part) = sums[channel][index];
+            for channel in 0..BLOCK.min(sizes.fine_channels - first_channel) {
+                let start = fine.at(first_channel + channel, STRIDE * row + ODD_ROW + 1);
+                let at = start + STRIDE * place + ODD_COLUMN + 1;
+                for index in 0..N.min(coarse.side - place) {
+                    *vector_mut::<S>(&mut fine.values[at + STRIDE * index], part) = sums[channel][index];
+                }
             }
         }
     }
@@ -448,13 +518,14 @@ impl WithSimd for AddKernelGradient<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        if block_of(S::F32_LANES) == 4 { self.run::<S, 4>(simd) } else { self.run::<S, 2>(simd) }
+        // As many places as the registers hold the sums of, and the columns that those see.
+        if S::F32_LANES == LANES { self.run::<S, 4, 10>(simd) } else { self.run::<S, 2, 6>(simd) }
     }
 }
 
 impl AddKernelGradient<'_> {
     #[inline(always)]
-    fn run<S: Simd, const BLOCK: usize>(self, simd: S) {
+    fn run<S: Simd, const N: usize, const SEEN: usize>(self, simd: S) {
         let Self { sizes, fine, coarse, sums } = self;
         let side = sizes.coarse_side();
         for first_channel in (0..sizes.coarse_channels).step_by(BLOCK) {
@@ -464,15 +535,21 @@ impl AddKernelGradient<'_> {
                     for part in 0..LANES / S::F32_LANES {
                         let mut block = [[simd.splat_f32s(0.0); KERNEL]; BLOCK];
                         for row in 0..side {
-                            for place in (0..side).step_by(PLACES) {
-                                let seen: &[_; SEEN] =
-                                    fine.places(fine_channel, STRIDE * row + tap_row, STRIDE * place);
+                            let seen = fine.row(fine_channel, STRIDE * row + tap_row, 0);
+                            // Channels past the last repeat it, and are not added. Places past the last are zero.
+                            let grad = |channel: usize| {
+                                let channel = first_channel + channel.min(channels - 1);
+                                coarse.row(channel, row + 1, 1).chunks_exact(N)
+                            };
+                            let grads = grad(0).zip(grad(1)).zip(grad(2).zip(grad(3)));
+                            let places_seen = seen.windows(SEEN).step_by(STRIDE * N);
+                            for (seen, ((grad_0, grad_1), (grad_2, grad_3))) in places_seen.zip(grads) {
+                                let seen: &[_; SEEN] = places(seen);
+                                let grads: [&[_; N]; BLOCK] =
+                                    [places(grad_0), places(grad_1), places(grad_2), places(grad_3)];
                                 for channel in 0..BLOCK {
-                                    let channel_at = first_channel + channel.min(channels - 1);
-                                    // Places past the last are zero.
-                                    let grads: &[_; PLACES] = coarse.places(channel_at, row + 1, place + 1);
-                                    for place in 0..PLACES {
-                                        let grad = vector::<S>(&grads[place], part);
+                                    for place in 0..N {
+                                        let grad = vector::<S>(&grads[channel][place], part);
                                         for tap in 0..KERNEL {
                                             let seen = vector::<S>(&seen[STRIDE * place + tap], part);
                                             block[channel][tap] =

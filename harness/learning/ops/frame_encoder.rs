@@ -87,7 +87,7 @@ impl Workspace {
     fn forward(&mut self, layers: &[Layer]) {
         for (index, layer) in layers.iter().enumerate() {
             let (fine, coarse) = self.levels.split_at_mut(index + 1);
-            layer.sizes.convolve(&fine[index], layer.kernel, &mut coarse[0]);
+            layer.sizes.convolve(&fine[index], &layer.convolving, &mut coarse[0]);
             coarse[0].add_bias(layer.bias, true);
         }
     }
@@ -137,10 +137,10 @@ impl FrameEncoder {
                     gradients[last].mask(&workspace.levels[last]);
                     for index in (0..last).rev() {
                         let (fine, coarse) = gradients.split_at_mut(index + 1);
-                        let Layer { sizes, kernel, .. } = layers[index];
-                        sums.add(index, &sizes, &workspace.levels[index], &coarse[0], &coarse[0]);
+                        let Layer { sizes, spreading, .. } = &layers[index];
+                        sums.add(index, sizes, &workspace.levels[index], &coarse[0], &coarse[0]);
                         if index > 0 {
-                            sizes.spread(&coarse[0], kernel, &mut fine[index]);
+                            sizes.spread(&coarse[0], spreading, &mut fine[index]);
                             fine[index].mask(&workspace.levels[index]);
                         }
                     }

@@ -110,7 +110,7 @@ fn forward(layers: &[Layer], bias: &[f32], coarse: &mut [f32], levels: &mut [Ima
     levels[layers.len()].set(coarse);
     for (index, layer) in layers.iter().enumerate().rev() {
         let (fine, coarse) = levels.split_at_mut(index + 1);
-        layer.sizes.spread(&coarse[0], layer.kernel, &mut fine[index]);
+        layer.sizes.spread(&coarse[0], &layer.spreading, &mut fine[index]);
         fine[index].add_bias(layer.bias, index > 0);
     }
 }
@@ -158,9 +158,14 @@ impl FrameLoss {
 
     /// One part of the batch, from image `first` on. Replaces `coarse`, the fully connected layer's output without bias
     /// and ReLU, by the gradient with regard to it where gradients are wanted.
-    fn part(&self, workspace: &mut Workspace, first: usize, coarse: &mut [f32], packed: &[f32]) -> Part {
+    fn part(
+        &self,
+        workspace: &mut Workspace,
+        first: usize,
+        coarse: &mut [f32],
+        (layers, bias): (&[Layer], &[f32]),
+    ) -> Part {
         let stack = &self.decoder.stack;
-        let (layers, bias) = stack.unpack(Side::Decoder, packed);
         let (len, frame_len) = (stack.coarse_len(), stack.fine_len());
         let scale = 2.0 / (self.target.batch() * frame_len) as f32;
         let mut sums = StackSums::new(stack, Side::Decoder);
@@ -169,7 +174,7 @@ impl FrameLoss {
         let Workspace { frames, target, levels, gradients } = workspace;
         for (group, coarse) in coarse.chunks_mut(LANES * len).enumerate() {
             let images = coarse.len() / len;
-            forward(&layers, bias, coarse, levels);
+            forward(layers, bias, coarse, levels);
             let frames = &mut frames[..images * frame_len];
             for (index, frame) in frames.chunks_exact_mut(frame_len).enumerate() {
                 self.target.write(first + group * LANES + index, frame);
@@ -177,11 +182,11 @@ impl FrameLoss {
             target.set(frames);
             squared_error += levels[0].become_errors(target, images, scale);
             if self.trained {
-                for (index, Layer { sizes, kernel, .. }) in layers.iter().enumerate() {
+                for (index, Layer { sizes, convolving, .. }) in layers.iter().enumerate() {
                     let (finer, coarser) = gradients.split_at_mut(index);
                     let fine = finer.last().unwrap_or(&levels[0]);
                     sums.add(index, sizes, fine, &levels[index + 1], fine);
-                    sizes.convolve(fine, kernel, &mut coarser[0]);
+                    sizes.convolve(fine, convolving, &mut coarser[0]);
                     coarser[0].mask(&levels[index + 1]);
                 }
                 gradients[layers.len() - 1].write(coarse);
@@ -227,11 +232,12 @@ impl CustomOp3 for FrameLoss {
         let (batch, stack) = (self.target.batch(), &self.decoder.stack);
         let mut coarse = self.decoder.coarse(hidden, weight)?;
         let part = part_len(batch);
+        let (layers, bias) = stack.unpack(Side::Decoder, packed);
         let parts = coarse.par_chunks_mut(part * stack.coarse_len()).enumerate();
         let parts: Vec<Part> = parts
             .map_init(
                 || self.workspace(),
-                |workspace, (index, coarse)| self.part(workspace, index * part, coarse, packed),
+                |workspace, (index, coarse)| self.part(workspace, index * part, coarse, (&layers, bias)),
             )
             .collect();
         let squared_error: f64 = parts.iter().map(|part| part.squared_error).sum();

@@ -1,6 +1,6 @@
 //! Chained convolutions over a batch of images: what the encoder's and the decoder's way through frames share.
 
-use crate::learning::kernels::convolution::{Convolution, Images, KernelSums, LANES};
+use crate::learning::kernels::convolution::{Convolution, Images, Kernel, KernelSums, LANES};
 use crate::learning::kernels::{self, PARTS};
 
 /// Convolutions from an image's own size down, each 4 x 4 with a stride of 2, the first one first.
@@ -55,7 +55,8 @@ impl Stack {
             let (kernel, rest) = packed.split_at(sizes.kernel_len());
             let (bias, rest) = rest.split_at(side.channels(sizes));
             packed = rest;
-            Layer { sizes: *sizes, kernel, bias }
+            let (convolving, spreading) = (sizes.convolving(kernel), sizes.spreading(kernel));
+            Layer { sizes: *sizes, convolving, spreading, bias }
         });
         (layers.collect(), packed)
     }
@@ -80,10 +81,10 @@ impl Side {
 }
 
 /// A convolution's sizes and parameters.
-#[derive(Clone, Copy)]
 pub(super) struct Layer<'a> {
     pub sizes: Convolution,
-    pub kernel: &'a [f32],
+    pub convolving: Kernel,
+    pub spreading: Kernel,
     pub bias: &'a [f32],
 }
 
