@@ -139,6 +139,11 @@ fn run_details() -> Vec<Column> {
         text("reason", "why a run failed; null otherwise"),
         text("spec_hash", "hash of everything that decides the run"),
         text("dataset", "the dataset's folder"),
+        text(
+            "split",
+            "what is divided into training, validation and test: episode, time, or sample, by which test samples have \
+             neighbours in training, and errors are too small",
+        ),
         text("started", "start, UTC"),
         real("collect_seconds", "s", "wall time spent on collecting and loading the dataset"),
         real("prediction_seconds", "s", "wall time of training the prediction"),

@@ -1,10 +1,13 @@
 //! Datasets from real simulations: the same whatever the threads, whole or made again, and read as written.
 
-use harness::dataset::{Dataset, DatasetError, Samples, Standard, collect};
+use harness::dataset::{Dataset, DatasetError, Partition, Recording, Samples, Standard, collect};
 use harness::files::UNFINISHED;
 use harness::progress::{Progress, Silent};
 use harness::simulation::{Episode, Scene, SimulationError, Simulator};
-use harness::spec::{ARM_JOINTS, Action, FRAME_CHANNELS, FRAME_LEN, Modality, Scenario, Simulation, Split};
+use harness::spec::{
+    ARM_JOINTS, Action, Deviation, Division, FRAME_CHANNELS, FRAME_LEN, JOINTS, Modality, Scaling, Scalings,
+    Scenario, Simulation, Split,
+};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -242,7 +245,8 @@ fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
 fn standardised_values_restore_to_what_was_recorded() {
     let samples: Arc<Samples> = Arc::new(Collected::new(Scenario::Cluttered, 2).dataset.load(true).unwrap());
     let at = samples.partition(&Split::default()).unwrap().training;
-    let standard = Standard::fit(&samples, &at, Modality::ALL, Action::Increment);
+    let scalings = Modality::ALL.iter().map(|&modality| (modality, Scaling::default_of(modality))).collect();
+    let standard = Standard::fit(&samples, &at, &scalings, Action::Increment);
     for modality in Modality::ALL.iter().copied() {
         let scale = &standard.scales[&modality];
         let (mut values, expected, unit) = if modality.is_frame() {
@@ -272,6 +276,154 @@ fn standardised_values_restore_to_what_was_recorded() {
         at.iter().flat_map(|sample| samples.action(Action::Increment, *sample)).collect();
     assert_eq!(expected.len(), at.len() * ARM_JOINTS);
     assert!(largest_difference(&actions, &expected) < 1e-5);
+}
+
+/// Episodes of so many samples at 10 Hz, in which every force of sample s of the dataset is s newtons, and that of the
+/// last link 3 s.
+fn ramps(seed: u64, lengths: &[usize]) -> Samples {
+    let recording = Recording { is_simulated: true, sample_rate_hz: 10.0, seed };
+    let mut all = Samples::with_capacity(recording, lengths.iter().sum(), true);
+    for (index, &samples) in (0..).zip(lengths) {
+        let first = all.len();
+        let force = |at: usize| {
+            let sample = (first + at / JOINTS) as f32;
+            if at % JOINTS == JOINTS - 1 { 3.0 * sample } else { sample }
+        };
+        let forces: Vec<f32> = (0..samples * JOINTS).map(force).collect();
+        let vision = (0..samples * FRAME_LEN).map(|at| (first + at / FRAME_LEN + at) as u8);
+        all.push(&Episode {
+            index,
+            samples,
+            proprioception: forces.clone(),
+            arm: vec![0.0; samples * ARM_JOINTS],
+            setpoint: vec![0.0; samples * ARM_JOINTS],
+            contact_force: forces.clone(),
+            contact_force_mean: forces,
+            vision: vision.collect(),
+            ..Episode::default()
+        });
+    }
+    all
+}
+
+fn split(by: Division) -> Split {
+    Split { by, ..Split::default() }
+}
+
+#[test]
+fn a_split_by_time_trains_on_the_first_part_of_each_episode_and_leaves_a_gap() {
+    // 200 samples at 10 Hz: 20 each for validation and test, and gaps of 50 unless the split says otherwise.
+    let samples = ramps(0, &[200, 200]);
+    let Partition { training, validation, test } = samples.partition(&split(Division::Time)).unwrap();
+    // A transition's next sample belongs to the same part, so each has one less than samples.
+    let expected = |part: std::ops::Range<usize>| -> Vec<usize> {
+        part.clone().chain(part.start + 200..part.end + 200).collect()
+    };
+    assert_eq!(training, expected(0..59));
+    assert_eq!(validation, expected(110..129));
+    assert_eq!(test, expected(180..199));
+    let narrow = Split { gap_seconds: Some(0.25), test: 0.2, ..split(Division::Time) };
+    let Partition { training, validation, test } = samples.partition(&narrow).unwrap();
+    assert_eq!((training.len(), validation[0], test[0]), (2 * 133, 137, 160));
+    // An episode that is too short for the gaps leaves nothing to train on.
+    assert_eq!(ramps(0, &[200, 100]).partition(&split(Division::Time)), None);
+}
+
+#[test]
+fn one_continuous_run_is_split_by_time_or_sample_but_not_by_episode() {
+    let samples = ramps(0, &[1000]);
+    assert_eq!(samples.partition(&split(Division::Episode)), None);
+    let Partition { training, validation, test } = samples.partition(&split(Division::Time)).unwrap();
+    assert_eq!(
+        (training, validation, test),
+        ((0..699).collect(), (750..849).collect(), (900..999).collect())
+    );
+    let Partition { training, validation, test } = samples.partition(&split(Division::Sample)).unwrap();
+    assert_eq!([training.len(), validation.len(), test.len()], [799, 100, 100]);
+}
+
+#[test]
+fn a_split_by_sample_draws_every_transition_once_and_depends_on_the_datasets_seed_alone() {
+    let by_sample = split(Division::Sample);
+    let drawn = |seed| ramps(seed, &[300, 200]).partition(&by_sample).unwrap();
+    let one = drawn(1);
+    assert_eq!(one, drawn(1));
+    assert_ne!(one.test, drawn(2).test);
+    let Partition { training, validation, test } = one;
+    assert_eq!([training.len(), validation.len(), test.len()], [398, 50, 50]);
+    let mut all = [training.clone(), validation, test.clone()].concat();
+    all.sort_unstable();
+    assert_eq!(all, (0..299).chain(300..499).collect::<Vec<_>>());
+    // What it is warned of: nearly every test sample has a neighbour in training.
+    let neighbours =
+        test.iter().filter(|&&at| training.contains(&(at + 1)) || training.contains(&(at.wrapping_sub(1))));
+    assert!(neighbours.count() > 40);
+}
+
+#[test]
+fn a_shared_deviation_pools_the_variances_and_leaves_each_mean() {
+    let samples = ramps(0, &[12]);
+    let at: Vec<usize> = (0..11).collect();
+    let scaling = |scale, minimum| Scaling { scale, minimum };
+    let scalings = Scalings::from([
+        (Modality::ContactForce, scaling(Deviation::Shared, Some(-1.0))),
+        (Modality::ContactForceMean, scaling(Deviation::PerElement, None)),
+    ]);
+    let standard = Standard::fit(&samples, &at, &scalings, Action::Increment);
+    let (shared, own) =
+        (&standard.scales[&Modality::ContactForce], &standard.scales[&Modality::ContactForceMean]);
+    // 0 to 10 have mean 5 and variance 10; three times as much on the last of 20 links nine times that.
+    assert_eq!((shared.mean[0], shared.mean[19]), (5.0, 15.0));
+    assert_eq!(shared.mean, own.mean);
+    assert_eq!(shared.deviation, [((19.0 * 10.0 + 90.0) / 20.0_f32).sqrt()]);
+    assert_eq!((own.deviation[0], own.deviation[19]), (10.0_f32.sqrt(), 90.0_f32.sqrt()));
+    // In units of the shared deviation the last link's forces vary three times as much as another's.
+    let table = standard.vectors(&Arc::new(samples), &[0, 10], &[Modality::ContactForce]).unwrap().unwrap();
+    let table: Vec<Vec<f32>> = table.to_vec2().unwrap();
+    let span = |link: usize| table[1][link] - table[0][link];
+    assert!((span(19) / span(0) - 3.0).abs() < 1e-6);
+    // What would be -2 N on the first link becomes the minimum; on the last -1 + 15 stays.
+    let mut predicted: Vec<f32> =
+        (0..JOINTS).map(|link| if link == 0 { -7.0 } else { -1.0 } / shared.deviation[0]).collect();
+    shared.restore(&mut predicted);
+    assert_eq!(predicted[0], -1.0);
+    assert!((predicted[19] - 14.0).abs() < 1e-5, "{}", predicted[19]);
+    let mut lost = vec![f32::NAN; JOINTS];
+    shared.restore(&mut lost);
+    assert!(lost.iter().all(|value| value.is_nan()), "what is not a number is not hidden by the minimum");
+}
+
+#[test]
+fn frames_are_scaled_by_their_pixels_means_and_one_deviation_whatever_the_threads() {
+    // More than are summed up at once.
+    let samples = ramps(0, &[3000, 3000]);
+    let at: Vec<usize> = (0..6000).filter(|sample| sample % 7 != 0).collect();
+    for modality in [Modality::Vision, Modality::FrameDifference] {
+        let scalings = Scalings::from([(modality, Scaling::default_of(modality))]);
+        let fit = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| Standard::fit(&samples, &at, &scalings, Action::Increment))
+        };
+        let standard = fit(1);
+        assert_eq!(standard, fit(3));
+        let mut variances = 0.0;
+        for pixel in [0, 1, 100, FRAME_LEN - 1] {
+            let values: Vec<f64> = at
+                .iter()
+                .map(|&sample| match modality {
+                    Modality::Vision => f64::from(samples.frame_bytes(sample)[pixel]) / 255.0,
+                    _ => f64::from(harness::dataset::frame_difference(&samples, sample).nth(pixel).unwrap()),
+                })
+                .collect();
+            let mean = values.iter().sum::<f64>() / values.len() as f64;
+            let found = f64::from(standard.scales[&modality].mean[pixel]);
+            assert!((found - mean).abs() < 1e-6, "{modality} {pixel}: {found}, not {mean}");
+            variances += values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64;
+        }
+        // Each pixel runs through all bytes alike, so all have nearly the same variance.
+        let found = f64::from(standard.scales[&modality].deviation[0]);
+        assert!((found.powi(2) / (variances / 4.0) - 1.0).abs() < 0.02, "{modality}: {found}");
+    }
 }
 
 /// The Python package reads and writes episodes' files by this list.

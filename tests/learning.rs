@@ -4,7 +4,7 @@
 use candle_core::{Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
 use harness::dataset::frames::{Averaged, DenseFrames, Frames};
-use harness::dataset::{Partition, Samples, Standard};
+use harness::dataset::{Partition, Recording, Samples, Standard};
 use harness::learning::kernels;
 use harness::learning::kernels::convolution::{Convolution, Images, KernelSums, LANES};
 use harness::learning::kernels::product::{self, Accumulate, Arithmetic, Matrix, Unit};
@@ -21,8 +21,8 @@ use harness::learning::{LearningError, checkpoint};
 use harness::progress::Progress;
 use harness::simulation::Episode;
 use harness::spec::{
-    ARM_JOINTS, Action, FRAME_LEN, Fusion, JOINTS, Modality, Network, Precision, Preset, Schedule, Split,
-    Stop, Task, Training,
+    ARM_JOINTS, Action, FRAME_LEN, Fusion, JOINTS, Modality, Network, Precision, Preset, Scaling, Schedule,
+    Split, Stop, Task, Training,
 };
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, HashMap};
@@ -664,7 +664,8 @@ fn reference_the_fully_connected_network_agrees_with_its_pytorch_twin() {
 
 /// Random walks in place of a simulation, which these tests are not about.
 fn walks(episodes: u32, samples: usize) -> Samples {
-    let mut all = Samples::with_capacity(episodes as usize * samples, true);
+    let recording = Recording { is_simulated: true, sample_rate_hz: 10.0, seed: 0 };
+    let mut all = Samples::with_capacity(recording, episodes as usize * samples, true);
     for index in 0..episodes {
         let mut random = random(u64::from(index) + 100);
         let mut walk = |width: usize| -> Vec<f32> {
@@ -707,8 +708,9 @@ impl Bench {
     fn new() -> Self {
         let samples = walks(4, 12);
         let partition = samples.partition(&Split::default()).unwrap();
-        let modalities = Modality::ALL;
-        let standard = Standard::fit(&samples, &partition.training, modalities, Action::Increment);
+        let scalings =
+            Modality::ALL.iter().map(|&modality| (modality, Scaling::default_of(modality))).collect();
+        let standard = Standard::fit(&samples, &partition.training, &scalings, Action::Increment);
         let view = View {
             samples: Arc::new(samples),
             standard: Arc::new(standard),
@@ -1125,6 +1127,9 @@ fn checkpoints_bring_back_parameters_and_scales() {
     let standard = checkpoint::load(&path, &other).unwrap();
     assert!(bits(&trained) == bits(&other));
     assert_eq!(standard, *bench.view.standard);
+    // Forces have a minimum, which networks that were saved before it was a setting lack, as angles do.
+    let minimum = |modality| standard.scales[&modality].minimum;
+    assert_eq!((minimum(Modality::ContactForce), minimum(Modality::Proprioception)), (Some(0.0), None));
     let bytes = std::fs::read(&path).unwrap();
     std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
     let error = checkpoint::load(&path, &other).unwrap_err();

@@ -37,6 +37,30 @@ fn every_figure_can_be_drawn_from_published_results() {
     }
 }
 
+/// Defaults may change; what was published keeps the data that it was made of.
+#[test]
+fn published_runs_are_made_of_the_data_that_their_experiments_name() {
+    let mut found = 0;
+    for experiment in std::fs::read_dir(reference().join("runs")).unwrap() {
+        let experiment = experiment.unwrap();
+        let name = experiment.file_name().into_string().unwrap();
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("experiments/{name}.yaml"));
+        let runs = harness::spec::load(&path, &[], false).unwrap().runs();
+        for run in std::fs::read_dir(experiment.path()).unwrap() {
+            let text = std::fs::read(run.unwrap().path().join("run.json")).unwrap();
+            let record: harness::registry::RunRecord = serde_json::from_slice(&text).unwrap();
+            let data = |run: &harness::spec::RunSpec| {
+                (run.scenario.clone(), run.simulation.clone(), run.split.clone(), run.scalings())
+            };
+            let label = record.label();
+            let now = runs.iter().find(|run| run.label() == label).expect("the experiment has the run");
+            assert_eq!(data(&record.spec), data(now), "{name}/{}", record.run);
+            found += 1;
+        }
+    }
+    assert!(found > 100, "{found}");
+}
+
 /// What the heads of `experiments/*.yaml` tell their readers to type.
 #[test]
 fn queries_in_the_experiments_have_answers() {

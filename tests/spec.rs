@@ -2,8 +2,8 @@
 //! the same.
 
 use harness::spec::{
-    self, Action, Experiment, Fusion, Modality, Network, Origin, Preset, Scenario, Schedule, Simulation,
-    Split, SplitCounts, Stop, Task, Training,
+    self, Action, Deviation, Division, Experiment, Fusion, Modality, Network, Origin, Preset, Scaling,
+    Scalings, Scenario, Schedule, Simulation, Split, SplitCounts, Stop, Task, Training,
 };
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
@@ -78,6 +78,7 @@ fn what_is_left_out_gets_its_default() {
         },
         simulation: Simulation::default(),
         split: Split::default(),
+        scaling: Modality::ALL.iter().map(|&modality| (modality, Scaling::default_of(modality))).collect(),
         training: Training {
             loss_weights: [(Modality::Proprioception, 1.0), (Modality::ContactForce, 1.0)].into(),
             precision: harness::spec::Precision::F32,
@@ -163,7 +164,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         ),
         (
             "split: {holdout: 0.1}\n",
-            "spec.yaml:7:9: unknown key 'holdout' in 'split'. Allowed: validation, test",
+            "spec.yaml:7:9: unknown key 'holdout' in 'split'. Allowed: by, validation, test, gap_seconds",
         ),
         (
             "training: {loss_weights: {force: 2}}\n",
@@ -173,7 +174,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         (
             "seed: 1\n",
             "spec.yaml:7:1: unknown key 'seed'; did you mean 'seeds'? Allowed: name, description, scenarios, \
-             input, output, latent, seeds, tasks, action, network, simulation, split, training, vary, quick",
+             input, output, latent, seeds, tasks, action, network, simulation, split, scaling, training, vary, quick",
         ),
     ]);
 }
@@ -275,9 +276,9 @@ fn wrong_types_and_values_out_of_bounds_are_refused() {
         ),
         ("training:\n", "spec.yaml:7:9: 'training': expected a section of keys, found nothing"),
         (
-            "simulation: {episodes: 2}\n",
-            "spec.yaml:7:24: 'simulation.episodes': expected an integer of at least 3 and at most 1000000, \
-             found 2",
+            "simulation: {episodes: 0}\n",
+            "spec.yaml:7:24: 'simulation.episodes': expected an integer of at least 1 and at most 1000000, \
+             found 0",
         ),
         (
             "simulation: {lift_range_m: [-1, 0, 1]}\n",
@@ -458,8 +459,31 @@ fn rules_that_tie_settings_together_are_checked() {
         ),
         (
             "split: {validation: 0.6, test: 0.4}\n",
-            "spec.yaml:7:8: validation 0.6 and test 0.4 of 40 episodes leave none for training; \
+            "spec.yaml:7:8: validation 0.6 and test 0.4 of 200 episodes leave none for training; \
              use smaller shares or more episodes",
+        ),
+        (
+            "split: {by: sample, validation: 0.6, test: 0.4}\n",
+            "spec.yaml:7:8: validation 0.6 and test 0.4 of 39800 transitions leave none for training; \
+             use smaller shares or more samples",
+        ),
+        (
+            "split: {by: time, gap_seconds: 8}\n",
+            "spec.yaml:7:8: validation 0.1, test 0.1 and two gaps of 8 s leave nothing of an episode of 20 s for \
+             training; use smaller shares, a smaller gap_seconds or more actuations_per_episode",
+        ),
+        (
+            "split: {gap_seconds: 2}\n",
+            "spec.yaml:7:22: a split by episode has no gap; leave it out, or use split.by: time",
+        ),
+        (
+            "simulation: {actuations_per_episode: 4000, episodes: 1}\n",
+            "spec.yaml:7:54: a split by episode needs at least 3 episodes, one each for training, validation and \
+             test, found 1; use more, or split.by: time, which divides each episode",
+        ),
+        (
+            "scaling: {vision: {scale: per_element}}\n",
+            "spec.yaml:7:27: 'vision' is a frame, whose values have one deviation for all; use shared",
         ),
     ]);
     let wide = "name: wide\nscenarios: [empty]\ninput: [vision]\noutput: [arm]\nlatent: [2]\n";
@@ -472,10 +496,53 @@ fn rules_that_tie_settings_together_are_checked() {
 
 #[test]
 fn shares_become_whole_episodes_of_each_kind() {
-    let counts = |episodes| Split { validation: 0.1, test: 0.2 }.counts(episodes);
+    let counts = |episodes| Split { validation: 0.1, test: 0.2, ..Split::default() }.counts(episodes);
     assert_eq!(counts(40), Some(SplitCounts { training: 28, validation: 4, test: 8 }));
     assert_eq!(counts(3), Some(SplitCounts { training: 1, validation: 1, test: 1 }));
     assert_eq!(counts(2), None);
+}
+
+#[test]
+fn one_continuous_run_is_allowed_where_time_or_samples_are_split() {
+    let run = format!("{BASE}simulation: {{episodes: 1, actuations_per_episode: 4000}}\n");
+    for by in [Division::Time, Division::Sample] {
+        let experiment = load(&format!("{run}split: {{by: {by}}}\n"));
+        assert_eq!(experiment.simulation.samples_per_episode(), 40_000);
+        assert_eq!(experiment.split.by, by);
+        assert_eq!(experiment.split.gap_seconds, (by == Division::Time).then_some(5.0));
+    }
+}
+
+#[test]
+fn what_a_spec_says_of_a_scaling_replaces_that_default_alone() {
+    let scaling = |addition: &str| load(&format!("{BASE}{addition}")).scaling;
+    let default = scaling("");
+    let shared = |minimum| Scaling { scale: Deviation::Shared, minimum };
+    assert_eq!(default[&Modality::ContactForce], shared(Some(0.0)));
+    assert_eq!(default[&Modality::ContactForceMean], shared(Some(0.0)));
+    assert_eq!(default[&Modality::Vision], shared(None));
+    assert_eq!(default[&Modality::Arm], Scaling { scale: Deviation::PerElement, minimum: None });
+    let given = scaling("scaling: {contact_force: {minimum: null}, arm: {minimum: -2, scale: shared}}");
+    let expected = [(Modality::ContactForce, shared(None)), (Modality::Arm, shared(Some(-2.0)))];
+    assert_eq!(given, default.into_iter().chain(expected).collect());
+    let text = format!("{BASE}vary:\n  scaling.contact_force.scale: [shared, per_element]\n");
+    let runs = load(&text).runs();
+    assert_eq!(runs[2].variant, "contact_force.scale=per_element");
+    assert_eq!(runs[2].scalings()[&Modality::ContactForce].scale, Deviation::PerElement);
+}
+
+/// A run's spec states the scaling of what it uses, and says nothing where that is how everything was scaled before.
+#[test]
+fn a_run_that_is_scaled_as_runs_were_before_keeps_its_hash() {
+    let run = |addition: &str| load(&format!("{BASE}{addition}")).runs().remove(0);
+    let stated: Vec<Modality> = run("").scaling.into_keys().collect();
+    assert_eq!(stated, [Modality::Proprioception, Modality::Arm, Modality::ContactForce]);
+    let plain = run("scaling: {contact_force: {scale: per_element, minimum: null}, vision: {minimum: 0}}\n\
+                     simulation: {episodes: 40, actuations_per_episode: 100}\n");
+    assert_eq!(plain.scaling, Scalings::new());
+    assert_eq!(plain.scalings()[&Modality::ContactForce], Scaling::plain(Modality::ContactForce));
+    // The hash that this spec had when there was neither `scaling` nor `split.by`.
+    assert_eq!(plain.hash(), "3878ffe86883afc2");
 }
 
 #[test]
@@ -552,12 +619,12 @@ fn bad_overrides_are_refused_by_name() {
         (
             "split.tset=0.2",
             "override 'split.tset=0.2': unknown key 'split.tset'; did you mean 'split.test=0.2'? \
-             Allowed: split.validation, split.test",
+             Allowed: split.by, split.validation, split.test, split.gap_seconds",
         ),
         (
             "split={test: 0.2}",
             "override 'split={test: 0.2}': 'split' is a section; override its keys one by one: \
-             split.validation, split.test",
+             split.by, split.validation, split.test, split.gap_seconds",
         ),
         ("latent=[8", "override 'latent=[8': broken YAML: unclosed bracket '['"),
         (
@@ -673,7 +740,7 @@ fn quick_settings_are_checked_even_when_not_applied() {
         (
             "quick:\n  split.tets: 0.3\n",
             "spec.yaml:8:3: unknown key 'split.tets' in 'quick'; did you mean 'split.test'? \
-             Allowed: split.validation, split.test",
+             Allowed: split.by, split.validation, split.test, split.gap_seconds",
         ),
         (
             "quick:\n  training.epochs: 0\n",
@@ -785,7 +852,11 @@ fn each_combination_of_what_varies_must_be_possible() {
             "vary:\n  simulation.seed: [0, 1]\n",
             "spec.yaml:8:3: unknown key 'simulation.seed' in 'vary'. Allowed: input, output, tasks, action, \
              network.preset, network.hidden, network.channels, network.average, network.fusion, \
-             training.learning_rate, training.schedule, \
+             scaling.proprioception.scale, \
+             scaling.proprioception.minimum, scaling.arm.scale, scaling.arm.minimum, scaling.contact_force.scale, \
+             scaling.contact_force.minimum, scaling.contact_force_mean.scale, scaling.contact_force_mean.minimum, \
+             scaling.vision.scale, scaling.vision.minimum, scaling.frame_difference.scale, \
+             scaling.frame_difference.minimum, training.learning_rate, training.schedule, \
              training.warmup_epochs, training.weight_decay, training.clip_norm, training.batch_size, \
              training.epochs, training.patience, training.stop, training.kl_weight, training.loss_weights.proprioception, \
              training.loss_weights.arm, training.loss_weights.contact_force, \
@@ -852,6 +923,10 @@ fn the_hash_depends_on_what_decides_the_result_alone() {
         "simulation.seed=1",
         "simulation.lift_range_m=[-1, -0.001]",
         "split.test=0.2",
+        "split.by=time",
+        "split.by=sample",
+        "scaling.contact_force.scale=per_element",
+        "scaling.contact_force.minimum=null",
         "training.kl_weight=0.002",
         "training.loss_weights.contact_force=2",
     ];
@@ -867,7 +942,7 @@ fn the_hash_depends_on_what_decides_the_result_alone() {
 /// one platform to another.
 #[test]
 fn the_hash_is_stable() {
-    assert_eq!(first_hash(BASE), "3878ffe86883afc2");
+    assert_eq!(first_hash(BASE), "2464d348fe4365e4");
 }
 
 #[test]
@@ -895,6 +970,20 @@ fn some<T: Copy>(values: &[T], random: &mut impl Rng) -> Vec<T> {
     values.shuffle(random);
     values.truncate(random.random_range(1..=values.len()));
     values
+}
+
+fn random_split(random: &mut impl Rng) -> Split {
+    let by = *Division::ALL.choose(random).unwrap();
+    let mut share = || random.random_range(0.01..0.3);
+    let (validation, test) = (share(), share());
+    // An episode may have as little as six samples, two a part.
+    Split { by, validation, test, gap_seconds: (by == Division::Time).then_some(0.0) }
+}
+
+fn random_scaling(modality: Modality, random: &mut impl Rng) -> Scaling {
+    let minimum = if random.random() { Some(random.random_range(-1.0..1.0)) } else { None };
+    let scale = if modality.is_frame() { Deviation::Shared } else { *Deviation::ALL.choose(random).unwrap() };
+    Scaling { scale, minimum }
 }
 
 /// A valid experiment with everything drawn at random, as `load` would leave it.
@@ -937,7 +1026,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
         simulation: Simulation {
             seed: random.random_range(0..=spec::MAX_SEED),
             episodes: random.random_range(3..=1000),
-            actuations_per_episode: random.random_range(2..=100),
+            actuations_per_episode: random.random_range(6..=100),
             actuation_seconds: f64::from(random.random_range(1..=20)) / 10.0,
             sample_rate_hz: *[10.0, 20.0, 100.0].choose(random).unwrap(),
             rotation_range_rad: ranges[0],
@@ -945,7 +1034,8 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             extension_range_m: ranges[2],
             box_clearance_m: random.random_range(0.0..=0.2),
         },
-        split: Split { validation: random.random_range(0.01..0.3), test: random.random_range(0.01..0.3) },
+        split: random_split(random),
+        scaling: Modality::ALL.iter().map(|&modality| (modality, random_scaling(modality, random))).collect(),
         training: Training {
             learning_rate: 10f64.powf(random.random_range(-12.0..0.0)),
             schedule: *Schedule::ALL.choose(random).unwrap(),
@@ -1021,6 +1111,8 @@ fn names_are_those_of_serde() {
     check(Fusion::ALL);
     check(Schedule::ALL);
     check(Stop::ALL);
+    check(Division::ALL);
+    check(Deviation::ALL);
 }
 
 fn experiments() -> std::path::PathBuf {

@@ -1,7 +1,7 @@
 //! Datasets that were recorded elsewhere and imported: read like those that are simulated here, and never made.
 
 use super::store::{Description, episode_file, read_episode};
-use super::{DatasetError, Samples};
+use super::{DatasetError, Recording, Samples};
 use crate::spec::Modality;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -90,8 +90,9 @@ impl Imported {
     /// # Errors
     /// When an episode is missing, or its file is not as it was written.
     pub fn load(&self, frames: bool) -> Result<Samples, DatasetError> {
-        let mut samples = Samples::with_capacity(self.len(), frames);
-        samples.is_simulated = false;
+        let recording =
+            Recording { is_simulated: false, sample_rate_hz: self.content.sample_rate_hz, seed: 0 };
+        let mut samples = Samples::with_capacity(recording, self.len(), frames);
         for (index, length) in (0..).zip(self.content.samples()) {
             let path = self.folder.join(episode_file(index));
             let holds = |vector: &str| {

@@ -11,7 +11,7 @@ mod verify;
 
 pub use collect::collect;
 pub use imported::Imported;
-pub use samples::{FRAME_PLANE, Partition, Samples};
+pub use samples::{FRAME_PLANE, Partition, Recording, Samples};
 pub use standard::{Scale, Standard, frame_difference};
 pub use store::Dataset;
 pub use verify::{Inspection, inspect, is_lock};

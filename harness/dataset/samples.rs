@@ -1,16 +1,33 @@
 //! A dataset in memory, and what a network sees of it.
 
 use crate::simulation::Episode;
-use crate::spec::{ARM_JOINTS, Action, FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, JOINTS, Modality, Split};
+use crate::spec::{
+    ARM_JOINTS, Action, Division, FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, JOINTS, Modality, Split,
+};
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use sha2::{Digest, Sha256};
 use std::ops::Range;
 
 /// Values of one channel of a frame.
 pub const FRAME_PLANE: usize = FRAME_SIDE * FRAME_SIDE;
 
+/// What holds for all samples of a dataset.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Recording {
+    /// Whether the frames show the simulated robot, whose parts are told by their colours.
+    pub is_simulated: bool,
+    /// Samples recorded a second, Hz.
+    pub sample_rate_hz: f64,
+    /// Seed of a simulation; 0 of what was imported.
+    pub seed: u64,
+}
+
 /// All samples of a dataset, episode after episode.
 #[derive(Debug, Clone)]
 pub struct Samples {
-    pub(super) is_simulated: bool,
+    recording: Recording,
     /// Where each episode's samples lie, in the order of the episodes.
     episodes: Vec<Range<usize>>,
     proprioception: Vec<f32>,
@@ -31,9 +48,9 @@ impl Samples {
     }
 
     /// An empty dataset with room for `samples`, with frames if `frames`.
-    pub fn with_capacity(samples: usize, frames: bool) -> Self {
+    pub fn with_capacity(recording: Recording, samples: usize, frames: bool) -> Self {
         Self {
-            is_simulated: true,
+            recording,
             episodes: Vec::new(),
             proprioception: Vec::with_capacity(samples * JOINTS),
             arm: Vec::with_capacity(samples * ARM_JOINTS),
@@ -72,7 +89,7 @@ impl Samples {
 
     /// Whether the frames show the simulated robot, whose parts are told by their colours.
     pub fn is_simulated(&self) -> bool {
-        self.is_simulated
+        self.recording.is_simulated
     }
 
     pub fn is_empty(&self) -> bool {
@@ -135,23 +152,61 @@ impl Samples {
         })
     }
 
-    /// Splits the episodes: the last for the test, those before for validation, the rest for training.
-    ///
-    /// Episodes are independent and alike, so their order carries nothing; splitting by episode keeps
-    /// neighbours of a test sample out of training. `None` where no episode would be left for training.
+    /// The transitions for training, for validation and for the test; `None` where one of them would have none.
     pub fn partition(&self, split: &Split) -> Option<Partition> {
+        match split.by {
+            Division::Episode => self.partition_by_episode(split),
+            Division::Time => self.partition_by_time(split),
+            Division::Sample => self.partition_by_sample(split),
+        }
+    }
+
+    /// The last episodes are for the test, those before for validation, the rest for training.
+    ///
+    /// Episodes are independent and alike, so their order carries nothing; a split of them keeps neighbours of a
+    /// test sample out of training.
+    fn partition_by_episode(&self, split: &Split) -> Option<Partition> {
         let counts = split.counts(self.episodes.len())?;
-        let transitions = |episodes: &[Range<usize>]| -> Vec<usize> {
-            episodes.iter().flat_map(|range| range.start..range.end.saturating_sub(1)).collect()
-        };
+        let all = |episodes: &[Range<usize>]| episodes.iter().flat_map(transitions).collect();
         let (training, others) = self.episodes.split_at(counts.training);
         let (validation, test) = others.split_at(counts.validation);
-        Some(Partition {
-            training: transitions(training),
-            validation: transitions(validation),
-            test: transitions(test),
-        })
+        Some(Partition { training: all(training), validation: all(validation), test: all(test) })
     }
+
+    /// The last part of each episode is for the test, the one before for validation, the first for training; a gap
+    /// lies between each two.
+    fn partition_by_time(&self, split: &Split) -> Option<Partition> {
+        let mut parts = [(); 3].map(|()| Vec::new());
+        for episode in &self.episodes {
+            let times = split.times(episode.len(), self.recording.sample_rate_hz)?;
+            for (part, time) in parts.iter_mut().zip(times) {
+                part.extend(transitions(&(episode.start + time.start..episode.start + time.end)));
+            }
+        }
+        let [training, validation, test] = parts;
+        Some(Partition { training, validation, test })
+    }
+
+    /// Transitions are drawn at random, by the dataset's seed: all runs on it share one split.
+    fn partition_by_sample(&self, split: &Split) -> Option<Partition> {
+        let mut drawn: Vec<usize> = self.episodes.iter().flat_map(transitions).collect();
+        let counts = split.counts(drawn.len())?;
+        let identity = format!("harness split by sample: seed {}", self.recording.seed);
+        drawn.shuffle(&mut ChaCha8Rng::from_seed(Sha256::digest(identity).into()));
+        let mut take = |count: usize| {
+            let mut taken = drawn.split_off(drawn.len() - count);
+            taken.sort_unstable();
+            taken
+        };
+        let (test, validation, training) =
+            (take(counts.test), take(counts.validation), take(counts.training));
+        Some(Partition { training, validation, test })
+    }
+}
+
+/// The samples in a range whose next sample lies there too.
+fn transitions(samples: &Range<usize>) -> Range<usize> {
+    samples.start..samples.end.saturating_sub(1)
 }
 
 /// Transitions by split: each is a sample whose next sample belongs to the same episode.

@@ -2,18 +2,24 @@
 
 use super::frames::Frames;
 use super::samples::{FRAME_PLANE, Samples};
-use crate::spec::{ARM_JOINTS, Action, FRAME_LEN, FRAME_SIDE, Modality};
+use crate::spec::{ARM_JOINTS, Action, Deviation, FRAME_LEN, FRAME_SIDE, Modality, Scalings};
 use candle_core::{Device, Result, Tensor};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Mean and deviation of one modality.
+/// Frames that are summed up in 32 bits: the squares of so many differences of bytes fit.
+const FRAMES_AT_ONCE: usize = 4096;
+
+/// Mean and deviation of one modality, and the least value that is predicted of it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scale {
     /// One a value; `[channel, row, column]` for frames.
     pub mean: Vec<f32>,
-    /// One a value for vectors, a single one for frames.
+    /// One a value, or a single one for all; frames have a single one.
     pub deviation: Vec<f32>,
+    /// In physical units.
+    pub minimum: Option<f32>,
 }
 
 impl Scale {
@@ -30,12 +36,16 @@ impl Scale {
         }
     }
 
-    /// Back to physical units, in place: `values` `[n, width]`.
+    /// Back to physical units, in place: `values` `[n, width]`; those below the minimum become the minimum.
     pub fn restore(&self, values: &mut [f32]) {
         for row in values.chunks_exact_mut(self.mean.len()) {
             for (index, (value, mean)) in row.iter_mut().zip(&self.mean).enumerate() {
                 *value = *value * self.deviation(index) + mean;
             }
+        }
+        // Not `f32::max`, which would make a minimum of what is not a number.
+        if let Some(minimum) = self.minimum {
+            values.iter_mut().filter(|value| **value < minimum).for_each(|value| *value = minimum);
         }
     }
 }
@@ -55,17 +65,19 @@ struct Moments {
 }
 
 impl Moments {
-    fn new(width: usize) -> Self {
-        Self { count: 0.0, sum: vec![0.0; width], square: vec![0.0; width] }
-    }
-
-    fn add(&mut self, values: impl Iterator<Item = f32>) {
-        self.count += 1.0;
-        for ((value, sum), square) in values.zip(&mut self.sum).zip(&mut self.square) {
-            let value = f64::from(value);
-            *sum += value;
-            *square += value * value;
+    /// Those of `width` values at each of `samples`.
+    fn of<V: AsRef<[f32]>>(width: usize, samples: &[usize], values: impl Fn(usize) -> V) -> Self {
+        let mut moments =
+            Self { count: samples.len() as f64, sum: vec![0.0; width], square: vec![0.0; width] };
+        for sample in samples {
+            let sums = moments.sum.iter_mut().zip(&mut moments.square);
+            for (value, (sum, square)) in values(*sample).as_ref().iter().zip(sums) {
+                let value = f64::from(*value);
+                *sum += value;
+                *square += value * value;
+            }
         }
+        moments
     }
 
     fn means(&self) -> Vec<f32> {
@@ -79,34 +91,36 @@ impl Moments {
         })
     }
 
-    /// One deviation a value.
-    fn vector_scale(&self) -> Scale {
-        Scale { mean: self.means(), deviation: self.variances().map(deviation).collect() }
-    }
-
-    /// One mean a pixel, one deviation for all of them.
-    fn frame_scale(&self) -> Scale {
-        let variance = self.variances().sum::<f64>() / self.sum.len() as f64;
-        Scale { mean: self.means(), deviation: vec![deviation(variance)] }
+    fn scale(&self, deviation: Deviation) -> Scale {
+        let variances = self.variances();
+        let deviation = match deviation {
+            Deviation::PerElement => variances.map(root).collect(),
+            Deviation::Shared => vec![root(variances.sum::<f64>() / self.sum.len() as f64)],
+        };
+        Scale { mean: self.means(), deviation, minimum: None }
     }
 }
 
 /// The square root of a variance; 1 for a value that never changes, which then standardises to zero.
-fn deviation(variance: f64) -> f32 {
+fn root(variance: f64) -> f32 {
     let deviation = variance.sqrt() as f32;
     if deviation > 1e-8 { deviation } else { 1.0 }
 }
 
 impl Standard {
-    /// Statistics of `modalities` and of the action over `transitions`.
-    pub fn fit(samples: &Samples, transitions: &[usize], modalities: &[Modality], action: Action) -> Self {
-        let scales =
-            modalities.iter().map(|modality| (*modality, fit_modality(samples, transitions, *modality)));
-        let mut moments = Moments::new(ARM_JOINTS);
-        for sample in transitions {
-            moments.add(samples.action(action, *sample).into_iter());
-        }
-        Self { scales: scales.collect(), action: moments.vector_scale() }
+    /// Statistics over `transitions` of the modalities that `scalings` names, and of the action.
+    pub fn fit(samples: &Samples, transitions: &[usize], scalings: &Scalings, action: Action) -> Self {
+        let scales = scalings.iter().map(|(&modality, scaling)| {
+            let moments = if modality.is_frame() {
+                frame_moments(samples, transitions, modality)
+            } else {
+                Moments::of(modality.width(), transitions, |sample| samples.vector(modality, sample))
+            };
+            let minimum = scaling.minimum.map(|minimum| minimum as f32);
+            (modality, Scale { minimum, ..moments.scale(scaling.scale) })
+        });
+        let actions = Moments::of(ARM_JOINTS, transitions, |sample| samples.action(action, sample));
+        Self { scales: scales.collect(), action: actions.scale(Deviation::PerElement) }
     }
 
     /// A vector `[batch, width]` of several modalities side by side, standardised; `None` if there are none.
@@ -125,10 +139,9 @@ impl Standard {
         let mut values = Vec::with_capacity(at.len() * width);
         for sample in at {
             for modality in &modalities {
-                let scale = &self.scales[modality];
-                let physical =
-                    samples.vector(*modality, *sample).iter().zip(&scale.mean).zip(&scale.deviation);
-                values.extend(physical.map(|((value, mean), deviation)| (value - mean) / deviation));
+                let first = values.len();
+                values.extend_from_slice(samples.vector(*modality, *sample));
+                self.scales[modality].standardise(&mut values[first..]);
             }
         }
         Some(Tensor::from_vec(values, (at.len(), width), &Device::Cpu))
@@ -163,28 +176,34 @@ impl Standard {
     }
 }
 
-fn fit_modality(samples: &Samples, transitions: &[usize], modality: Modality) -> Scale {
-    let mut moments = Moments::new(modality.width());
-    match modality {
-        Modality::Vision => {
-            for sample in transitions {
-                moments.add(samples.frame_bytes(*sample).iter().map(|byte| f32::from(*byte) / 255.0));
+/// Those of a modality of frames. Bytes are summed as whole numbers, so neither threads nor order make a difference.
+fn frame_moments(samples: &Samples, at: &[usize], modality: Modality) -> Moments {
+    const BLACK: [u8; FRAME_LEN] = [0; FRAME_LEN];
+    let sums_of = |at: &[usize]| {
+        let mut sums = vec![[0i32; 2]; FRAME_LEN];
+        for sample in at.iter().copied() {
+            let before = match modality {
+                Modality::FrameDifference => samples.previous_frame_bytes(sample),
+                _ => &BLACK,
+            };
+            let frames = samples.frame_bytes(sample).iter().zip(before);
+            for ([sum, square], (now, before)) in sums.iter_mut().zip(frames) {
+                let value = i32::from(*now) - i32::from(*before);
+                *sum += value;
+                *square += value * value;
             }
-            moments.frame_scale()
         }
-        Modality::FrameDifference => {
-            for sample in transitions {
-                moments.add(frame_difference(samples, *sample));
-            }
-            moments.frame_scale()
-        }
-        _ => {
-            for sample in transitions {
-                moments.add(samples.vector(modality, *sample).iter().copied());
-            }
-            moments.vector_scale()
-        }
-    }
+        sums.into_iter().map(|sums| sums.map(i64::from)).collect::<Vec<_>>()
+    };
+    let none = || vec![[0i64; 2]; FRAME_LEN];
+    let sums = at.par_chunks(FRAMES_AT_ONCE).map(sums_of).reduce(none, |mut sums, others| {
+        let each = sums.iter_mut().flatten().zip(others.iter().flatten());
+        each.for_each(|(sum, other)| *sum += other);
+        sums
+    });
+    let [sum, square] = [(0, 255.0), (1, 255.0 * 255.0)]
+        .map(|(which, unit)| sums.iter().map(|sums| sums[which] as f64 / unit).collect());
+    Moments { count: at.len() as f64, sum, square }
 }
 
 /// What changed in the frame since the sample before, in [-1, 1], `[channel, row, column]`.

@@ -1,7 +1,7 @@
 //! Episodes on disk: one Parquet file each, in a folder named after what decides their content.
 
 use super::imported::Content;
-use super::{DatasetError, Samples};
+use super::{DatasetError, Recording, Samples};
 use crate::files::write_bytes;
 use crate::progress::{Progress, Silent};
 use crate::schema::{ARM, frame_column, sample_columns};
@@ -166,7 +166,9 @@ impl Dataset {
     /// # Errors
     /// When an episode is missing, or its file is not as it was written.
     pub fn load(&self, frames: bool) -> Result<Samples, DatasetError> {
-        let mut samples = Samples::with_capacity(self.len(), frames);
+        let Simulation { sample_rate_hz, seed, .. } = self.spec;
+        let recording = Recording { is_simulated: true, sample_rate_hz, seed };
+        let mut samples = Samples::with_capacity(recording, self.len(), frames);
         for index in 0..self.spec.episodes {
             samples.push(&self.read(index, frames)?);
         }

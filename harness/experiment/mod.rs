@@ -46,7 +46,10 @@ pub enum ExperimentError {
     Metrics(#[from] MetricsError),
     #[error(transparent)]
     Registry(#[from] RegistryError),
-    #[error("no episode is left for training; give the experiment more episodes or smaller shares in split")]
+    #[error(
+        "the split leaves nothing for training; give the experiment more or longer episodes, or the split smaller \
+         shares or, by time, a smaller gap_seconds"
+    )]
     NoTraining,
     #[error(
         "the dataset {dataset} takes {:.1} GB of memory and only {:.1} GB are free; free some, or lower \
@@ -134,6 +137,7 @@ impl Planned {
                 spec.output.clone(),
                 spec.tasks.clone(),
                 spec.action,
+                spec.scaling.clone(),
                 spec.training.device,
             )
         };
@@ -178,7 +182,7 @@ impl Laboratory<'_> {
             }
             Origin::Imported(name) => {
                 let dataset = Imported::open(&root, name)?;
-                dataset.check(&modalities(spec))?;
+                dataset.check(&spec.modalities())?;
                 Ok(Source::Imported(dataset))
             }
         }
@@ -202,10 +206,10 @@ impl Laboratory<'_> {
     /// Makes the run's dataset ready for training.
     fn prepare(&self, Planned { spec, source, .. }: &Planned) -> Result<Material, ExperimentError> {
         let begin = Instant::now();
-        let modalities = modalities(spec);
-        let samples = self.samples(source, modalities.iter().any(|modality| modality.is_frame()))?;
+        let frames = spec.modalities().iter().any(|modality| modality.is_frame());
+        let samples = self.samples(source, frames)?;
         let partition = samples.partition(&spec.split).ok_or(ExperimentError::NoTraining)?;
-        let standard = Standard::fit(&samples, &partition.training, &modalities, spec.action);
+        let standard = Standard::fit(&samples, &partition.training, &spec.scalings(), spec.action);
         let view = View {
             samples: Arc::new(samples),
             standard: Arc::new(standard),
@@ -219,16 +223,10 @@ impl Laboratory<'_> {
         }
         let forces = evaluate::forces(&view.samples, |modality| source.holds(modality));
         let storyboard = evaluate::storyboard(&view.samples, &partition.test);
-        let bytes = Samples::bytes(source.len(), modalities.iter().any(|modality| modality.is_frame()));
+        let bytes = Samples::bytes(source.len(), frames);
         let seconds = begin.elapsed().as_secs_f64();
         Ok(Material { view, partition, baselines, forces, storyboard, bytes, seconds })
     }
-}
-
-/// What a run's networks are given or predict, in the order of [`Modality`].
-fn modalities(spec: &RunSpec) -> Vec<Modality> {
-    let is_used = |modality: &Modality| spec.input.contains(modality) || spec.output.contains(modality);
-    Modality::ALL.iter().copied().filter(is_used).collect()
 }
 
 impl ExperimentError {

@@ -3,7 +3,7 @@
 use super::{ExperimentError, Laboratory, Material, Planned, Trainee, describe, training_bytes};
 use crate::memory;
 use crate::registry::{Decision, Outcome, Provenance, Status};
-use crate::spec::RunSpec;
+use crate::spec::{Division, RunSpec};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -44,6 +44,12 @@ impl Laboratory<'_> {
         summary.skipped = skipped.len();
         // Whoever finished them may have been killed before it came to this.
         skipped.iter().for_each(|planned| planned.folder.remove_states());
+        if pending.iter().any(|planned| planned.spec.split.by == Division::Sample) {
+            self.progress.say(
+                "split.by is sample: test samples have neighbours in training, so errors come out smaller than on \
+                 anything new",
+            );
+        }
         loop {
             let mut held = Vec::new();
             // One dataset at a time: its samples are in memory once, and the other's are not.

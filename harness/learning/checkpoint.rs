@@ -18,6 +18,9 @@ pub fn save(path: &Path, parameters: &Parameters, standard: &Standard) -> Result
     for (name, scale) in scales.chain([("action", &standard.action)]) {
         tensors.insert(format!("scale.{name}.mean"), vector(&scale.mean)?);
         tensors.insert(format!("scale.{name}.deviation"), vector(&scale.deviation)?);
+        if let Some(minimum) = scale.minimum {
+            tensors.insert(format!("scale.{name}.minimum"), vector(&[minimum])?);
+        }
     }
     TensorFile { tensors, note: Map::new() }.write(path)
 }
@@ -39,8 +42,11 @@ pub fn load(path: &Path, parameters: &Parameters) -> Result<Standard, LearningEr
         parameter.set(&tensor)?;
     }
     let scale = |name: &str| -> Option<Scale> {
-        let part = |part: &str| file.tensors.get(&format!("scale.{name}.{part}"))?.to_vec1().ok();
-        Some(Scale { mean: part("mean")?, deviation: part("deviation")? })
+        let part = |part: &str| -> Option<Vec<f32>> {
+            file.tensors.get(&format!("scale.{name}.{part}"))?.to_vec1().ok()
+        };
+        let minimum = part("minimum").and_then(|minimum| minimum.first().copied());
+        Some(Scale { mean: part("mean")?, deviation: part("deviation")?, minimum })
     };
     let scales = Modality::ALL.iter().filter_map(|modality| Some((*modality, scale(modality.name())?)));
     let scales: BTreeMap<Modality, Scale> = scales.collect();

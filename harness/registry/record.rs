@@ -330,6 +330,7 @@ impl RunRecord {
             optional(&self.reason),
             text(&self.spec_hash),
             text(&self.dataset),
+            text(self.spec.split.by.name()),
             text(&self.started),
             seconds(|timings| Some(timings.collect)),
             seconds(|timings| Some(timings.prediction)),

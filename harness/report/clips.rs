@@ -22,7 +22,7 @@ const SAMPLES: usize = 50;
 fn take(scenario: Scenario) -> (u32, usize) {
     match scenario {
         Scenario::Empty => (0, 20),
-        Scenario::Cluttered => (1, 40),
+        Scenario::Cluttered => (7, 60),
     }
 }
 

@@ -1,5 +1,6 @@
 //! The runs that an experiment expands to. All that decides one run's result is in its [`RunSpec`].
 
+use super::scaling::{Scaling, Scalings};
 use super::types::{Action, Experiment, Modality, Network, Origin, Simulation, Split, Task, Training};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -29,6 +30,10 @@ pub struct RunSpec {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulation: Option<Simulation>,
     pub split: Split,
+    /// Of each modality that is used; empty where all are scaled as they were before it was a setting, so that runs
+    /// keep the names they had then. [`RunSpec::scalings`] knows both.
+    #[serde(default, skip_serializing_if = "Scalings::is_empty")]
+    pub scaling: Scalings,
     pub training: Training,
 }
 
@@ -90,8 +95,20 @@ impl Experiment {
             network: self.network.clone(),
             simulation: matches!(scenario, Origin::Simulated(_)).then(|| self.simulation.clone()),
             split: self.split.clone(),
+            scaling: self.scaling_of_used(),
             training: self.training.clone(),
         }
+    }
+
+    /// The scaling of what is used, as a run's spec states it.
+    fn scaling_of_used(&self) -> Scalings {
+        let is_used = |modality: &Modality| self.input.contains(modality) || self.output.contains(modality);
+        let mut scaling = self.scaling.clone();
+        scaling.retain(|modality, _| is_used(modality));
+        if scaling.iter().all(|(modality, scaling)| *scaling == Scaling::plain(*modality)) {
+            scaling.clear();
+        }
+        scaling
     }
 }
 
@@ -106,6 +123,18 @@ pub(super) fn name(combination: &[(&str, &serde_json::Value)]) -> String {
 }
 
 impl RunSpec {
+    /// What the networks are given or predict, in the order of [`Modality`].
+    pub fn modalities(&self) -> Vec<Modality> {
+        let is_used = |modality: &Modality| self.input.contains(modality) || self.output.contains(modality);
+        Modality::ALL.iter().copied().filter(is_used).collect()
+    }
+
+    /// How each modality that is used is scaled.
+    pub fn scalings(&self) -> Scalings {
+        let of = |modality| self.scaling.get(&modality).copied().unwrap_or(Scaling::plain(modality));
+        self.modalities().into_iter().map(|modality| (modality, of(modality))).collect()
+    }
+
     /// Identifies the run: 16 hexadecimal digits of the SHA-256 of its JSON with keys sorted. It does not
     /// depend on how the YAML was laid out, nor on which values were left to their defaults.
     pub fn hash(&self) -> String {

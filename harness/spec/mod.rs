@@ -10,12 +10,14 @@ mod error;
 mod narrow;
 mod overrides;
 mod parse;
+mod scaling;
 mod schema;
 mod types;
 mod validate;
 
 pub use cells::RunSpec;
 pub use error::SpecError;
+pub use scaling::{Deviation, Scaling, Scalings};
 pub use schema::{schema, setting_names};
 pub use types::*;
 
@@ -113,8 +115,8 @@ fn resolve(tree: &Node) -> Result<Experiment, Problem> {
 }
 
 impl Experiment {
-    /// Gives specs that mean the same the same value: the order of modalities and a weight of 1 left out
-    /// make no difference, and `quick` has been dealt with.
+    /// Gives specs that mean the same the same value: the order of modalities, a weight of 1 and the default gap
+    /// make no difference when they are left out, and `quick` has been dealt with.
     fn make_canonical(&mut self) {
         self.input.sort();
         self.output.sort();
@@ -127,6 +129,9 @@ impl Experiment {
             self.network.channels = Some(self.network.channels().to_vec());
         } else {
             (self.network.channels, self.network.average) = (Some(Vec::new()), 1);
+        }
+        if self.split.by == Division::Time {
+            self.split.gap_seconds.get_or_insert(Split::GAP_SECONDS);
         }
         self.quick.clear();
     }

@@ -42,7 +42,7 @@ fn build() -> Json {
 /// has one.
 fn varies(key: &str) -> bool {
     let section = key.split('.').next().unwrap_or(key);
-    ["input", "output", "tasks", "action", "network", "training"].contains(&section)
+    ["input", "output", "tasks", "action", "network", "scaling", "training"].contains(&section)
 }
 
 /// A list of different values of a setting.

@@ -1,7 +1,9 @@
 //! What the schema cannot say: rules that tie several settings together.
 
+use super::scaling::{Deviation, Scaling, Scalings};
 use super::types::{
-    Device, Experiment, FRAME_SIDE, Modality, Network, Precision, STEP_RATE_HZ, Simulation, Task, Training,
+    Device, Division, Experiment, FRAME_SIDE, Modality, Network, Precision, STEP_RATE_HZ, Simulation, Split,
+    Task, Training,
 };
 
 /// Largest tensor of a network, values: 1 GiB in single precision.
@@ -36,6 +38,7 @@ pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     ranges(&experiment.simulation)?;
     timing(&experiment.simulation)?;
     samples(&experiment.simulation)?;
+    scaling(&experiment.scaling)?;
     split(experiment)
 }
 
@@ -265,17 +268,59 @@ fn samples(simulation: &Simulation) -> Result<(), Fault> {
     Ok(())
 }
 
-fn split(experiment: &Experiment) -> Result<(), Fault> {
-    let episodes = experiment.simulation.episodes as usize;
-    if experiment.split.counts(episodes).is_some() {
-        return Ok(());
-    }
-    let (validation, test) = (experiment.split.validation, experiment.split.test);
+fn scaling(scalings: &Scalings) -> Result<(), Fault> {
+    let per_element = |(modality, scaling): &(&Modality, &Scaling)| {
+        modality.is_frame() && scaling.scale == Deviation::PerElement
+    };
+    let Some((modality, _)) = scalings.iter().find(per_element) else { return Ok(()) };
     fault(
-        "split",
-        format!(
-            "validation {validation} and test {test} of {episodes} episodes leave none for training; \
-                 use smaller shares or more episodes"
-        ),
+        format!("scaling.{modality}.scale"),
+        format!("'{modality}' is a frame, whose values have one deviation for all; use shared"),
     )
+}
+
+fn split(experiment: &Experiment) -> Result<(), Fault> {
+    let Experiment { split, simulation, .. } = experiment;
+    let (by, validation, test) = (split.by, split.validation, split.test);
+    if split.gap_seconds.is_some() && by != Division::Time {
+        return fault(
+            "split.gap_seconds",
+            format!("a split by {by} has no gap; leave it out, or use split.by: time"),
+        );
+    }
+    let (episodes, samples) = (simulation.episodes as usize, simulation.samples_per_episode());
+    match by {
+        Division::Episode if episodes < 3 => fault(
+            "simulation.episodes",
+            format!(
+                "a split by episode needs at least 3 episodes, one each for training, validation and test, found \
+                 {episodes}; use more, or split.by: time, which divides each episode"
+            ),
+        ),
+        Division::Episode if split.counts(episodes).is_none() => fault(
+            "split",
+            format!(
+                "validation {validation} and test {test} of {episodes} episodes leave none for training; \
+                 use smaller shares or more episodes"
+            ),
+        ),
+        Division::Time if split.times(samples, simulation.sample_rate_hz).is_none() => fault(
+            "split",
+            format!(
+                "validation {validation}, test {test} and two gaps of {} s leave nothing of an episode of {} s for \
+                 training; use smaller shares, a smaller gap_seconds or more actuations_per_episode",
+                split.gap_seconds.unwrap_or(Split::GAP_SECONDS),
+                samples as f64 / simulation.sample_rate_hz,
+            ),
+        ),
+        Division::Sample if split.counts(episodes * (samples - 1)).is_none() => fault(
+            "split",
+            format!(
+                "validation {validation} and test {test} of {} transitions leave none for training; use smaller \
+                 shares or more samples",
+                episodes * (samples - 1)
+            ),
+        ),
+        _ => Ok(()),
+    }
 }
