@@ -611,8 +611,14 @@ fn bad_questions_and_names_are_refused() {
             "training.device: cuda can't be used: this harness was built without CUDA; build it with",
         ),
         (&["query", "selct 1"], "the query can't be answered: sql parser error: "),
-        (&["query", "select nope from runs"], "the query can't be answered: not found: "),
-        (&["query", "select * from nope"], "the query can't be answered: relation 'nope' was not found"),
+        (
+            &["query", "select nope from runs"],
+            "the query can't be answered: there is no column 'nope'; there are experiment, run, ",
+        ),
+        (
+            &["query", "select * from nope"],
+            "the query can't be answered: there is no table 'nope'; there are runs, epochs, ",
+        ),
         (&["show", "emptz-z4"], "no run matches 'emptz-z4', the nearest is 'empty-z4-seed0-"),
         (&["show", ""], "'' matches several runs: smoke/cluttered-z4-seed0-"),
         (

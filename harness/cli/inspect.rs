@@ -12,7 +12,7 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Query {
-    /// The query, in Polars' SQL
+    /// The query, in SQL
     sql: String,
     /// Write the answer to a file instead: .parquet, .csv or .json
     #[arg(long, short, value_name = "FILE")]

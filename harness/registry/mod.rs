@@ -14,6 +14,7 @@ mod provenance;
 mod publish;
 mod query;
 mod record;
+mod sql;
 mod verify;
 
 pub use commands::quoted;

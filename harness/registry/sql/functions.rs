@@ -1,0 +1,698 @@
+//! Functions and aggregates: what each takes, and what it gives. Those that are not here are refused.
+
+use super::expression::Value;
+use super::scope::{Type, choice};
+use super::{Answer, refuse, shown};
+use polars::prelude::*;
+use sqlparser::ast;
+
+type RealFunction = fn(f64) -> f64;
+
+/// Real functions of one real number.
+const REAL: [(&str, RealFunction); 19] = [
+    ("sqrt", f64::sqrt),
+    ("cbrt", f64::cbrt),
+    ("exp", f64::exp),
+    ("ln", f64::ln),
+    ("log", f64::log10),
+    ("log10", f64::log10),
+    ("log2", f64::log2),
+    ("sin", f64::sin),
+    ("cos", f64::cos),
+    ("tan", f64::tan),
+    ("asin", f64::asin),
+    ("acos", f64::acos),
+    ("atan", f64::atan),
+    ("degrees", f64::to_degrees),
+    ("radians", f64::to_radians),
+    ("floor", f64::floor),
+    ("ceil", f64::ceil),
+    ("ceiling", f64::ceil),
+    ("trunc", f64::trunc),
+];
+
+/// The other functions.
+const OTHER: [&str; 33] = [
+    "abs",
+    "sign",
+    "round",
+    "power",
+    "pow",
+    "mod",
+    "atan2",
+    "pi",
+    "isnan",
+    "isinf",
+    "isfinite",
+    "greatest",
+    "least",
+    "coalesce",
+    "ifnull",
+    "nullif",
+    "upper",
+    "lower",
+    "length",
+    "char_length",
+    "substr",
+    "substring",
+    "left",
+    "right",
+    "trim",
+    "ltrim",
+    "rtrim",
+    "replace",
+    "concat",
+    "starts_with",
+    "ends_with",
+    "contains",
+    "split_part",
+];
+
+const AGGREGATES: [&str; 16] = [
+    "count",
+    "sum",
+    "avg",
+    "mean",
+    "min",
+    "max",
+    "stddev",
+    "stddev_samp",
+    "stddev_pop",
+    "variance",
+    "var_samp",
+    "var_pop",
+    "median",
+    "quantile_cont",
+    "bool_and",
+    "bool_or",
+];
+
+/// A function of values of one row.
+pub fn call(name: &str, arguments: Vec<Value>) -> Answer<Value> {
+    let arguments: Vec<Value> = arguments.into_iter().map(Value::for_computing).collect();
+    if let Some((_, function)) = REAL.iter().find(|(known, _)| *known == name) {
+        let value = one_number(name, arguments)?;
+        let rounds = matches!(name, "floor" | "ceil" | "ceiling" | "trunc");
+        return match value.kind {
+            Type::Integer if rounds => Ok(value),
+            _ => Ok(Value::new(of_reals(value.to(Type::Real), *function), Type::Real)),
+        };
+    }
+    let numbers = |values: &[Value]| values.iter().try_for_each(|value| number(name, value));
+    match name {
+        "abs" => {
+            let value = one_number(name, arguments)?;
+            Ok(Value::new(value.expr.abs(), value.kind))
+        }
+        "sign" => {
+            let value = one_number(name, arguments)?;
+            let zero = Value::literal(AnyValue::Int64(0), Type::Integer).to(value.kind);
+            let (above, below) = (value.expr.clone().gt(zero.clone()), value.expr.lt(zero));
+            Ok(Value::new(above.cast(DataType::Int64) - below.cast(DataType::Int64), Type::Integer))
+        }
+        "round" => round(arguments),
+        "power" | "pow" => {
+            let [base, exponent] = take(name, arguments)?;
+            numbers(&[base.clone(), exponent.clone()])?;
+            Ok(of_two_reals(base, exponent, f64::powf))
+        }
+        "atan2" => {
+            let [y, x] = take(name, arguments)?;
+            numbers(&[y.clone(), x.clone()])?;
+            Ok(of_two_reals(y, x, f64::atan2))
+        }
+        "mod" => {
+            let [value, divisor] = take(name, arguments)?;
+            numbers(&[value.clone(), divisor.clone()])?;
+            arithmetic(value, '%', divisor)
+        }
+        "pi" => {
+            let [] = take(name, arguments)?;
+            Ok(Value::literal(AnyValue::Float64(std::f64::consts::PI), Type::Real))
+        }
+        "isnan" | "isinf" | "isfinite" => {
+            let value = one_number(name, arguments)?.to(Type::Real);
+            let is = match name {
+                "isnan" => value.is_nan(),
+                "isinf" => value.is_infinite(),
+                _ => value.is_finite(),
+            };
+            Ok(Value::new(is, Type::Flag))
+        }
+        "greatest" | "least" => {
+            numbers(&arguments)?;
+            extreme(name, arguments)
+        }
+        "coalesce" | "ifnull" => {
+            if arguments.is_empty() || name == "ifnull" && arguments.len() != 2 {
+                return refuse(format!(
+                    "{name} takes {} values",
+                    if name == "ifnull" { "two" } else { "several" }
+                ));
+            }
+            let kind = one_type(name, &arguments)?;
+            let values: Vec<Expr> = arguments.into_iter().map(|value| value.to(kind)).collect();
+            Ok(Value::new(coalesce(&values), kind))
+        }
+        "nullif" => {
+            let [value, null] = take(name, arguments)?;
+            let compared = one_type(name, &[value.clone(), null.clone()])?;
+            let equal = value.clone().to(compared).eq(null.to(compared));
+            let kind = value.kind;
+            Ok(Value::new(when(equal).then(Value::null(kind).expr).otherwise(value.expr), kind))
+        }
+        "concat" => {
+            if arguments.is_empty() {
+                return refuse("concat takes several values".into());
+            }
+            let parts =
+                arguments.into_iter().map(|value| Ok(text(value)?.expr)).collect::<Answer<Vec<_>>>()?;
+            Ok(Value::new(concat_str(parts, "", true), Type::Text))
+        }
+        "upper" | "lower" | "length" | "char_length" | "substr" | "substring" | "left" | "right" | "trim"
+        | "ltrim" | "rtrim" | "replace" | "starts_with" | "ends_with" | "contains" | "split_part" => {
+            of_text(name, arguments)
+        }
+        _ => {
+            let real = REAL.iter().map(|(name, _)| *name);
+            let names: Vec<&str> = real.chain(OTHER).chain(AGGREGATES).chain(super::window::NAMES).collect();
+            refuse(format!("there is no function '{name}'{}", nearest(name, &names)))
+        }
+    }
+}
+
+fn nearest(name: &str, names: &[&str]) -> String {
+    let near: Vec<&str> = names
+        .iter()
+        .copied()
+        .filter(|known| strsim::damerau_levenshtein(known, name) <= 1 + name.len() / 4)
+        .collect();
+    if near.is_empty() { format!("; there are {}", names.join(", ")) } else { choice(name, &near) }
+}
+
+/// Exactly `N` arguments.
+fn take<const N: usize>(name: &str, arguments: Vec<Value>) -> Answer<[Value; N]> {
+    let found = arguments.len();
+    match arguments.try_into() {
+        Ok(arguments) => Ok(arguments),
+        Err(_) => refuse(format!("{name} takes {N} values, and {found} are given")),
+    }
+}
+
+fn number(name: &str, value: &Value) -> Answer<()> {
+    if value.kind.is_number() {
+        return Ok(());
+    }
+    refuse(format!("{name} takes a number, and is given {}", value.kind.name()))
+}
+
+/// The only argument, a number.
+fn one_number(name: &str, arguments: Vec<Value>) -> Answer<Value> {
+    let [value] = take(name, arguments)?;
+    number(name, &value)?;
+    match value.kind {
+        Type::Null => Ok(Value::new(value.to(Type::Integer), Type::Integer)),
+        _ => Ok(value),
+    }
+}
+
+fn one_type(name: &str, values: &[Value]) -> Answer<Type> {
+    let mut kind = Type::Null;
+    for value in values {
+        match kind.common(value.kind) {
+            Some(common) => kind = common,
+            None => {
+                return refuse(format!("{name} mixes {} with {}", kind.name(), value.kind.name()));
+            }
+        }
+    }
+    Ok(kind)
+}
+
+fn field(kind: Type) -> impl Fn(&Schema, &[Field]) -> PolarsResult<Field> + Send + Sync + 'static {
+    move |_, fields| Ok(Field::new(fields[0].name().clone(), kind.data_type()))
+}
+
+fn of_reals(value: Expr, function: fn(f64) -> f64) -> Expr {
+    value.map_many(
+        move |columns| {
+            let values = columns[0].f64()?;
+            Ok(values.apply_values(function).into_column())
+        },
+        &[],
+        field(Type::Real),
+    )
+}
+
+/// A function of two columns of one type, either of which may be a constant.
+fn of_two<T: PolarsNumericType>(
+    left: Expr,
+    right: Expr,
+    kind: Type,
+    function: impl Fn(T::Native, T::Native) -> PolarsResult<T::Native> + Send + Sync + 'static,
+) -> Expr {
+    left.map_many(
+        move |columns| {
+            let columns: Vec<Series> =
+                columns.iter().map(|column| column.as_materialized_series().rechunk()).collect();
+            let (left, right): (&ChunkedArray<T>, &ChunkedArray<T>) =
+                (columns[0].unpack()?, columns[1].unpack()?);
+            let length = if left.len() == 1 { right.len() } else { left.len() };
+            let at =
+                |values: &ChunkedArray<T>, row: usize| values.get(if values.len() == 1 { 0 } else { row });
+            let results = (0..length).map(|row| match (at(left, row), at(right, row)) {
+                (Some(left), Some(right)) => function(left, right).map(Some),
+                _ => Ok(None),
+            });
+            let results = results.collect::<PolarsResult<Vec<Option<T::Native>>>>()?;
+            Ok(ChunkedArray::<T>::from_slice_options(left.name().clone(), &results).into_column())
+        },
+        &[right],
+        field(kind),
+    )
+}
+
+fn of_two_reals(left: Value, right: Value, function: fn(f64, f64) -> f64) -> Value {
+    let (left, right) = (left.to(Type::Real), right.to(Type::Real));
+    Value::new(of_two::<Float64Type>(left, right, Type::Real, move |a, b| Ok(function(a, b))), Type::Real)
+}
+
+/// `left sign right` for two numbers. Integers don't wrap around; `/` gives a real number.
+pub fn arithmetic(left: Value, sign: char, right: Value) -> Answer<Value> {
+    let (left, right) = (left.for_computing(), right.for_computing());
+    let kind = match left.kind.common(right.kind) {
+        Some(Type::Null) => Type::Integer,
+        Some(kind) if sign != '/' => kind,
+        _ => Type::Real,
+    };
+    let (left, right) = (left.to(kind), right.to(kind));
+    if kind == Type::Real {
+        let expr = match sign {
+            '+' => left + right,
+            '-' => left - right,
+            '*' => left * right,
+            '/' => left / right,
+            _ => of_two::<Float64Type>(left, right, kind, |a, b| Ok(a % b)),
+        };
+        return Ok(Value::new(expr, kind));
+    }
+    let operation: fn(i64, i64) -> Option<i64> = match sign {
+        '+' => i64::checked_add,
+        '-' => i64::checked_sub,
+        '*' => i64::checked_mul,
+        _ => i64::checked_rem,
+    };
+    let checked = move |a: i64, b: i64| {
+        operation(a, b).ok_or_else(|| {
+            let advice = if sign == '%' { "" } else { "; make one of them real, as with * 1.0" };
+            PolarsError::ComputeError(format!("{a} {sign} {b} is no integer{advice}").into())
+        })
+    };
+    Ok(Value::new(of_two::<Int64Type>(left, right, kind, checked), kind))
+}
+
+/// A sum of integers, or an error if `real`, the same as a real number, is too large for one.
+pub fn sum_within_integers(sum: Value, real: Expr) -> Value {
+    let checked =
+        |columns: &mut [Column]| match columns[1].f64()?.iter().flatten().find(|sum| sum.abs() >= 9.2e18) {
+            None => Ok(columns[0].clone()),
+            Some(sum) => Err(PolarsError::ComputeError(
+                format!(
+                    "a sum of integers is {sum:e}, too large for an integer; make them real, as with * 1.0"
+                )
+                .into(),
+            )),
+        };
+    Value::new(sum.expr.map_many(checked, &[real], field(Type::Integer)), Type::Integer)
+}
+
+fn round(arguments: Vec<Value>) -> Answer<Value> {
+    let decimals = match arguments.as_slice() {
+        [_] => 0,
+        [_, decimals] => match decimals.constant() {
+            Some(AnyValue::Int64(decimals @ 0..=15)) => decimals as i32,
+            _ => return refuse("round takes a number, and how many decimals to keep, from 0 to 15".into()),
+        },
+        _ => return refuse("round takes a number, and how many decimals to keep".into()),
+    };
+    let value = arguments.into_iter().next().expect("there are one or two");
+    number("round", &value)?;
+    if value.kind == Type::Integer {
+        return Ok(value);
+    }
+    // As DuckDB rounds: halves away from zero, after scaling.
+    let scale = 10_f64.powi(decimals);
+    let rounded = move |number: f64| {
+        let scaled = (number * scale).round() / scale;
+        if scaled.is_finite() { scaled } else { number }
+    };
+    let expr = value.to(Type::Real).map_many(
+        move |columns| Ok(columns[0].f64()?.apply_values(rounded).into_column()),
+        &[],
+        field(Type::Real),
+    );
+    Ok(Value::new(expr, Type::Real))
+}
+
+/// The greatest or least of several values, nulls left out; NaN is greater than any number.
+fn extreme(name: &str, arguments: Vec<Value>) -> Answer<Value> {
+    let kind = match one_type(name, &arguments)? {
+        Type::Null => Type::Integer,
+        kind => kind,
+    };
+    let mut values = arguments.into_iter().map(|value| value.to(kind));
+    let Some(first) = values.next() else {
+        return refuse(format!("{name} takes several values"));
+    };
+    let rest: Vec<Expr> = values.collect();
+    let is_greatest = name == "greatest";
+    let expr = match kind {
+        Type::Integer => best::<Int64Type>(first, &rest, kind, is_greatest, |a, b| a > b),
+        _ => best::<Float64Type>(first, &rest, kind, is_greatest, |a, b| a > b || a.is_nan() && !b.is_nan()),
+    };
+    Ok(Value::new(expr, kind))
+}
+
+fn best<T: PolarsNumericType>(
+    first: Expr,
+    rest: &[Expr],
+    kind: Type,
+    is_greatest: bool,
+    greater: fn(T::Native, T::Native) -> bool,
+) -> Expr {
+    let of_row = move |columns: &mut [Column]| {
+        let columns: Vec<Series> =
+            columns.iter().map(|column| column.as_materialized_series().rechunk()).collect();
+        let values =
+            columns.iter().map(|column| column.unpack()).collect::<PolarsResult<Vec<&ChunkedArray<T>>>>()?;
+        let length = values.iter().map(|values| values.len()).find(|length| *length != 1).unwrap_or(1);
+        let row = |row: usize| {
+            let of_row =
+                values.iter().filter_map(|values| values.get(if values.len() == 1 { 0 } else { row }));
+            of_row.reduce(|best, value| if greater(value, best) == is_greatest { value } else { best })
+        };
+        let results: Vec<Option<T::Native>> = (0..length).map(row).collect();
+        Ok(ChunkedArray::<T>::from_slice_options(values[0].name().clone(), &results).into_column())
+    };
+    first.map_many(of_row, rest, field(kind))
+}
+
+fn of_text(name: &str, arguments: Vec<Value>) -> Answer<Value> {
+    let mut arguments = arguments.into_iter();
+    let Some(value) = arguments.next() else {
+        return refuse(format!("{name} takes a text"));
+    };
+    if !matches!(value.kind, Type::Text | Type::Null) {
+        return refuse(format!("{name} takes text, and is given {}", value.kind.name()));
+    }
+    let value = value.to(Type::Text);
+    let rest: Vec<Value> = arguments.collect();
+    let constants: Vec<Option<AnyValue>> = rest.iter().map(|value| value.constant()).collect();
+    let words: Vec<Option<&str>> =
+        constants.iter().map(|value| value.as_ref().and_then(|value| value.get_str())).collect();
+    let counts: Vec<Option<u64>> = constants
+        .iter()
+        .map(|value| match value {
+            Some(AnyValue::Int64(count)) => u64::try_from(*count).ok(),
+            _ => None,
+        })
+        .collect();
+    let is_text = rest.iter().all(|value| matches!(value.kind, Type::Text | Type::Null));
+    let text = || value.clone().str();
+    let spaces = || lit(" ");
+    let (expr, kind) = match (name, words.as_slice(), counts.as_slice()) {
+        ("upper", [], _) => (text().to_uppercase(), Type::Text),
+        ("lower", [], _) => (text().to_lowercase(), Type::Text),
+        ("length" | "char_length", [], _) => (text().len_chars().cast(DataType::Int64), Type::Integer),
+        ("trim", [], _) => (text().strip_chars(spaces()), Type::Text),
+        ("ltrim", [], _) => (text().strip_chars_start(spaces()), Type::Text),
+        ("rtrim", [], _) => (text().strip_chars_end(spaces()), Type::Text),
+        ("trim", [Some(letters)], _) => (text().strip_chars(lit(*letters)), Type::Text),
+        ("ltrim", [Some(letters)], _) => (text().strip_chars_start(lit(*letters)), Type::Text),
+        ("rtrim", [Some(letters)], _) => (text().strip_chars_end(lit(*letters)), Type::Text),
+        ("left", _, [Some(count)]) => (text().slice(lit(0_i64), lit(*count)), Type::Text),
+        ("right", _, [Some(count)]) => {
+            (text().tail(lit(i64::try_from(*count).unwrap_or(i64::MAX))), Type::Text)
+        }
+        ("substr" | "substring", _, [Some(start @ 1..)]) => {
+            (text().slice(lit((*start - 1) as i64), lit(u64::MAX)), Type::Text)
+        }
+        ("substr" | "substring", _, [Some(start @ 1..), Some(count)]) => {
+            (text().slice(lit((*start - 1) as i64), lit(*count)), Type::Text)
+        }
+        ("replace", [Some(old), Some(new)], _) if !old.is_empty() => {
+            (text().replace_all(lit(*old), lit(*new), true), Type::Text)
+        }
+        ("starts_with", [_], _) if is_text => {
+            (text().starts_with(rest[0].clone().to(Type::Text)), Type::Flag)
+        }
+        ("ends_with", [_], _) if is_text => (text().ends_with(rest[0].clone().to(Type::Text)), Type::Flag),
+        ("contains", [_], _) if is_text => {
+            (text().contains_literal(rest[0].clone().to(Type::Text)), Type::Flag)
+        }
+        ("split_part", [Some(separator), _], [_, Some(part @ 1..)]) if !separator.is_empty() => {
+            let (separator, part) = (separator.to_string(), *part as usize - 1);
+            let split = move |text: &str| {
+                Ok(AnyValue::StringOwned(text.split(&separator).nth(part).unwrap_or_default().into()))
+            };
+            (of_each_text(value.clone(), Type::Text, split), Type::Text)
+        }
+        _ => {
+            let takes = match name {
+                "left" | "right" => "a text and a number from 0 on",
+                "substr" | "substring" => "a text, where to begin (from 1 on), and how many letters",
+                "replace" => "a text, what to replace, and by what, both in quotes",
+                "split_part" => "a text, what separates its parts, and the part's number from 1 on",
+                "starts_with" | "ends_with" | "contains" => "two texts",
+                "trim" | "ltrim" | "rtrim" => "a text, and the letters to take away in quotes",
+                _ => "a text",
+            };
+            return refuse(format!("{name} takes {takes}"));
+        }
+    };
+    Ok(Value::new(expr, kind))
+}
+
+/// A function of one text, row by row.
+fn of_each_text(
+    value: Expr,
+    kind: Type,
+    function: impl Fn(&str) -> PolarsResult<AnyValue<'static>> + Send + Sync + 'static,
+) -> Expr {
+    value.map_many(
+        move |columns| {
+            let texts = columns[0].str()?;
+            let results = texts.iter().map(|text| text.map_or(Ok(AnyValue::Null), &function));
+            let results = results.collect::<PolarsResult<Vec<_>>>()?;
+            let name = texts.name().clone();
+            Ok(Series::from_any_values_and_dtype(name, &results, &kind.data_type(), true)?.into_column())
+        },
+        &[],
+        field(kind),
+    )
+}
+
+/// A value as text; a real number has no one way to be written.
+pub fn text(value: Value) -> Answer<Value> {
+    match value.kind {
+        Type::Text => Ok(value),
+        Type::Integer | Type::Flag | Type::Null => Ok(Value::new(value.expr.cast(DataType::String), Type::Text)),
+        Type::Single | Type::Real => refuse(
+            "a real number has no one way to be written as text; make it an integer: cast(round(x) as integer)".into(),
+        ),
+        Type::Bytes => refuse("bytes can't be made text".into()),
+    }
+}
+
+/// A value as an integer from `least` to `most`; with `strict`, an error where it is none, and null otherwise.
+pub fn to_integer(value: Value, written: &ast::Expr, strict: bool, least: i64, most: i64) -> Answer<Value> {
+    let checked = move |integer: Option<i64>, from: &dyn std::fmt::Display| match integer {
+        Some(integer) if (least..=most).contains(&integer) => Ok(AnyValue::Int64(integer)),
+        _ if !strict => Ok(AnyValue::Null),
+        _ => Err(PolarsError::ComputeError(
+            format!("'{from}' is no integer from {least} to {most}; TRY_CAST makes null of what is none")
+                .into(),
+        )),
+    };
+    let is_whole = matches!(written, ast::Expr::Ceil { .. } | ast::Expr::Floor { .. })
+        || matches!(written, ast::Expr::Function(function)
+            if ["round", "floor", "ceil", "ceiling", "trunc"].iter().any(|name| super::scope::same(name, &function.name.to_string())));
+    let expr = match value.kind {
+        Type::Null => return Ok(Value::null(Type::Integer)),
+        Type::Flag => value.expr.cast(DataType::Int64),
+        Type::Bytes | Type::Single => {
+            return refuse(format!("{} can't be made an integer", value.kind.name()));
+        }
+        Type::Text => {
+            of_each_text(value.expr, Type::Integer, move |text| checked(text.trim().parse().ok(), &text))
+        }
+        Type::Real if !is_whole => {
+            return refuse(format!(
+                "'{}' is a real number; say how it becomes an integer: cast(round(…) as integer), or floor, ceil or trunc",
+                shown(written)
+            ));
+        }
+        Type::Integer | Type::Real => {
+            let kind = value.kind;
+            let each = move |columns: &mut [Column]| {
+                let series = columns[0].as_materialized_series().rechunk();
+                let results = series.iter().map(|value| match value {
+                    AnyValue::Int64(integer) => checked(Some(integer), &integer),
+                    AnyValue::Float64(real) => {
+                        // 2^63 itself is the least real number that is too large.
+                        let fits = (-2_f64.powi(63)..2_f64.powi(63)).contains(&real);
+                        checked(fits.then_some(real as i64), &real)
+                    }
+                    _ => Ok(AnyValue::Null),
+                });
+                let results = results.collect::<PolarsResult<Vec<_>>>()?;
+                Ok(Series::from_any_values_and_dtype(
+                    series.name().clone(),
+                    &results,
+                    &DataType::Int64,
+                    true,
+                )?
+                .into_column())
+            };
+            value.to(kind).map_many(each, &[], field(Type::Integer))
+        }
+    };
+    Ok(Value::new(expr, Type::Integer))
+}
+
+/// A value as a real number; with `strict`, an error where it is none, and null otherwise.
+pub fn to_real(value: Value, strict: bool) -> Answer<Value> {
+    let expr = match value.kind {
+        Type::Null => return Ok(Value::null(Type::Real)),
+        Type::Bytes => return refuse("bytes can't be made a real number".into()),
+        Type::Flag => value.expr.cast(DataType::Float64),
+        Type::Integer | Type::Single | Type::Real => value.to(Type::Real),
+        Type::Text => of_each_text(value.expr, Type::Real, move |text| match text.trim().parse() {
+            Ok(real) => Ok(AnyValue::Float64(real)),
+            Err(_) if !strict => Ok(AnyValue::Null),
+            Err(_) => Err(PolarsError::ComputeError(
+                format!("'{text}' is no number; TRY_CAST makes null of what is none").into(),
+            )),
+        }),
+    };
+    Ok(Value::new(expr, Type::Real))
+}
+
+/// A function of all values of a group.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Aggregate {
+    /// All rows; what they hold does not matter.
+    Rows,
+    Count,
+    Sum,
+    Mean,
+    Min,
+    Max,
+    /// With the number by which the count of values is lessened.
+    Deviation(u8),
+    Variance(u8),
+    Quantile(f64),
+    All,
+    Any,
+}
+
+impl Aggregate {
+    pub fn is_name(name: &str) -> bool {
+        AGGREGATES.contains(&name)
+    }
+
+    /// The aggregate of this name, and its argument.
+    pub fn named(name: &str, arguments: Vec<Value>) -> Answer<(Self, Value)> {
+        let share = match (name, arguments.as_slice()) {
+            ("quantile_cont", [_, share]) => match share.constant() {
+                Some(AnyValue::Float64(share)) if (0.0..=1.0).contains(&share) => Some(share),
+                Some(AnyValue::Int64(share @ 0..=1)) => Some(share as f64),
+                _ => return refuse(format!("{name} takes a column and a number from 0 to 1")),
+            },
+            _ => None,
+        };
+        let argument = match (name, share) {
+            ("count", None) if arguments.is_empty() => {
+                return Ok((Self::Rows, Value::literal(AnyValue::Boolean(true), Type::Flag)));
+            }
+            (_, Some(_)) => arguments.into_iter().next().expect("there are two"),
+            ("quantile_cont", None) => {
+                return refuse(format!("{name} takes a column and a number from 0 to 1"));
+            }
+            _ => {
+                let [argument] = take(name, arguments)?;
+                argument
+            }
+        };
+        let aggregate = match name {
+            "count" => Self::Count,
+            "sum" => Self::Sum,
+            "avg" | "mean" => Self::Mean,
+            "min" => Self::Min,
+            "max" => Self::Max,
+            "stddev" | "stddev_samp" => Self::Deviation(1),
+            "stddev_pop" => Self::Deviation(0),
+            "variance" | "var_samp" => Self::Variance(1),
+            "var_pop" => Self::Variance(0),
+            "median" => Self::Quantile(0.5),
+            "quantile_cont" => Self::Quantile(share.expect("was looked for above")),
+            "bool_and" => Self::All,
+            "bool_or" => Self::Any,
+            other => return refuse(format!("the aggregate {other} is not supported")),
+        };
+        match aggregate {
+            Self::Rows | Self::Count | Self::Min | Self::Max => {}
+            Self::All | Self::Any => {
+                if !matches!(argument.kind, Type::Flag | Type::Null) {
+                    return refuse(format!(
+                        "{name} takes a condition, and is given {}",
+                        argument.kind.name()
+                    ));
+                }
+            }
+            _ => number(name, &argument)?,
+        }
+        Ok((aggregate, argument))
+    }
+
+    /// The aggregate of the column `id`, which holds values of `kind`.
+    pub fn of(self, id: &str, kind: Type, distinct: bool) -> Answer<(Expr, Type)> {
+        let kind = match (self, kind) {
+            (Self::All | Self::Any, Type::Null) => Type::Flag,
+            (Self::Rows | Self::Count, kind) => kind,
+            (_, Type::Null) => Type::Integer,
+            (_, kind) => kind,
+        };
+        if kind == Type::Bytes && self != Self::Count && self != Self::Rows {
+            return refuse("bytes can only be counted".into());
+        }
+        let all = if self == Self::Rows { col(id) } else { col(id).cast(kind.data_type()) };
+        let values = if distinct { all.clone().drop_nulls().unique_stable() } else { all.clone() };
+        let none = || Value::null(kind).expr;
+        let counted = || all.clone().count().gt(lit(0));
+        Ok(match self {
+            Self::Rows if distinct => {
+                return refuse("count(DISTINCT *) is not supported; count a column".into());
+            }
+            // As often as FILTER leaves the row.
+            Self::Rows | Self::Count => (values.count().cast(DataType::Int64), Type::Integer),
+            Self::Sum => (when(counted()).then(values.sum()).otherwise(none()), kind),
+            Self::Mean => (values.mean(), Type::Real),
+            Self::Min => (values.min(), kind),
+            // NaN is greater than any number; Polars leaves it out.
+            Self::Max if kind == Type::Real => {
+                let is_nan = values.clone().is_nan().any(true);
+                (when(is_nan).then(lit(f64::NAN)).otherwise(values.max()), kind)
+            }
+            Self::Max => (values.max(), kind),
+            Self::Deviation(less) => (values.cast(DataType::Float64).std(less), Type::Real),
+            Self::Variance(less) => (values.cast(DataType::Float64).var(less), Type::Real),
+            Self::Quantile(share) => {
+                let values = values.cast(DataType::Float64);
+                (values.quantile(lit(share), QuantileMethod::Linear), Type::Real)
+            }
+            Self::All => (when(counted()).then(values.all(true)).otherwise(none()), kind),
+            Self::Any => (when(counted()).then(values.any(true)).otherwise(none()), kind),
+        })
+    }
+}

@@ -1,0 +1,647 @@
+//! Queries: from the parser's tree to Polars' plans. Every column gets a name of its own, so none hides another.
+
+use super::expression::{Binder, Groups, Key, Value, has_aggregate};
+use super::join::{split_and, within_rows};
+use super::scope::{Column, Relation, Type, resolve, same};
+use super::window::Window;
+use super::{Answer, refuse, shown};
+use crate::schema::Table;
+use polars::prelude::*;
+use sqlparser::ast::{self, SetExpr, SetOperator, SetQuantifier};
+use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
+
+/// The most times that a query may read tables: each UNION of a subquery with itself doubles their number.
+const MAX_READS: usize = 200;
+
+/// The queries of WITH, by name.
+pub type Ctes = BTreeMap<String, Relation>;
+
+/// Plans one statement.
+pub struct Planner<'a> {
+    /// Where a table's rows come from.
+    pub source: &'a dyn Fn(Table) -> Answer<LazyFrame>,
+    pub read: RefCell<BTreeMap<Table, LazyFrame>>,
+    names: Cell<usize>,
+    /// The columns around the subquery that is being planned.
+    around: RefCell<Vec<Vec<Column>>>,
+}
+
+/// What SELECT gives: an expression, or a column that `*` stands for.
+enum Item<'a> {
+    Written(&'a ast::Expr),
+    Column(Column),
+}
+
+impl<'a> Planner<'a> {
+    pub fn new(source: &'a dyn Fn(Table) -> Answer<LazyFrame>) -> Self {
+        Self { source, read: RefCell::default(), names: Cell::new(0), around: RefCell::default() }
+    }
+
+    /// A name that no other column has.
+    pub fn fresh(&self) -> String {
+        self.names.set(self.names.get() + 1);
+        format!("#{}", self.names.get())
+    }
+
+    /// Whether a name is known around the subquery.
+    pub fn around(&self, path: &[ast::Ident]) -> bool {
+        self.around.borrow().iter().any(|columns| resolve(columns, path).is_ok())
+    }
+
+    pub fn query(&self, query: &ast::Query, ctes: &Ctes) -> Answer<Relation> {
+        let ast::Query {
+            with,
+            body,
+            order_by,
+            limit_clause,
+            fetch,
+            locks,
+            for_clause,
+            settings,
+            format_clause,
+            pipe_operators,
+        } = query;
+        none_of(&[
+            (fetch.is_some(), "FETCH", "use LIMIT"),
+            (!locks.is_empty() || for_clause.is_some(), "FOR", "leave it out"),
+            (settings.is_some() || format_clause.is_some(), "SETTINGS and FORMAT", "leave it out"),
+            (!pipe_operators.is_empty(), "|>", "use WITH"),
+        ])?;
+        let mut ctes = ctes.clone();
+        if let Some(with) = with {
+            none_of(&[(with.recursive, "WITH RECURSIVE", "use WITH")])?;
+            for cte in &with.cte_tables {
+                let relation = self.query(&cte.query, &ctes)?;
+                let relation = self.named(relation, Some(&cte.alias), &cte.alias.name.value)?;
+                ctes.insert(cte.alias.name.value.to_lowercase(), relation);
+            }
+        }
+        let relation = match body.as_ref() {
+            SetExpr::Select(select) => self.select(select, order_by.as_ref(), &ctes)?,
+            body => self.ordered(self.body(body, &ctes)?, order_by.as_ref(), &ctes)?,
+        };
+        limited(relation, limit_clause.as_ref())
+    }
+
+    fn body(&self, body: &SetExpr, ctes: &Ctes) -> Answer<Relation> {
+        match body {
+            SetExpr::Select(select) => self.select(select, None, ctes),
+            SetExpr::Query(query) => self.query(query, ctes),
+            SetExpr::SetOperation { op, set_quantifier, left, right } => {
+                self.combined(*op, *set_quantifier, self.body(left, ctes)?, self.body(right, ctes)?)
+            }
+            SetExpr::Values(_) => {
+                refuse("VALUES is not supported; write SELECT 1 AS a UNION ALL SELECT 2".into())
+            }
+            SetExpr::Table(_) => refuse("TABLE is not supported; write SELECT * FROM".into()),
+            _ => refuse("it is no question; use SELECT".into()),
+        }
+    }
+
+    /// UNION, INTERSECT, EXCEPT.
+    fn combined(
+        &self,
+        op: SetOperator,
+        quantifier: SetQuantifier,
+        left: Relation,
+        right: Relation,
+    ) -> Answer<Relation> {
+        let all = match (op, quantifier) {
+            (_, SetQuantifier::None | SetQuantifier::Distinct) => false,
+            (SetOperator::Union, SetQuantifier::All) => true,
+            _ => return refuse(format!("'{op} {quantifier}' is not supported; use {op}")),
+        };
+        if left.columns.len() != right.columns.len() {
+            let (left, right) = (left.columns.len(), right.columns.len());
+            return refuse(format!(
+                "{op} is of queries with as many columns; one has {left}, the other {right}"
+            ));
+        }
+        let (mut lefts, mut rights, mut columns) = (Vec::new(), Vec::new(), Vec::new());
+        for (number, (left, right)) in left.columns.iter().zip(&right.columns).enumerate() {
+            let Some(kind) = left.kind.common(right.kind) else {
+                return refuse(format!(
+                    "{op} of {} with {} in column {}",
+                    left.kind.name(),
+                    right.kind.name(),
+                    number + 1
+                ));
+            };
+            let id = self.fresh();
+            for (column, sides) in [(left, &mut lefts), (right, &mut rights)] {
+                sides.push(Value::column(&column.id, column.kind).to(kind).alias(&id));
+            }
+            columns.push(Column { table: None, name: left.name.clone(), id, kind, merged: false });
+        }
+        let rows = match (left.rows, right.rows) {
+            (None, None) => None,
+            (left, right) => Some(left.unwrap_or(0).saturating_add(right.unwrap_or(0))),
+        };
+        within_rows(rows.unwrap_or(0), 0)?;
+        let reads = left.reads + right.reads;
+        if reads > MAX_READS {
+            return refuse(format!("it reads tables {reads} times, and {MAX_READS} are allowed"));
+        }
+        let (left, right) = (left.frame.select(lefts), right.frame.select(rights));
+        let unique = |frame: LazyFrame| frame.unique_stable(None, UniqueKeepStrategy::First);
+        let frame = match op {
+            SetOperator::Union => {
+                let both = concat([left, right], UnionArgs::default())?;
+                if all { both } else { unique(both) }
+            }
+            SetOperator::Intersect | SetOperator::Except => {
+                let on: Vec<Expr> = columns.iter().map(|column| col(&*column.id)).collect();
+                let how = if op == SetOperator::Except { JoinType::Anti } else { JoinType::Semi };
+                unique(left).join_builder().with(right).on(on).how(how).join_nulls(true).finish()
+            }
+            SetOperator::Minus => return refuse("MINUS is not supported; use EXCEPT".into()),
+        };
+        Ok(Relation { frame, columns, rows, reads })
+    }
+
+    /// ORDER BY of what is no single SELECT: by columns of the answer.
+    fn ordered(&self, relation: Relation, order_by: Option<&ast::OrderBy>, ctes: &Ctes) -> Answer<Relation> {
+        let Some(order_by) = order_by else {
+            return Ok(relation);
+        };
+        let items: Vec<Item> = relation.columns.iter().cloned().map(Item::Column).collect();
+        let names: Vec<String> = relation.columns.iter().map(|column| column.name.clone()).collect();
+        let values: Vec<Value> =
+            relation.columns.iter().map(|column| Value::column(&column.id, column.kind)).collect();
+        let binder = self.binder(&relation.columns, "ORDER BY", ctes);
+        let mut sorting = Sorting::default();
+        for (key, options) in order_keys(order_by, values.len())? {
+            let value = match placed(key, &items, &names)? {
+                OrderKey::Place(place) => values[place].clone(),
+                OrderKey::Written(expr) => binder.bind(&expr)?,
+            };
+            sorting.add(value.expr, options);
+        }
+        Ok(Relation { frame: sorting.of(relation.frame.clone()), ..relation })
+    }
+
+    pub fn binder<'b>(&'b self, columns: &'b [Column], clause: &'b str, ctes: &'b Ctes) -> Binder<'b> {
+        Binder { planner: self, ctes, columns, clause, groups: None, windows: None, aliases: &[] }
+    }
+
+    fn select(&self, select: &ast::Select, order_by: Option<&ast::OrderBy>, ctes: &Ctes) -> Answer<Relation> {
+        check_select(select)?;
+        let mut conditions: Vec<&ast::Expr> = Vec::new();
+        split_and(select.selection.as_ref(), &mut conditions);
+        let input = self.from(&select.from, &mut conditions, ctes)?;
+        let aliases: Vec<(String, &ast::Expr)> = select
+            .projection
+            .iter()
+            .filter_map(|item| match item {
+                ast::SelectItem::ExprWithAlias { expr, alias } => Some((alias.value.clone(), expr)),
+                _ => None,
+            })
+            .collect();
+        let at = |clause| Binder { aliases: &aliases, ..self.binder(&input.columns, clause, ctes) };
+
+        let mut frame = input.frame.clone();
+        for condition in conditions {
+            frame = frame.filter(at("WHERE").condition(condition)?);
+        }
+
+        let (items, names) = self.items(select, &input.columns)?;
+        let order_keys = match order_by {
+            Some(order_by) => order_keys(order_by, items.len())?,
+            None => Vec::new(),
+        };
+        let keys = self.group_keys(select, &items, &names, &at("GROUP BY"))?;
+        let written = items.iter().filter_map(|item| match item {
+            Item::Written(expr) => Some(*expr),
+            Item::Column(_) => None,
+        });
+        let ordered = order_keys.iter().filter_map(|(key, _)| match key {
+            OrderKey::Written(expr) => Some(expr.as_ref()),
+            OrderKey::Place(_) => None,
+        });
+        let after = ordered.chain(&select.having).chain(&select.qualify);
+        let is_grouped =
+            !keys.is_empty() || select.having.is_some() || written.chain(after).any(has_aggregate);
+        let groups = RefCell::new(Groups { keys, arguments: Vec::new(), aggregates: Vec::new() });
+        let windows = RefCell::new(Vec::new());
+        let grouped = |clause| Binder { groups: is_grouped.then_some(&groups), ..at(clause) };
+        let windowed = |clause| Binder { windows: Some(&windows), ..grouped(clause) };
+
+        let having = select.having.as_ref().map(|expr| grouped("HAVING").condition(expr)).transpose()?;
+        let mut values = Vec::with_capacity(items.len());
+        for item in &items {
+            values.push(match item {
+                Item::Written(expr) => Binder { aliases: &[], ..windowed("SELECT") }.bind(expr)?,
+                Item::Column(_) if is_grouped => grouped("SELECT").bind(&item.expr())?,
+                Item::Column(column) => Value::column(&column.id, column.kind),
+            });
+        }
+        let qualify = select.qualify.as_ref().map(|expr| windowed("QUALIFY").condition(expr)).transpose()?;
+
+        let is_distinct = matches!(select.distinct, Some(ast::Distinct::Distinct));
+        let outputs: Vec<String> = items.iter().map(|_| self.fresh()).collect();
+        let mut projected: Vec<Expr> =
+            values.iter().zip(&outputs).map(|(value, id)| value.expr.clone().alias(id)).collect();
+        let mut sorting = Sorting::default();
+        for (key, options) in order_keys {
+            let place = match placed(key, &items, &names)? {
+                OrderKey::Place(place) => Some(place),
+                OrderKey::Written(expr) => {
+                    let value = windowed("ORDER BY").bind(&expr)?;
+                    let place = values.iter().position(|other| other.expr == value.expr);
+                    if place.is_none() && is_distinct {
+                        return refuse(format!(
+                            "with DISTINCT, ORDER BY is of what SELECT gives, and '{}' is not; add it to SELECT",
+                            shown(&expr)
+                        ));
+                    }
+                    if place.is_none() {
+                        let id = self.fresh();
+                        projected.push(value.expr.alias(&id));
+                        sorting.add(col(&*id), options);
+                    }
+                    place
+                }
+            };
+            if let Some(place) = place {
+                sorting.add(col(&*outputs[place]), options);
+            }
+        }
+
+        if is_grouped {
+            frame = aggregated(frame, groups.into_inner());
+        }
+        if let Some(having) = having {
+            frame = frame.filter(having);
+        }
+        frame = windows.into_inner().iter().fold(frame, |frame, window: &Window| window.apply(frame));
+        if let Some(qualify) = qualify {
+            frame = frame.filter(qualify);
+        }
+        frame = frame.with_columns(projected);
+        let kept: Vec<Expr> = outputs.iter().map(|id| col(&**id)).collect();
+        if is_distinct {
+            frame = frame.select(&kept).unique_stable(None, UniqueKeepStrategy::First);
+        }
+        frame = sorting.of(frame).select(kept);
+        let columns = names.into_iter().zip(outputs).zip(values).map(|((name, id), value)| Column {
+            table: None,
+            name,
+            id,
+            kind: value.kind,
+            merged: false,
+        });
+        Ok(Relation { frame, columns: columns.collect(), rows: input.rows, reads: input.reads })
+    }
+
+    /// What SELECT gives, and by what names: a name that is given, a column's, or the expression as it is written.
+    fn items<'s>(&self, select: &'s ast::Select, columns: &[Column]) -> Answer<(Vec<Item<'s>>, Vec<String>)> {
+        let (mut items, mut names) = (Vec::new(), Vec::new());
+        let no_options = |options: &ast::WildcardAdditionalOptions| {
+            if *options == ast::WildcardAdditionalOptions::default() {
+                return Ok(());
+            }
+            refuse("* takes no EXCLUDE, REPLACE or RENAME here; name the columns".into())
+        };
+        for item in &select.projection {
+            match item {
+                ast::SelectItem::UnnamedExpr(expr) => {
+                    names.push(match expr {
+                        ast::Expr::Identifier(name) => name.value.clone(),
+                        ast::Expr::CompoundIdentifier(path) => {
+                            path.last().map_or(String::new(), |name| name.value.clone())
+                        }
+                        other => other.to_string(),
+                    });
+                    items.push(Item::Written(expr));
+                }
+                ast::SelectItem::ExprWithAlias { expr, alias } => {
+                    names.push(alias.value.clone());
+                    items.push(Item::Written(expr));
+                }
+                ast::SelectItem::Wildcard(options) => {
+                    no_options(options)?;
+                    if columns.is_empty() {
+                        return refuse("* needs a FROM".into());
+                    }
+                    for column in columns.iter().filter(|column| !column.merged) {
+                        names.push(column.name.clone());
+                        items.push(Item::Column(column.clone()));
+                    }
+                }
+                ast::SelectItem::QualifiedWildcard(
+                    ast::SelectItemQualifiedWildcardKind::ObjectName(table),
+                    options,
+                ) => {
+                    no_options(options)?;
+                    let table = table.to_string();
+                    let is_of =
+                        |column: &&Column| column.table.as_deref().is_some_and(|found| same(found, &table));
+                    let found: Vec<&Column> = columns.iter().filter(is_of).collect();
+                    if found.is_empty() {
+                        return refuse(format!("there is no table '{table}' in its FROM"));
+                    }
+                    for column in found {
+                        names.push(column.name.clone());
+                        items.push(Item::Column(column.clone()));
+                    }
+                }
+                other => return refuse(format!("'{other}' is not supported")),
+            }
+        }
+        Ok((items, names))
+    }
+
+    fn group_keys(
+        &self,
+        select: &ast::Select,
+        items: &[Item],
+        names: &[String],
+        binder: &Binder,
+    ) -> Answer<Vec<Key>> {
+        let written: Vec<ast::Expr> = match &select.group_by {
+            ast::GroupByExpr::Expressions(written, modifiers) if modifiers.is_empty() => written.clone(),
+            ast::GroupByExpr::All(modifiers) if modifiers.is_empty() => {
+                items.iter().map(Item::expr).filter(|expr| !has_aggregate(expr)).collect()
+            }
+            _ => {
+                return refuse(
+                    "ROLLUP, CUBE and TOTALS are not supported; write a query each, with UNION ALL".into(),
+                );
+            }
+        };
+        let mut keys = Vec::with_capacity(written.len());
+        for written in written {
+            let written = match placed(OrderKey::Written(Box::new(written)), items, &[])? {
+                OrderKey::Place(place) => items[place].expr(),
+                OrderKey::Written(expr) => *expr,
+            };
+            // A name that SELECT gives stands for its expression, which then is the key.
+            let named = match &written {
+                ast::Expr::Identifier(name)
+                    if resolve(binder.columns, std::slice::from_ref(name)).is_err() =>
+                {
+                    names.iter().position(|other| same(other, &name.value)).map(|place| items[place].expr())
+                }
+                _ => None,
+            };
+            let written = named.unwrap_or(written);
+            let value = binder.bind(&written)?;
+            keys.push(Key { written, value, id: self.fresh() });
+        }
+        Ok(keys)
+    }
+
+    /// Plans a subquery, whose names may be mistaken for those of `around`.
+    fn subquery(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<Relation> {
+        self.around.borrow_mut().push(around.to_vec());
+        let relation = self.query(query, ctes);
+        self.around.borrow_mut().pop();
+        relation
+    }
+
+    /// A subquery's only column.
+    fn column(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<(LazyFrame, Type)> {
+        let relation = self.subquery(query, ctes, around)?;
+        match relation.columns.as_slice() {
+            [column] => Ok((relation.frame.select([col(&*column.id).alias("value")]), column.kind)),
+            columns => refuse(format!(
+                "the subquery '{}' gives {} columns, and one is wanted",
+                shown(query),
+                columns.len()
+            )),
+        }
+    }
+
+    /// The only value that a subquery gives, or null if it gives none.
+    pub fn scalar(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<Value> {
+        let (frame, kind) = self.column(query, ctes, around)?;
+        let rows = frame.limit(2).collect()?;
+        let values = rows.column("value")?;
+        match values.len() {
+            0 => Ok(Value::null(kind)),
+            1 => Ok(Value::literal(values.get(0)?, kind)),
+            _ => refuse(format!(
+                "the subquery '{}' gives several rows, and one value is wanted; use IN, or an aggregate as max",
+                shown(query)
+            )),
+        }
+    }
+
+    /// All values that a subquery gives.
+    pub fn list(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<Vec<Value>> {
+        let (frame, kind) = self.column(query, ctes, around)?;
+        let rows = frame.unique_stable(None, UniqueKeepStrategy::First).collect()?;
+        let values = rows.column("value")?;
+        (0..values.len()).map(|row| Ok(Value::literal(values.get(row)?, kind))).collect()
+    }
+
+    pub fn exists(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<bool> {
+        let relation = self.subquery(query, ctes, around)?;
+        Ok(relation.frame.limit(1).collect()?.height() > 0)
+    }
+}
+
+impl Item<'_> {
+    fn expr(&self) -> ast::Expr {
+        match self {
+            Item::Written(expr) => (*expr).clone(),
+            Item::Column(column) => {
+                let path =
+                    column.table.iter().chain([&column.name]).map(|name| ast::Ident::new(name.as_str()));
+                ast::Expr::CompoundIdentifier(path.collect())
+            }
+        }
+    }
+}
+
+/// What ORDER BY orders by.
+enum OrderKey {
+    Written(Box<ast::Expr>),
+    /// A column of the answer, counted from 0.
+    Place(usize),
+}
+
+/// The keys of ORDER BY, with whether they descend and whether nulls come last.
+fn order_keys(order_by: &ast::OrderBy, outputs: usize) -> Answer<Vec<(OrderKey, (bool, bool))>> {
+    none_of(&[(order_by.interpolate.is_some(), "INTERPOLATE", "leave it out")])?;
+    let all = |options: &ast::OrderByOptions| {
+        let options = options_of(options);
+        (0..outputs).map(|place| (OrderKey::Place(place), options)).collect()
+    };
+    match &order_by.kind {
+        ast::OrderByKind::All(options) => Ok(all(options)),
+        ast::OrderByKind::Expressions(keys) => match keys.as_slice() {
+            [ast::OrderByExpr { expr: ast::Expr::Identifier(name), options, with_fill: None }]
+                if name.quote_style.is_none() && same(&name.value, "all") =>
+            {
+                Ok(all(options))
+            }
+            keys => keys
+                .iter()
+                .map(|key| Ok((OrderKey::Written(Box::new(key.expr.clone())), direction(key)?)))
+                .collect(),
+        },
+    }
+}
+
+/// Whether a key of ORDER BY descends, and whether nulls come last: they do unless NULLS FIRST is asked for.
+pub fn direction(key: &ast::OrderByExpr) -> Answer<(bool, bool)> {
+    none_of(&[(key.with_fill.is_some(), "WITH FILL", "leave it out")])?;
+    Ok(options_of(&key.options))
+}
+
+fn options_of(options: &ast::OrderByOptions) -> (bool, bool) {
+    (options.asc == Some(false), options.nulls_first != Some(true))
+}
+
+/// The same, where a number stands for an item or a name is one of SELECT's.
+fn placed(key: OrderKey, items: &[Item], names: &[String]) -> Answer<OrderKey> {
+    let OrderKey::Written(written) = key else {
+        return Ok(key);
+    };
+    match written.as_ref() {
+        ast::Expr::Value(ast::ValueWithSpan { value: ast::Value::Number(digits, _), .. }) => match digits
+            .parse::<usize>()
+        {
+            Ok(number) if (1..=items.len()).contains(&number) => Ok(OrderKey::Place(number - 1)),
+            _ => refuse(format!("'{digits}' stands for no column of SELECT; they are 1 to {}", items.len())),
+        },
+        ast::Expr::Identifier(name) => {
+            let places: Vec<usize> =
+                (0..names.len()).filter(|&place| same(&names[place], &name.value)).collect();
+            match places.as_slice() {
+                [] => Ok(OrderKey::Written(written)),
+                [first, rest @ ..]
+                    if rest.iter().all(|place| items[*place].expr() == items[*first].expr()) =>
+                {
+                    Ok(OrderKey::Place(*first))
+                }
+                _ => refuse(format!(
+                    "several columns of SELECT are named '{}'; order by their number",
+                    name.value
+                )),
+            }
+        }
+        _ => Ok(OrderKey::Written(written)),
+    }
+}
+
+/// What rows are sorted by.
+#[derive(Default)]
+struct Sorting {
+    by: Vec<Expr>,
+    descending: Vec<bool>,
+    nulls_last: Vec<bool>,
+}
+
+impl Sorting {
+    fn add(&mut self, by: Expr, (descending, nulls_last): (bool, bool)) {
+        self.by.push(by);
+        self.descending.push(descending);
+        self.nulls_last.push(nulls_last);
+    }
+
+    fn of(self, frame: LazyFrame) -> LazyFrame {
+        if self.by.is_empty() {
+            return frame;
+        }
+        let options = SortMultipleOptions::default()
+            .with_order_descending_multi(self.descending)
+            .with_nulls_last_multi(self.nulls_last)
+            .with_maintain_order(true);
+        frame.sort_by_exprs(self.by, options)
+    }
+}
+
+/// One row for each group, or for all rows if there are no keys.
+fn aggregated(frame: LazyFrame, groups: Groups) -> LazyFrame {
+    let Groups { keys, arguments, mut aggregates } = groups;
+    let key_columns = keys.iter().map(|key| key.value.expr.clone().alias(&*key.id));
+    let frame = frame.with_columns(key_columns.chain(arguments).collect::<Vec<_>>());
+    if !keys.is_empty() {
+        let keys: Vec<Expr> = keys.iter().map(|key| col(&*key.id)).collect();
+        return frame.group_by_stable(keys).agg(aggregates);
+    }
+    // HAVING alone makes one group as well.
+    aggregates.push(len().alias(""));
+    frame.select(aggregates)
+}
+
+fn limited(relation: Relation, limit: Option<&ast::LimitClause>) -> Answer<Relation> {
+    let (limit, offset) = match limit {
+        None => return Ok(relation),
+        Some(ast::LimitClause::LimitOffset { limit, offset, limit_by }) => {
+            none_of(&[(!limit_by.is_empty(), "LIMIT … BY", "use row_number")])?;
+            (limit.as_ref(), offset.as_ref().map(|offset| &offset.value))
+        }
+        Some(ast::LimitClause::OffsetCommaLimit { offset, limit }) => (Some(limit), Some(offset)),
+    };
+    let count = |expr: &ast::Expr| match expr.to_string().parse::<u32>() {
+        Ok(count) => Ok(count),
+        Err(_) => refuse(format!("LIMIT and OFFSET take whole numbers, and '{}' is none", shown(expr))),
+    };
+    let offset = offset.map_or(Ok(0), count)?;
+    let limit = limit.map_or(Ok(IdxSize::MAX), count)?;
+    Ok(Relation { frame: relation.frame.slice(offset.into(), limit), ..relation })
+}
+
+/// Refuses the first part that is there: whether it is, its name, and what to do instead.
+pub fn none_of(parts: &[(bool, &str, &str)]) -> Answer<()> {
+    match parts.iter().find(|(is_there, _, _)| *is_there) {
+        None => Ok(()),
+        Some((_, name, instead)) => refuse(format!("{name} is not supported; {instead}")),
+    }
+}
+
+/// Refuses the parts of SELECT that have no meaning here.
+fn check_select(select: &ast::Select) -> Answer<()> {
+    let ast::Select {
+        select_token: _,
+        optimizer_hints: _,
+        distinct,
+        select_modifiers,
+        top,
+        top_before_distinct: _,
+        projection,
+        exclude,
+        into,
+        from: _,
+        lateral_views,
+        prewhere,
+        selection: _,
+        connect_by,
+        group_by: _,
+        cluster_by,
+        distribute_by,
+        sort_by,
+        having: _,
+        named_window,
+        qualify: _,
+        window_before_qualify: _,
+        value_table_mode,
+        flavor: _,
+    } = select;
+    none_of(&[
+        (
+            matches!(distinct, Some(ast::Distinct::On(_))),
+            "DISTINCT ON",
+            "use QUALIFY row_number() OVER (…) = 1",
+        ),
+        (select_modifiers.is_some(), "what follows SELECT", "leave it out"),
+        (top.is_some(), "TOP", "use LIMIT"),
+        (projection.is_empty(), "FROM without SELECT", "write SELECT * FROM"),
+        (exclude.is_some(), "EXCLUDE", "name the columns"),
+        (into.is_some(), "INTO", "use --output"),
+        (!lateral_views.is_empty(), "LATERAL VIEW", "use a join"),
+        (prewhere.is_some(), "PREWHERE", "use WHERE"),
+        (!connect_by.is_empty(), "CONNECT BY", "use a join"),
+        (
+            !cluster_by.is_empty() || !distribute_by.is_empty() || !sort_by.is_empty(),
+            "CLUSTER BY, DISTRIBUTE BY and SORT BY",
+            "use ORDER BY",
+        ),
+        (!named_window.is_empty(), "WINDOW", "write OVER (PARTITION BY … ORDER BY …)"),
+        (value_table_mode.is_some(), "SELECT AS", "name the columns"),
+    ])
+}

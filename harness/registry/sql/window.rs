@@ -1,0 +1,331 @@
+//! Window functions: `f(…) over (partition by … order by …)`.
+
+use super::expression::{Binder, Value};
+use super::functions::Aggregate;
+use super::scope::Type;
+use super::{Answer, refuse, shown};
+use polars::prelude::*;
+use sqlparser::ast::{self, WindowFrameBound, WindowFrameUnits};
+
+/// The functions that only a window has; every aggregate can have one as well.
+pub const NAMES: [&str; 7] = ["row_number", "rank", "dense_rank", "lag", "lead", "first_value", "last_value"];
+
+pub fn is_name(name: &str) -> bool {
+    NAMES.contains(&name)
+}
+
+/// A function that is called with OVER.
+pub struct Call<'a> {
+    pub name: &'a str,
+    pub arguments: &'a [&'a ast::Expr],
+    pub distinct: bool,
+    pub filter: Option<&'a ast::Expr>,
+}
+
+/// Columns that are added to a frame: first the inputs, then a row's place, then step after step.
+pub struct Window {
+    /// Arguments, what the rows are divided by, and what they are ordered by.
+    inputs: Vec<Expr>,
+    partition: Vec<String>,
+    order: Vec<Order>,
+    /// Where a row comes in the order.
+    place: String,
+    /// Each may use those before it.
+    steps: Vec<Expr>,
+}
+
+struct Order {
+    id: String,
+    descending: bool,
+    nulls_last: bool,
+}
+
+impl Window {
+    fn new(binder: &Binder, spec: &ast::WindowSpec) -> Answer<Self> {
+        let mut window = Self {
+            inputs: Vec::new(),
+            partition: Vec::new(),
+            order: Vec::new(),
+            place: binder.planner.fresh(),
+            steps: Vec::new(),
+        };
+        for expr in &spec.partition_by {
+            let id = window.input(binder, binder.bind(expr)?);
+            window.partition.push(id);
+        }
+        if window.partition.is_empty() {
+            let all = window.input(binder, Value::literal(AnyValue::Boolean(true), Type::Flag));
+            window.partition.push(all);
+        }
+        for by in &spec.order_by {
+            let (descending, nulls_last) = super::plan::direction(by)?;
+            let id = window.input(binder, binder.bind(&by.expr)?);
+            window.order.push(Order { id, descending, nulls_last });
+        }
+        Ok(window)
+    }
+
+    fn input(&mut self, binder: &Binder, value: Value) -> String {
+        let id = binder.planner.fresh();
+        self.inputs.push(value.expr.alias(&id));
+        id
+    }
+
+    fn step(&mut self, binder: &Binder, expr: Expr) -> Expr {
+        let id = binder.planner.fresh();
+        self.steps.push(expr.alias(&id));
+        col(&*id)
+    }
+
+    /// What rows have in common that are equal in order.
+    fn peers(&self) -> Vec<Expr> {
+        let order = self.order.iter().map(|order| &order.id);
+        self.partition.iter().chain(order).map(|id| col(&**id)).collect()
+    }
+
+    fn over_partition(&self, expr: Expr) -> PolarsResult<Expr> {
+        expr.over(self.partition.iter().map(|id| col(&**id)).collect::<Vec<_>>())
+    }
+
+    /// Over the partition, in order.
+    fn ordered(&self, expr: Expr) -> PolarsResult<Expr> {
+        self.over(expr, self.partition.iter().map(|id| col(&**id)).collect())
+    }
+
+    /// The value of the last row that is equal to this one in order.
+    fn last_of_peers(&self, expr: Expr) -> PolarsResult<Expr> {
+        self.over(expr.last(), self.peers())
+    }
+
+    fn over(&self, expr: Expr, partition: Vec<Expr>) -> PolarsResult<Expr> {
+        let order = (vec![col(&*self.place)], SortOptions::default());
+        expr.over_with_options(Some(partition), Some(order), WindowMapping::GroupsToRows)
+    }
+
+    pub fn apply(&self, frame: LazyFrame) -> LazyFrame {
+        let frame = frame.with_columns(&self.inputs);
+        let frame = if self.order.is_empty() { frame } else { self.placed(frame) };
+        self.steps.iter().fold(frame, |frame, step| frame.with_columns([step.clone()]))
+    }
+
+    /// With the column `place`: rows that come first have the smaller number; equal ones have different numbers.
+    fn placed(&self, frame: LazyFrame) -> LazyFrame {
+        let before = format!("{}before", self.place);
+        let by: Vec<Expr> = self.order.iter().map(|order| col(&*order.id)).collect();
+        let options = SortMultipleOptions::default()
+            .with_order_descending_multi(self.order.iter().map(|order| order.descending))
+            .with_nulls_last_multi(self.order.iter().map(|order| order.nulls_last))
+            .with_maintain_order(true);
+        let sorted = frame.with_row_index(&*before, None).sort_by_exprs(by, options);
+        sorted.with_row_index(&*self.place, None).sort([before], SortMultipleOptions::default())
+    }
+}
+
+/// Which rows an aggregate with ORDER BY is over.
+#[derive(Clone, Copy, PartialEq)]
+enum Frame {
+    /// The whole partition.
+    All,
+    /// From the partition's first row to this one.
+    ToRow,
+    /// From the partition's first row to the last that is equal to this one in order: the standard's default.
+    ToPeers,
+}
+
+impl Frame {
+    fn of(spec: &ast::WindowSpec) -> Answer<Self> {
+        let Some(frame) = &spec.window_frame else {
+            return Ok(if spec.order_by.is_empty() { Self::All } else { Self::ToPeers });
+        };
+        let end = frame.end_bound.as_ref().unwrap_or(&WindowFrameBound::CurrentRow);
+        match (&frame.units, &frame.start_bound, end) {
+            (
+                WindowFrameUnits::Rows | WindowFrameUnits::Range,
+                WindowFrameBound::Preceding(None),
+                WindowFrameBound::Following(None),
+            ) => Ok(Self::All),
+            (WindowFrameUnits::Rows, WindowFrameBound::Preceding(None), WindowFrameBound::CurrentRow)
+                if !spec.order_by.is_empty() =>
+            {
+                Ok(Self::ToRow)
+            }
+            (WindowFrameUnits::Range, WindowFrameBound::Preceding(None), WindowFrameBound::CurrentRow)
+                if !spec.order_by.is_empty() =>
+            {
+                Ok(Self::ToPeers)
+            }
+            (units, start, end) => refuse(format!(
+                "the frame '{units} BETWEEN {start} AND {end}' is not supported; with ORDER BY there are ROWS or RANGE \
+                 BETWEEN UNBOUNDED PRECEDING AND CURRENT ROW, and without it the whole partition",
+            )),
+        }
+    }
+}
+
+/// Binds a window function: its columns go to the binder's windows.
+pub fn bind(binder: &Binder, call: &Call, over: &ast::WindowType, written: &ast::Function) -> Answer<Value> {
+    let Some(windows) = binder.windows else {
+        return refuse(format!(
+            "'{}' can't be in {}; compute it in a query of its own, with WITH",
+            shown(written),
+            binder.clause
+        ));
+    };
+    let spec = match over {
+        ast::WindowType::WindowSpec(spec) if spec.window_name.is_none() => spec,
+        _ => return refuse("a named window is not supported; write OVER (PARTITION BY … ORDER BY …)".into()),
+    };
+    if call.distinct {
+        return refuse("DISTINCT is not supported with OVER".into());
+    }
+    let binder = Binder { windows: None, clause: "a window function", aliases: &[], ..*binder };
+    let mut window = Window::new(&binder, spec)?;
+    let frame = Frame::of(spec)?;
+    let value = if Aggregate::is_name(call.name) {
+        aggregate(&binder, &mut window, call, frame)?
+    } else if is_name(call.name) {
+        if window.order.is_empty() {
+            return refuse(format!("{} needs an order: OVER (ORDER BY …)", call.name));
+        }
+        if call.filter.is_some() {
+            return refuse(format!("FILTER is for aggregates, and {} is none", call.name));
+        }
+        if spec.window_frame.is_some() && !matches!(call.name, "first_value" | "last_value") {
+            return refuse(format!("{} has no frame; leave ROWS or RANGE out", call.name));
+        }
+        let values = call.arguments.iter().map(|expr| Ok(binder.bind(expr)?.for_computing()));
+        of_rows(&binder, &mut window, call.name, values.collect::<Answer<_>>()?, frame)?
+    } else {
+        return refuse(format!("{} can't have OVER; aggregates can, and {}", call.name, NAMES.join(", ")));
+    };
+    let expr = window.step(&binder, value.expr);
+    windows.borrow_mut().push(window);
+    Ok(Value::new(expr, value.kind))
+}
+
+/// An aggregate of each row's frame.
+fn aggregate(binder: &Binder, window: &mut Window, call: &Call, frame: Frame) -> Answer<Value> {
+    let (aggregate, argument) = binder.argument(call.name, call.arguments, call.filter)?;
+    let kind = argument.kind;
+    let id = window.input(binder, argument);
+    if frame == Frame::All {
+        let (expr, kind) = aggregate.of(&id, kind, false)?;
+        return Ok(Value::new(window.over_partition(expr)?, kind));
+    }
+    let Some((running, kind)) = running(aggregate, &id, kind) else {
+        return refuse(format!(
+            "{} up to each row is not supported; leave ORDER BY out for that of the whole partition",
+            call.name
+        ));
+    };
+    let running = window.step(binder, window.ordered(running)?);
+    let expr = if frame == Frame::ToRow { running } else { window.last_of_peers(running)? };
+    Ok(Value::new(expr, kind))
+}
+
+/// A function of where a row stands, or of another row.
+fn of_rows(
+    binder: &Binder,
+    window: &mut Window,
+    name: &str,
+    values: Vec<Value>,
+    frame: Frame,
+) -> Answer<Value> {
+    let number = window.ordered(col(&*window.place).cum_count(false))?.cast(DataType::Int64);
+    let number = window.step(binder, number);
+    match (name, values.as_slice()) {
+        ("row_number", []) => Ok(Value::new(number, Type::Integer)),
+        ("rank", []) => Ok(Value::new(number.min().over(window.peers())?, Type::Integer)),
+        ("dense_rank", []) => {
+            let is_first = number.clone().eq(number.min().over(window.peers())?).cast(DataType::Int64);
+            let is_first = window.step(binder, is_first);
+            Ok(Value::new(window.ordered(is_first.cum_sum(false))?, Type::Integer))
+        }
+        ("lag" | "lead", [value]) => neighbour(binder, window, name, number, value, 1, None),
+        ("lag" | "lead", [value, distance] | [value, distance, _]) => match distance.constant() {
+            Some(AnyValue::Int64(distance @ 0..=1_000_000_000)) => {
+                neighbour(binder, window, name, number, value, distance, values.get(2))
+            }
+            _ => refuse(format!("{name} takes a column, and how many rows away as a number")),
+        },
+        ("first_value", [value]) => {
+            let id = window.input(binder, value.clone());
+            Ok(Value::new(window.ordered(col(&*id).first())?, value.kind))
+        }
+        ("last_value", [value]) => {
+            let last = col(&*window.input(binder, value.clone()));
+            let expr = match frame {
+                Frame::All => window.ordered(last.last())?,
+                Frame::ToRow => last,
+                Frame::ToPeers => window.last_of_peers(last)?,
+            };
+            Ok(Value::new(expr, value.kind))
+        }
+        _ => refuse(format!("{name} is given {} values, the wrong number", values.len())),
+    }
+}
+
+/// The value of the row so many before (lag) or after (lead); where there is none, `otherwise`.
+fn neighbour(
+    binder: &Binder,
+    window: &mut Window,
+    name: &str,
+    number: Expr,
+    value: &Value,
+    distance: i64,
+    otherwise: Option<&Value>,
+) -> Answer<Value> {
+    let kind = otherwise.map_or(Some(value.kind), |otherwise| value.kind.common(otherwise.kind));
+    let Some(kind) = kind else {
+        return refuse(format!("{name} mixes {} with another type", value.kind.name()));
+    };
+    let id = window.input(binder, Value::new(value.clone().to(kind), kind));
+    let is_lag = name == "lag";
+    let shift = if is_lag { distance } else { -distance };
+    let shifted = window.step(binder, window.ordered(col(&*id).shift(lit(shift)))?);
+    let Some(otherwise) = otherwise else {
+        return Ok(Value::new(shifted, kind));
+    };
+    let otherwise = col(&*window.input(binder, Value::new(otherwise.clone().to(kind), kind)));
+    let is_outside = if is_lag {
+        number.lt_eq(lit(distance))
+    } else {
+        number.gt(window.over_partition(len())?.cast(DataType::Int64) - lit(distance))
+    };
+    Ok(Value::new(when(is_outside).then(otherwise).otherwise(shifted), kind))
+}
+
+/// An aggregate from a partition's first row to each; none where Polars has no such thing.
+fn running(aggregate: Aggregate, id: &str, kind: Type) -> Option<(Expr, Type)> {
+    let column = col(id);
+    let count = column.clone().is_not_null().cast(DataType::Int64).cum_sum(false);
+    let some = |expr: Expr| when(count.clone().gt(lit(0))).then(expr).otherwise(lit(NULL));
+    let latest = |expr: Expr| expr.fill_null_with_strategy(FillNullStrategy::Forward(None));
+    let zero = match kind {
+        Type::Real => lit(0.0),
+        _ => lit(0_i64),
+    };
+    let sum = column.clone().fill_null(zero).cum_sum(false);
+    Some(match (aggregate, kind) {
+        (Aggregate::Rows | Aggregate::Count, _) => (count.clone(), Type::Integer),
+        (Aggregate::Sum, Type::Integer | Type::Real) => (some(sum), kind),
+        (Aggregate::Mean, Type::Integer | Type::Real) => {
+            (some(sum.cast(DataType::Float64) / count.clone().cast(DataType::Float64)), Type::Real)
+        }
+        (Aggregate::Min, Type::Integer) => (latest(column.cum_min(false)), kind),
+        (Aggregate::Max, Type::Integer) => (latest(column.cum_max(false)), kind),
+        (Aggregate::Min | Aggregate::Max, Type::Real) => {
+            // NaN is greater than any number.
+            let numbers = when(column.clone().is_nan()).then(lit(NULL)).otherwise(column.clone());
+            let nan_before =
+                column.is_nan().fill_null(lit(false)).cast(DataType::Int64).cum_sum(false).gt(lit(0));
+            let nan = when(nan_before).then(lit(f64::NAN));
+            if aggregate == Aggregate::Max {
+                (nan.otherwise(latest(numbers.cum_max(false))), kind)
+            } else {
+                (coalesce(&[latest(numbers.cum_min(false)), nan.otherwise(lit(NULL))]), kind)
+            }
+        }
+        _ => return None,
+    })
+}
