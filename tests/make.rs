@@ -4,6 +4,7 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::Command;
+use std::sync::{Mutex, PoisonError};
 
 /// A script that notes its name and arguments, and ends with a code.
 fn stand_in(path: &Path, code: i32) {
@@ -15,6 +16,9 @@ fn stand_in(path: &Path, code: i32) {
 
 /// What is called, in order, and the exit code of a command in a clone where cargo and Python end with these codes.
 fn calls(command: &[&str], cargo: i32, python: i32) -> (Vec<String>, i32) {
+    // A script can't be run while another test's process still has it open, as it was when that was forked.
+    static ONE: Mutex<()> = Mutex::new(());
+    let _alone = ONE.lock().unwrap_or_else(PoisonError::into_inner);
     let (root, folder) = (Path::new(env!("CARGO_MANIFEST_DIR")), tempfile::tempdir().unwrap());
     let path = |name: &str| folder.path().join(name);
     fs::create_dir(path(".ci")).unwrap();

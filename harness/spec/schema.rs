@@ -112,7 +112,10 @@ fn list_below(schema: &Json, node: &mut Node) {
 
 /// Whether a list may have a single item.
 fn takes_one_item(schema: &Json) -> bool {
-    types(schema) == ["array"] && schema["minItems"] == 1
+    let items = |bound: &str| schema[bound].as_u64();
+    types(schema) == ["array"]
+        && items("minItems").is_none_or(|n| n <= 1)
+        && items("maxItems").is_none_or(|n| n >= 1)
 }
 
 /// Whether a value, or the list that is made of it, has the type that the schema wants.
