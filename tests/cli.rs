@@ -431,6 +431,19 @@ fn runs_are_listed_and_shown() {
 }
 
 #[test]
+fn a_run_is_shown_as_its_own_experiment_made_it() {
+    let folder = Folder::new();
+    let results = folder.path("results");
+    for name in ["name=first", "name=second"] {
+        succeed(&results, &[&ONE[..], &[name]].concat());
+    }
+    for name in ["first", "second"] {
+        let shown = succeed(&results, &["show", &format!("{name}/empty")]);
+        assert!(shown.contains(&format!("name={name}")), "{shown}");
+    }
+}
+
+#[test]
 fn a_spec_is_validated_with_its_overrides() {
     let said = succeed(&RESULTS, &["validate", SMOKE, "latent=[2,3]", "seeds=[5]"]);
     assert!(said.starts_with("experiments/smoke.yaml is valid: 4 runs\n  empty-z2-seed5\n"), "{said}");

@@ -63,15 +63,16 @@ impl Show {
         println!("folder  {}", shown(folder.path()));
         println!("\n{}", record.spec.to_yaml());
         println!("{}\n", layers::table(&record.spec)?);
-        let runs = registry::query(registry, &format!("select * from runs where run = '{}'", record.run))?;
+        // Runs of two experiments that ask for the same have the same id.
+        let own = format!("experiment = '{}' and run = '{}'", record.experiment, record.run);
+        let runs = registry::query(registry, &format!("select * from runs where {own}"))?;
         for column in runs.columns().iter().skip_while(|column| column.name() != "status") {
             let value = column.get(0).map_or(String::new(), |value| value.str_value().into_owned());
             println!("{:<24} {value}", column.name());
         }
         let metrics = format!(
-            "select task, model, modality, direction, metric, value, unit from metrics where run = '{}' \
-             and experiment = '{}' and index is null order by task, modality, direction, metric, model",
-            record.run, record.experiment
+            "select task, model, modality, direction, metric, value, unit from metrics where {own} \
+             and index is null order by task, modality, direction, metric, model"
         );
         print(&registry::query(registry, &metrics)?);
         Ok(ExitCode::from(DONE))

@@ -10,7 +10,7 @@ use crate::files::UNFINISHED;
 use crate::progress::Progress;
 use crate::seal;
 use crate::tables::read_footer;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -57,6 +57,7 @@ impl Registry {
         let verification = Verification {
             registry: self,
             recorded: &recorded,
+            used: episodes_used(recorded.iter().map(|(_, record)| record)),
             commands: Commands::new(self, &recorded),
             progress,
             files: AtomicUsize::new(0),
@@ -75,6 +76,8 @@ impl Registry {
 struct Verification<'a> {
     registry: &'a Registry,
     recorded: &'a [Recorded],
+    /// How many episodes of each dataset finished runs used.
+    used: BTreeMap<&'a str, u32>,
     commands: Commands<'a>,
     progress: &'a dyn Progress,
     files: AtomicUsize,
@@ -103,7 +106,7 @@ impl Verification<'_> {
         }
         // Of all runs on this dataset, the one that needs the most of it.
         let users = self.recorded.iter().map(|(_, record)| record).filter(|record| record.dataset == name);
-        let user = users.max_by_key(|record| (record.episodes(), record.status == Status::Done));
+        let user = users.max_by_key(|record| record.episodes());
         let collect = user.and_then(|record| self.commands.collect(record));
         if let Some(problem) = &inspection.undescribed
             && user.is_none()
@@ -115,7 +118,7 @@ impl Verification<'_> {
             let mend = collect.clone().or_else(|| user.is_none().then(|| remove(&path)));
             report.broken(&path, problem, mend);
         }
-        let needed = user.filter(|record| record.status == Status::Done).map_or(0, RunRecord::episodes);
+        let needed = self.used.get(&*name).copied().unwrap_or_default();
         let lost = inspection.missing.iter().filter(|index| **index < needed).count();
         if lost > 0 {
             let problem = format!("{lost} of the {needed} episodes that a finished run used are missing");
@@ -129,6 +132,16 @@ impl Verification<'_> {
 
     /// Reports a folder that is no dataset of its name, and that no run refers to.
     fn report_undescribed(&self, folder: &Path, problem: &str, report: &mut Report) {
+        if sorted(folder)
+            .iter()
+            .all(|path| path.file_name().is_some_and(|name| is_lock(&name.to_string_lossy())))
+        {
+            return report.note(
+                folder,
+                "a collection that had not begun when its process ended",
+                Some(remove(folder)),
+            );
+        }
         let own = stamped_dataset(folder).map(|name| self.registry.datasets().join(name));
         match own.filter(|own| own != folder) {
             Some(own) if !own.exists() => {
@@ -150,8 +163,8 @@ impl Verification<'_> {
         let records = || self.recorded.iter().map(|(_, record)| record);
         let is_gone =
             |record: &&RunRecord| record.status == Status::Done && !there.contains(record.dataset.as_str());
-        for name in episodes_used(records()).into_keys().filter(|name| !there.contains(name)) {
-            let users = || records().filter(|record| record.dataset == name && is_gone(record));
+        for name in self.used.keys().filter(|name| !there.contains(*name)) {
+            let users = || records().filter(|record| record.dataset == *name && is_gone(record));
             let collect = users().find_map(|record| self.commands.collect(record));
             let path = self.registry.datasets().join(name);
             report.broken(
