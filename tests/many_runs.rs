@@ -10,7 +10,7 @@ use std::path::Path;
 /// Runs in the folder.
 const RUNS: u64 = 3000;
 /// Processor time that a command may take, s. Most of it is the start of the program and the reading of the records.
-const MOST_SECONDS: f64 = 2.0;
+const MOST_SECONDS: f64 = 1.0;
 
 /// The records of as many finished runs, which differ in their seeds.
 fn write_records(results: &Path) {

@@ -1,0 +1,240 @@
+//! Every command that the program suggests works when it is pasted: in each situation that can be made here, what is
+//! suggested is collected and given to a shell.
+
+mod common;
+
+use common::{SMOKE, finish, harness, smoke_run};
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::LazyLock;
+use tempfile::TempDir;
+
+/// Results that tests copy before they damage them.
+static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| smoke_run("suggestions"));
+
+/// A results folder whose name a shell must be told to take as it is.
+struct Situation {
+    _folder: TempDir,
+    results: PathBuf,
+    said: String,
+}
+
+impl Situation {
+    /// With the results of the smoke experiment.
+    fn new() -> Self {
+        let situation = Self::without_runs();
+        shell(&format!("cp -r {}/. {}", RESULTS.display(), shlex::try_quote(situation.name()).unwrap()));
+        situation
+    }
+
+    fn without_runs() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let results = folder.path().join("it's all here");
+        std::fs::create_dir_all(results.join("runs")).unwrap();
+        Self { _folder: folder, results, said: String::new() }
+    }
+
+    fn name(&self) -> &str {
+        self.results.to_str().unwrap()
+    }
+
+    /// The one folder below another whose name begins so.
+    fn folder(&self, below: &str, prefix: &str) -> PathBuf {
+        let entries = std::fs::read_dir(self.results.join(below)).unwrap().map(|entry| entry.unwrap().path());
+        let is_it = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().starts_with(prefix);
+        entries.filter(is_it).max().unwrap_or_else(|| panic!("there is no {below}/{prefix}…"))
+    }
+
+    fn run(&self, scenario: &str) -> PathBuf {
+        self.folder("runs/smoke", scenario)
+    }
+
+    fn dataset(&self, scenario: &str) -> PathBuf {
+        self.folder("datasets", scenario)
+    }
+
+    /// Gives a command and keeps what it says.
+    fn say(&mut self, arguments: &[&str]) {
+        let answer = finish(&mut harness(&self.results, arguments));
+        self.said += &format!("{}{}", answer.stdout, answer.stderr);
+    }
+
+    /// Gives the commands that look at all results.
+    fn look(mut self) -> Self {
+        for arguments in [
+            &["verify"][..],
+            &["ls"],
+            &["query", "select count(run) from metrics"],
+            &["query", "select count(sample) from episodes"],
+            &["run", SMOKE, "--dry-run"],
+        ] {
+            self.say(arguments);
+        }
+        self
+    }
+
+    /// Gives every command that was suggested, of which there must be so many, to a shell.
+    #[track_caller]
+    fn works(&self, least: usize) {
+        let commands = suggested(&self.said);
+        assert!(commands.len() >= least, "only {commands:?} in\n{}", self.said);
+        for command in commands {
+            let is_about_results = !command.contains("harness schema");
+            assert!(
+                !is_about_results
+                    || command.contains("it'\\''s all here")
+                    || command.contains("it's all here"),
+                "{command}"
+            );
+            // Other experiments take hours.
+            let takes_hours = command.contains(" run experiments/") && !command.contains(SMOKE);
+            let code = shell(&if takes_hours { format!("{command} --dry-run") } else { command.clone() });
+            // What verifies may find something broken, and that is what it is asked for.
+            assert!(code == 0 || command.ends_with(" verify") && code == 1, "{command} ends with {code}");
+        }
+    }
+}
+
+/// The commands in a text: those between backticks, after `mend:`, in HTML and at the end of a line.
+fn suggested(text: &str) -> BTreeSet<String> {
+    let mut commands = BTreeSet::new();
+    let begins = |text: &str| ["harness ", "rm ", "mkdir "].iter().any(|begin| text.starts_with(begin));
+    for line in text.lines() {
+        let quoted = line.split('`').skip(1).step_by(2).filter(|quoted| quoted.starts_with("harness "));
+        let aligned = ["mend: ", "queries   ", "for those without data   ", "goes on from here: "];
+        let aligned = aligned.iter().filter_map(|before| line.split_once(before)).map(|(_, command)| command);
+        commands.extend(quoted.chain(aligned.filter(|command| begins(command))).map(str::to_owned));
+        let html = line.split("<code>").skip(1).filter_map(|rest| rest.split_once("</code>"));
+        let html =
+            html.map(|(code, _)| code.replace("&#x2f;", "/").replace("&#x27;", "'").replace("&quot;", "\""));
+        commands.extend(html.filter(|command| begins(command)));
+    }
+    commands
+}
+
+/// Gives a command as a person who pastes it, in the repository's root, and returns its exit code.
+fn shell(command: &str) -> i32 {
+    let program = Path::new(env!("CARGO_BIN_EXE_harness")).parent().unwrap();
+    let search = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+    let shell = Command::new("sh")
+        .args(["-c", command])
+        .env("PATH", search)
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .unwrap();
+    shell.status.code().unwrap()
+}
+
+fn flip(path: &Path) {
+    let mut bytes = std::fs::read(path).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 4;
+    std::fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn what_is_suggested_after_a_run_works() {
+    let mut situation = Situation::new();
+    situation.say(&["run", SMOKE]);
+    situation.works(1);
+    let mut failed = Situation::without_runs();
+    let command = &mut harness(&failed.results, &["run", SMOKE]);
+    let answer = finish(command.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json"));
+    assert_eq!(answer.code, 1);
+    failed.said = answer.stdout + &answer.stderr;
+    failed.look().works(2);
+}
+
+#[test]
+fn what_is_suggested_for_damaged_runs_works() {
+    let damages: [(&str, &dyn Fn(&Situation)); 8] = [
+        ("a table", &|there| flip(&there.run("empty").join("metrics.parquet"))),
+        ("no table", &|there| std::fs::remove_file(there.run("empty").join("metrics.parquet")).unwrap()),
+        ("a record", &|there| flip(&there.run("empty").join("run.json"))),
+        ("no record", &|there| std::fs::remove_file(there.run("empty").join("run.json")).unwrap()),
+        ("a copied record", &|there| {
+            std::fs::copy(there.run("empty").join("run.json"), there.run("cluttered").join("run.json"))
+                .unwrap();
+        }),
+        ("a copied experiment", &|there| {
+            let (from, to) = (there.results.join("runs/smoke"), there.results.join("runs/backup"));
+            let words = [from, to].map(|path| path.to_str().unwrap().to_owned());
+            shell(&format!("cp -r {}", shlex::try_join(words.iter().map(String::as_str)).unwrap()));
+        }),
+        ("a moved experiment", &|there| {
+            std::fs::rename(there.results.join("runs/smoke"), there.results.join("runs/moved")).unwrap();
+        }),
+        // Its spec is not among the experiments.
+        ("a table of a run whose command can't be given again", &|there| {
+            let spec = there.results.join("lost.yaml");
+            std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join(SMOKE), &spec).unwrap();
+            let arguments = ["run", spec.to_str().unwrap(), "name=lost", "scenarios=[empty]"];
+            assert_eq!(finish(&mut harness(&there.results, &arguments)).code, 0);
+            std::fs::remove_file(spec).unwrap();
+            flip(&there.folder("runs/lost", "empty").join("epochs.parquet"));
+        }),
+    ];
+    for (what, damage) in damages {
+        let there = Situation::new();
+        damage(&there);
+        let there = there.look();
+        assert!(there.said.contains("mend: "), "{what}: {}", there.said);
+        there.works(1);
+        let healed = there.look();
+        assert!(healed.said.contains("everything is whole"), "{what}: {}", healed.said);
+    }
+}
+
+#[test]
+fn what_is_suggested_for_damaged_datasets_works() {
+    let damages: [(&str, &dyn Fn(&Situation)); 6] = [
+        ("an episode", &|there| flip(&there.dataset("empty").join("episode_00001.parquet"))),
+        ("no episode", &|there| {
+            std::fs::remove_file(there.dataset("empty").join("episode_00001.parquet")).unwrap();
+        }),
+        ("no description", &|there| {
+            std::fs::remove_file(there.dataset("empty").join("dataset.json")).unwrap()
+        }),
+        ("no dataset", &|there| std::fs::remove_dir_all(there.dataset("empty")).unwrap()),
+        ("a moved dataset", &|there| {
+            std::fs::remove_dir_all(there.results.join("runs/smoke")).unwrap();
+            std::fs::rename(there.dataset("empty"), there.results.join("datasets/moved")).unwrap();
+        }),
+        ("a copied dataset", &|there| {
+            let (from, to) = (there.dataset("empty"), there.results.join("datasets/a copy"));
+            let words = [from, to].map(|path| path.to_str().unwrap().to_owned());
+            shell(&format!("cp -r {}", shlex::try_join(words.iter().map(String::as_str)).unwrap()));
+        }),
+    ];
+    for (what, damage) in damages {
+        let there = Situation::new();
+        damage(&there);
+        let there = there.look();
+        assert!(there.said.contains("mend: "), "{what}: {}", there.said);
+        there.works(1);
+        let healed = there.look();
+        assert!(healed.said.contains("everything is whole"), "{what}: {}", healed.said);
+    }
+}
+
+#[test]
+fn what_is_suggested_where_nothing_is_found_works() {
+    let mut there = Situation::new();
+    there.say(&["show", "emptz"]);
+    let empty = there.results.join("empty.yaml");
+    std::fs::write(&empty, "").unwrap();
+    there.say(&["validate", empty.to_str().unwrap()]);
+    there.works(2);
+}
+
+#[test]
+fn the_tables_can_be_asked_for_as_is_suggested() {
+    let there = Situation::new();
+    let answer = finish(&mut harness(&there.results, &["query", "delete from runs"]));
+    assert!(answer.stderr.contains("SHOW TABLES"), "{}", answer.stderr);
+    let tables = common::succeed(&there.results, &["query", "show tables"]);
+    for table in harness::schema::Table::ALL {
+        assert!(tables.contains(table.name()), "{tables}");
+    }
+}
