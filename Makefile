@@ -12,8 +12,8 @@ help: ## show this list
 setup: ## make .venv with MuJoCo in it; check EGL and Rust
 	@setup/setup.sh
 
-run: setup ## run the main experiment; `make run QUICK=` at full scale
-	cargo run -- run experiments/multi_to_multi.yaml $(QUICK)
+run: setup ## train the network that we recommend, in minutes; `make run QUICK=` at full scale
+	cargo run -- run experiments/multi_to_multi_best.yaml $(QUICK)
 
 test: ## run every test, the Python package's as well; what fails doesn't keep the rest from being tested
 	@setup/setup.sh --test

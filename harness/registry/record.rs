@@ -251,13 +251,12 @@ impl RunRecord {
 
     /// What is wrong with the first of the listed files that is not as it was written; `None` where all are whole.
     pub(super) fn damage(&self, folder: &Path) -> Option<String> {
-        let damage = self.files.par_iter().find_map_first(|(name, _)| {
+        self.files.par_iter().find_map_first(|(name, _)| {
             let RegistryError::File { reason, .. } = self.check_file(folder, name).err()? else {
                 return None;
             };
             Some(format!("{name} is damaged: {reason}"))
-        });
-        damage
+        })
     }
 
     /// Reads a record, whose seal must hold; `None` if there is none.

@@ -164,7 +164,13 @@ pub struct Images {
 
 /// Images that wait for their next use, by channels and side. Their borders are zero. Fresh memory would be cleared by
 /// the allocator or the system first.
-static IDLE: Mutex<Vec<((usize, usize), Vec<[f32; LANES]>)>> = Mutex::new(Vec::new());
+static IDLE: Mutex<Vec<Idle>> = Mutex::new(Vec::new());
+
+struct Idle {
+    channels: usize,
+    side: usize,
+    values: Vec<[f32; LANES]>,
+}
 
 impl Drop for Images {
     fn drop(&mut self) {
@@ -172,7 +178,8 @@ impl Drop for Images {
         if idle.len() == MAX_IDLE {
             idle.remove(0);
         }
-        idle.push(((self.channels, self.side), std::mem::take(&mut self.values)));
+        let Self { channels, side, .. } = *self;
+        idle.push(Idle { channels, side, values: std::mem::take(&mut self.values) });
     }
 }
 
@@ -181,9 +188,9 @@ impl Images {
     pub fn new(channels: usize, side: usize) -> Self {
         let columns = side.next_multiple_of(STRIDE * PLACES) + 2;
         let mut idle = IDLE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        let found = idle.iter().rposition(|(sizes, _)| *sizes == (channels, side));
+        let found = idle.iter().rposition(|idle| (idle.channels, idle.side) == (channels, side));
         let values = match found {
-            Some(index) => idle.swap_remove(index).1,
+            Some(index) => idle.swap_remove(index).values,
             None => vec![[0.0; LANES]; channels * (side + 2) * columns],
         };
         Self { values, channels, side, columns }
