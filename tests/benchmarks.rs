@@ -78,21 +78,25 @@ fn collectors_in_python_and_c_arrive_where_the_harness_does() {
 
 #[test]
 fn products_are_those_of_the_layers() {
-    let report = last_json(&said(example("products").args([
-        "--architecture",
-        "fully_connected",
-        "--latent",
-        "4",
-        "--batch",
-        "10",
-        "--hidden",
-        "8",
-        "--steps",
-        "1",
-    ])));
+    let products = |options: &[&str]| {
+        let mut products = example("products");
+        products.args(["--latent", "4", "--batch", "10", "--hidden", "8", "--steps", "1"]).args(options);
+        products
+    };
+    let operations =
+        |options: &[&str]| last_json(&said(&mut products(options)))["gigaflop"].as_f64().unwrap();
     // Multiplications a sample: 20 to 8 on data (forward, weights); 8 to 2 x 4, 4 + 3 to 8 and 8 to 40 (and inputs).
     let multiplications = 2 * 20 * 8 + 3 * (8 * 8 + 7 * 8 + 8 * 40);
-    assert_eq!(report["gigaflop"].as_f64().unwrap(), f64::from(2 * 10 * multiplications) / 1e9);
+    assert_eq!(operations(&[]), f64::from(2 * 10 * multiplications) / 1e9);
+    // With frames, 5 channels of 32 x 32 places, each from 3 x 4 x 4 values (two products in the encoder, three in the
+    // decoder), to 8 and back (and inputs).
+    let with_frames = multiplications + 5 * (5 * 32 * 32 * 48) + 2 * 3 * (8 * 5 * 32 * 32);
+    assert_eq!(operations(&["--channels", "5"]), f64::from(2 * 10 * with_frames) / 1e9);
+
+    let deeper = products(&["--channels", "5", "6"]).output().unwrap();
+    assert!(!deeper.status.success());
+    let message = String::from_utf8(deeper.stderr).unwrap();
+    assert_eq!(message, "products: --channels takes one number or none: deeper networks are not supported\n");
 }
 
 #[test]

@@ -58,7 +58,7 @@ def main() -> None:
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
     }
-    print(json.dumps({"architecture": listed["architecture"], "latent": listed["latent"]} | report))
+    print(json.dumps({"channels": listed["channels"], "latent": listed["latent"]} | report))
 
 
 if __name__ == "__main__":

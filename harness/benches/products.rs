@@ -1,8 +1,9 @@
 //! The matrix products of one training step and nothing else, timed: the floor under training_step.rs.
 //!
-//!     cargo run --example products -- --architecture convolutional --latent 64 --steps 10
+//!     cargo run --example products -- --channels 16 --latent 64 --steps 10     the paper's
+//!     cargo run --example products -- --latent 4                               vectors alone
 //!
-//! Each layer's product forward, and those of its gradients: for the weights, and for the input where that is not
+//! Only the paper's networks are supported: at most one convolution, and one hidden layer. Each layer's product forward, and those of its gradients: for the weights, and for the input where that is not
 //! data. They run through the gemm crate with the features that the harness uses. The convolutions' products go
 //! frame by frame, each thread over patches that stay in its cache, as cheap as they can be had.
 //!
@@ -11,7 +12,7 @@
 
 use clap::Parser;
 use gemm::Parallelism;
-use harness::spec::{ARM_JOINTS, Architecture, FRAME_CHANNELS, FRAME_SIDE, JOINTS};
+use harness::spec::{ARM_JOINTS, FRAME_CHANNELS, FRAME_SIDE, JOINTS};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::time::Instant;
@@ -21,15 +22,13 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 #[derive(Parser)]
 struct Arguments {
-    /// convolutional or fully_connected
-    #[arg(long, default_value = "convolutional")]
-    architecture: String,
-    #[arg(long, default_value_t = 64)]
-    latent: usize,
+    /// Channels of the convolution; without any, a network for vectors alone.
+    #[arg(long, num_args = 0..)]
+    channels: Vec<usize>,
     #[arg(long, default_value_t = 256)]
     hidden: usize,
-    #[arg(long, default_value_t = 16)]
-    channels: usize,
+    #[arg(long, default_value_t = 64)]
+    latent: usize,
     #[arg(long, default_value_t = 1024)]
     batch: usize,
     #[arg(long, default_value_t = 20)]
@@ -77,15 +76,14 @@ fn layer(name: &str, batch: usize, inputs: usize, outputs: usize, on_data: bool)
 
 /// All products of a step.
 fn products(arguments: &Arguments) -> Vec<Product> {
-    let Arguments { latent, hidden, channels, batch, .. } = *arguments;
+    let Arguments { latent, hidden, batch, .. } = *arguments;
     let positions = (FRAME_SIDE / 2) * (FRAME_SIDE / 2);
     let patch = FRAME_CHANNELS * 4 * 4;
     let mut list = Vec::new();
-    let frames = arguments.architecture == Architecture::Convolutional.name();
-    let mut by_frame = |name: &str, shape, transposed| {
-        list.push(Product { frames: batch, ..Product::new(name.to_owned(), shape, transposed) });
-    };
-    if frames {
+    if let Some(&channels) = arguments.channels.first() {
+        let mut by_frame = |name: &str, shape, transposed| {
+            list.push(Product { frames: batch, ..Product::new(name.to_owned(), shape, transposed) });
+        };
         by_frame("encoder.conv, forward", [channels, patch, positions], [false, false]);
         by_frame("encoder.conv, weight gradient", [channels, positions, patch], [false, true]);
         by_frame("decoder.conv, forward", [patch, channels, positions], [true, false]);
@@ -169,6 +167,10 @@ impl Operands {
 
 fn main() {
     let arguments = Arguments::parse();
+    if arguments.channels.len() > 1 {
+        eprintln!("products: --channels takes one number or none: deeper networks are not supported");
+        std::process::exit(2);
+    }
     let threads = rayon::current_num_threads();
     let products = products(&arguments);
     let operations: f64 = products.iter().map(Product::operations).sum();
@@ -185,7 +187,7 @@ fn main() {
     println!(
         "{}",
         serde_json::json!({
-            "architecture": arguments.architecture, "latent": arguments.latent, "batch": arguments.batch,
+            "channels": arguments.channels, "latent": arguments.latent, "batch": arguments.batch,
             "median_seconds": seconds[seconds.len() / 2], "min_seconds": seconds[0],
             "max_seconds": seconds[seconds.len() - 1],
             "gigaflop": operations / 1e9, "threads": threads, "products": products,
