@@ -3,7 +3,9 @@
 A step is what the harness's trainer does for one batch: draw the noise, forward, loss, backward, fused Adam
 (1e-3). Inputs and targets are random, standardised f32. Run it on an otherwise idle machine:
 
-    .venv-bench/bin/python harness/benches/training_step.py --architecture convolutional --latent 64
+    .venv-bench/bin/python harness/benches/training_step.py --channels 16 --latent 64  # the paper's
+    .venv-bench/bin/python harness/benches/training_step.py --channels 8 16 32 32 --fusion late  # the deep one
+    .venv-bench/bin/python harness/benches/training_step.py --latent 4  # vectors alone
 
 Prints JSON; the times are wall-clock seconds.
 """
@@ -26,8 +28,14 @@ WARM_UP_STEPS = 3
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Times one PyTorch training step of the harness's CVAE.")
     parser.add_argument(
-        "--architecture", choices=["convolutional", "fully_connected"], default="convolutional"
+        "--channels",
+        type=int,
+        nargs="*",
+        default=[],
+        help="of each convolution; without any, a network for vectors alone",
     )
+    parser.add_argument("--fusion", choices=["early", "late"], default="early")
+    parser.add_argument("--hidden", type=int, nargs="+", default=[256])
     parser.add_argument("--mode", choices=["eager", "compile"], default="eager")
     parser.add_argument(
         "--precision",
@@ -36,8 +44,12 @@ def arguments() -> argparse.Namespace:
         help="bf16: forward under autocast, parameters f32",
     )
     parser.add_argument("--latent", type=int, default=64)
-    parser.add_argument("--hidden", type=int, default=256)
-    parser.add_argument("--channels", type=int, default=16)
+    parser.add_argument(
+        "--memory-format",
+        choices=["contiguous", "channels_last"],
+        default="contiguous",
+        help="how images and convolutions' weights lie in memory",
+    )
     parser.add_argument("--batch", type=int, default=1024)
     parser.add_argument("--steps", type=int, default=10, help=f"timed steps, after {WARM_UP_STEPS} not timed")
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
@@ -46,16 +58,22 @@ def arguments() -> argparse.Namespace:
 
 def timed_steps(options: argparse.Namespace) -> list[float]:
     """Seconds of each step, the warm-up (which compiles, where asked to) left out."""
-    frame_channels = 3 if options.architecture == "convolutional" else 0
+    frame_channels = 3 if options.channels else 0
     sizes = Dimensions(
         channels_in=frame_channels,
         channels_out=frame_channels,
-        channels=options.channels,
-        hidden=options.hidden,
+        channels=tuple(options.channels),
+        hidden=tuple(options.hidden),
         latent=options.latent,
+        fusion=options.fusion,
     )
     model = Cvae(sizes)
     batch = random_batch(sizes, options.batch)
+    if options.memory_format == "channels_last":
+        model = model.to(memory_format=torch.channels_last)
+        for name, tensor in batch.items():
+            if tensor.dim() == 4:
+                batch[name] = tensor.contiguous(memory_format=torch.channels_last)
     modalities = [name.removeprefix("target.") for name in batch if name.startswith("target.")]
     weights = dict.fromkeys(modalities, 1.0)
     optimiser = torch.optim.Adam(model.parameters(), lr=1e-3, fused=True)
