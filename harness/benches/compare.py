@@ -7,8 +7,9 @@
 median over the rounds, so that a drift of the machine's speed favours none of them. A ratio above 1 means that the
 harness is faster; "at least" is what the project has set itself. Run it on an otherwise idle machine.
 
-Training: one step of both networks beside PyTorch (training_step.py) and beside its matrix products alone, through
-gemm (the example `products`) and PyTorch (products.py).
+Training: one step of the paper's networks beside PyTorch (training_step.py) and beside its matrix products alone,
+through gemm (the example `products`) and PyTorch (products.py); one step of a deep network, with the processor's tile
+unit and without, beside PyTorch in both of its memory formats.
 
 Collection: the whole command `harness collect`, with its start and writing to disk, beside Python's `mujoco`
 (collect.py), PyBullet (pybullet_collect.py), and MuJoCo's own functions called from C without recording
@@ -37,10 +38,9 @@ MODELS = ROOT / "models"
 SAMPLES_PER_EPISODE = 1000
 CORES = report.cores()
 
-# Latent sizes as in multi_to_multi.yaml and single_to_multi.yaml.
-LATENTS = {"convolutional": (16, 64, 128), "fully_connected": (2, 4, 16)}
-# Timed steps a round: some seconds each.
-STEPS = {"convolutional": 8, "fully_connected": 300}
+# The convolutions of multi_to_multi_best.yaml.
+DEEP = ("--channels", 8, 16, 32, 32, "--fusion", "late", "--hidden", 256, "--latent", 64)
+DEEP_STEPS = 8
 UNTUNED_SAMPLES = 100  # at about 20 a second
 PYBULLET_SAMPLES = 300  # of each episode
 
@@ -87,44 +87,82 @@ def example(name: str, *arguments) -> dict:
 # Training
 
 
+@dataclass(frozen=True)
+class PaperNetwork:
+    """One of the paper's two networks, and how many times as fast as PyTorch the harness is to train it."""
+
+    name: str
+    options: tuple
+    # As in its experiment.
+    latents: tuple[int, ...]
+    # Timed steps a round: some seconds each.
+    steps: int
+    eager_target: float
+    compiled_target: float | None = None
+    products_target: float | None = None
+    bf16: bool = False
+
+
+PAPER_NETWORKS = (
+    PaperNetwork("convolutional", ("--channels", 16), (16, 64, 128), 8, 2.5, 1.0, 0.5, bf16=True),
+    PaperNetwork("fully_connected", (), (2, 4, 16), 300, 2.0),
+)
+
+
 def training() -> list[Comparison]:
-    return [
-        training_step(architecture, latent)
-        for architecture, latents in LATENTS.items()
-        for latent in latents
-    ]
+    paper = [paper_step(network, latent) for network in PAPER_NETWORKS for latent in network.latents]
+    return [*paper, deep_step("with tiles", 2.5), deep_step("without tiles", 1.8, "--no-tiles")]
 
 
-def training_step(architecture: str, latent: int) -> Comparison:
-    steps = ("--steps", STEPS[architecture])
-    network = ("--architecture", architecture, "--latent", latent)
+def harness_step(*options) -> Callable[[], float]:
+    return lambda: example("training_step", *options)["median_seconds"]
 
-    def harness(*options):
-        return lambda: example("training_step", *network, *steps, *options)["median_seconds"]
 
-    def pytorch(*options):
-        return lambda: python("training_step.py", *network, *steps, *options)["median_seconds"]
+def pytorch_step(*options) -> Callable[[], float]:
+    return lambda: python("training_step.py", *options)["median_seconds"]
+
+
+def paper_step(network: PaperNetwork, latent: int) -> Comparison:
+    layers = (*network.options, "--latent", latent)
+    steps = ("--steps", network.steps)
+    work = (*layers, *steps)
 
     def pytorch_products():
-        listed = json.dumps(example("products", *network, "--steps", 1))
+        listed = json.dumps(example("products", *layers, "--steps", 1))
         return python("products.py", *steps, input=listed)["median_seconds"]
 
-    convolutional = architecture == "convolutional"
     return Comparison(
-        f"training step, {architecture}, latent {latent}, batch 1024",
+        f"training step, {network.name}, latent {latent}, batch 1024",
         "s",
         (
-            Contender("harness", harness()),
-            Contender("PyTorch eager", pytorch("--mode", "eager"), 2.5 if convolutional else 2.0),
-            Contender("PyTorch compiled", pytorch("--mode", "compile"), 1.0 if convolutional else None),
-            Contender("PyTorch eager, bf16 autocast", pytorch("--mode", "eager", "--precision", "bf16")),
-            *([Contender("harness, bf16", harness("--precision", "bf16"))] if convolutional else []),
+            Contender("harness", harness_step(*work)),
+            Contender("PyTorch eager", pytorch_step(*work), network.eager_target),
+            Contender("PyTorch compiled", pytorch_step(*work, "--mode", "compile"), network.compiled_target),
+            Contender("PyTorch eager, bf16 autocast", pytorch_step(*work, "--precision", "bf16")),
+            *([Contender("harness, bf16", harness_step(*work, "--precision", "bf16"))] * network.bf16),
             Contender(
                 "matrix products alone, gemm",
-                lambda: example("products", *network, *steps)["median_seconds"],
-                0.5 if convolutional else None,
+                lambda: example("products", *work)["median_seconds"],
+                network.products_target,
             ),
             Contender("matrix products alone, PyTorch", pytorch_products),
+        ),
+    )
+
+
+def deep_step(name: str, target: float, *options) -> Comparison:
+    """The target holds for whichever of PyTorch's memory formats is the faster."""
+    work = (*DEEP, "--steps", DEEP_STEPS)
+    formats = {"contiguous": "contiguous", "channels last": "channels_last"}
+    return Comparison(
+        f"training step, deep, {name}, latent 64, batch 1024",
+        "s",
+        (
+            Contender("harness", harness_step(*work, *options)),
+            *(
+                Contender(f"PyTorch eager, {shown}", pytorch_step(*work, "--memory-format", value), target)
+                for shown, value in formats.items()
+            ),
         ),
     )
 
