@@ -2,12 +2,13 @@
 //!
 //! Data flows one way, and each room may use only those before it:
 //! spec, simulation, dataset, learning, metrics, registry. The story of an experiment is in [`experiment`];
-//! [`claims`] are judged by its results, [`figures`] drawn of them, and a [`report`] tells it all. [`cli`] is the program,
+//! [`analysis`] says which of its runs form a result, [`claims`] are judged by its results, [`figures`] drawn of them, and a [`report`] tells it all. [`cli`] is the program,
 //! for its binary and for Python.
 
 // The command line names the library as any other user does.
 extern crate self as harness;
 
+pub mod analysis;
 pub mod claims;
 pub mod cli;
 pub mod dataset;

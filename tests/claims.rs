@@ -3,12 +3,14 @@
 mod common;
 
 use common::{finish, harness, succeed};
-use harness::claims::{Claim, Condition, Each, Judgement, Measured, Verdict, choose, judge, load};
+use harness::claims::{Claim, Condition, Each, Judgement, Measured, Verdict, choose, judge, load, runs};
 use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::contact::Contact;
 use harness::metrics::{Direction, Metric, Row};
 use harness::registry::{ForceRows, MetricRow, Outcome, Provenance, Registry};
+use harness::seal;
 use harness::spec::{self, Experiment, JOINTS, Modality, RunSpec, Scenario, Task};
+use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use tempfile::TempDir;
@@ -169,14 +171,19 @@ fn outcome(says: Says, spec: &RunSpec, experiment: &Experiment) -> Outcome {
 fn write(registry: &Registry, name: &str, seeds: &[u64], says: impl Fn(u64) -> Says) {
     let experiment = experiment(name, seeds);
     for spec in experiment.runs() {
-        let folder = registry.run(&experiment.name, &spec, "made-up");
-        let record = registry.begin(&folder, &spec, &Provenance::default()).unwrap();
-        // Claims read tables alone; the record wants the networks too.
-        for task in &spec.tasks {
-            std::fs::write(folder.checkpoint(*task), "made up").unwrap();
-        }
-        registry.finish(&folder, record, &outcome(says(spec.seed), &spec, &experiment)).unwrap();
+        finish_run(registry, &experiment, &spec, says(spec.seed));
     }
+}
+
+/// Writes one run.
+fn finish_run(registry: &Registry, experiment: &Experiment, spec: &RunSpec, says: Says) {
+    let folder = registry.run(&experiment.name, spec, &format!("{}-made-up", spec.scenario));
+    let record = registry.begin(&folder, spec, &Provenance::default()).unwrap();
+    // Claims read tables alone; the record wants the networks too.
+    for task in &spec.tasks {
+        std::fs::write(folder.checkpoint(*task), "made up").unwrap();
+    }
+    registry.finish(&folder, record, &outcome(says, spec, experiment)).unwrap();
 }
 
 /// A results folder with both experiments.
@@ -188,14 +195,16 @@ fn results(seeds: &[u64], says: impl Fn(u64) -> Says) -> (TempDir, Registry) {
 }
 
 /// Every claim judged, one judgement a scenario.
-fn judgements(registry: &Registry) -> Vec<Judgement<'static>> {
-    CLAIMS.iter().flat_map(|claim| judge(registry, claim, false).unwrap()).collect()
+fn judgements(registry: &Registry, quick: bool) -> Vec<Judgement<'static>> {
+    let claims: Vec<&'static Claim> = CLAIMS.iter().collect();
+    let runs = runs(registry, &claims, &[], quick).unwrap();
+    claims.into_iter().flat_map(|claim| judge(&runs, claim, quick).unwrap()).collect()
 }
 
 #[track_caller]
 fn assert_verdicts(registry: &Registry, expected: impl Fn(&Judgement) -> Verdict) {
-    for judgement in judgements(registry) {
-        let Judgement { claim, scenario, measured } = &judgement;
+    for judgement in judgements(registry, false) {
+        let Judgement { claim, scenario, measured, .. } = &judgement;
         let found = judgement.verdict();
         assert_eq!(found, expected(&judgement), "{} {scenario:?}: {measured:?}", claim.id());
     }
@@ -222,7 +231,7 @@ fn no_claim_holds_where_the_tables_say_the_opposite() {
 #[test]
 fn claims_are_undecided_where_seeds_disagree() {
     let (_folder, registry) = results(&[0, 1, 2, 3], |seed| if seed % 2 == 0 { Same } else { Opposite });
-    for judgement in judgements(&registry).iter().filter(|judgement| !about_the_dataset(judgement)) {
+    for judgement in judgements(&registry, false).iter().filter(|judgement| !about_the_dataset(judgement)) {
         assert_eq!(judgement.verdict(), Verdict::Undecided, "{}", judgement.claim.id());
         let Measured { each: Each::Seed, values } = &judgement.measured else { panic!("{judgement:?}") };
         assert_eq!(values.keys().copied().collect::<Vec<_>>(), [0, 1, 2, 3]);
@@ -261,16 +270,10 @@ fn a_seed_counts_only_when_all_its_runs_are_there() {
         let all = experiment.clone();
         experiment.latent.truncate(1);
         for spec in experiment.runs() {
-            let folder = registry.run(name, &spec, "made-up");
-            let record = registry.begin(&folder, &spec, &Provenance::default()).unwrap();
-            // Claims read tables alone; the record wants the networks too.
-            for task in &spec.tasks {
-                std::fs::write(folder.checkpoint(*task), "made up").unwrap();
-            }
-            registry.finish(&folder, record, &outcome(Opposite, &spec, &all)).unwrap();
+            finish_run(&registry, &all, &spec, Opposite);
         }
     }
-    for judgement in judgements(&registry).iter().filter(|judgement| !about_the_dataset(judgement)) {
+    for judgement in judgements(&registry, false).iter().filter(|judgement| !about_the_dataset(judgement)) {
         let Measured { each: Each::Seed, values } = &judgement.measured else { panic!("{judgement:?}") };
         // What is asked of the smallest size alone has its fourth seed.
         let alone = judgement.claim.sql(false).contains("latent = 2 ");
@@ -279,28 +282,91 @@ fn a_seed_counts_only_when_all_its_runs_are_there() {
 }
 
 #[test]
-fn of_several_runs_of_a_cell_the_latest_counts() {
-    let (_folder, registry) = results(&[0, 1, 2], |_| Same);
+fn runs_of_other_settings_are_refused_and_chosen_by_name() {
+    let (folder, registry) = results(&[0, 1, 2], |_| Same);
+    let mut other = experiment("single_to_multi", &[0, 1, 2]);
+    other.training.batch_size = 16;
+    for spec in other.runs().into_iter().take(5) {
+        finish_run(&registry, &other, &spec, Opposite);
+    }
+    let reads_it = |claim: &Claim| claim.experiments.iter().any(|name| name == "single_to_multi");
+    assert_verdicts(
+        &registry,
+        |judgement| {
+            if reads_it(judgement.claim) { Verdict::Mixed } else { Verdict::Holds }
+        },
+    );
+    let refused = "the runs of single_to_multi differ in training.batch_size (16, 1024); choose some, as with \
+                   `--where 'single_to_multi:training.batch_size=1024'`\n";
+    let printed = succeed(folder.path(), &["claims"]);
+    assert!(printed.contains("settings differ") && printed.contains(refused), "{printed}");
+    // What the message says works, as it stands there.
+    let option = ["--where", "single_to_multi:training.batch_size=1024"];
+    let chosen = succeed(folder.path(), &[&["claims"][..], &option].concat());
+    assert!(chosen.contains(" 0 do not hold, 0 undecided; "), "{chosen}");
+    // Only five runs have the other batch size, too few for any claim but those about forces.
+    let option = ["--where", "single_to_multi:training.batch_size=16"];
+    let chosen = succeed(folder.path(), &[&["claims", "force_errors_stay_high"][..], &option].concat());
+    assert!(chosen.contains("undecided: no data"), "{chosen}");
+}
+
+#[test]
+fn a_variant_is_a_setting_that_a_query_may_tell_apart() {
+    let folder = tempfile::tempdir().unwrap();
+    let registry = Registry::new(folder.path());
+    let mut sweep = experiment("single_to_multi", &[0, 1]);
+    sweep.vary = [("training.kl_weight".to_owned(), vec![0.0.into(), 0.5.into()])].into();
+    for spec in sweep.runs() {
+        finish_run(&registry, &sweep, &spec, Same);
+    }
+    assert!(judgements(&registry, false).iter().all(|judgement| {
+        let reads_it = judgement.claim.experiments.iter().any(|name| name == "single_to_multi");
+        judgement.verdict() == if reads_it { Verdict::Mixed } else { Verdict::NoData }
+    }));
+    let query = "select scenario, seed, avg(value) as value from metrics where variant = 'kl_weight=0.5' and metric = \
+                 'r2' group by scenario, seed";
+    let claims =
+        load_text(&ONE.replace(
+            "select scenario, seed, avg(value) as value from metrics group by scenario, seed",
+            query,
+        ));
+    let claims = claims.unwrap();
+    let judged = judge(&runs(&registry, &[&claims[0]], &[], false).unwrap(), &claims[0], false).unwrap();
+    assert_eq!(judged[0].measured.values.len(), 2, "{judged:?}");
+}
+
+#[test]
+fn runs_of_an_older_method_are_left_out() {
+    let (_folder, registry) = results(&[0, 1], |_| Opposite);
+    // As an older version would have named their folders.
     for name in EXPERIMENTS {
-        // With another setting, and so in folders of their own: one before and one after those.
-        for (epochs, started, says) in
-            [(7, "2020-01-01T00:00:00Z", Opposite), (8, "2999-01-01T00:00:00Z", Same)]
-        {
-            let mut experiment = experiment(name, &[0, 1, 2]);
-            experiment.training.epochs = epochs;
-            for spec in experiment.runs() {
-                let folder = registry.run(name, &spec, "made-up");
-                let mut record = registry.begin(&folder, &spec, &Provenance::default()).unwrap();
-                record.started = started.into();
-                // Claims read tables alone; the record wants the networks too.
-                for task in &spec.tasks {
-                    std::fs::write(folder.checkpoint(*task), "made up").unwrap();
-                }
-                registry.finish(&folder, record, &outcome(says, &spec, &experiment)).unwrap();
-            }
+        for entry in std::fs::read_dir(registry.root().join("runs").join(name)).unwrap() {
+            age(&entry.unwrap().path());
         }
     }
+    // They count where there are no others.
+    assert_verdicts(&registry, |_| Verdict::DoesNotHold);
+    EXPERIMENTS.iter().for_each(|name| write(&registry, name, &[0, 1], |_| Same));
     assert_verdicts(&registry, |_| Verdict::Holds);
+}
+
+/// Makes a run one of the revision before this one.
+fn age(folder: &Path) {
+    let record: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(folder.join("run.json")).unwrap()).unwrap();
+    let text = |key: &str| record[key].as_str().unwrap().to_owned();
+    let name = |revision: u32| {
+        let digest = Sha256::digest(format!("{} {} {revision}", text("spec_hash"), text("dataset")));
+        let hash: String = digest.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
+        format!("{}-{hash}", text("run").rsplit_once('-').unwrap().0)
+    };
+    let now =
+        (1..100).find(|revision| name(*revision) == text("run")).expect("the id is a hash of the revision");
+    let mut older = record.clone();
+    older["run"] = name(now - 1).into();
+    older[seal::KEY] = seal::BLANK.into();
+    seal::write(&folder.join("run.json"), format!("{older:#}\n").into_bytes()).unwrap();
+    std::fs::rename(folder, folder.with_file_name(name(now - 1))).unwrap();
 }
 
 #[test]
@@ -320,10 +386,8 @@ fn quick_claims_are_about_quick_runs() {
         }
     }
     assert_verdicts(&registry, |_| Verdict::NoData);
-    for claim in CLAIMS.iter() {
-        for judgement in judge(&registry, claim, true).unwrap() {
-            assert_eq!(judgement.verdict(), Verdict::Holds, "{}", claim.id());
-        }
+    for judgement in judgements(&registry, true) {
+        assert_eq!(judgement.verdict(), Verdict::Holds, "{}", judgement.claim.id());
     }
 }
 
@@ -335,7 +399,7 @@ fn a_verdict_needs_the_whole_interval() {
     let claims = load_text(text).unwrap();
     let verdict = |values: &[f64]| {
         let measured = Measured { each: Each::Seed, values: (0..).zip(values.iter().copied()).collect() };
-        Judgement { claim: &claims[0], scenario: None, measured }.verdict()
+        Judgement { claim: &claims[0], scenario: None, measured, mixed: Vec::new() }.verdict()
     };
     // Two values at a distance of d have the interval mean ± 12.71 d / 2, from a table of Student's t.
     assert_eq!(verdict(&[2.0, 2.1]), Verdict::Holds);
@@ -398,6 +462,10 @@ fn faults_of_a_file_are_named_with_their_place() {
 
 #[test]
 fn a_query_that_is_no_claims_query_is_refused_even_without_data() {
+    let judged = |registry: &Registry, claims: &[Claim]| {
+        let runs = runs(registry, &[&claims[0]], &[], false).unwrap();
+        judge(&runs, &claims[0], false).unwrap_err().to_string()
+    };
     let nowhere = Registry::new("/nonexistent");
     let cases = [
         ("select", "selct", "the query can't be answered: sql parser error: "),
@@ -411,14 +479,14 @@ fn a_query_that_is_no_claims_query_is_refused_even_without_data() {
     for (old, new, expected) in cases {
         assert!(ONE.contains(old));
         let claims = load_text(&ONE.replacen(old, new, 1)).unwrap();
-        let error = judge(&nowhere, &claims[0], false).unwrap_err().to_string();
+        let error = judged(&nowhere, &claims);
         assert!(error.starts_with("claim 'force', query at line "), "{error}");
         assert!(error.contains(expected), "{error}");
     }
     let (_folder, registry) = results(&[0], |_| Same);
     let claims =
         load_text(&ONE.replace("avg(value) as", "").replace(" group by scenario, seed", "")).unwrap();
-    let error = judge(&registry, &claims[0], false).unwrap_err().to_string();
+    let error = judged(&registry, &claims);
     assert!(error.ends_with("it gives seed 0 several values; group by scenario and seed"), "{error}");
 }
 
@@ -476,7 +544,7 @@ fn without_runs_the_command_says_which_to_make() {
     std::fs::create_dir(nowhere.path().join("runs")).unwrap();
     let printed = succeed(nowhere.path(), &["claims", "--quick"]);
     for name in EXPERIMENTS {
-        assert!(printed.contains(&format!("harness run experiments/{name}.yaml --quick\n")), "{printed}");
+        assert!(printed.contains(&format!(" run experiments/{name}.yaml --quick\n")), "{printed}");
     }
     for (arguments, expected) in [
         (&["claims", "nope"][..], "error: no claim is called 'nope'; did you mean '"),

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{SMOKE, finish, harness, succeed};
+use common::{SMOKE, finish, fresh, harness, succeed};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -18,20 +18,21 @@ static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
 });
 
 /// The rows that a query gives, as JSON.
-fn query(sql: &str) -> Vec<serde_json::Value> {
+fn query(results: &Path, sql: &str) -> Vec<serde_json::Value> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("answer.json");
-    succeed(&RESULTS, &["query", sql, "--output", path.to_str().unwrap()]);
+    succeed(results, &["query", sql, "--output", path.to_str().unwrap()]);
     serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
 }
 
 /// The values of a metric over seeds, by column of `harness compare smoke --by latent`.
 fn values(task: &str, scenario: &str, modality: &str, metric: &str) -> BTreeMap<String, Vec<f64>> {
     let mut values: BTreeMap<String, Vec<f64>> = BTreeMap::new();
-    for row in query(&format!(
+    let sql = format!(
         "select model, latent, value from metrics where task = '{task}' and scenario = '{scenario}' and modality = \
          '{modality}' and metric = '{metric}' and index is null and direction is null and value is not null"
-    )) {
+    );
+    for row in query(&RESULTS, &sql) {
         let column = match row["model"].as_str().unwrap() {
             "network" => format!("latent {}", row["latent"]),
             baseline => baseline.replace('_', " "),
@@ -104,6 +105,94 @@ fn every_cell_is_the_mean_and_interval_of_the_tables_and_the_best_is_bold() {
 }
 
 #[test]
+fn runs_that_differ_in_more_than_their_seed_are_never_averaged() {
+    let results = fresh("compare_settings");
+    let run =
+        |settings: &[&str]| succeed(&results, &[&["run", SMOKE, "scenarios=[empty]"], settings].concat());
+    run(&["training.batch_size=16"]);
+    run(&["training.batch_size=64"]);
+    run(&["training.batch_size=64", "seeds=[1]"]);
+    run(&["training.batch_size=16", "training.epochs=5", "seeds=[2]"]);
+    let compare = |more: &[&str]| {
+        let arguments = [
+            "compare",
+            "smoke",
+            "--metrics",
+            "r2",
+            "--models",
+            "network",
+            "--task",
+            "prediction",
+            "--format",
+            "markdown",
+        ];
+        succeed(&results, &[&arguments[..], more].concat())
+    };
+    let values = |runs: &str| {
+        let rows = query(
+            &results,
+            &format!(
+                "select modality, value from metrics where run in ({runs}) and task = 'prediction' and model = 'network' and metric = 'r2' and index is null \
+                 and direction is null order by modality, seed"
+            ),
+        );
+        let values = |modality: &str| -> Vec<f64> {
+            let of = rows.iter().filter(|row| row["modality"] == modality);
+            of.map(|row| row["value"].as_f64().unwrap()).collect()
+        };
+        ["proprioception", "contact_force"].map(values)
+    };
+    let run_of = |batch: u64, epochs: u64| -> String {
+        let found = std::fs::read_dir(results.join("runs/smoke")).unwrap().map(|entry| entry.unwrap().path());
+        let record = |path: &PathBuf| -> serde_json::Value {
+            serde_json::from_slice(&std::fs::read(path.join("run.json")).unwrap()).unwrap()
+        };
+        let runs = found.map(|path| record(&path)).filter(|record| {
+            let training = &record["spec"]["training"];
+            training["batch_size"] == batch && training["epochs"] == epochs
+        });
+        runs.map(|record| format!("'{}'", record["run"].as_str().unwrap())).collect::<Vec<_>>().join(", ")
+    };
+    let printed = compare(&[]);
+    let (header, rows) = markdown(&printed);
+    assert_eq!(header, ["", "", "latent 4"]);
+    assert_eq!(rows.len(), 2 * 3, "{printed}");
+    for (batch, epochs) in [(16, 2), (16, 5), (64, 2)] {
+        let settings = format!("training.batch_size={batch}, training.epochs={epochs}");
+        let [angles, forces] = values(&run_of(batch, epochs));
+        for (modality, values) in [("proprioception", angles), ("contact force", forces)] {
+            let row = rows.iter().find(|row| row[0] == settings && row[1] == modality);
+            let row = row.unwrap_or_else(|| panic!("no {settings}, {modality} in {printed}"));
+            let number = match values.as_slice() {
+                [one] => format!("{one:.3}"),
+                _ => expected("latent 4", &values, 3),
+            };
+            assert_eq!(row[2], number, "{settings}, {modality}");
+        }
+    }
+    assert!(
+        printed.contains(
+            "\n\nprediction; smoke; empty; R2; mean ± half of the 95 % interval over 1 to 2 seeds; "
+        )
+    );
+    // The same settings side by side, and one of them alone.
+    let beside = compare(&["--by", "settings"]);
+    let (header, _) = markdown(&beside);
+    assert_eq!(
+        header[1..],
+        [
+            "training.batch_size=16, training.epochs=2",
+            "training.batch_size=16, training.epochs=5",
+            "training.batch_size=64, training.epochs=2"
+        ]
+    );
+    let alone = compare(&["--where", "training.batch_size=64"]);
+    let (header, rows) = markdown(&alone);
+    assert_eq!((header, rows.len()), (vec!["", "latent 4"], 2));
+    assert!(alone.contains("over 2 seeds"), "{alone}");
+}
+
+#[test]
 fn all_formats_say_the_same() {
     let arguments = ["compare", "--by", "scenario,latent", "--task", "prediction", "--metrics", "r2,rmse"];
     let print = |format: &str| succeed(&RESULTS, &[&arguments[..], &["--format", format]].concat());
@@ -173,7 +262,11 @@ fn a_comparison_of_nothing_is_refused() {
     let nowhere = tempfile::tempdir().unwrap();
     std::fs::create_dir(nowhere.path().join("runs")).unwrap();
     for (results, arguments, expected) in [
-        (nowhere.path(), &["compare"][..], "error: there are no finished runs to compare; `harness run "),
+        (
+            nowhere.path(),
+            &["compare"][..],
+            "error: there are no finished runs to compare; `harness --results ",
+        ),
         (&RESULTS, &["compare", "smok"], "error: 'smok' has no finished runs; those that have: smoke\n"),
         (&RESULTS, &["compare", "--metrics", "r3"], "error: invalid value 'r3' for '--metrics <METRIC>'"),
         (

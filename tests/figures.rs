@@ -3,10 +3,10 @@
 mod common;
 
 use common::{MULTI, SINGLE, TINY, finish, fresh, harness, succeed};
+use harness::analysis::{LEVEL, mean_interval};
 use harness::dataset::Dataset;
 use harness::figures::Figure;
 use harness::figures::page::{Anchor, Page, Stroke, Type};
-use harness::metrics::interval::{LEVEL, mean_interval};
 use harness::registry::{Registry, query};
 use harness::simulation::Scene;
 use harness::spec::{FRAME_LEN, Scenario, Simulation};
@@ -31,7 +31,7 @@ fn run(results: &Path, spec: &str, more: &[&str]) {
 static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
     let results = fresh("figures");
     run(&results, SINGLE, &["latent=[2,4]"]);
-    run(&results, MULTI, &["latent=[4]", "network.channels=4"]);
+    run(&results, MULTI, &["latent=[4]", "network.channels=[4]"]);
     fs::rename(results.join("datasets"), fresh("figures_datasets")).unwrap();
     results
 });
@@ -245,7 +245,7 @@ fn diagrams_have_the_layers_of_the_network_that_was_trained() {
 #[test]
 fn forces_and_frames_are_those_of_the_dataset() {
     let results = fresh("figures_frames");
-    run(&results, MULTI, &["latent=[4]", "network.channels=4", "scenarios=[cluttered]", "seeds=[0]"]);
+    run(&results, MULTI, &["latent=[4]", "network.channels=[4]", "scenarios=[cluttered]", "seeds=[0]"]);
     let scene = Scene::load(Scenario::Cluttered, None).unwrap();
     let spec = Simulation { episodes: EPISODES, actuations_per_episode: ACTUATIONS, ..Simulation::default() };
     let dataset = Dataset::new(&results.join("datasets"), &scene, &spec);
@@ -328,7 +328,7 @@ fn missing_runs_are_named_with_the_command_and_the_others_are_drawn() {
     for name in ["task", "sim_env", "forces_dataset"] {
         assert!(all.stdout.contains(name) && out.join(format!("{name}.svg")).exists(), "{}", all.stdout);
     }
-    assert!(all.stderr.contains("`harness run experiments/multi_to_multi.yaml`"), "{}", all.stderr);
+    assert!(all.stderr.contains(" run experiments/multi_to_multi.yaml`"), "{}", all.stderr);
     assert!(!out.join("regression.svg").exists());
 
     let named = figures(&["regression"]);
@@ -336,7 +336,7 @@ fn missing_runs_are_named_with_the_command_and_the_others_are_drawn() {
     assert!(named.stderr.contains("no finished run of multi_to_multi"), "{}", named.stderr);
     let quick = figures(&["forces_dataset", "--quick"]);
     assert_eq!(quick.code, 1);
-    let command = "`harness run experiments/single_to_multi.yaml --quick`";
+    let command = " run experiments/single_to_multi.yaml --quick`";
     assert!(
         quick.stderr.contains("single_to_multi-quick") && quick.stderr.contains(command),
         "{}",
@@ -348,21 +348,49 @@ fn missing_runs_are_named_with_the_command_and_the_others_are_drawn() {
 }
 
 #[test]
-fn one_seed_has_no_bars_and_other_settings_are_left_out() {
+fn one_seed_has_no_bars_and_other_settings_are_refused() {
     let results = fresh("figures_seeds");
-    let draw = |name: &str| {
+    let draw = |name: &str, more: &[&str]| {
         let out = results.join(name);
-        succeed(&results, &["figures", "reconstruction_performance", "--out", out.to_str().unwrap()]);
-        fs::read_to_string(out.join("reconstruction_performance.svg")).unwrap()
+        let arguments = ["figures", "reconstruction_performance", "--out", out.to_str().unwrap()];
+        let answer = finish(&mut harness(&results, &[&arguments[..], more].concat()));
+        (answer, fs::read_to_string(out.join("reconstruction_performance.svg")).unwrap_or_default())
     };
-    for (spec, more) in [(SINGLE, "network.channels=32"), (MULTI, "network.channels=4")] {
+    for (spec, more) in [(SINGLE, "network.hidden=32"), (MULTI, "network.channels=[4]")] {
         run(&results, spec, &["latent=[2,4]", "scenarios=[empty]", "seeds=[0]", more]);
     }
-    let one = draw("one");
+    let (_, one) = draw("one", &[]);
     assert!(one.contains("one seed, so no intervals"));
-    // Runs of other settings can't be averaged with these.
-    run(&results, SINGLE, &["latent=[2]", "scenarios=[empty]", "seeds=[1]", "training.learning_rate=0.01"]);
-    assert!(draw("other") == one);
+    // Runs of other settings can't be averaged with these, and which are meant is not guessed.
+    let more = ["network.hidden=32", "training.learning_rate=0.01"];
+    run(&results, SINGLE, &[&["latent=[2]", "scenarios=[empty]", "seeds=[1]"][..], &more].concat());
+    let (answer, drawn) = draw("other", &[]);
+    assert_eq!((answer.code, drawn.as_str()), (1, ""));
+    let choice = "single_to_multi:training.learning_rate=0.001";
+    let expected = format!(
+        "the runs of single_to_multi differ in training.learning_rate (0.001, 0.01); choose some, as with `--where '{choice}'`\n"
+    );
+    assert!(answer.stderr.ends_with(&expected), "{}", answer.stderr);
+    let (answer, drawn) = draw("chosen", &["--where", choice]);
+    assert!(answer.code == 0 && drawn == one, "{}", answer.stderr);
+    // What isn't there with a setting is named with the command that makes it so.
+    let (answer, _) = draw("none", &["--where", "training.learning_rate=0.01"]);
+    let expected = " run experiments/multi_to_multi.yaml 'training.learning_rate=0.01'`";
+    assert!(answer.code == 1 && answer.stderr.contains(expected), "{}", answer.stderr);
+    for (setting, expected) in [
+        (
+            "learning_rate=0.01",
+            "no run has a setting 'learning_rate'; did you mean 'training.learning_rate'?",
+        ),
+        (
+            "training.learning_rate=1",
+            "no finished run has training.learning_rate=1; there is training.learning_rate ",
+        ),
+        ("training", "'training' is no setting; write KEY=VALUE, as training.batch_size=64"),
+    ] {
+        let (answer, _) = draw("refused", &["--where", setting]);
+        assert!(answer.code == 2 && answer.stderr.contains(expected), "{}", answer.stderr);
+    }
 }
 
 #[test]

@@ -1,10 +1,10 @@
 //! The metrics against hand-worked values and scikit-learn's, and the baselines beside them.
 
+use harness::analysis::{Interval, mean_interval};
 use harness::metrics::baselines::{
     GREY_LEN, GREY_SIDE, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence,
 };
 use harness::metrics::contact::{Contact, by_link};
-use harness::metrics::interval::{Interval, mean_interval};
 use harness::metrics::parts::Part;
 use harness::metrics::series::{error_relative_to_mean, error_relative_to_zero, mae, r2, rmse, smape, wmape};
 use harness::metrics::{Direction, Evaluation, Metric, MetricsError, Row, Series, evaluate};

@@ -112,17 +112,38 @@ fn publishing_again_changes_nothing() {
 }
 
 #[test]
+fn of_several_settings_only_chosen_ones_are_published() {
+    let (results, copy) = (fresh("published-mixed"), fresh("published-chosen"));
+    for epochs in ["training.epochs=1", "training.epochs=2"] {
+        succeed(&results, &["run", SMOKE, "scenarios=[empty]", "tasks=[prediction]", epochs]);
+    }
+    let arguments = ["publish", "smoke", "--to", copy.to_str().unwrap()];
+    let answer = finish(&mut harness(&results, &arguments));
+    assert_eq!(answer.code, 2);
+    assert!(
+        answer.stderr.contains("the runs of smoke differ in training.epochs (1, 2); "),
+        "{}",
+        answer.stderr
+    );
+    assert!(!copy.exists());
+    let said = succeed(&results, &[&arguments[..], &["--where", "training.epochs=1"]].concat());
+    assert!(said.starts_with("1 runs, "), "{said}");
+    assert_eq!(csv(&copy, "select max(epoch) as last from epochs"), "last\n1\n");
+}
+
+#[test]
 fn what_cannot_be_published_is_refused() {
     let results = RESULTS.to_str().unwrap();
-    for (arguments, message) in [
+    for (arguments, code, message) in [
         (
             ["publish", "smok", "--to", "nowhere"],
+            2,
             "error: 'smok' has no finished runs; those that have: smoke, sweep\n",
         ),
-        (["publish", "smoke", "--to", results], "can't be published into itself; choose another folder\n"),
+        (["publish", "smoke", "--to", results], 1, "can't be published into itself; choose another folder\n"),
     ] {
         let answer = finish(&mut harness(&RESULTS, &arguments));
-        assert_eq!(answer.code, 1, "{arguments:?}");
+        assert_eq!(answer.code, code, "{arguments:?}");
         assert!(answer.stderr.ends_with(message), "{}", answer.stderr);
     }
     assert!(!Path::new("nowhere").exists());

@@ -3,8 +3,8 @@
 mod common;
 
 use common::{MULTI, SINGLE, TINY, finish, fresh, harness, smoke_run, succeed};
+use harness::analysis::{LEVEL, mean_interval};
 use harness::figures::Figure;
-use harness::metrics::interval::{LEVEL, mean_interval};
 use harness::numbers::duration;
 use harness::registry::{Registry, query};
 use harness::seal::{self, hex};
@@ -29,7 +29,8 @@ fn folder(name: &str) -> PathBuf {
 /// Runs of both experiments, two scenarios, two seeds.
 static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
     let results = folder("report");
-    for (spec, more) in [(SINGLE, &["latent=[2,4]"][..]), (MULTI, &["latent=[4]", "network.channels=4"][..])]
+    for (spec, more) in
+        [(SINGLE, &["latent=[2,4]"][..]), (MULTI, &["latent=[4]", "network.channels=[4]"][..])]
     {
         succeed(&results, &[&["run", spec][..], &TINY, more].concat());
     }
@@ -291,8 +292,11 @@ fn nothing_is_loaded_from_outside() {
 fn without_runs_the_page_names_the_commands_that_make_them() {
     let results = folder("report_empty");
     let empty = page(&results, "report.html", &[]);
+    let command = |arguments: &str| {
+        code(&format!("harness --results {} run experiments/{arguments}", results.display()))
+    };
     for study in ["single_to_multi", "multi_to_multi"] {
-        assert!(empty.contains(&code(&format!("harness run experiments/{study}.yaml"))), "{study}");
+        assert!(empty.contains(&command(&format!("{study}.yaml"))), "{study}");
     }
     // The scenes need no runs, and neither do the two figures that show them.
     assert_eq!(empty.matches("<figure class=\"clip\"").count(), 2);
@@ -302,13 +306,13 @@ fn without_runs_the_page_names_the_commands_that_make_them() {
     }
     for section in ["joints", "regression", "training", "runs"] {
         let part = between(&empty, &format!("<section id=\"{section}\">"), "</section>");
-        assert!(part.contains("class=\"absent\"") && part.contains("<code>harness run "), "{section}");
+        assert!(part.contains("class=\"absent\"") && part.contains("<code>harness --results "), "{section}");
     }
     assert_eq!(data(&empty)["joints"], serde_json::json!([]));
 
     let quick = page_without_pictures(&results, "quick.html", &["--quick"]);
-    assert!(quick.contains(&code("harness run experiments/multi_to_multi.yaml --quick")));
-    assert!(!quick.contains(&code("harness run experiments/multi_to_multi.yaml")));
+    assert!(quick.contains(&command("multi_to_multi.yaml --quick")));
+    assert!(!quick.contains(&command("multi_to_multi.yaml")));
 }
 
 #[test]
@@ -324,6 +328,29 @@ fn one_study_alone_is_shown_and_the_other_named() {
         assert!(part.contains(&format!("id=\"{section}-chart\"")), "{part}");
         assert!(data(&page)[section].as_array().unwrap().iter().all(|row| row["study"] == "single_to_multi"));
     }
+}
+
+#[test]
+fn runs_of_several_settings_are_put_together_nowhere_on_the_page() {
+    let results = folder("report_mixed");
+    for batch in ["training.batch_size=16", "training.batch_size=32"] {
+        let settings = ["latent=[2]", "scenarios=[cluttered]", "seeds=[0]", batch];
+        succeed(&results, &[&["run", SINGLE][..], &TINY, &settings].concat());
+    }
+    let mixed = "The runs of single_to_multi differ in training.batch_size (16, 32); choose some, as with `--where \
+                 'single_to_multi:training.batch_size=";
+    let page = page_without_pictures(&results, "report.html", &[]);
+    for section in ["joints", "regression", "figures"] {
+        let part = between(&page, &format!("<section id=\"{section}\">"), "</section>");
+        assert!(unescaped(part).contains(mixed), "{part}");
+    }
+    assert!(unescaped(between(&page, "<header>", "</header>")).contains(mixed));
+    assert_eq!(data(&page)["joints"], serde_json::json!([]));
+    let forces = between(&page, "id=\"claim-force_errors_stay_high\"", "</details>");
+    assert!(forces.contains("undecided: settings differ"), "{forces}");
+    let option = ["--where", "training.batch_size=32"];
+    let chosen = page_without_pictures(&results, "chosen.html", &option);
+    assert!(!chosen.contains("settings differ") && chosen.contains("id=\"joints-chart\""));
 }
 
 #[test]

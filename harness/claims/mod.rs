@@ -4,8 +4,8 @@ mod file;
 
 pub use file::load;
 
-use crate::metrics::interval::{Interval, LEVEL, mean_interval};
-use crate::registry::{Registry, query_latest, rows};
+use crate::analysis::{Analysis, AnalysisError, Interval, LEVEL, Mixed, Selection, Setting, mean_interval};
+use crate::registry::{Registry, rows};
 use crate::spec::{Origin, Scenario, SpecError};
 use polars::prelude::DataFrame;
 use serde::Deserialize;
@@ -36,6 +36,12 @@ pub struct Claim {
 impl Claim {
     pub fn id(&self) -> &str {
         &self.id.value
+    }
+
+    /// The experiments' names in tables.
+    pub fn experiments(&self, quick: bool) -> Vec<String> {
+        let ending = if quick { "-quick" } else { "" };
+        self.experiments.iter().map(|name| format!("{name}{ending}")).collect()
     }
 
     /// The query, over the tables of the experiments or, if `quick`, of their quick runs.
@@ -140,6 +146,8 @@ pub enum Verdict {
     Undecided,
     /// A single seed has no interval; whether its value satisfies the condition.
     OneSeed { satisfied: bool },
+    /// The runs differ in settings that the query doesn't tell apart, so that nothing can be measured.
+    Mixed,
     /// Nothing was measured.
     NoData,
 }
@@ -152,6 +160,7 @@ impl fmt::Display for Verdict {
             Self::Undecided => "undecided",
             Self::OneSeed { satisfied: true } => "undecided: 1 seed, agrees",
             Self::OneSeed { satisfied: false } => "undecided: 1 seed, disagrees",
+            Self::Mixed => "undecided: settings differ",
             Self::NoData => "undecided: no data",
         })
     }
@@ -163,6 +172,8 @@ pub struct Judgement<'a> {
     pub claim: &'a Claim,
     pub scenario: Option<Scenario>,
     pub measured: Measured,
+    /// The experiments whose runs can't be put together, for which nothing is measured.
+    pub mixed: Vec<Mixed>,
 }
 
 impl Judgement<'_> {
@@ -173,7 +184,7 @@ impl Judgement<'_> {
 
     pub fn verdict(&self) -> Verdict {
         let Some(interval) = self.interval() else {
-            return Verdict::NoData;
+            return if self.mixed.is_empty() { Verdict::NoData } else { Verdict::Mixed };
         };
         let satisfied = |value| self.claim.condition.satisfied_by(value);
         match interval.bounds.map(|(low, high)| (satisfied(low), satisfied(high))) {
@@ -198,21 +209,54 @@ pub fn choose<'a>(claims: &'a [Claim], wanted: &[String]) -> Result<Vec<&'a Clai
     Ok(claims.iter().filter(|claim| wanted.is_empty() || wanted.iter().any(|w| w == claim.id())).collect())
 }
 
-/// Measures a claim: one judgement for each of its scenarios, or one alone.
+/// The runs that claims are about, with the tables that their queries name.
+///
+/// # Errors
+/// When no run has a setting that is asked for, or its value.
+pub fn runs(
+    registry: &Registry,
+    claims: &[&Claim],
+    settings: &[Setting],
+    quick: bool,
+) -> Result<Analysis, AnalysisError> {
+    let analysis = Analysis::new(registry, &selection(claims, settings, quick))?;
+    Ok(expect(analysis, claims, quick))
+}
+
+/// The same, to be widened before the runs are looked for.
+pub fn selection(claims: &[&Claim], settings: &[Setting], quick: bool) -> Selection {
+    let experiments = claims.iter().flat_map(|claim| claim.experiments(quick)).collect();
+    // The paper's statements are about the simulated scenarios.
+    Selection { experiments, settings: settings.to_vec(), simulated: true }
+}
+
+/// Says which columns the claims' queries will ask for.
+pub fn expect(analysis: Analysis, claims: &[&Claim], quick: bool) -> Analysis {
+    let queries: Vec<String> = claims.iter().map(|claim| claim.sql(quick)).collect();
+    analysis.expect(queries.iter().map(String::as_str))
+}
+
+/// Measures a claim by the runs of its experiments: one judgement for each of its scenarios, or one alone.
 ///
 /// # Errors
 /// When the query is not understood or doesn't give what a claim needs, whether there is data or not.
 pub fn judge<'a>(
-    registry: &Registry,
+    analysis: &Analysis,
     claim: &'a Claim,
     quick: bool,
 ) -> Result<Vec<Judgement<'a>>, ClaimsError> {
-    let measured = claim.measure(registry, quick).map_err(|problem| ClaimsError::Query {
+    let experiments = claim.experiments(quick);
+    // Variants are different settings, which a query may tell apart by their column.
+    let by_variant = claim.query.value.contains("variant");
+    let checked = experiments.iter().filter_map(|name| analysis.check_uniform(name, by_variant).err());
+    let mixed: Vec<Mixed> = checked.collect();
+    let usable = if mixed.is_empty() { experiments.as_slice() } else { &[] };
+    let measured = claim.measure(analysis, usable, quick).map_err(|problem| ClaimsError::Query {
         id: claim.id().to_owned(),
         line: claim.query.referenced.line(),
         problem,
     })?;
-    let judgement = |(scenario, measured)| Judgement { claim, scenario, measured };
+    let judgement = |(scenario, measured)| Judgement { claim, scenario, measured, mixed: mixed.clone() };
     Ok(measured.into_iter().map(judgement).collect())
 }
 
@@ -226,8 +270,14 @@ struct Row {
 }
 
 impl Claim {
-    fn measure(&self, registry: &Registry, quick: bool) -> Result<Vec<(Option<Scenario>, Measured)>, String> {
-        let mut answer = query_latest(registry, &self.sql(quick)).map_err(|error| error.to_string())?;
+    fn measure(
+        &self,
+        analysis: &Analysis,
+        experiments: &[String],
+        quick: bool,
+    ) -> Result<Vec<(Option<Scenario>, Measured)>, String> {
+        let experiments: Vec<&str> = experiments.iter().map(String::as_str).collect();
+        let mut answer = analysis.query(&experiments, &self.sql(quick)).map_err(|error| error.to_string())?;
         let each = self.check_columns(&answer)?;
         let rows: Vec<Row> = rows(&mut answer).map_err(|error| error.to_string())?;
         let scenarios: Vec<Option<Scenario>> = match self.scenarios.as_slice() {

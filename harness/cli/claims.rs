@@ -4,12 +4,13 @@ use super::DONE;
 use super::table::{shown, wrapped};
 use anyhow::Result;
 use clap::Args;
+use harness::analysis::{Analysis, Interval, Mixed, Setting};
 use harness::claims::{self, Judgement, Verdict};
-use harness::metrics::interval::Interval;
 use harness::numbers::rounded;
 use harness::registry::{self, Registry};
 use harness::spec::Scenario;
 use polars::prelude::{Column, DataFrame};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -24,6 +25,9 @@ pub struct Claims {
     /// Judge by the experiments' quick runs
     #[arg(long)]
     quick: bool,
+    /// Only runs with this setting, as training.epochs=200
+    #[arg(long = "where", value_name = "KEY=VALUE")]
+    settings: Vec<Setting>,
     /// Write the verdicts to a file instead: .parquet, .csv or .json
     #[arg(long, short, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -33,9 +37,10 @@ impl Claims {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let all = claims::load(&self.file)?;
         let chosen = claims::choose(&all, &self.chosen)?;
+        let runs = claims::runs(registry, &chosen, &self.settings, self.quick)?;
         let mut judgements = Vec::new();
         for claim in chosen {
-            judgements.extend(claims::judge(registry, claim, self.quick)?);
+            judgements.extend(claims::judge(&runs, claim, self.quick)?);
         }
         if let Some(path) = self.output {
             registry::save(&mut frame(&judgements)?, &path)?;
@@ -46,7 +51,7 @@ impl Claims {
         if !self.chosen.is_empty() {
             print_details(&judgements, self.quick);
         }
-        print_summary(&judgements, self.quick);
+        print_summary(&runs, &judgements, self.quick);
         Ok(ExitCode::from(DONE))
     }
 }
@@ -91,7 +96,7 @@ fn print_details(judgements: &[Judgement], quick: bool) {
     }
 }
 
-fn print_summary(judgements: &[Judgement], quick: bool) {
+fn print_summary(runs: &Analysis, judgements: &[Judgement], quick: bool) {
     let count = |verdict: fn(&Verdict) -> bool| judgements.iter().filter(|j| verdict(&j.verdict())).count();
     println!(
         "{} hold, {} do not hold, {} undecided; intervals are 95 % over seeds (forces: episodes)",
@@ -99,13 +104,17 @@ fn print_summary(judgements: &[Judgement], quick: bool) {
         count(|verdict| *verdict == Verdict::DoesNotHold),
         count(|verdict| !matches!(verdict, Verdict::Holds | Verdict::DoesNotHold)),
     );
+    let mixed: BTreeSet<String> =
+        judgements.iter().flat_map(|judgement| &judgement.mixed).map(Mixed::to_string).collect();
+    for text in runs.notes().iter().chain(&mixed) {
+        println!("{text}");
+    }
     let lacking = judgements.iter().filter(|judgement| judgement.verdict() == Verdict::NoData);
     let mut experiments: Vec<&String> = lacking.flat_map(|judgement| &judgement.claim.experiments).collect();
     experiments.sort_unstable();
     experiments.dedup();
-    let quick = if quick { " --quick" } else { "" };
     for experiment in experiments {
-        println!("for those without data   harness run experiments/{experiment}.yaml{quick}");
+        println!("for those without data   {}", runs.command(experiment, quick));
     }
 }
 

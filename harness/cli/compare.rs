@@ -2,19 +2,17 @@
 
 use super::DONE;
 use super::sheet::{Sheet, Style};
+use super::table::shown;
 use anyhow::Result;
 use clap::builder::PossibleValuesParser;
 use clap::{Args, ValueEnum};
+use harness::analysis::{Analysis, Interval, Mean, NETWORK, Of, Selection, Setting};
 use harness::metrics::Metric;
-use harness::metrics::interval::{Interval, LEVEL, mean_interval};
-use harness::registry::{Registry, query_latest, rows};
+use harness::registry::{Registry, save};
 use harness::spec::{Modality, Origin, Task};
-use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 use std::process::ExitCode;
-
-/// The network among the models; the others are baselines.
-const NETWORK: &str = "network";
 
 #[derive(Args)]
 pub struct Compare {
@@ -35,8 +33,14 @@ pub struct Compare {
     /// One task alone
     #[arg(long, value_parser = PossibleValuesParser::new(Task::ALL.iter().map(|task| task.name())))]
     task: Option<String>,
+    /// Only runs with this setting, as training.batch_size=64
+    #[arg(long = "where", value_name = "KEY=VALUE")]
+    settings: Vec<Setting>,
     #[arg(long, value_name = "FORMAT", default_value = "text")]
     format: Style,
+    /// Write the means to a file instead, one a row: .parquet, .csv or .json
+    #[arg(long, short, value_name = "FILE")]
+    output: Option<PathBuf>,
 }
 
 /// What tells cells apart.
@@ -47,41 +51,46 @@ enum Key {
     Latent,
     /// Settings that an experiment varies.
     Variant,
+    /// The other settings in which runs of an experiment differ.
+    Settings,
 }
 
 /// Why there is nothing to compare.
 #[derive(Debug, thiserror::Error)]
 pub enum CompareError {
-    #[error("'{wanted}' has no finished runs; those that have: {}", there.join(", "))]
-    Experiment { wanted: String, there: Vec<String> },
     #[error(
         "no run has these metrics of this task and model; `harness compare` without options prints what there is"
     )]
     Empty,
-    #[error(
-        "there are no finished runs to compare; `harness run experiments/single_to_multi.yaml` makes some"
-    )]
-    Nothing,
+    #[error("there are no finished runs to compare; `{0}` makes some")]
+    Nothing(String),
 }
 
 impl Compare {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let scores = scores(registry)?;
-        let there: BTreeSet<&String> = scores.iter().map(|score| &score.experiment).collect();
-        if there.is_empty() {
-            return Err(CompareError::Nothing.into());
+        let selection = Selection {
+            experiments: self.experiments.clone(),
+            settings: self.settings.clone(),
+            simulated: false,
+        };
+        let analysis = Analysis::new(registry, &selection)?;
+        analysis.check_finished(&self.experiments)?;
+        if analysis.experiments().next().is_none() {
+            return Err(CompareError::Nothing(analysis.command("single_to_multi", false)).into());
         }
-        if let Some(wanted) = self.experiments.iter().find(|wanted| !there.contains(wanted)) {
-            let there = there.into_iter().cloned().collect();
-            return Err(CompareError::Experiment { wanted: wanted.clone(), there }.into());
+        let is_wanted = |mean: &Mean| {
+            self.metrics.contains(&mean.of.metric)
+                && self.models.contains(&mean.of.model)
+                && self.task.as_ref().is_none_or(|task| task == mean.of.task.name())
+        };
+        let means: Vec<Mean> = analysis.means()?.into_iter().filter(is_wanted).collect();
+        if let Some(path) = self.output {
+            save(&mut Mean::frame(&means)?, &path)?;
+            println!("{} means in {}", means.len(), shown(&path));
+            return Ok(ExitCode::from(DONE));
         }
-        let chosen = scores.iter().filter(|score| {
-            (self.experiments.is_empty() || self.experiments.contains(&score.experiment))
-                && self.metrics.contains(&score.metric)
-                && self.models.contains(&score.model)
-                && self.task.as_ref().is_none_or(|task| task == score.task.name())
-        });
-        let comparison = Comparison::new(chosen, &self.by, &self.metrics);
+        let mut comparison = Comparison::new(means.iter(), &self.by, &self.metrics);
+        comparison.notes.extend(analysis.notes().iter().cloned());
         if comparison.values.is_empty() {
             return Err(CompareError::Empty.into());
         }
@@ -90,55 +99,33 @@ impl Compare {
     }
 }
 
-/// A metric over all joints, links or pixels.
-#[derive(Deserialize)]
-struct Score {
-    experiment: String,
-    scenario: Origin,
-    latent: u64,
-    variant: String,
-    seed: u64,
-    task: Task,
-    model: String,
-    modality: Modality,
-    metric: String,
-    value: f64,
-    unit: String,
-}
-
-fn scores(registry: &Registry) -> Result<Vec<Score>> {
-    let mut answer = query_latest(
-        registry,
-        "select experiment, scenario, latent, variant, seed, task, model, modality, metric, value, unit from metrics \
-         where index is null and direction is null and value is not null",
-    )?;
-    Ok(rows(&mut answer)?)
-}
-
 /// Where a cell stands, by those keys that are asked for.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 struct Place {
     experiment: Option<String>,
     scenario: Option<Origin>,
-    latent: Option<u64>,
+    latent: Option<usize>,
     variant: Option<String>,
+    settings: Option<String>,
 }
 
 impl Place {
-    fn of(score: &Score, has: impl Fn(Key) -> bool) -> Self {
+    fn of(of: &Of, has: impl Fn(Key) -> bool) -> Self {
         Self {
-            experiment: has(Key::Experiment).then(|| score.experiment.clone()),
-            scenario: has(Key::Scenario).then(|| score.scenario.clone()),
-            latent: has(Key::Latent).then_some(score.latent),
-            variant: has(Key::Variant).then(|| score.variant.clone()).filter(|variant| !variant.is_empty()),
+            experiment: has(Key::Experiment).then(|| of.experiment.clone()),
+            scenario: has(Key::Scenario).then(|| of.scenario.clone()),
+            latent: of.latent.filter(|_| has(Key::Latent)),
+            variant: has(Key::Variant).then(|| of.variant.clone()),
+            settings: has(Key::Settings).then(|| of.settings.clone()),
         }
     }
 
-    /// The words of the keys that it has.
-    fn words(&self) -> Vec<String> {
+    /// A word for each key, empty where it has none.
+    fn words(&self) -> [String; 5] {
         let scenario = self.scenario.as_ref().map(|scenario| scenario.name().to_owned());
         let latent = self.latent.map(|latent| format!("latent {latent}"));
-        [self.experiment.clone(), scenario, latent, self.variant.clone()].into_iter().flatten().collect()
+        [self.experiment.clone(), scenario, latent, self.variant.clone(), self.settings.clone()]
+            .map(Option::unwrap_or_default)
     }
 }
 
@@ -159,33 +146,32 @@ struct Subject {
     metric: usize,
 }
 
-/// Values by seed, of every row and column.
+/// The means of every row and column.
 struct Comparison<'a> {
     metrics: &'a [String],
     units: BTreeMap<Subject, &'a str>,
-    values: BTreeMap<(Subject, Side), BTreeMap<u64, f64>>,
+    values: BTreeMap<(Subject, Side), &'a Mean>,
+    notes: Vec<String>,
 }
 
 impl<'a> Comparison<'a> {
-    fn new(scores: impl Iterator<Item = &'a Score>, by: &[Key], metrics: &'a [String]) -> Self {
-        let mut comparison = Self { metrics, units: BTreeMap::new(), values: BTreeMap::new() };
-        for score in scores {
-            let baseline = (score.model != NETWORK).then(|| score.model.clone());
-            // A baseline has no latent state.
-            let side = |key| by.contains(&key) && (key != Key::Latent || baseline.is_none());
-            let side = Place::of(score, side);
+    fn new(means: impl Iterator<Item = &'a Mean>, by: &[Key], metrics: &'a [String]) -> Self {
+        let mut comparison =
+            Self { metrics, units: BTreeMap::new(), values: BTreeMap::new(), notes: Vec::new() };
+        for mean in means {
+            let of = &mean.of;
+            let baseline = (of.model != NETWORK).then(|| of.model.clone());
+            let side = Side { baseline, place: Place::of(of, |key| by.contains(&key)) };
             let subject = Subject {
-                task: score.task,
-                place: Place::of(score, |key| !by.contains(&key)),
-                modality: score.modality,
-                metric: metrics.iter().position(|name| *name == score.metric).unwrap_or(metrics.len()),
+                task: of.task,
+                place: Place::of(of, |key| !by.contains(&key)),
+                modality: of.modality,
+                metric: metrics.iter().position(|name| *name == of.metric).unwrap_or(metrics.len()),
             };
-            comparison.units.insert(subject.clone(), &score.unit);
-            // Nor has it a seed: it is the same beside every network.
-            let seed = if baseline.is_none() { score.seed } else { 0 };
-            let values = comparison.values.entry((subject, Side { baseline, place: side })).or_default();
-            values.insert(seed, score.value);
+            comparison.units.insert(subject.clone(), &mean.unit);
+            comparison.values.insert((subject, side), mean);
         }
+        comparison.notes.push(comparison.seeds());
         comparison
     }
 
@@ -193,13 +179,14 @@ impl<'a> Comparison<'a> {
         let sides: BTreeSet<&Side> = self.values.keys().map(|(_, side)| side).collect();
         let header = sides.iter().map(|side| {
             let words = side.baseline.iter().map(|name| name.replace('_', " ")).chain(side.place.words());
-            words.collect::<Vec<_>>().join(", ")
+            words.filter(|word| !word.is_empty()).collect::<Vec<_>>().join(", ")
         });
         let rows = self.units.iter().map(|(subject, unit)| {
-            let values = sides.iter().map(|side| self.values.get(&(subject.clone(), (*side).clone())));
+            let values =
+                sides.iter().map(|side| self.values.get(&(subject.clone(), (*side).clone())).copied());
             (self.words(subject, unit), self.cells(subject, unit, values, style))
         });
-        Sheet { header: header.collect(), rows: rows.collect(), note: self.note() }
+        Sheet { header: header.collect(), rows: rows.collect(), notes: self.notes.clone() }
     }
 
     /// What a row is about: task, place, modality, metric and unit.
@@ -221,11 +208,10 @@ impl<'a> Comparison<'a> {
         &self,
         subject: &Subject,
         unit: &str,
-        values: impl Iterator<Item = Option<&'v BTreeMap<u64, f64>>>,
+        values: impl Iterator<Item = Option<&'v Mean>>,
         style: Style,
     ) -> Vec<String> {
-        let intervals: Vec<Option<Interval>> =
-            values.map(|seeds| mean_interval(&seeds?.values().copied().collect::<Vec<_>>(), LEVEL)).collect();
+        let intervals: Vec<Option<Interval>> = values.map(|mean| Some(mean?.interval)).collect();
         let means = intervals.iter().flatten().map(|interval| interval.mean);
         let best = match self.metrics[subject.metric].as_str() {
             _ if intervals.iter().flatten().count() < 2 => None,
@@ -246,9 +232,10 @@ impl<'a> Comparison<'a> {
         intervals.iter().map(cell).collect()
     }
 
-    fn note(&self) -> String {
+    /// Over how many seeds the means are.
+    fn seeds(&self) -> String {
         let network = self.values.iter().filter(|((_, side), _)| side.baseline.is_none());
-        let seeds: BTreeSet<usize> = network.map(|(_, values)| values.len()).collect();
+        let seeds: BTreeSet<usize> = network.map(|(_, mean)| mean.values.len()).collect();
         match (seeds.first(), seeds.last()) {
             (Some(1), Some(1)) => "one seed, so without intervals".into(),
             (Some(fewest), Some(most)) if fewest < most => {

@@ -6,9 +6,10 @@ use anyhow::Result;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use clap::builder::TypedValueParser;
+use harness::analysis::{Analysis, Selection, Setting};
 use harness::experiment::describe;
 use harness::figures::Figure;
-use harness::figures::source::Source;
+use harness::figures::source::{Source, Study};
 use harness::registry::Registry;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -24,6 +25,9 @@ pub struct Figures {
     /// Draw the runs of `harness run … --quick`
     #[arg(long)]
     quick: bool,
+    /// Only runs with this setting, as training.epochs=200
+    #[arg(long = "where", value_name = "KEY=VALUE")]
+    settings: Vec<Setting>,
 }
 
 /// Takes the figures' names, and lists them where it is given another.
@@ -35,7 +39,13 @@ fn figure() -> impl TypedValueParser<Value = Figure> {
 impl Figures {
     /// Draws what can be drawn. Without names, figures whose runs are missing are no failure.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let source = Source::new(registry, self.quick);
+        let experiments = Study::BOTH.map(|study| study.experiment(self.quick)).to_vec();
+        let selection = Selection { experiments, settings: self.settings, simulated: true };
+        let analysis = Analysis::new(registry, &selection)?;
+        for note in analysis.notes() {
+            eprintln!("{note}");
+        }
+        let source = Source::new(&analysis, self.quick);
         let named = !self.names.is_empty();
         let wanted = if named { self.names } else { Figure::ALL.to_vec() };
         let (mut drawn, mut failed) = (0, false);

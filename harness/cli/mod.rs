@@ -22,6 +22,7 @@ mod verify;
 
 use anyhow::bail;
 use clap::{Parser, Subcommand};
+use harness::analysis::AnalysisError;
 use harness::claims::ClaimsError;
 use harness::dataset::DatasetError;
 use harness::experiment::{ExperimentError, describe};
@@ -154,7 +155,7 @@ const FIGURES_HELP: &str = "Examples:
 
 Width: 8.5 cm, a journal's column. Letters are outlines, so no font is needed to show them.
 Runs: those of experiments/single_to_multi.yaml and multi_to_multi.yaml; what is missing is named.
-Where one of them has runs of several settings, the settings with the most runs are drawn.";
+Runs of one experiment that differ in settings are not put together: --where chooses among them.";
 
 const REPORT_HELP: &str = "Examples:
   harness report
@@ -284,7 +285,8 @@ fn is_cancelled(error: &anyhow::Error) -> bool {
 fn is_usage(error: &anyhow::Error) -> bool {
     error.is::<SpecError>()
         || error.is::<ClaimsError>()
-        || matches!(error.downcast_ref(), Some(ReportError::Claims(_)))
+        || error.is::<AnalysisError>()
+        || matches!(error.downcast_ref(), Some(ReportError::Claims(_) | ReportError::Analysis(_)))
         || error.is::<compare::CompareError>()
         || error.is::<render::RenderError>()
         || matches!(

@@ -5,6 +5,7 @@ use super::progress::Bars;
 use super::table::shown;
 use anyhow::Result;
 use clap::Args;
+use harness::analysis::Setting;
 use harness::files::write_bytes;
 use harness::registry::Registry;
 use harness::{claims, report};
@@ -22,12 +23,15 @@ pub struct Report {
     /// Report on the experiments' quick runs
     #[arg(long)]
     quick: bool,
+    /// Only runs with this setting, as training.epochs=200
+    #[arg(long = "where", value_name = "KEY=VALUE")]
+    settings: Vec<Setting>,
 }
 
 impl Report {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let claims = claims::load(&self.claims)?;
-        let page = report::page(registry, &claims, self.quick, &Bars::default())?;
+        let page = report::page(registry, &claims, &self.settings, self.quick, &Bars::default())?;
         write_bytes(&self.out, page.as_bytes())?;
         println!("{}, {:.1} MB", shown(&self.out), page.len() as f64 / 1e6);
         Ok(ExitCode::from(DONE))

@@ -35,14 +35,15 @@ pub struct Sheet {
     pub header: Vec<String>,
     /// Words, as many in every row, and numbers as the style writes them; empty where there is none.
     pub rows: Vec<(Vec<String>, Vec<String>)>,
-    pub note: String,
+    pub notes: Vec<String>,
 }
 
 impl Sheet {
-    /// The table, with its note and what is the same in all rows.
+    /// The table, with its notes and what is the same in all rows.
     pub fn render(mut self, style: Style) -> String {
         let same = self.take_constant_words();
-        let note = same.into_iter().chain([self.note.clone()]).collect::<Vec<_>>().join("; ");
+        let notes = same.iter().chain(&self.notes).filter(|note| !note.is_empty());
+        let note = notes.map(String::as_str).collect::<Vec<_>>().join("; ");
         match style {
             Style::Text => format!("{}\n{note}; * the best of its row\n", self.text()),
             Style::Markdown => format!("{}\n{note}; bold: the best of its row\n", self.markdown()),
@@ -50,12 +51,14 @@ impl Sheet {
         }
     }
 
-    /// Takes out the words that every row has in the same place, if there is more than one row.
+    /// Takes out the words that every row has in the same place, if there is more than one row or nothing is said.
     fn take_constant_words(&mut self) -> Vec<String> {
         let mut constant = Vec::new();
         let mut place = 0;
         while let Some(word) = self.rows.first().and_then(|(words, _)| words.get(place)).cloned() {
-            if self.rows.len() > 1 && self.rows.iter().all(|(words, _)| words[place] == word) {
+            if (self.rows.len() > 1 || word.is_empty())
+                && self.rows.iter().all(|(words, _)| words[place] == word)
+            {
                 self.rows.iter_mut().for_each(|(words, _)| drop(words.remove(place)));
                 constant.push(word);
             } else {

@@ -1,8 +1,8 @@
 //! Axes, series and legends on a page.
 
 use super::page::{BLACK, BLUE, GREY, Mark, PALE, Page, Point, Stroke, Type, VERMILION};
+use crate::analysis::Interval;
 use crate::metrics::Direction;
-use crate::metrics::interval::Interval;
 use crate::spec::Scenario;
 
 const AXIS: Stroke = Stroke::new(BLACK, 0.6);

@@ -3,12 +3,12 @@
 use super::FigureError;
 use super::axes::{Look, Panel, Scale, colour_of, legend, look_of, remark, words_of};
 use super::page::{GREY, Page, Stroke};
-use super::source::{Runs, integers, intervals, reals, texts};
-use crate::metrics::interval::Interval;
+use super::source::{Runs, integers, reals, texts};
+use crate::analysis::{Interval, NETWORK, intervals};
 use crate::metrics::{Direction, Metric};
 use crate::spec::{Modality, Scenario, Task};
 use polars::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 
 /// What a panel shows.
 pub struct Curves<'a> {
@@ -43,34 +43,37 @@ impl Curves<'_> {
     /// Looks its numbers up.
     pub fn measure(&self) -> Result<Measured<'_>, FigureError> {
         let (task, modality, metric) = (self.task, self.modality, self.metric.name());
-        let baseline = self.baseline.map_or("network", |(name, _)| name);
+        let baseline = self.baseline.map_or(NETWORK, |(name, _)| name);
         let rows = self.runs.query(&format!(
-            "select scenario, direction, model, latent, value from metrics where {{runs}} and task = '{task}' \
+            "select scenario, direction, model, latent, value from metrics where task = '{task}' \
              and modality = '{modality}' and metric = '{metric}' and direction is not null and index is null \
-             and model in ('network', '{baseline}')"
+             and model in ('{NETWORK}', '{baseline}')"
         ))?;
         let (scenarios, directions) = (texts(&rows, "scenario")?, texts(&rows, "direction")?);
         let (models, latents) = (texts(&rows, "model")?, integers(&rows, "latent")?);
         let values = reals(&rows, "value")?;
         let of = |scenario: Scenario, direction: Direction, model: &str| {
-            let found = (0..values.len()).filter(|&row| {
-                scenarios[row] == scenario.name()
-                    && directions[row] == direction.name()
-                    && models[row] == model
-            });
-            intervals(found.map(|row| (latents[row] as usize, values[row])))
+            let is_of = |row: &usize| {
+                scenarios[*row] == scenario.name()
+                    && directions[*row] == direction.name()
+                    && models[*row] == model
+            };
+            (0..values.len()).filter(is_of).collect::<Vec<_>>()
         };
         let mut curves = Vec::new();
         for &scenario in Scenario::ALL {
             for direction in Direction::ALL {
-                let network: Vec<_> = of(scenario, direction, "network").into_iter().collect();
+                let network = of(scenario, direction, NETWORK).into_iter();
+                let network = intervals(network.map(|row| (latents[row] as usize, values[row])));
+                let network: Vec<_> = network.into_iter().collect();
                 if network.is_empty() {
                     continue;
                 }
-                // A baseline has no seed and no latent size: every run repeats its value.
-                let baseline =
-                    self.baseline.and_then(|(name, _)| of(scenario, direction, name).into_values().next());
-                let baseline = baseline.map(|value| Interval { bounds: None, ..value });
+                // A baseline has no seed and no latent size: every run repeats its value, and the first one's stands.
+                let baseline = self.baseline.and_then(|(name, _)| {
+                    let mean = values[*of(scenario, direction, name).first()?]?;
+                    Some(Interval { mean, bounds: None })
+                });
                 curves.push(Curve { scenario, direction, network, baseline });
             }
         }
@@ -167,9 +170,12 @@ pub fn explain(page: &mut Page, middle: f64, y: f64) {
 
 /// Says what the bars are.
 pub fn explain_bars(page: &mut Page, middle: f64, y: f64, runs: &[&Runs], more: &str) {
-    let seeds: BTreeMap<usize, ()> = runs.iter().map(|runs| (runs.seeds(), ())).collect();
-    let counts: Vec<String> = seeds.keys().map(usize::to_string).collect();
-    let bars = if seeds.keys().all(|seeds| *seeds < 2) {
+    let seeds: BTreeSet<(usize, usize)> = runs.iter().map(|runs| runs.seeds()).collect();
+    let words = |(fewest, most): &(usize, usize)| {
+        if fewest < most { format!("{fewest} to {most}") } else { most.to_string() }
+    };
+    let counts: Vec<String> = seeds.iter().map(words).collect();
+    let bars = if seeds.iter().all(|(_, most)| *most < 2) {
         "one seed, so no intervals".to_owned()
     } else {
         format!("bars: 95 % intervals of the mean over {} seeds", counts.join(" and "))

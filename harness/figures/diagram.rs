@@ -33,7 +33,7 @@ impl Anatomy {
     pub fn of(source: &Source, task: Task) -> Result<Self, FigureError> {
         let runs = source.runs(Study::MultiToMulti)?;
         let latents = runs.latents();
-        let spec = &runs.records[0].spec;
+        let spec = &runs.all[0].record.spec;
         let build = |latent: &usize| shapes(&RunSpec { latent: *latent, ..spec.clone() }, task);
         let networks = latents.iter().map(build).collect::<Result<_, _>>()?;
         let architecture = architecture(spec, task);

@@ -21,7 +21,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
         "select scenario, index as link, modality, 'N' as unit, \
          max(samples) as samples, max(contacts) as contacts, max(100.0 * contacts / samples) as contact_percent, \
          max(mean) as mean, max(p05) as p05, max(p25) as p25, max(p50) as p50, max(p75) as p75, max(p95) as p95, \
-         max(max) as max from forces where {runs} and modality = 'contact_force' and episode is null \
+         max(max) as max from forces where modality = 'contact_force' and episode is null \
          group by scenario, index, modality order by scenario, link",
     )?;
     let (scenarios, links) = (texts(&data, "scenario")?, integers(&data, "link")?);

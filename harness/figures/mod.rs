@@ -2,7 +2,7 @@
 //!
 //! One file a figure; each makes a [`Drawing`]: a [`page::Page`] and the numbers on it. The scenes are rendered by
 //! `simulation`, the diagrams are read off the networks that `learning` builds, everything else comes from
-//! [`source::Source`]. The same tables give the same bytes of SVG.
+//! [`source::Source`], by the runs that [`analysis`](crate::analysis) lets count. The same tables give the same bytes of SVG.
 
 mod axes;
 mod curves;
@@ -20,6 +20,7 @@ pub mod source;
 mod task;
 mod text;
 
+use crate::analysis::Mixed;
 use crate::files::{WriteError, write_bytes};
 use crate::learning::LearningError;
 use crate::registry::{QueryError, save};
@@ -40,6 +41,8 @@ pub enum FigureError {
         root.display()
     )]
     NoRows { experiment: String, root: PathBuf, command: String },
+    #[error(transparent)]
+    Mixed(#[from] Mixed),
     #[error(transparent)]
     Query(#[from] QueryError),
     #[error("a table doesn't hold what it should: {0}")]

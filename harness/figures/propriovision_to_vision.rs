@@ -2,9 +2,9 @@
 
 use super::axes::remark;
 use super::page::{COLUMN, GREY, Page, Stroke, Type};
-use super::source::{Runs, Source, Study, integers, intervals, reals};
+use super::source::{Runs, Source, Study, integers, reals};
 use super::{Drawing, FigureError};
-use crate::metrics::interval::Interval;
+use crate::analysis::{Interval, intervals};
 use crate::spec::{FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, Scenario};
 use image::{Rgb, RgbImage};
 use polars::prelude::*;
@@ -103,8 +103,8 @@ fn with_spread(value: &Interval) -> String {
 }
 
 fn trials(runs: &Runs) -> Result<Vec<Trial>, FigureError> {
-    let place = format!("{{runs}} and scenario = '{}' and {}", Scenario::Cluttered, runs.first_seeds());
-    let rows = runs.query(&format!(
+    let place = format!("scenario = '{}'", Scenario::Cluttered);
+    let rows = runs.query_first_seeds(&format!(
         "select latent, episode, sample, motion, reference, predicted from frames where {place} \
          and task = 'prediction' and modality = 'frame_difference' order by motion, episode, sample, latent"
     ))?;
@@ -132,7 +132,7 @@ fn trials(runs: &Runs) -> Result<Vec<Trial>, FigureError> {
         }
     }
     // The picture before the change; runs without reconstruction don't have it.
-    let seen = runs.query(&format!(
+    let seen = runs.query_first_seeds(&format!(
         "select episode, sample, reference from frames where {place} and task = 'reconstruction' \
          and modality = 'vision' order by latent"
     ));
@@ -165,7 +165,7 @@ fn change(bytes: Option<&[u8]>) -> Result<Vec<f32>, FigureError> {
 /// Squared error of the frame difference relative to no change, by latent size.
 fn errors(runs: &Runs) -> Result<BTreeMap<i64, Interval>, FigureError> {
     let rows = runs.query(&format!(
-        "select latent, value from metrics where {{runs}} and scenario = '{}' and task = 'prediction' \
+        "select latent, value from metrics where scenario = '{}' and task = 'prediction' \
          and modality = 'frame_difference' and model = 'network' and metric = 'relative_error'",
         Scenario::Cluttered
     ))?;

@@ -2,10 +2,10 @@
 
 use super::axes::{Look, Panel, Scale, legend, remark, words_of};
 use super::page::{COLUMN, GREEN, GREY, Mark, Page, Stroke, Type, WINE};
-use super::source::{Runs, Source, Study, integers, intervals, reals};
+use super::source::{Runs, Source, Study, integers, reals};
 use super::{Drawing, FigureError};
+use crate::analysis::{Interval, intervals};
 use crate::metrics::Direction;
-use crate::metrics::interval::Interval;
 use crate::spec::{Modality, Scenario};
 use polars::prelude::*;
 use std::collections::BTreeMap;
@@ -47,7 +47,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     block(&mut page, 25.0, &angles, "a", "fingertip angle", "rad");
     block(&mut page, 209.0, &forces, "b", "fingertip force", "N");
     let spread =
-        if single.seeds().max(multi.seeds()) > 1 { ", mean over seeds ± 95 % interval" } else { "" };
+        if single.seeds().1.max(multi.seeds().1) > 1 { ", mean over seeds ± 95 % interval" } else { "" };
     remark(&mut page, &format!("R²: of all test samples{spread}"), [COLUMN / 2.0, 384.0]);
     remark(
         &mut page,
@@ -114,7 +114,7 @@ fn r2_words(r2: &Interval) -> String {
 fn predictions(runs: &Runs, modality: Modality, panel: &str) -> Result<Predictions, FigureError> {
     let tips = Direction::ALL.map(Direction::fingertip);
     let place = format!(
-        "{{runs}} and scenario = '{}' and task = 'prediction' and modality = '{modality}' and index in ({}, {})",
+        "scenario = '{}' and task = 'prediction' and modality = '{modality}' and index in ({}, {})",
         Scenario::Cluttered,
         tips[0],
         tips[1]
@@ -127,10 +127,9 @@ fn predictions(runs: &Runs, modality: Modality, panel: &str) -> Result<Predictio
     let r2 =
         intervals((0..rows.height()).map(|row| key(latents[row], links[row])).zip(reals(&rows, "value")?));
 
-    let rows = runs.query(&format!(
+    let rows = runs.query_first_seeds(&format!(
         "select latent, index, episode, sample, reference, predicted from predictions \
-         where {place} and {} order by latent, index, episode, sample",
-        runs.first_seeds()
+         where {place} order by latent, index, episode, sample"
     ))?;
     let mut groups: BTreeMap<(usize, Direction), Vec<usize>> = BTreeMap::new();
     let (latents, links) = (integers(&rows, "latent")?, integers(&rows, "index")?);

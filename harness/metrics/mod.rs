@@ -2,13 +2,12 @@
 //!
 //! [`series`] has the formulas, [`Evaluation`] applies those that suit a modality to its joints, links or
 //! pixels, [`parts`] tells which pixels show the robot's parts, [`baselines`] predicts without a network,
-//! [`interval`] sums up seeds, [`contact`] forces. Everything accumulates batch by batch in f64, so a test
-//! set of frames need not fit in memory.
+//! [`contact`] sums up forces. Everything accumulates batch by batch in f64, so a test set of frames need not fit in
+//! memory.
 
 pub mod baselines;
 pub mod contact;
 mod error;
-pub mod interval;
 pub mod parts;
 pub mod series;
 

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::PoisonError;
 
 /// A run's folder and its record.
-pub(super) type Recorded = (PathBuf, RunRecord);
+pub(crate) type Recorded = (PathBuf, RunRecord);
 
 impl Registry {
     /// Every run's record, by experiment and id. Those that can't be read, or lie in the folder of another run, are left
@@ -18,7 +18,7 @@ impl Registry {
     }
 
     /// Every run's folder and record, likewise.
-    pub(super) fn recorded(&self) -> Vec<Recorded> {
+    pub(crate) fn recorded(&self) -> Vec<Recorded> {
         self.read(self.run_folders())
     }
 

@@ -20,7 +20,8 @@ mod verify;
 pub use commands::quoted;
 pub use provenance::{Provenance, peak_memory_bytes};
 pub use publish::Published;
-pub use query::{QueryError, query, query_latest, rows, save, table};
+pub use query::{QueryError, query, rows, save};
+pub(crate) use query::{answer, table};
 pub use record::{
     FileRecord, ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings,
 };
@@ -67,8 +68,6 @@ pub enum RegistryError {
     Incomplete { path: PathBuf, missing: usize, episodes: u32 },
     #[error("no run matches '{wanted}'{}; `{list}` lists them", nearest.as_ref().map(|n| format!(", the nearest is '{n}'")).unwrap_or_default())]
     Unknown { wanted: String, nearest: Option<String>, list: String },
-    #[error("'{wanted}' has no finished runs; those that have: {}", there.join(", "))]
-    NothingFinished { wanted: String, there: Vec<String> },
     #[error("{} can't be published into itself; choose another folder", .0.display())]
     IntoItself(PathBuf),
     #[error("'{wanted}' matches several runs: {}", matches.join(", "))]
@@ -132,10 +131,7 @@ impl Registry {
 
     /// The place of a run; two runs share it only if they must have the same result.
     pub fn run(&self, experiment: &str, spec: &RunSpec, dataset: &str) -> RunFolder {
-        let identity = format!("{} {dataset} {REVISION}", spec.hash());
-        let digest = Sha256::digest(identity);
-        let hash: String = digest.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
-        let id = format!("{}-{hash}", spec.label());
+        let id = format!("{}-{}", spec.label(), identity(&spec.hash(), dataset, REVISION));
         let path = self.runs().join(experiment).join(&id);
         RunFolder { path, experiment: experiment.to_owned(), id, dataset: dataset.to_owned() }
     }
@@ -192,22 +188,6 @@ impl Registry {
             by_label.entry(record.label()).or_default().push(record);
         }
         Known(by_label)
-    }
-
-    /// The runs that count, in the order of their folders: done, and of several of the same cell and seed in an
-    /// experiment the one that was started last.
-    fn latest(&self) -> Vec<(PathBuf, RunRecord)> {
-        let mut latest: BTreeMap<(String, String), (PathBuf, RunRecord)> = BTreeMap::new();
-        for (folder, record) in self.recorded() {
-            let key = (record.experiment.clone(), record.label());
-            let newer = latest.get(&key).is_none_or(|(_, other)| other.started <= record.started);
-            if record.status == Status::Done && newer {
-                latest.insert(key, (folder, record));
-            }
-        }
-        let mut latest: Vec<_> = latest.into_values().collect();
-        latest.sort_by(|(a, _), (b, _)| a.cmp(b));
-        latest
     }
 
     /// The one run whose id, or `experiment/id`, begins with `wanted`.
@@ -287,6 +267,12 @@ impl Registry {
         folder.remove_states();
         Ok(())
     }
+}
+
+/// The first digits of the hash of all that decides a run's result.
+fn identity(spec_hash: &str, dataset: &str, revision: u32) -> String {
+    let digest = Sha256::digest(format!("{spec_hash} {dataset} {revision}"));
+    digest.iter().take(4).map(|byte| format!("{byte:02x}")).collect()
 }
 
 impl RunFolder {

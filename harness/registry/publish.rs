@@ -8,8 +8,8 @@ use crate::schema::Table;
 use crate::spec::JOINTS;
 use crate::tables::{TableError, TableFile, write_table};
 use polars::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 /// What was published.
 #[derive(Debug, Default, PartialEq, Eq)]
@@ -19,18 +19,18 @@ pub struct Published {
 }
 
 impl Registry {
-    /// Copies the runs that count of these experiments to another registry: records, specs, and tables without most
-    /// of their rows that are about single samples. Networks stay behind.
+    /// Copies `chosen` runs of this registry to another: records, specs, and tables without most of their rows that
+    /// are about single samples. Networks stay behind.
     ///
     /// Kept are all epochs and metrics; the predictions of the last two joints and links, and the pictures, of each
     /// cell's lowest seed; and the forces of one run a dataset; but of a sweep's runs no more than epochs and metrics. A
     /// run of the same cell and seed that was published before is replaced.
     ///
     /// # Errors
-    /// When `to` is this registry, an experiment has no finished runs, or a file can't be read or written; what is there already stays whole.
-    pub fn publish(
+    /// When `to` is this registry, or a file can't be read or written; what is there already stays whole.
+    pub fn publish<'a>(
         &self,
-        experiments: &[String],
+        chosen: impl IntoIterator<Item = (&'a Path, &'a RunRecord)>,
         to: &Registry,
         progress: &dyn Progress,
     ) -> Result<Published, RegistryError> {
@@ -39,18 +39,7 @@ impl Registry {
         {
             return Err(RegistryError::IntoItself(self.root.clone()));
         }
-        let runs = self.latest();
-        if let Some(wanted) =
-            experiments.iter().find(|name| runs.iter().all(|run| run.1.experiment != **name))
-        {
-            let there: BTreeSet<String> = runs.iter().map(|(_, record)| record.experiment.clone()).collect();
-            return Err(RegistryError::NothingFinished {
-                wanted: wanted.clone(),
-                there: there.into_iter().collect(),
-            });
-        }
-        let chosen = runs.iter().filter(|(_, record)| experiments.contains(&record.experiment));
-        let chosen: Vec<_> = chosen.map(|(folder, record)| (folder, record)).collect();
+        let chosen: Vec<_> = chosen.into_iter().collect();
         let shown = Shown::of(chosen.iter().map(|(_, record)| *record));
         let published_before = to.recorded();
         let mut published = Published::default();

@@ -42,20 +42,18 @@ pub enum QueryError {
 /// When the SQL is not understood, is more than a question, names what isn't there, or when a table's file is
 /// damaged.
 pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
-    answer(registry, sql, &registry.recorded())
+    let runs = registry.recorded();
+    answer(sql, &|of| table(registry, of, &runs))
 }
 
-/// As [`query`], but of the runs only those that count: done, and of several of the same cell and seed in an
-/// experiment (after a setting or the method changed) the latest.
-pub fn query_latest(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
-    answer(registry, sql, &registry.latest())
-}
+/// What a table's name stands for in a query.
+pub(crate) type TableOf<'a> = dyn Fn(Table) -> Result<LazyFrame, QueryError> + Sync + 'a;
 
-fn answer(registry: &Registry, question: &str, runs: &[Recorded]) -> Result<DataFrame, QueryError> {
+/// Answers a query over the tables that `table_of` gives, which is asked for those that the query may be about.
+pub(crate) fn answer(question: &str, table_of: &TableOf) -> Result<DataFrame, QueryError> {
     std::thread::scope(|scope| {
         let thread = std::thread::Builder::new().stack_size(QUERY_STACK_BYTES);
-        let thread =
-            thread.spawn_scoped(scope, || sql::answer(question, &|table| table_of(registry, table, runs)));
+        let thread = thread.spawn_scoped(scope, || sql::answer(question, table_of));
         let thread = thread.map_err(|error| QueryError::Refused(error.to_string()))?;
         // Polars may panic at what it does not support.
         thread.join().unwrap_or_else(|panic| {
@@ -66,13 +64,8 @@ fn answer(registry: &Registry, question: &str, runs: &[Recorded]) -> Result<Data
     })
 }
 
-/// One of the tables, over everything in the results folder.
-pub fn table(registry: &Registry, table: Table) -> Result<LazyFrame, QueryError> {
-    table_of(registry, table, &registry.recorded())
-}
-
 /// One of the tables, over `runs`, or over all datasets.
-fn table_of(registry: &Registry, table: Table, runs: &[Recorded]) -> Result<LazyFrame, QueryError> {
+pub(crate) fn table(registry: &Registry, table: Table, runs: &[Recorded]) -> Result<LazyFrame, QueryError> {
     let columns = table.columns();
     let found = match table {
         Table::Runs => {

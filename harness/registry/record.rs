@@ -1,7 +1,7 @@
 //! The record of a run, and its tables.
 
 use super::commands::command_of;
-use super::{Provenance, RegistryError, RunFolder, SPEC, peak_memory_bytes};
+use super::{Provenance, REVISION, RegistryError, RunFolder, SPEC, identity, peak_memory_bytes};
 use crate::learning::training::Epoch;
 use crate::metrics::Row;
 use crate::metrics::contact::{Contact, QUANTILES};
@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
-use std::io::ErrorKind;
+use std::io::{Cursor, ErrorKind};
 use std::path::{Path, PathBuf};
 
 /// The tables that each run writes.
@@ -231,6 +231,11 @@ impl RunRecord {
     /// Whoever reads a table of a run does this first. Hashing 3 MB takes some milliseconds, and Polars, which
     /// notices few kinds of damage, would turn the others into numbers.
     pub(super) fn check_file(&self, folder: &Path, name: &str) -> Result<PathBuf, RegistryError> {
+        self.read_file(folder, name).map(|_| folder.join(name))
+    }
+
+    /// The bytes of one of the files that the record lists, which are as it lists them.
+    fn read_file(&self, folder: &Path, name: &str) -> Result<Vec<u8>, RegistryError> {
         let path = folder.join(name);
         let damaged = |reason: String| Err(RegistryError::File { path: path.clone(), reason });
         let Some(listed) = self.files.get(name) else {
@@ -243,10 +248,31 @@ impl RunRecord {
         if bytes.len() as u64 != listed.bytes {
             return damaged(format!("it has {} bytes instead of {}", bytes.len(), listed.bytes));
         }
-        if hex(&Sha256::digest(bytes)) != listed.sha256 {
+        if hex(&Sha256::digest(&bytes)) != listed.sha256 {
             return damaged("it is not as it was written: its SHA-256 differs".into());
         }
-        Ok(path)
+        Ok(bytes)
+    }
+
+    /// These columns of one of the run's tables, whose file is compared with the record.
+    pub(crate) fn read_table(
+        &self,
+        folder: &Path,
+        table: Table,
+        columns: Vec<String>,
+    ) -> Result<DataFrame, RegistryError> {
+        let name = format!("{}.parquet", table.name());
+        let bytes = self.read_file(folder, &name)?;
+        // Tables are read side by side; more threads for each would only compete.
+        let reader = ParquetReader::new(Cursor::new(bytes)).with_columns(Some(columns));
+        let read = reader.read_parallel(ParallelStrategy::None).finish();
+        read.map_err(|error| RegistryError::File { path: folder.join(name), reason: error.to_string() })
+    }
+
+    /// The revision of the method that made the run; `None` if no revision so far did.
+    pub fn revision(&self) -> Option<u32> {
+        let is_of = |revision: &u32| self.run.ends_with(&identity(&self.spec_hash, &self.dataset, *revision));
+        (0..=REVISION).rev().find(is_of)
     }
 
     /// What is wrong with the first of the listed files that is not as it was written; `None` where all are whole.

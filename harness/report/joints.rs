@@ -1,11 +1,12 @@
 //! How well each joint's angle and each link's force is predicted.
 
 use super::{Absent, of_both, short};
+use crate::analysis::{Interval, LEVEL, NETWORK, mean_interval};
 use crate::figures::FigureError;
 use crate::figures::source::{Runs, Source, Study};
-use crate::metrics::interval::{Interval, LEVEL, mean_interval};
 use crate::registry::rows;
 use crate::spec::{JOINTS, Modality, Scenario, Task};
+use polars::prelude::{IntoLazy, col};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -41,7 +42,7 @@ struct Of {
     unit: String,
 }
 
-/// A row of the metrics table.
+/// What rows of the metrics table are alike in but for their seeds.
 #[derive(Deserialize)]
 struct Row {
     task: Task,
@@ -49,12 +50,10 @@ struct Row {
     metric: String,
     scenario: Scenario,
     latent: u64,
-    seed: u64,
     model: String,
     unit: String,
     direction: Option<String>,
     index: Option<usize>,
-    value: Option<f64>,
 }
 
 /// A value's place in its series.
@@ -72,15 +71,19 @@ pub fn series(source: &Source) -> Result<(Vec<Series>, BTreeSet<Absent>), Figure
     of_both(source, of_study)
 }
 
+/// What the metrics table is asked for.
+pub const SQL: &str = "select task, modality, metric, scenario, latent, model, unit, direction, index, value \
+    from metrics where modality in ('proprioception', 'contact_force') and model in ('network', 'persistence', 'ridge')";
+
 fn of_study(runs: &Runs, study: Study) -> Result<Vec<Series>, FigureError> {
-    let mut answer = runs.query(
-        "select task, modality, metric, scenario, latent, seed, model, unit, direction, index, value from metrics \
-         where {runs} and modality in ('proprioception', 'contact_force') \
-         and model in ('network', 'persistence', 'ridge')",
-    )?;
-    let mut values: BTreeMap<Of, BTreeMap<Place, BTreeMap<u64, f64>>> = BTreeMap::new();
-    for row in rows::<Row>(&mut answer)? {
-        let is_network = row.model == "network";
+    let keys =
+        ["task", "modality", "metric", "scenario", "latent", "model", "unit", "direction", "index"].map(col);
+    let mut groups = runs.query(SQL)?.lazy().group_by_stable(keys).agg([col("value")]).collect()?;
+    let of_seeds = groups.drop_in_place("value")?;
+    let of_seeds = of_seeds.list()?;
+    let mut all: BTreeMap<Of, BTreeMap<Place, Vec<f64>>> = BTreeMap::new();
+    for (group, row) in rows::<Row>(&mut groups)?.into_iter().enumerate() {
+        let is_network = row.model == NETWORK;
         let of = Of {
             task: row.task,
             modality: row.modality,
@@ -96,21 +99,24 @@ fn of_study(runs: &Runs, study: Study) -> Result<Vec<Series>, FigureError> {
             Some(joint) => Place::Joint(joint),
             None => Place::Overall(row.direction.unwrap_or_else(|| "all".into())),
         };
-        // A baseline has no seed: every run repeats its value.
-        let seed = if is_network { row.seed } else { 0 };
-        if let Some(value) = row.value {
-            values.entry(of).or_default().entry(place).or_default().insert(seed, value);
+        let values = all.entry(of).or_default().entry(place).or_default();
+        if let Some(seeds) = of_seeds.get_as_series(group) {
+            values.extend(seeds.f64()?.iter().flatten());
+        }
+        // A baseline has neither seed nor latent size: every run repeats its value, and the first one's stands.
+        if !is_network {
+            values.truncate(1);
         }
     }
-    Ok(values.into_iter().map(|(of, places)| Series::new(of, places)).collect())
+    Ok(all.into_iter().map(|(of, places)| Series::new(of, places)).collect())
 }
 
 impl Series {
-    fn new(of: Of, places: BTreeMap<Place, BTreeMap<u64, f64>>) -> Self {
+    fn new(of: Of, places: BTreeMap<Place, Vec<f64>>) -> Self {
         let mut series = Self { of, seeds: 0, values: vec![None; JOINTS], overall: BTreeMap::new() };
         for (place, seeds) in places {
             series.seeds = series.seeds.max(seeds.len());
-            let Some(interval) = mean_interval(&seeds.into_values().collect::<Vec<_>>(), LEVEL) else {
+            let Some(interval) = mean_interval(&seeds, LEVEL) else {
                 continue;
             };
             match place {

@@ -15,7 +15,8 @@ mod runs;
 mod training;
 mod verdicts;
 
-use crate::claims::{Claim, ClaimsError};
+use crate::analysis::{Analysis, AnalysisError, Setting};
+use crate::claims::{self, Claim, ClaimsError};
 use crate::figures::FigureError;
 use crate::figures::source::{Runs, Source, Study};
 use crate::progress::Progress;
@@ -40,6 +41,8 @@ pub enum ReportError {
     Figure(#[from] FigureError),
     #[error(transparent)]
     Claims(#[from] ClaimsError),
+    #[error(transparent)]
+    Analysis(#[from] AnalysisError),
     #[error(transparent)]
     Query(#[from] QueryError),
     #[error("the page can't be put together: {0}")]
@@ -76,12 +79,19 @@ fn part<T>(outcome: Result<T, FigureError>) -> Result<Part<T>, FigureError> {
         Err(FigureError::NoRows { experiment, command, .. }) => {
             (format!("The finished runs of {experiment} lack what this shows."), Some(command))
         }
+        Err(FigureError::Mixed(error)) => (sentence(&error.to_string()), None),
         Err(FigureError::Simulation(error @ SimulationError::NoRenderer { .. })) => {
             (format!("It could not be rendered: {error}."), None)
         }
         Err(error) => return Err(error),
     };
     Ok(Part::Absent(Absent { reason, command }))
+}
+
+/// A message as a sentence.
+fn sentence(text: &str) -> String {
+    let (first, rest) = text.split_at(1);
+    format!("{}{rest}.", first.to_uppercase())
 }
 
 /// What `of_study` makes of the runs of both studies, and the studies without runs.
@@ -106,10 +116,14 @@ struct Page {
     script: &'static str,
     policy: String,
     quick: bool,
+    /// The command that makes some runs in seconds.
+    smoke: String,
     /// How many runs are done.
     done: usize,
     /// The commands that make what isn't there.
     commands: BTreeSet<String>,
+    /// Which runs were left out, and which can't be put together.
+    remarks: Vec<String>,
     clips: Part<Vec<clips::Clip>>,
     verdicts: verdicts::Verdicts,
     figures: Vec<figures::Drawn>,
@@ -143,6 +157,7 @@ struct Data {
 ///
 /// # Arguments
 /// * `claims` the statements to judge
+/// * `settings` what the runs' settings must be
 /// * `quick` whether claims, figures and results are those of the runs with `--quick`
 ///
 /// # Errors
@@ -151,12 +166,18 @@ struct Data {
 pub fn page(
     registry: &Registry,
     claims: &[Claim],
+    settings: &[Setting],
     quick: bool,
     progress: &dyn Progress,
 ) -> Result<String, ReportError> {
-    let source = Source::new(registry, quick);
+    let claims: Vec<&Claim> = claims.iter().collect();
+    let mut selection = claims::selection(&claims, settings, quick);
+    selection.experiments.extend(Study::BOTH.map(|study| study.experiment(quick)));
+    let analysis = Analysis::new(registry, &selection)?;
+    let analysis = claims::expect(analysis, &claims, quick).expect([joints::SQL]);
+    let source = Source::new(&analysis, quick);
     let figures = figures::draw(&source, progress)?;
-    let verdicts = verdicts::Verdicts::of(registry, claims, quick)?;
+    let verdicts = verdicts::Verdicts::of(&analysis, &claims, quick)?;
     let experiments = runs::experiments(registry);
     let (clips, frames) = match part(clips::film(progress))? {
         Part::Absent(absent) => (Part::Absent(absent), Vec::new()),
@@ -181,8 +202,10 @@ pub fn page(
         script: SCRIPT,
         policy: policy(),
         quick,
+        smoke: analysis.command("smoke", false),
         done: experiments.iter().map(|experiment| experiment.done).sum(),
         commands,
+        remarks: analysis.notes().iter().chain(&verdicts.mixed).map(|text| sentence(text)).collect(),
         clips,
         verdicts,
         figures,

@@ -2,8 +2,9 @@
 
 use super::joints::{Value, value};
 use super::{Absent, of_both, short};
+use crate::analysis::intervals;
 use crate::figures::FigureError;
-use crate::figures::source::{Runs, Source, Study, intervals};
+use crate::figures::source::{Runs, Source, Study};
 use crate::metrics::Direction;
 use crate::registry::rows;
 use crate::spec::{Modality, Scenario};
@@ -67,7 +68,7 @@ pub fn clouds(source: &Source) -> Result<(Vec<Cloud>, BTreeSet<Absent>), FigureE
 fn of_study(runs: &Runs, study: Study) -> Result<Vec<Cloud>, FigureError> {
     let [flexion, abduction] = Direction::ALL.map(Direction::fingertip);
     let place = format!(
-        "{{runs}} and task = 'prediction' and modality in ('proprioception', 'contact_force') \
+        "task = 'prediction' and modality in ('proprioception', 'contact_force') \
          and index in ({flexion}, {abduction})"
     );
     let mut answer = runs.query(&format!(
@@ -77,10 +78,9 @@ fn of_study(runs: &Runs, study: Study) -> Result<Vec<Cloud>, FigureError> {
     let scores = rows::<Score>(&mut answer)?;
     let r2 = intervals(scores.into_iter().map(|score| (score.of, score.value)));
 
-    let mut answer = runs.query(&format!(
+    let mut answer = runs.query_first_seeds(&format!(
         "select modality, scenario, latent, index, seed, episode, sample, reference, predicted from predictions \
-         where {place} and {} order by episode, sample",
-        runs.first_seeds()
+         where {place} order by episode, sample"
     ))?;
     let mut samples: BTreeMap<Of, Vec<Sample>> = BTreeMap::new();
     for sample in rows::<Sample>(&mut answer)? {

@@ -1,8 +1,8 @@
 //! The claims and what becomes of them.
 
+use crate::analysis::{Analysis, Mixed};
 use crate::claims::{Claim, ClaimsError, Condition, Judgement, Verdict, judge};
 use crate::numbers::rounded;
-use crate::registry::Registry;
 use crate::spec::Scenario;
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -15,6 +15,9 @@ pub struct Verdicts {
     /// The commands that make the runs of the claims without data.
     #[serde(skip)]
     pub commands: BTreeSet<String>,
+    /// Why runs can't be put together.
+    #[serde(skip)]
+    pub mixed: BTreeSet<String>,
 }
 
 /// How many judgements came out how.
@@ -67,15 +70,20 @@ struct Strip {
 impl Verdicts {
     /// # Errors
     /// When a claim's query is wrong, or a table damaged.
-    pub fn of(registry: &Registry, claims: &[Claim], quick: bool) -> Result<Self, ClaimsError> {
-        let option = if quick { " --quick" } else { "" };
-        let mut verdicts = Self { claims: Vec::new(), counts: Counts::default(), commands: BTreeSet::new() };
+    pub fn of(analysis: &Analysis, claims: &[&Claim], quick: bool) -> Result<Self, ClaimsError> {
+        let mut verdicts = Self {
+            claims: Vec::new(),
+            counts: Counts::default(),
+            commands: BTreeSet::new(),
+            mixed: BTreeSet::new(),
+        };
         for claim in claims {
-            let judgements = judge(registry, claim, quick)?;
+            let judgements = judge(analysis, claim, quick)?;
             for judgement in &judgements {
                 verdicts.counts.add(judgement.verdict());
+                verdicts.mixed.extend(judgement.mixed.iter().map(Mixed::to_string));
                 if judgement.verdict() == Verdict::NoData {
-                    let command = |experiment| format!("harness run experiments/{experiment}.yaml{option}");
+                    let command = |experiment: &String| analysis.command(experiment, quick);
                     verdicts.commands.extend(claim.experiments.iter().map(command));
                 }
             }
@@ -90,7 +98,9 @@ impl Counts {
         match verdict {
             Verdict::Holds => self.holds += 1,
             Verdict::DoesNotHold => self.fails += 1,
-            Verdict::Undecided | Verdict::OneSeed { .. } | Verdict::NoData => self.undecided += 1,
+            Verdict::Undecided | Verdict::OneSeed { .. } | Verdict::Mixed | Verdict::NoData => {
+                self.undecided += 1
+            }
         }
     }
 }
@@ -115,12 +125,14 @@ impl Words {
         let values = judgement.measured.values.iter();
         Self {
             scenario: judgement.scenario.map_or("both", Scenario::name),
-            value: judgement.interval().map_or_else(|| "no data".into(), |interval| interval.to_string()),
+            value: judgement.interval().map_or_else(|| "no value".into(), |interval| interval.to_string()),
             verdict: verdict.to_string(),
             class: match verdict {
                 Verdict::Holds => "holds",
                 Verdict::DoesNotHold => "fails",
-                Verdict::Undecided | Verdict::OneSeed { .. } | Verdict::NoData => "undecided",
+                Verdict::Undecided | Verdict::OneSeed { .. } | Verdict::Mixed | Verdict::NoData => {
+                    "undecided"
+                }
             },
             each: judgement.measured.each.name(),
             values: values.map(|(each, value)| (*each, rounded(*value))).collect(),

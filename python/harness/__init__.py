@@ -3,7 +3,7 @@
 A soft finger presses on the ground and into boxes; what it senses is recorded, and conditional variational auto-encoders
 are trained on it. The simulation, the training and the tables are Rust; this package gives them to Python:
 
-- `run` does an experiment, `query` asks its tables, `Dataset` and `load_model` open what it left,
+- `run` does an experiment, `query` asks its tables, `compare` has means over seeds, `Dataset` and `load_model` open what it left,
 - `harness.environments` has the finger as a `dm_env.Environment`, `harness.gymnasium` as Gymnasium's environments,
 - `SimulationBatch` is the simulation itself, one or many, stepped by setpoints.
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from .torch import Transitions
 
-__all__ = ["Dataset", "Model", "SimulationBatch", "Summary", "load_model", "query", "run"]
+__all__ = ["Dataset", "Model", "SimulationBatch", "Summary", "compare", "load_model", "query", "run"]
 
 
 class Summary(NamedTuple):
@@ -75,6 +75,28 @@ def query(sql: str, results: str | os.PathLike[str] = "results") -> "polars.Data
     import polars
 
     return polars.DataFrame(_harness.query(sql, Path(results)))
+
+
+def compare(
+    *experiments: str,
+    where: Mapping[str, Any] | None = None,
+    results: str | os.PathLike[str] = "results",
+) -> "polars.DataFrame":
+    """The metrics of finished runs as means over seeds, with 95 % intervals (Student's t), as `harness compare` has them.
+
+    experiments: those to compare; all of them if none is named. where: settings that the runs must have, by dotted key:
+    `{"training.batch_size": 64}`. results: the folder of datasets and runs.
+
+    A row is a metric over all joints, links or pixels, of runs that differ in nothing but their seed. In what the runs of
+    an experiment differ besides scenario, latent size and variant stands in the column `settings`. Baselines have no
+    latent size. Raises KeyError where an experiment has no finished runs, ValueError where no run has a setting,
+    RuntimeError where a table is damaged.
+    """
+    import polars
+
+    wanted = (where or {}).items()
+    settings = [f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in wanted]
+    return polars.DataFrame(_harness.compare(list(experiments), settings, Path(results)))
 
 
 def load_model(run: str, results: str | os.PathLike[str] = "results") -> Model:

@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import disjoint_base
 
-__all__ = ["Dataset", "Model", "SimulationBatch", "Table", "main", "query", "run"]
+__all__ = ["Dataset", "Model", "SimulationBatch", "Table", "compare", "main", "query", "run"]
 
 def main(arguments: list[str]) -> int:
     """Runs the command line; returns its exit code."""
@@ -17,6 +17,9 @@ def run(
 
 def query(sql: str, results: Path) -> Table:
     """See `harness.query`."""
+
+def compare(experiments: list[str], settings: list[str], results: Path) -> Table:
+    """See `harness.compare`."""
 
 @final
 class Table:

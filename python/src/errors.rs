@@ -1,5 +1,6 @@
 //! The Python exception that fits an error of the library, with its causes in one line.
 
+use harness::analysis::AnalysisError;
 use harness::dataset::DatasetError;
 use harness::experiment::{ExperimentError, ModelError, describe};
 use harness::learning::LearningError;
@@ -68,6 +69,16 @@ impl Raise for QueryError {
             Self::Registry(error) => error.raise(),
             Self::Sql(_) | Self::Refused(_) => self.value_error(),
             _ => self.runtime_error(),
+        }
+    }
+}
+
+impl Raise for AnalysisError {
+    fn raise(self) -> PyErr {
+        match self {
+            Self::Query(error) => error.raise(),
+            Self::NothingFinished { .. } => PyKeyError::new_err(self.to_string()),
+            _ => self.value_error(),
         }
     }
 }

@@ -30,7 +30,7 @@ mod _harness {
     #[pymodule_export]
     use super::model::Model;
     #[pymodule_export]
-    use super::run::{Table, query, run};
+    use super::run::{Table, compare, query, run};
     #[pymodule_export]
     use super::simulation::SimulationBatch;
 

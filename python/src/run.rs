@@ -2,6 +2,7 @@
 
 use crate::errors::Raise;
 use crate::work::interruptible;
+use harness::analysis::{self, Selection, Setting};
 use harness::cli::progress::Bars;
 use harness::experiment::{ExperimentError, Laboratory};
 use harness::progress::{Progress, Silent};
@@ -11,7 +12,7 @@ use polars::prelude::{CompatLevel, DataFrame, SchemaExt};
 use polars_arrow::array::StructArray;
 use polars_arrow::datatypes::{ArrowDataType, Field};
 use polars_arrow::ffi::{ArrowArrayStream, export_iterator};
-use pyo3::exceptions::{PyOSError, PyRuntimeError, PyUserWarning};
+use pyo3::exceptions::{PyOSError, PyRuntimeError, PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 use std::ffi::CString;
@@ -118,6 +119,25 @@ pub fn query(py: Python, sql: &str, results: PathBuf) -> PyResult<Table> {
     let answer = answer.map_err(Raise::raise)?;
     warn(py, &registry)?;
     Ok(Table(answer))
+}
+
+/// The means over seeds of what runs have in common; see `harness.compare`.
+#[pyfunction]
+pub fn compare(
+    py: Python,
+    experiments: Vec<String>,
+    settings: Vec<String>,
+    results: PathBuf,
+) -> PyResult<Table> {
+    let settings: Result<Vec<Setting>, String> = settings.iter().map(|setting| setting.parse()).collect();
+    let settings = settings.map_err(PyValueError::new_err)?;
+    let selection = Selection { experiments, settings, simulated: false };
+    let registry = Registry::new(results);
+    registry.check_there().map_err(Raise::raise)?;
+    let means = interruptible(py, || analysis::compare(&registry, &selection), || ())?;
+    let means = means.map_err(Raise::raise)?;
+    warn(py, &registry)?;
+    Ok(Table(means))
 }
 
 /// A table for whoever reads Arrow's C stream interface.

@@ -58,6 +58,24 @@ def test_a_run_keeps_a_command_that_does_the_same(results: Path) -> None:
     assert commands.to_list() == [f"harness --results {results} run {SMOKE}"]
 
 
+def test_a_comparison_has_the_mean_and_interval_of_runs_that_differ_in_their_seed_alone(tmp_path: Path) -> None:
+    for overrides in ({"seeds": [0, 1]}, {"seeds": [2], "training.epochs": 3}):
+        harness.run(SMOKE, overrides | {"scenarios": ["empty"]}, results=tmp_path, progress=False)
+    means = harness.compare("smoke", results=tmp_path)
+    network = means.filter(model="network", task="prediction", modality="contact_force", metric="r2").sort("settings")
+    assert network["settings"].to_list() == ["training.epochs=2", "training.epochs=3"]
+    assert network["seeds"].to_list() == [2, 1]
+    values = harness.query(
+        "select value from metrics where model = 'network' and task = 'prediction' and metric = 'r2' and index is null "
+        "and modality = 'contact_force' and direction is null order by seed",
+        tmp_path,
+    )["value"].to_list()
+    half = 12.706_204_736 * abs(values[0] - values[1]) / 2
+    assert network["mean"].to_list() == pytest.approx([(values[0] + values[1]) / 2, values[2]])
+    assert network["high"].to_list() == [pytest.approx(network["mean"][0] + half), None]
+    assert harness.compare(where={"training.epochs": 3}, results=tmp_path)["settings"].unique().to_list() == [""]
+
+
 def test_an_answer_is_handed_over_without_copying(results: Path) -> None:
     table = harness._harness.query("select value from metrics", results)
 

@@ -2,6 +2,7 @@
 
 use crate::numbers::rounded;
 use statrs::distribution::{ContinuousCDF, StudentsT};
+use std::collections::BTreeMap;
 use std::fmt;
 
 /// The level of the intervals in figures and tables.
@@ -64,4 +65,13 @@ pub fn mean_interval(values: &[f64], level: f64) -> Option<Interval> {
         (mean - half, mean + half)
     });
     Some(Interval { mean, bounds })
+}
+
+/// Means over seeds: values with the same key become one interval, in the order of the keys. Nulls are left out.
+pub fn intervals<K: Ord>(values: impl IntoIterator<Item = (K, Option<f64>)>) -> BTreeMap<K, Interval> {
+    let mut by_key: BTreeMap<K, Vec<f64>> = BTreeMap::new();
+    for (key, value) in values {
+        by_key.entry(key).or_default().extend(value);
+    }
+    by_key.into_iter().filter_map(|(key, values)| Some((key, mean_interval(&values, LEVEL)?))).collect()
 }

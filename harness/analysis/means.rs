@@ -1,0 +1,143 @@
+//! Metrics as means over seeds.
+
+use super::{Analysis, AnalysisError, Interval, LEVEL, Run, Selection, mean_interval};
+use crate::registry::{QueryError, Registry, rows};
+use crate::spec::{Modality, Origin, Task};
+use polars::prelude::{Column, DataFrame, PolarsResult};
+use serde::Deserialize;
+use std::collections::{BTreeMap, HashMap};
+
+/// The network among the models; the others are baselines.
+pub const NETWORK: &str = "network";
+
+/// A metric over all joints, links or pixels: of a group's networks, or of a baseline beside them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mean {
+    pub of: Of,
+    pub unit: String,
+    /// Each seed's value; a baseline has a single one, since it has no seed.
+    pub values: Vec<f64>,
+    pub interval: Interval,
+}
+
+/// What a mean is about.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Of {
+    pub experiment: String,
+    pub scenario: Origin,
+    pub variant: String,
+    /// As [`Analysis::settings`] has them.
+    pub settings: String,
+    /// `None` for a baseline, which has no latent state.
+    pub latent: Option<usize>,
+    pub task: Task,
+    pub modality: Modality,
+    pub metric: String,
+    pub model: String,
+}
+
+/// The means of the runs of a results folder that are asked for, as a table.
+///
+/// # Errors
+/// When one of the experiments has no finished runs, no run has a setting, or a table is damaged.
+pub fn compare(registry: &Registry, selection: &Selection) -> Result<DataFrame, AnalysisError> {
+    let analysis = Analysis::new(registry, selection)?;
+    analysis.check_finished(&selection.experiments)?;
+    Ok(Mean::frame(&analysis.means()?).map_err(QueryError::Sql)?)
+}
+
+impl Mean {
+    /// Means as a table, one a row, for other programs.
+    ///
+    /// # Errors
+    /// None that is known; Polars could have one.
+    pub fn frame(means: &[Mean]) -> PolarsResult<DataFrame> {
+        let text = |name: &str, of: &dyn Fn(&Mean) -> String| {
+            Column::new(name.into(), means.iter().map(of).collect::<Vec<_>>())
+        };
+        let number = |name: &str, of: &dyn Fn(&Mean) -> Option<f64>| {
+            Column::new(name.into(), means.iter().map(of).collect::<Vec<_>>())
+        };
+        let count = |name: &str, of: &dyn Fn(&Mean) -> Option<i64>| {
+            Column::new(name.into(), means.iter().map(of).collect::<Vec<_>>())
+        };
+        let columns = vec![
+            text("experiment", &|mean| mean.of.experiment.clone()),
+            text("scenario", &|mean| mean.of.scenario.to_string()),
+            count("latent", &|mean| mean.of.latent.map(|latent| latent as i64)),
+            text("variant", &|mean| mean.of.variant.clone()),
+            text("settings", &|mean| mean.of.settings.clone()),
+            text("task", &|mean| mean.of.task.to_string()),
+            text("model", &|mean| mean.of.model.clone()),
+            text("modality", &|mean| mean.of.modality.to_string()),
+            text("metric", &|mean| mean.of.metric.clone()),
+            text("unit", &|mean| mean.unit.clone()),
+            count("seeds", &|mean| Some(mean.values.len() as i64)),
+            number("mean", &|mean| Some(mean.interval.mean)),
+            number("low", &|mean| mean.interval.bounds.map(|(low, _)| low)),
+            number("high", &|mean| mean.interval.bounds.map(|(_, high)| high)),
+        ];
+        DataFrame::new(means.len(), columns)
+    }
+}
+
+/// A row of the metrics table.
+#[derive(Deserialize)]
+struct Row {
+    experiment: String,
+    run: String,
+    task: Task,
+    model: String,
+    modality: Modality,
+    metric: String,
+    value: f64,
+    unit: String,
+}
+
+impl Analysis {
+    /// The metrics over all joints, links or pixels of all runs that count, as means over the seeds of each group.
+    ///
+    /// # Errors
+    /// When a table is damaged.
+    pub fn means(&self) -> Result<Vec<Mean>, QueryError> {
+        let experiments: Vec<&str> = self.experiments().collect();
+        let mut answer = self.query(
+            &experiments,
+            "select experiment, run, task, model, modality, metric, value, unit from metrics \
+             where index is null and direction is null and value is not null",
+        )?;
+        // Runs are in the order in which a baseline is looked for: all runs of a group repeat its value, up to rounding.
+        let runs = experiments.iter().flat_map(|experiment| self.runs(experiment));
+        let runs: Vec<(&Run, String)> = runs.map(|run| (run, self.settings(run))).collect();
+        let name = |run: &Run| (run.record.experiment.clone(), run.record.run.clone());
+        let places: HashMap<(String, String), usize> =
+            runs.iter().enumerate().map(|(place, (run, _))| (name(run), place)).collect();
+        let mut found: BTreeMap<Of, (String, BTreeMap<usize, f64>)> = BTreeMap::new();
+        for row in rows::<Row>(&mut answer)? {
+            let Some(&place) = places.get(&(row.experiment, row.run)) else { continue };
+            let (run, settings) = &runs[place];
+            let spec = &run.record.spec;
+            let of = Of {
+                experiment: run.record.experiment.clone(),
+                scenario: spec.scenario.clone(),
+                variant: spec.variant.clone(),
+                settings: settings.clone(),
+                latent: (row.model == NETWORK).then_some(spec.latent),
+                task: row.task,
+                modality: row.modality,
+                metric: row.metric,
+                model: row.model,
+            };
+            let (_, values) = found.entry(of).or_insert_with(|| (row.unit, BTreeMap::new()));
+            values.insert(place, row.value);
+        }
+        let mean = |(of, (unit, values)): (Of, (String, BTreeMap<usize, f64>))| {
+            let mut values: Vec<f64> = values.into_values().collect();
+            if of.latent.is_none() {
+                values.truncate(1);
+            }
+            Some(Mean { of, unit, interval: mean_interval(&values, LEVEL)?, values })
+        };
+        Ok(found.into_iter().filter_map(mean).collect())
+    }
+}

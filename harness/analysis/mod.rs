@@ -1,0 +1,429 @@
+//! Which runs count, which of them form a group, and what a group's values come to.
+//!
+//! Claims, comparisons, figures, the report and the Python package all ask here, so that no two of them can tell
+//! different things of the same folder.
+//!
+//! - **A run counts** when it is done, has the settings that are asked for, and was made by the newest revision of the
+//!   method that there is among those.
+//! - **Runs form a group** when nothing but their seed differs: neither in their spec nor in their dataset.
+//!   In what the groups of an experiment differ besides scenario, latent size and `variant` is either shown
+//!   ([`Analysis::settings`]) or refused with the settings' names ([`Analysis::check_uniform`]).
+//! - **A group's values** are its seeds'; [`intervals`] makes a mean and an interval of them.
+
+mod interval;
+mod means;
+mod rows;
+mod settings;
+
+pub use interval::{Interval, LEVEL, intervals, mean_interval};
+pub use means::{Mean, NETWORK, Of, compare};
+pub use settings::{Difference, Setting};
+
+use crate::registry::{QueryError, Registry, RunRecord, Status, answer, table};
+use crate::schema::Table;
+use crate::spec::Origin;
+use polars::prelude::*;
+use rayon::prelude::*;
+use rows::Condition;
+use settings::{DATASET, Settings};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Which runs are asked for.
+#[derive(Debug, Clone, Default)]
+pub struct Selection {
+    /// The experiments, as `harness ls` names them; all where none is named.
+    pub experiments: Vec<String>,
+    /// What the runs' settings must be; of several values of one setting, any.
+    pub settings: Vec<Setting>,
+    /// Whether runs on imported data are left out.
+    pub simulated: bool,
+}
+
+/// Why runs can't be put together.
+#[derive(Debug, thiserror::Error)]
+pub enum AnalysisError {
+    #[error("'{wanted}' has no finished runs; those that have: {}", there.join(", "))]
+    NothingFinished { wanted: String, there: Vec<String> },
+    #[error("no run has a setting '{wanted}'{}", nearest.as_ref().map(|n| format!("; did you mean '{n}'?")).unwrap_or_default())]
+    UnknownSetting { wanted: String, nearest: Option<String> },
+    #[error("no finished run has {setting}; there is {there}")]
+    UnknownValue { setting: Setting, there: Difference },
+    #[error(transparent)]
+    Mixed(#[from] Mixed),
+    #[error(transparent)]
+    Query(#[from] QueryError),
+}
+
+/// Runs of an experiment that can't stand for each other: they differ in more than scenario, latent size and seed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the runs of {experiment} differ in {}; choose some, as with {}",
+    listed(differences),
+    options(choice)
+)]
+pub struct Mixed {
+    pub experiment: String,
+    pub differences: Vec<Difference>,
+    /// Settings that leave runs which differ in nothing else: those that most runs have.
+    pub choice: Vec<Setting>,
+}
+
+fn listed(differences: &[Difference]) -> String {
+    differences.iter().map(Difference::to_string).collect::<Vec<_>>().join(" and ")
+}
+
+fn options(choice: &[Setting]) -> String {
+    format!("`{}`", choice.iter().map(Setting::option).collect::<Vec<_>>().join(" "))
+}
+
+/// A run that counts.
+#[derive(Debug, Clone)]
+pub struct Run {
+    pub record: RunRecord,
+    folder: PathBuf,
+    settings: Arc<Settings>,
+}
+
+impl Run {
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+}
+
+/// The runs of one experiment that count.
+#[derive(Default)]
+struct Experiment {
+    /// By scenario, variant, latent size, settings and seed.
+    runs: Vec<Run>,
+    differences: Vec<Difference>,
+}
+
+/// The runs of a results folder that count, and their tables, each of which is read once.
+pub struct Analysis {
+    registry: Registry,
+    selection: Selection,
+    experiments: BTreeMap<String, Experiment>,
+    /// What was left out that a reader may look for, in words.
+    notes: Vec<String>,
+    /// By table, experiment, and whether they have the rows of the expected queries alone.
+    tables: Mutex<BTreeMap<(Table, String, bool), DataFrame>>,
+    expected: Expected,
+}
+
+/// What queries that are going to be asked need of the tables.
+#[derive(Default)]
+struct Expected {
+    queries: BTreeSet<String>,
+    rows: BTreeMap<Table, BTreeSet<Condition>>,
+}
+
+impl Analysis {
+    /// Looks for the runs that count among those asked for.
+    ///
+    /// # Errors
+    /// When no run has a setting that is asked for, or its value.
+    pub fn new(registry: &Registry, selection: &Selection) -> Result<Self, AnalysisError> {
+        let is_wanted = |record: &RunRecord| {
+            record.status == Status::Done
+                && (selection.experiments.is_empty() || selection.experiments.contains(&record.experiment))
+                && (!selection.simulated || matches!(record.spec.scenario, Origin::Simulated(_)))
+        };
+        let recorded = registry.recorded().into_par_iter().filter(|(_, record)| is_wanted(record));
+        let with_settings = recorded.map(|(folder, record)| {
+            let settings = Arc::new(settings::of(&record));
+            Run { record, folder, settings }
+        });
+        let done: Vec<Run> = with_settings.collect();
+        check_settings(&selection.settings, &done)?;
+        let has_settings =
+            |run: &Run| settings::meets(&selection.settings, &run.record.experiment, &run.settings);
+        let (counted, notes) = newest(done.into_iter().filter(has_settings).collect());
+        let mut experiments: BTreeMap<String, Experiment> = BTreeMap::new();
+        for run in counted {
+            experiments.entry(run.record.experiment.clone()).or_default().runs.push(run);
+        }
+        experiments.values_mut().for_each(Experiment::arrange);
+        Ok(Self {
+            registry: registry.clone(),
+            selection: selection.clone(),
+            experiments,
+            notes,
+            tables: Mutex::default(),
+            expected: Expected::default(),
+        })
+    }
+
+    /// The results folder.
+    pub fn root(&self) -> &Path {
+        self.registry.root()
+    }
+
+    /// The command that makes the runs of one of the checked-in experiments, with the settings that are asked for.
+    pub fn command(&self, name: &str, quick: bool) -> String {
+        let option = if quick { " --quick" } else { "" };
+        let experiment = if quick { format!("{name}-quick") } else { name.to_owned() };
+        let about = self.selection.settings.iter().filter(|setting| setting.is_about(&experiment));
+        let overrides: String =
+            about.filter_map(Setting::as_override).map(|text| format!(" {text}")).collect();
+        self.registry.command(&format!("run experiments/{name}.yaml{option}{overrides}"))
+    }
+
+    /// The experiments that have runs.
+    pub fn experiments(&self) -> impl Iterator<Item = &str> {
+        self.experiments.keys().map(String::as_str)
+    }
+
+    /// The runs of an experiment by scenario, variant, latent size, settings and seed.
+    pub fn runs(&self, experiment: &str) -> &[Run] {
+        self.experiments.get(experiment).map_or(&[], |experiment| &experiment.runs)
+    }
+
+    /// What was left out that a reader may look for, in words.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
+    /// # Errors
+    /// When one of these experiments has no runs.
+    pub fn check_finished(&self, experiments: &[String]) -> Result<(), AnalysisError> {
+        match experiments.iter().find(|wanted| !self.experiments.contains_key(*wanted)) {
+            None => Ok(()),
+            Some(wanted) => {
+                let there = self.registry.recorded().into_iter().map(|(_, record)| record);
+                let there = there.filter(|record| record.status == Status::Done);
+                let there: BTreeSet<String> = there.map(|record| record.experiment).collect();
+                let there = there.into_iter().collect();
+                Err(AnalysisError::NothingFinished { wanted: wanted.clone(), there })
+            }
+        }
+    }
+
+    /// Checks that the runs of an experiment differ in nothing but scenario, latent size, seed and, if `by_variant`,
+    /// what their variants name.
+    ///
+    /// # Errors
+    /// When they do, with the settings in which they differ.
+    pub fn check_uniform(&self, experiment: &str, by_variant: bool) -> Result<(), Mixed> {
+        let Some(of) = self.experiments.get(experiment) else { return Ok(()) };
+        let differences: Vec<Difference> = match by_variant {
+            true => of.differences.iter().filter(|difference| !difference.in_variant).cloned().collect(),
+            false => of.differences.clone(),
+        };
+        if differences.is_empty() {
+            return Ok(());
+        }
+        let choice = of.most(&differences, experiment);
+        Err(Mixed { experiment: experiment.to_owned(), differences, choice })
+    }
+
+    /// A run's settings in which runs of its experiment differ and which neither its scenario, latent size nor variant
+    /// tells: `training.batch_size=64, training.epochs=2`, or nothing.
+    pub fn settings(&self, run: &Run) -> String {
+        let differences = self.experiments.get(&run.record.experiment).map_or(&[][..], |of| &of.differences);
+        named(differences.iter().filter(|difference| !difference.in_variant), run)
+    }
+
+    /// Says which queries will be asked, so that each table is read once for all of them, and only the rows that they see
+    /// are kept.
+    pub fn expect<'a>(mut self, queries: impl IntoIterator<Item = &'a str>) -> Self {
+        let expected = &mut self.expected;
+        for sql in queries {
+            for table in tables_of(sql) {
+                expected.rows.entry(table).or_default().extend(rows::conditions(sql, table));
+            }
+            expected.queries.insert(sql.to_owned());
+        }
+        self
+    }
+
+    /// Answers a query over the runs of these experiments that count. Each table is read once and kept, so this is for
+    /// the tables of which all rows are wanted; see [`Analysis::query_runs`].
+    ///
+    /// # Errors
+    /// As those of [`query`](crate::registry::query).
+    pub fn query(&self, experiments: &[&str], sql: &str) -> Result<DataFrame, QueryError> {
+        answer(sql, &|table| match table {
+            Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
+                let parts = experiments.iter().filter(|name| self.experiments.contains_key(**name));
+                let parts = parts.map(|name| self.table(table, name, sql));
+                let parts = parts.collect::<Result<Vec<_>, _>>()?;
+                match stacked(parts).map_err(QueryError::Sql)? {
+                    Some(whole) => Ok(whole.lazy()),
+                    None => self.table_of(table, std::iter::empty()),
+                }
+            }
+            Table::Runs | Table::Episodes => {
+                self.table_of(table, experiments.iter().flat_map(|name| self.runs(name)))
+            }
+        })
+    }
+
+    /// Answers a query over these runs alone, whose tables are read for it.
+    ///
+    /// # Errors
+    /// As those of [`query`](crate::registry::query).
+    pub fn query_runs<'a>(
+        &self,
+        runs: impl IntoIterator<Item = &'a Run>,
+        sql: &str,
+    ) -> Result<DataFrame, QueryError> {
+        let runs: Vec<&Run> = runs.into_iter().collect();
+        answer(sql, &|table| self.table_of(table, runs.iter().copied()))
+    }
+
+    fn table_of<'a>(&self, of: Table, runs: impl Iterator<Item = &'a Run>) -> Result<LazyFrame, QueryError> {
+        let recorded: Vec<_> = runs.map(|run| (run.folder.clone(), run.record.clone())).collect();
+        table(&self.registry, of, &recorded)
+    }
+
+    /// A table of an experiment's runs; if `sql` was expected, with the rows that the expected queries see.
+    fn table(&self, table: Table, experiment: &str, sql: &str) -> Result<DataFrame, QueryError> {
+        let mut tables = self.tables.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_expected = self.expected.queries.contains(sql);
+        let key = (table, experiment.to_owned(), is_expected);
+        if let Some(found) = tables.get(&key) {
+            return Ok(found.clone());
+        }
+        let everything = BTreeSet::new();
+        let rows = self.expected.rows.get(&table).filter(|_| is_expected).unwrap_or(&everything);
+        let columns: Vec<String> = table.columns().into_iter().map(|column| column.name).collect();
+        let read = |run: &Run| -> Result<DataFrame, QueryError> {
+            let part = run.record.read_table(&run.folder, table, columns.clone())?;
+            rows::kept(part, rows).map_err(QueryError::Sql)
+        };
+        let parts = self.runs(experiment).par_iter().map(read).collect::<Result<Vec<_>, _>>()?;
+        let mut whole = stacked(parts).map_err(QueryError::Sql)?.unwrap_or_default();
+        whole.rechunk_mut_par();
+        tables.insert(key, whole.clone());
+        Ok(whole)
+    }
+}
+
+impl Experiment {
+    /// Finds in what the runs differ, and puts them in their order.
+    fn arrange(&mut self) {
+        let all: Vec<&Settings> = self.runs.iter().map(|run| run.settings.as_ref()).collect();
+        self.differences = settings::differences(&all);
+        let differences = &self.differences;
+        self.runs.sort_by_cached_key(|run| {
+            let spec = &run.record.spec;
+            let settings = named(differences.iter(), run);
+            (
+                spec.scenario.clone(),
+                spec.variant.clone(),
+                spec.latent,
+                settings,
+                spec.seed,
+                run.record.run.clone(),
+            )
+        });
+    }
+
+    /// Settings by which those runs are chosen that agree in these differences with the most others; among equals,
+    /// with the one that was started last.
+    fn most(&self, differences: &[Difference], experiment: &str) -> Vec<Setting> {
+        let of_specs =
+            || differences.iter().map(|difference| difference.key.as_str()).filter(|key| *key != DATASET);
+        let values = |run: &Run| -> Vec<(String, String)> {
+            of_specs().map(|key| (key.to_owned(), settings::value(&run.settings, key).to_owned())).collect()
+        };
+        let mut chosen = commonest(self.runs.iter().map(|run| (values(run), run)));
+        if differences.iter().any(|difference| difference.key == DATASET) {
+            // Each scenario has its own.
+            let mut datasets: BTreeMap<&Origin, Vec<(String, &Run)>> = BTreeMap::new();
+            for run in self.runs.iter().filter(|run| values(run) == chosen) {
+                let dataset = (run.record.dataset.clone(), run);
+                datasets.entry(&run.record.spec.scenario).or_default().push(dataset);
+            }
+            chosen.extend(datasets.into_values().map(|runs| (DATASET.to_owned(), commonest(runs))));
+        }
+        let setting = |(key, value)| Setting { experiment: Some(experiment.to_owned()), key, value };
+        chosen.into_iter().map(setting).collect()
+    }
+}
+
+/// The key that most runs have; among equals, that of the run that was started last.
+fn commonest<'a, K: Ord + Default>(runs: impl IntoIterator<Item = (K, &'a Run)>) -> K {
+    let mut groups: BTreeMap<K, (usize, &str)> = BTreeMap::new();
+    for (key, run) in runs {
+        let (count, last) = groups.entry(key).or_default();
+        (*count, *last) = (*count + 1, run.record.started.as_str().max(last));
+    }
+    groups.into_iter().max_by_key(|(_, standing)| *standing).map(|(key, _)| key).unwrap_or_default()
+}
+
+/// `key=value` of each difference, as the run has it.
+fn named<'a>(differences: impl Iterator<Item = &'a Difference>, run: &Run) -> String {
+    let value = |difference: &Difference| {
+        format!("{}={}", difference.key, settings::value(&run.settings, &difference.key))
+    };
+    differences.map(value).collect::<Vec<_>>().join(", ")
+}
+
+/// Refuses settings that no run has.
+fn check_settings(wanted: &[Setting], runs: &[Run]) -> Result<(), AnalysisError> {
+    for setting in wanted.iter().filter(|_| !runs.is_empty()) {
+        let about = || runs.iter().filter(|run| setting.is_about(&run.record.experiment));
+        if let Some(wanted) = setting.experiment.as_ref().filter(|_| about().next().is_none()) {
+            let there: BTreeSet<String> = runs.iter().map(|run| run.record.experiment.clone()).collect();
+            let there = there.into_iter().collect();
+            return Err(AnalysisError::NothingFinished { wanted: wanted.clone(), there });
+        }
+        let keys: BTreeSet<&str> = about().flat_map(|run| run.settings.keys()).map(String::as_str).collect();
+        if !keys.contains(setting.key.as_str()) {
+            let nearest = settings::nearest(&setting.key, keys).map(str::to_owned);
+            return Err(AnalysisError::UnknownSetting { wanted: setting.key.clone(), nearest });
+        }
+        if !about().any(|run| setting.is_met_by(&run.settings)) {
+            let there = Difference::of(&setting.key, about().map(|run| run.settings.as_ref()));
+            return Err(AnalysisError::UnknownValue { setting: setting.clone(), there });
+        }
+    }
+    Ok(())
+}
+
+/// Of these runs those that the newest revision made, once each, and what was left out.
+fn newest(runs: Vec<Run>) -> (Vec<Run>, Vec<String>) {
+    let newest = runs.iter().map(|run| run.record.revision()).max().flatten();
+    let all = runs.len();
+    // The same spec and seed on the same data are the same run, though an older version may have named it otherwise.
+    let mut counted: BTreeMap<String, Run> = BTreeMap::new();
+    let of_newest = runs.into_iter().filter(|run| run.record.revision() == newest);
+    let mut older = all;
+    let mut twice = 0;
+    for run in of_newest {
+        older -= 1;
+        let key = format!("{} {} {}", run.record.experiment, run.record.spec.hash(), run.record.dataset);
+        match counted.get(&key) {
+            None => drop(counted.insert(key, run)),
+            Some(other) => {
+                twice += 1;
+                if (&run.record.started, &run.record.run) > (&other.record.started, &other.record.run) {
+                    counted.insert(key, run);
+                }
+            }
+        }
+    }
+    let note = |count: usize, what: &str| (count > 0).then(|| format!("left out: {count} {what}"));
+    let notes = [note(older, "runs of an older method"), note(twice, "runs that were done again since")];
+    (counted.into_values().collect(), notes.into_iter().flatten().collect())
+}
+
+/// Parts of a table as one; `None` if there are none.
+fn stacked(parts: Vec<DataFrame>) -> PolarsResult<Option<DataFrame>> {
+    let mut parts = parts.into_iter();
+    let Some(mut whole) = parts.next() else { return Ok(None) };
+    for part in parts {
+        whole.vstack_mut(&part)?;
+    }
+    Ok(Some(whole))
+}
+
+/// The tables that a query may read.
+fn tables_of(sql: &str) -> impl Iterator<Item = Table> {
+    let words: BTreeSet<String> =
+        sql.split(|c: char| !c.is_alphanumeric() && c != '_').map(str::to_lowercase).collect();
+    Table::ALL.into_iter().filter(move |table| words.contains(table.name()))
+}

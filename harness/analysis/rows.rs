@@ -1,0 +1,140 @@
+//! Which rows of a table queries can see: those that no WHERE of theirs leaves out.
+
+use crate::schema::Table;
+use polars::prelude::*;
+use sqlparser::ast::{
+    BinaryOperator, Expr as Sql, JoinOperator, Query, Select, SetExpr, TableFactor, Value, Visit, Visitor,
+};
+use sqlparser::dialect::GenericDialect;
+use sqlparser::parser::Parser;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::ControlFlow;
+
+/// The values that columns of text may have, by their names. Without any, all rows are wanted.
+pub(super) type Condition = BTreeMap<String, BTreeSet<String>>;
+
+/// What each part of a query that reads a table asks of its rows.
+pub(super) fn conditions(sql: &str, table: Table) -> Vec<Condition> {
+    let everything = vec![Condition::new()];
+    let Ok(statements) = Parser::parse_sql(&GenericDialect, sql) else { return everything };
+    let mut readers = Readers { table, found: 0, conditions: Vec::new() };
+    let _ = statements.visit(&mut readers);
+    // A reader that was not understood may want any row.
+    if readers.conditions.len() == readers.found { readers.conditions } else { everything }
+}
+
+/// Finds the parts of a query that read a table.
+struct Readers {
+    table: Table,
+    /// How often the table is named.
+    found: usize,
+    conditions: Vec<Condition>,
+}
+
+impl Readers {
+    /// The name by which a factor is known in its part of the query, if it is the table.
+    fn name(&self, factor: &TableFactor) -> Option<String> {
+        let TableFactor::Table { name, alias, args: None, .. } = factor else { return None };
+        let is_table = name.to_string().trim_matches('"').eq_ignore_ascii_case(self.table.name());
+        let alias = alias.as_ref().map(|alias| alias.name.value.clone());
+        is_table.then(|| alias.unwrap_or_else(|| self.table.name().to_owned()))
+    }
+
+    fn add_select(&mut self, select: &Select) {
+        for from in &select.from {
+            let is_inner =
+                |operator: &JoinOperator| matches!(operator, JoinOperator::Join(_) | JoinOperator::Inner(_));
+            let can_filter =
+                select.from.len() == 1 && from.joins.iter().all(|join| is_inner(&join.join_operator));
+            let factors = std::iter::once(&from.relation).chain(from.joins.iter().map(|join| &join.relation));
+            for name in factors.filter_map(|factor| self.name(factor)).collect::<Vec<_>>() {
+                let mut condition = Condition::new();
+                if let Some(filter) = select.selection.as_ref().filter(|_| can_filter) {
+                    self.add_terms(filter, &name, &mut condition);
+                }
+                self.conditions.push(condition);
+            }
+        }
+    }
+
+    /// Adds the terms of a conjunction that ask for certain texts in a column of the table called `name`.
+    fn add_terms(&self, filter: &Sql, name: &str, condition: &mut Condition) {
+        let (column, texts) = match filter {
+            Sql::Nested(inner) => return self.add_terms(inner, name, condition),
+            Sql::BinaryOp { left, op: BinaryOperator::And, right } => {
+                self.add_terms(left, name, condition);
+                return self.add_terms(right, name, condition);
+            }
+            Sql::BinaryOp { left, op: BinaryOperator::Eq, right } => (left.as_ref(), vec![text(right)]),
+            Sql::InList { expr, list, negated: false } => (expr.as_ref(), list.iter().map(text).collect()),
+            _ => return,
+        };
+        let column = match column {
+            Sql::Identifier(column) => &column.value,
+            Sql::CompoundIdentifier(parts) => match parts.as_slice() {
+                [table, column] if table.value == name => &column.value,
+                _ => return,
+            },
+            _ => return,
+        };
+        let texts: Option<BTreeSet<String>> = texts.into_iter().collect();
+        let is_own = self.table.columns().iter().any(|own| own.name == *column);
+        if let Some(texts) = texts.filter(|_| is_own) {
+            condition.entry(column.clone()).or_insert(texts);
+        }
+    }
+}
+
+/// A text in quotes.
+fn text(expr: &Sql) -> Option<String> {
+    match expr {
+        Sql::Value(value) => match &value.value {
+            Value::SingleQuotedString(text) => Some(text.clone()),
+            _ => None,
+        },
+        _ => None,
+    }
+}
+
+impl Visitor for Readers {
+    type Break = ();
+
+    fn pre_visit_query(&mut self, query: &Query) -> ControlFlow<()> {
+        let mut bodies = vec![query.body.as_ref()];
+        while let Some(body) = bodies.pop() {
+            match body {
+                SetExpr::Select(select) => self.add_select(select),
+                SetExpr::SetOperation { left, right, .. } => bodies.extend([left.as_ref(), right.as_ref()]),
+                // Queries in brackets are visited by themselves.
+                _ => {}
+            }
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn pre_visit_table_factor(&mut self, factor: &TableFactor) -> ControlFlow<()> {
+        self.found += usize::from(self.name(factor).is_some());
+        ControlFlow::Continue(())
+    }
+}
+
+/// The rows that meet any of some conditions.
+pub(super) fn kept(rows: DataFrame, conditions: &BTreeSet<Condition>) -> PolarsResult<DataFrame> {
+    if conditions.is_empty() || conditions.iter().any(BTreeMap::is_empty) {
+        return Ok(rows);
+    }
+    let mut wanted = BooleanChunked::full("wanted".into(), false, rows.height());
+    for condition in conditions {
+        let mut all = BooleanChunked::full("wanted".into(), true, rows.height());
+        for (column, texts) in condition {
+            let column = rows.column(column)?.str()?;
+            let mut any = BooleanChunked::full("wanted".into(), false, rows.height());
+            for text in texts {
+                any = any | column.equal(text.as_str());
+            }
+            all = all & any;
+        }
+        wanted = wanted | all;
+    }
+    rows.filter(&wanted)
+}

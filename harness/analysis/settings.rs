@@ -1,0 +1,218 @@
+//! The settings of runs: what each has, in what several differ, and which are asked for.
+
+use crate::registry::{RunRecord, quoted};
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::str::FromStr;
+
+/// What every run has besides its spec's settings: the dataset's folder, and the revision of the method.
+pub(super) const DATASET: &str = "dataset";
+const REVISION: &str = "revision";
+/// What tells the cells and seeds of an experiment apart.
+const OF_CELLS: [&str; 3] = ["scenario", "latent", "seed"];
+const VARIANT: &str = "variant";
+/// The section of a spec that only runs on simulated episodes have.
+const SIMULATION: &str = "simulation.";
+/// The section of a spec with a setting for each modality that is predicted.
+const LOSS_WEIGHTS: &str = "training.loss_weights.";
+/// What stands for a setting that a run doesn't have.
+const UNSET: &str = "unset";
+
+/// A run's settings by dotted key, as texts: `training.batch_size` is `64`.
+pub(super) type Settings = BTreeMap<String, String>;
+
+/// All settings of a run.
+pub(super) fn of(record: &RunRecord) -> Settings {
+    let mut settings = Settings::from([
+        (DATASET.to_owned(), record.dataset.clone()),
+        (VARIANT.to_owned(), record.spec.variant.clone()),
+    ]);
+    if let Some(revision) = record.revision() {
+        settings.insert(REVISION.to_owned(), revision.to_string());
+    }
+    collect("", &serde_json::to_value(&record.spec).unwrap_or_default(), &mut settings);
+    settings
+}
+
+/// Adds every value of a tree that is no object, under its dotted key.
+fn collect(key: &str, value: &Value, settings: &mut Settings) {
+    match value {
+        Value::Object(entries) => {
+            for (name, value) in entries {
+                let key = if key.is_empty() { name.clone() } else { format!("{key}.{name}") };
+                collect(&key, value, settings);
+            }
+        }
+        Value::String(text) => drop(settings.insert(key.to_owned(), text.clone())),
+        other => drop(settings.insert(key.to_owned(), other.to_string())),
+    }
+}
+
+/// A setting in which runs of one experiment differ.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Difference {
+    pub key: String,
+    /// The values there are, in their order.
+    pub values: Vec<String>,
+    /// Whether each run's `variant` names it, so that a column of variants shows it.
+    pub in_variant: bool,
+}
+
+impl Difference {
+    /// The values that runs have of a setting.
+    pub(super) fn of<'a>(key: &str, runs: impl Iterator<Item = &'a Settings>) -> Self {
+        let values = runs.map(|run| value(run, key)).collect();
+        Self { key: key.to_owned(), values: sorted(values), in_variant: false }
+    }
+}
+
+impl fmt::Display for Difference {
+    /// `training.batch_size (16, 64)`
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        /// More values than that are counted.
+        const SHOWN: usize = 6;
+        let shown = self.values.iter().take(SHOWN).map(|value| if value.is_empty() { "none" } else { value });
+        let shown = shown.collect::<Vec<_>>().join(", ");
+        let more = self.values.len().saturating_sub(SHOWN);
+        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+        write!(f, "{} ({shown}{more})", self.key)
+    }
+}
+
+/// In what the runs of one experiment differ, besides scenario, latent size and seed.
+///
+/// Runs on imported data have no settings of a simulation, what isn't predicted has no weight in the loss, and a scenario
+/// has its own dataset; none of it is a difference.
+/// Two datasets of one scenario and simulation are: then the model or MuJoCo changed.
+pub(super) fn differences(runs: &[&Settings]) -> Vec<Difference> {
+    let mut values: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    let keys: BTreeSet<&str> = runs.iter().flat_map(|run| run.keys()).map(String::as_str).collect();
+    for key in keys.into_iter().filter(|key| !OF_CELLS.contains(key) && ![DATASET, REVISION].contains(key)) {
+        let concerns = |run: &&&Settings| match key {
+            key if key.starts_with(SIMULATION) => is_simulated(run),
+            key if key.starts_with(LOSS_WEIGHTS) => run.contains_key(key),
+            _ => true,
+        };
+        values.insert(key, runs.iter().filter(concerns).map(|run| value(run, key)).collect());
+    }
+    let mut datasets: BTreeMap<Vec<(&str, &str)>, BTreeSet<&str>> = BTreeMap::new();
+    for run in runs {
+        let of_dataset = |key: &str| key == "scenario" || key.starts_with(SIMULATION);
+        let key =
+            run.iter().filter(|(key, _)| of_dataset(key)).map(|(key, value)| (key.as_str(), value.as_str()));
+        datasets.entry(key.collect()).or_default().insert(value(run, DATASET));
+    }
+    if datasets.values().any(|names| names.len() > 1) {
+        values.insert(DATASET, datasets.into_values().flatten().collect());
+    }
+    let differing = values.into_iter().filter(|(_, values)| values.len() > 1);
+    let difference = |(key, values)| {
+        let in_variant = key == VARIANT || is_in_variant(runs, key);
+        Difference { key: key.to_owned(), values: sorted(values), in_variant }
+    };
+    differing.map(difference).collect()
+}
+
+/// Numbers by their size, other texts by their letters.
+fn sorted(values: BTreeSet<&str>) -> Vec<String> {
+    let mut values: Vec<String> = values.into_iter().map(str::to_owned).collect();
+    values.sort_by(|a, b| match (a.parse::<f64>(), b.parse::<f64>()) {
+        (Ok(a), Ok(b)) => a.total_cmp(&b),
+        _ => a.cmp(b),
+    });
+    values
+}
+
+/// The key that is most like `wanted`; before others one that ends in it.
+pub(super) fn nearest<'a>(wanted: &str, keys: BTreeSet<&'a str>) -> Option<&'a str> {
+    let ending = format!(".{wanted}");
+    let likeness = |key: &str| strsim::jaro_winkler(wanted, key) + f64::from(key.ends_with(&ending));
+    keys.into_iter().max_by(|a, b| likeness(a).total_cmp(&likeness(b)))
+}
+
+fn is_simulated(run: &Settings) -> bool {
+    run.keys().any(|key| key.starts_with(SIMULATION))
+}
+
+pub(super) fn value<'a>(run: &'a Settings, key: &str) -> &'a str {
+    run.get(key).map_or(UNSET, String::as_str)
+}
+
+/// Whether every run's variant names the setting, and a variant's text stands for one value of it.
+fn is_in_variant(runs: &[&Settings], key: &str) -> bool {
+    // A variant leaves out the section: `training.kl_weight` is `kl_weight=0.001` in it.
+    let name = key.split_once('.').map_or(key, |(_section, name)| name);
+    let names = |variant: &str| {
+        let mut named = variant.split(',').filter_map(|part| part.split_once('=')).map(|(named, _)| named);
+        named.any(|named| name == named || name.strip_prefix(named).is_some_and(|rest| rest.starts_with('.')))
+    };
+    let mut values: BTreeMap<&str, &str> = BTreeMap::new();
+    runs.iter().all(|run| {
+        let (variant, value) = (value(run, VARIANT), value(run, key));
+        names(variant) && *values.entry(variant).or_insert(value) == value
+    })
+}
+
+/// A setting that runs must have, as it is written on the command line: `training.batch_size=64`, or
+/// `smoke:training.batch_size=64` for the runs of one experiment.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Setting {
+    /// The experiment that it is about; all of them if none is named.
+    pub experiment: Option<String>,
+    pub key: String,
+    pub value: String,
+}
+
+impl FromStr for Setting {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let refused = || format!("'{text}' is no setting; write KEY=VALUE, as training.batch_size=64");
+        let (key, value) = text.split_once('=').ok_or_else(refused)?;
+        let (experiment, key) =
+            key.split_once(':').map_or((None, key), |(name, key)| (Some(name.to_owned()), key));
+        if key.trim().is_empty() {
+            return Err(refused());
+        }
+        Ok(Self { experiment, key: key.trim().to_owned(), value: value.trim().to_owned() })
+    }
+}
+
+impl fmt::Display for Setting {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let experiment = self.experiment.as_ref().map(|name| format!("{name}:")).unwrap_or_default();
+        write!(f, "{experiment}{}={}", self.key, self.value)
+    }
+}
+
+impl Setting {
+    /// The option of the command line.
+    pub fn option(&self) -> String {
+        format!("--where {}", quoted([self.to_string().as_str()]))
+    }
+
+    /// The override of a spec that makes runs with it; `None` if it is no single setting of a spec.
+    pub(super) fn as_override(&self) -> Option<String> {
+        self.key.contains('.').then(|| quoted([format!("{}={}", self.key, self.value).as_str()]))
+    }
+
+    pub fn is_about(&self, experiment: &str) -> bool {
+        self.experiment.as_ref().is_none_or(|name| name == experiment)
+    }
+
+    pub(super) fn is_met_by(&self, run: &Settings) -> bool {
+        let found = value(run, &self.key);
+        let number = |text: &str| text.parse::<f64>().ok();
+        let tree = |text: &str| serde_json::from_str::<Value>(text).ok();
+        found == self.value
+            || number(found).is_some_and(|found| number(&self.value) == Some(found))
+            || tree(found).is_some_and(|found| tree(&self.value) == Some(found))
+    }
+}
+
+/// Whether a run meets all settings about its experiment: of several values of one setting, any.
+pub(super) fn meets(wanted: &[Setting], experiment: &str, run: &Settings) -> bool {
+    let about = || wanted.iter().filter(|setting| setting.is_about(experiment));
+    about().all(|setting| about().any(|other| other.key == setting.key && other.is_met_by(run)))
+}

@@ -1,0 +1,201 @@
+//! Fills a results folder with runs that look like trained ones, to measure how commands cope with many of them.
+//!
+//!     cargo run --example many_runs -- --results /tmp/many --seeds 250
+//!
+//! The runs are those of `single_to_multi` and `multi_to_multi` with as many seeds as asked for, 12 runs a seed. Their
+//! records, specs, losses, metrics, forces and pictures have the size of real ones, and the same arguments give the
+//! same numbers. There are fewer test samples than real ones have, networks are empty files, and there is no dataset.
+
+use clap::Parser;
+use harness::dataset::Dataset;
+use harness::learning::training::{Epoch, Losses, TOTAL};
+use harness::metrics::contact::{Contact, by_link};
+use harness::metrics::{Row, evaluate};
+use harness::registry::{
+    ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, Provenance, Registry, Timings,
+};
+use harness::simulation::Scene;
+use harness::spec::{self, Experiment, FRAME_LEN, JOINTS, Modality, RunSpec, Scenario, Task};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::path::{Path, PathBuf};
+
+/// Test samples whose predictions are kept, over four test episodes; a real run has 4,000.
+const SAMPLES: usize = 80;
+const EPISODES: u32 = 4;
+
+#[derive(Parser)]
+struct Arguments {
+    /// The results folder, which may hold other runs
+    #[arg(long)]
+    results: PathBuf,
+    /// Seeds of each cell; a seed makes 12 runs
+    #[arg(long, default_value_t = 250)]
+    seeds: u64,
+    /// Epochs of each training
+    #[arg(long, default_value_t = 200)]
+    epochs: usize,
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments = Arguments::parse();
+    let registry = Registry::new(&arguments.results);
+    let seeds: Vec<u64> = (0..arguments.seeds).collect();
+    let mut made = 0;
+    for name in ["single_to_multi", "multi_to_multi"] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("experiments/{name}.yaml"));
+        let setting = format!("seeds={seeds:?}").replace(' ', "");
+        let command =
+            format!("harness run experiments/{name}.yaml {setting} training.epochs={}", arguments.epochs);
+        let overrides = [setting, format!("training.epochs={}", arguments.epochs)];
+        let experiment = spec::load(&path, &overrides, false)?;
+        let datasets = datasets(&registry, &experiment)?;
+        let provenance = Provenance::gather(2, command);
+        let runs = experiment.runs();
+        runs.par_iter().try_for_each(|spec| {
+            write(&registry, &experiment.name, spec, &datasets[spec.scenario.name()], &provenance)
+                .map_err(|error| format!("{}: {error}", spec.label()))
+        })?;
+        made += runs.len();
+    }
+    println!("{made} runs in {}", arguments.results.display());
+    Ok(())
+}
+
+/// The name of each scenario's dataset, which isn't collected.
+fn datasets(
+    registry: &Registry,
+    experiment: &Experiment,
+) -> Result<BTreeMap<&'static str, String>, Box<dyn Error>> {
+    let name = |scenario: &Scenario| {
+        let dataset =
+            Dataset::new(&registry.datasets(), &Scene::load(*scenario, None)?, &experiment.simulation);
+        Ok((scenario.name(), dataset.name().to_owned()))
+    };
+    Scenario::ALL.iter().map(name).collect()
+}
+
+fn write(
+    registry: &Registry,
+    experiment: &str,
+    spec: &RunSpec,
+    dataset: &str,
+    by: &Provenance,
+) -> Result<(), Box<dyn Error>> {
+    let folder = registry.run(experiment, spec, dataset);
+    let _lock = registry.claim(&folder)?.ok_or("another process works on it")?;
+    let record = registry.begin(&folder, spec, by)?;
+    for task in &spec.tasks {
+        std::fs::write(folder.checkpoint(*task), "made up")?;
+    }
+    Ok(registry.finish(&folder, record, &outcome(spec)?)?)
+}
+
+fn outcome(spec: &RunSpec) -> Result<Outcome, Box<dyn Error>> {
+    let size = spec.latent as u64;
+    let mut random =
+        ChaCha8Rng::seed_from_u64(spec.seed * 1000 + size * 2 + u64::from(spec.scenario.name() == "empty"));
+    let mut outcome = Outcome {
+        timings: Timings { collect: 0.7, prediction: 31.8, reconstruction: Some(8.3), evaluation: 0.1 },
+        parameters: 29_000,
+        ..Outcome::default()
+    };
+    for task in &spec.tasks {
+        let output = if *task == Task::Prediction { &spec.output } else { &spec.input };
+        outcome
+            .epochs
+            .extend((1..=spec.training.epochs).map(|epoch| (*task, losses(epoch, output, &mut random))));
+        for modality in output {
+            judge(*task, *modality, &mut outcome, &mut random)?;
+        }
+    }
+    outcome.forces = forces(spec);
+    Ok(outcome)
+}
+
+/// Losses that fall towards a floor.
+fn losses(epoch: usize, output: &[Modality], random: &mut ChaCha8Rng) -> Epoch {
+    let mut split = || {
+        let mut losses: Losses = output
+            .iter()
+            .map(|modality| {
+                (modality.name().to_owned(), 0.3 + (1.0 + 0.1 * random.random::<f64>()) / epoch as f64)
+            })
+            .collect();
+        losses.insert("kl".into(), 3.0 + random.random::<f64>());
+        losses.insert(TOTAL.into(), losses.values().sum());
+        losses
+    };
+    Epoch { epoch, train: split(), validation: split(), seconds: 0.15 }
+}
+
+/// The metrics of a network and the baselines, and the network's predictions, of made-up samples.
+fn judge(
+    task: Task,
+    modality: Modality,
+    outcome: &mut Outcome,
+    random: &mut ChaCha8Rng,
+) -> Result<(), Box<dyn Error>> {
+    let samples = if modality.is_frame() { 5 } else { SAMPLES };
+    let mut values = |scale: f32| -> Vec<f32> {
+        (0..samples * modality.width()).map(|_| scale * (random.random::<f32>() - 0.5)).collect()
+    };
+    let (reference, noise) = (values(1.0), values(0.6));
+    let predicted: Vec<f32> =
+        reference.iter().zip(&noise).map(|(reference, noise)| reference + noise).collect();
+    let models: &[&str] = match task {
+        Task::Prediction => &["network", "persistence", "ridge", "training_mean"],
+        Task::Reconstruction => &["network", "training_mean"],
+    };
+    let rows = evaluate(modality, &reference, &predicted)?;
+    for (place, &model) in models.iter().enumerate() {
+        // The same samples judge all models, each a little worse than the one before.
+        let worse = |row: &Row| Row {
+            value: row.value.map(|value| value * (1.0 + 0.1 * place as f64)),
+            ..row.clone()
+        };
+        outcome.metrics.extend(rows.iter().map(|row| MetricRow { task, model, row: worse(row) }));
+    }
+    if modality.is_frame() {
+        outcome.frames.extend((0..samples).map(|sample| FrameRow {
+            task,
+            modality,
+            episode: 36,
+            sample: sample as u32 + 1,
+            motion: 0.01 * sample as f64,
+            reference: (0..FRAME_LEN).map(|place| (place / 64) as u8).collect(),
+            predicted: (0..FRAME_LEN).map(|place| (place / 64 + sample) as u8).collect(),
+        }));
+    } else {
+        let values = reference.into_iter().zip(predicted).enumerate();
+        outcome.predictions.extend(values.map(|(place, (reference, predicted))| PredictionRow {
+            task,
+            modality,
+            episode: 36 + (place / modality.width()) as u32 % EPISODES,
+            sample: (place / modality.width()) as u32 / EPISODES,
+            index: (place % modality.width()) as u32,
+            reference,
+            predicted,
+        }));
+    }
+    Ok(())
+}
+
+/// The forces of a dataset, the same for all runs of a scenario: of the whole and of its episodes.
+fn forces(spec: &RunSpec) -> Vec<ForceRows> {
+    let mut random = ChaCha8Rng::seed_from_u64(u64::from(spec.scenario.name() == "empty"));
+    let episodes = spec.simulation.as_ref().map_or(0, |simulation| simulation.episodes);
+    let mut links = || -> Vec<Contact> {
+        let values: Vec<f32> = (0..100 * JOINTS).map(|_| (random.random::<f32>() - 0.5).max(0.0)).collect();
+        by_link(&values)
+    };
+    let mut rows = Vec::new();
+    for modality in [Modality::ContactForce, Modality::ContactForceMean] {
+        let parts = std::iter::once(None).chain((0..episodes).map(Some));
+        rows.extend(parts.map(|episode| ForceRows { modality, episode, links: links() }));
+    }
+    rows
+}
