@@ -4,6 +4,7 @@ use std::fs::{File, OpenOptions, Permissions};
 use std::io::{self, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+use sysinfo::Disks;
 
 /// How the name of a file begins that is not whole yet.
 pub const UNFINISHED: &str = ".unfinished-";
@@ -116,4 +117,12 @@ fn remove_unfinished(folder: &Path) {
             let _ = std::fs::remove_file(entry.path());
         }
     }
+}
+
+/// Room on the disk that holds `path`: the one whose mount point is the longest part of it.
+pub fn free_bytes(path: &Path) -> Option<u64> {
+    let path = std::path::absolute(path).ok()?;
+    let disks = Disks::new_with_refreshed_list();
+    let holders = disks.iter().filter(|disk| path.starts_with(disk.mount_point()));
+    holders.max_by_key(|disk| disk.mount_point().as_os_str().len()).map(|disk| disk.available_space())
 }

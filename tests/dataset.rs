@@ -1,6 +1,6 @@
 //! Datasets from real simulations: the same whatever the threads, whole or made again, and read as written.
 
-use harness::dataset::{Dataset, DatasetError, Partition, Recording, Samples, Standard, collect};
+use harness::dataset::{Dataset, DatasetError, FramePlace, Partition, Recording, Samples, Standard, collect};
 use harness::files::UNFINISHED;
 use harness::progress::{Progress, Silent};
 use harness::simulation::{Episode, Scene, SimulationError, Simulator};
@@ -85,7 +85,7 @@ fn an_episode_comes_back_as_it_was_simulated() {
     let without_frames = Episode { vision: Vec::new(), ..expected.clone() };
     assert!(collected.dataset.read(2, false).unwrap() == without_frames);
 
-    let samples = collected.dataset.load(true).unwrap();
+    let samples = collected.dataset.load(FramePlace::Memory, &Silent).unwrap();
     let (first, plane) = (samples.episodes()[2].start, FRAME_LEN / FRAME_CHANNELS);
     for (row, frame) in expected.vision.chunks(FRAME_LEN).enumerate() {
         // Written pixel by pixel, held channel by channel.
@@ -146,7 +146,7 @@ fn a_truncated_episode_is_noticed_and_only_that_one_is_made_again() {
         let whole = std::fs::read(collected.episode(3)).unwrap();
         std::fs::write(collected.episode(3), &whole[..keep]).unwrap();
         assert_eq!(collected.dataset.missing(), [3], "after {keep} bytes");
-        assert!(collected.dataset.load(true).is_err());
+        assert!(collected.dataset.load(FramePlace::Memory, &Silent).is_err());
         assert_eq!(collected.collect_again(), 1);
         assert!(contents(collected.dataset.folder()) == before);
     }
@@ -243,7 +243,8 @@ fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
 
 #[test]
 fn standardised_values_restore_to_what_was_recorded() {
-    let samples: Arc<Samples> = Arc::new(Collected::new(Scenario::Cluttered, 2).dataset.load(true).unwrap());
+    let samples: Arc<Samples> =
+        Arc::new(Collected::new(Scenario::Cluttered, 2).dataset.load(FramePlace::Memory, &Silent).unwrap());
     let at = samples.partition(&Split::default()).unwrap().training;
     let scalings = Modality::ALL.iter().map(|&modality| (modality, Scaling::default_of(modality))).collect();
     let standard = Standard::fit(&samples, &at, &scalings, Action::Increment);
@@ -278,11 +279,49 @@ fn standardised_values_restore_to_what_was_recorded() {
     assert!(largest_difference(&actions, &expected) < 1e-5);
 }
 
+#[test]
+fn frames_on_disk_are_those_in_memory_and_leave_no_file() {
+    let collected = Collected::new(Scenario::Cluttered, 2);
+    let before = contents(collected.dataset.folder());
+    let memory = collected.dataset.load(FramePlace::Memory, &Silent).unwrap();
+    let disk = collected.dataset.load(FramePlace::Disk, &Silent).unwrap();
+    assert_eq!(memory.frames().len(), memory.len() * FRAME_LEN);
+    assert!(disk.frames() == memory.frames());
+    // So often that pages are let go of on the way.
+    let at: Vec<usize> = (0..disk.len()).rev().collect();
+    for _ in 0..400 {
+        disk.prefetch(&at);
+    }
+    assert!(at.iter().all(|&sample| disk.frame_bytes(sample) == memory.frame_bytes(sample)));
+    assert!(disk.previous_frame_bytes(7) == memory.frame_bytes(6));
+    assert_eq!(disk.vectors(Modality::ContactForce), memory.vectors(Modality::ContactForce));
+    assert!(contents(collected.dataset.folder()) == before, "the file has no name, even while it is used");
+    assert!(!collected.dataset.load(FramePlace::Nowhere, &Silent).unwrap().has_frames());
+}
+
+#[test]
+fn frames_that_can_not_be_written_are_an_error_that_names_the_folder() {
+    let recording = Recording { is_simulated: true, sample_rate_hz: 10.0, seed: 0 };
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let error = Samples::new(recording, 1, FramePlace::Disk, file.path()).unwrap_err().to_string();
+    assert!(error.contains(&format!("can't be kept in {}", file.path().display())), "{error}");
+}
+
+#[test]
+fn frames_stay_in_memory_up_to_a_limit() {
+    let place = |samples, limit| FramePlace::for_samples(samples, limit);
+    assert_eq!(place(1000, Some(12_288_000)), FramePlace::Memory);
+    assert_eq!(place(1000, Some(12_287_999)), FramePlace::Disk);
+    assert_eq!(place(1000, None), FramePlace::Memory);
+    assert_eq!(place(100_000_000, None), FramePlace::Disk, "no machine has 8 times 1.2 TB");
+}
+
 /// Episodes of so many samples at 10 Hz, in which every force of sample s of the dataset is s newtons, and that of the
 /// last link 3 s.
 fn ramps(seed: u64, lengths: &[usize]) -> Samples {
     let recording = Recording { is_simulated: true, sample_rate_hz: 10.0, seed };
-    let mut all = Samples::with_capacity(recording, lengths.iter().sum(), true);
+    let mut all =
+        Samples::new(recording, lengths.iter().sum(), FramePlace::Memory, Path::new("nowhere")).unwrap();
     for (index, &samples) in (0..).zip(lengths) {
         let first = all.len();
         let force = |at: usize| {
@@ -301,7 +340,8 @@ fn ramps(seed: u64, lengths: &[usize]) -> Samples {
             contact_force_mean: forces,
             vision: vision.collect(),
             ..Episode::default()
-        });
+        })
+        .unwrap();
     }
     all
 }

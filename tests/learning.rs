@@ -4,7 +4,7 @@
 use candle_core::{Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
 use harness::dataset::frames::{Averaged, DenseFrames, Frames};
-use harness::dataset::{Partition, Recording, Samples, Standard};
+use harness::dataset::{FramePlace, Partition, Recording, Samples, Standard};
 use harness::learning::kernels;
 use harness::learning::kernels::convolution::{Convolution, Images, KernelSums, LANES};
 use harness::learning::kernels::product::{self, Accumulate, Arithmetic, Matrix, Unit};
@@ -665,7 +665,8 @@ fn reference_the_fully_connected_network_agrees_with_its_pytorch_twin() {
 /// Random walks in place of a simulation, which these tests are not about.
 fn walks(episodes: u32, samples: usize) -> Samples {
     let recording = Recording { is_simulated: true, sample_rate_hz: 10.0, seed: 0 };
-    let mut all = Samples::with_capacity(recording, episodes as usize * samples, true);
+    let room = episodes as usize * samples;
+    let mut all = Samples::new(recording, room, FramePlace::Memory, Path::new("nowhere")).unwrap();
     for index in 0..episodes {
         let mut random = random(u64::from(index) + 100);
         let mut walk = |width: usize| -> Vec<f32> {
@@ -688,7 +689,8 @@ fn walks(episodes: u32, samples: usize) -> Samples {
             contact_force_mean: walk(JOINTS),
             vision: walk(FRAME_LEN).into_iter().map(bytes).collect(),
             ..Episode::default()
-        });
+        })
+        .unwrap();
     }
     all
 }

@@ -4,11 +4,11 @@ use super::table::shown;
 use super::{DONE, FAILED};
 use anyhow::Result;
 use harness::experiment::describe;
+use harness::files::free_bytes;
 use harness::registry::Registry;
 use harness::simulation::{MUJOCO_VERSION, mujoco_version, renderer_name};
-use std::path::Path;
 use std::process::ExitCode;
-use sysinfo::{Disks, System};
+use sysinfo::System;
 
 /// Prints one line a check; fails if something that every run needs is missing.
 pub fn execute(registry: &Registry, threads: usize) -> Result<ExitCode> {
@@ -62,12 +62,4 @@ fn results(registry: &Registry) -> std::result::Result<String, String> {
     let path = registry.root();
     let free = free_bytes(path).map_or(String::new(), |free| format!(", {:.1} GB free", free as f64 / 1e9));
     Ok(format!("{} can be written{free}", shown(path)))
-}
-
-/// Room on the disk that holds `path`: the one whose mount point is the longest part of it.
-fn free_bytes(path: &Path) -> Option<u64> {
-    let path = std::path::absolute(path).ok()?;
-    let disks = Disks::new_with_refreshed_list();
-    let holders = disks.iter().filter(|disk| path.starts_with(disk.mount_point()));
-    holders.max_by_key(|disk| disk.mount_point().as_os_str().len()).map(|disk| disk.available_space())
 }

@@ -1,7 +1,8 @@
 //! Datasets that were recorded elsewhere and imported: read like those that are simulated here, and never made.
 
-use super::store::{Description, episode_file, read_episode};
-use super::{DatasetError, Recording, Samples};
+use super::store::{Description, episode_file, push_all, read_episode};
+use super::{DatasetError, FramePlace, Recording, Samples};
+use crate::progress::Progress;
 use crate::spec::Modality;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -85,21 +86,27 @@ impl Imported {
         Err(DatasetError::Lacks { dataset: self.name.clone(), modality, held: held.join(", ") })
     }
 
-    /// Reads the whole dataset into memory, with the frames if asked; what it does not hold is zero there.
+    /// Reads the whole dataset into memory, and its frames to their place; what it does not hold is zero there.
     ///
     /// # Errors
-    /// When an episode is missing, or its file is not as it was written.
-    pub fn load(&self, frames: bool) -> Result<Samples, DatasetError> {
+    /// When an episode is missing, its file is not as it was written, frames can't be written to disk, or the caller
+    /// cancels.
+    pub fn load(&self, frames: FramePlace, progress: &dyn Progress) -> Result<Samples, DatasetError> {
         let recording =
             Recording { is_simulated: false, sample_rate_hz: self.content.sample_rate_hz, seed: 0 };
-        let mut samples = Samples::with_capacity(recording, self.len(), frames);
-        for (index, length) in (0..).zip(self.content.samples()) {
+        let mut samples = Samples::new(recording, self.len(), frames, &self.folder)?;
+        let lengths = self.content.samples();
+        let read = |index: u32| {
             let path = self.folder.join(episode_file(index));
             let holds = |vector: &str| {
                 vector == "setpoint" || self.content.modalities.iter().any(|held| held.name() == vector)
             };
-            samples.push(&read_episode(&path, &self.name, index, length, frames, &holds)?);
-        }
+            let with_frames = frames != FramePlace::Nowhere;
+            read_episode(&path, &self.name, index, lengths[index as usize], with_frames, &holds)
+        };
+        progress.begin(&format!("loading {}", self.name), self.len() as u64, "samples");
+        push_all(&mut samples, lengths.len() as u32, read, progress)?;
+        progress.end();
         Ok(samples)
     }
 }

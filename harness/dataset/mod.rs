@@ -2,6 +2,7 @@
 //! Tensors begin here.
 
 mod collect;
+mod frame_store;
 pub mod frames;
 mod imported;
 mod samples;
@@ -10,6 +11,7 @@ mod store;
 mod verify;
 
 pub use collect::collect;
+pub use frame_store::{FramePlace, frame_bytes};
 pub use imported::Imported;
 pub use samples::{FRAME_PLANE, Partition, Recording, Samples};
 pub use standard::{Scale, Standard, frame_difference};
@@ -43,6 +45,12 @@ pub enum DatasetError {
     NotImported { name: String, root: PathBuf },
     #[error("the dataset {dataset} holds no {modality}, which the experiment asks for; it holds {held}")]
     Lacks { dataset: String, modality: Modality, held: String },
+    #[error(
+        "the dataset's frames can't be kept in {}: {source}; make room there, or let them stay in memory \
+         (`harness run --memory GB`)",
+        folder.display()
+    )]
+    Frames { folder: PathBuf, source: std::io::Error },
     #[error("the collection was cancelled; the same command goes on from the episodes that are there")]
     Cancelled,
 }

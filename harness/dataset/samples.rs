@@ -1,14 +1,15 @@
 //! A dataset in memory, and what a network sees of it.
 
+use super::DatasetError;
+use super::frame_store::{FramePlace, FrameStore, frame_bytes};
 use crate::simulation::Episode;
-use crate::spec::{
-    ARM_JOINTS, Action, Division, FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, JOINTS, Modality, Split,
-};
+use crate::spec::{ARM_JOINTS, Action, Division, FRAME_LEN, FRAME_SIDE, JOINTS, Modality, Split};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use sha2::{Digest, Sha256};
 use std::ops::Range;
+use std::path::{Path, PathBuf};
 
 /// Values of one channel of a frame.
 pub const FRAME_PLANE: usize = FRAME_SIDE * FRAME_SIDE;
@@ -25,7 +26,7 @@ pub struct Recording {
 }
 
 /// All samples of a dataset, episode after episode.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Samples {
     recording: Recording,
     /// Where each episode's samples lie, in the order of the episodes.
@@ -36,20 +37,31 @@ pub struct Samples {
     contact_force: Vec<f32>,
     contact_force_mean: Vec<f32>,
     /// `[sample, channel, row, column]`; empty where no frames were asked for.
-    vision: Vec<u8>,
+    vision: FrameStore,
+    /// Of the dataset, which may hold its frames.
+    folder: PathBuf,
 }
 
 impl Samples {
-    /// Memory that so many samples take, bytes, with frames if `frames`.
-    pub fn bytes(samples: usize, frames: bool) -> u64 {
+    /// Memory that so many samples take, bytes, with their frames in their place.
+    pub fn bytes(samples: usize, frames: FramePlace) -> u64 {
         let numbers = 3 * JOINTS + 2 * ARM_JOINTS;
-        let sample = numbers * size_of::<f32>() + if frames { FRAME_LEN } else { 0 };
-        (samples as u64).saturating_mul(sample as u64)
+        let numbers = (samples as u64).saturating_mul((numbers * size_of::<f32>()) as u64);
+        numbers.saturating_add(if frames == FramePlace::Memory { frame_bytes(samples) } else { 0 })
     }
 
-    /// An empty dataset with room for `samples`, with frames if `frames`.
-    pub fn with_capacity(recording: Recording, samples: usize, frames: bool) -> Self {
-        Self {
+    /// An empty dataset with room for `samples`, whose frames have their place; `folder` is that of the dataset.
+    ///
+    /// # Errors
+    /// When the frames' place is the disk, and no file can be made there.
+    pub fn new(
+        recording: Recording,
+        samples: usize,
+        frames: FramePlace,
+        folder: &Path,
+    ) -> Result<Self, DatasetError> {
+        let vision = FrameStore::new(frames, samples, folder);
+        Ok(Self {
             recording,
             episodes: Vec::new(),
             proprioception: Vec::with_capacity(samples * JOINTS),
@@ -57,12 +69,16 @@ impl Samples {
             setpoint: Vec::with_capacity(samples * ARM_JOINTS),
             contact_force: Vec::with_capacity(samples * JOINTS),
             contact_force_mean: Vec::with_capacity(samples * JOINTS),
-            vision: Vec::with_capacity(if frames { samples * FRAME_LEN } else { 0 }),
-        }
+            vision: vision.map_err(|source| DatasetError::Frames { folder: folder.to_owned(), source })?,
+            folder: folder.to_owned(),
+        })
     }
 
-    /// Appends an episode; its frames, if it has any, are laid out channel by channel.
-    pub fn push(&mut self, episode: &Episode) {
+    /// Appends an episode, with its frames if it has any.
+    ///
+    /// # Errors
+    /// When frames can't be written to disk.
+    pub fn push(&mut self, episode: &Episode) -> Result<(), DatasetError> {
         let first = self.len();
         self.episodes.push(first..first + episode.samples);
         self.proprioception.extend_from_slice(&episode.proprioception);
@@ -70,11 +86,8 @@ impl Samples {
         self.setpoint.extend_from_slice(&episode.setpoint);
         self.contact_force.extend_from_slice(&episode.contact_force);
         self.contact_force_mean.extend_from_slice(&episode.contact_force_mean);
-        for frame in episode.vision.chunks_exact(FRAME_LEN) {
-            for channel in 0..FRAME_CHANNELS {
-                self.vision.extend(frame.iter().skip(channel).step_by(FRAME_CHANNELS));
-            }
-        }
+        let pushed = self.vision.push(&episode.vision);
+        pushed.map_err(|source| DatasetError::Frames { folder: self.folder.clone(), source })
     }
 
     /// Samples in all.
@@ -84,7 +97,7 @@ impl Samples {
 
     /// Whether its frames were loaded.
     pub fn has_frames(&self) -> bool {
-        !self.vision.is_empty()
+        !self.frames().is_empty()
     }
 
     /// Whether the frames show the simulated robot, whose parts are told by their colours.
@@ -129,12 +142,18 @@ impl Samples {
 
     /// The camera's frames of all samples, `[samples, channel, row, column]`; empty if they weren't loaded.
     pub fn frames(&self) -> &[u8] {
-        &self.vision
+        self.vision.bytes()
     }
 
     /// The camera frame of one sample as bytes, `[channel, row, column]`.
     pub fn frame_bytes(&self, sample: usize) -> &[u8] {
-        &self.vision[sample * FRAME_LEN..][..FRAME_LEN]
+        &self.frames()[sample * FRAME_LEN..][..FRAME_LEN]
+    }
+
+    /// Says that the frames of these samples, and of those before them, are about to be read. It changes nothing but the
+    /// time that frames on disk take, and the memory: those that were read long ago are let go.
+    pub fn prefetch(&self, samples: &[usize]) {
+        self.vision.prefetch(samples);
     }
 
     /// The frame before `sample` in its episode; at the start, the frame itself, since nothing moved before.

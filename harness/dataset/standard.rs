@@ -172,6 +172,7 @@ impl Standard {
         if scales.is_empty() {
             return None;
         }
+        samples.prefetch(at);
         Some(Arc::new(SampleFrames { samples: samples.clone(), at: at.to_vec(), scales }))
     }
 }
@@ -180,6 +181,7 @@ impl Standard {
 fn frame_moments(samples: &Samples, at: &[usize], modality: Modality) -> Moments {
     const BLACK: [u8; FRAME_LEN] = [0; FRAME_LEN];
     let sums_of = |at: &[usize]| {
+        samples.prefetch(at);
         let mut sums = vec![[0i32; 2]; FRAME_LEN];
         for sample in at.iter().copied() {
             let before = match modality {

@@ -1,7 +1,7 @@
 //! Episodes on disk: one Parquet file each, in a folder named after what decides their content.
 
 use super::imported::Content;
-use super::{DatasetError, Recording, Samples};
+use super::{DatasetError, FramePlace, Recording, Samples};
 use crate::files::write_bytes;
 use crate::progress::{Progress, Silent};
 use crate::schema::{ARM, frame_column, sample_columns};
@@ -161,17 +161,19 @@ impl Dataset {
         DataFrame::new(samples, columns)
     }
 
-    /// Reads the whole dataset into memory, with the frames if asked.
+    /// Reads the whole dataset into memory, and its frames to their place.
     ///
     /// # Errors
-    /// When an episode is missing, or its file is not as it was written.
-    pub fn load(&self, frames: bool) -> Result<Samples, DatasetError> {
+    /// When an episode is missing, its file is not as it was written, frames can't be written to disk, or the caller
+    /// cancels.
+    pub fn load(&self, frames: FramePlace, progress: &dyn Progress) -> Result<Samples, DatasetError> {
         let Simulation { sample_rate_hz, seed, .. } = self.spec;
         let recording = Recording { is_simulated: true, sample_rate_hz, seed };
-        let mut samples = Samples::with_capacity(recording, self.len(), frames);
-        for index in 0..self.spec.episodes {
-            samples.push(&self.read(index, frames)?);
-        }
+        let mut samples = Samples::new(recording, self.len(), frames, &self.folder)?;
+        let read = |index: u32| self.read(index, frames != FramePlace::Nowhere);
+        progress.begin(&format!("loading {}", self.scenario), self.len() as u64, "samples");
+        push_all(&mut samples, self.spec.episodes, read, progress)?;
+        progress.end();
         Ok(samples)
     }
 
@@ -185,6 +187,29 @@ impl Dataset {
 /// The name of an episode's file.
 pub(super) fn episode_file(index: u32) -> String {
     format!("episode_{index:05}.parquet")
+}
+
+/// Appends episodes in their order, as many read side by side as there are threads: that many are in memory at a time.
+pub(super) fn push_all(
+    samples: &mut Samples,
+    episodes: u32,
+    read: impl Fn(u32) -> Result<Episode, DatasetError> + Sync,
+    progress: &dyn Progress,
+) -> Result<(), DatasetError> {
+    let at_once = rayon::current_num_threads();
+    for first in (0..episodes).step_by(at_once) {
+        if progress.cancelled() {
+            return Err(DatasetError::Cancelled);
+        }
+        let indices = first..episodes.min(first + at_once as u32);
+        let read: Vec<_> = indices.into_par_iter().map(&read).collect();
+        for episode in read {
+            let episode = episode?;
+            samples.push(&episode)?;
+            progress.advance(episode.samples as u64);
+        }
+    }
+    Ok(())
 }
 
 /// Reads the file of episode `index` of the dataset named `dataset`, which must hold `samples` samples. A vector that

@@ -5,12 +5,13 @@ use crate::dataset::{FRAME_PLANE, Partition, Samples, frame_difference};
 use crate::learning::network::Decoder;
 use crate::learning::objective::View;
 use crate::learning::predict::{Predicted, decode};
-use crate::metrics::baselines::{GREY_LEN, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
+use crate::metrics::baselines::{Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
 use crate::metrics::parts::Part;
 use crate::metrics::{Evaluation, MetricsError, contact};
 use crate::registry::{ForceRows, FrameRow, MetricRow, PredictionRow};
 use crate::spec::{FRAME_CHANNELS, Modality, Task};
 use candle_core::Tensor;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -21,16 +22,21 @@ const BATCH: usize = 256;
 
 /// The values of `modality` at the samples `at`, in physical units, `[at, width]`, frames channel by channel.
 pub fn physical(samples: &Samples, modality: Modality, at: &[usize]) -> Vec<f32> {
-    let mut values = Vec::with_capacity(at.len() * modality.width());
-    for sample in at.iter().copied() {
-        match modality {
-            Modality::Vision => {
-                values.extend(samples.frame_bytes(sample).iter().map(|byte| f32::from(*byte) / 255.0))
-            }
-            Modality::FrameDifference => values.extend(frame_difference(samples, sample)),
-            _ => values.extend_from_slice(samples.vector(modality, sample)),
-        }
+    let mut values = vec![0.0; at.len() * modality.width()];
+    if modality.is_frame() {
+        samples.prefetch(at);
     }
+    values.par_chunks_exact_mut(modality.width()).zip(at).for_each(|(values, &sample)| match modality {
+        Modality::Vision => {
+            let bytes = samples.frame_bytes(sample);
+            values.iter_mut().zip(bytes).for_each(|(value, byte)| *value = f32::from(*byte) / 255.0);
+        }
+        Modality::FrameDifference => {
+            let changes = frame_difference(samples, sample);
+            values.iter_mut().zip(changes).for_each(|(value, change)| *value = change);
+        }
+        _ => values.copy_from_slice(samples.vector(modality, sample)),
+    });
     values
 }
 
@@ -102,7 +108,7 @@ fn add(
     }
     let parts =
         |sample: &usize| Part::in_either(samples.previous_frame_bytes(*sample), samples.frame_bytes(*sample));
-    let parts: Vec<Option<Part>> = at.iter().flat_map(parts).collect();
+    let parts: Vec<Option<Part>> = at.par_iter().flat_map_iter(parts).collect();
     evaluation.add_with_parts(reference, predicted, &parts)
 }
 
@@ -155,7 +161,11 @@ pub fn storyboard(samples: &Samples, test: &[usize]) -> Vec<Story> {
             .fold((0.0, 0), |(sum, values), change| (sum + f64::from(change.abs()), values + 1));
         Story { transition, motion: sum / f64::from(values) }
     };
-    let mut stories: Vec<Story> = test.iter().map(|&transition| motion(transition)).collect();
+    let batches = test.par_chunks(BATCH).flat_map_iter(|at| {
+        samples.prefetch(at);
+        at.iter().map(|&transition| motion(transition))
+    });
+    let mut stories: Vec<Story> = batches.collect();
     stories.sort_by(|a, b| a.motion.total_cmp(&b.motion).then(a.transition.cmp(&b.transition)));
     STORYBOARD.map(|share| stories[(share * (stories.len() - 1) as f64).round() as usize]).to_vec()
 }
@@ -326,17 +336,17 @@ fn ridge_inputs(view: &View, input: &[Modality], at: &[usize]) -> Result<Vec<f32
     let vectors =
         view.observation(at, input).map_err(learning)?.vector.map(table).transpose().map_err(learning)?;
     let actions = view.actions(at).and_then(table).map_err(learning)?;
-    let mut rows = Vec::with_capacity(at.len() * (actions[0].len() + GREY_LEN));
-    for (row, (sample, action)) in at.iter().zip(&actions).enumerate() {
-        rows.extend_from_slice(action);
-        rows.extend(vectors.iter().flat_map(|vectors| &vectors[row]));
-        for modality in input.iter().copied().filter(|modality| modality.is_frame()) {
-            let scale = &view.standard.scales[&modality];
-            let frame = physical(&view.samples, modality, &[*sample]);
-            let centred =
-                frame.iter().zip(&scale.mean).map(|(value, mean)| (value - mean) / scale.deviation[0]);
-            rows.extend(downsample_frame(&centred.collect::<Vec<_>>())?);
+    let frames: Vec<Modality> = input.iter().copied().filter(|modality| modality.is_frame()).collect();
+    let rows = at.par_iter().enumerate().map(|(row, &sample)| {
+        let mut values = actions[row].clone();
+        values.extend(vectors.iter().flat_map(|vectors| &vectors[row]));
+        for modality in &frames {
+            let mut frame = physical(&view.samples, *modality, &[sample]);
+            view.standard.scales[modality].standardise(&mut frame);
+            values.extend(downsample_frame(&frame)?);
         }
-    }
-    Ok(rows)
+        Ok(values)
+    });
+    let rows: Vec<Vec<f32>> = rows.collect::<Result<_, MetricsError>>()?;
+    Ok(rows.concat())
 }

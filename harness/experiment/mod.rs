@@ -10,7 +10,10 @@ pub use schedule::Summary;
 
 use evaluate::{Evaluated, Story};
 
-use crate::dataset::{Dataset, DatasetError, Imported, Partition, Samples, Standard, collect};
+use crate::dataset::{
+    Dataset, DatasetError, FramePlace, Imported, Partition, Samples, Standard, collect, frame_bytes,
+};
+use crate::files::free_bytes;
 use crate::learning::kernels::product::{Arithmetic, Unit};
 use crate::learning::network::{Architecture, Encoder, Parameters};
 use crate::learning::objective::{Prediction, Reconstruction, View};
@@ -58,6 +61,12 @@ pub enum ExperimentError {
     )]
     Memory { dataset: String, needed: u64, available: u64 },
     #[error(
+        "the frames of the dataset {dataset} take {:.1} GB of disk while it is used, and only {:.1} GB are free in {}; \
+         make room, or lower simulation.episodes or simulation.actuations_per_episode",
+        *needed as f64 / 1e9, *available as f64 / 1e9, folder.display()
+    )]
+    Disk { dataset: String, needed: u64, available: u64, folder: PathBuf },
+    #[error(
         "the network takes up to {:.1} GB of memory to train and only {:.1} GB are free; free some, or lower \
          network.hidden, network.channels or training.batch_size",
         *needed as f64 / 1e9, *available as f64 / 1e9
@@ -81,6 +90,8 @@ pub struct Laboratory<'a> {
     pub threads: usize,
     /// Runs that are trained side by side, each with its share of the threads; 1 trains them in the caller's pool.
     pub jobs: usize,
+    /// Frames that take more memory than this, bytes, are kept on disk; `None` is an eighth of what is within reach.
+    pub memory: Option<u64>,
     pub provenance: &'a Provenance,
     pub progress: &'a dyn Progress,
 }
@@ -188,25 +199,52 @@ impl Laboratory<'_> {
         }
     }
 
-    /// The samples of a run's dataset, of which what is missing is collected first.
-    fn samples(&self, source: &Source, frames: bool) -> Result<Samples, ExperimentError> {
-        let (needed, available) = (Samples::bytes(source.len(), frames), memory::within_reach());
-        if needed > available {
-            return Err(ExperimentError::Memory { dataset: source.name().to_owned(), needed, available });
-        }
-        match source {
-            Source::Simulated { scene, dataset } => {
-                collect(dataset, scene, self.threads, self.progress)?;
-                Ok(dataset.load(frames)?)
-            }
-            Source::Imported(dataset) => Ok(dataset.load(frames)?),
+    /// Where a run's frames are kept.
+    fn frame_place(&self, Planned { spec, source, .. }: &Planned) -> FramePlace {
+        match spec.modalities().iter().any(|modality| modality.is_frame()) {
+            true => FramePlace::for_samples(source.len(), self.memory),
+            false => FramePlace::Nowhere,
         }
     }
 
+    /// The samples of a run's dataset, of which what is missing is collected first.
+    fn samples(&self, source: &Source, frames: FramePlace) -> Result<Samples, ExperimentError> {
+        self.check_room(source, frames)?;
+        match source {
+            Source::Simulated { scene, dataset } => {
+                collect(dataset, scene, self.threads, self.progress)?;
+                Ok(dataset.load(frames, self.progress)?)
+            }
+            Source::Imported(dataset) => Ok(dataset.load(frames, self.progress)?),
+        }
+    }
+
+    /// Refuses a dataset that has no room, and says so of frames that are kept on disk.
+    fn check_room(&self, source: &Source, frames: FramePlace) -> Result<(), ExperimentError> {
+        let dataset = source.name().to_owned();
+        let (needed, available) = (Samples::bytes(source.len(), frames), memory::within_reach());
+        if needed > available {
+            return Err(ExperimentError::Memory { dataset, needed, available });
+        }
+        if frames != FramePlace::Disk {
+            return Ok(());
+        }
+        let (needed, folder) = (frame_bytes(source.len()), self.registry.datasets());
+        if let Some(available) = free_bytes(&folder).filter(|available| needed > *available) {
+            return Err(ExperimentError::Disk { dataset, needed, available, folder });
+        }
+        self.progress.say(&format!(
+            "the frames of {dataset}, {:.1} GB, are kept in a temporary file beside it; --memory can keep them in memory",
+            needed as f64 / 1e9
+        ));
+        Ok(())
+    }
+
     /// Makes the run's dataset ready for training.
-    fn prepare(&self, Planned { spec, source, .. }: &Planned) -> Result<Material, ExperimentError> {
+    fn prepare(&self, planned: &Planned) -> Result<Material, ExperimentError> {
         let begin = Instant::now();
-        let frames = spec.modalities().iter().any(|modality| modality.is_frame());
+        let Planned { spec, source, .. } = planned;
+        let frames = self.frame_place(planned);
         let samples = self.samples(source, frames)?;
         let partition = samples.partition(&spec.split).ok_or(ExperimentError::NoTraining)?;
         let standard = Standard::fit(&samples, &partition.training, &spec.scalings(), spec.action);

@@ -25,9 +25,9 @@ pub fn draw() -> Result<Drawing, FigureError> {
         let [x, y] = portrait.project(portrait.place_of(geom)?);
         Ok([x * COLUMN, y * height])
     };
-    label(&mut page, at("finger_link_18")?, [34.0, 10.0], "passive soft finger");
+    label(&mut page, at("finger_link_10")?, [-40.0, -26.0], "passive soft finger");
     label(&mut page, at("arm_sleeve")?, [-34.0, -24.0], "rigid arm");
-    label(&mut page, at("box_7")?, [-44.0, 14.0], &format!("{BOXES} movable boxes"));
+    label(&mut page, at("box_7")?, [44.0, 16.0], &format!("{BOXES} movable boxes"));
     Ok(Drawing { page, data: data(scene.scenario(), EPISODE, SAMPLE, state)? })
 }
 

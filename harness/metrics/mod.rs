@@ -17,7 +17,11 @@ pub use series::Series;
 
 use crate::spec::{JOINTS, Modality};
 use parts::Part;
+use rayon::prelude::*;
 use std::slice::from_ref;
+
+/// Columns that a thread adds up at a time.
+const COLUMNS_AT_ONCE: usize = 1024;
 
 /// The axis a joint of the finger bends about; a link's direction is that of the joint at its base.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -162,11 +166,14 @@ impl Evaluation {
         check_samples(("the reference", references.len()), ("the prediction", predictions.len()))?;
         check_finite("the reference", reference, width)?;
         check_finite("the prediction", predicted, width)?;
-        for (reference, predicted) in references.zip(predictions) {
-            for ((series, &r), &p) in self.columns.iter_mut().zip(reference).zip(predicted) {
-                series.add(r, p);
+        // Each column adds up its own values in their order, whichever thread does it.
+        self.columns.par_chunks_mut(COLUMNS_AT_ONCE).enumerate().for_each(|(chunk, columns)| {
+            let first = chunk * COLUMNS_AT_ONCE;
+            for (reference, predicted) in references.clone().zip(predictions.clone()) {
+                let pairs = reference[first..].iter().zip(&predicted[first..]);
+                columns.iter_mut().zip(pairs).for_each(|(series, (&r, &p))| series.add(r, p));
             }
-        }
+        });
         Ok(())
     }
 

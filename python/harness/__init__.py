@@ -48,12 +48,14 @@ def run(
     results: str | os.PathLike[str] = "results",
     progress: bool = True,
     jobs: int = 1,
+    memory: float | None = None,
 ) -> Summary:
     """Does every run of an experiment that isn't done yet, as `harness run` does.
 
     path: the experiment's YAML file. overrides: settings to change, by dotted key: `{"training.epochs": 5}`; a
     single value will do for a list. quick: applies the spec's own `quick` settings. results: the folder of datasets and
-    runs. progress: draws bars on the terminal. jobs: runs of a scenario to train side by side.
+    runs. progress: draws bars on the terminal. jobs: runs of a scenario to train side by side. memory: a dataset's frames
+    are kept in memory if they take so many GB at most, otherwise on disk; an eighth of the free memory by default.
 
     Raises FileNotFoundError without the file, ValueError where the spec is wrong (with file, line and column, or the
     override), RuntimeError with the reasons after some run failed, and KeyboardInterrupt when it is interrupted; the
@@ -62,7 +64,10 @@ def run(
     changed = [f"{key}={json.dumps(value)}" for key, value in (overrides or {}).items()]
     if jobs < 1:
         raise ValueError(f"jobs: {jobs} must be at least 1")
-    return Summary(*_harness.run(Path(path), changed, quick, Path(results), progress, jobs))
+    if memory is not None and not 0 <= memory <= 1e9:
+        raise ValueError(f"memory: {memory} must be a number of gigabytes")
+    frames = None if memory is None else int(memory * 1e9)
+    return Summary(*_harness.run(Path(path), changed, quick, Path(results), progress, jobs, frames))
 
 
 def query(sql: str, results: str | os.PathLike[str] = "results") -> "polars.DataFrame":

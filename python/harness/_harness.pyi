@@ -11,7 +11,7 @@ def main(arguments: list[str]) -> int:
     """Runs the command line; returns its exit code."""
 
 def run(
-    path: Path, overrides: list[str], quick: bool, results: Path, progress: bool, jobs: int
+    path: Path, overrides: list[str], quick: bool, results: Path, progress: bool, jobs: int, memory: int | None
 ) -> tuple[int, int]:
     """Numbers of runs that were done now and before; see `harness.run`."""
 

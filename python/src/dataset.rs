@@ -4,7 +4,8 @@ use crate::array::{array, pixels_last, view};
 use crate::errors::Raise;
 use crate::simulation::SimulationBatch;
 use crate::work::interruptible;
-use harness::dataset::{self, DatasetError, Imported, Samples};
+use harness::dataset::{self, DatasetError, FramePlace, Imported, Samples};
+use harness::progress::Silent;
 use harness::spec::{ARM_JOINTS, FRAME_CHANNELS, FRAME_SIDE, Modality, Origin};
 use pyo3::exceptions::{PyFileNotFoundError, PyKeyError, PyValueError};
 use pyo3::prelude::*;
@@ -33,10 +34,15 @@ impl Described {
         }
     }
 
+    /// Reads it, with the frames if asked and if it has any; they stay on disk if they would take much memory.
     fn load(&self, frames: bool) -> Result<Samples, DatasetError> {
+        let place = |samples| match frames && self.holds(Modality::Vision) {
+            true => FramePlace::for_samples(samples, None),
+            false => FramePlace::Nowhere,
+        };
         match self {
-            Self::Simulated(dataset) => dataset.load(frames),
-            Self::Imported(dataset) => dataset.load(frames && dataset.holds(Modality::Vision)),
+            Self::Simulated(dataset) => dataset.load(place(dataset.len()), &Silent),
+            Self::Imported(dataset) => dataset.load(place(dataset.len()), &Silent),
         }
     }
 

@@ -21,7 +21,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Does every run of an experiment that isn't done; see `harness.run`.
 #[pyfunction]
-#[pyo3(signature = (path, overrides, quick, results, progress, jobs))]
+#[pyo3(signature = (path, overrides, quick, results, progress, jobs, memory))]
+#[expect(clippy::too_many_arguments, reason = "they are those of `harness.run`, where each has its name")]
 pub fn run(
     py: Python,
     path: PathBuf,
@@ -30,6 +31,7 @@ pub fn run(
     results: PathBuf,
     progress: bool,
     jobs: usize,
+    memory: Option<u64>,
 ) -> PyResult<(usize, usize)> {
     let experiment = spec::load(&path, &overrides, quick).map_err(Raise::raise)?;
     let registry = Registry::new(results);
@@ -45,6 +47,7 @@ pub fn run(
         models: None,
         threads,
         jobs,
+        memory,
         provenance: &provenance,
         progress: &listener,
     };

@@ -1,0 +1,154 @@
+//! The frames of a dataset: in memory, or where they would not fit, in a file that the system reads as they are needed.
+
+use crate::memory;
+use crate::spec::{FRAME_CHANNELS, FRAME_LEN};
+use memmap2::{Advice, Mmap, UncheckedAdvice};
+use rayon::prelude::*;
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// The share of the memory within reach that frames may take before they go to disk. It is small because training takes
+/// memory too, and the system keeps as much of the file in what is free as fits.
+const MEMORY_SHARE: u64 = 8;
+/// Frames that are laid out by channel at once, on their way to disk.
+const FRAMES_AT_ONCE: usize = 256;
+/// Frames that are read from disk before their pages are given back, so that they don't count as this process's memory.
+/// The system maps 64 KiB around each, half a gigabyte of these at most.
+const FRAMES_HELD: usize = 8192;
+
+/// Where a dataset's frames are kept while it is in memory.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FramePlace {
+    /// They aren't loaded.
+    Nowhere,
+    Memory,
+    /// In a temporary file in the dataset's folder.
+    Disk,
+}
+
+impl FramePlace {
+    /// Memory if the frames of so many samples take `limit` bytes at most, by default an eighth of what is within reach.
+    pub fn for_samples(samples: usize, limit: Option<u64>) -> Self {
+        let limit = limit.unwrap_or_else(|| memory::within_reach() / MEMORY_SHARE);
+        if frame_bytes(samples) <= limit { Self::Memory } else { Self::Disk }
+    }
+}
+
+/// What the frames of so many samples take, bytes.
+pub fn frame_bytes(samples: usize) -> u64 {
+    (samples as u64).saturating_mul(FRAME_LEN as u64)
+}
+
+/// Frames one after the other, `[frame, channel, row, column]`.
+#[derive(Debug)]
+pub(super) enum FrameStore {
+    Memory(Vec<u8>),
+    Disk(FrameFile),
+}
+
+impl FrameStore {
+    /// Room for the frames of `samples` samples; on disk, in `folder`.
+    pub fn new(place: FramePlace, samples: usize, folder: &Path) -> io::Result<Self> {
+        Ok(match place {
+            FramePlace::Nowhere => Self::Memory(Vec::new()),
+            FramePlace::Memory => Self::Memory(Vec::with_capacity(frame_bytes(samples) as usize)),
+            FramePlace::Disk => Self::Disk(FrameFile::new(folder)?),
+        })
+    }
+
+    /// Appends frames as cameras and files have them, `[frame, row, column, channel]`.
+    pub fn push(&mut self, pixels: &[u8]) -> io::Result<()> {
+        match self {
+            Self::Memory(frames) => {
+                let before = frames.len();
+                frames.resize(before + pixels.len(), 0);
+                lay_out(pixels, &mut frames[before..]);
+            }
+            Self::Disk(file) => {
+                let mut planes = vec![0; pixels.len().min(FRAMES_AT_ONCE * FRAME_LEN)];
+                for pixels in pixels.chunks(FRAMES_AT_ONCE * FRAME_LEN) {
+                    let planes = &mut planes[..pixels.len()];
+                    lay_out(pixels, planes);
+                    file.append(planes)?;
+                }
+                file.map_again()?;
+            }
+        }
+        Ok(())
+    }
+
+    /// All frames.
+    pub fn bytes(&self) -> &[u8] {
+        match self {
+            Self::Memory(frames) => frames,
+            Self::Disk(file) => file.bytes(),
+        }
+    }
+
+    /// Says that these frames, and the one before each, are about to be read.
+    pub fn prefetch(&self, frames: &[usize]) {
+        if let Self::Disk(file) = self {
+            file.prefetch(frames);
+        }
+    }
+}
+
+/// Lays frames out channel by channel.
+fn lay_out(pixels: &[u8], planes: &mut [u8]) {
+    let frames = planes.par_chunks_exact_mut(FRAME_LEN).zip(pixels.par_chunks_exact(FRAME_LEN));
+    frames.for_each(|(planes, pixels)| {
+        for (channel, plane) in planes.chunks_exact_mut(FRAME_LEN / FRAME_CHANNELS).enumerate() {
+            let values = pixels[channel..].iter().step_by(FRAME_CHANNELS);
+            plane.iter_mut().zip(values).for_each(|(value, pixel)| *value = *pixel);
+        }
+    });
+}
+
+/// A file that has no name, so nobody else can open it, and that is gone with the process.
+#[derive(Debug)]
+pub(super) struct FrameFile {
+    file: File,
+    /// Of what was written before the last call of [`FrameFile::map_again`]; `None` before the first.
+    map: Option<Mmap>,
+    /// Frames that were asked for since pages were given back.
+    held: AtomicUsize,
+}
+
+impl FrameFile {
+    fn new(folder: &Path) -> io::Result<Self> {
+        std::fs::create_dir_all(folder)?;
+        Ok(Self { file: tempfile::tempfile_in(folder)?, map: None, held: AtomicUsize::new(0) })
+    }
+
+    fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.file.write_all(bytes)
+    }
+
+    /// Makes all that was written readable.
+    fn map_again(&mut self) -> io::Result<()> {
+        // SAFETY: the file has no name and its handle is not given away, so only `append` changes it, at its end.
+        self.map = Some(unsafe { Mmap::map(&self.file) }?);
+        Ok(())
+    }
+
+    fn bytes(&self) -> &[u8] {
+        self.map.as_deref().unwrap_or_default()
+    }
+
+    /// Has the system fetch frames, each with the one before it, side by side; without it each is waited for.
+    fn prefetch(&self, frames: &[usize]) {
+        let Some(map) = &self.map else { return };
+        if self.held.fetch_add(frames.len(), Ordering::Relaxed) > FRAMES_HELD {
+            self.held.store(0, Ordering::Relaxed);
+            // SAFETY: the pages of a file are read from it again when they are touched again.
+            let _ = unsafe { map.unchecked_advise(UncheckedAdvice::DontNeed) };
+        }
+        for frame in frames {
+            let before = frame.saturating_sub(1) * FRAME_LEN;
+            // Advice alone, which may be refused.
+            let _ = map.advise_range(Advice::WillNeed, before, (frame + 1) * FRAME_LEN - before);
+        }
+    }
+}
