@@ -529,14 +529,21 @@ fn network(hidden: usize, channels: usize) -> Network {
 }
 
 impl Twin {
-    fn load(name: &str, frames: bool) -> Self {
+    fn load(name: &str, frames: bool, arithmetic: Arithmetic) -> Self {
         let path =
             Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/fixtures/twin_{name}.safetensors"));
         let bytes = std::fs::read(&path).unwrap();
         let (_, header) = safetensors::SafeTensors::read_metadata(&bytes).unwrap();
         let settings = &header.metadata().as_ref().unwrap()["settings"];
         let settings: serde_json::Value = serde_json::from_str(settings).unwrap();
-        let size = |key: &str| settings[key].as_u64().unwrap() as usize;
+        let size = |value: &serde_json::Value| value.as_u64().unwrap() as usize;
+        let sizes = |key: &str| -> Vec<usize> {
+            let value = &settings[key];
+            value.as_array().map_or_else(|| vec![size(value)], |values| values.iter().map(size).collect())
+        };
+        let fusion = settings
+            .get("fusion")
+            .map_or(Fusion::Early, |name| serde_json::from_value(name.clone()).unwrap());
         let only = |modalities: &[Modality]| -> Vec<Modality> {
             modalities.iter().copied().filter(|modality| frames || !modality.is_frame()).collect()
         };
@@ -547,10 +554,16 @@ impl Twin {
             architecture: Architecture {
                 input: only(&[Modality::Proprioception, Modality::Vision]),
                 output: only(&[Modality::Proprioception, Modality::ContactForce, Modality::FrameDifference]),
-                latent: size("latent"),
+                latent: size(&settings["latent"]),
                 action: ARM_JOINTS,
-                network: network(size("hidden"), size("channels")),
-                arithmetic: Arithmetic::best(),
+                network: Network {
+                    preset: Preset::MultiToMulti,
+                    hidden: sizes("hidden"),
+                    channels: Some(sizes("channels")),
+                    average: 1,
+                    fusion,
+                },
+                arithmetic,
             },
         }
     }
@@ -564,9 +577,9 @@ impl Twin {
     }
 }
 
-fn assert_agrees_with_its_twin(name: &str, frames: bool) {
+fn assert_agrees_with_its_twin(name: &str, frames: bool, arithmetic: Arithmetic) {
     const TOLERANCE: f64 = 1e-4;
-    let twin = Twin::load(name, frames);
+    let twin = Twin::load(name, frames, arithmetic);
     let mut parameters = Parameters::new();
     let encoder = twin.architecture.encoder(&mut parameters, &mut random(0), &Device::Cpu).unwrap();
     let decoder = twin.architecture.decoder(&mut parameters, &mut random(0), &Device::Cpu).unwrap();
@@ -654,12 +667,19 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool) {
 
 #[test]
 fn reference_the_convolutional_network_agrees_with_its_pytorch_twin() {
-    assert_agrees_with_its_twin("convolutional", true);
+    assert_agrees_with_its_twin("convolutional", true, Arithmetic::best());
 }
 
 #[test]
 fn reference_the_fully_connected_network_agrees_with_its_pytorch_twin() {
-    assert_agrees_with_its_twin("fully_connected", false);
+    assert_agrees_with_its_twin("fully_connected", false, Arithmetic::best());
+}
+
+#[test]
+fn reference_the_deep_network_agrees_with_its_pytorch_twin() {
+    for unit in [Unit::best(), Unit::Vectors] {
+        assert_agrees_with_its_twin("deep", true, Arithmetic { unit, ..Arithmetic::best() });
+    }
 }
 
 /// Random walks in place of a simulation, which these tests are not about.
@@ -704,6 +724,7 @@ struct Bench {
     partition: Partition,
     training: Training,
     weights: BTreeMap<Modality, f64>,
+    network: Network,
 }
 
 impl Bench {
@@ -720,7 +741,20 @@ impl Bench {
             device: Device::Cpu,
         };
         let training = Training { batch_size: 8, epochs: 4, patience: None, ..Training::default() };
-        Self { view, partition, training, weights: BTreeMap::from([(Modality::ContactForce, 2.0)]) }
+        let weights = BTreeMap::from([(Modality::ContactForce, 2.0)]);
+        Self { view, partition, training, weights, network: network(8, 2) }
+    }
+
+    /// With several convolutions and hidden layers, and an encoder each for frames and vectors.
+    fn with_deep_network() -> Self {
+        let bench = Self::new();
+        let deep = Network {
+            hidden: vec![8, 7],
+            channels: Some(vec![2, 3, 4]),
+            fusion: Fusion::Late,
+            ..bench.network
+        };
+        Self { network: deep, ..bench }
     }
 
     /// With every setting that changes a step.
@@ -749,7 +783,7 @@ impl Bench {
             output: OUTPUT.to_vec(),
             latent: 3,
             action: ARM_JOINTS,
-            network: network(8, 2),
+            network: self.network.clone(),
             arithmetic: Arithmetic::best(),
         };
         let mut parameters = Parameters::new();
@@ -787,7 +821,7 @@ fn losses(epochs: &[Epoch]) -> Vec<u64> {
 
 #[test]
 fn a_training_depends_on_its_seed_alone() {
-    for bench in [Bench::new(), Bench::with_schedule()] {
+    for bench in [Bench::new(), Bench::with_schedule(), Bench::with_deep_network()] {
         let with_threads = |threads: usize, seed: u64| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             let (epochs, parameters) = pool.install(|| bench.train_undisturbed(seed));
