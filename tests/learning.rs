@@ -11,8 +11,8 @@ use harness::learning::kernels::product::{self, Accumulate, Arithmetic, Matrix, 
 use harness::learning::network::{Architecture, Observation, Parameters, Targets, scalar};
 use harness::learning::objective::{Draw, Objective, Prediction, View, Weighted};
 use harness::learning::ops::{
-    Adam, Dropout, FrameDecoder, Stack, TwoLayers, divergence, frame_decoder, frame_encoder, frame_loss,
-    linear, sample, squared_errors, two_layers,
+    Adam, Dropout, FrameDecoder, Quantity, Stack, TwoLayers, composed, divergence, frame_decoder,
+    frame_encoder, frame_loss, linear, sample, two_layers, vector_losses,
 };
 use harness::learning::random::{Random, Stream};
 use harness::learning::state::StateFile;
@@ -21,8 +21,8 @@ use harness::learning::{LearningError, checkpoint};
 use harness::progress::Progress;
 use harness::simulation::Episode;
 use harness::spec::{
-    ARM_JOINTS, Action, FRAME_LEN, Fusion, JOINTS, Modality, Network, Precision, Preset, Scaling, Schedule,
-    Split, Stop, Task, Training,
+    ARM_JOINTS, Action, FRAME_LEN, Fusion, JOINTS, Loss, Modality, Network, Precision, Preset, Scaling,
+    Schedule, Split, Stop, Task, Training,
 };
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, HashMap};
@@ -148,12 +148,37 @@ fn gradients_of_the_frame_loss_are_those_of_finite_differences() {
 }
 
 #[test]
-fn gradients_of_the_posterior_and_of_squared_errors_are_those_of_finite_differences() {
+fn gradients_of_the_posterior_and_of_the_vectors_losses_are_those_of_finite_differences() {
     let mut random = random(31);
     let (noise, target) = (normal(&mut random, &[4, 3]), normal(&mut random, &[4, 5]));
     assert_gradients(&[variable(&mut random, &[4, 6])], |args| sample(&args[0], &noise));
     assert_gradients(&[variable(&mut random, &[4, 6])], |args| divergence(&args[0])? * 2.0);
-    assert_gradients(&[variable(&mut random, &[4, 5])], |args| squared_errors(&args[0], &target, &[2, 3]));
+    for loss in Loss::ALL {
+        let quantities = [Quantity { width: 2, loss: *loss }, Quantity { width: 3, loss: Loss::Squared }];
+        let predicted = variable(&mut random, &[4, 5]);
+        assert_gradients(&[predicted], |args| vector_losses(&args[0], &target, &quantities));
+    }
+}
+
+#[test]
+fn losses_of_vectors_are_those_of_their_definitions_and_of_candles_operations() {
+    // Worked by hand: errors of 0.5, -2 and 3.
+    let expected = |loss: Loss| match loss {
+        Loss::Squared => (0.25 + 4.0 + 9.0) / 3.0,
+        Loss::Absolute => (0.5 + 2.0 + 3.0) / 3.0,
+        Loss::Huber => (0.25 + (2.0 * 2.0 - 1.0) + (2.0 * 3.0 - 1.0)) / 3.0,
+    };
+    let errors = Var::new(&[[0.5f32, -2.0, 3.0]], &Device::Cpu).unwrap();
+    let target = Tensor::new(&[[1.0f32, 2.0, -3.0]], &Device::Cpu).unwrap();
+    for loss in Loss::ALL {
+        let predicted = (errors.as_tensor() + &target).unwrap();
+        let own = vector_losses(&predicted, &target, &[Quantity { width: 3, loss: *loss }]).unwrap();
+        let theirs = composed(*loss, &errors).unwrap().mean_all().unwrap();
+        let gradient = |loss: &Tensor| loss.backward().unwrap().get(&errors).unwrap().clone();
+        assert_close(&gradient(&own), &gradient(&theirs), 1e-6, &format!("the gradient of {loss}"));
+        let values = [own.get(0), Ok(theirs)].map(|value| scalar(&value.unwrap()).unwrap());
+        assert!(values.iter().all(|value| (value - expected(*loss)).abs() < 1e-6), "{loss}: {values:?}");
+    }
 }
 
 #[test]
@@ -592,6 +617,7 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool, arithmetic: Arithmetic)
         vector: Some(
             Tensor::cat(&[twin.get("target.proprioception"), twin.get("target.contact_force")], 1).unwrap(),
         ),
+        losses: BTreeMap::new(),
         frames: twin
             .frames("target.frame_difference")
             .map(|frames| (Modality::FrameDifference, frames))
@@ -795,6 +821,7 @@ impl Bench {
             input: &INPUT,
             output: &OUTPUT,
             kl_weight: self.training.kl_weight,
+            losses: &self.training.losses,
             loss_weights: &self.weights,
             dropout: self.training.dropout,
         };
@@ -835,14 +862,15 @@ fn a_training_depends_on_its_seed_alone() {
 }
 
 #[test]
-fn schedule_warm_up_decay_and_clipping_each_change_a_training() {
+fn schedule_warm_up_decay_clipping_and_losses_each_change_a_training() {
     let bench = Bench::new();
     let plain = bench.training.clone();
-    let changes: [(&str, Training); 4] = [
+    let changes: [(&str, Training); 5] = [
         ("schedule", Training { schedule: Schedule::Cosine, ..plain.clone() }),
         ("warm-up", Training { warmup_epochs: 1.0, ..plain.clone() }),
         ("weight decay", Training { weight_decay: 1.0, ..plain.clone() }),
-        ("clipping", Training { clip_norm: Some(0.1), ..plain }),
+        ("clipping", Training { clip_norm: Some(0.1), ..plain.clone() }),
+        ("loss", Training { losses: [(Modality::ContactForce, Loss::Huber)].into(), ..plain }),
     ];
     let (_, unchanged) = bench.train_undisturbed(7);
     for (what, training) in changes {

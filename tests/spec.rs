@@ -2,7 +2,7 @@
 //! the same.
 
 use harness::spec::{
-    self, Action, Deviation, Division, Experiment, Fusion, Modality, Network, Origin, Preset, Scaling,
+    self, Action, Deviation, Division, Experiment, Fusion, Loss, Modality, Network, Origin, Preset, Scaling,
     Scalings, Scenario, Schedule, Simulation, Split, SplitCounts, Stop, Task, Training,
 };
 use rand::seq::{IndexedRandom, SliceRandom};
@@ -160,7 +160,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
             "training:\n  bacth_size: 5\n",
             "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
              learning_rate, schedule, warmup_epochs, weight_decay, clip_norm, batch_size, epochs, patience, stop, \
-             kl_weight, loss_weights, dropout, precision, tiles, device",
+             kl_weight, losses, loss_weights, dropout, precision, tiles, device",
         ),
         (
             "split: {holdout: 0.1}\n",
@@ -170,6 +170,11 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
             "training: {loss_weights: {force: 2}}\n",
             "spec.yaml:7:27: unknown key 'force' in 'training.loss_weights'. Allowed: proprioception, arm, \
              contact_force, contact_force_mean, vision, frame_difference",
+        ),
+        (
+            "training: {losses: {vision: absolute}}\n",
+            "spec.yaml:7:21: unknown key 'vision' in 'training.losses'. Allowed: proprioception, arm, contact_force, \
+             contact_force_mean",
         ),
         (
             "seed: 1\n",
@@ -430,6 +435,10 @@ fn rules_that_tie_settings_together_are_checked() {
         (
             "training: {loss_weights: {vision: 1}}\n",
             "spec.yaml:7:35: 'vision' has a loss weight but is no output; outputs: proprioception, contact_force",
+        ),
+        (
+            "training: {losses: {arm: huber}}\n",
+            "spec.yaml:7:26: 'arm' has a loss but is no output; outputs: proprioception, contact_force",
         ),
         (
             "training: {loss_weights: {proprioception: 0, contact_force: 0}}\n",
@@ -858,7 +867,9 @@ fn each_combination_of_what_varies_must_be_possible() {
              scaling.vision.scale, scaling.vision.minimum, scaling.frame_difference.scale, \
              scaling.frame_difference.minimum, training.learning_rate, training.schedule, \
              training.warmup_epochs, training.weight_decay, training.clip_norm, training.batch_size, \
-             training.epochs, training.patience, training.stop, training.kl_weight, training.loss_weights.proprioception, \
+             training.epochs, training.patience, training.stop, training.kl_weight, training.losses.proprioception, \
+             training.losses.arm, training.losses.contact_force, training.losses.contact_force_mean, \
+             training.loss_weights.proprioception, \
              training.loss_weights.arm, training.loss_weights.contact_force, \
              training.loss_weights.contact_force_mean, training.loss_weights.vision, \
              training.loss_weights.frame_difference, training.dropout, training.precision, training.tiles, training.device",
@@ -948,11 +959,17 @@ fn the_hash_is_stable() {
 #[test]
 fn settings_that_came_later_change_the_hash_only_where_they_are_set() {
     let with = |training: &str| first_hash(&format!("{BASE}training: {{{training}}}\n"));
-    let defaults =
-        "schedule: constant, warmup_epochs: 0, weight_decay: 0, clip_norm: null, stop: total, dropout: 0";
+    let defaults = "schedule: constant, warmup_epochs: 0, weight_decay: 0, clip_norm: null, stop: total, dropout: 0, \
+         losses: {contact_force: squared}";
     assert_eq!(with(defaults), first_hash(BASE));
-    let set =
-        ["schedule: cosine", "warmup_epochs: 1", "weight_decay: 0.1", "clip_norm: 1", "stop: every_term"];
+    let set = [
+        "schedule: cosine",
+        "warmup_epochs: 1",
+        "weight_decay: 0.1",
+        "clip_norm: 1",
+        "stop: every_term",
+        "losses: {contact_force: huber}",
+    ];
     for setting in set {
         assert_ne!(with(setting), first_hash(BASE), "{setting}");
     }
@@ -1012,6 +1029,8 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
     };
     let ranges = [range(), range(), range()];
     let loss_weights = output.iter().map(|&modality| (modality, random.random_range(0.1..10.0))).collect();
+    let vectors = output.iter().copied().filter(|modality| !modality.is_frame() && random.random());
+    let losses = vectors.map(|modality| (modality, Loss::Absolute)).collect();
     Experiment {
         name: NAMES.choose(random).unwrap().to_string(),
         description: TEXTS.choose(random).unwrap().to_string(),
@@ -1047,6 +1066,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             patience: if random.random() { Some(random.random_range(1..=100)) } else { None },
             stop: *Stop::ALL.choose(random).unwrap(),
             kl_weight: random.random_range(0.0..1e6),
+            losses,
             loss_weights,
             dropout: if random.random() { 0.0 } else { random.random_range(0.0..1.0) },
             precision: harness::spec::Precision::F32,
@@ -1113,6 +1133,7 @@ fn names_are_those_of_serde() {
     check(Stop::ALL);
     check(Division::ALL);
     check(Deviation::ALL);
+    check(Loss::ALL);
 }
 
 fn experiments() -> std::path::PathBuf {

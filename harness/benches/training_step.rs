@@ -100,6 +100,7 @@ fn main() -> candle_core::Result<()> {
     let observation = Observation { vector: Some(vector), frames: frames.then(&mut picture).transpose()? };
     let targets = Targets {
         vector: Some(target),
+        losses: Default::default(),
         frames: frames
             .then(&mut picture)
             .transpose()?

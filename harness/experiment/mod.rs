@@ -387,6 +387,7 @@ impl Trainee<'_> {
             input: &spec.input,
             output: &spec.output,
             kl_weight: spec.training.kl_weight,
+            losses: &spec.training.losses,
             loss_weights: &spec.training.loss_weights,
             dropout: spec.training.dropout,
         };

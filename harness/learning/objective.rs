@@ -4,7 +4,7 @@ use super::network::{Decoder, Encoder, Observation, Targets};
 use super::ops::Dropout;
 use super::random::Random;
 use crate::dataset::{Samples, Standard};
-use crate::spec::{Action, Modality};
+use crate::spec::{Action, Loss, Modality};
 use candle_core::{Device, Result, Tensor};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -33,7 +33,8 @@ impl View {
         let frames = modalities.iter().filter_map(|modality| {
             Some((*modality, self.standard.frames(&self.samples, at, std::slice::from_ref(modality))?))
         });
-        Ok(Targets { vector: self.observation(at, modalities)?.vector, frames: frames.collect() })
+        let vector = self.observation(at, modalities)?.vector;
+        Ok(Targets { vector, losses: BTreeMap::new(), frames: frames.collect() })
     }
 
     /// The standardised actions `[batch, 3]` from the samples `at` to the next.
@@ -66,7 +67,7 @@ pub trait Objective {
     fn detached(&self) -> Box<dyn Objective + '_>;
 }
 
-/// The next observation from this one and the action: squared errors plus the weighted divergence.
+/// The next observation from this one and the action: the losses of its errors plus the weighted divergence.
 pub struct Prediction<'a> {
     pub view: &'a View,
     pub encoder: Box<dyn Encoder>,
@@ -74,6 +75,8 @@ pub struct Prediction<'a> {
     pub input: &'a [Modality],
     pub output: &'a [Modality],
     pub kl_weight: f64,
+    /// What the errors of vectors cost; squared where nothing is said.
+    pub losses: &'a BTreeMap<Modality, Loss>,
     pub loss_weights: &'a BTreeMap<Modality, f64>,
     /// Share of what the convolution makes of the frames that a training step leaves out.
     pub dropout: f64,
@@ -96,7 +99,7 @@ impl Objective for Prediction<'_> {
             Draw::Mean => posterior.mean()?,
         };
         let next: Vec<usize> = at.iter().map(|sample| sample + 1).collect();
-        let targets = self.view.targets(&next, self.output)?;
+        let targets = Targets { losses: self.losses.clone(), ..self.view.targets(&next, self.output)? };
         let action = self.view.actions(at)?;
         let mut terms = weighted(self.decoder.losses(&latent, Some(&action), &targets)?, self.loss_weights);
         terms.push(Weighted { name: "kl".into(), weight: self.kl_weight, value: posterior.divergence()? });

@@ -115,8 +115,8 @@ fn resolve(tree: &Node) -> Result<Experiment, Problem> {
 }
 
 impl Experiment {
-    /// Gives specs that mean the same the same value: the order of modalities, a weight of 1 and the default gap
-    /// make no difference when they are left out, and `quick` has been dealt with.
+    /// Gives specs that mean the same the same value: the order of modalities, a weight of 1, a squared loss and the
+    /// default gap make no difference when they are left out, and `quick` has been dealt with.
     fn make_canonical(&mut self) {
         self.input.sort();
         self.output.sort();
@@ -124,6 +124,9 @@ impl Experiment {
         for &modality in &self.output {
             self.training.loss_weights.entry(modality).or_insert(1.0);
         }
+        self.training
+            .losses
+            .retain(|modality, loss| self.output.contains(modality) && *loss != Loss::Squared);
         let uses_frames = self.input.iter().chain(&self.output).any(|modality| modality.is_frame());
         if uses_frames {
             self.network.channels = Some(self.network.channels().to_vec());

@@ -301,6 +301,21 @@ pub enum Stop {
 }
 names!(Stop { Total => "total", EveryTerm => "every_term" });
 
+/// What the error of a predicted value costs, in normalized units.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Loss {
+    /// Its square: the mean of what may come is predicted best.
+    #[default]
+    Squared,
+    /// Its absolute value: the median of what may come is predicted best.
+    Absolute,
+    /// Its square up to an error of 1, and from there on a line with the same slope: twice the absolute value, less 1
+    /// (Huber, 1964, times 2).
+    Huber,
+}
+names!(Loss { Squared => "squared", Absolute => "absolute", Huber => "huber" });
+
 /// One experiment: a question that a YAML file asks.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -479,10 +494,15 @@ pub struct Training {
     /// Which validation loss `patience` looks at; without effect where it is `null`.
     #[serde(skip_serializing_if = "is_default")]
     pub stop: Stop,
-    /// Weight of the Kullback-Leibler divergence beside the mean squared errors.
+    /// Weight of the Kullback-Leibler divergence beside the output modalities' mean losses.
     #[schemars(range(min = 0.0, max = 1e6))]
     pub kl_weight: f64,
-    /// Weight of an output modality's mean squared error; 1 where none is given.
+    /// What the errors of an output modality that is a vector cost in prediction; `squared` where nothing is given. Errors of
+    /// frames are squared.
+    #[serde(skip_serializing_if = "is_default")]
+    #[schemars(schema_with = "losses_schema")]
+    pub losses: BTreeMap<Modality, Loss>,
+    /// Weight of an output modality's mean loss; 1 where none is given.
     #[schemars(schema_with = "loss_weights_schema")]
     pub loss_weights: BTreeMap<Modality, f64>,
     /// Share of what the convolution makes of the frames that each training step leaves out (dropout; Srivastava et
@@ -592,6 +612,7 @@ impl Default for Training {
             stop: Stop::Total,
             // What experiments/choose_kl_weight.yaml and choose_multi_losses.yaml found.
             kl_weight: 1e-4,
+            losses: BTreeMap::new(),
             loss_weights: BTreeMap::new(),
             dropout: 0.0,
             precision: Precision::F32,
@@ -658,6 +679,15 @@ fn channels_schema(_: &mut SchemaGenerator) -> Schema {
         "type": "array", "maxItems": 16,
         "items": { "type": "integer", "minimum": 1, "maximum": 512 },
     })
+}
+
+/// One loss a modality that is a vector.
+fn losses_schema(generator: &mut SchemaGenerator) -> Schema {
+    let loss = generator.subschema_for::<Loss>().to_value();
+    let vectors = Modality::ALL.iter().filter(|modality| !modality.is_frame());
+    let properties: serde_json::Map<_, _> =
+        vectors.map(|modality| (modality.name().to_owned(), loss.clone())).collect();
+    json_schema!({ "type": "object", "properties": properties, "additionalProperties": false })
 }
 
 /// One weight a modality. Derived, the schema would allow any key, since `Modality`'s has a description a value.

@@ -32,7 +32,7 @@ pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     runs(experiment)?;
     tasks(&experiment.tasks)?;
     frames(experiment)?;
-    loss_weights(experiment)?;
+    losses(experiment)?;
     precision(&experiment.training)?;
     steps(&experiment.training)?;
     ranges(&experiment.simulation)?;
@@ -184,12 +184,14 @@ fn steps(training: &Training) -> Result<(), Fault> {
     Ok(())
 }
 
-fn loss_weights(experiment: &Experiment) -> Result<(), Fault> {
-    let weights = &experiment.training.loss_weights;
-    if let Some(modality) = weights.keys().find(|modality| !experiment.output.contains(modality)) {
+fn losses(experiment: &Experiment) -> Result<(), Fault> {
+    let Training { losses, loss_weights: weights, .. } = &experiment.training;
+    let named = weights.keys().map(|modality| ("loss_weights", "loss weight", modality));
+    let mut named = named.chain(losses.keys().map(|modality| ("losses", "loss", modality)));
+    if let Some((key, words, modality)) = named.find(|(.., modality)| !experiment.output.contains(modality)) {
         return fault(
-            format!("training.loss_weights.{modality}"),
-            format!("'{modality}' has a loss weight but is no output; outputs: {}", list(&experiment.output)),
+            format!("training.{key}.{modality}"),
+            format!("'{modality}' has a {words} but is no output; outputs: {}", list(&experiment.output)),
         );
     }
     let weight = |modality| weights.get(modality).copied().unwrap_or(1.0);

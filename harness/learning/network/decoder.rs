@@ -2,7 +2,7 @@
 
 use super::layers::{Builder, FrameOutput, Perceptron};
 use super::{Architecture, Decoded, Decoder, LayerSummary, Targets, Term};
-use crate::learning::ops::{Stack, frame_decoder, frame_loss, squared_errors};
+use crate::learning::ops::{Quantity, Stack, frame_decoder, frame_loss, vector_losses};
 use crate::spec::{FRAME_SIDE, Fusion, Modality};
 use candle_core::{Result, Tensor};
 
@@ -100,10 +100,12 @@ impl Decoder for PerceptronDecoder {
         if let (Some(predicted), Some(target)) = (self.vectors(&hidden)?, &targets.vector) {
             let modalities: Vec<Modality> =
                 self.output.iter().copied().filter(|modality| !modality.is_frame()).collect();
-            let widths: Vec<usize> = modalities.iter().map(|modality| modality.width()).collect();
-            let errors = squared_errors(&predicted, target, &widths)?;
+            let loss = |modality| targets.losses.get(modality).copied().unwrap_or_default();
+            let quantities =
+                modalities.iter().map(|modality| Quantity { width: modality.width(), loss: loss(modality) });
+            let losses = vector_losses(&predicted, target, &quantities.collect::<Vec<_>>())?;
             for (index, modality) in modalities.into_iter().enumerate() {
-                terms.push(Term { modality, value: errors.get(index)? });
+                terms.push(Term { modality, value: losses.get(index)? });
             }
         }
         let mut first = 0;

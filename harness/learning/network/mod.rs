@@ -12,7 +12,7 @@ mod layers;
 use super::ops::{self, Arithmetic, Dropout};
 use super::random::Random;
 use crate::dataset::frames::Frames;
-use crate::spec::{FRAME_CHANNELS, Modality, Network};
+use crate::spec::{FRAME_CHANNELS, Loss, Modality, Network};
 use candle_core::{DType, Device, Result, Tensor, Var};
 use layers::{Builder, Made};
 use std::collections::BTreeMap;
@@ -117,7 +117,7 @@ pub trait Decoder: Send + Sync {
     /// The normalized observation, without gradients for frames.
     fn decode(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Decoded>;
 
-    /// The mean squared error of every output modality against `targets`, on normalized values.
+    /// The mean loss of every output modality against `targets`, on normalized values.
     fn losses(&self, latent: &Tensor, action: Option<&Tensor>, targets: &Targets) -> Result<Vec<Term>>;
 
     /// The same decoder over the same parameters, for which no gradients are computed.
@@ -171,7 +171,7 @@ pub struct Decoded {
     pub frames: Option<Tensor>,
 }
 
-/// One named term of a loss: the mean squared error of a modality, a scalar.
+/// One named term of a loss: the mean loss of a modality, a scalar.
 pub struct Term {
     pub modality: Modality,
     pub value: Tensor,
@@ -181,6 +181,8 @@ pub struct Term {
 /// their own, all in the order of the output.
 pub struct Targets {
     pub vector: Option<Tensor>,
+    /// What the errors of the vectors' modalities cost; squared where nothing is said. Those of frames are squared.
+    pub losses: BTreeMap<Modality, Loss>,
     pub frames: Vec<(Modality, Arc<dyn Frames>)>,
 }
 

@@ -10,9 +10,9 @@ mod frame_encoder;
 mod frame_loss;
 mod linear;
 mod posterior;
-mod squared_errors;
 mod stack;
 mod two_layers;
+mod vector_losses;
 
 pub use adam::Adam;
 pub use dropout::Dropout;
@@ -20,9 +20,9 @@ pub use frame_encoder::frame_encoder;
 pub use frame_loss::{FrameDecoder, frame_decoder, frame_loss};
 pub use linear::linear;
 pub use posterior::{divergence, sample};
-pub use squared_errors::squared_errors;
 pub use stack::Stack;
 pub use two_layers::{TwoLayers, two_layers};
+pub use vector_losses::{Quantity, composed, vector_losses};
 
 pub use crate::learning::kernels::product::Arithmetic;
 
