@@ -146,9 +146,12 @@ fn what_is_suggested_after_a_run_works() {
     failed.look().works(2);
 }
 
+/// What is damaged, and how.
+type Damage<'a> = (&'a str, &'a dyn Fn(&Situation));
+
 #[test]
 fn what_is_suggested_for_damaged_runs_works() {
-    let damages: [(&str, &dyn Fn(&Situation)); 8] = [
+    let damages: [Damage; 8] = [
         ("a table", &|there| flip(&there.run("empty").join("metrics.parquet"))),
         ("no table", &|there| std::fs::remove_file(there.run("empty").join("metrics.parquet")).unwrap()),
         ("a record", &|there| flip(&there.run("empty").join("run.json"))),
@@ -188,7 +191,7 @@ fn what_is_suggested_for_damaged_runs_works() {
 
 #[test]
 fn what_is_suggested_for_damaged_datasets_works() {
-    let damages: [(&str, &dyn Fn(&Situation)); 6] = [
+    let damages: [Damage; 6] = [
         ("an episode", &|there| flip(&there.dataset("empty").join("episode_00001.parquet"))),
         ("no episode", &|there| {
             std::fs::remove_file(there.dataset("empty").join("episode_00001.parquet")).unwrap();

@@ -49,7 +49,7 @@ pub enum AnalysisError {
     #[error("no run has a setting '{wanted}'{}", nearest.as_ref().map(|n| format!("; did you mean '{n}'?")).unwrap_or_default())]
     UnknownSetting { wanted: String, nearest: Option<String> },
     #[error("no finished run has {setting}; there is {there}")]
-    UnknownValue { setting: Setting, there: Difference },
+    UnknownValue { setting: Setting, there: Box<Difference> },
     #[error(transparent)]
     Mixed(#[from] Mixed),
     #[error(transparent)]
@@ -377,7 +377,7 @@ fn check_settings(wanted: &[Setting], runs: &[Run]) -> Result<(), AnalysisError>
             return Err(AnalysisError::UnknownSetting { wanted: setting.key.clone(), nearest });
         }
         if !about().any(|run| setting.is_met_by(&run.settings)) {
-            let there = Difference::of(&setting.key, about().map(|run| run.settings.as_ref()));
+            let there = Box::new(Difference::of(&setting.key, about().map(|run| run.settings.as_ref())));
             return Err(AnalysisError::UnknownValue { setting: setting.clone(), there });
         }
     }
