@@ -272,7 +272,7 @@ fn a_training_that_stops_early_says_after_how_many_epochs() {
     let folder = Folder::new();
     let results = folder.path("results");
     let hasty =
-        ["tasks=[prediction]", "training.epochs=60", "training.patience=1", "training.learning_rate=0.1"];
+        ["tasks=[prediction]", "training.epochs=60", "training.patience=1", "training.learning_rate=0.03"];
     let answer = finish(&mut harness(&results, &[&ONE[..3], &hasty].concat()));
     assert_eq!(answer.code, 0, "{}", answer.stderr);
     let csv = folder.path("epochs.csv");

@@ -126,7 +126,7 @@ mod tests {
     #[test]
     fn time_grid_of_the_defaults() {
         let expected =
-            Timing { step_s: 1e-3, steps_per_sample: 100, steps_per_actuation: 1000, samples: 1000 };
+            Timing { step_s: 1e-3, steps_per_sample: 100, steps_per_actuation: 1000, samples: 200 };
         assert_eq!(timing(), expected);
     }
 

@@ -322,6 +322,7 @@ fn expected(schema: &Json) -> String {
         "integer" => format!("an integer{}", expected_bounds(schema)),
         "number" => format!("a finite number{}", expected_bounds(schema)),
         "string" => TEXT.into(),
+        "boolean" => "true or false".into(),
         "array" => format!("a list of {}, each {}", expected_length(schema), expected(&schema["items"])),
         "object" => "a section of keys".into(),
         other => other.into(),
@@ -406,7 +407,8 @@ mod tests {
     fn every_setting_can_be_described() {
         for (name, property) in properties(&SCHEMA["properties"]["quick"]) {
             let words = expected(property);
-            assert!(words.starts_with("a") || words.starts_with("one of "), "{name}: {words}");
+            let known = ["a", "one of ", "true or false"];
+            assert!(known.iter().any(|start| words.starts_with(start)), "{name}: {words}");
         }
     }
 }
