@@ -8,12 +8,13 @@ use harness::spec::{
     ARM_JOINTS, Action, Deviation, Division, FRAME_CHANNELS, FRAME_LEN, JOINTS, Modality, Scaling, Scalings,
     Scenario, Simulation, Split,
 };
+use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 /// Two seconds an episode, of which there are four.
 fn short() -> Simulation {
@@ -221,6 +222,43 @@ fn a_cancelled_collection_keeps_whole_episodes_and_goes_on_from_them() {
     assert!(matches!(error, DatasetError::Simulation(SimulationError::Cancelled { episode: 1 })), "{error}");
     assert_eq!(dataset.missing(), [1, 2, 3]);
     assert_eq!(collect(&dataset, &scene, 1, &Silent).unwrap(), 3);
+}
+
+/// Leaves something on the calling thread that takes a while to free, as an OpenGL driver does.
+#[derive(Default)]
+struct LeavesSomething(Arc<AtomicU64>);
+
+thread_local! {
+    static LEFT: RefCell<Option<FreedSlowly>> = const { RefCell::new(None) };
+}
+
+struct FreedSlowly(Arc<AtomicU64>);
+
+impl Drop for FreedSlowly {
+    fn drop(&mut self) {
+        std::thread::sleep(Duration::from_millis(200));
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+impl Progress for LeavesSomething {
+    fn begin(&self, _: &str, _: u64, _: &str) {}
+    fn advance(&self, _: u64) {
+        LEFT.with_borrow_mut(|left| {
+            left.get_or_insert_with(|| FreedSlowly(self.0.clone()));
+        });
+    }
+    fn note(&self, _: &str) {}
+    fn say(&self, _: &str) {}
+    fn end(&self) {}
+}
+
+#[test]
+fn collecting_ends_after_its_threads_have_freed_everything() {
+    let (root, scene) = (tempfile::tempdir().unwrap(), scene(Scenario::Empty));
+    let (dataset, progress) = (Dataset::new(root.path(), &scene, &short()), LeavesSomething::default());
+    collect(&dataset, &scene, 2, &progress).unwrap();
+    assert_eq!(progress.0.load(Ordering::Relaxed), 2);
 }
 
 #[test]

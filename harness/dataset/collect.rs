@@ -43,8 +43,12 @@ pub fn collect(
         progress,
     };
     std::thread::scope(|scope| {
-        for _ in 0..threads.clamp(1, missing.len()) {
-            scope.spawn(|| work.take_part());
+        let spawn = |_| scope.spawn(|| work.take_part());
+        let workers: Vec<_> = (0..threads.clamp(1, missing.len())).map(spawn).collect();
+        // A scope waits for what its threads do, and not for what they free when they end, as OpenGL drivers do. If the
+        // process exits meanwhile, both free the same memory.
+        for worker in workers {
+            worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         }
     });
     progress.end();
