@@ -138,7 +138,10 @@ fn axes_have_units() {
     has(Figure::ForcesDataset, &["samples in contact (%)", "force in contact (N)"]);
     let regression = ["predicted (rad)", "reference (rad)", "predicted (N)", "reference (N)"];
     has(Figure::Regression, &regression);
-    has(Figure::PropriovisionToVision, &["trial 1", "trial 5", "camera", "reference", "z = 4"]);
+    has(
+        Figure::PropriovisionToVision,
+        &["empty", "cluttered", "trial 1", "trial 5", "camera", "reference", "z = 4"],
+    );
 }
 
 #[test]
@@ -342,6 +345,10 @@ fn missing_runs_are_named_with_the_command_and_the_others_are_drawn() {
         "{}",
         quick.stderr
     );
+    let other = figures(&["forces_dataset", "--single", "other", "--multi", "single_to_multi"]);
+    assert_eq!(other.code, 0, "{}", other.stderr);
+    let other = figures(&["regression", "--multi", "other"]);
+    assert!(other.stderr.contains("no finished run of other"), "{}", other.stderr);
     let unknown = figures(&["regresion"]);
     assert_eq!(unknown.code, 2);
     assert!(unknown.stderr.contains("'regression'"), "{}", unknown.stderr);

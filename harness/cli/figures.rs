@@ -9,7 +9,7 @@ use clap::builder::TypedValueParser;
 use harness::analysis::{Analysis, Selection, Setting};
 use harness::experiment::describe;
 use harness::figures::Figure;
-use harness::figures::source::{Source, Study};
+use harness::figures::source::{Experiments, Source};
 use harness::registry::Registry;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -25,6 +25,12 @@ pub struct Figures {
     /// Draw the runs of `harness run … --quick`
     #[arg(long)]
     quick: bool,
+    /// Draw this experiment in the place of single_to_multi, as single_to_multi_best
+    #[arg(long, value_name = "EXPERIMENT")]
+    single: Option<String>,
+    /// Draw this experiment in the place of multi_to_multi, as multi_to_multi_best
+    #[arg(long, value_name = "EXPERIMENT")]
+    multi: Option<String>,
     /// Only runs with this setting, as training.epochs=200
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
@@ -39,13 +45,18 @@ fn figure() -> impl TypedValueParser<Value = Figure> {
 impl Figures {
     /// Draws what can be drawn. Without names, figures whose runs are missing are no failure.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let experiments = Study::BOTH.map(|study| study.experiment(self.quick)).to_vec();
-        let selection = Selection { experiments, settings: self.settings, simulated: true };
+        let paper = Experiments::of_the_paper(self.quick);
+        let experiments = Experiments {
+            single_to_multi: self.single.unwrap_or(paper.single_to_multi),
+            multi_to_multi: self.multi.unwrap_or(paper.multi_to_multi),
+        };
+        let selection =
+            Selection { experiments: experiments.names().to_vec(), settings: self.settings, simulated: true };
         let analysis = Analysis::new(registry, &selection)?;
         for note in analysis.notes() {
             eprintln!("{note}");
         }
-        let source = Source::new(&analysis, self.quick);
+        let source = Source::new(&analysis, experiments);
         let named = !self.names.is_empty();
         let wanted = if named { self.names } else { Figure::ALL.to_vec() };
         let (mut drawn, mut failed) = (0, false);

@@ -151,6 +151,7 @@ const FIGURES_HELP: &str = "Examples:
   harness figures
   harness figures prediction_results regression --out paper/figures
   harness figures --quick
+  harness figures propriovision_to_vision --multi multi_to_multi_best
   harness figures --results results/reference
 
 Width: 8.5 cm, a journal's column. Letters are outlines, so no font is needed to show them.

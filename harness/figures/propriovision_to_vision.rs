@@ -1,14 +1,14 @@
-//! The predicted change of the camera's picture beside the reference, in clutter.
+//! The predicted change of the camera's picture beside the reference, in each scenario.
 
 use super::axes::remark;
 use super::page::{COLUMN, GREY, Page, Stroke, Type};
 use super::source::{Runs, Source, Study, integers, reals};
 use super::{Drawing, FigureError};
 use crate::analysis::{Interval, intervals};
-use crate::spec::{FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, Scenario};
+use crate::spec::{FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE};
 use image::{Rgb, RgbImage};
 use polars::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 const LEFT: f64 = 51.0;
 const GAP: f64 = 3.0;
@@ -42,59 +42,96 @@ struct Trial {
     predicted: BTreeMap<i64, Vec<f32>>,
 }
 
+/// What is shown of a scenario.
+struct Block {
+    scenario: String,
+    trials: Vec<Trial>,
+    /// Squared error relative to predicting no change, by latent size.
+    errors: BTreeMap<i64, Interval>,
+}
+
 pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let runs = source.runs(Study::MultiToMulti)?;
-    let trials = trials(&runs)?;
-    let errors = errors(&runs)?;
-    let mut latents: Vec<i64> = trials.iter().flat_map(|trial| trial.predicted.keys().copied()).collect();
-    latents.sort_unstable();
-    latents.dedup();
-
-    let side = (COLUMN - LEFT - 3.0 - GAP * (trials.len() as f64 - 1.0)) / trials.len() as f64;
-    let camera = trials.iter().all(|trial| trial.camera.is_some());
-    let rows = latents.len() + 1 + usize::from(camera);
-    let bottom = TOP + rows as f64 * (side + GAP);
-    let mut page = Page::new(COLUMN, bottom + 43.0, "Predicted change of the camera's picture, in clutter");
-    let corner =
-        |row: usize, column: usize| [LEFT + column as f64 * (side + GAP), TOP + row as f64 * (side + GAP)];
-    for (column, trial) in trials.iter().enumerate() {
-        let x = corner(0, column)[0] + side / 2.0;
-        page.text(&format!("trial {}", column + 1), [x, TOP - 4.5], Type::SMALL);
-        let mut pictures = Vec::new();
-        if let (true, Some(bytes)) = (camera, &trial.camera) {
-            pictures.push(RgbImage::from_raw(FRAME_SIDE as u32, FRAME_SIDE as u32, bytes.clone()));
-        }
-        pictures.push(Some(coloured(&trial.reference)));
-        pictures
-            .extend(latents.iter().map(|latent| trial.predicted.get(latent).map(|change| coloured(change))));
-        for (row, picture) in pictures.iter().enumerate() {
-            // A network that has no prediction of this trial leaves its place empty.
-            let Some(picture) = picture else { continue };
-            page.picture(picture, corner(row, column), [side; 2], true)?;
-            page.rectangle(corner(row, column), [side; 2], 0.0, "none", Some(Stroke::new(GREY, 0.4)));
-        }
+    let blocks = blocks(&runs)?;
+    let side = blocks.iter().map(Block::side).fold(f64::INFINITY, f64::min);
+    let height: f64 = blocks.iter().map(|block| block.height(side)).sum();
+    let mut page = Page::new(COLUMN, height + 43.0, "Predicted change of the camera's picture");
+    let mut top = 0.0;
+    for block in &blocks {
+        block.draw(&mut page, top, side)?;
+        top += block.height(side);
     }
-    let mut names: Vec<[String; 2]> = Vec::new();
-    if camera {
-        names.push(["camera".into(), "at *t*".into()]);
-    }
-    names.push(["reference".into(), "change".into()]);
-    names.extend(latents.iter().map(|latent| {
-        let error = errors.get(latent).map_or(String::new(), |error| format!("error {}", with_spread(error)));
-        [format!("*z* = {latent}"), error]
-    }));
-    for (row, [name, more]) in names.iter().enumerate() {
-        let y = corner(row, 0)[1] + side / 2.0;
-        page.text(name, [LEFT - 4.0, y - 1.0], Type::LABEL.end());
-        page.text(more, [LEFT - 4.0, y + 7.0], Type { size: 5.6, ..Type::SMALL.end() });
-    }
-    colour_bar(&mut page, bottom + 5.0)?;
+    colour_bar(&mut page, top + 5.0)?;
     remark(
         &mut page,
         "error: squared, over all test samples, relative to predicting no change",
-        [COLUMN / 2.0, bottom + 38.0],
+        [COLUMN / 2.0, top + 38.0],
     );
-    Ok(Drawing { page, data: data(&trials, runs.experiment.as_str())? })
+    Ok(Drawing { page, data: data(&blocks, runs.experiment.as_str())? })
+}
+
+impl Block {
+    /// The latent sizes that predict one of the trials, ascending.
+    fn latents(&self) -> BTreeSet<i64> {
+        self.trials.iter().flat_map(|trial| trial.predicted.keys().copied()).collect()
+    }
+
+    /// Whether it is known what the camera saw before each of the trials.
+    fn has_camera(&self) -> bool {
+        self.trials.iter().all(|trial| trial.camera.is_some())
+    }
+
+    /// The side of its pictures if they fill the page's width.
+    fn side(&self) -> f64 {
+        let columns = self.trials.len() as f64;
+        (COLUMN - LEFT - 3.0 - GAP * (columns - 1.0)) / columns
+    }
+
+    fn height(&self, side: f64) -> f64 {
+        let rows = self.latents().len() + 1 + usize::from(self.has_camera());
+        TOP + rows as f64 * (side + GAP) + GAP
+    }
+
+    fn draw(&self, page: &mut Page, top: f64, side: f64) -> Result<(), FigureError> {
+        let (latents, has_camera) = (self.latents(), self.has_camera());
+        let corner = |row: usize, column: usize| {
+            [LEFT + column as f64 * (side + GAP), top + TOP + row as f64 * (side + GAP)]
+        };
+        page.text(&self.scenario, [3.0, top + TOP - 4.5], Type::BOLD);
+        for (column, trial) in self.trials.iter().enumerate() {
+            let x = corner(0, column)[0] + side / 2.0;
+            page.text(&format!("trial {}", column + 1), [x, top + TOP - 4.5], Type::SMALL);
+            let mut pictures = Vec::new();
+            if let (true, Some(bytes)) = (has_camera, &trial.camera) {
+                pictures.push(RgbImage::from_raw(FRAME_SIDE as u32, FRAME_SIDE as u32, bytes.clone()));
+            }
+            pictures.push(Some(coloured(&trial.reference)));
+            let predicted = latents.iter().map(|latent| trial.predicted.get(latent));
+            pictures.extend(predicted.map(|change| change.map(|change| coloured(change))));
+            for (row, picture) in pictures.iter().enumerate() {
+                // A network that has no prediction of this trial leaves its place empty.
+                let Some(picture) = picture else { continue };
+                page.picture(picture, corner(row, column), [side; 2], true)?;
+                page.rectangle(corner(row, column), [side; 2], 0.0, "none", Some(Stroke::new(GREY, 0.4)));
+            }
+        }
+        let mut names: Vec<[String; 2]> = Vec::new();
+        if has_camera {
+            names.push(["camera".into(), "at *t*".into()]);
+        }
+        names.push(["reference".into(), "change".into()]);
+        names.extend(latents.iter().map(|latent| {
+            let error = self.errors.get(latent);
+            let error = error.map_or(String::new(), |error| format!("error {}", with_spread(error)));
+            [format!("*z* = {latent}"), error]
+        }));
+        for (row, [name, more]) in names.iter().enumerate() {
+            let y = corner(row, 0)[1] + side / 2.0;
+            page.text(name, [LEFT - 4.0, y - 1.0], Type::LABEL.end());
+            page.text(more, [LEFT - 4.0, y + 7.0], Type { size: 5.6, ..Type::SMALL.end() });
+        }
+        Ok(())
+    }
 }
 
 fn with_spread(value: &Interval) -> String {
@@ -102,8 +139,20 @@ fn with_spread(value: &Interval) -> String {
     format!("{:.2}{spread}", value.mean)
 }
 
-fn trials(runs: &Runs) -> Result<Vec<Trial>, FigureError> {
-    let place = format!("scenario = '{}'", Scenario::Cluttered);
+/// The scenarios of the runs, in their order.
+fn blocks(runs: &Runs) -> Result<Vec<Block>, FigureError> {
+    let mut scenarios: Vec<String> =
+        runs.all.iter().map(|run| run.record.spec.scenario.name().to_owned()).collect();
+    scenarios.dedup();
+    let block = |scenario: String| {
+        let (trials, errors) = (trials(runs, &scenario)?, errors(runs, &scenario)?);
+        Ok(Block { scenario, trials, errors })
+    };
+    scenarios.into_iter().map(block).collect()
+}
+
+fn trials(runs: &Runs, scenario: &str) -> Result<Vec<Trial>, FigureError> {
+    let place = format!("scenario = '{scenario}'");
     let rows = runs.query_first_seeds(&format!(
         "select latent, episode, sample, motion, reference, predicted from frames where {place} \
          and task = 'prediction' and modality = 'frame_difference' order by motion, episode, sample, latent"
@@ -163,11 +212,10 @@ fn change(bytes: Option<&[u8]>) -> Result<Vec<f32>, FigureError> {
 }
 
 /// Squared error of the frame difference relative to no change, by latent size.
-fn errors(runs: &Runs) -> Result<BTreeMap<i64, Interval>, FigureError> {
+fn errors(runs: &Runs, scenario: &str) -> Result<BTreeMap<i64, Interval>, FigureError> {
     let rows = runs.query(&format!(
-        "select latent, value from metrics where scenario = '{}' and task = 'prediction' \
-         and modality = 'frame_difference' and model = 'network' and metric = 'relative_error'",
-        Scenario::Cluttered
+        "select latent, value from metrics where scenario = '{scenario}' and task = 'prediction' \
+         and modality = 'frame_difference' and model = 'network' and metric = 'relative_error'"
     ))?;
     Ok(intervals(integers(&rows, "latent")?.into_iter().zip(reals(&rows, "value")?)))
 }
@@ -201,31 +249,49 @@ fn colour_bar(page: &mut Page, top: f64) -> Result<(), FigureError> {
     Ok(())
 }
 
+/// A change that is shown.
+struct Shown<'a> {
+    scenario: &'a str,
+    /// Counted from 1.
+    number: u32,
+    trial: &'a Trial,
+    /// That of the network that predicts it; of the reference, none.
+    latent: Option<i64>,
+    change: &'a [f32],
+}
+
 /// The shown changes, a row of pixels a row.
-fn data(trials: &[Trial], experiment: &str) -> Result<DataFrame, FigureError> {
-    // Each shown picture with its trial's number and, of a prediction, its latent size.
-    let mut pictures: Vec<(u32, &Trial, Option<i64>, &[f32])> = Vec::new();
-    for (number, trial) in (1..).zip(trials) {
-        pictures.push((number, trial, None, &trial.reference));
-        let predicted = trial.predicted.iter();
-        pictures
-            .extend(predicted.map(|(latent, picture)| (number, trial, Some(*latent), picture.as_slice())));
+fn data(blocks: &[Block], experiment: &str) -> Result<DataFrame, FigureError> {
+    let mut shown = Vec::new();
+    for block in blocks {
+        let scenario = block.scenario.as_str();
+        for (number, trial) in (1..).zip(&block.trials) {
+            shown.push(Shown { scenario, number, trial, latent: None, change: &trial.reference });
+            let predicted = trial.predicted.iter();
+            shown.extend(predicted.map(|(latent, change)| Shown {
+                scenario,
+                number,
+                trial,
+                latent: Some(*latent),
+                change,
+            }));
+        }
     }
-    let lines = |picture: usize| std::iter::repeat_n(picture, FRAME_SIDE);
-    let rows: Vec<_> = (0..pictures.len()).flat_map(lines).map(|picture| pictures[picture]).collect();
-    let name = |latent: Option<i64>| if latent.is_some() { "network" } else { "reference" };
+    let rows: Vec<&Shown> = shown.iter().flat_map(|shown| std::iter::repeat_n(shown, FRAME_SIDE)).collect();
+    let model = |shown: &Shown| if shown.latent.is_some() { "network" } else { "reference" };
     let mut columns = vec![
         Column::new("experiment".into(), vec![experiment; rows.len()]),
-        Column::new("trial".into(), rows.iter().map(|row| row.0).collect::<Vec<_>>()),
-        Column::new("episode".into(), rows.iter().map(|row| row.1.episode).collect::<Vec<_>>()),
-        Column::new("sample".into(), rows.iter().map(|row| row.1.sample).collect::<Vec<_>>()),
-        Column::new("motion".into(), rows.iter().map(|row| row.1.motion).collect::<Vec<_>>()),
-        Column::new("model".into(), rows.iter().map(|row| name(row.2)).collect::<Vec<_>>()),
-        Column::new("latent".into(), rows.iter().map(|row| row.2).collect::<Vec<_>>()),
+        Column::new("scenario".into(), rows.iter().map(|row| row.scenario).collect::<Vec<_>>()),
+        Column::new("trial".into(), rows.iter().map(|row| row.number).collect::<Vec<_>>()),
+        Column::new("episode".into(), rows.iter().map(|row| row.trial.episode).collect::<Vec<_>>()),
+        Column::new("sample".into(), rows.iter().map(|row| row.trial.sample).collect::<Vec<_>>()),
+        Column::new("motion".into(), rows.iter().map(|row| row.trial.motion).collect::<Vec<_>>()),
+        Column::new("model".into(), rows.iter().map(|row| model(row)).collect::<Vec<_>>()),
+        Column::new("latent".into(), rows.iter().map(|row| row.latent).collect::<Vec<_>>()),
         Column::new("row".into(), (0..rows.len()).map(|row| (row % FRAME_SIDE) as u32).collect::<Vec<_>>()),
     ];
     columns.extend((0..FRAME_SIDE).map(|column| {
-        let values = pictures.iter().flat_map(|picture| picture.3.iter().skip(column).step_by(FRAME_SIDE));
+        let values = shown.iter().flat_map(|shown| shown.change.iter().skip(column).step_by(FRAME_SIDE));
         let values: Vec<f32> = values.map(|change| (change * 1e4).round() / 1e4).collect();
         Column::new(format!("column_{column:02}").into(), values)
     }));

@@ -4,6 +4,9 @@ use super::FigureError;
 use crate::analysis::{Analysis, Run};
 use polars::prelude::*;
 
+/// What the names of quick runs' experiments end in.
+const QUICK: &str = "-quick";
+
 /// The paper's experiments; each has a spec of its name in `experiments/`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Study {
@@ -23,11 +26,6 @@ impl Study {
         }
     }
 
-    /// The experiment's name in tables.
-    pub fn experiment(self, quick: bool) -> String {
-        format!("{}{}", self.name(), if quick { "-quick" } else { "" })
-    }
-
     /// What its networks are given, for people.
     pub fn input(self) -> &'static str {
         match self {
@@ -37,10 +35,38 @@ impl Study {
     }
 }
 
+/// The experiments whose runs are drawn, by study.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Experiments {
+    pub single_to_multi: String,
+    pub multi_to_multi: String,
+}
+
+impl Experiments {
+    /// Those of the paper; with `quick`, as `harness run … --quick` makes them.
+    pub fn of_the_paper(quick: bool) -> Self {
+        let name = |study: Study| format!("{}{}", study.name(), if quick { QUICK } else { "" });
+        Self { single_to_multi: name(Study::SingleToMulti), multi_to_multi: name(Study::MultiToMulti) }
+    }
+
+    /// The experiment of a study.
+    pub fn of(&self, study: Study) -> &str {
+        match study {
+            Study::SingleToMulti => &self.single_to_multi,
+            Study::MultiToMulti => &self.multi_to_multi,
+        }
+    }
+
+    /// Both names.
+    pub fn names(&self) -> [String; 2] {
+        Study::BOTH.map(|study| self.of(study).to_owned())
+    }
+}
+
 /// The runs that count, seen as those of the two studies.
 pub struct Source<'a> {
     analysis: &'a Analysis,
-    quick: bool,
+    experiments: Experiments,
 }
 
 /// The runs of a study: they differ in scenario, latent size and seed alone.
@@ -53,10 +79,9 @@ pub struct Runs<'a> {
 }
 
 impl<'a> Source<'a> {
-    /// With `quick`, the runs that `harness run … --quick` makes. The analysis must have the runs on simulated data of
-    /// both [studies](Study::experiment), and no others of them.
-    pub fn new(analysis: &'a Analysis, quick: bool) -> Self {
-        Self { analysis, quick }
+    /// The analysis must have the runs on simulated data of both experiments, and no others of them.
+    pub fn new(analysis: &'a Analysis, experiments: Experiments) -> Self {
+        Self { analysis, experiments }
     }
 
     /// The runs of a study.
@@ -65,9 +90,12 @@ impl<'a> Source<'a> {
     /// When there are none, and the message says what to run; or when they can't stand in one figure, and the message
     /// names the settings in which they differ.
     pub fn runs(&self, study: Study) -> Result<Runs<'a>, FigureError> {
-        let experiment = study.experiment(self.quick);
+        let experiment = self.experiments.of(study).to_owned();
         let analysis = self.analysis;
-        let command = analysis.command(study.name(), self.quick);
+        let command = match experiment.strip_suffix(QUICK) {
+            Some(name) => analysis.command(name, true),
+            None => analysis.command(&experiment, false),
+        };
         let all = analysis.runs(&experiment);
         if all.is_empty() {
             return Err(FigureError::NoRuns { experiment, root: analysis.root().to_owned(), command });

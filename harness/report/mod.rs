@@ -18,7 +18,7 @@ mod verdicts;
 use crate::analysis::{Analysis, AnalysisError, Setting};
 use crate::claims::{self, Claim, ClaimsError};
 use crate::figures::FigureError;
-use crate::figures::source::{Runs, Source, Study};
+use crate::figures::source::{Experiments, Runs, Source, Study};
 use crate::progress::Progress;
 use crate::registry::{QueryError, Registry};
 use crate::simulation::SimulationError;
@@ -172,10 +172,11 @@ pub fn page(
 ) -> Result<String, ReportError> {
     let claims: Vec<&Claim> = claims.iter().collect();
     let mut selection = claims::selection(&claims, settings, quick);
-    selection.experiments.extend(Study::BOTH.map(|study| study.experiment(quick)));
+    let drawn = Experiments::of_the_paper(quick);
+    selection.experiments.extend(drawn.names());
     let analysis = Analysis::new(registry, &selection)?;
     let analysis = claims::expect(analysis, &claims, quick).expect([joints::SQL]);
-    let source = Source::new(&analysis, quick);
+    let source = Source::new(&analysis, drawn);
     let figures = figures::draw(&source, progress)?;
     let verdicts = verdicts::Verdicts::of(&analysis, &claims, quick)?;
     let experiments = runs::experiments(registry);
