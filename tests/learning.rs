@@ -5,9 +5,6 @@ use candle_core::{Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
 use harness::dataset::frames::{Averaged, DenseFrames, Frames};
 use harness::dataset::{FramePlace, Partition, Recording, Samples, Standard};
-use harness::learning::kernels;
-use harness::learning::kernels::convolution::{Convolution, Images, KernelSums, LANES};
-use harness::learning::kernels::product::{self, Accumulate, Arithmetic, Matrix, Unit};
 use harness::learning::network::{Architecture, Observation, Parameters, Targets, scalar};
 use harness::learning::objective::{Draw, Objective, Prediction, View, Weighted};
 use harness::learning::ops::{
@@ -21,9 +18,11 @@ use harness::learning::{LearningError, checkpoint};
 use harness::progress::Progress;
 use harness::simulation::Episode;
 use harness::spec::{
-    ARM_JOINTS, Action, FRAME_LEN, Fusion, JOINTS, Loss, Modality, Network, Precision, Preset, Scaling,
-    Schedule, Split, Stop, Task, Training,
+    ARM_JOINTS, Action, FRAME_LEN, Fusion, JOINTS, Loss, Modality, Network, Preset, Scaling, Schedule, Split,
+    Stop, Task, Training,
 };
+use harness_kernels::convolution::LANES;
+use harness_kernels::product::{Arithmetic, Unit};
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -188,116 +187,6 @@ fn gradients_reach_what_weights_are_computed_from() {
     assert_gradients(&[variable(&mut random, &[4, 3]), variable(&mut random, &[4])], |args| {
         linear(&x, &(&args[0] * 2.0)?, &args[1], false, Arithmetic::best())
     });
-}
-
-#[test]
-fn convolving_spreading_and_the_kernels_gradient_are_one_bilinear_form() {
-    // Sizes that no group of places or channels divides, and the networks' own.
-    for (fine_channels, coarse_channels, side) in [(2, 1, 2), (2, 3, 6), (3, 9, 20), (32, 32, 8), (6, 16, 64)]
-    {
-        let sizes = Convolution { fine_channels, coarse_channels, side };
-        let mut random = random(4);
-        let image = random.normal(LANES * sizes.fine_len());
-        let (kernel, grad) = (random.normal(sizes.kernel_len()), random.normal(LANES * sizes.coarse_len()));
-        let values = |images: &Images, len: usize| {
-            let mut values = vec![0.0; LANES * len];
-            images.write(&mut values);
-            values
-        };
-        let (mut fine, mut coarse) = (sizes.fine(), sizes.coarse());
-        fine.set(&image);
-        coarse.set(&grad);
-        assert!(values(&fine, sizes.fine_len()) == image, "setting and writing at side {side}");
-        let mut sums = KernelSums::new(sizes);
-        sizes.add_kernel_gradient(&fine, &coarse, &mut sums);
-        let (mut convolved, mut spread) = (sizes.coarse(), sizes.fine());
-        sizes.convolve(&fine, &sizes.convolving(&kernel), &mut convolved);
-        sizes.spread(&coarse, &sizes.spreading(&kernel), &mut spread);
-        let (convolved, spread) = (values(&convolved, sizes.coarse_len()), values(&spread, sizes.fine_len()));
-        let dot = |a: &[f32], b: &[f32]| -> f64 { a.iter().zip(b).map(|(a, b)| f64::from(a * b)).sum() };
-        let expected = dot(&convolved, &grad);
-        let scale = dot(&convolved, &convolved).sqrt() * dot(&grad, &grad).sqrt();
-        assert!((dot(&image, &spread) - expected).abs() < 1e-5 * scale, "spreading at side {side}");
-        assert!((dot(&kernel, &sums.total()) - expected).abs() < 1e-5 * scale, "the gradient at side {side}");
-    }
-}
-
-/// The largest error of a product on `unit`, relative to the sum of the terms' absolute values.
-fn product_error(
-    unit: Unit,
-    precision: Precision,
-    shape: [usize; 3],
-    views: [bool; 2],
-    threads: usize,
-) -> f64 {
-    let [m, n, k] = shape;
-    let mut random = random((m * n * k) as u64);
-    let (a, b) = (random.normal(m * k), random.normal(k * n));
-    let view = |values, rows, columns, transposed| {
-        if transposed {
-            Matrix::transposed(values, columns, rows)
-        } else {
-            Matrix::plain(values, rows, columns)
-        }
-    };
-    let mut out = vec![1.0; m * n];
-    let (left, right) = (view(&a, m, k, views[0]), view(&b, k, n, views[1]));
-    product::product(left, right, &mut out, Accumulate::Add, Arithmetic { unit, precision }, threads);
-    let mut worst: f64 = 0.0;
-    for row in 0..m {
-        for column in 0..n {
-            let (mut sum, mut size) = (1.0, 1.0);
-            for at in 0..k {
-                let left = f64::from(a[if views[0] { at * m + row } else { row * k + at }]);
-                let right = f64::from(b[if views[1] { column * k + at } else { at * n + column }]);
-                sum += left * right;
-                size += (left * right).abs();
-            }
-            worst = worst.max((f64::from(out[row * n + column]) - sum).abs() / size);
-        }
-    }
-    worst
-}
-
-#[test]
-fn the_exponential_is_exact_to_two_units_in_the_last_place() {
-    for step in -860..=870 {
-        let x = step as f32 / 10.0 + 0.037;
-        let (found, expected) = (f64::from(kernels::exp(x)), f64::from(x).exp());
-        assert!((found / expected - 1.0).abs() < 2.4e-7, "exp({x}) = {found} instead of {expected}");
-    }
-    assert!(kernels::exp(1e9).is_finite() && kernels::exp(-1e9) > 0.0 && kernels::exp(f32::NAN).is_nan());
-}
-
-#[test]
-fn products_are_as_exact_on_tiles_as_on_vectors() {
-    for shape in [[1, 1, 1], [33, 17, 5], [64, 64, 64], [100, 300, 257], [16, 1100, 1500]] {
-        for views in [[false, false], [true, false], [false, true], [true, true]] {
-            for unit in [Unit::Vectors, Unit::best()] {
-                let error = product_error(unit, Precision::F32, shape, views, 2);
-                assert!(error < 4e-7, "{unit:?} {shape:?} {views:?}: {error}");
-                let error = product_error(unit, Precision::Bf16, shape, views, 2);
-                assert!(error < 5e-3, "bf16 on {unit:?} {shape:?} {views:?}: {error}");
-            }
-        }
-    }
-}
-
-#[test]
-fn products_are_the_same_bits_at_any_number_of_threads() {
-    let mut random = random(33);
-    let (a, b) = (random.normal(300 * 700), random.normal(700 * 500));
-    for precision in [Precision::F32, Precision::Bf16] {
-        let bits = |threads: usize| -> Vec<u32> {
-            let mut out = vec![0.0; 300 * 500];
-            let (a, b) = (Matrix::plain(&a, 300, 700), Matrix::plain(&b, 700, 500));
-            let arithmetic = Arithmetic { precision, ..Arithmetic::best() };
-            product::product(a, b, &mut out, Accumulate::Overwrite, arithmetic, threads);
-            out.into_iter().map(f32::to_bits).collect()
-        };
-        assert_eq!(bits(1), bits(2));
-        assert_eq!(bits(1), bits(5));
-    }
 }
 
 #[test]
@@ -488,18 +377,6 @@ fn a_gradient_longer_than_the_norm_to_clip_to_is_scaled_down_to_it() {
         let moved = (clipped[index].as_tensor() - free[index].as_tensor()).unwrap().abs().unwrap();
         assert!(moved.max_all().unwrap().to_scalar::<f32>().unwrap() > 1e-3, "clipping makes a difference");
     }
-}
-
-#[test]
-fn a_sum_of_squares_is_the_same_bits_at_any_number_of_threads() {
-    let values = random(3).normal(1_000_003);
-    let expected: f64 = values.iter().map(|value| f64::from(*value).powi(2)).sum();
-    let with_threads = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| kernels::adam::sum_of_squares(&values))
-    };
-    assert!((with_threads(1) - expected).abs() < 1e-9 * expected);
-    assert_eq!(with_threads(1).to_bits(), with_threads(3).to_bits());
 }
 
 #[test]

@@ -9,9 +9,9 @@
 use candle_core::{Device, Tensor};
 use clap::Parser;
 use harness::dataset::frames::{DenseFrames, Frames};
-use harness::learning::kernels::product::{Arithmetic, Unit};
 use harness::learning::network::{Architecture, Observation, Parameters, Targets};
 use harness::learning::ops::Adam;
+use harness::learning::ops::arithmetic;
 use harness::learning::random::{Random, Stream};
 use harness::spec::{ARM_JOINTS, Fusion, Modality, Network, Precision, Preset, Task};
 use std::sync::Arc;
@@ -78,10 +78,7 @@ fn main() -> candle_core::Result<()> {
             average: 1,
             fusion: arguments.fusion,
         },
-        arithmetic: Arithmetic {
-            unit: if arguments.no_tiles { Unit::Vectors } else { Unit::best() },
-            precision: arguments.precision,
-        },
+        arithmetic: arithmetic(!arguments.no_tiles, arguments.precision),
     };
     let batch = arguments.batch;
     let mut random = Random::new(0, Stream::Parameters(Task::Prediction));

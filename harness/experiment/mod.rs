@@ -14,9 +14,9 @@ use crate::dataset::{
     Dataset, DatasetError, FramePlace, Imported, Partition, Samples, Standard, collect, frame_bytes,
 };
 use crate::files::free_bytes;
-use crate::learning::kernels::product::{Arithmetic, Unit};
 use crate::learning::network::{Architecture, Encoder, Parameters};
 use crate::learning::objective::{Prediction, Reconstruction, View};
+use crate::learning::ops;
 use crate::learning::random::{Random, Stream};
 use crate::learning::state::StateFile;
 use crate::learning::training::{Epoch, Fit};
@@ -298,14 +298,13 @@ pub fn architecture(spec: &RunSpec, task: Task) -> Architecture {
         Task::Prediction => (&spec.output, crate::spec::ARM_JOINTS),
         Task::Reconstruction => (&spec.input, 0),
     };
-    let unit = if spec.training.tiles { Unit::best() } else { Unit::Vectors };
     Architecture {
         input: spec.input.clone(),
         output: output.clone(),
         latent: spec.latent,
         action,
         network: spec.network.clone(),
-        arithmetic: Arithmetic { unit, precision: spec.training.precision },
+        arithmetic: ops::arithmetic(spec.training.tiles, spec.training.precision),
     }
 }
 

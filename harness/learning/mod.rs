@@ -1,7 +1,6 @@
 //! Networks, their own candle ops, and their training. Knows tensors and datasets, not MuJoCo.
 
 pub mod checkpoint;
-pub mod kernels;
 pub mod memory;
 pub mod network;
 pub mod objective;

@@ -2,9 +2,9 @@
 //! clipping alone the gradients are read once more, before it.
 
 use super::{slice, with_values};
-use crate::learning::kernels::adam::{AdamStep, adam, sum_of_squares};
 use candle_core::backprop::GradStore;
 use candle_core::{CpuStorage, Device, InplaceOp2, Layout, Result, Tensor, Var};
+use harness_kernels::adam::{AdamStep, adam, sum_of_squares};
 use std::sync::Mutex;
 
 const BETA_MEAN: f64 = 0.9;

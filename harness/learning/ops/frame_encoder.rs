@@ -8,10 +8,10 @@
 use super::stack::{Layer, Side, Stack, StackSums, part_len, sum_packed};
 use super::{Arithmetic, Dropout, slice, tensor, threads, with_values};
 use crate::dataset::frames::Frames;
-use crate::learning::kernels::convolution::{Images, LANES};
-use crate::learning::kernels::product::{Accumulate, Matrix, product};
-use crate::learning::kernels::{self, Buffer};
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
+use harness_kernels::convolution::{Images, LANES};
+use harness_kernels::product::{Accumulate, Matrix, product};
+use harness_kernels::{self as kernels, Buffer};
 use rayon::prelude::*;
 use std::sync::{Arc, OnceLock};
 

@@ -1,9 +1,9 @@
 //! A fully connected layer, with or without ReLU, as one op.
 
 use super::{Arithmetic, slice, tensor, threads, with_values};
-use crate::learning::kernels;
-use crate::learning::kernels::product::{Accumulate, Matrix, product};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
+use harness_kernels as kernels;
+use harness_kernels::product::{Accumulate, Matrix, product};
 
 /// `x wᵀ + b`, then ReLU if `relu`: `x` `[batch, in]`, `w` `[out, in]`, `b` `[out]`, result `[batch, out]`.
 pub fn linear(x: &Tensor, w: &Tensor, b: &Tensor, relu: bool, arithmetic: Arithmetic) -> Result<Tensor> {

@@ -24,9 +24,22 @@ pub use stack::Stack;
 pub use two_layers::{TwoLayers, two_layers};
 pub use vector_losses::{Quantity, composed, vector_losses};
 
-pub use crate::learning::kernels::product::Arithmetic;
+pub use harness_kernels::product::Arithmetic;
 
+use crate::spec::Precision;
 use candle_core::{CpuStorage, Layout, Result, Storage, Tensor};
+use harness_kernels::product::{self, Unit};
+
+/// How a network's products are computed: `tiles` allows the processor's tile unit, if it has one.
+pub fn arithmetic(tiles: bool, precision: Precision) -> Arithmetic {
+    Arithmetic {
+        unit: if tiles { Unit::best() } else { Unit::Vectors },
+        precision: match precision {
+            Precision::F32 => product::Precision::F32,
+            Precision::Bf16 => product::Precision::Bf16,
+        },
+    }
+}
 
 /// The values of a contiguous f32 tensor in CPU memory.
 fn slice<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {

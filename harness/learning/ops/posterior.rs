@@ -1,8 +1,8 @@
 //! Drawing from a posterior, and its divergence from the prior, as one op each.
 
 use super::{slice, tensor, with_values};
-use crate::learning::kernels::{self, exp, simd};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
+use harness_kernels::{self as kernels, exp, simd};
 
 /// `mean + exp(log_variance / 2) * noise` (Kingma & Welling, 2014, equation 10).
 ///

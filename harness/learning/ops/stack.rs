@@ -1,7 +1,7 @@
 //! Chained convolutions over a batch of images: what the encoder's and the decoder's way through frames share.
 
-use crate::learning::kernels::convolution::{Convolution, Images, Kernel, KernelSums, LANES};
-use crate::learning::kernels::{self, PARTS};
+use harness_kernels::convolution::{Convolution, Images, Kernel, KernelSums, LANES};
+use harness_kernels::{self as kernels, PARTS};
 
 /// Convolutions from an image's own size down, each 4 x 4 with a stride of 2, the first one first.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -4,9 +4,9 @@
 //! threads meet and memory is passed. Here each thread takes rows of the batch through both layers.
 
 use super::{Arithmetic, linear, slice, tensor, with_values};
-use crate::learning::kernels::product::{Accumulate, Matrix, product};
-use crate::learning::kernels::{self, Buffer};
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
+use harness_kernels::product::{Accumulate, Matrix, product};
+use harness_kernels::{self as kernels, Buffer};
 use rayon::prelude::*;
 use std::sync::OnceLock;
 

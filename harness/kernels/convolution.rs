@@ -7,7 +7,7 @@
 // Sums that are indexed by constants stay in registers; behind an iterator they would not.
 #![allow(clippy::needless_range_loop)]
 
-use super::simd;
+use crate::simd;
 use pulp::{Simd, WithSimd};
 use std::sync::Mutex;
 

@@ -1,6 +1,6 @@
 //! Adam, element by element, and the sum of squares that a gradient's norm is made of.
 
-use super::simd;
+use crate::simd;
 use rayon::prelude::*;
 
 /// Values that one thread takes at a time; fixed, so that sums are always taken in the same order.

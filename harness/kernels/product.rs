@@ -1,8 +1,7 @@
 //! Matrix products of row-major f32 matrices.
 
 #[cfg(target_arch = "x86_64")]
-use super::amx;
-use crate::spec::Precision;
+use crate::amx;
 use gemm::Parallelism;
 
 /// How a matrix is read: as it lies, or as its transpose.
@@ -81,6 +80,15 @@ impl Unit {
         }
         Self::Vectors
     }
+}
+
+/// How the operands of a product are rounded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Precision {
+    /// Not at all.
+    F32,
+    /// To the 8 significant bits of bf16; the result stays f32.
+    Bf16,
 }
 
 /// How products are computed.

@@ -9,7 +9,7 @@
 //!
 //! Every element of the destination is summed in the same order whatever the number of threads.
 
-use super::product::{Accumulate, Matrix};
+use crate::product::{Accumulate, Matrix};
 use rayon::prelude::*;
 use std::arch::asm;
 use std::arch::x86_64::*;
