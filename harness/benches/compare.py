@@ -2,6 +2,7 @@
 
     make bench                                                       everything, as published
     .venv-bench/bin/python harness/benches/compare.py --only collection --rounds 1 --episodes 4
+    .venv-bench/bin/python harness/benches/compare.py --only training --match deep
 
 `make bench` also installs and builds what this needs. Rounds alternate between the contenders, and each figure is the
 median over the rounds, so that a drift of the machine's speed favours none of them. A ratio above 1 means that the
@@ -301,6 +302,7 @@ def arguments() -> argparse.Namespace:
         help=f"of a scenario, {SAMPLES_PER_EPISODE} samples each",
     )
     parser.add_argument("--only", choices=("training", "collection"))
+    parser.add_argument("--match", default="", metavar="TEXT", help="only comparisons whose name contains TEXT")
     parser.add_argument("--output", type=Path, help="a Parquet file for the measurements")
     parser.add_argument("--markdown", type=Path, help="a file for the printed table")
     options = parser.parse_args()
@@ -324,7 +326,7 @@ def main() -> None:
             comparisons += training()
         if options.only != "training":
             comparisons += collection(options.episodes, Path(folder))
-        for comparison in comparisons:
+        for comparison in (one for one in comparisons if options.match in one.name):
             measurements += compare(comparison, options.rounds)
     machine = report.Machine.this(ROOT, TARGET / "harness")
     table = report.markdown(measurements, machine)
