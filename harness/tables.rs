@@ -107,6 +107,23 @@ impl TableFile {
         let reader = ParquetReader::new(Cursor::new(&self.bytes)).with_columns(columns);
         reader.finish().map_err(|error| unreadable(&self.path, error))
     }
+
+    /// These columns of the table, in this order, by the calling thread alone.
+    pub fn read_serially(&self, columns: &[String]) -> Result<DataFrame, TableError> {
+        let reader = ParquetReader::new(Cursor::new(&self.bytes)).with_columns(Some(columns.to_vec()));
+        let rows = reader.read_parallel(ParallelStrategy::None).finish();
+        rows.and_then(|rows| rows.select(columns)).map_err(|error| unreadable(&self.path, error))
+    }
+}
+
+/// Parts of a table as one; `None` if there are none.
+pub fn stacked(parts: Vec<DataFrame>) -> PolarsResult<Option<DataFrame>> {
+    let mut parts = parts.into_iter();
+    let Some(mut whole) = parts.next() else { return Ok(None) };
+    for part in parts {
+        whole.vstack_mut_owned(part)?;
+    }
+    Ok(Some(whole))
 }
 
 /// Reads a file's footer.

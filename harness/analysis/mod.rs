@@ -12,19 +12,21 @@
 
 mod interval;
 mod means;
-mod rows;
+mod seen;
 mod settings;
 
 pub use interval::{Interval, LEVEL, intervals, mean_interval};
 pub use means::{Mean, NETWORK, Of, compare};
 pub use settings::{Difference, Setting};
 
-use crate::registry::{QueryError, Registry, RunRecord, Status, answer, table};
+use crate::registry::{
+    Condition, QueryError, Registry, RunRecord, RunTable, Status, answer, conditions, lazily, table,
+};
 use crate::schema::Table;
 use crate::spec::Origin;
 use polars::prelude::*;
 use rayon::prelude::*;
-use rows::Condition;
+use seen::Seen;
 use settings::{DATASET, Settings};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -100,15 +102,15 @@ struct Experiment {
     differences: Vec<Difference>,
 }
 
-/// The runs of a results folder that count, and their tables, each of which is read once.
+/// The runs of a results folder that count, and their tables, each of which is read once for all expected queries.
 pub struct Analysis {
     registry: Registry,
     selection: Selection,
     experiments: BTreeMap<String, Experiment>,
     /// What was left out that a reader may look for, in words.
     notes: Vec<String>,
-    /// By table, experiment, and whether they have the rows of the expected queries alone.
-    tables: Mutex<BTreeMap<(Table, String, bool), DataFrame>>,
+    /// What the expected queries see, by table and experiment.
+    tables: Mutex<BTreeMap<(Table, String), Seen>>,
     expected: Expected,
 }
 
@@ -231,15 +233,14 @@ impl Analysis {
         let expected = &mut self.expected;
         for sql in queries {
             for table in tables_of(sql) {
-                expected.rows.entry(table).or_default().extend(rows::conditions(sql, table));
+                expected.rows.entry(table).or_default().extend(conditions(sql, table));
             }
             expected.queries.insert(sql.to_owned());
         }
         self
     }
 
-    /// Answers a query over the runs of these experiments that count. Each table is read once and kept, so this is for
-    /// the tables of which all rows are wanted; see [`Analysis::query_runs`].
+    /// Answers a query over the runs of these experiments that count.
     ///
     /// # Errors
     /// As those of [`query`](crate::registry::query).
@@ -248,14 +249,15 @@ impl Analysis {
             Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
                 let parts = experiments.iter().filter(|name| self.experiments.contains_key(**name));
                 let parts = parts.map(|name| self.table(table, name, sql));
-                let parts = parts.collect::<Result<Vec<_>, _>>()?;
-                match stacked(parts).map_err(QueryError::Sql)? {
-                    Some(whole) => Ok(whole.lazy()),
-                    None => self.table_of(table, std::iter::empty()),
+                let mut parts = parts.collect::<Result<Vec<_>, _>>()?;
+                match parts.len() {
+                    0 => self.table_of(table, std::iter::empty(), sql),
+                    1 => Ok(parts.remove(0)),
+                    _ => Ok(concat(parts, UnionArgs::default())?),
                 }
             }
             Table::Runs | Table::Episodes => {
-                self.table_of(table, experiments.iter().flat_map(|name| self.runs(name)))
+                self.table_of(table, experiments.iter().flat_map(|name| self.runs(name)), sql)
             }
         })
     }
@@ -270,34 +272,40 @@ impl Analysis {
         sql: &str,
     ) -> Result<DataFrame, QueryError> {
         let runs: Vec<&Run> = runs.into_iter().collect();
-        answer(sql, &|table| self.table_of(table, runs.iter().copied()))
+        answer(sql, &|table| self.table_of(table, runs.iter().copied(), sql))
     }
 
-    fn table_of<'a>(&self, of: Table, runs: impl Iterator<Item = &'a Run>) -> Result<LazyFrame, QueryError> {
+    fn table_of<'a>(
+        &self,
+        of: Table,
+        runs: impl Iterator<Item = &'a Run>,
+        sql: &str,
+    ) -> Result<LazyFrame, QueryError> {
         let recorded: Vec<_> = runs.map(|run| (run.folder.clone(), run.record.clone())).collect();
-        table(&self.registry, of, &recorded)
+        table(&self.registry, of, &recorded, sql)
     }
 
     /// A table of an experiment's runs; if `sql` was expected, with the rows that the expected queries see.
-    fn table(&self, table: Table, experiment: &str, sql: &str) -> Result<DataFrame, QueryError> {
+    fn table(&self, table: Table, experiment: &str, sql: &str) -> Result<LazyFrame, QueryError> {
         let mut tables = self.tables.lock().unwrap_or_else(PoisonError::into_inner);
+        let key = (table, experiment.to_owned());
         let is_expected = self.expected.queries.contains(sql);
-        let key = (table, experiment.to_owned(), is_expected);
-        if let Some(found) = tables.get(&key) {
-            return Ok(found.clone());
-        }
-        let everything = BTreeSet::new();
-        let rows = self.expected.rows.get(&table).filter(|_| is_expected).unwrap_or(&everything);
-        let columns: Vec<String> = table.columns().into_iter().map(|column| column.name).collect();
-        let read = |run: &Run| -> Result<DataFrame, QueryError> {
-            let part = run.record.read_table(&run.folder, table, columns.clone())?;
-            rows::kept(part, rows).map_err(QueryError::Sql)
+        let seen = match tables.get(&key) {
+            Some(seen) if is_expected => seen.clone(),
+            _ => {
+                let runs = self.runs(experiment).iter().map(|run| &run.record);
+                let rows = RunTable::new(&self.registry, table, experiment, runs)?;
+                let schema = rows.schema()?;
+                if !is_expected {
+                    return Ok(lazily(rows.only(conditions(sql, table)), schema)?);
+                }
+                let rows = rows.only(self.expected.rows.get(&table).cloned().unwrap_or_default());
+                let seen = Seen::new(table, rows, schema, &self.expected);
+                tables.entry(key).or_insert(seen).clone()
+            }
         };
-        let parts = self.runs(experiment).par_iter().map(read).collect::<Result<Vec<_>, _>>()?;
-        let mut whole = stacked(parts).map_err(QueryError::Sql)?.unwrap_or_default();
-        whole.rechunk_mut_par();
-        tables.insert(key, whole.clone());
-        Ok(whole)
+        let schema = seen.schema.clone();
+        Ok(lazily(seen, schema)?)
     }
 }
 
@@ -411,19 +419,12 @@ fn newest(runs: Vec<Run>) -> (Vec<Run>, Vec<String>) {
     (counted.into_values().collect(), notes.into_iter().flatten().collect())
 }
 
-/// Parts of a table as one; `None` if there are none.
-fn stacked(parts: Vec<DataFrame>) -> PolarsResult<Option<DataFrame>> {
-    let mut parts = parts.into_iter();
-    let Some(mut whole) = parts.next() else { return Ok(None) };
-    for part in parts {
-        whole.vstack_mut(&part)?;
-    }
-    Ok(Some(whole))
-}
-
 /// The tables that a query may read.
 fn tables_of(sql: &str) -> impl Iterator<Item = Table> {
-    let words: BTreeSet<String> =
-        sql.split(|c: char| !c.is_alphanumeric() && c != '_').map(str::to_lowercase).collect();
+    let words: BTreeSet<String> = words(sql).map(str::to_lowercase).collect();
     Table::ALL.into_iter().filter(move |table| words.contains(table.name()))
+}
+
+fn words(sql: &str) -> impl Iterator<Item = &str> {
+    sql.split(|c: char| !c.is_alphanumeric() && c != '_')
 }

@@ -5,26 +5,31 @@
 //! results/runs/<experiment>/<run id>/spec.yaml, run.json, uncommitted.diff,
 //!     epochs.parquet, metrics.parquet, predictions.parquet, forces.parquet, frames.parquet,
 //!     prediction.safetensors, reconstruction.safetensors
+//! results/compacted/<experiment>/<table>-<hash>.parquet      derived from the runs, see `compact`
 //! ```
 
 mod commands;
+mod compact;
 mod episodes;
 mod folders;
 mod provenance;
 mod publish;
 mod query;
 mod record;
+mod rows;
 mod sql;
 mod verify;
 
 pub use commands::quoted;
+pub(crate) use compact::{RunTable, asked_columns, lazily};
 pub use provenance::{Provenance, peak_memory_bytes};
 pub use publish::Published;
-pub use query::{QueryError, query, rows, save};
+pub use query::{QueryError, query, query_of, rows, save};
 pub(crate) use query::{answer, table};
 pub use record::{
     FileRecord, ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings,
 };
+pub(crate) use rows::{Condition, conditions};
 pub use verify::{Finding, Report};
 
 use crate::files::{FolderLock, LockError, WriteError, write_bytes};

@@ -1,13 +1,14 @@
 //! SQL over the tables of a results folder.
 
+use super::compact::{RunTable, lazily};
 use super::folders::Recorded;
 use super::record::{RunRecord, runs_table};
+use super::rows::conditions;
 use super::{Registry, RegistryError, Status, sql};
 use crate::files::{WriteError, write_whole};
 use crate::schema::{Column, Table};
 use crate::tables::{TableError, data_type, scan};
 use polars::prelude::*;
-use rayon::prelude::*;
 use serde::de::DeserializeOwned;
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -23,7 +24,7 @@ pub enum QueryError {
     Registry(#[from] RegistryError),
     // Polars adds a plan of many lines.
     #[error("the query can't be answered: {}", .0.to_string().lines().next().unwrap_or_default())]
-    Sql(#[from] PolarsError),
+    Sql(#[source] PolarsError),
     #[error("the query can't be answered: {0}")]
     Refused(String),
     #[error("the answer's rows are not what they should be: {0}")]
@@ -34,6 +35,18 @@ pub enum QueryError {
     Write(#[from] WriteError),
 }
 
+impl From<PolarsError> for QueryError {
+    /// What a table that is read lazily could not read comes as an error of Polars.
+    fn from(error: PolarsError) -> Self {
+        let PolarsError::IO { error, msg } = error else { return Self::Sql(error) };
+        match Arc::try_unwrap(error).map(std::io::Error::downcast::<RegistryError>) {
+            Ok(Ok(error)) => Self::Registry(error),
+            Ok(Err(error)) => Self::Sql(PolarsError::IO { error: Arc::new(error), msg }),
+            Err(error) => Self::Sql(PolarsError::IO { error, msg }),
+        }
+    }
+}
+
 /// Answers a question in SQL over the tables of [`Table::ALL`], as the standard says.
 ///
 /// What can't be used as it lies there is left out, see [`Registry::left_out`].
@@ -42,8 +55,21 @@ pub enum QueryError {
 /// When the SQL is not understood, is more than a question, names what isn't there, or when a table's file is
 /// damaged.
 pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
-    let runs = registry.recorded();
-    answer(sql, &|of| table(registry, of, &runs))
+    query_of(registry, |_| true, sql)
+}
+
+/// The same over those runs alone that are wanted.
+///
+/// # Errors
+/// As those of [`query`].
+pub fn query_of(
+    registry: &Registry,
+    is_wanted: impl Fn(&RunRecord) -> bool,
+    sql: &str,
+) -> Result<DataFrame, QueryError> {
+    let runs = registry.recorded().into_iter().filter(|(_, record)| is_wanted(record));
+    let runs: Vec<Recorded> = runs.collect();
+    answer(sql, &|of| table(registry, of, &runs, sql))
 }
 
 /// What a table's name stands for in a query.
@@ -64,8 +90,13 @@ pub(crate) fn answer(question: &str, table_of: &TableOf) -> Result<DataFrame, Qu
     })
 }
 
-/// One of the tables, over `runs`, or over all datasets.
-pub(crate) fn table(registry: &Registry, table: Table, runs: &[Recorded]) -> Result<LazyFrame, QueryError> {
+/// One of the tables, over `runs`, or over all datasets, with the rows that `sql` can see at least.
+pub(crate) fn table(
+    registry: &Registry,
+    table: Table,
+    runs: &[Recorded],
+    sql: &str,
+) -> Result<LazyFrame, QueryError> {
     let columns = table.columns();
     let found = match table {
         Table::Runs => {
@@ -78,17 +109,41 @@ pub(crate) fn table(registry: &Registry, table: Table, runs: &[Recorded]) -> Res
         }
         Table::Episodes => scan(&registry.episode_files(runs)?, &columns).map_err(QueryError::Sql)?,
         Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
-            let name = format!("{}.parquet", table.name());
             // A run's tables count once its record says that it is done, and as its record lists them.
-            let done: Vec<&Recorded> = runs.iter().filter(|(_, run)| run.status == Status::Done).collect();
-            let paths = done.into_par_iter().map(|(folder, record)| record.check_file(folder, &name));
-            scan(&paths.collect::<Result<Vec<_>, _>>()?, &columns).map_err(QueryError::Sql)?
+            let done = runs.iter().map(|(_, run)| run).filter(|run| run.status == Status::Done);
+            run_table(registry, table, &done.collect::<Vec<_>>(), sql)?
         }
     };
     match found {
         Some(found) => Ok(found),
         None => empty(&columns).map_err(QueryError::Sql),
     }
+}
+
+/// One of the tables that each run writes; `None` without runs. Where an experiment has many, their rows are kept together.
+fn run_table(
+    registry: &Registry,
+    table: Table,
+    runs: &[&RunRecord],
+    sql: &str,
+) -> Result<Option<LazyFrame>, QueryError> {
+    let columns = table.columns();
+    let (mut frames, mut files) = (Vec::new(), Vec::new());
+    for runs in runs.chunk_by(|a, b| a.experiment == b.experiment) {
+        let rows = RunTable::new(registry, table, &runs[0].experiment, runs.iter().copied())?;
+        if rows.is_compactable() {
+            frames.extend(scan(&std::mem::take(&mut files), &columns)?);
+            let schema = rows.schema()?;
+            frames.push(lazily(rows.only(conditions(sql, table)), schema)?);
+        } else {
+            files.extend(rows.checked_files()?);
+        }
+    }
+    frames.extend(scan(&files, &columns)?);
+    if frames.len() < 2 {
+        return Ok(frames.pop());
+    }
+    Ok(Some(concat(frames, UnionArgs::default())?))
 }
 
 /// A table without rows, so that a query of an empty results folder has an empty answer.

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
-use std::io::{Cursor, ErrorKind};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// The tables that each run writes.
@@ -120,6 +120,24 @@ pub struct FileRecord {
     pub rows: Option<usize>,
     /// Of the whole file, in hexadecimal, as `sha256sum` prints it.
     pub sha256: String,
+}
+
+impl FileRecord {
+    /// The bytes of the file at `path`, which must be this one.
+    pub(super) fn read(&self, path: &Path) -> Result<Vec<u8>, RegistryError> {
+        let damaged = |reason: String| Err(RegistryError::File { path: path.to_owned(), reason });
+        let bytes = match std::fs::read(path) {
+            Ok(bytes) => bytes,
+            Err(error) => return damaged(error.to_string()),
+        };
+        if bytes.len() as u64 != self.bytes {
+            return damaged(format!("it has {} bytes instead of {}", bytes.len(), self.bytes));
+        }
+        if hex(&Sha256::digest(&bytes)) != self.sha256 {
+            return damaged("it is not as it was written: its SHA-256 differs".into());
+        }
+        Ok(bytes)
+    }
 }
 
 /// A row of the `runs` table, with the run's whole spec.
@@ -236,37 +254,15 @@ impl RunRecord {
 
     /// The bytes of one of the files that the record lists, which are as it lists them.
     fn read_file(&self, folder: &Path, name: &str) -> Result<Vec<u8>, RegistryError> {
-        let path = folder.join(name);
-        let damaged = |reason: String| Err(RegistryError::File { path: path.clone(), reason });
-        let Some(listed) = self.files.get(name) else {
-            return damaged("the run's record does not list it".into());
-        };
-        let bytes = match std::fs::read(&path) {
-            Ok(bytes) => bytes,
-            Err(error) => return damaged(error.to_string()),
-        };
-        if bytes.len() as u64 != listed.bytes {
-            return damaged(format!("it has {} bytes instead of {}", bytes.len(), listed.bytes));
-        }
-        if hex(&Sha256::digest(&bytes)) != listed.sha256 {
-            return damaged("it is not as it was written: its SHA-256 differs".into());
-        }
-        Ok(bytes)
+        self.listed(folder, name)?.read(&folder.join(name))
     }
 
-    /// These columns of one of the run's tables, whose file is compared with the record.
-    pub(crate) fn read_table(
-        &self,
-        folder: &Path,
-        table: Table,
-        columns: Vec<String>,
-    ) -> Result<DataFrame, RegistryError> {
-        let name = format!("{}.parquet", table.name());
-        let bytes = self.read_file(folder, &name)?;
-        // Tables are read side by side; more threads for each would only compete.
-        let reader = ParquetReader::new(Cursor::new(bytes)).with_columns(Some(columns));
-        let read = reader.read_parallel(ParallelStrategy::None).finish();
-        read.map_err(|error| RegistryError::File { path: folder.join(name), reason: error.to_string() })
+    /// What the record says of one of the run's files.
+    pub(super) fn listed(&self, folder: &Path, name: &str) -> Result<&FileRecord, RegistryError> {
+        self.files.get(name).ok_or_else(|| RegistryError::File {
+            path: folder.join(name),
+            reason: "the run's record does not list it".into(),
+        })
     }
 
     /// The revision of the method that made the run; `None` if no revision so far did.

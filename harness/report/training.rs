@@ -1,13 +1,11 @@
 //! How the losses fell, epoch by epoch.
 
 use super::short;
-use crate::registry::{QueryError, Registry, RunRecord, Status};
+use crate::registry::{QueryError, Registry, RunRecord, RunTable, Status};
 use crate::schema::Table;
-use polars::prelude::PolarsResult;
-use rayon::prelude::*;
+use polars::prelude::{DataFrame, PolarsResult};
 use serde::Serialize;
-use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::collections::BTreeMap;
 
 /// Epochs of each training that the page keeps, evenly chosen, the first and the last among them.
 const EPOCHS: usize = 100;
@@ -31,33 +29,45 @@ pub struct Curves {
 /// # Errors
 /// When a table can't be read.
 pub fn curves(registry: &Registry) -> Result<Vec<Curves>, QueryError> {
-    let runs: Vec<_> =
-        registry.recorded().into_iter().filter(|(_, run)| run.status == Status::Done).collect();
-    let trainings: usize = runs.iter().map(|(_, run)| run.spec.tasks.len()).sum();
+    let runs = registry.records().into_iter().filter(|run| run.status == Status::Done);
+    let runs: Vec<RunRecord> = runs.collect();
+    let trainings: usize = runs.iter().map(|run| run.spec.tasks.len()).sum();
     let kept = (ALL_EPOCHS / trainings.max(1)).clamp(FEWEST_EPOCHS, EPOCHS);
-    let of_runs = runs.par_iter().map(|(folder, run)| of_run(folder, run, kept));
-    Ok(of_runs.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
+    let mut curves = Vec::new();
+    for runs in runs.chunk_by(|a, b| a.experiment == b.experiment) {
+        let experiment = &runs[0].experiment;
+        let rows = RunTable::new(registry, Table::Epochs, experiment, runs.iter())?;
+        let columns = ["run", "task", "epoch", "split", "term", "value"].map(str::to_owned);
+        let of_runs = rows.map(&columns, None, |rows| of_rows(experiment, &rows, kept))?;
+        curves.extend(of_runs.into_iter().flatten());
+    }
+    Ok(curves)
 }
 
-/// The curves of a run, by task.
-fn of_run(folder: &Path, run: &RunRecord, kept: usize) -> Result<Vec<Curves>, QueryError> {
-    let columns = ["task", "epoch", "split", "term", "value"].map(str::to_owned).to_vec();
-    let table = run.read_table(folder, Table::Epochs, columns)?;
-    let rows = || -> PolarsResult<Vec<Row>> {
-        let text = |name: &str| table.column(name)?.str();
-        let (tasks, splits, terms) = (text("task")?, text("split")?, text("term")?);
-        let (epochs, values) = (table.column("epoch")?.i64()?, table.column("value")?.f64()?);
-        let row = |row| {
-            let (task, split) = (tasks.get(row)?, splits.get(row)?);
-            Some(Row { task, epoch: epochs.get(row)?, split, term: terms.get(row)?, value: values.get(row) })
-        };
-        Ok((0..table.height()).filter_map(row).collect())
+/// The curves of runs whose rows follow each other, by run and task.
+fn of_rows(experiment: &str, table: &DataFrame, kept: usize) -> PolarsResult<Vec<Curves>> {
+    let text = |name: &str| table.column(name)?.str();
+    let (runs, tasks, splits, terms) = (text("run")?, text("task")?, text("split")?, text("term")?);
+    let (epochs, values) = (table.column("epoch")?.i64()?, table.column("value")?.f64()?);
+    let row = |row| {
+        let (task, split) = (tasks.get(row)?, splits.get(row)?);
+        Some(Row { task, epoch: epochs.get(row)?, split, term: terms.get(row)?, value: values.get(row) })
     };
-    let mut by_task: BTreeMap<&str, Vec<Row>> = BTreeMap::new();
-    for row in rows().map_err(QueryError::Sql)? {
-        by_task.entry(row.task).or_default().push(row);
+    let (mut curves, mut start) = (Vec::new(), 0);
+    while start < table.height() {
+        let run = runs.get(start);
+        let end = (start..table.height()).find(|row| runs.get(*row) != run).unwrap_or(table.height());
+        let mut by_task: BTreeMap<&str, Vec<Row>> = BTreeMap::new();
+        for row in (start..end).filter_map(row) {
+            by_task.entry(row.task).or_default().push(row);
+        }
+        let of_task = |(task, rows): (&str, Vec<Row>)| {
+            Curves::new(experiment, run.unwrap_or_default(), task, &rows, kept)
+        };
+        curves.extend(by_task.into_iter().map(of_task));
+        start = end;
     }
-    Ok(by_task.into_iter().map(|(task, rows)| Curves::new(run, task, &rows, kept)).collect())
+    Ok(curves)
 }
 
 /// A row of the epochs table.
@@ -70,7 +80,7 @@ struct Row<'a> {
 }
 
 impl Curves {
-    fn new(run: &RunRecord, task: &str, rows: &[Row], kept: usize) -> Self {
+    fn new(experiment: &str, run: &str, task: &str, rows: &[Row], kept: usize) -> Self {
         let epochs = thinned(rows.iter().map(|row| row.epoch).collect(), kept);
         let mut terms: BTreeMap<String, BTreeMap<String, Vec<Option<f64>>>> = BTreeMap::new();
         for row in rows {
@@ -79,19 +89,14 @@ impl Curves {
             let values = splits.entry(row.split.to_owned()).or_insert_with(|| vec![None; epochs.len()]);
             values[place] = row.value.map(short);
         }
-        Self {
-            experiment: run.experiment.clone(),
-            run: run.run.clone(),
-            task: task.to_owned(),
-            epochs,
-            terms,
-        }
+        Self { experiment: experiment.to_owned(), run: run.to_owned(), task: task.to_owned(), epochs, terms }
     }
 }
 
 /// At most `kept` of them, evenly chosen.
-fn thinned(epochs: BTreeSet<i64>, kept: usize) -> Vec<i64> {
-    let all: Vec<i64> = epochs.into_iter().collect();
+fn thinned(mut all: Vec<i64>, kept: usize) -> Vec<i64> {
+    all.sort_unstable();
+    all.dedup();
     if all.len() <= kept {
         return all;
     }

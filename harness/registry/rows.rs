@@ -1,6 +1,6 @@
 //! Which rows of a table queries can see: those that no WHERE of theirs leaves out.
 
-use crate::schema::Table;
+use crate::schema::{Column, Kind, Table};
 use polars::prelude::*;
 use sqlparser::ast::{
     BinaryOperator, Expr as Sql, JoinOperator, Query, Select, SetExpr, TableFactor, Value, Visit, Visitor,
@@ -10,17 +10,22 @@ use sqlparser::parser::Parser;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
-/// The values that columns of text may have, by their names. Without any, all rows are wanted.
-pub(super) type Condition = BTreeMap<String, BTreeSet<String>>;
+/// What columns must hold, by their names: one of some texts, or null where there are none. Without any column, all rows are
+/// wanted.
+pub(crate) type Condition = BTreeMap<String, BTreeSet<String>>;
 
 /// What each part of a query that reads a table asks of its rows.
-pub(super) fn conditions(sql: &str, table: Table) -> Vec<Condition> {
-    let everything = vec![Condition::new()];
+pub(crate) fn conditions(sql: &str, table: Table) -> BTreeSet<Condition> {
+    let everything = BTreeSet::from([Condition::new()]);
     let Ok(statements) = Parser::parse_sql(&GenericDialect, sql) else { return everything };
     let mut readers = Readers { table, found: 0, conditions: Vec::new() };
     let _ = statements.visit(&mut readers);
     // A reader that was not understood may want any row.
-    if readers.conditions.len() == readers.found { readers.conditions } else { everything }
+    if readers.conditions.len() == readers.found {
+        readers.conditions.into_iter().collect()
+    } else {
+        everything
+    }
 }
 
 /// Finds the parts of a query that read a table.
@@ -57,7 +62,7 @@ impl Readers {
         }
     }
 
-    /// Adds the terms of a conjunction that ask for certain texts in a column of the table called `name`.
+    /// Adds the terms of a conjunction that ask for certain texts, or null, in a column of the table called `name`.
     fn add_terms(&self, filter: &Sql, name: &str, condition: &mut Condition) {
         let (column, texts) = match filter {
             Sql::Nested(inner) => return self.add_terms(inner, name, condition),
@@ -66,7 +71,10 @@ impl Readers {
                 return self.add_terms(right, name, condition);
             }
             Sql::BinaryOp { left, op: BinaryOperator::Eq, right } => (left.as_ref(), vec![text(right)]),
-            Sql::InList { expr, list, negated: false } => (expr.as_ref(), list.iter().map(text).collect()),
+            Sql::InList { expr, list, negated: false } if !list.is_empty() => {
+                (expr.as_ref(), list.iter().map(text).collect())
+            }
+            Sql::IsNull(expr) => (expr.as_ref(), Vec::new()),
             _ => return,
         };
         let column = match column {
@@ -77,9 +85,9 @@ impl Readers {
             },
             _ => return,
         };
-        let texts: Option<BTreeSet<String>> = texts.into_iter().collect();
-        let is_own = self.table.columns().iter().any(|own| own.name == *column);
-        if let Some(texts) = texts.filter(|_| is_own) {
+        let Some(texts) = texts.into_iter().collect::<Option<BTreeSet<String>>>() else { return };
+        let has_texts = |own: &Column| own.kind == Kind::Text || texts.is_empty();
+        if self.table.columns().iter().any(|own| own.name == *column && has_texts(own)) {
             condition.entry(column.clone()).or_insert(texts);
         }
     }
@@ -127,7 +135,12 @@ pub(super) fn kept(rows: DataFrame, conditions: &BTreeSet<Condition>) -> PolarsR
     for condition in conditions {
         let mut all = BooleanChunked::full("wanted".into(), true, rows.height());
         for (column, texts) in condition {
-            let column = rows.column(column)?.str()?;
+            let column = rows.column(column)?;
+            if texts.is_empty() {
+                all = all & column.is_null();
+                continue;
+            }
+            let column = column.str()?;
             let mut any = BooleanChunked::full("wanted".into(), false, rows.height());
             for text in texts {
                 any = any | column.equal(text.as_str());
