@@ -138,6 +138,10 @@ fn run_details() -> Vec<Column> {
         text("status", "running, done or failed"),
         text("reason", "why a run failed; null otherwise"),
         text("spec_hash", "hash of everything that decides the run"),
+        text(
+            "group_hash",
+            "hash of everything that decides the run but its seed: runs that have the same are seeds of one group",
+        ),
         text("dataset", "the dataset's folder"),
         text(
             "split",

@@ -153,6 +153,25 @@ fn runs_that_differ_in_more_than_their_seed_are_never_averaged() {
         });
         runs.map(|record| format!("'{}'", record["run"].as_str().unwrap())).collect::<Vec<_>>().join(", ")
     };
+    // In SQL, a group is what has one `group_hash`.
+    let sql = "select group_hash, count(distinct run) as runs, avg(value) as value from metrics \
+               join runs using (experiment, run) where task = 'prediction' and model = 'network' and metric = 'r2' \
+               and index is null and direction is null and modality = 'contact_force' \
+               group by group_hash order by runs desc, value";
+    let groups = query(&results, sql);
+    let mut by_hand: Vec<(usize, f64)> = [(64, 2), (16, 2), (16, 5)]
+        .map(|(batch, epochs)| {
+            let [_, forces] = values(&run_of(batch, epochs));
+            (forces.len(), forces.iter().sum::<f64>() / forces.len() as f64)
+        })
+        .to_vec();
+    by_hand.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.total_cmp(&b.1)));
+    assert_eq!(groups.len(), by_hand.len());
+    for (group, (runs, value)) in groups.iter().zip(by_hand) {
+        assert_eq!(group["runs"].as_u64(), Some(runs as u64));
+        assert!((group["value"].as_f64().unwrap() - value).abs() < 1e-12, "{group}");
+    }
+
     let printed = compare(&[]);
     let (header, rows) = markdown(&printed);
     assert_eq!(header, ["", "", "latent 4"]);

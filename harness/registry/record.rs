@@ -271,6 +271,14 @@ impl RunRecord {
         (0..=REVISION).rev().find(is_of)
     }
 
+    /// What runs have in common in which nothing but the seed differs.
+    fn group_hash(&self) -> String {
+        let spec = RunSpec { seed: 0, ..self.spec.clone() };
+        let revision = self.revision().map_or("unknown".to_owned(), |revision| revision.to_string());
+        let digest = Sha256::digest(format!("{} {} {revision}", spec.hash(), self.dataset));
+        hex(&digest[..8])
+    }
+
     /// What is wrong with the first of the listed files that is not as it was written; `None` where all are whole.
     pub(super) fn damage(&self, folder: &Path) -> Option<String> {
         self.files.par_iter().find_map_first(|(name, _)| {
@@ -350,6 +358,7 @@ impl RunRecord {
             text(self.status.name()),
             optional(&self.reason),
             text(&self.spec_hash),
+            text(self.group_hash()),
             text(&self.dataset),
             text(self.spec.split.by.name()),
             text(&self.started),
@@ -391,7 +400,7 @@ fn joined(modalities: &[Modality]) -> String {
 
 /// The `runs` table.
 pub(super) fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
-    let rows: Vec<Vec<AnyValue>> = records.iter().map(RunRecord::row).collect();
+    let rows: Vec<Vec<AnyValue>> = records.par_iter().map(RunRecord::row).collect();
     let columns = Table::Runs.columns().into_iter().enumerate().map(|(index, column)| {
         let values: Vec<AnyValue> = rows.iter().map(|row| row[index].clone()).collect();
         let series =
