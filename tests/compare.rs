@@ -291,7 +291,7 @@ fn a_comparison_of_nothing_is_refused() {
         (
             &RESULTS,
             &["compare", "--task", "reconstruction", "--metrics", "wmape"],
-            "error: no run has these metrics of this task and model; ",
+            "error: no run has these metrics of this task and model; `harness --results ",
         ),
         (&RESULTS, &["compare", "--by", "size"], "error: invalid value 'size' for '--by <KEY>'"),
     ] {

@@ -58,10 +58,8 @@ enum Key {
 /// Why there is nothing to compare.
 #[derive(Debug, thiserror::Error)]
 pub enum CompareError {
-    #[error(
-        "no run has these metrics of this task and model; `harness compare` without options prints what there is"
-    )]
-    Empty,
+    #[error("no run has these metrics of this task and model; `{0}` prints what there is")]
+    Empty(String),
     #[error("there are no finished runs to compare; `{0}` makes some")]
     Nothing(String),
 }
@@ -92,7 +90,7 @@ impl Compare {
         let mut comparison = Comparison::new(means.iter(), &self.by, &self.metrics);
         comparison.notes.extend(analysis.notes().iter().cloned());
         if comparison.values.is_empty() {
-            return Err(CompareError::Empty.into());
+            return Err(CompareError::Empty(registry.command("compare")).into());
         }
         print!("{}", comparison.sheet(self.format).render(self.format));
         Ok(ExitCode::from(DONE))
