@@ -7,9 +7,10 @@ use anyhow::Result;
 use clap::Args;
 use harness::dataset::{Dataset, collect};
 use harness::experiment::{Laboratory, Planned, Summary, describe};
-use harness::registry::{Decision, Provenance, Registry, query, quoted};
+use harness::registry::{Decision, Provenance, Registry, query_of, quoted};
 use harness::simulation::Scene;
 use harness::spec::{self, Experiment, Origin};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -170,22 +171,21 @@ fn print_networks(plan: &[Planned]) -> Result<()> {
 
 /// The aggregate metrics of the plan's runs, averaged over seeds, beside the baselines.
 fn print_results(registry: &Registry, experiment: &Experiment, plan: &[Planned]) -> Result<()> {
-    let runs = plan.iter().map(|planned| format!("'{}'", planned.folder.id())).collect::<Vec<_>>().join(", ");
+    let runs: BTreeSet<&str> = plan.iter().map(|planned| planned.folder.id()).collect();
     let model = |name: &str| format!("avg(case when model = '{name}' then value end) as {name}");
     let cell = if experiment.vary.is_empty() { "latent" } else { "latent, variant" };
-    let answer = query(
+    let answer = query_of(
         registry,
+        |record| record.experiment == experiment.name && runs.contains(record.run.as_str()),
         &format!(
             "select task, scenario, {cell}, modality, metric, {}, {}, {}, {} from metrics \
-             where experiment = '{}' and run in ({runs}) and direction is null and index is null \
-             and metric in ('smape', 'wmape', 'r2', 'relative_error') \
+             where direction is null and index is null and metric in ('smape', 'wmape', 'r2', 'relative_error') \
              group by task, scenario, {cell}, modality, metric \
              order by task, scenario desc, modality, metric, {cell}",
             model("network"),
             model("persistence"),
             model("ridge"),
             model("training_mean"),
-            experiment.name,
         ),
     )?;
     print(&answer);
