@@ -513,3 +513,35 @@ fn the_python_packages_columns_are_those_of_the_files() {
     let expected = serde_json::to_value(&columns).unwrap();
     assert!(checked_in == expected, "python/harness/columns.json must hold {expected}");
 }
+
+/// What the columns of a dataset's episodes hold, as the columns of version 0.1.0 did: a hash of their names and of every
+/// value's bits. Frames depend on the renderer, so they are compared by other tests.
+#[test]
+fn the_built_in_worlds_record_the_bits_that_they_always_did() {
+    use polars::prelude::*;
+    use sha2::{Digest, Sha256};
+    let hash = |scenario| {
+        let collected = Collected::new(scenario, 2);
+        let mut sha = Sha256::new();
+        for index in 0..4 {
+            let file = std::fs::File::open(collected.episode(index)).unwrap();
+            let table = ParquetReader::new(file).finish().unwrap();
+            for column in table.columns().iter().filter(|column| column.name() != "vision") {
+                sha.update(column.name().as_str());
+                let values = column.cast(&DataType::Float64).ok().filter(|_| !column.dtype().is_string());
+                match values {
+                    Some(values) => {
+                        values.f64().unwrap().iter().flatten().for_each(|v| sha.update(v.to_le_bytes()))
+                    }
+                    None => column.str().unwrap().iter().flatten().for_each(|text| sha.update(text)),
+                }
+            }
+        }
+        let hash: String = sha.finalize().iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+        (collected.dataset.name().to_owned(), hash)
+    };
+    let expected =
+        [("empty-007162eaa0246f73", "00543f1684bd34fe"), ("cluttered-33724cf976a9f085", "a877023f69f29aa9")];
+    let found = [Scenario::Empty, Scenario::Cluttered].map(hash);
+    assert_eq!(found.each_ref().map(|(name, hash)| (name.as_str(), hash.as_str())), expected);
+}
