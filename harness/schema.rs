@@ -1,7 +1,9 @@
 //! The columns of every table, with units and meanings: the writers, the queries, the documents and
 //! `harness schema` all read them here.
 
+use crate::spec::{Layout, Modality};
 use serde::Serialize;
+use std::borrow::Cow;
 
 /// One column of a table.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -9,7 +11,7 @@ pub struct Column {
     pub name: String,
     pub kind: Kind,
     /// SI unit; "1" for a count or a ratio, empty where there is none.
-    pub unit: &'static str,
+    pub unit: Cow<'static, str>,
     pub meaning: String,
 }
 
@@ -42,9 +44,6 @@ pub enum Table {
     /// One row a recorded sample, without the frames.
     Episodes,
 }
-
-/// A name for each degree of freedom of the arm, and its unit.
-pub const ARM: [(&str, &str); 3] = [("rotation", "rad"), ("lift", "m"), ("extension", "m")];
 
 impl Table {
     pub const ALL: [Table; 7] = [
@@ -94,13 +93,13 @@ impl Table {
             Table::Predictions => [run_key(), prediction_values()].concat(),
             Table::Forces => [run_key(), force_values()].concat(),
             Table::Frames => [run_key(), frame_values()].concat(),
-            Table::Episodes => sample_columns(),
+            Table::Episodes => sample_columns(&Layout::finger()),
         }
     }
 }
 
 fn column(name: &str, kind: Kind, unit: &'static str, meaning: &str) -> Column {
-    Column { name: name.to_owned(), kind, unit, meaning: meaning.to_owned() }
+    Column { name: name.to_owned(), kind, unit: unit.into(), meaning: meaning.to_owned() }
 }
 
 fn text(name: &str, meaning: &str) -> Column {
@@ -120,7 +119,7 @@ fn run_key() -> Vec<Column> {
     vec![
         text("experiment", "name of the experiment"),
         text("run", "run id: scenario, latent size, seed and the first digits of the spec's hash"),
-        text("scenario", "empty, cluttered, or the name of an imported dataset"),
+        text("scenario", "empty, cluttered, the name of a world file, or that of an imported dataset"),
         text("input", "modalities given to the encoder, joined by +"),
         text("output", "modalities predicted, joined by +"),
         text("architecture", "the preset that the network starts from: single_to_multi or multi_to_multi"),
@@ -193,12 +192,15 @@ fn metric_values() -> Vec<Column> {
         text("task", "prediction or reconstruction"),
         text("model", "network, or a baseline: persistence, training_mean, ridge"),
         text("modality", "what is predicted"),
-        text("direction", "fe (flexion/extension) or aa (adduction/abduction); null where neither or both"),
-        integer("index", "joint or link, 0 at the base; null for an aggregate"),
+        text(
+            "direction",
+            "group of elements, as fe (flexion/extension) and aa (adduction/abduction) of the finger; null where none or all",
+        ),
+        integer("index", "element: joint or link, 0 at the base; null for an aggregate"),
         text(
             "metric",
-            "smape, wmape, r2, rmse, mae, relative_error; relative_error_arm, relative_error_finger: of the pixels \
-             that show the part before or after the change",
+            "smape, wmape, r2, rmse, mae, relative_error; relative_error_arm, relative_error_finger and those of other \
+             regions: of the pixels that show the region before or after the change",
         ),
         real("value", "", "the metric; null where it is not defined"),
         text("unit", "unit of the value"),
@@ -208,18 +210,18 @@ fn metric_values() -> Vec<Column> {
 fn prediction_values() -> Vec<Column> {
     vec![
         text("task", "prediction or reconstruction"),
-        text("modality", "proprioception, contact_force or contact_force_mean"),
+        text("modality", "a vector whose elements have one unit, as proprioception"),
         integer("episode", "episode of the dataset"),
         integer("sample", "the instant that is predicted, counted from 0 within its episode"),
-        integer("index", "joint or link, 0 at the base"),
-        real("reference", "rad or N", "the simulation's value"),
-        real("predicted", "rad or N", "the network's value"),
+        integer("index", "element: joint or link, 0 at the base"),
+        real("reference", "", "the simulation's value, in the modality's unit"),
+        real("predicted", "", "the network's value, likewise"),
     ]
 }
 
 fn force_values() -> Vec<Column> {
     let mut columns = vec![
-        text("modality", "contact_force or contact_force_mean"),
+        text("modality", "a vector of forces, as contact_force"),
         integer("episode", "episode of the dataset; null for the whole dataset"),
         integer("index", "link, 0 at the base"),
         integer("samples", "samples of the episode or dataset"),
@@ -237,14 +239,14 @@ fn force_values() -> Vec<Column> {
 fn frame_values() -> Vec<Column> {
     let picture = |name: &str, whose: &str| {
         let meaning = format!(
-            "{whose} picture, 64 x 64 x 3 bytes: rows from the top, pixels from the left, RGB; of vision the \
-             intensity times 255, of frame_difference 128 plus the difference times 127"
+            "{whose} picture, rows x columns x 3 bytes: rows from the top, pixels from the left, RGB; of an image the \
+             intensity times 255, of a difference 128 plus the difference times 127"
         );
         column(name, Kind::Bytes, "", &meaning)
     };
     vec![
         text("task", "prediction or reconstruction"),
-        text("modality", "vision or frame_difference"),
+        text("modality", "an image, as vision or frame_difference"),
         integer("episode", "episode of the dataset"),
         integer("sample", "the instant that is pictured, counted from 0 within its episode"),
         real("motion", "1", "mean absolute change of the camera frame that the transition brings, in [0, 1]"),
@@ -253,42 +255,32 @@ fn frame_values() -> Vec<Column> {
     ]
 }
 
-/// The scalar columns of an episode file, in order; the frames' column follows them there.
-pub fn sample_columns() -> Vec<Column> {
+/// The scalar columns of an episode file, in order; the images' columns follow them there.
+pub fn sample_columns(layout: &Layout) -> Vec<Column> {
     let mut columns = vec![
         text("dataset", "the dataset's folder"),
-        text("scenario", "empty, cluttered, or the name of an imported dataset"),
+        text("scenario", "empty, cluttered, the name of a world file, or that of an imported dataset"),
         integer("episode", "episode of the dataset"),
         integer("sample", "counted from 0 within the episode"),
         real("time", "s", "time since the episode's start"),
     ];
-    let per_link = |name: &str, unit, meaning: &str| -> Vec<Column> {
-        (0..crate::spec::JOINTS)
-            .map(|index| real(&format!("{name}_{index:02}"), unit, &format!("{meaning} {index}")))
-            .collect()
-    };
-    columns.extend(per_link("proprioception", "rad", "angle of finger joint"));
-    for (name, unit) in ARM {
-        columns.push(real(&format!("arm_{name}"), unit, &format!("{name} of the arm")));
+    for definition in layout.stored_vectors() {
+        columns.extend(definition.columns().zip(definition.elements()).map(|(name, element)| Column {
+            name,
+            kind: Kind::Real,
+            unit: element.unit.clone().into(),
+            meaning: format!("{} {}", definition.meaning, element.name),
+        }));
     }
-    for (name, unit) in ARM {
-        columns.push(real(&format!("setpoint_{name}"), unit, &format!("commanded {name} of the arm")));
-    }
-    columns.extend(per_link("contact_force", "N", "normal contact force, at the instant, on link"));
-    columns.extend(per_link(
-        "contact_force_mean",
-        "N",
-        "normal contact force, averaged over the interval up to the instant, on link",
-    ));
     columns
 }
 
-/// The column of an episode file that holds the camera frames.
-pub fn frame_column() -> Column {
-    column(
-        "vision",
-        Kind::Bytes,
-        "",
-        "camera frame, 64 x 64 x 3 bytes: rows from the top, pixels from the left, RGB",
-    )
+/// The columns of an episode file that hold images.
+pub fn image_columns(layout: &Layout) -> Vec<Column> {
+    let of = |(name, [rows, columns]): (Modality, [usize; 2])| {
+        let meaning =
+            format!("image, {rows} x {columns} x 3 bytes: rows from the top, pixels from the left, RGB");
+        column(name.name(), Kind::Bytes, "", &meaning)
+    };
+    layout.stored_images().filter_map(|image| Some((image.name, image.size()?))).map(of).collect()
 }

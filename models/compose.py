@@ -1,6 +1,6 @@
-"""Composes the scenes `empty` and `cluttered` with PyMJCF and writes them as plain MJCF.
+"""Composes the models of the worlds with PyMJCF and writes them as plain MJCF.
 
-    python models/compose.py           # writes models/empty.xml and models/cluttered.xml
+    python models/compose.py           # writes models/empty.xml, cluttered.xml and so on
     python models/compose.py --check   # writes nothing; exit 1 and a diff where the files differ
 
 SI units throughout; angles in radians. models/README.md tells why each value is what it is.
@@ -15,12 +15,13 @@ import sys
 from dm_control import mjcf
 from lxml import etree
 
-SCENES = ("empty", "cluttered")
+SCENES = ("empty", "cluttered", "wrist", "tendon", "twelve")
 PRECISION = 9  # significant digits in the files
 HERE = pathlib.Path(__file__).resolve().parent
 
 # Finger: 20 equal links and joints with alternating axes, as in the paper; it gives no numbers.
 JOINTS = 20
+FEWER_JOINTS = 12  # of the scene `twelve`, an example for robots of other sizes
 LINK_LENGTH = 0.05  # m, from hinge to hinge: a finger of 1 m, the scale of the paper's strokes
 LINK_RADIUS = 0.045  # m, 2 to 3 pixels of a 64 x 64 frame across
 LINK_MASS = 0.01  # kg, 31 kg/m3: soft foam
@@ -59,6 +60,16 @@ CAMERA_POSITION = (-3.8, -2.55, 3.55)  # m
 CAMERA_TARGET = (-0.79, 0.44, 0.0)  # m
 CAMERA_FOVY = 34  # degrees
 
+# The wrist's camera rides on the beam, behind the finger, and looks down along it at where it touches.
+WRIST_POSITION = (-0.45, 0.0, -0.05)  # m, from the finger's mount
+WRIST_TARGET = (0.08, 0.0, -0.85)  # m, likewise
+WRIST_FOVY = 50  # degrees
+
+# Tendons run along the finger's surface, from the mount to the last link. Pulled by 100 N, one bends each joint of its
+# direction by 100 N x 0.045 m / 20 N m/rad = 0.23 rad.
+TENDONS = {"front": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
+TENDON_FORCE = (0.0, 100.0)  # N
+
 GROUND_SIDE = 20.0  # m, drawn; it collides without end. Drawn infinite, it costs 3 times as much a frame
 
 # Collision bits: the finger meets ground, boxes and column, never itself; the arm meets nothing.
@@ -71,7 +82,7 @@ ODD_LINK_SHADE = 0.85  # odd links are darker, which shows the links in a large 
 BOX_RGBA = ((0.30, 0.50, 1.0, 1), (0.20, 0.75, 0.65, 1))  # even, odd boxes
 
 
-def finger(mount):
+def finger(mount, joints=JOINTS, tendons=False):
     """Hangs the finger below the body `mount`: a chain of links along -z, one hinge each.
 
     Even joints turn about the arm's tangent (flexion/extension: the finger bends along the arm), odd ones
@@ -95,21 +106,39 @@ def finger(mount):
         contype=FINGER_BIT,
         conaffinity=0,
     )
+    paths = {name: [] for name in TENDONS} if tendons else {}
+    guide(mount, "mount", 0, paths)
     parent = mount
-    for link in range(JOINTS):
+    for link in range(joints):
         body = parent.add("body", name=f"finger_link_{link:02}")
         if link == 0:
             body.childclass = "finger"
         else:
             body.pos = (0, 0, -LINK_LENGTH)
         body.add("joint", name=f"finger_joint_{link:02}", axis=(1, 0, 0) if link % 2 else (0, 1, 0))
-        body.add("geom", name=f"finger_link_{link:02}", rgba=link_rgba(link))
+        body.add("geom", name=f"finger_link_{link:02}", rgba=link_rgba(link, joints))
+        guide(body, f"link_{link:02}", -LINK_LENGTH / 2, paths)
         parent = body
+    for name, sites in paths.items():
+        # Nothing of a tendon is drawn: the images show the same finger as without.
+        tendon = mount.root.tendon.add("spatial", name=f"tendon_{name}", rgba=(0, 0, 0, 0))
+        for site in sites:
+            tendon.add("site", site=site)
+        # A positive control pulls.
+        mount.root.actuator.add("motor", name=f"tendon_{name}", tendon=tendon, gear=[-1], ctrlrange=TENDON_FORCE)
 
 
-def link_rgba(link):
+def guide(body, name, height, paths):
+    """Adds a site on the finger's surface for each tendon."""
+    for tendon, (x, y) in TENDONS.items():
+        if tendon in paths:
+            place = (LINK_RADIUS * x, LINK_RADIUS * y, height)
+            paths[tendon].append(body.add("site", name=f"{tendon}_{name}", pos=place, size=[0.001], rgba=(0, 0, 0, 0)))
+
+
+def link_rgba(link, joints=JOINTS):
     """Colour of a link: its place along the finger, odd links darker."""
-    place = link / (JOINTS - 1)
+    place = link / (joints - 1)
     shade = ODD_LINK_SHADE if link % 2 else 1
     return [shade * ((1 - place) * base + place * tip) for base, tip in zip(BASE_RGB, TIP_RGB)] + [1]
 
@@ -177,7 +206,7 @@ def boxes(world):
 
 
 def scene(name):
-    """The whole scene, `empty` or `cluttered`, as a PyMJCF model."""
+    """A whole scene, one of `SCENES`, as a PyMJCF model."""
     root = mjcf.RootElement(model=name)
     root.compiler.set_attributes(angle="radian", autolimits=True)
     # Elliptic cones: with pyramidal ones the force peaks of a finger that is about to buckle doubled.
@@ -201,11 +230,16 @@ def scene(name):
         contype=0,
         conaffinity=FINGER_BIT | BOX_BIT,
     )
-    finger(arm(world))
-    if name == "cluttered":
+    beam = arm(world)
+    finger(beam, FEWER_JOINTS if name == "twelve" else JOINTS, tendons=name == "tendon")
+    if name in ("wrist", "twelve"):
+        axes = look_at(WRIST_POSITION, WRIST_TARGET)
+        beam.add("camera", name="wrist", pos=WRIST_POSITION, xyaxes=axes, fovy=WRIST_FOVY)
+    if name in ("cluttered", "wrist"):
         root.option.flag.sleep = "enable"  # boxes at rest cost nothing; the actuated arm never sleeps
         boxes(world)
-    root.keyframe.add("key", name="rest", ctrl=(ROTATION_REST, 0, 0))
+    pulled = [0] * (len(TENDONS) if name == "tendon" else 0)
+    root.keyframe.add("key", name="rest", ctrl=[ROTATION_REST, 0, 0, *pulled])
     return root
 
 

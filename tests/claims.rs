@@ -3,17 +3,21 @@
 mod common;
 
 use common::{finish, harness, succeed};
+use finger::JOINTS;
 use harness::claims::{Claim, Condition, Each, Judgement, Measured, Verdict, choose, judge, load, runs};
 use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::contact::Contact;
 use harness::metrics::{Direction, Metric, Row};
 use harness::registry::{ForceRows, MetricRow, Outcome, Provenance, Registry};
 use harness::seal;
-use harness::spec::{self, Experiment, JOINTS, Modality, RunSpec, Scenario, Task};
+use harness::spec::{self, Experiment, Layout, Modality, RunSpec, Scenario, Task};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use tempfile::TempDir;
+
+#[path = "common/finger.rs"]
+mod finger;
 
 const FILE: &str = "experiments/claims.yaml";
 const EXPERIMENTS: [&str; 2] = ["single_to_multi", "multi_to_multi"];
@@ -53,8 +57,8 @@ struct Place {
 impl Place {
     fn of(spec: &RunSpec, experiment: &Experiment) -> Self {
         Self {
-            vision: spec.input.contains(&Modality::Vision),
-            cluttered: spec.scenario == Scenario::Cluttered.into(),
+            vision: spec.input.contains(&Modality::VISION),
+            cluttered: spec.scenario == Scenario::CLUTTERED.into(),
             size: experiment.latent.iter().position(|latent| *latent == spec.latent).unwrap(),
         }
     }
@@ -70,20 +74,20 @@ fn error(
 ) -> f64 {
     let Place { vision, cluttered, size } = place;
     let overall = match (task, modality, vision) {
-        (Task::Prediction, Modality::Proprioception, false) if cluttered => [0.6, 0.6, 0.5][size],
-        (Task::Prediction, Modality::Proprioception, false) => [0.5, 0.5, 0.6][size],
-        (Task::Prediction, Modality::Proprioception, true) => [0.2, 0.1, 0.2][size],
-        (Task::Prediction, Modality::ContactForce, false) => 0.7,
-        (Task::Prediction, Modality::ContactForce, true) if cluttered => [0.4, 0.3, 0.2][size],
-        (Task::Prediction, Modality::ContactForce, true) => [0.3, 0.2, 0.3][size],
-        (Task::Reconstruction, Modality::Proprioception, false) => [0.5, 0.4, 0.5][size],
-        (Task::Reconstruction, Modality::Proprioception, true) => [0.3, 0.3, 0.2][size],
+        (Task::Prediction, Modality::PROPRIOCEPTION, false) if cluttered => [0.6, 0.6, 0.5][size],
+        (Task::Prediction, Modality::PROPRIOCEPTION, false) => [0.5, 0.5, 0.6][size],
+        (Task::Prediction, Modality::PROPRIOCEPTION, true) => [0.2, 0.1, 0.2][size],
+        (Task::Prediction, Modality::CONTACT_FORCE, false) => 0.7,
+        (Task::Prediction, Modality::CONTACT_FORCE, true) if cluttered => [0.4, 0.3, 0.2][size],
+        (Task::Prediction, Modality::CONTACT_FORCE, true) => [0.3, 0.2, 0.3][size],
+        (Task::Reconstruction, Modality::PROPRIOCEPTION, false) => [0.5, 0.4, 0.5][size],
+        (Task::Reconstruction, Modality::PROPRIOCEPTION, true) => [0.3, 0.3, 0.2][size],
         _ => 0.5,
     };
     // Lateral angles are easier, lateral forces harder.
     let harder = match modality {
-        Modality::Proprioception => Direction::FlexionExtension,
-        _ => Direction::AdductionAbduction,
+        Modality::PROPRIOCEPTION => Direction::FLEXION_EXTENSION,
+        _ => Direction::ADDUCTION_ABDUCTION,
     };
     let by_direction = match direction {
         None => 0.0,
@@ -127,15 +131,16 @@ fn outcome(says: Says, spec: &RunSpec, experiment: &Experiment) -> Outcome {
     let noise = 1e-3 * ((spec.seed * 7 + spec.latent as u64 * 3) % 5) as f64;
     let mut metrics = Vec::new();
     let mut push = |task, modality, direction, index, metric, value| {
-        let row = Row { modality, direction, index, metric, value: Some(value) };
+        let row = Row { modality, direction, index, metric, value: Some(value), unit: String::new() };
         metrics.push(MetricRow { task, model: "network", row });
     };
     for (task, modalities) in [(Task::Prediction, &spec.output), (Task::Reconstruction, &spec.input)] {
         for &modality in modalities {
-            let joints = (0..JOINTS as u32).map(|index| (Some(Direction::of(index as usize)), Some(index)));
-            let directions = Direction::ALL.map(|direction| (Some(direction), None));
+            let joints =
+                (0..JOINTS as u32).map(|index| (Some(Direction::FINGER[index as usize % 2]), Some(index)));
+            let directions = Direction::FINGER.map(|direction| (Some(direction), None));
             let groups = [(None, None)].into_iter().chain(directions).chain(joints);
-            for (direction, index) in groups.filter(|_| !modality.is_frame()) {
+            for (direction, index) in groups.filter(|_| !Layout::finger()[modality].is_image()) {
                 let error = mirrored(error(place, task, modality, direction, index), 1.0) + noise;
                 for metric in [Metric::Smape, Metric::Wmape, Metric::Rmse, Metric::R2] {
                     let value = match metric {
@@ -146,10 +151,10 @@ fn outcome(says: Says, spec: &RunSpec, experiment: &Experiment) -> Outcome {
                     push(task, modality, direction, index, metric, value);
                 }
             }
-            if modality == Modality::FrameDifference {
+            if modality == Modality::FRAME_DIFFERENCE {
                 let [arm, finger] = part_errors(place).map(|error| mirrored(error, 1.0) + noise);
-                push(task, modality, None, None, Metric::RelativeErrorArm, arm);
-                push(task, modality, None, None, Metric::RelativeErrorFinger, finger);
+                push(task, modality, None, None, Metric::of_region("arm"), arm);
+                push(task, modality, None, None, Metric::of_region("finger"), finger);
             }
         }
     }
@@ -162,7 +167,7 @@ fn outcome(says: Says, spec: &RunSpec, experiment: &Experiment) -> Outcome {
     let forces = (0..4).map(|episode| {
         let force = |force: f64| contact(force * (1.0 + 0.01 * f64::from(episode)));
         let links = forces(says, place.cluttered).map(force).to_vec();
-        ForceRows { modality: Modality::ContactForce, episode: Some(episode), links }
+        ForceRows { modality: Modality::CONTACT_FORCE, episode: Some(episode), links }
     });
     Outcome { epochs: (1..=60).map(epoch).collect(), metrics, forces: forces.collect(), ..Outcome::default() }
 }
@@ -178,7 +183,7 @@ fn write(registry: &Registry, name: &str, seeds: &[u64], says: impl Fn(u64) -> S
 /// Writes one run.
 fn finish_run(registry: &Registry, experiment: &Experiment, spec: &RunSpec, says: Says) {
     let folder = registry.run(&experiment.name, spec, &format!("{}-made-up", spec.scenario));
-    let record = registry.begin(&folder, spec, &Provenance::default()).unwrap();
+    let record = registry.begin(&folder, spec, &Layout::finger(), &Provenance::default()).unwrap();
     // Claims read tables alone; the record wants the networks too.
     for task in &spec.tasks {
         std::fs::write(folder.checkpoint(*task), "made up").unwrap();
@@ -377,7 +382,7 @@ fn quick_claims_are_about_quick_runs() {
         let experiment = experiment(name, &[0, 1]);
         for spec in experiment.runs() {
             let folder = registry.run(&format!("{name}-quick"), &spec, "made-up");
-            let record = registry.begin(&folder, &spec, &Provenance::default()).unwrap();
+            let record = registry.begin(&folder, &spec, &Layout::finger(), &Provenance::default()).unwrap();
             // Claims read tables alone; the record wants the networks too.
             for task in &spec.tasks {
                 std::fs::write(folder.checkpoint(*task), "made up").unwrap();
@@ -450,7 +455,7 @@ fn faults_of_a_file_are_named_with_their_place() {
             "9:14: 'over 0.5' is no condition; write 'above NUMBER' or 'below NUMBER'",
         ),
         (edited("above 0.5", "above inf"), "9:14: 'above inf' is no condition; "),
-        (edited("[empty]", "[emty]"), "5:15: unknown variant `emty`, expected one of empty, cluttered"),
+        (edited("[empty]", "[emty]"), "5:14: unknown scenario `emty`, expected one of empty, cluttered"),
         (load_text(&[ONE, ONE].concat()).unwrap_err(), "10:7: there is a claim 'force' already"),
         (load_text("").unwrap_err(), "1:1: the file holds no claims"),
     ];

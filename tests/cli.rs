@@ -666,15 +666,20 @@ fn bad_questions_and_names_are_refused() {
 #[test]
 fn models_that_cannot_be_used_are_named() {
     let (folder, results) = (Folder::new(), Folder::new().path("results"));
-    let models = folder.0.path().to_str().unwrap();
-    let run = |code| error(&finish(&mut harness(&results, &["run", SMOKE, "--models", models])), code);
-    let path = folder.path("empty.xml").display().to_string();
-    assert!(run(1).starts_with(&format!("cannot read the scene {path}: ")), "{}", run(1));
-    folder.write("empty.xml", "<mujoco>\n<worldbody><geom tpye='box'/></worldbody></mujoco>");
-    let message = run(1);
+    let world = include_str!("../models/empty.yaml").replace("model: empty.xml", "model: own.xml");
+    let scenarios = format!("scenarios=[{}]", folder.write("own.yaml", &world));
+    let run = |code| error(&finish(&mut harness(&results, &["run", SMOKE, &scenarios])), code);
+    let path = folder.path("own.xml").display().to_string();
+    let expected = format!("{}:3:8: can't read the model {path}: ", folder.path("own.yaml").display());
+    assert!(run(2).starts_with(&expected), "{}", run(2));
+    folder.write("own.xml", "<mujoco>\n<worldbody><geom tpye='box'/></worldbody></mujoco>");
+    let message = run(2);
     assert!(message.starts_with(&format!("{path} does not compile: ")), "{message}");
     assert!(message.contains("unrecognized attribute: 'tpye'") && message.contains("line 2"), "{message}");
     assert!(!results.exists());
+    let gone = finish(&mut harness(&results, &["run", SMOKE, "--models", "somewhere"]));
+    assert_eq!(gone.code, 2);
+    assert!(gone.stderr.contains("this option is gone: name a world file"), "{}", gone.stderr);
 }
 
 #[test]

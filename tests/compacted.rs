@@ -8,7 +8,7 @@ use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::evaluate;
 use harness::progress::Silent;
 use harness::registry::{MetricRow, Outcome, PredictionRow, Provenance, QueryError, Registry, query};
-use harness::spec::{self, Modality, Task};
+use harness::spec::{self, Layout, Modality, Task};
 use polars::prelude::DataFrame;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -45,7 +45,7 @@ fn write_runs(results: &Path, experiment: &str, seeds: Range<u64>, scale: f32) {
     made.runs().par_iter().for_each(|spec| {
         let folder = registry.run(experiment, spec, "empty-00000000");
         let _lock = registry.claim(&folder).unwrap().unwrap();
-        let record = registry.begin(&folder, spec, &by).unwrap();
+        let record = registry.begin(&folder, spec, &Layout::finger(), &by).unwrap();
         std::fs::write(folder.checkpoint(Task::Prediction), "made up").unwrap();
         registry.finish(&folder, record, &outcome(spec.seed, scale)).unwrap();
     });
@@ -55,7 +55,7 @@ fn outcome(seed: u64, scale: f32) -> Outcome {
     let value = |place: usize| ((place as f32 + seed as f32) * 0.37).sin();
     let reference: Vec<f32> = (0..40).map(value).collect();
     let predicted: Vec<f32> = reference.iter().enumerate().map(|(n, x)| x + scale * value(n * 7)).collect();
-    let rows = evaluate(Modality::Proprioception, &reference, &predicted).unwrap();
+    let rows = evaluate(&Layout::finger()[Modality::PROPRIOCEPTION], &reference, &predicted).unwrap();
     let losses = |epoch: usize| Losses::from([(TOTAL.to_owned(), f64::from(value(epoch)))]);
     let epoch = |epoch| Epoch { epoch, train: losses(epoch), validation: losses(epoch + 1), seconds: 0.5 };
     let of_models = ["network", "ridge"].into_iter().flat_map(|model| {
@@ -63,7 +63,7 @@ fn outcome(seed: u64, scale: f32) -> Outcome {
     });
     let prediction = |(place, (reference, predicted)): (usize, (f32, f32))| PredictionRow {
         task: Task::Prediction,
-        modality: Modality::Proprioception,
+        modality: Modality::PROPRIOCEPTION,
         episode: 3,
         sample: (place / 20) as u32,
         index: (place % 20) as u32,

@@ -1,12 +1,13 @@
 //! Datasets from real simulations: the same whatever the threads, whole or made again, and read as written.
 
+use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness::dataset::{Dataset, DatasetError, FramePlace, Partition, Recording, Samples, Standard, collect};
 use harness::files::UNFINISHED;
 use harness::progress::{Progress, Silent};
 use harness::simulation::{Episode, Scene, SimulationError, Simulator};
 use harness::spec::{
-    ARM_JOINTS, Action, Deviation, Division, FRAME_CHANNELS, FRAME_LEN, JOINTS, Modality, Scaling, Scalings,
-    Scenario, Simulation, Split,
+    Action, Deviation, Division, IMAGE_CHANNELS, Layout, Modality, Scaling, Scalings, Scenario, Setting,
+    Simulation, Split, World,
 };
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -16,13 +17,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
 
+#[path = "common/finger.rs"]
+mod finger;
+
 /// Two seconds an episode, of which there are four.
 fn short() -> Simulation {
     Simulation { episodes: 4, actuations_per_episode: 2, ..Simulation::default() }
 }
 
 fn scene(scenario: Scenario) -> Scene {
-    Scene::load(scenario, None).unwrap()
+    Scene::paper(scenario).unwrap()
 }
 
 /// A collected dataset in a folder of its own.
@@ -64,7 +68,7 @@ fn modified(path: &Path) -> SystemTime {
 
 #[test]
 fn episodes_are_the_same_bytes_with_one_thread_and_with_two() {
-    for &scenario in Scenario::ALL {
+    for scenario in Scenario::PAPER {
         let one = contents(Collected::new(scenario, 1).dataset.folder());
         let two = contents(Collected::new(scenario, 2).dataset.folder());
         assert_eq!(one.keys().collect::<Vec<_>>(), two.keys().collect::<Vec<_>>());
@@ -77,29 +81,29 @@ fn episodes_are_the_same_bytes_with_one_thread_and_with_two() {
 
 #[test]
 fn an_episode_comes_back_as_it_was_simulated() {
-    let collected = Collected::new(Scenario::Cluttered, 2);
+    let collected = Collected::new(Scenario::CLUTTERED, 2);
     let mut simulator = Simulator::new(&collected.scene, collected.dataset.spec()).unwrap();
     let simulated = simulator.run(2, &mut || ControlFlow::Continue(())).unwrap();
     // Where the boxes were and who drew the frames is not part of the table.
     let expected = Episode { boxes: Vec::new(), renderer: String::new(), ..simulated };
     assert!(collected.dataset.read(2, true).unwrap() == expected);
-    let without_frames = Episode { vision: Vec::new(), ..expected.clone() };
+    let without_frames = expected.clone().without_images();
     assert!(collected.dataset.read(2, false).unwrap() == without_frames);
 
     let samples = collected.dataset.load(FramePlace::Memory, &Silent).unwrap();
-    let (first, plane) = (samples.episodes()[2].start, FRAME_LEN / FRAME_CHANNELS);
-    for (row, frame) in expected.vision.chunks(FRAME_LEN).enumerate() {
+    let (first, plane) = (samples.episodes()[2].start, FRAME_LEN / IMAGE_CHANNELS);
+    for (row, frame) in expected.image(Modality::VISION).chunks(FRAME_LEN).enumerate() {
         // Written pixel by pixel, held channel by channel.
-        let held = samples.frame_bytes(first + row);
+        let held = samples.frame_bytes(Modality::VISION, first + row);
         assert!(
-            (0..FRAME_LEN).all(|at| held[at % FRAME_CHANNELS * plane + at / FRAME_CHANNELS] == frame[at])
+            (0..FRAME_LEN).all(|at| held[at % IMAGE_CHANNELS * plane + at / IMAGE_CHANNELS] == frame[at])
         );
     }
 }
 
 #[test]
 fn only_what_is_missing_is_collected() {
-    let collected = Collected::new(Scenario::Empty, 2);
+    let collected = Collected::new(Scenario::EMPTY, 2);
     let before = contents(collected.dataset.folder());
     let times: Vec<SystemTime> = (0..4).map(|index| modified(&collected.episode(index))).collect();
     assert_eq!(collected.collect_again(), 0);
@@ -122,25 +126,25 @@ fn only_what_is_missing_is_collected() {
 
 #[test]
 fn what_decides_the_content_decides_the_folder() {
-    let (root, scene) = (Path::new("datasets"), scene(Scenario::Empty));
+    let (root, scene) = (Path::new("datasets"), scene(Scenario::EMPTY));
     let name = |spec: Simulation| Dataset::new(root, &scene, &spec).name().to_owned();
     let others = [
         Simulation { seed: 1, ..short() },
         Simulation { actuations_per_episode: 3, ..short() },
-        Simulation { extension_range_m: [0.0, 1.0], ..short() },
+        short().with("extension_range_m", Setting::Range([0.0, 1.0])),
     ];
     for other in others {
         assert_ne!(name(other.clone()), name(short()), "{other:?}");
     }
     let edited = scene.xml().replace("damping=\"3\"", "damping=\"4\"");
     assert_ne!(edited, scene.xml());
-    let edited = Scene::from_xml(Scenario::Empty, &edited, "edited.xml".into()).unwrap();
+    let edited = Scene::from_xml(World::paper(Scenario::EMPTY), &edited, "edited.xml".into()).unwrap();
     assert_ne!(Dataset::new(root, &edited, &short()).name(), name(short()));
 }
 
 #[test]
 fn a_truncated_episode_is_noticed_and_only_that_one_is_made_again() {
-    let collected = Collected::new(Scenario::Empty, 2);
+    let collected = Collected::new(Scenario::EMPTY, 2);
     let before = contents(collected.dataset.folder());
     let untouched = modified(&collected.episode(0));
     for keep in [0, 3, 1000, std::fs::metadata(collected.episode(3)).unwrap().len() as usize - 1] {
@@ -156,7 +160,7 @@ fn a_truncated_episode_is_noticed_and_only_that_one_is_made_again() {
 
 #[test]
 fn a_flipped_bit_never_reaches_the_samples_and_is_mended() {
-    let collected = Collected::new(Scenario::Empty, 2);
+    let collected = Collected::new(Scenario::EMPTY, 2);
     let before = contents(collected.dataset.folder());
     let whole = std::fs::read(collected.episode(1)).unwrap();
     let untouched = modified(&collected.episode(0));
@@ -176,17 +180,17 @@ fn a_flipped_bit_never_reaches_the_samples_and_is_mended() {
 
 #[test]
 fn an_episode_of_another_dataset_is_not_taken_for_ones_own() {
-    let (ours, theirs) = (Collected::new(Scenario::Empty, 2), Collected::new(Scenario::Cluttered, 2));
+    let (ours, theirs) = (Collected::new(Scenario::EMPTY, 2), Collected::new(Scenario::CLUTTERED, 2));
     std::fs::copy(theirs.episode(2), ours.episode(2)).unwrap();
     assert_eq!(ours.dataset.missing(), [2]);
 }
 
 #[test]
 fn a_simulation_that_diverges_is_an_error_and_leaves_no_episode() {
-    let stiff = scene(Scenario::Empty).xml().replace("timestep=\"0.001\"", "timestep=\"0.1\"");
-    let models = tempfile::tempdir().unwrap();
-    std::fs::write(models.path().join("empty.xml"), stiff).unwrap();
-    let scene = Scene::load(Scenario::Empty, Some(models.path())).unwrap();
+    let stiff = scene(Scenario::EMPTY).xml().replace("timestep=\"0.001\"", "timestep=\"0.1\"");
+    let world = include_str!("../models/empty.yaml").replace("step_rate_hz: 1000", "step_rate_hz: 10");
+    let world = World::parse("stiff.yaml", None, "empty", &world).unwrap();
+    let scene = Scene::from_xml(world.into(), &stiff, "stiff.xml".into()).unwrap();
     let root = tempfile::tempdir().unwrap();
     let dataset = Dataset::new(root.path(), &scene, &short());
     let error = collect(&dataset, &scene, 2, &Silent).unwrap_err();
@@ -215,7 +219,7 @@ impl Progress for Impatient {
 
 #[test]
 fn a_cancelled_collection_keeps_whole_episodes_and_goes_on_from_them() {
-    let (root, scene) = (tempfile::tempdir().unwrap(), scene(Scenario::Empty));
+    let (root, scene) = (tempfile::tempdir().unwrap(), scene(Scenario::EMPTY));
     let dataset = Dataset::new(root.path(), &scene, &short());
     // In the middle of the second episode.
     let error = collect(&dataset, &scene, 1, &Impatient(AtomicU64::new(30))).unwrap_err();
@@ -255,7 +259,7 @@ impl Progress for LeavesSomething {
 
 #[test]
 fn collecting_ends_after_its_threads_have_freed_everything() {
-    let (root, scene) = (tempfile::tempdir().unwrap(), scene(Scenario::Empty));
+    let (root, scene) = (tempfile::tempdir().unwrap(), scene(Scenario::EMPTY));
     let (dataset, progress) = (Dataset::new(root.path(), &scene, &short()), LeavesSomething::default());
     collect(&dataset, &scene, 2, &progress).unwrap();
     assert_eq!(progress.0.load(Ordering::Relaxed), 2);
@@ -263,7 +267,7 @@ fn collecting_ends_after_its_threads_have_freed_everything() {
 
 #[test]
 fn two_at_once_share_the_work() {
-    let (root, scene) = (tempfile::tempdir().unwrap(), scene(Scenario::Empty));
+    let (root, scene) = (tempfile::tempdir().unwrap(), scene(Scenario::EMPTY));
     let dataset = Dataset::new(root.path(), &scene, &short());
     let made: usize = std::thread::scope(|scope| {
         let both = [(); 2].map(|()| scope.spawn(|| collect(&dataset, &scene, 1, &Silent).unwrap()));
@@ -282,13 +286,16 @@ fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
 #[test]
 fn standardised_values_restore_to_what_was_recorded() {
     let samples: Arc<Samples> =
-        Arc::new(Collected::new(Scenario::Cluttered, 2).dataset.load(FramePlace::Memory, &Silent).unwrap());
+        Arc::new(Collected::new(Scenario::CLUTTERED, 2).dataset.load(FramePlace::Memory, &Silent).unwrap());
     let at = samples.partition(&Split::default()).unwrap().training;
-    let scalings = Modality::ALL.iter().map(|&modality| (modality, Scaling::default_of(modality))).collect();
+    let scalings = Modality::BUILT_IN
+        .iter()
+        .map(|&modality| (modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap()))
+        .collect();
     let standard = Standard::fit(&samples, &at, &scalings, Action::Increment);
-    for modality in Modality::ALL.iter().copied() {
+    for modality in Modality::BUILT_IN.iter().copied() {
         let scale = &standard.scales[&modality];
-        let (mut values, expected, unit) = if modality.is_frame() {
+        let (mut values, expected, unit) = if samples.layout()[modality].is_image() {
             let frames = standard.frames(&samples, &at, &[modality]).unwrap();
             let mut values = vec![0.0; at.len() * FRAME_LEN];
             let each = values.chunks_exact_mut(FRAME_LEN).enumerate();
@@ -312,42 +319,46 @@ fn standardised_values_restore_to_what_was_recorded() {
         standard.actions(&samples, &at, Action::Increment).unwrap().flatten_all().unwrap().to_vec1().unwrap();
     standard.action.restore(&mut actions);
     let expected: Vec<f32> =
-        at.iter().flat_map(|sample| samples.action(Action::Increment, *sample)).collect();
+        at.iter().flat_map(|sample| samples.action(Action::Increment, *sample).collect::<Vec<_>>()).collect();
     assert_eq!(expected.len(), at.len() * ARM_JOINTS);
     assert!(largest_difference(&actions, &expected) < 1e-5);
 }
 
 #[test]
 fn frames_on_disk_are_those_in_memory_and_leave_no_file() {
-    let collected = Collected::new(Scenario::Cluttered, 2);
+    let collected = Collected::new(Scenario::CLUTTERED, 2);
     let before = contents(collected.dataset.folder());
     let memory = collected.dataset.load(FramePlace::Memory, &Silent).unwrap();
     let disk = collected.dataset.load(FramePlace::Disk, &Silent).unwrap();
-    assert_eq!(memory.frames().len(), memory.len() * FRAME_LEN);
-    assert!(disk.frames() == memory.frames());
+    assert_eq!(memory.image(Modality::VISION).len(), memory.len() * FRAME_LEN);
+    assert!(disk.image(Modality::VISION) == memory.image(Modality::VISION));
     // So often that pages are let go of on the way.
     let at: Vec<usize> = (0..disk.len()).rev().collect();
     for _ in 0..400 {
-        disk.prefetch(&at);
+        disk.prefetch(Modality::VISION, &at);
     }
-    assert!(at.iter().all(|&sample| disk.frame_bytes(sample) == memory.frame_bytes(sample)));
-    assert!(disk.previous_frame_bytes(7) == memory.frame_bytes(6));
-    assert_eq!(disk.vectors(Modality::ContactForce), memory.vectors(Modality::ContactForce));
+    assert!(
+        at.iter().all(|&sample| disk.frame_bytes(Modality::VISION, sample)
+            == memory.frame_bytes(Modality::VISION, sample))
+    );
+    assert!(disk.previous_frame_bytes(Modality::VISION, 7) == memory.frame_bytes(Modality::VISION, 6));
+    assert_eq!(disk.vectors(Modality::CONTACT_FORCE), memory.vectors(Modality::CONTACT_FORCE));
     assert!(contents(collected.dataset.folder()) == before, "the file has no name, even while it is used");
     assert!(!collected.dataset.load(FramePlace::Nowhere, &Silent).unwrap().has_frames());
 }
 
 #[test]
 fn frames_that_can_not_be_written_are_an_error_that_names_the_folder() {
-    let recording = Recording { is_simulated: true, sample_rate_hz: 10.0, seed: 0 };
+    let recording = Recording { sample_rate_hz: 10.0, seed: 0 };
     let file = tempfile::NamedTempFile::new().unwrap();
-    let error = Samples::new(recording, 1, FramePlace::Disk, file.path()).unwrap_err().to_string();
+    let error =
+        Samples::new(recording, Layout::finger(), 1, FramePlace::Disk, file.path()).unwrap_err().to_string();
     assert!(error.contains(&format!("can't be kept in {}", file.path().display())), "{error}");
 }
 
 #[test]
 fn frames_stay_in_memory_up_to_a_limit() {
-    let place = |samples, limit| FramePlace::for_samples(samples, limit);
+    let place = |samples, limit| FramePlace::for_samples(&Layout::finger(), samples, limit);
     assert_eq!(place(1000, Some(12_288_000)), FramePlace::Memory);
     assert_eq!(place(1000, Some(12_287_999)), FramePlace::Disk);
     assert_eq!(place(1000, None), FramePlace::Memory);
@@ -357,9 +368,15 @@ fn frames_stay_in_memory_up_to_a_limit() {
 /// Episodes of so many samples at 10 Hz, in which every force of sample s of the dataset is s newtons, and that of the
 /// last link 3 s.
 fn ramps(seed: u64, lengths: &[usize]) -> Samples {
-    let recording = Recording { is_simulated: true, sample_rate_hz: 10.0, seed };
-    let mut all =
-        Samples::new(recording, lengths.iter().sum(), FramePlace::Memory, Path::new("nowhere")).unwrap();
+    let recording = Recording { sample_rate_hz: 10.0, seed };
+    let mut all = Samples::new(
+        recording,
+        Layout::finger(),
+        lengths.iter().sum(),
+        FramePlace::Memory,
+        Path::new("nowhere"),
+    )
+    .unwrap();
     for (index, &samples) in (0..).zip(lengths) {
         let first = all.len();
         let force = |at: usize| {
@@ -368,18 +385,17 @@ fn ramps(seed: u64, lengths: &[usize]) -> Samples {
         };
         let forces: Vec<f32> = (0..samples * JOINTS).map(force).collect();
         let vision = (0..samples * FRAME_LEN).map(|at| (first + at / FRAME_LEN + at) as u8);
-        all.push(&Episode {
-            index,
-            samples,
-            proprioception: forces.clone(),
-            arm: vec![0.0; samples * ARM_JOINTS],
-            setpoint: vec![0.0; samples * ARM_JOINTS],
-            contact_force: forces.clone(),
-            contact_force_mean: forces,
-            vision: vision.collect(),
-            ..Episode::default()
-        })
-        .unwrap();
+        let mut episode = Episode::new(Layout::finger(), index, samples);
+        for (place, definition) in Layout::finger().modalities.iter().enumerate() {
+            if definition.width() == JOINTS {
+                episode.vectors[place] = forces.clone();
+            } else if definition.width() == ARM_JOINTS {
+                episode.vectors[place] = vec![0.0; samples * ARM_JOINTS];
+            } else if definition.difference_of.is_none() {
+                episode.images[place] = vision.clone().collect();
+            }
+        }
+        all.push(&episode).unwrap();
     }
     all
 }
@@ -444,19 +460,19 @@ fn a_shared_deviation_pools_the_variances_and_leaves_each_mean() {
     let at: Vec<usize> = (0..11).collect();
     let scaling = |scale, minimum| Scaling { scale, minimum };
     let scalings = Scalings::from([
-        (Modality::ContactForce, scaling(Deviation::Shared, Some(-1.0))),
-        (Modality::ContactForceMean, scaling(Deviation::PerElement, None)),
+        (Modality::CONTACT_FORCE, scaling(Deviation::Shared, Some(-1.0))),
+        (Modality::CONTACT_FORCE_MEAN, scaling(Deviation::PerElement, None)),
     ]);
     let standard = Standard::fit(&samples, &at, &scalings, Action::Increment);
     let (shared, own) =
-        (&standard.scales[&Modality::ContactForce], &standard.scales[&Modality::ContactForceMean]);
+        (&standard.scales[&Modality::CONTACT_FORCE], &standard.scales[&Modality::CONTACT_FORCE_MEAN]);
     // 0 to 10 have mean 5 and variance 10; three times as much on the last of 20 links nine times that.
     assert_eq!((shared.mean[0], shared.mean[19]), (5.0, 15.0));
     assert_eq!(shared.mean, own.mean);
     assert_eq!(shared.deviation, [((19.0 * 10.0 + 90.0) / 20.0_f32).sqrt()]);
     assert_eq!((own.deviation[0], own.deviation[19]), (10.0_f32.sqrt(), 90.0_f32.sqrt()));
     // In units of the shared deviation the last link's forces vary three times as much as another's.
-    let table = standard.vectors(&Arc::new(samples), &[0, 10], &[Modality::ContactForce]).unwrap().unwrap();
+    let table = standard.vectors(&Arc::new(samples), &[0, 10], &[Modality::CONTACT_FORCE]).unwrap().unwrap();
     let table: Vec<Vec<f32>> = table.to_vec2().unwrap();
     let span = |link: usize| table[1][link] - table[0][link];
     assert!((span(19) / span(0) - 3.0).abs() < 1e-6);
@@ -476,8 +492,8 @@ fn frames_are_scaled_by_their_pixels_means_and_one_deviation_whatever_the_thread
     // More than are summed up at once.
     let samples = ramps(0, &[3000, 3000]);
     let at: Vec<usize> = (0..6000).filter(|sample| sample % 7 != 0).collect();
-    for modality in [Modality::Vision, Modality::FrameDifference] {
-        let scalings = Scalings::from([(modality, Scaling::default_of(modality))]);
+    for modality in [Modality::VISION, Modality::FRAME_DIFFERENCE] {
+        let scalings = Scalings::from([(modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap())]);
         let fit = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| Standard::fit(&samples, &at, &scalings, Action::Increment))
@@ -489,8 +505,10 @@ fn frames_are_scaled_by_their_pixels_means_and_one_deviation_whatever_the_thread
             let values: Vec<f64> = at
                 .iter()
                 .map(|&sample| match modality {
-                    Modality::Vision => f64::from(samples.frame_bytes(sample)[pixel]) / 255.0,
-                    _ => f64::from(harness::dataset::frame_difference(&samples, sample).nth(pixel).unwrap()),
+                    Modality::VISION => f64::from(samples.frame_bytes(modality, sample)[pixel]) / 255.0,
+                    _ => f64::from(
+                        harness::dataset::frame_difference(&samples, modality, sample).nth(pixel).unwrap(),
+                    ),
                 })
                 .collect();
             let mean = values.iter().sum::<f64>() / values.len() as f64;
@@ -504,14 +522,30 @@ fn frames_are_scaled_by_their_pixels_means_and_one_deviation_whatever_the_thread
     }
 }
 
-/// The Python package reads and writes episodes' files by this list.
+/// The Python package reads and writes episodes' files by the same list.
 #[test]
 fn the_python_packages_columns_are_those_of_the_files() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("python/harness/columns.json");
-    let checked_in: serde_json::Value = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
-    let columns = [harness::schema::sample_columns(), vec![harness::schema::frame_column()]].concat();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let script = "import dataclasses, importlib.util, json, sys\n\
+        spec = importlib.util.spec_from_file_location('recorded', sys.argv[1])\n\
+        recorded = importlib.util.module_from_spec(spec)\n\
+        sys.modules['recorded'] = recorded\n\
+        spec.loader.exec_module(recorded)\n\
+        print(json.dumps([dataclasses.asdict(column) for column in recorded.columns(recorded.FINGER)]))";
+    let output = std::process::Command::new(root.join(".venv/bin/python"))
+        .args(["-c", script])
+        .arg(root.join("python/harness/recorded.py"))
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let columns = [
+        harness::schema::sample_columns(&Layout::finger()),
+        harness::schema::image_columns(&Layout::finger()),
+    ]
+    .concat();
     let expected = serde_json::to_value(&columns).unwrap();
-    assert!(checked_in == expected, "python/harness/columns.json must hold {expected}");
+    assert!(found == expected, "python/harness/recorded.py must give {expected}");
 }
 
 /// What the columns of a dataset's episodes hold, as the columns of version 0.1.0 did: a hash of their names and of every
@@ -542,6 +576,6 @@ fn the_built_in_worlds_record_the_bits_that_they_always_did() {
     };
     let expected =
         [("empty-007162eaa0246f73", "00543f1684bd34fe"), ("cluttered-33724cf976a9f085", "a877023f69f29aa9")];
-    let found = [Scenario::Empty, Scenario::Cluttered].map(hash);
+    let found = [Scenario::EMPTY, Scenario::CLUTTERED].map(hash);
     assert_eq!(found.each_ref().map(|(name, hash)| (name.as_str(), hash.as_str())), expected);
 }

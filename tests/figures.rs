@@ -3,13 +3,14 @@
 mod common;
 
 use common::{MULTI, SINGLE, TINY, finish, fresh, harness, succeed};
+use finger::FRAME_LEN;
 use harness::analysis::{LEVEL, mean_interval};
 use harness::dataset::Dataset;
 use harness::figures::Figure;
 use harness::figures::page::{Anchor, Page, Stroke, Type};
 use harness::registry::{Registry, query};
 use harness::simulation::Scene;
-use harness::spec::{FRAME_LEN, Scenario, Simulation};
+use harness::spec::{Modality, Scenario, Simulation};
 use harness::tables::read_table;
 use polars::prelude::*;
 use resvg::usvg::{self, roxmltree};
@@ -17,6 +18,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
+
+#[path = "common/finger.rs"]
+mod finger;
 
 const EPISODES: u32 = 4;
 const ACTUATIONS: u32 = 3;
@@ -249,7 +253,7 @@ fn diagrams_have_the_layers_of_the_network_that_was_trained() {
 fn forces_and_frames_are_those_of_the_dataset() {
     let results = fresh("figures_frames");
     run(&results, MULTI, &["latent=[4]", "network.channels=[4]", "scenarios=[cluttered]", "seeds=[0]"]);
-    let scene = Scene::load(Scenario::Cluttered, None).unwrap();
+    let scene = Scene::paper(Scenario::CLUTTERED).unwrap();
     let spec = Simulation { episodes: EPISODES, actuations_per_episode: ACTUATIONS, ..Simulation::default() };
     let dataset = Dataset::new(&results.join("datasets"), &scene, &spec);
     let episodes: Vec<_> = (0..EPISODES).map(|index| dataset.read(index, true).unwrap()).collect();
@@ -270,7 +274,8 @@ fn forces_and_frames_are_those_of_the_dataset() {
             let of_link = |values: &[f32]| -> Vec<f64> {
                 values.iter().skip(link).step_by(20).map(|&force| f64::from(force)).collect()
             };
-            let values: Vec<f64> = episodes.iter().flat_map(|e| of_link(&e.contact_force)).collect();
+            let values: Vec<f64> =
+                episodes.iter().flat_map(|e| of_link(e.vector(Modality::CONTACT_FORCE))).collect();
             assert_eq!(real(&forces, "samples", row), Some(values.len() as f64));
             let touching = values.iter().filter(|force| **force > 0.0).count();
             assert_eq!(real(&forces, "contacts", row), Some(touching as f64));
@@ -292,7 +297,7 @@ fn forces_and_frames_are_those_of_the_dataset() {
         let (episode, sample) =
             (real(&frames, "episode", row).unwrap(), real(&frames, "sample", row).unwrap());
         let first = (sample as usize - back) * FRAME_LEN;
-        &episodes[episode as usize].vision[first..first + FRAME_LEN]
+        &episodes[episode as usize].image(Modality::VISION)[first..first + FRAME_LEN]
     };
     for row in rows("reconstruction") {
         assert!(bytes("reference", row) == frame(row, 0), "the picture is the camera's");

@@ -108,7 +108,7 @@ fn damage(path: &Path, seed: u64, check: impl Fn(&str)) {
 
 #[test]
 fn a_damaged_episode_is_never_read() {
-    let scene = Scene::load(Scenario::Empty, None).unwrap();
+    let scene = Scene::paper(Scenario::EMPTY).unwrap();
     let spec = Simulation { episodes: 4, actuations_per_episode: 3, ..Simulation::default() };
     let root = tempfile::tempdir().unwrap();
     let dataset = Dataset::new(root.path(), &scene, &spec);

@@ -4,8 +4,6 @@ mod common;
 
 use common::{Answer, SMOKE, smoke_run};
 use harness::files::{FolderLock, LOCK, UNFINISHED};
-use harness::simulation::Scene;
-use harness::spec::Scenario;
 use harness::tables::read_footer;
 use rand::{RngExt, SeedableRng};
 use std::collections::BTreeMap;
@@ -514,11 +512,13 @@ fn a_loss_that_is_not_finite_fails_the_run_with_its_reason() {
 #[test]
 fn a_scenario_that_diverges_fails_and_the_other_goes_on() {
     let (results, models) = (Results::new(), Results::new());
-    let xml = |scenario| Scene::load(scenario, None).unwrap().xml().to_owned();
-    let stiff = xml(Scenario::Empty).replace("timestep=\"0.001\"", "timestep=\"0.1\"");
-    std::fs::write(models.path().join("empty.xml"), stiff).unwrap();
-    std::fs::write(models.path().join("cluttered.xml"), xml(Scenario::Cluttered)).unwrap();
-    let arguments = ["run", SMOKE, "seeds=[0,1]", "--models", models.path().to_str().unwrap()];
+    let stiff = include_str!("../models/empty.xml").replace("timestep=\"0.001\"", "timestep=\"0.1\"");
+    std::fs::write(models.path().join("stiff.xml"), stiff).unwrap();
+    let world = include_str!("../models/empty.yaml").replace("step_rate_hz: 1000", "step_rate_hz: 10");
+    let path = models.path().join("stiff.yaml");
+    std::fs::write(&path, world.replace("empty.xml", "stiff.xml")).unwrap();
+    let scenarios = format!("scenarios=[cluttered, {}]", path.display());
+    let arguments = ["run", SMOKE, "seeds=[0,1]", &scenarios];
     let answer = run(results.path(), &arguments);
     assert_eq!((answer.code, counts(&answer)), (1, [2, 0, 2]), "{}", answer.stderr);
     let statuses = statuses(results.path());

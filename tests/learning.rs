@@ -3,6 +3,7 @@
 
 use candle_core::{Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
+use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness::dataset::frames::{Averaged, DenseFrames, Frames};
 use harness::dataset::{FramePlace, Partition, Recording, Samples, Standard};
 use harness::learning::network::{Architecture, Observation, Parameters, Targets, scalar};
@@ -18,8 +19,8 @@ use harness::learning::{LearningError, checkpoint};
 use harness::progress::Progress;
 use harness::simulation::Episode;
 use harness::spec::{
-    ARM_JOINTS, Action, FRAME_LEN, Fusion, JOINTS, Loss, Modality, Network, Preset, Scaling, Schedule, Split,
-    Stop, Task, Training,
+    Action, Fusion, Layout, Loss, Modality, Network, Preset, Scenario, Schedule, Split, Stop, Task, Training,
+    World,
 };
 use harness_kernels::convolution::LANES;
 use harness_kernels::product::{Arithmetic, Unit};
@@ -29,6 +30,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
+
+#[path = "common/finger.rs"]
+mod finger;
 
 fn random(seed: u64) -> Random {
     Random::new(seed, Stream::Parameters(Task::Prediction))
@@ -447,16 +451,25 @@ impl Twin {
             .get("fusion")
             .map_or(Fusion::Early, |name| serde_json::from_value(name.clone()).unwrap());
         let only = |modalities: &[Modality]| -> Vec<Modality> {
-            modalities.iter().copied().filter(|modality| frames || !modality.is_frame()).collect()
+            modalities
+                .iter()
+                .copied()
+                .filter(|modality| frames || !Layout::finger()[*modality].is_image())
+                .collect()
         };
         Self {
             tensors: candle_core::safetensors::load_buffer(&bytes, &Device::Cpu).unwrap(),
             weights: serde_json::from_value(settings["weights"].clone()).unwrap(),
             kl_weight: settings["kl_weight"].as_f64().unwrap(),
             architecture: Architecture {
-                input: only(&[Modality::Proprioception, Modality::Vision]),
-                output: only(&[Modality::Proprioception, Modality::ContactForce, Modality::FrameDifference]),
+                input: only(&[Modality::PROPRIOCEPTION, Modality::VISION]),
+                output: only(&[
+                    Modality::PROPRIOCEPTION,
+                    Modality::CONTACT_FORCE,
+                    Modality::FRAME_DIFFERENCE,
+                ]),
                 latent: size(&settings["latent"]),
+                layout: Layout::finger(),
                 action: ARM_JOINTS,
                 network: Network {
                     preset: Preset::MultiToMulti,
@@ -497,7 +510,7 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool, arithmetic: Arithmetic)
         losses: BTreeMap::new(),
         frames: twin
             .frames("target.frame_difference")
-            .map(|frames| (Modality::FrameDifference, frames))
+            .map(|frames| (Modality::FRAME_DIFFERENCE, frames))
             .into_iter()
             .collect(),
     };
@@ -587,9 +600,10 @@ fn reference_the_deep_network_agrees_with_its_pytorch_twin() {
 
 /// Random walks in place of a simulation, which these tests are not about.
 fn walks(episodes: u32, samples: usize) -> Samples {
-    let recording = Recording { is_simulated: true, sample_rate_hz: 10.0, seed: 0 };
+    let recording = Recording { sample_rate_hz: 10.0, seed: 0 };
     let room = episodes as usize * samples;
-    let mut all = Samples::new(recording, room, FramePlace::Memory, Path::new("nowhere")).unwrap();
+    let mut all =
+        Samples::new(recording, Layout::finger(), room, FramePlace::Memory, Path::new("nowhere")).unwrap();
     for index in 0..episodes {
         let mut random = random(u64::from(index) + 100);
         let mut walk = |width: usize| -> Vec<f32> {
@@ -602,24 +616,26 @@ fn walks(episodes: u32, samples: usize) -> Samples {
         };
         let arm = walk(ARM_JOINTS);
         let bytes = |value: f32| ((value + 3.0) * 40.0).clamp(0.0, 255.0) as u8;
-        all.push(&Episode {
-            index,
-            samples,
-            proprioception: walk(JOINTS),
-            setpoint: arm.clone(),
-            arm,
-            contact_force: walk(JOINTS),
-            contact_force_mean: walk(JOINTS),
-            vision: walk(FRAME_LEN).into_iter().map(bytes).collect(),
-            ..Episode::default()
-        })
-        .unwrap();
+        let mut episode = Episode::new(Layout::finger(), index, samples);
+        let values = [
+            (Modality::PROPRIOCEPTION, walk(JOINTS)),
+            (Modality::SETPOINT, arm.clone()),
+            (Modality::ARM, arm),
+            (Modality::CONTACT_FORCE, walk(JOINTS)),
+            (Modality::CONTACT_FORCE_MEAN, walk(JOINTS)),
+        ];
+        for (modality, values) in values {
+            episode.vectors[Layout::finger().position(modality).unwrap()] = values;
+        }
+        let vision = Layout::finger().position(Modality::VISION).unwrap();
+        episode.images[vision] = walk(FRAME_LEN).into_iter().map(bytes).collect();
+        all.push(&episode).unwrap();
     }
     all
 }
 
-const INPUT: [Modality; 2] = [Modality::Proprioception, Modality::Vision];
-const OUTPUT: [Modality; 3] = [Modality::Proprioception, Modality::ContactForce, Modality::FrameDifference];
+const INPUT: [Modality; 2] = [Modality::PROPRIOCEPTION, Modality::VISION];
+const OUTPUT: [Modality; 3] = [Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE, Modality::FRAME_DIFFERENCE];
 
 /// A small experiment in training.
 struct Bench {
@@ -634,8 +650,10 @@ impl Bench {
     fn new() -> Self {
         let samples = walks(4, 12);
         let partition = samples.partition(&Split::default()).unwrap();
-        let scalings =
-            Modality::ALL.iter().map(|&modality| (modality, Scaling::default_of(modality))).collect();
+        let scalings = Modality::BUILT_IN
+            .iter()
+            .map(|&modality| (modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap()))
+            .collect();
         let standard = Standard::fit(&samples, &partition.training, &scalings, Action::Increment);
         let view = View {
             samples: Arc::new(samples),
@@ -644,7 +662,7 @@ impl Bench {
             device: Device::Cpu,
         };
         let training = Training { batch_size: 8, epochs: 4, patience: None, ..Training::default() };
-        let weights = BTreeMap::from([(Modality::ContactForce, 2.0)]);
+        let weights = BTreeMap::from([(Modality::CONTACT_FORCE, 2.0)]);
         Self { view, partition, training, weights, network: network(8, 2) }
     }
 
@@ -685,6 +703,7 @@ impl Bench {
             input: INPUT.to_vec(),
             output: OUTPUT.to_vec(),
             latent: 3,
+            layout: Layout::finger(),
             action: ARM_JOINTS,
             network: self.network.clone(),
             arithmetic: Arithmetic::best(),
@@ -747,7 +766,7 @@ fn schedule_warm_up_decay_clipping_and_losses_each_change_a_training() {
         ("warm-up", Training { warmup_epochs: 1.0, ..plain.clone() }),
         ("weight decay", Training { weight_decay: 1.0, ..plain.clone() }),
         ("clipping", Training { clip_norm: Some(0.1), ..plain.clone() }),
-        ("loss", Training { losses: [(Modality::ContactForce, Loss::Huber)].into(), ..plain }),
+        ("loss", Training { losses: [(Modality::CONTACT_FORCE, Loss::Huber)].into(), ..plain }),
     ];
     let (_, unchanged) = bench.train_undisturbed(7);
     for (what, training) in changes {
@@ -1070,7 +1089,7 @@ fn checkpoints_bring_back_parameters_and_scales() {
     assert_eq!(standard, *bench.view.standard);
     // Forces have a minimum, which networks that were saved before it was a setting lack, as angles do.
     let minimum = |modality| standard.scales[&modality].minimum;
-    assert_eq!((minimum(Modality::ContactForce), minimum(Modality::Proprioception)), (Some(0.0), None));
+    assert_eq!((minimum(Modality::CONTACT_FORCE), minimum(Modality::PROPRIOCEPTION)), (Some(0.0), None));
     let bytes = std::fs::read(&path).unwrap();
     std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
     let error = checkpoint::load(&path, &other).unwrap_err();
@@ -1082,14 +1101,14 @@ fn standardised_values_have_no_mean_and_one_deviation_and_restore_to_what_they_w
     let bench = Bench::new();
     let at = &bench.partition.training;
     let standard = &bench.view.standard;
-    let table = standard.vectors(&bench.view.samples, at, &[Modality::Arm]).unwrap().unwrap();
+    let table = standard.vectors(&bench.view.samples, at, &[Modality::ARM]).unwrap().unwrap();
     let mean = table.mean(0).unwrap().to_vec1::<f32>().unwrap();
     let square = table.sqr().unwrap().mean(0).unwrap().to_vec1::<f32>().unwrap();
     assert!(mean.iter().all(|mean| mean.abs() < 1e-4), "{mean:?}");
     assert!(square.iter().all(|square| (square - 1.0).abs() < 1e-3), "{square:?}");
     let mut values = table.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-    standard.scales[&Modality::Arm].restore(&mut values);
-    let physical = at.iter().flat_map(|sample| bench.view.samples.vector(Modality::Arm, *sample).to_vec());
+    standard.scales[&Modality::ARM].restore(&mut values);
+    let physical = at.iter().flat_map(|sample| bench.view.samples.vector(Modality::ARM, *sample).to_vec());
     assert!(values.iter().zip(physical).all(|(value, physical)| (value - physical).abs() < 1e-5));
 }
 
@@ -1097,9 +1116,14 @@ fn standardised_values_have_no_mean_and_one_deviation_and_restore_to_what_they_w
 fn a_frame_difference_is_what_changed_since_the_sample_before() {
     let samples = walks(2, 3);
     let first = samples.episodes()[1].start;
-    assert!(harness::dataset::frame_difference(&samples, first).all(|change| change == 0.0));
-    let change: Vec<f32> = harness::dataset::frame_difference(&samples, first + 1).collect();
-    let (now, before) = (samples.frame_bytes(first + 1), samples.frame_bytes(first));
+    assert!(
+        harness::dataset::frame_difference(&samples, Modality::FRAME_DIFFERENCE, first)
+            .all(|change| change == 0.0)
+    );
+    let change: Vec<f32> =
+        harness::dataset::frame_difference(&samples, Modality::FRAME_DIFFERENCE, first + 1).collect();
+    let (now, before) =
+        (samples.frame_bytes(Modality::VISION, first + 1), samples.frame_bytes(Modality::VISION, first));
     assert_eq!(change[5], (f32::from(now[5]) - f32::from(before[5])) / 255.0);
     assert!(change.iter().any(|change| *change != 0.0));
 }
@@ -1136,9 +1160,12 @@ fn a_term_of_the_loss_is_a_finite_scalar() {
 
 #[test]
 fn the_number_of_parameters_is_known_before_they_are_made() {
-    use Modality::*;
-    let sides: [&[Modality]; 4] =
-        [&[Arm], &[Proprioception, ContactForce], &[Vision], &[Proprioception, Vision, FrameDifference]];
+    let sides: [&[Modality]; 4] = [
+        &[Modality::ARM],
+        &[Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE],
+        &[Modality::VISION],
+        &[Modality::PROPRIOCEPTION, Modality::VISION, Modality::FRAME_DIFFERENCE],
+    ];
     for (input, output) in sides.iter().flat_map(|input| sides.iter().map(move |output| (input, output))) {
         for (fusion, hidden) in
             [(Fusion::Early, vec![7]), (Fusion::Early, vec![5, 6]), (Fusion::Late, vec![7, 4])]
@@ -1147,6 +1174,7 @@ fn the_number_of_parameters_is_known_before_they_are_made() {
                 input: input.to_vec(),
                 output: output.to_vec(),
                 latent: 3,
+                layout: Layout::finger(),
                 action: ARM_JOINTS,
                 network: Network { hidden, channels: Some(vec![2, 5]), fusion, ..network(0, 0) },
                 arithmetic: Arithmetic::best(),

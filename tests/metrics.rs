@@ -1,20 +1,26 @@
 //! The metrics against hand-worked values and scikit-learn's, and the baselines beside them.
 
+use finger::{ARM_JOINTS, FRAME_LEN, FRAME_SIDE, JOINTS};
 use harness::analysis::{Interval, mean_interval};
-use harness::metrics::baselines::{
-    GREY_LEN, GREY_SIDE, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence,
-};
+use harness::metrics::baselines::{GREY_SIDE, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
 use harness::metrics::contact::{Contact, by_link};
-use harness::metrics::parts::Part;
+use harness::metrics::parts::{in_either, region_of};
 use harness::metrics::series::{error_relative_to_mean, error_relative_to_zero, mae, r2, rmse, smape, wmape};
 use harness::metrics::{Direction, Evaluation, Metric, MetricsError, Row, Series, evaluate};
-use harness::spec::{ARM_JOINTS, FRAME_LEN, FRAME_SIDE, JOINTS, Modality};
+use harness::spec::{Definition, Layout, Modality};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use std::io::Write;
 use std::process::{Command, Stdio};
+
+#[path = "common/finger.rs"]
+mod finger;
+
+fn of_finger(modality: Modality) -> Definition {
+    Layout::finger()[modality].clone()
+}
 
 type Formula = fn(&[Series]) -> Option<f64>;
 const FUNCTIONS: [Formula; 7] = [smape, wmape, r2, rmse, mae, error_relative_to_zero, error_relative_to_mean];
@@ -155,11 +161,11 @@ fn metrics_ignore_the_order_of_samples() {
 fn evaluation_agrees_with_scikit_learn() {
     // The offset makes the variance a small part of the squares, where a careless sum loses digits.
     for (modality, metrics, offset) in [
-        (Modality::Proprioception, [Metric::Smape, Metric::R2, Metric::Rmse, Metric::Mae], 0.0),
-        (Modality::ContactForceMean, [Metric::Wmape, Metric::R2, Metric::Rmse, Metric::Mae], 1000.0),
+        (Modality::PROPRIOCEPTION, [Metric::Smape, Metric::R2, Metric::Rmse, Metric::Mae], 0.0),
+        (Modality::CONTACT_FORCE_MEAN, [Metric::Wmape, Metric::R2, Metric::Rmse, Metric::Mae], 1000.0),
     ] {
         let (reference, predicted) = random_pairs(4, 300 * JOINTS, offset);
-        let rows = evaluate(modality, &reference, &predicted).unwrap();
+        let rows = evaluate(&of_finger(modality), &reference, &predicted).unwrap();
         let compare = |direction, index, columns: Vec<usize>| {
             let expected = python(&json!({
                 "reference": nested(&reference, JOINTS, columns.iter().copied()),
@@ -171,17 +177,17 @@ fn evaluation_agrees_with_scikit_learn() {
             }
         };
         compare(None, None, (0..JOINTS).collect());
-        compare(Some(Direction::FlexionExtension), None, (0..JOINTS).step_by(2).collect());
-        compare(Some(Direction::AdductionAbduction), Some(7), vec![7]);
+        compare(Some(Direction::FLEXION_EXTENSION), None, (0..JOINTS).step_by(2).collect());
+        compare(Some(Direction::ADDUCTION_ABDUCTION), Some(7), vec![7]);
     }
 }
 
 #[test]
 fn finger_rows_name_joints_directions_and_units() {
     let (reference, predicted) = random_pairs(5, 10 * JOINTS, 0.0);
-    let rows = evaluate(Modality::Proprioception, &reference, &predicted).unwrap();
+    let rows = evaluate(&of_finger(Modality::PROPRIOCEPTION), &reference, &predicted).unwrap();
     assert_eq!(rows.len(), 4 * (1 + 2 + JOINTS));
-    assert!(rows.iter().all(|row| row.modality == Modality::Proprioception && row.value.is_some()));
+    assert!(rows.iter().all(|row| row.modality == Modality::PROPRIOCEPTION && row.value.is_some()));
     for joint in 0..JOINTS {
         let direction = if joint % 2 == 0 { "fe" } else { "aa" };
         let rows: Vec<_> = rows.iter().filter(|row| row.index == Some(joint as u32)).collect();
@@ -190,7 +196,7 @@ fn finger_rows_name_joints_directions_and_units() {
             rows.iter().map(|row| row.metric.name()).collect::<Vec<_>>(),
             ["smape", "r2", "rmse", "mae"]
         );
-        assert_eq!(rows.iter().map(|row| row.unit()).collect::<Vec<_>>(), ["%", "1", "rad", "rad"]);
+        assert_eq!(rows.iter().map(|row| row.unit.as_str()).collect::<Vec<_>>(), ["%", "1", "rad", "rad"]);
     }
 }
 
@@ -200,9 +206,9 @@ fn untouched_links_have_no_wmape() {
     let reference: Vec<f32> =
         (0..5 * JOINTS).map(|i| if i % JOINTS == JOINTS - 1 { (i / JOINTS) as f32 } else { 0.0 }).collect();
     let predicted: Vec<f32> = reference.iter().map(|force| force + 0.5).collect();
-    let rows = evaluate(Modality::ContactForce, &reference, &predicted).unwrap();
+    let rows = evaluate(&of_finger(Modality::CONTACT_FORCE), &reference, &predicted).unwrap();
     let value = |metric, direction, index| find(&rows, metric, direction, index).value;
-    let (fe, aa) = (Some(Direction::FlexionExtension), Some(Direction::AdductionAbduction));
+    let (fe, aa) = (Some(Direction::FLEXION_EXTENSION), Some(Direction::ADDUCTION_ABDUCTION));
     for metric in [Metric::Wmape, Metric::R2] {
         assert_eq!(value(metric, fe, Some(0)), None);
         assert_eq!(value(metric, fe, None), None);
@@ -214,14 +220,14 @@ fn untouched_links_have_no_wmape() {
     assert_close(value(Metric::Wmape, None, None), 100.0 * 50.0 / 10.0);
     assert_close(value(Metric::R2, None, None), 1.0 - 1.25 / 10.0);
     assert!(rows.iter().all(|row| row.value.is_none_or(f64::is_finite)));
-    assert_eq!(find(&rows, Metric::Rmse, None, None).unit(), "N");
+    assert_eq!(find(&rows, Metric::Rmse, None, None).unit, "N");
 }
 
 #[test]
 fn arm_joints_are_never_pooled() {
     let (reference, predicted) = random_pairs(6, 10 * ARM_JOINTS, 0.0);
-    let rows = evaluate(Modality::Arm, &reference, &predicted).unwrap();
-    let seen: Vec<_> = rows.iter().map(|row| (row.index, row.metric.name(), row.unit())).collect();
+    let rows = evaluate(&of_finger(Modality::ARM), &reference, &predicted).unwrap();
+    let seen: Vec<_> = rows.iter().map(|row| (row.index, row.metric.name(), row.unit.as_str())).collect();
     let of =
         |joint, unit| [(Some(joint), "r2", "1"), (Some(joint), "rmse", unit), (Some(joint), "mae", unit)];
     assert_eq!(seen, [of(0, "rad"), of(1, "m"), of(2, "m")].concat());
@@ -234,21 +240,24 @@ fn frame_difference_is_compared_with_no_change() {
     reference[5] = 0.5;
     reference[FRAME_LEN + 7] = -0.5;
     let relative_error = |predicted: &[f32]| {
-        let rows = evaluate(Modality::FrameDifference, &reference, predicted).unwrap();
+        let rows = evaluate(&of_finger(Modality::FRAME_DIFFERENCE), &reference, predicted).unwrap();
         assert_eq!(
             rows.iter().map(|row| row.metric.name()).collect::<Vec<_>>(),
-            ["relative_error", "relative_error_arm", "relative_error_finger", "rmse", "mae"]
+            ["relative_error", "rmse", "mae"],
+            "no regions are told apart"
         );
-        assert!(rows.iter().all(|row| row.unit() == "1" && row.index.is_none() && row.direction.is_none()));
+        assert!(
+            rows.iter().all(|row| row.unit.as_str() == "1" && row.index.is_none() && row.direction.is_none())
+        );
         find(&rows, Metric::RelativeError, None, None).value
     };
     assert_close(relative_error(&reference), 0.0);
-    assert_close(relative_error(&persistence(Modality::FrameDifference, &reference)), 1.0);
+    assert_close(relative_error(&persistence(&of_finger(Modality::FRAME_DIFFERENCE), &reference)), 1.0);
     let mut half = reference.clone();
     half[5] = 0.0;
     assert_close(relative_error(&half), 0.5);
     let still = vec![0.0; FRAME_LEN];
-    let rows = evaluate(Modality::FrameDifference, &still, &reference[..FRAME_LEN]).unwrap();
+    let rows = evaluate(&of_finger(Modality::FRAME_DIFFERENCE), &still, &reference[..FRAME_LEN]).unwrap();
     assert_eq!(find(&rows, Metric::RelativeError, None, None).value, None);
     assert_close(find(&rows, Metric::Mae, None, None).value, 0.5 / FRAME_LEN as f64);
 }
@@ -259,7 +268,7 @@ fn the_arms_and_the_fingers_pixels_have_errors_of_their_own() {
     // Pixel 3 shows the arm, pixel 5 the finger, pixel 7 neither; in all channels the change is 0.5, and predicted are
     // 0.25 on the arm, 0.4 on the finger and 9 beside them.
     let mut parts = vec![None; PLANE];
-    (parts[3], parts[5]) = (Some(Part::Arm), Some(Part::Finger));
+    (parts[3], parts[5]) = (Some(0), Some(1));
     let (mut reference, mut predicted) = (vec![0.0; FRAME_LEN], vec![0.0; FRAME_LEN]);
     for channel in 0..3 {
         for (pixel, value) in [(3, 0.25), (5, 0.4), (7, 9.0)] {
@@ -267,18 +276,18 @@ fn the_arms_and_the_fingers_pixels_have_errors_of_their_own() {
             predicted[channel * PLANE + pixel] = value;
         }
     }
-    let mut evaluation = Evaluation::new(Modality::FrameDifference);
-    evaluation.add_with_parts(&reference, &predicted, &parts).unwrap();
+    let mut evaluation = Evaluation::new(&of_finger(Modality::FRAME_DIFFERENCE), &Layout::finger().regions);
+    evaluation.add_with_regions(&reference, &predicted, &parts).unwrap();
     let value = |metric| find(&evaluation.rows(), metric, None, None).value;
-    assert_close(value(Metric::RelativeErrorArm), 0.25);
-    assert!((value(Metric::RelativeErrorFinger).unwrap() - 0.04).abs() < 1e-6, "f32 rounds 0.4");
+    assert_close(value(Metric::of_region("arm")), 0.25);
+    assert!((value(Metric::of_region("finger")).unwrap() - 0.04).abs() < 1e-6, "f32 rounds 0.4");
     assert!(value(Metric::RelativeError).unwrap() > 90.0, "all pixels count there");
 
-    let mut unseen = Evaluation::new(Modality::FrameDifference);
-    unseen.add_with_parts(&reference, &predicted, &[None; PLANE]).unwrap();
-    assert_eq!(find(&unseen.rows(), Metric::RelativeErrorFinger, None, None).value, None);
-    assert!(unseen.add_with_parts(&reference, &predicted, &parts[1..]).is_err());
-    assert!(unseen.add_with_parts(&reference, &predicted, &[None; 2 * PLANE]).is_err());
+    let mut unseen = Evaluation::new(&of_finger(Modality::FRAME_DIFFERENCE), &Layout::finger().regions);
+    unseen.add_with_regions(&reference, &predicted, &[None; PLANE]).unwrap();
+    assert_eq!(find(&unseen.rows(), Metric::of_region("finger"), None, None).value, None);
+    assert!(unseen.add_with_regions(&reference, &predicted, &parts[1..]).is_err());
+    assert!(unseen.add_with_regions(&reference, &predicted, &[None; 2 * PLANE]).is_err());
 }
 
 #[test]
@@ -293,9 +302,11 @@ fn a_pixel_counts_for_what_it_shows_before_or_after_the_change() {
         frame
     };
     let (before, after) = (frame([ground, arm, finger, arm]), frame([ground, ground, ground, finger]));
-    let (arm, finger) = (Some(Part::Arm), Some(Part::Finger));
-    assert_eq!(Part::in_either(&before, &after)[..5], [None, arm, finger, finger, None]);
-    assert_eq!(Part::in_either(&after, &before)[..5], [None, arm, finger, finger, None]);
+    let regions = &Layout::finger().regions;
+    let (arm, finger) = (region_of(regions, arm), region_of(regions, finger));
+    assert_eq!((arm, finger), (Some(0), Some(1)));
+    assert_eq!(in_either(regions, &before, &after)[..5], [None, arm, finger, finger, None]);
+    assert_eq!(in_either(regions, &after, &before)[..5], [None, arm, finger, finger, None]);
 }
 
 #[test]
@@ -303,7 +314,7 @@ fn vision_is_compared_with_the_mean_picture() {
     let (reference, _) = random_pairs(7, 4 * FRAME_LEN, 0.5);
     let mut mean = TrainingMean::new(FRAME_LEN);
     mean.add(&reference).unwrap();
-    let rows = evaluate(Modality::Vision, &reference, &mean.predict(4).unwrap()).unwrap();
+    let rows = evaluate(&of_finger(Modality::VISION), &reference, &mean.predict(4).unwrap()).unwrap();
     let relative_error = find(&rows, Metric::RelativeError, None, None).value.unwrap();
     assert!((relative_error - 1.0).abs() < 1e-6, "{relative_error}");
 }
@@ -311,17 +322,20 @@ fn vision_is_compared_with_the_mean_picture() {
 #[test]
 fn batches_add_up_to_the_whole() {
     let (reference, predicted) = random_pairs(8, 50 * JOINTS, 0.0);
-    let mut evaluation = Evaluation::new(Modality::Proprioception);
+    let mut evaluation = Evaluation::new(&of_finger(Modality::PROPRIOCEPTION), &[]);
     for (reference, predicted) in reference.chunks(7 * JOINTS).zip(predicted.chunks(7 * JOINTS)) {
         evaluation.add(reference, predicted).unwrap();
     }
-    assert_eq!(evaluation.rows(), evaluate(Modality::Proprioception, &reference, &predicted).unwrap());
+    assert_eq!(
+        evaluation.rows(),
+        evaluate(&of_finger(Modality::PROPRIOCEPTION), &reference, &predicted).unwrap()
+    );
 }
 
 #[test]
 fn bad_batches_are_refused_and_add_nothing() {
     let good = vec![1.0; 2 * JOINTS];
-    let mut evaluation = Evaluation::new(Modality::Proprioception);
+    let mut evaluation = Evaluation::new(&of_finger(Modality::PROPRIOCEPTION), &[]);
     evaluation.add(&good, &good).unwrap();
     let before = evaluation.rows();
 
@@ -347,8 +361,8 @@ fn bad_batches_are_refused_and_add_nothing() {
 #[test]
 fn persistence_repeats_what_is_sensed() {
     let now = [0.1, -0.2, 0.3];
-    assert_eq!(persistence(Modality::Arm, &now)[..], now);
-    assert_eq!(persistence(Modality::FrameDifference, &now)[..], [0.0; 3]);
+    assert_eq!(persistence(&of_finger(Modality::ARM), &now)[..], now);
+    assert_eq!(persistence(&of_finger(Modality::FRAME_DIFFERENCE), &now)[..], [0.0; 3]);
 }
 
 #[test]
@@ -450,12 +464,12 @@ fn downsampling_averages_blocks_of_pixels() {
         }
     }
     frame[BLOCK] = 10.0 + 48.0;
-    let grey = downsample_frame(&frame).unwrap();
-    let mut expected = [10.0; GREY_LEN];
+    let grey = downsample_frame(&frame, [FRAME_SIDE; 2]).unwrap();
+    let mut expected = [10.0; GREY_SIDE * GREY_SIDE];
     expected[2 * GREY_SIDE + 15] = 255.0;
     expected[1] = 11.0;
     assert_eq!(grey, expected);
-    assert!(downsample_frame(&frame[1..]).is_err());
+    assert!(downsample_frame(&frame[1..], [FRAME_SIDE; 2]).is_err());
 }
 
 #[test]
@@ -515,7 +529,7 @@ fn contact_forces_are_summed_up_link_by_link() {
     let mut forces = vec![0.0; 11 * JOINTS];
     (0..11).for_each(|sample| forces[sample * JOINTS + 3] = sample as f32);
     forces[7 * JOINTS + 5] = 4.0;
-    let links = by_link(&forces);
+    let links = by_link(&forces, JOINTS);
     assert_eq!(links.len(), JOINTS);
     // Of 1 to 10 at equal distances, the quantile p lies at 1 + 9 p.
     let quantiles = [0.05, 0.25, 0.5, 0.75, 0.95].map(|share| 1.0 + 9.0 * share);
@@ -527,5 +541,5 @@ fn contact_forces_are_summed_up_link_by_link() {
     assert_eq!((links[5].contacts, links[5].quantiles), (1, Some([4.0; 5])));
     let untouched = Contact { samples: 11, contacts: 0, mean: 0.0, quantiles: None, max: None };
     assert_eq!(links[0], untouched);
-    assert_eq!(by_link(&[])[0], Contact { samples: 0, ..untouched });
+    assert_eq!(by_link(&[], JOINTS)[0], Contact { samples: 0, ..untouched });
 }

@@ -1,5 +1,7 @@
 //! The checked-in MJCF and the script that composes it.
 
+use harness::simulation::Scene;
+use harness::spec::{Layout, Scenario, World};
 use std::path::Path;
 use std::process::Command;
 
@@ -10,4 +12,26 @@ fn the_script_still_produces_what_is_checked_in() {
     let output = Command::new(python).arg(root.join("models/compose.py")).arg("--check").output().unwrap();
     let said = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "run `.venv/bin/python models/compose.py`:\n{said}");
+}
+
+/// What datasets and runs from before layouts hold is what the two worlds resolve to.
+#[test]
+fn the_fingers_layout_is_that_of_the_papers_worlds() {
+    for scenario in Scenario::PAPER {
+        let layout = Scene::paper(scenario).unwrap().layout().clone();
+        assert!(
+            layout == Layout::finger(),
+            "models/finger.json must hold {}",
+            serde_json::to_string(&*layout).unwrap()
+        );
+    }
+}
+
+#[test]
+fn every_built_in_world_compiles_and_every_name_of_it_matches() {
+    for world in World::built_in() {
+        let scene = Scene::new(world.clone()).unwrap();
+        assert!(scene.check(&world.simulation()).is_ok(), "{}", world.scenario());
+        assert!(!world.description().is_empty());
+    }
 }

@@ -12,7 +12,11 @@ use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::contact::by_link;
 use harness::metrics::{Direction, Metric, Row};
 use harness::registry::{ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, Provenance, Registry};
-use harness::spec::{self, Experiment, FRAME_LEN, JOINTS, Modality, RunSpec, Task};
+use harness::spec::{self, Experiment, Layout, Modality, RunSpec, Task};
+
+#[path = "common/finger.rs"]
+mod finger;
+use finger::{FRAME_LEN, JOINTS};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::json;
@@ -114,7 +118,7 @@ fn write(registry: &Registry, experiment: &Experiment, name: &str, random: &mut 
         }
         let episodes = spec.simulation.as_ref().unwrap().episodes;
         let folder = registry.run(name, &spec, &format!("{}-{model}{episodes}", spec.scenario));
-        let record = registry.begin(&folder, &spec, &Provenance::default()).unwrap();
+        let record = registry.begin(&folder, &spec, &Layout::finger(), &Provenance::default()).unwrap();
         match random.random_range(0..40) {
             0 => {}
             1 => registry.fail(&folder, record, "the disk is full").unwrap(),
@@ -147,7 +151,7 @@ fn outcome(spec: &RunSpec, random: &mut ChaCha8Rng) -> Outcome {
             (*task, Epoch { epoch, train: losses(), validation: losses(), seconds: 1.0 })
         }));
     }
-    for modality in [Modality::Proprioception, Modality::ContactForce] {
+    for modality in [Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE] {
         let places = (0..12).flat_map(|sample| [18, 19].map(|index| (sample, index)));
         outcome.predictions.extend(places.map(|(sample, index)| PredictionRow {
             task: Task::Prediction,
@@ -162,12 +166,16 @@ fn outcome(spec: &RunSpec, random: &mut ChaCha8Rng) -> Outcome {
     for episode in [None, Some(0), Some(1), Some(2)] {
         let forces: Vec<f32> =
             (0..40 * JOINTS).map(|_| (of_dataset.random::<f32>() - 0.4).max(0.0)).collect();
-        outcome.forces.push(ForceRows { modality: Modality::ContactForce, episode, links: by_link(&forces) });
+        outcome.forces.push(ForceRows {
+            modality: Modality::CONTACT_FORCE,
+            episode,
+            links: by_link(&forces, JOINTS),
+        });
     }
-    if spec.output.contains(&Modality::FrameDifference) {
+    if spec.output.contains(&Modality::FRAME_DIFFERENCE) {
         outcome.frames.extend((1..3).map(|sample| FrameRow {
             task: Task::Prediction,
-            modality: Modality::FrameDifference,
+            modality: Modality::FRAME_DIFFERENCE,
             episode: 3,
             sample,
             motion: 0.1 * f64::from(sample),
@@ -179,21 +187,31 @@ fn outcome(spec: &RunSpec, random: &mut ChaCha8Rng) -> Outcome {
 }
 
 fn metrics(task: Task, modality: Modality, model: &'static str, random: &mut ChaCha8Rng) -> Vec<MetricRow> {
-    let directions = Direction::ALL.map(|direction| (Some(direction), None));
-    let joints = (0..JOINTS as u32).map(|index| (Some(Direction::of(index as usize)), Some(index)));
-    let parts = directions.into_iter().chain(joints).filter(|_| !modality.is_frame());
+    let directions = Direction::FINGER.map(|direction| (Some(direction), None));
+    let layout = Layout::finger();
+    let joints = (0..JOINTS as u32).map(|index| (Some(Direction::FINGER[index as usize % 2]), Some(index)));
+    let parts = directions.into_iter().chain(joints).filter(|_| !layout[modality].is_image());
     let places: Vec<_> = [(None, None)].into_iter().chain(parts).collect();
     let mut rows = Vec::new();
     for (direction, index) in places {
-        for &metric in Metric::of(modality) {
+        for metric in Metric::of(&layout[modality], &layout.regions) {
             let value = match metric {
                 Metric::R2 => 1.0 - 1.5 * random.random::<f64>(),
                 Metric::Smape | Metric::Wmape => 100.0 * random.random::<f64>(),
                 _ => random.random::<f64>(),
             };
+            let unit = match metric {
+                Metric::Smape | Metric::Wmape => "%",
+                Metric::Rmse | Metric::Mae => "N",
+                _ => "1",
+            };
             // Here and there a metric is not defined.
             let value = (index.is_none() || !chance(random, 0.05)).then_some(value);
-            rows.push(MetricRow { task, model, row: Row { modality, direction, index, metric, value } });
+            rows.push(MetricRow {
+                task,
+                model,
+                row: Row { modality, direction, index, metric, value, unit: unit.into() },
+            });
         }
     }
     rows

@@ -50,7 +50,12 @@ fn published_runs_are_made_of_the_data_that_their_experiments_name() {
             let text = std::fs::read(run.unwrap().path().join("run.json")).unwrap();
             let record: harness::registry::RunRecord = serde_json::from_slice(&text).unwrap();
             let data = |run: &harness::spec::RunSpec| {
-                (run.scenario.clone(), run.simulation.clone(), run.split.clone(), run.scalings())
+                (
+                    run.scenario.clone(),
+                    run.simulation.clone(),
+                    run.split.clone(),
+                    run.scalings(&harness::spec::Layout::finger()),
+                )
             };
             let label = record.label();
             let now = runs.iter().find(|run| run.label() == label).expect("the experiment has the run");

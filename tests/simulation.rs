@@ -1,21 +1,34 @@
 //! The simulated world against MuJoCo's own sensors, Python's `mujoco`, and what a user may get wrong.
 
-use harness::metrics::parts::Part;
+use finger::{ARM_JOINTS, BOXES, FRAME_LEN, FRAME_SIDE, JOINTS};
+use harness::metrics::parts::region_of;
 use harness::simulation::{
-    BOXES, Batch, Course, Episode, LiveSimulation, Portrait, Scene, SimulationError, Simulator, link_forces,
-    replay,
+    Batch, Course, Episode, LiveSimulation, Portrait, Scene, SimulationError, Simulator, link_forces, replay,
 };
-use harness::spec::{ARM_JOINTS, FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, JOINTS, Scenario, Simulation};
+use harness::spec::{IMAGE_CHANNELS, Layout, Modality, Scenario, Setting, Simulation, World};
 use mujoco_rs::prelude::*;
 use std::ffi::OsStr;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+#[path = "common/finger.rs"]
+mod finger;
+
 const STEPS_PER_SAMPLE: usize = 100;
 
 fn scene(scenario: Scenario) -> Scene {
-    Scene::load(scenario, None).unwrap()
+    Scene::paper(scenario).unwrap()
+}
+
+fn live(scenario: Scenario) -> LiveSimulation {
+    LiveSimulation::new(Scene::shared(World::paper(scenario)).unwrap(), &short()).unwrap()
+}
+
+fn setpoint(course: &Course, step: usize) -> [f64; ARM_JOINTS] {
+    let mut setpoint = [0.0; ARM_JOINTS];
+    course.setpoint(step, &mut setpoint);
+    setpoint
 }
 
 /// Ten seconds an episode, of which there are three.
@@ -37,17 +50,17 @@ fn varies(values: &[f32]) -> bool {
 
 #[test]
 fn every_scenario_records_finite_varying_observations_of_the_right_shape() {
-    for &scenario in Scenario::ALL {
+    for scenario in Scenario::PAPER {
         let (scene, spec) = (scene(scenario), short());
         let episode = simulate(&scene, &spec, 0);
         let n = 100;
         assert_eq!((episode.index, episode.samples), (0, n));
         let arrays = [
-            ("proprioception", &episode.proprioception, JOINTS),
-            ("arm", &episode.arm, ARM_JOINTS),
-            ("setpoint", &episode.setpoint, ARM_JOINTS),
-            ("contact_force", &episode.contact_force, JOINTS),
-            ("contact_force_mean", &episode.contact_force_mean, JOINTS),
+            ("proprioception", episode.vector(Modality::PROPRIOCEPTION), JOINTS),
+            ("arm", episode.vector(Modality::ARM), ARM_JOINTS),
+            ("setpoint", episode.vector(Modality::SETPOINT), ARM_JOINTS),
+            ("contact_force", episode.vector(Modality::CONTACT_FORCE), JOINTS),
+            ("contact_force_mean", episode.vector(Modality::CONTACT_FORCE_MEAN), JOINTS),
         ];
         for (name, values, width) in arrays {
             assert_eq!(values.len(), n * width, "{scenario} {name}");
@@ -58,30 +71,36 @@ fn every_scenario_records_finite_varying_observations_of_the_right_shape() {
                 assert!(varies(column) || !must_vary, "{scenario} {name} {index} is constant");
             }
         }
-        assert!(episode.contact_force.iter().all(|force| *force >= 0.0), "normal forces only push");
-        assert_eq!(episode.vision.len(), n * FRAME_LEN);
-        let frames: Vec<_> = episode.vision.chunks(FRAME_LEN).collect();
+        assert!(
+            episode.vector(Modality::CONTACT_FORCE).iter().all(|force| *force >= 0.0),
+            "normal forces only push"
+        );
+        assert_eq!(episode.image(Modality::VISION).len(), n * FRAME_LEN);
+        let frames: Vec<_> = episode.image(Modality::VISION).chunks(FRAME_LEN).collect();
         let moving = frames.windows(2).filter(|pair| pair[0] != pair[1]).count();
         assert!(moving > 9 * n / 10, "{scenario}: only {moving} of {n} frames differ from the one before");
-        assert_eq!(episode.boxes.len(), if scenario == Scenario::Cluttered { BOXES } else { 0 });
+        assert_eq!(episode.boxes.len(), if scenario == Scenario::CLUTTERED { BOXES } else { 0 });
         assert!(!episode.renderer.is_empty() && episode.renderer != "unknown");
     }
 }
 
 #[test]
 fn an_episode_starts_at_rest_and_the_arm_follows_its_setpoint() {
-    for &scenario in Scenario::ALL {
+    for scenario in Scenario::PAPER {
         let (scene, spec) = (scene(scenario), short());
         let episode = simulate(&scene, &spec, 1);
-        assert_eq!(episode.proprioception[..JOINTS], [0.0; JOINTS]);
-        assert_eq!(episode.contact_force[..JOINTS], [0.0; JOINTS]);
-        assert_eq!(episode.arm[..ARM_JOINTS], episode.setpoint[..ARM_JOINTS]);
-        assert_eq!(episode.setpoint[..ARM_JOINTS], [std::f32::consts::PI, 0.0, 0.0]);
+        assert_eq!(episode.vector(Modality::PROPRIOCEPTION)[..JOINTS], [0.0; JOINTS]);
+        assert_eq!(episode.vector(Modality::CONTACT_FORCE)[..JOINTS], [0.0; JOINTS]);
+        assert_eq!(
+            episode.vector(Modality::ARM)[..ARM_JOINTS],
+            episode.vector(Modality::SETPOINT)[..ARM_JOINTS]
+        );
+        assert_eq!(episode.vector(Modality::SETPOINT)[..ARM_JOINTS], [std::f32::consts::PI, 0.0, 0.0]);
         let course = Course::draw(&scene, &spec, 1).unwrap();
-        for (sample, row) in episode.setpoint.chunks(ARM_JOINTS).enumerate() {
-            assert_eq!(row, course.setpoint(sample * STEPS_PER_SAMPLE).map(|value| value as f32));
+        for (sample, row) in episode.vector(Modality::SETPOINT).chunks(ARM_JOINTS).enumerate() {
+            assert_eq!(row, setpoint(&course, sample * STEPS_PER_SAMPLE).map(|value| value as f32));
         }
-        for (arm, setpoint) in episode.arm.iter().zip(&episode.setpoint) {
+        for (arm, setpoint) in episode.vector(Modality::ARM).iter().zip(episode.vector(Modality::SETPOINT)) {
             assert!(
                 (arm - setpoint).abs() < 0.05,
                 "{scenario}: the arm is at {arm}, commanded to {setpoint}"
@@ -92,7 +111,7 @@ fn an_episode_starts_at_rest_and_the_arm_follows_its_setpoint() {
 
 #[test]
 fn an_episode_depends_on_its_seed_scenario_and_index_alone() {
-    for &scenario in Scenario::ALL {
+    for scenario in Scenario::PAPER {
         let (scene, spec) = (scene(scenario), Simulation { actuations_per_episode: 4, ..short() });
         let alone = simulate(&scene, &spec, 2);
         let after_others = std::thread::scope(|threads| {
@@ -103,11 +122,11 @@ fn an_episode_depends_on_its_seed_scenario_and_index_alone() {
             worker.join().unwrap()
         });
         assert!(alone == after_others[2], "{scenario}: the same episode differs between two simulators");
-        assert_ne!(after_others[0].setpoint, after_others[1].setpoint);
+        assert_ne!(after_others[0].vector(Modality::SETPOINT), after_others[1].vector(Modality::SETPOINT));
         let reseeded = simulate(&scene, &Simulation { seed: 1, ..spec }, 2);
-        assert_ne!(alone.setpoint, reseeded.setpoint);
+        assert_ne!(alone.vector(Modality::SETPOINT), reseeded.vector(Modality::SETPOINT));
     }
-    let setpoints = Scenario::ALL.iter().map(|&scenario| simulate(&scene(scenario), &short(), 0).setpoint);
+    let setpoints = Scenario::PAPER.iter().map(|&scenario| simulate(&scene(scenario), &short(), 0).vectors);
     let setpoints: Vec<_> = setpoints.collect();
     assert_ne!(setpoints[0], setpoints[1]);
 }
@@ -115,42 +134,40 @@ fn an_episode_depends_on_its_seed_scenario_and_index_alone() {
 /// The scenario's model with a touch sensor over each link, and the given friction cone.
 /// What a live simulation senses at a sample, as an episode of that one sample.
 fn sensed(live: &mut LiveSimulation) -> Episode {
-    let mut vision = vec![0; FRAME_LEN];
-    live.vision(&mut vision).unwrap();
-    Episode {
-        samples: 1,
-        proprioception: live.proprioception().to_vec(),
-        arm: live.arm().to_vec(),
-        setpoint: live.setpoint().map(|value| value as f32).to_vec(),
-        contact_force: live.contact_force().to_vec(),
-        contact_force_mean: live.contact_force_mean().to_vec(),
-        vision,
-        ..Episode::default()
+    let mut episode = Episode::new(live.scene().layout().clone(), 0, 1);
+    for (index, definition) in live.scene().layout().modalities.iter().enumerate() {
+        if let Some(values) = live.vector(definition.name) {
+            episode.vectors[index] = values;
+        } else if definition.difference_of.is_none() {
+            episode.images[index] = vec![0; definition.width()];
+            live.image(definition.name, &mut episode.images[index]).unwrap();
+        }
     }
+    episode
 }
 
 /// One sample of an episode by itself.
 fn sample_of(episode: &Episode, sample: usize) -> Episode {
-    let row = |values: &[f32], width: usize| values[sample * width..][..width].to_vec();
-    Episode {
-        samples: 1,
-        proprioception: row(&episode.proprioception, JOINTS),
-        arm: row(&episode.arm, ARM_JOINTS),
-        setpoint: row(&episode.setpoint, ARM_JOINTS),
-        contact_force: row(&episode.contact_force, JOINTS),
-        contact_force_mean: row(&episode.contact_force_mean, JOINTS),
-        vision: episode.vision[sample * FRAME_LEN..][..FRAME_LEN].to_vec(),
-        ..Episode::default()
+    let mut one = Episode::new(episode.layout.clone(), 0, 1);
+    for (index, definition) in episode.layout.modalities.iter().enumerate() {
+        let width = definition.width();
+        if !episode.vectors[index].is_empty() {
+            one.vectors[index] = episode.vectors[index][sample * width..][..width].to_vec();
+        }
+        if !episode.images[index].is_empty() {
+            one.images[index] = episode.images[index][sample * width..][..width].to_vec();
+        }
     }
+    one
 }
 
 #[test]
 fn a_live_simulation_that_follows_an_episodes_course_senses_its_samples_bit_by_bit() {
-    for &scenario in Scenario::ALL {
+    for scenario in Scenario::PAPER {
         let (scene, spec) = (scene(scenario), short());
-        let mut live = LiveSimulation::new(scenario, &spec).unwrap();
+        let mut live = live(scenario);
         // Not from where it starts: nothing may be left over of what was simulated before.
-        live.step([3.0, -0.9, 0.4]).unwrap();
+        live.step(&[3.0, -0.9, 0.4]).unwrap();
         for index in [1, 0] {
             let episode = simulate(&scene, &spec, index);
             live.reset(spec.seed, index).unwrap();
@@ -164,30 +181,27 @@ fn a_live_simulation_that_follows_an_episodes_course_senses_its_samples_bit_by_b
 
 #[test]
 fn a_live_simulations_arm_goes_evenly_to_its_setpoint_and_stays_within_the_ranges() {
-    let mut live = LiveSimulation::new(Scenario::Empty, &short()).unwrap();
-    let start = live.setpoint();
+    let mut live = live(Scenario::EMPTY);
+    let start = live.setpoint().to_vec();
     let wanted = [start[0] + 0.2, -0.15, 0.2];
-    live.step(wanted).unwrap();
+    live.step(&wanted).unwrap();
     assert_eq!(live.setpoint(), wanted);
     // The gains delay the setpoint by kv / kp: 7 ms of 100.
     for joint in 0..ARM_JOINTS {
-        let lag = (wanted[joint] - f64::from(live.arm()[joint])) / (wanted[joint] - start[joint]);
+        let lag = (wanted[joint] - f64::from(live.vector(Modality::ARM).unwrap()[joint]))
+            / (wanted[joint] - start[joint]);
         assert!((0.0..0.15).contains(&lag), "joint {joint} lags by {lag}");
     }
-    live.step([99.0, 99.0, -99.0]).unwrap();
-    let spec = short();
-    assert_eq!(
-        live.setpoint(),
-        [spec.rotation_range_rad[1], spec.lift_range_m[1], spec.extension_range_m[0]]
-    );
-    let refused = live.step([f64::NAN, 0.0, 0.0]).unwrap_err().to_string();
+    live.step(&[99.0, 99.0, -99.0]).unwrap();
+    assert_eq!(live.setpoint(), [1.25 * std::f64::consts::PI, 0.0, 0.0]);
+    let refused = live.step(&[f64::NAN, 0.0, 0.0]).unwrap_err().to_string();
     assert!(refused.contains("finite"), "{refused}");
 }
 
 #[test]
 fn the_fingertip_hangs_where_the_finger_ends() {
     // At rest the finger hangs straight from the mount at (-0.7, 0, 1.5) m, and is 1 m long.
-    let tip = LiveSimulation::new(Scenario::Empty, &short()).unwrap().fingertip();
+    let tip = live(Scenario::EMPTY).fingertip().unwrap();
     for (found, expected) in tip.into_iter().zip([-0.7, 0.0, 0.5]) {
         assert!((found - expected).abs() < 1e-6, "{tip:?}");
     }
@@ -195,41 +209,48 @@ fn the_fingertip_hangs_where_the_finger_ends() {
 
 #[test]
 fn a_batch_steps_as_its_simulations_do_one_by_one() {
-    let spec = short();
-    let mut batch = Batch::new(Scenario::Cluttered, &spec, 3).unwrap();
-    let mut alone = LiveSimulation::new(Scenario::Cluttered, &spec).unwrap();
+    let mut batch =
+        Batch::new(Scene::shared(World::paper(Scenario::CLUTTERED)).unwrap(), &short(), 3).unwrap();
+    let mut alone = live(Scenario::CLUTTERED);
     (0..3).for_each(|index| batch.reset(index, 7, index as u32).unwrap());
     let setpoints = |sample: usize| {
-        [0, 1, 2].map(|index| [3.0 + 0.01 * (index * sample) as f64, -0.1 * sample as f64, 0.3])
+        [0, 1, 2].map(|index| vec![3.0 + 0.01 * (index * sample) as f64, -0.1 * sample as f64, 0.3])
     };
     for sample in 1..10 {
         // The last one rests after five samples.
         batch.step(&setpoints(sample), &[true, true, sample <= 5]).unwrap();
     }
     let mut frames = vec![0; 3 * FRAME_LEN];
-    batch.vision(&mut frames).unwrap();
+    batch.image(Modality::VISION, &mut frames).unwrap();
     for (index, samples) in [9, 9, 5].into_iter().enumerate() {
         alone.reset(7, index as u32).unwrap();
-        (1..=samples).for_each(|sample| alone.step(setpoints(sample)[index]).unwrap());
+        (1..=samples).for_each(|sample| alone.step(&setpoints(sample)[index]).unwrap());
         let member = &batch.simulations()[index];
-        assert_eq!(member.proprioception(), alone.proprioception());
-        assert_eq!(member.contact_force_mean(), alone.contact_force_mean());
+        assert_eq!(
+            member.vector(Modality::PROPRIOCEPTION).unwrap(),
+            alone.vector(Modality::PROPRIOCEPTION).unwrap()
+        );
+        assert_eq!(
+            member.vector(Modality::CONTACT_FORCE_MEAN).unwrap(),
+            alone.vector(Modality::CONTACT_FORCE_MEAN).unwrap()
+        );
         assert!(member.boxes().eq(alone.boxes()));
-        assert!(frames[index * FRAME_LEN..][..FRAME_LEN] == sensed(&mut alone).vision);
+        assert!(frames[index * FRAME_LEN..][..FRAME_LEN] == sensed(&mut alone).image(Modality::VISION)[..]);
     }
 }
 
 #[test]
 fn wrong_calls_of_a_batch_name_what_is_wrong() {
-    let failure = |count| Batch::new(Scenario::Empty, &short(), count).err().unwrap().to_string();
+    let scene = Scene::shared(World::paper(Scenario::EMPTY)).unwrap();
+    let failure = |count| Batch::new(scene, &short(), count).err().unwrap().to_string();
     assert!(failure(0).contains("count"));
     assert!(failure(100_000).contains("count"));
-    let mut batch = Batch::new(Scenario::Empty, &short(), 2).unwrap();
-    let nan = [f64::NAN, 0.0, 0.0];
+    let mut batch = Batch::new(scene, &short(), 2).unwrap();
+    let nan = vec![f64::NAN, 0.0, 0.0];
     assert!(batch.reset(2, 0, 0).unwrap_err().to_string().contains("index"));
-    assert!(batch.step(&[[0.0; 3]], &[true; 2]).unwrap_err().to_string().contains("setpoints"));
+    assert!(batch.step(&[vec![0.0; 3]], &[true; 2]).unwrap_err().to_string().contains("setpoints"));
     assert!(
-        batch.step(&[[3.0, 0.0, 0.0], nan], &[true; 2]).unwrap_err().to_string().contains("simulation 1")
+        batch.step(&[vec![3.0, 0.0, 0.0], nan], &[true; 2]).unwrap_err().to_string().contains("simulation 1")
     );
 }
 
@@ -246,15 +267,16 @@ fn scene_with_touch_sensors(scenario: Scenario, cone: MjtCone) -> Scene {
     }
     spec.compile().unwrap();
     let xml = spec.save_xml_string(1 << 20).unwrap();
-    Scene::from_xml(scenario, &xml, "a scene with touch sensors".to_owned()).unwrap()
+    Scene::from_xml(World::paper(scenario), &xml, "a scene with touch sensors".to_owned()).unwrap()
 }
 
 #[test]
 fn contact_forces_are_those_of_mujocos_touch_sensors() {
     // Pressed on the ground for the whole episode but its start.
-    let spec = Simulation { lift_range_m: [-1.0, -0.8], actuations_per_episode: 6, ..Default::default() };
+    let spec = Simulation { actuations_per_episode: 6, ..Default::default() }
+        .with("lift_range_m", Setting::Range([-1.0, -0.8]));
     for cone in [MjtCone::mjCONE_PYRAMIDAL, MjtCone::mjCONE_ELLIPTIC] {
-        for &scenario in Scenario::ALL {
+        for scenario in Scenario::PAPER {
             let scene = scene_with_touch_sensors(scenario, cone);
             let course = Course::draw(&scene, &spec, 0).unwrap();
             let episode = simulate(&scene, &spec, 0);
@@ -263,7 +285,7 @@ fn contact_forces_are_those_of_mujocos_touch_sensors() {
             let mut sums = [0.0; JOINTS];
             let mut touched = [0; JOINTS];
             for step in 0..=(episode.samples - 1) * STEPS_PER_SAMPLE {
-                data.ctrl_mut().copy_from_slice(&course.setpoint(step));
+                data.ctrl_mut().copy_from_slice(&setpoint(&course, step));
                 data.step();
                 let forces = link_forces(&scene, &data);
                 for link in 0..JOINTS {
@@ -281,8 +303,11 @@ fn contact_forces_are_those_of_mujocos_touch_sensors() {
                     let sample = step / STEPS_PER_SAMPLE;
                     let steps = if sample == 0 { 1 } else { STEPS_PER_SAMPLE };
                     let row = sample * JOINTS..(sample + 1) * JOINTS;
-                    assert_close(&episode.contact_force[row.clone()], data.sensordata());
-                    assert_close(&episode.contact_force_mean[row], &sums.map(|sum| sum / steps as f64));
+                    assert_close(&episode.vector(Modality::CONTACT_FORCE)[row.clone()], data.sensordata());
+                    assert_close(
+                        &episode.vector(Modality::CONTACT_FORCE_MEAN)[row],
+                        &sums.map(|sum| sum / steps as f64),
+                    );
                     sums = [0.0; JOINTS];
                 }
             }
@@ -302,14 +327,20 @@ fn assert_close(recorded: &[f32], expected: &[f64]) {
 
 #[test]
 fn a_finger_that_hangs_free_feels_nothing() {
-    let spec = Simulation { lift_range_m: [-0.2, 0.0], ..short() };
-    let episode = simulate(&scene(Scenario::Empty), &spec, 0);
-    assert!(episode.contact_force.iter().chain(&episode.contact_force_mean).all(|force| *force == 0.0));
+    let spec = short().with("lift_range_m", Setting::Range([-0.2, 0.0]));
+    let episode = simulate(&scene(Scenario::EMPTY), &spec, 0);
+    assert!(
+        episode
+            .vector(Modality::CONTACT_FORCE)
+            .iter()
+            .chain(episode.vector(Modality::CONTACT_FORCE_MEAN))
+            .all(|force| *force == 0.0)
+    );
 }
 
 #[test]
 fn boxes_keep_their_clearance_and_leave_the_finger_room() {
-    let (scene, spec) = (scene(Scenario::Cluttered), Simulation::default());
+    let (scene, spec) = (scene(Scenario::CLUTTERED), Simulation::default());
     let geom = |name: &str| scene.model().name_to_id(MjtObjBase::mjOBJ_GEOM, name).unwrap();
     let boxes: Vec<_> = (0..BOXES).map(|index| geom(&format!("box_{index}"))).collect();
     let finger: Vec<_> = (0..JOINTS).map(|link| geom(&format!("finger_link_{link:02}"))).collect();
@@ -323,13 +354,13 @@ fn boxes_keep_their_clearance_and_leave_the_finger_room() {
             let others = boxes[index + 1..].iter().chain(&finger);
             for &other in others {
                 let distance = data.geom_distance(one, other, 1.0, None);
-                assert!(distance >= spec.box_clearance_m - 1e-6, "episode {episode}: {distance} m");
+                assert!(distance >= 0.05 - 1e-6, "episode {episode}: {distance} m");
             }
             // On the ground, and under a place the finger can reach.
             let [x, y, z] = data.geom_xpos()[one];
             let (radius, bearing) = (x.hypot(y), y.atan2(x).rem_euclid(std::f64::consts::TAU));
             assert!((z - 0.15).abs() < 1e-9 && (0.7..=2.2).contains(&radius), "{x} {y} {z}");
-            let [low, high] = spec.rotation_range_rad;
+            let [low, high] = [0.75, 1.25].map(|part| part * std::f64::consts::PI);
             assert!((low - 1e-9..=high + 1e-9).contains(&bearing), "bearing {bearing}");
         }
         layouts.push(Course::draw(&scene, &single, episode).unwrap().boxes);
@@ -339,17 +370,17 @@ fn boxes_keep_their_clearance_and_leave_the_finger_room() {
 
 #[test]
 fn boxes_that_cannot_be_placed_are_an_error() {
-    let spec = Simulation { box_clearance_m: 2.0, ..Default::default() };
-    let error = Course::draw(&scene(Scenario::Cluttered), &spec, 5).unwrap_err().to_string();
+    let spec = Simulation::default().with("box_clearance_m", Setting::Number(2.0));
+    let error = Course::draw(&scene(Scenario::CLUTTERED), &spec, 5).unwrap_err().to_string();
     assert!(error.contains("episode 5") && error.contains("box_clearance_m"), "{error}");
 }
 
 #[test]
 fn a_bent_finger_comes_to_rest_without_swinging() {
-    let scene = scene(Scenario::Empty);
+    let scene = scene(Scenario::EMPTY);
     let mut data = MjData::new(scene.model());
     let start = replay(&scene, &short(), 0).unwrap().swap_remove(0);
-    let ctrl = Course::draw(&scene, &short(), 0).unwrap().setpoint(0);
+    let ctrl = setpoint(&Course::draw(&scene, &short(), 0).unwrap(), 0);
     data.qpos_mut().copy_from_slice(&start);
     data.ctrl_mut().copy_from_slice(&ctrl);
     let id = |kind, name: &str| scene.model().name_to_id(kind, name).unwrap();
@@ -406,7 +437,7 @@ impl Trajectory {
         let states = replay(&scene, &spec, 0).unwrap();
         let course = Course::draw(&scene, &spec, 0).unwrap();
         let steps = (states.len() - 1) * STEPS_PER_SAMPLE + 1;
-        let controls: Vec<_> = (0..steps).flat_map(|step| course.setpoint(step)).collect();
+        let controls: Vec<_> = (0..steps).flat_map(|step| setpoint(&course, step)).collect();
         let trajectory = Self { folder: tempfile::tempdir().unwrap(), states };
         write_floats(&trajectory.file("start"), &trajectory.states[0]);
         write_floats(&trajectory.file("controls"), &controls);
@@ -436,14 +467,14 @@ impl Trajectory {
 
 #[test]
 fn a_trajectory_is_pythons_bit_by_bit() {
-    for &scenario in Scenario::ALL {
+    for scenario in Scenario::PAPER {
         Trajectory::of(scenario).assert_same(scenario, "trajectory.py", &[]);
     }
 }
 
 #[test]
 fn a_trajectory_is_dm_controls_bit_by_bit() {
-    for &scenario in Scenario::ALL {
+    for scenario in Scenario::PAPER {
         let trajectory = Trajectory::of(scenario);
         for stepping in ["legacy", "plain"] {
             trajectory.assert_same(scenario, "dm_control_trajectory.py", &[stepping]);
@@ -453,7 +484,7 @@ fn a_trajectory_is_dm_controls_bit_by_bit() {
 
 #[test]
 fn frames_are_those_of_pythons_renderer() {
-    for &scenario in Scenario::ALL {
+    for scenario in Scenario::PAPER {
         let (scene, spec) = (scene(scenario), short());
         let states = replay(&scene, &spec, 0).unwrap();
         let episode = simulate(&scene, &spec, 0);
@@ -464,15 +495,15 @@ fn frames_are_those_of_pythons_renderer() {
         let paths = ["model.xml", "positions", "frames"].map(file);
         python("render_frames.py", &[&paths[0], &paths[1], &FRAME_SIDE.to_string(), &paths[2]]);
         let theirs = std::fs::read(&paths[2]).unwrap();
-        assert_eq!(episode.vision.len(), theirs.len());
-        let worst = episode.vision.iter().zip(&theirs).map(|(a, b)| a.abs_diff(*b)).max();
+        assert_eq!(episode.image(Modality::VISION).len(), theirs.len());
+        let worst = episode.image(Modality::VISION).iter().zip(&theirs).map(|(a, b)| a.abs_diff(*b)).max();
         assert!(worst <= Some(1), "{scenario}: a pixel differs by {worst:?}");
     }
 }
 
 #[test]
 fn colours_tell_the_robots_parts_as_mujocos_segmentation_does() {
-    for &scenario in Scenario::ALL {
+    for scenario in Scenario::PAPER {
         let (scene, spec) = (scene(scenario), short());
         let episode = simulate(&scene, &spec, 0);
         let folder = tempfile::tempdir().unwrap();
@@ -483,12 +514,11 @@ fn colours_tell_the_robots_parts_as_mujocos_segmentation_does() {
         python("segment_frames.py", &[&paths[0], &paths[1], &FRAME_SIDE.to_string(), &paths[2]]);
         let theirs = std::fs::read(&paths[2]).unwrap();
         let ours: Vec<u8> = episode
-            .vision
-            .chunks_exact(FRAME_CHANNELS)
-            .map(|pixel| match Part::of(pixel.try_into().unwrap()) {
-                None => 0,
-                Some(Part::Arm) => 1,
-                Some(Part::Finger) => 2,
+            .image(Modality::VISION)
+            .chunks_exact(IMAGE_CHANNELS)
+            // The arm's region is the first, the finger's the second.
+            .map(|pixel| {
+                region_of(&Layout::finger().regions, pixel.try_into().unwrap()).map_or(0, |region| region + 1)
             })
             .collect();
         assert!((1..=2).all(|part| theirs.contains(&part)), "{scenario}: both parts are seen");
@@ -498,12 +528,15 @@ fn colours_tell_the_robots_parts_as_mujocos_segmentation_does() {
 
 /// The error of an episode in which the edited empty scene goes wrong.
 fn failure_of(edit: impl FnOnce(&mut MjSpec)) -> SimulationError {
-    let mut spec = MjSpec::from_xml_string(scene(Scenario::Empty).xml()).unwrap();
+    let mut spec = MjSpec::from_xml_string(scene(Scenario::EMPTY).xml()).unwrap();
     edit(&mut spec);
     spec.compile().unwrap();
     let xml = spec.save_xml_string(1 << 20).unwrap();
-    let scene = Scene::from_xml(Scenario::Empty, &xml, "edited.xml".to_owned()).unwrap();
-    let spec = Simulation { lift_range_m: [-1.0, -0.9], ..short() };
+    let rate = format!("step_rate_hz: {}", 1.0 / spec.option_mut().timestep);
+    let world = include_str!("../models/empty.yaml").replace("step_rate_hz: 1000", &rate);
+    let world = World::parse("edited.yaml", None, "empty", &world).unwrap();
+    let scene = Scene::from_xml(world.into(), &xml, "edited.xml".to_owned()).unwrap();
+    let spec = short().with("lift_range_m", Setting::Range([-1.0, -0.9]));
     Simulator::new(&scene, &spec).unwrap().run(2, &mut || ControlFlow::Continue(())).unwrap_err()
 }
 
@@ -517,14 +550,15 @@ fn a_diverged_simulation_is_an_error_that_says_when_and_how() {
 }
 
 fn load_error(xml: &str) -> String {
-    Scene::from_xml(Scenario::Cluttered, xml, "my.xml".to_owned()).unwrap_err().to_string()
+    Scene::from_xml(World::paper(Scenario::CLUTTERED), xml, "my.xml".to_owned()).unwrap_err().to_string()
 }
 
 #[test]
 fn models_that_do_not_compile_are_refused_with_mujocos_message() {
     let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("empty.xml");
-    let load = || Scene::load(Scenario::Empty, Some(folder.path())).unwrap_err().to_string();
+    let (path, file) = (folder.path().join("empty.xml"), folder.path().join("own.yaml"));
+    std::fs::write(&file, include_str!("../models/empty.yaml")).unwrap();
+    let load = || Scene::new(World::load(&file).unwrap()).unwrap_err().to_string();
     assert!(load().contains(path.to_str().unwrap()), "{}", load());
     std::fs::write(&path, "<mujoco>\n<worldbody><geom tpye='box'/></worldbody></mujoco>").unwrap();
     let message = load();
@@ -536,32 +570,41 @@ fn models_that_do_not_compile_are_refused_with_mujocos_message() {
 
 #[test]
 fn models_that_lack_a_name_or_a_property_are_refused() {
-    let good = scene(Scenario::Cluttered).xml().to_owned();
-    assert_eq!(Scene::from_xml(Scenario::Cluttered, &good, String::new()).unwrap().xml(), good);
+    let good = scene(Scenario::CLUTTERED).xml().to_owned();
+    assert_eq!(Scene::from_xml(World::paper(Scenario::CLUTTERED), &good, String::new()).unwrap().xml(), good);
     let cases = [
-        ("joint name=\"finger_joint_07\"", "joint name=\"knuckle\"", "no joint named `finger_joint_07`"),
-        ("geom name=\"finger_link_19\"", "geom name=\"tip\"", "no geom named `finger_link_19`"),
-        ("geom name=\"ground\"", "geom name=\"floor\"", "no geom named `ground`"),
-        ("camera name=\"external\"", "camera name=\"c\"", "no camera named `external`"),
-        ("position name=\"arm_lift\"", "position name=\"lift\"", "no actuator named `arm_lift`"),
-        ("body name=\"box_7\"", "body name=\"crate\"", "no body named `box_7`"),
-        ("joint=\"arm_lift\"", "joint=\"arm_extension\"", "actuator `arm_lift` does not drive"),
-        ("<freejoint name=\"box_3\"/>", "", "body `box_3` must have a free joint"),
+        (
+            "finger_joint_",
+            "knuckle_",
+            "'finger_joint_*' matches nothing among the model's joint names; the model has arm",
+        ),
+        ("finger_link_", "link_", "'finger_link_*' matches nothing among the model's geom names"),
+        ("camera name=\"external\"", "camera name=\"c\"", "no camera 'external'; the model has c"),
+        (
+            "position name=\"arm_lift\"",
+            "position name=\"lift\"",
+            "no actuator 'arm_lift'; the model has arm_rotation",
+        ),
+        ("geom name=\"box_7\"", "geom name=\"crate\"", "no geom 'box_7'"),
+        ("<freejoint name=\"box_3\"/>", "", "body 'box_3' must have a free joint"),
     ];
     for (old, new, expected) in cases {
         assert!(good.contains(old), "the model has no {old}");
-        let message = load_error(&good.replacen(old, new, 1));
-        assert!(message.starts_with("my.xml") && message.contains(expected), "{message}");
+        let message = load_error(&good.replace(old, new));
+        assert!(
+            message.starts_with("the built-in models/cluttered.yaml:") && message.contains(expected),
+            "{message}"
+        );
     }
 }
 
 #[test]
 fn specs_that_do_not_suit_the_scene_are_refused() {
-    let scene = scene(Scenario::Empty);
+    let scene = scene(Scenario::EMPTY);
     let error_of = |spec: Simulation| Simulator::new(&scene, &spec).err().unwrap().to_string();
-    let message = error_of(Simulation { lift_range_m: [-1.2, 0.0], ..Default::default() });
+    let message = error_of(Simulation::default().with("lift_range_m", Setting::Range([-1.2, 0.0])));
     assert!(message.contains("simulation.lift_range_m") && message.contains("[-1, 0]"), "{message}");
-    let message = error_of(Simulation { extension_range_m: [1.0, 0.5], ..Default::default() });
+    let message = error_of(Simulation::default().with("extension_range_m", Setting::Range([1.0, 0.5])));
     assert!(message.contains("simulation.extension_range_m"), "{message}");
     let message = error_of(Simulation { sample_rate_hz: 7.0, ..Default::default() });
     assert!(message.contains("simulation.sample_rate_hz"), "{message}");
@@ -569,7 +612,7 @@ fn specs_that_do_not_suit_the_scene_are_refused() {
 
 #[test]
 fn an_episode_can_be_cancelled() {
-    let scene = scene(Scenario::Empty);
+    let scene = scene(Scenario::EMPTY);
     let mut samples = 0;
     let result = Simulator::new(&scene, &short()).unwrap().run(1, &mut || {
         samples += 1;
@@ -581,7 +624,7 @@ fn an_episode_can_be_cancelled() {
 
 #[test]
 fn a_portrait_shows_what_the_camera_saw() {
-    let (scene, spec) = (scene(Scenario::Cluttered), Simulation { actuations_per_episode: 3, ..short() });
+    let (scene, spec) = (scene(Scenario::CLUTTERED), Simulation { actuations_per_episode: 3, ..short() });
     let states = replay(&scene, &spec, 0).unwrap();
     let episode = simulate(&scene, &spec, 0);
     let side = 4 * FRAME_SIDE as u32;
@@ -590,7 +633,7 @@ fn a_portrait_shows_what_the_camera_saw() {
     assert_eq!(picture.dimensions(), (side, side));
     // Shrunk to the camera's resolution, it differs by shadows and smoother edges alone.
     let small = image::imageops::thumbnail(&picture, FRAME_SIDE as u32, FRAME_SIDE as u32);
-    let frame = &episode.vision[25 * FRAME_LEN..26 * FRAME_LEN];
+    let frame = &episode.image(Modality::VISION)[25 * FRAME_LEN..26 * FRAME_LEN];
     let far = small.as_raw().iter().zip(frame).filter(|(a, b)| a.abs_diff(**b) > 40).count();
     assert!(far < FRAME_LEN / 10, "{far} of {FRAME_LEN} values differ");
     assert_ne!(portrait.draw(&states[5]).unwrap(), picture);
@@ -606,7 +649,7 @@ fn a_portrait_shows_what_the_camera_saw() {
 fn without_a_driver_rendering_is_an_error() {
     const DRIVERS: &str = "__EGL_VENDOR_LIBRARY_FILENAMES";
     if std::env::var_os(DRIVERS).is_some_and(|drivers| drivers == "/nonexistent") {
-        let error = Simulator::new(&scene(Scenario::Empty), &short()).err().unwrap();
+        let error = Simulator::new(&scene(Scenario::EMPTY), &short()).err().unwrap();
         assert!(matches!(error, SimulationError::NoRenderer { .. }), "{error}");
         assert!(error.to_string().contains("libegl"), "{error}");
         return;
@@ -620,7 +663,7 @@ fn without_a_driver_rendering_is_an_error() {
 
 #[test]
 fn a_projected_place_is_where_the_picture_shows_it() {
-    let scene = scene(Scenario::Empty);
+    let scene = scene(Scenario::EMPTY);
     let [width, height] = [400, 300];
     let whole = Portrait::new(&scene, width, height).unwrap();
     let near = Portrait::close_up(&scene, width, height, "finger_link_10", 20.0).unwrap();

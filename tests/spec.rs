@@ -2,8 +2,9 @@
 //! the same.
 
 use harness::spec::{
-    self, Action, Deviation, Division, Experiment, Fusion, Loss, Modality, Network, Origin, Preset, Scaling,
-    Scalings, Scenario, Schedule, Simulation, Split, SplitCounts, Stop, Task, Training,
+    self, Action, Deviation, Division, Experiment, Fusion, GivenScaling, Layout, Loss, Modality, Network,
+    Origin, Preset, Scaling, Scalings, Scenario, Schedule, Setting, Simulation, Split, SplitCounts, Stop,
+    Task, Training, World,
 };
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
@@ -62,9 +63,9 @@ fn what_is_left_out_gets_its_default() {
     let expected = Experiment {
         name: "base".into(),
         description: String::new(),
-        scenarios: vec![Scenario::Empty.into(), Scenario::Cluttered.into()],
-        input: vec![Modality::Proprioception, Modality::Arm],
-        output: vec![Modality::Proprioception, Modality::ContactForce],
+        scenarios: vec![Scenario::EMPTY.into(), Scenario::CLUTTERED.into()],
+        input: vec![Modality::PROPRIOCEPTION, Modality::ARM],
+        output: vec![Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE],
         latent: vec![2, 4],
         seeds: vec![0],
         tasks: vec![Task::Prediction, Task::Reconstruction],
@@ -76,17 +77,18 @@ fn what_is_left_out_gets_its_default() {
             average: 1,
             fusion: Fusion::Early,
         },
-        simulation: Simulation::default(),
+        simulation: World::paper(Scenario::CLUTTERED).simulation(),
         split: Split::default(),
-        scaling: Modality::ALL.iter().map(|&modality| (modality, Scaling::default_of(modality))).collect(),
+        scaling: Default::default(),
         training: Training {
-            loss_weights: [(Modality::Proprioception, 1.0), (Modality::ContactForce, 1.0)].into(),
+            loss_weights: [(Modality::PROPRIOCEPTION, 1.0), (Modality::CONTACT_FORCE, 1.0)].into(),
             precision: harness::spec::Precision::F32,
             device: harness::spec::Device::Cpu,
             ..Training::default()
         },
         vary: Default::default(),
         quick: Default::default(),
+        worlds: Vec::new(),
     };
     assert_eq!(load(BASE), expected);
 }
@@ -168,13 +170,11 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         ),
         (
             "training: {loss_weights: {force: 2}}\n",
-            "spec.yaml:7:27: unknown key 'force' in 'training.loss_weights'. Allowed: proprioception, arm, \
-             contact_force, contact_force_mean, vision, frame_difference",
+            "spec.yaml:7:34: 'force' has a loss weight but is no output; outputs: proprioception, contact_force",
         ),
         (
             "training: {losses: {vision: absolute}}\n",
-            "spec.yaml:7:21: unknown key 'vision' in 'training.losses'. Allowed: proprioception, arm, contact_force, \
-             contact_force_mean",
+            "spec.yaml:7:29: 'vision' has a loss but is no output; outputs: proprioception, contact_force",
         ),
         (
             "seed: 1\n",
@@ -200,7 +200,7 @@ fn unknown_names_are_refused_with_the_nearest_one() {
         (
             "scenarios: [clutter]",
             "spec.yaml:2:13: unknown scenario 'clutter' in 'scenarios'; did you mean 'cluttered'? Allowed: \
-             empty, cluttered, or the name of an imported dataset",
+             empty, cluttered, wrist, tendon, the path of a world file, or the name of an imported dataset",
         ),
         (
             "network: {preset: Single_To_Multi}",
@@ -372,7 +372,7 @@ fn frames_need_convolutions_that_fit_them() {
         assert_eq!(
             refusal(base_with(line)),
             format!(
-                "spec.yaml:{position}: '{frame}' is a frame, and a single_to_multi network takes vectors alone; \
+                "spec.yaml:{position}: '{frame}' is an image, and a single_to_multi network takes vectors alone; \
                  leave it out, use network.preset: multi_to_multi, or give it convolutions by network.channels"
             )
         );
@@ -391,12 +391,12 @@ fn frames_need_convolutions_that_fit_them() {
     }
     assert_eq!(
         refusal(seeing("{preset: multi_to_multi, channels: [8, 8, 8], average: 16}")),
-        "spec.yaml:6:45: 3 convolutions halve the side of a frame as often, and it has 4 pixels after averaging; \
+        "spec.yaml:6:45: 3 convolutions halve the side of an image as often, and it has 4 pixels after averaging; \
          give 2 channels at most"
     );
     assert_eq!(
         refusal(seeing("{preset: multi_to_multi, average: 3}")),
-        "spec.yaml:6:44: frames of 64 x 64 pixels have no whole squares of 3 x 3"
+        "spec.yaml:6:44: images of 64 x 64 pixels have no whole squares of 3 x 3"
     );
 }
 
@@ -492,7 +492,7 @@ fn rules_that_tie_settings_together_are_checked() {
         ),
         (
             "scaling: {vision: {scale: per_element}}\n",
-            "spec.yaml:7:27: 'vision' is a frame, whose values have one deviation for all; use shared",
+            "spec.yaml:7:27: 'vision' is an image, whose values have one deviation for all; use shared",
         ),
     ]);
     let wide = "name: wide\nscenarios: [empty]\ninput: [vision]\noutput: [arm]\nlatent: [2]\n";
@@ -524,20 +524,22 @@ fn one_continuous_run_is_allowed_where_time_or_samples_are_split() {
 
 #[test]
 fn what_a_spec_says_of_a_scaling_replaces_that_default_alone() {
-    let scaling = |addition: &str| load(&format!("{BASE}{addition}")).scaling;
-    let default = scaling("");
+    let scaling = |addition: &str| load(&format!("{BASE}{addition}")).runs()[0].scaling.clone();
     let shared = |minimum| Scaling { scale: Deviation::Shared, minimum };
-    assert_eq!(default[&Modality::ContactForce], shared(Some(0.0)));
-    assert_eq!(default[&Modality::ContactForceMean], shared(Some(0.0)));
-    assert_eq!(default[&Modality::Vision], shared(None));
-    assert_eq!(default[&Modality::Arm], Scaling { scale: Deviation::PerElement, minimum: None });
+    let each = Scaling { scale: Deviation::PerElement, minimum: None };
+    let default = [
+        (Modality::PROPRIOCEPTION, each),
+        (Modality::ARM, each),
+        (Modality::CONTACT_FORCE, shared(Some(0.0))),
+    ];
+    assert_eq!(scaling(""), Scalings::from(default));
     let given = scaling("scaling: {contact_force: {minimum: null}, arm: {minimum: -2, scale: shared}}");
-    let expected = [(Modality::ContactForce, shared(None)), (Modality::Arm, shared(Some(-2.0)))];
+    let expected = [(Modality::CONTACT_FORCE, shared(None)), (Modality::ARM, shared(Some(-2.0)))];
     assert_eq!(given, default.into_iter().chain(expected).collect());
     let text = format!("{BASE}vary:\n  scaling.contact_force.scale: [shared, per_element]\n");
     let runs = load(&text).runs();
     assert_eq!(runs[2].variant, "contact_force.scale=per_element");
-    assert_eq!(runs[2].scalings()[&Modality::ContactForce].scale, Deviation::PerElement);
+    assert_eq!(runs[2].scalings(&Layout::finger())[&Modality::CONTACT_FORCE].scale, Deviation::PerElement);
 }
 
 /// A run's spec states the scaling of what it uses, and says nothing where that is how everything was scaled before.
@@ -545,11 +547,11 @@ fn what_a_spec_says_of_a_scaling_replaces_that_default_alone() {
 fn a_run_that_is_scaled_as_runs_were_before_keeps_its_hash() {
     let run = |addition: &str| load(&format!("{BASE}{addition}")).runs().remove(0);
     let stated: Vec<Modality> = run("").scaling.into_keys().collect();
-    assert_eq!(stated, [Modality::Proprioception, Modality::Arm, Modality::ContactForce]);
+    assert_eq!(stated, [Modality::PROPRIOCEPTION, Modality::ARM, Modality::CONTACT_FORCE]);
     let plain = run("scaling: {contact_force: {scale: per_element, minimum: null}, vision: {minimum: 0}}\n\
                      simulation: {episodes: 40, actuations_per_episode: 100}\n");
     assert_eq!(plain.scaling, Scalings::new());
-    assert_eq!(plain.scalings()[&Modality::ContactForce], Scaling::plain(Modality::ContactForce));
+    assert_eq!(plain.scalings(&Layout::finger())[&Modality::CONTACT_FORCE], Scaling::plain(false));
     // The hash that this spec had when there was neither `scaling` nor `split.by`.
     assert_eq!(plain.hash(), "3878ffe86883afc2");
 }
@@ -557,7 +559,6 @@ fn a_run_that_is_scaled_as_runs_were_before_keeps_its_hash() {
 #[test]
 fn timing_in_samples_and_steps() {
     let simulation = load(BASE).simulation;
-    assert_eq!(simulation.steps_per_sample(), 100);
     assert_eq!(simulation.samples_per_actuation(), 10);
     assert_eq!(simulation.samples_per_episode() * simulation.episodes as usize, 40_000);
     let text = format!("{BASE}simulation: {{sample_rate_hz: 100, actuation_seconds: 0.07}}");
@@ -585,7 +586,7 @@ fn overrides_replace_single_settings() {
     let mut expected = load(BASE);
     expected.training.batch_size = 256;
     expected.training.patience = None;
-    expected.training.loss_weights.insert(Modality::ContactForce, 2.0);
+    expected.training.loss_weights.insert(Modality::CONTACT_FORCE, 2.0);
     expected.latent = vec![8, 16];
     expected.description = "a: b=c".into();
     assert_eq!(load_with(BASE, &overrides, false).unwrap(), expected);
@@ -643,7 +644,7 @@ fn bad_overrides_are_refused_by_name() {
         ),
         (
             "input=[vision]",
-            "override 'input=[vision]': 'vision' is a frame, and a single_to_multi network takes vectors alone; \
+            "override 'input=[vision]': 'vision' is an image, and a single_to_multi network takes vectors alone; \
              leave it out, use network.preset: multi_to_multi, or give it convolutions by network.channels",
         ),
         (
@@ -757,7 +758,7 @@ fn quick_settings_are_checked_even_when_not_applied() {
         ),
         (
             "quick:\n  input: [vision]\n",
-            "spec.yaml:8:11: 'vision' is a frame, and a single_to_multi network takes vectors alone; leave it out, \
+            "spec.yaml:8:11: 'vision' is an image, and a single_to_multi network takes vectors alone; leave it out, \
              use network.preset: multi_to_multi, or give it convolutions by network.channels (after applying 'quick')",
         ),
     ]);
@@ -788,7 +789,7 @@ fn an_imported_dataset_is_named_where_a_scenario_is() {
     const NAME: &str = "lab_finger-0123456789abcdef";
     let text = BASE.replace("[empty, cluttered]", &format!("[cluttered, {NAME}]"));
     let experiment = load(&text);
-    assert_eq!(experiment.scenarios, [Scenario::Cluttered.into(), Origin::Imported(NAME.to_owned())]);
+    assert_eq!(experiment.scenarios, [Scenario::CLUTTERED.into(), Origin::Imported(NAME.to_owned())]);
     assert_eq!(load(&experiment.to_yaml()), experiment);
     let runs = experiment.runs();
     assert_eq!(runs[2].label(), format!("{NAME}-z2-seed0"));
@@ -808,7 +809,6 @@ fn what_no_imported_dataset_can_be_called_is_no_scenario() {
         "lab_finger-0123456789abcdeF",
         "lab-finger-0123456789abcdef",
         "9finger-0123456789abcdef",
-        "../finger-0123456789abcdef",
         "-0123456789abcdef",
         "empty-0123456789abcdef",
         &too_long,
@@ -839,8 +839,8 @@ fn runs_expand_by_every_combination_of_what_varies() {
     );
     let run = &runs[3];
     assert_eq!((run.training.kl_weight, run.action), (0.01, Action::Target));
-    assert_eq!(run.training.loss_weights[&Modality::ContactForce], 2.5);
-    assert_eq!(run.training.loss_weights[&Modality::Proprioception], 1.0);
+    assert_eq!(run.training.loss_weights[&Modality::CONTACT_FORCE], 2.5);
+    assert_eq!(run.training.loss_weights[&Modality::PROPRIOCEPTION], 1.0);
 }
 
 #[test]
@@ -849,9 +849,9 @@ fn what_varies_may_change_the_modalities() {
         base_with("output: [proprioception]") + "vary:\n  output: [[proprioception], [contact_force, arm]]\n";
     let runs = load(&text).runs();
     assert_eq!(runs[2].variant, "output=contact_force+arm");
-    assert_eq!(runs[2].output, [Modality::Arm, Modality::ContactForce]);
+    assert_eq!(runs[2].output, [Modality::ARM, Modality::CONTACT_FORCE]);
     let weights: Vec<_> = runs[2].training.loss_weights.keys().copied().collect();
-    assert_eq!(weights, [Modality::Arm, Modality::ContactForce]);
+    assert_eq!(weights, [Modality::ARM, Modality::CONTACT_FORCE]);
 }
 
 #[test]
@@ -880,7 +880,7 @@ fn each_combination_of_what_varies_must_be_possible() {
         ),
         (
             "vary:\n  input: [[arm], [vision]]\n",
-            "spec.yaml:8:19: 'vision' is a frame, and a single_to_multi network takes vectors alone; leave it out, \
+            "spec.yaml:8:19: 'vision' is an image, and a single_to_multi network takes vectors alone; leave it out, \
              use network.preset: multi_to_multi, or give it convolutions by network.channels (after applying 'vary')",
         ),
         (
@@ -997,21 +997,25 @@ fn random_split(random: &mut impl Rng) -> Split {
     Split { by, validation, test, gap_seconds: (by == Division::Time).then_some(0.0) }
 }
 
-fn random_scaling(modality: Modality, random: &mut impl Rng) -> Scaling {
+fn random_scaling(modality: Modality, random: &mut impl Rng) -> GivenScaling {
     let minimum = if random.random() { Some(random.random_range(-1.0..1.0)) } else { None };
-    let scale = if modality.is_frame() { Deviation::Shared } else { *Deviation::ALL.choose(random).unwrap() };
-    Scaling { scale, minimum }
+    let is_image = Layout::finger()[modality].is_image();
+    let scale = if is_image { Deviation::Shared } else { *Deviation::ALL.choose(random).unwrap() };
+    GivenScaling {
+        scale: random.random::<bool>().then_some(scale),
+        minimum: random.random::<bool>().then_some(minimum),
+    }
 }
 
 /// A valid experiment with everything drawn at random, as `load` would leave it.
 fn random_experiment(random: &mut impl Rng) -> Experiment {
     const NAMES: [&str; 8] = ["a", "123", "1e3", "null", "true", "no", "0x1F", "-_-"];
     const TEXTS: [&str; 6] = ["", "a: b # c", "two\nlines\n", "'\"\\ \t", "ünï ✓", "- [x, {y"];
-    let mut input = some(Modality::ALL, random);
-    let mut output = some(Modality::ALL, random);
+    let mut input = some(&Modality::BUILT_IN, random);
+    let mut output = some(&Modality::BUILT_IN, random);
     input.sort();
     output.sort();
-    let has_frame = input.iter().chain(&output).any(|modality| modality.is_frame());
+    let has_frame = input.iter().chain(&output).any(|modality| Layout::finger()[*modality].is_image());
     let network = Network {
         preset: *Preset::ALL.choose(random).unwrap(),
         hidden: (0..random.random_range(1..=3)).map(|_| random.random_range(1..=1024)).collect(),
@@ -1029,12 +1033,13 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
     };
     let ranges = [range(), range(), range()];
     let loss_weights = output.iter().map(|&modality| (modality, random.random_range(0.1..10.0))).collect();
-    let vectors = output.iter().copied().filter(|modality| !modality.is_frame() && random.random());
+    let vectors =
+        output.iter().copied().filter(|modality| !Layout::finger()[*modality].is_image() && random.random());
     let losses = vectors.map(|modality| (modality, Loss::Absolute)).collect();
     Experiment {
         name: NAMES.choose(random).unwrap().to_string(),
         description: TEXTS.choose(random).unwrap().to_string(),
-        scenarios: some(Scenario::ALL, random).into_iter().map(Origin::from).collect(),
+        scenarios: some(&Scenario::PAPER, random).into_iter().map(Origin::from).collect(),
         input,
         output,
         latent: some(&[1, 2, 16, 4096], random),
@@ -1048,13 +1053,19 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             actuations_per_episode: random.random_range(6..=100),
             actuation_seconds: f64::from(random.random_range(1..=20)) / 10.0,
             sample_rate_hz: *[10.0, 20.0, 100.0].choose(random).unwrap(),
-            rotation_range_rad: ranges[0],
-            lift_range_m: ranges[1],
-            extension_range_m: ranges[2],
-            box_clearance_m: random.random_range(0.0..=0.2),
+            world: [
+                ("rotation_range_rad".to_owned(), Setting::Range(ranges[0])),
+                ("lift_range_m".to_owned(), Setting::Range(ranges[1])),
+                ("extension_range_m".to_owned(), Setting::Range(ranges[2])),
+                ("box_clearance_m".to_owned(), Setting::Number(random.random_range(0.0..=0.2))),
+            ]
+            .into(),
         },
         split: random_split(random),
-        scaling: Modality::ALL.iter().map(|&modality| (modality, random_scaling(modality, random))).collect(),
+        scaling: Modality::BUILT_IN
+            .iter()
+            .map(|&modality| (modality, random_scaling(modality, random)))
+            .collect(),
         training: Training {
             learning_rate: 10f64.powf(random.random_range(-12.0..0.0)),
             schedule: *Schedule::ALL.choose(random).unwrap(),
@@ -1079,6 +1090,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             Default::default()
         },
         quick: Default::default(),
+        worlds: Vec::new(),
     }
 }
 
@@ -1123,8 +1135,8 @@ fn names_are_those_of_serde() {
             assert_eq!(serde_json::to_value(value).unwrap(), value.to_string());
         }
     }
-    check(Scenario::ALL);
-    check(Modality::ALL);
+    check(&Scenario::PAPER);
+    check(&Modality::BUILT_IN);
     check(Action::ALL);
     check(Task::ALL);
     check(Preset::ALL);
@@ -1171,7 +1183,7 @@ fn the_papers_experiments_are_the_papers_also_when_quick() {
         let full = spec::load(&path, &[], false).unwrap();
         assert_eq!(full.latent, latent);
         assert_eq!(full.seeds.len(), seeds);
-        assert_eq!(full.scenarios, [Scenario::Empty, Scenario::Cluttered].map(Origin::from));
+        assert_eq!(full.scenarios, [Scenario::EMPTY, Scenario::CLUTTERED].map(Origin::from));
         let samples = full.simulation.samples_per_episode() * full.simulation.episodes as usize;
         let training = &full.training;
         assert_eq!((samples, training.batch_size, training.epochs), (40_000, 1024, 200));

@@ -133,7 +133,7 @@ fn tables_and_their_columns_can_be_listed() {
     for sql in ["describe metrics", "DESC metrics;", "show columns from metrics"] {
         let printed = succeed(&results, &["query", sql]);
         for column in harness::schema::Table::Metrics.columns() {
-            assert!(printed.contains(&column.name) && printed.contains(column.unit), "{sql}: {printed}");
+            assert!(printed.contains(&column.name) && printed.contains(&*column.unit), "{sql}: {printed}");
         }
         assert!(printed.contains("integer") && printed.contains("null where it is not defined"), "{printed}");
     }

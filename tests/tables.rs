@@ -3,7 +3,8 @@
 mod common;
 
 use common::{smoke_run, succeed};
-use harness::schema::{Column, Table, frame_column};
+use harness::schema::{Column, Table, image_columns};
+use harness::spec::Layout;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -65,7 +66,7 @@ impl File {
     fn expected_columns(&self) -> Vec<Column> {
         let mut columns = self.table().columns();
         if self.table() == Table::Episodes {
-            columns.push(frame_column());
+            columns.extend(image_columns(&Layout::finger()));
         }
         columns
     }
@@ -126,7 +127,7 @@ fn the_printed_schema_says_the_same_as_the_files() {
     for table in Table::ALL {
         let columns = table.columns().into_iter();
         let expected: Vec<_> =
-            columns.map(|column| (column.name, column.unit.to_owned(), column.meaning)).collect();
+            columns.map(|column| (column.name, column.unit.into_owned(), column.meaning)).collect();
         assert_eq!(tables[table.name()], expected, "{}", table.name());
     }
     assert_eq!(tables.len(), Table::ALL.len());

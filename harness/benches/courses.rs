@@ -11,7 +11,7 @@
 use clap::Parser;
 use harness::files::write_bytes;
 use harness::simulation::{Course, Scene, replay};
-use harness::spec::{ARM_JOINTS, Scenario, Simulation};
+use harness::spec::{Simulation, World};
 use std::error::Error;
 use std::path::PathBuf;
 
@@ -20,9 +20,6 @@ struct Arguments {
     /// empty or cluttered
     #[arg(long, default_value = "empty")]
     scenario: String,
-    /// Folder with MJCF files to use instead of the built-in models
-    #[arg(long)]
-    models: Option<PathBuf>,
     #[arg(long, default_value_t = 6)]
     episodes: u32,
     /// Commanded arm moves an episode, 10 samples each
@@ -34,20 +31,24 @@ struct Arguments {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments = Arguments::parse();
-    let scenario = Scenario::ALL.iter().copied().find(|scenario| scenario.name() == arguments.scenario);
-    let scenario = scenario.ok_or("the scenario must be empty or cluttered")?;
-    let scene = Scene::load(scenario, arguments.models.as_deref())?;
-    let spec = Simulation { actuations_per_episode: arguments.actuations, ..Simulation::default() };
+    let world = World::named(&arguments.scenario).ok_or("there is no built-in world of that name")?;
+    let scene = Scene::new(world)?;
+    let spec = Simulation { actuations_per_episode: arguments.actuations, ..scene.world().simulation() };
+    let steps_per_sample = (1.0 / (spec.sample_rate_hz * scene.step_s())).round() as usize;
+    let elements = scene.layout().action().len();
     let samples = spec.samples_per_episode();
-    let steps = (samples - 1) * spec.steps_per_sample() + 1;
+    let steps = (samples - 1) * steps_per_sample + 1;
     let coordinates = scene.rest().len();
-    let header =
-        [arguments.episodes as usize, samples, spec.steps_per_sample(), steps, coordinates, ARM_JOINTS];
+    let header = [arguments.episodes as usize, samples, steps_per_sample, steps, coordinates, elements];
     let mut bytes: Vec<u8> = header.iter().flat_map(|value| (*value as i64).to_ne_bytes()).collect();
     for episode in 0..arguments.episodes {
         let course = Course::draw(&scene, &spec, episode)?;
         let states = replay(&scene, &spec, episode)?;
-        let controls = (0..steps).flat_map(|step| course.setpoint(step));
+        let controls = (0..steps).flat_map(|step| {
+            let mut setpoint = vec![0.0; elements];
+            course.setpoint(step, &mut setpoint);
+            setpoint
+        });
         let values = states[0].iter().chain(&states[samples - 1]).copied().chain(controls);
         bytes.extend(values.flat_map(f64::to_ne_bytes));
     }

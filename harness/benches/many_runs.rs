@@ -15,7 +15,7 @@ use harness::registry::{
     ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, Provenance, Registry, Timings,
 };
 use harness::simulation::Scene;
-use harness::spec::{self, Experiment, FRAME_LEN, JOINTS, Modality, RunSpec, Scenario, Task};
+use harness::spec::{self, Definition, Experiment, Layout, Modality, RunSpec, Scenario, Task};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -71,11 +71,10 @@ fn datasets(
     experiment: &Experiment,
 ) -> Result<BTreeMap<&'static str, String>, Box<dyn Error>> {
     let name = |scenario: &Scenario| {
-        let dataset =
-            Dataset::new(&registry.datasets(), &Scene::load(*scenario, None)?, &experiment.simulation);
+        let dataset = Dataset::new(&registry.datasets(), &Scene::paper(*scenario)?, &experiment.simulation);
         Ok((scenario.name(), dataset.name().to_owned()))
     };
-    Scenario::ALL.iter().map(name).collect()
+    Scenario::PAPER.iter().map(name).collect()
 }
 
 fn write(
@@ -87,7 +86,7 @@ fn write(
 ) -> Result<(), Box<dyn Error>> {
     let folder = registry.run(experiment, spec, dataset);
     let _lock = registry.claim(&folder)?.ok_or("another process works on it")?;
-    let record = registry.begin(&folder, spec, by)?;
+    let record = registry.begin(&folder, spec, &Layout::finger(), by)?;
     for task in &spec.tasks {
         std::fs::write(folder.checkpoint(*task), "made up")?;
     }
@@ -139,9 +138,11 @@ fn judge(
     outcome: &mut Outcome,
     random: &mut ChaCha8Rng,
 ) -> Result<(), Box<dyn Error>> {
-    let samples = if modality.is_frame() { 5 } else { SAMPLES };
+    let layout = Layout::finger();
+    let (definition, width): (&Definition, usize) = (&layout[modality], layout[modality].width());
+    let samples = if definition.is_image() { 5 } else { SAMPLES };
     let mut values = |scale: f32| -> Vec<f32> {
-        (0..samples * modality.width()).map(|_| scale * (random.random::<f32>() - 0.5)).collect()
+        (0..samples * width).map(|_| scale * (random.random::<f32>() - 0.5)).collect()
     };
     let (reference, noise) = (values(1.0), values(0.6));
     let predicted: Vec<f32> =
@@ -150,7 +151,7 @@ fn judge(
         Task::Prediction => &["network", "persistence", "ridge", "training_mean"],
         Task::Reconstruction => &["network", "training_mean"],
     };
-    let rows = evaluate(modality, &reference, &predicted)?;
+    let rows = evaluate(definition, &reference, &predicted)?;
     for (place, &model) in models.iter().enumerate() {
         // The same samples judge all models, each a little worse than the one before.
         let worse = |row: &Row| Row {
@@ -159,24 +160,24 @@ fn judge(
         };
         outcome.metrics.extend(rows.iter().map(|row| MetricRow { task, model, row: worse(row) }));
     }
-    if modality.is_frame() {
+    if definition.is_image() {
         outcome.frames.extend((0..samples).map(|sample| FrameRow {
             task,
             modality,
             episode: 36,
             sample: sample as u32 + 1,
             motion: 0.01 * sample as f64,
-            reference: (0..FRAME_LEN).map(|place| (place / 64) as u8).collect(),
-            predicted: (0..FRAME_LEN).map(|place| (place / 64 + sample) as u8).collect(),
+            reference: (0..width).map(|place| (place / 64) as u8).collect(),
+            predicted: (0..width).map(|place| (place / 64 + sample) as u8).collect(),
         }));
     } else {
         let values = reference.into_iter().zip(predicted).enumerate();
         outcome.predictions.extend(values.map(|(place, (reference, predicted))| PredictionRow {
             task,
             modality,
-            episode: 36 + (place / modality.width()) as u32 % EPISODES,
-            sample: (place / modality.width()) as u32 / EPISODES,
-            index: (place % modality.width()) as u32,
+            episode: 36 + (place / width) as u32 % EPISODES,
+            sample: (place / width) as u32 / EPISODES,
+            index: (place % width) as u32,
             reference,
             predicted,
         }));
@@ -188,12 +189,13 @@ fn judge(
 fn forces(spec: &RunSpec) -> Vec<ForceRows> {
     let mut random = ChaCha8Rng::seed_from_u64(u64::from(spec.scenario.name() == "empty"));
     let episodes = spec.simulation.as_ref().map_or(0, |simulation| simulation.episodes);
+    let width = Layout::finger()[Modality::CONTACT_FORCE].width();
     let mut links = || -> Vec<Contact> {
-        let values: Vec<f32> = (0..100 * JOINTS).map(|_| (random.random::<f32>() - 0.5).max(0.0)).collect();
-        by_link(&values)
+        let values: Vec<f32> = (0..100 * width).map(|_| (random.random::<f32>() - 0.5).max(0.0)).collect();
+        by_link(&values, width)
     };
     let mut rows = Vec::new();
-    for modality in [Modality::ContactForce, Modality::ContactForceMean] {
+    for modality in [Modality::CONTACT_FORCE, Modality::CONTACT_FORCE_MEAN] {
         let parts = std::iter::once(None).chain((0..episodes).map(Some));
         rows.extend(parts.map(|episode| ForceRows { modality, episode, links: links() }));
     }

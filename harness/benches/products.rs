@@ -12,7 +12,12 @@
 
 use clap::Parser;
 use gemm::Parallelism;
-use harness::spec::{ARM_JOINTS, FRAME_CHANNELS, FRAME_SIDE, JOINTS};
+use harness::spec::IMAGE_CHANNELS;
+
+/// Sizes of the finger: joints, elements of the action, side of an image.
+const JOINTS: usize = 20;
+const ARM_JOINTS: usize = 3;
+const FRAME_SIDE: usize = 64;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::time::Instant;
@@ -78,7 +83,7 @@ fn layer(name: &str, batch: usize, inputs: usize, outputs: usize, on_data: bool)
 fn products(arguments: &Arguments) -> Vec<Product> {
     let Arguments { latent, hidden, batch, .. } = *arguments;
     let positions = (FRAME_SIDE / 2) * (FRAME_SIDE / 2);
-    let patch = FRAME_CHANNELS * 4 * 4;
+    let patch = IMAGE_CHANNELS * 4 * 4;
     let mut list = Vec::new();
     if let Some(&channels) = arguments.channels.first() {
         let mut by_frame = |name: &str, shape, transposed| {

@@ -13,7 +13,7 @@ use harness::learning::network::{Architecture, Observation, Parameters, Targets}
 use harness::learning::ops::Adam;
 use harness::learning::ops::arithmetic;
 use harness::learning::random::{Random, Stream};
-use harness::spec::{ARM_JOINTS, Fusion, Modality, Network, Precision, Preset, Task};
+use harness::spec::{Fusion, Layout, Modality, Network, Precision, Preset, Task};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -63,14 +63,16 @@ fn main() -> candle_core::Result<()> {
     }
     let arguments = Arguments::parse();
     let frames = !arguments.channels.is_empty();
+    let layout = Layout::finger();
     let only = |modalities: &[Modality]| -> Vec<Modality> {
-        modalities.iter().copied().filter(|modality| frames || !modality.is_frame()).collect()
+        modalities.iter().copied().filter(|modality| frames || !layout[*modality].is_image()).collect()
     };
     let architecture = Architecture {
-        input: only(&[Modality::Proprioception, Modality::Vision]),
-        output: only(&[Modality::Proprioception, Modality::ContactForce, Modality::FrameDifference]),
+        input: only(&[Modality::PROPRIOCEPTION, Modality::VISION]),
+        output: only(&[Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE, Modality::FRAME_DIFFERENCE]),
         latent: arguments.latent,
-        action: ARM_JOINTS,
+        layout: layout.clone(),
+        action: layout.action().len(),
         network: Network {
             preset: Preset::MultiToMulti,
             hidden: arguments.hidden.clone(),
@@ -89,7 +91,7 @@ fn main() -> candle_core::Result<()> {
     let mut matrix =
         |width: usize| Tensor::from_vec(random.normal(batch * width), (batch, width), &Device::Cpu);
     let (vector, action, noise, target) =
-        (matrix(20)?, matrix(ARM_JOINTS)?, matrix(arguments.latent)?, matrix(40)?);
+        (matrix(20)?, matrix(layout.action().len())?, matrix(arguments.latent)?, matrix(40)?);
     let mut picture = || -> candle_core::Result<Arc<dyn Frames>> {
         let values = random.normal(batch * 3 * 64 * 64);
         Ok(Arc::new(DenseFrames::new(&Tensor::from_vec(values, (batch, 3, 64, 64), &Device::Cpu)?)?))
@@ -101,7 +103,7 @@ fn main() -> candle_core::Result<()> {
         frames: frames
             .then(&mut picture)
             .transpose()?
-            .map(|f| (Modality::FrameDifference, f))
+            .map(|f| (Modality::FRAME_DIFFERENCE, f))
             .into_iter()
             .collect(),
     };

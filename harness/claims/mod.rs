@@ -8,7 +8,8 @@ use crate::analysis::{Analysis, AnalysisError, Interval, LEVEL, Mixed, Selection
 use crate::registry::{Registry, rows};
 use crate::spec::{Origin, Scenario, SpecError};
 use polars::prelude::DataFrame;
-use serde::Deserialize;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer};
 use serde_yaml::Spanned;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -25,12 +26,23 @@ pub struct Claim {
     /// What the number is that the query gives, with its unit.
     pub measured: String,
     /// The scenarios that the claim is made for, each judged by itself; none where it is about both together.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "scenarios_of_the_paper")]
     pub scenarios: Vec<Scenario>,
     /// The experiments whose tables the query reads.
     pub experiments: Vec<String>,
     query: Spanned<String>,
     pub condition: Condition,
+}
+
+/// Claims are about the paper's scenarios.
+fn scenarios_of_the_paper<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Scenario>, D::Error> {
+    let scenarios = Vec::<Spanned<Scenario>>::deserialize(deserializer)?;
+    let other = scenarios.iter().find(|scenario| !Scenario::PAPER.contains(&scenario.value));
+    if let Some(other) = other {
+        let names = Scenario::PAPER.map(Scenario::name).join(", ");
+        return Err(D::Error::custom(format!("unknown scenario `{}`, expected one of {names}", other.value)));
+    }
+    Ok(scenarios.into_iter().map(|scenario| scenario.value).collect())
 }
 
 impl Claim {

@@ -24,7 +24,7 @@ pub struct Compare {
     by: Vec<Key>,
     /// What to compare
     #[arg(long, value_name = "METRIC", value_delimiter = ',', default_value = "smape,wmape,r2,relative_error",
-          value_parser = PossibleValuesParser::new(Metric::ALL.map(Metric::name)))]
+          value_parser = metric)]
     metrics: Vec<String>,
     /// Whose predictions to compare
     #[arg(long, value_name = "MODEL", value_delimiter = ',', default_value = "network,persistence,ridge,training_mean",
@@ -41,6 +41,13 @@ pub struct Compare {
     /// Write the means to a file instead, one a row: .parquet, .csv or .json
     #[arg(long, short, value_name = "FILE")]
     output: Option<PathBuf>,
+}
+
+/// The name of a metric.
+fn metric(name: &str) -> Result<String, String> {
+    let names = Metric::GENERAL.map(Metric::name).join(", ");
+    let found = Metric::named(name).map(|metric| metric.name().to_owned());
+    found.ok_or_else(|| format!("the metrics are {names}, and relative_error_REGION of a world's regions, as relative_error_finger"))
 }
 
 /// What tells cells apart.

@@ -62,7 +62,7 @@ impl Show {
         }
         println!("folder  {}", shown(folder.path()));
         println!("\n{}", record.spec.to_yaml());
-        println!("{}\n", layers::table(&record.spec)?);
+        println!("{}\n", layers::table(&record.spec, &record.layout)?);
         // Runs of two experiments that ask for the same have the same id.
         let own = format!("experiment = '{}' and run = '{}'", record.experiment, record.run);
         let runs = registry::query(registry, &format!("select * from runs where {own}"))?;

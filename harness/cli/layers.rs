@@ -3,14 +3,15 @@
 use anyhow::Result;
 use harness::experiment::architecture;
 use harness::learning::network::LayerSummary;
-use harness::spec::{RunSpec, Task};
+use harness::spec::{Layout, RunSpec, Task};
+use std::sync::Arc;
 
 /// A line for each layer: its name, the shape of what it makes of one sample, and how many parameters it has; and for each
 /// task how many it trains.
-pub fn table(spec: &RunSpec) -> Result<String> {
+pub fn table(spec: &RunSpec, layout: &Arc<Layout>) -> Result<String> {
     let mut lines = vec![["layer".to_owned(), "output".to_owned(), "parameters".to_owned()]];
     for &task in &spec.tasks {
-        let summary = architecture(spec, task).summary()?;
+        let summary = architecture(spec, layout, task).summary()?;
         // A reconstruction's encoder is the prediction's, and isn't trained again.
         let parts = match task {
             Task::Prediction => vec![("encoder", summary.encoder), ("decoder", summary.decoder)],

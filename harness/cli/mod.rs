@@ -19,6 +19,7 @@ mod run;
 mod sheet;
 mod table;
 mod verify;
+mod world;
 
 use anyhow::bail;
 use clap::{Parser, Subcommand};
@@ -113,11 +114,20 @@ stands half of the 95 % interval of the mean over seeds (Student's t). LaTeX nee
     Show(inspect::Show),
     /// Print the JSON schema of experiment specs, for editors, or the columns of the tables
     Schema(inspect::Schema),
+    /// List the worlds, check a world file, or write a first one for an MJCF model
+    #[command(after_help = "Examples:
+  harness world list
+  harness world new robots/gripper.xml
+  harness world check robots/gripper.yaml
+
+A spec names a world file in its `scenarios`, by the path from its own folder.")]
+    World(world::Command),
     /// Draw a scene, or an instant or a clip of an episode, in good quality
     #[command(after_help = "Examples:
   harness render cluttered --output scene.png
   harness render cluttered --episode 3 --sample 250 --width 1600 --height 1000 --output push.png
-  harness render empty --episode 0 --output clip.gif")]
+  harness render empty --episode 0 --output clip.gif
+  harness render robots/gripper.yaml --output gripper.png")]
     Render(render::Render),
     /// Draw the paper's figures from the tables, as SVG and PNG, each with its numbers as CSV
     #[command(after_help = FIGURES_HELP)]
@@ -242,6 +252,7 @@ fn execute(command: Command, registry: &Registry, threads: usize) -> anyhow::Res
         Command::Report(report) => report.execute(registry),
         Command::Publish(publish) => publish.execute(registry),
         Command::Verify => verify::execute(registry),
+        Command::World(world) => world.execute(),
         Command::Doctor => doctor::execute(registry, threads),
     }
 }
@@ -253,7 +264,7 @@ impl Command {
             Self::Query(_) | Self::Claims(_) | Self::Compare(_) | Self::Ls | Self::Show(_) => true,
             Self::Figures(_) | Self::Report(_) | Self::Publish(_) | Self::Verify => true,
             Self::Run(_) | Self::Collect(_) | Self::Validate(_) => false,
-            Self::Schema(_) | Self::Render(_) | Self::Doctor => false,
+            Self::Schema(_) | Self::World(_) | Self::Render(_) | Self::Doctor => false,
         }
     }
 }
@@ -294,7 +305,24 @@ fn is_usage(error: &anyhow::Error) -> bool {
             error.downcast_ref(),
             Some(QueryError::Sql(_) | QueryError::Refused(_) | QueryError::Format(_))
         )
-        || matches!(error.downcast_ref(), Some(SimulationError::PictureSize { .. }))
+        || error.is::<world::WorldError>()
+        || matches!(
+            error.downcast_ref(),
+            Some(
+                SimulationError::PictureSize { .. }
+                    | SimulationError::World(_)
+                    | SimulationError::Spec { .. }
+                    | SimulationError::Compile { .. }
+                    | SimulationError::Unsuitable { .. }
+            )
+        )
+        || matches!(
+            error.downcast_ref(),
+            Some(ExperimentError::Simulation(
+                SimulationError::World(_) | SimulationError::Spec { .. } | SimulationError::Compile { .. }
+            ))
+        )
+        || matches!(error.downcast_ref(), Some(ExperimentError::Unsuitable { .. }))
         || matches!(
             error.downcast_ref(),
             Some(ExperimentError::Dataset(DatasetError::NotImported { .. } | DatasetError::Lacks { .. }))

@@ -8,7 +8,7 @@ use clap::Args;
 use harness::files::write_whole;
 use harness::progress::Progress;
 use harness::simulation::{Portrait, Scene, replay};
-use harness::spec::{self, Scenario, Simulation};
+use harness::spec::{self, Simulation, World};
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::{Delay, DynamicImage, Frame, ImageFormat};
 use std::fs::File;
@@ -17,9 +17,9 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Render {
-    /// empty or cluttered
-    #[arg(value_parser = scenario)]
-    scenario: Scenario,
+    /// A built-in world, as empty or cluttered, or the path of a world file
+    #[arg(value_name = "WORLD")]
+    world: String,
     /// The picture (.png) or clip (.gif) to write
     #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
@@ -41,9 +41,6 @@ pub struct Render {
     /// Pixels
     #[arg(long, default_value_t = 800)]
     height: u32,
-    /// Folder with MJCF files to use instead of the built-in models
-    #[arg(long, value_name = "DIR")]
-    models: Option<PathBuf>,
 }
 
 /// Why a picture can't be drawn as asked.
@@ -53,12 +50,6 @@ pub enum RenderError {
     Format(PathBuf),
     #[error("the episode has {samples} samples, so there is no sample {sample}")]
     Sample { sample: usize, samples: usize },
-}
-
-fn scenario(name: &str) -> Result<Scenario, String> {
-    let found = Scenario::ALL.iter().copied().find(|scenario| scenario.name() == name);
-    let names = Scenario::ALL.iter().map(|scenario| scenario.name()).collect::<Vec<_>>().join(", ");
-    found.ok_or_else(|| format!("the scenarios are {names}"))
 }
 
 /// What a file name's ending asks for.
@@ -76,11 +67,12 @@ impl Render {
             Some("gif") => Output::Clip,
             _ => return Err(RenderError::Format(self.output).into()),
         };
+        let world = World::find(&self.world)?;
         let simulation = match &self.spec {
-            Some(path) => spec::load(path, &[], false)?.simulation,
-            None => Simulation::default(),
+            Some(path) => world.complete(&spec::load(path, &[], false)?.simulation),
+            None => world.simulation(),
         };
-        let scene = Scene::load(self.scenario, self.models.as_deref())?;
+        let scene = Scene::new(world)?;
         let states = self.states(&scene, &simulation)?;
         let mut portrait = Portrait::new(&scene, self.width, self.height)?;
         match output {

@@ -9,7 +9,7 @@ use harness::dataset::{Dataset, collect};
 use harness::experiment::{Laboratory, Planned, Summary, describe};
 use harness::registry::{Decision, Provenance, Registry, query_of, quoted};
 use harness::simulation::Scene;
-use harness::spec::{self, Experiment, Origin};
+use harness::spec::{self, Experiment};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -50,9 +50,20 @@ pub struct Run {
     /// is hardly slower (40,000 samples have 0.5 GB of frames) [default: an eighth of the free memory]
     #[arg(long, value_name = "GB", value_parser = gigabytes)]
     memory: Option<u64>,
-    /// Folder with MJCF files to use instead of the built-in models: DIR/empty.xml, DIR/cluttered.xml
-    #[arg(long, value_name = "DIR")]
-    models: Option<PathBuf>,
+    #[command(flatten)]
+    gone: Gone,
+}
+
+/// Options of earlier versions.
+#[derive(Args)]
+struct Gone {
+    /// Not used any more
+    #[arg(long, value_name = "DIR", hide = true, value_parser = no_models)]
+    models: Option<String>,
+}
+
+fn no_models(_: &str) -> Result<String, String> {
+    Err("this option is gone: name a world file in the spec's scenarios; `harness world new MODEL.xml` writes one".into())
 }
 
 /// A number of gigabytes, in bytes.
@@ -68,7 +79,6 @@ impl Run {
         let bars = Bars::default();
         let laboratory = Laboratory {
             registry,
-            models: self.models,
             threads,
             jobs: self.jobs.into(),
             memory: self.memory,
@@ -97,9 +107,8 @@ impl Run {
 pub struct Collect {
     #[command(flatten)]
     spec: Spec,
-    /// Folder with MJCF files to use instead of the built-in models
-    #[arg(long, value_name = "DIR")]
-    models: Option<PathBuf>,
+    #[command(flatten)]
+    gone: Gone,
 }
 
 impl Collect {
@@ -109,11 +118,12 @@ impl Collect {
         interrupt::install()?;
         let (mut failed, bars) = (false, Bars::default());
         for origin in &experiment.scenarios {
-            let &Origin::Simulated(scenario) = origin else {
+            let Some(world) = experiment.world(origin) else {
                 println!("{origin}: imported, so nothing is collected");
                 continue;
             };
-            let scene = Scene::load(scenario, self.models.as_deref())?;
+            let scene = Scene::new(world)?;
+            scene.check(&experiment.simulation)?;
             let dataset = Dataset::new(&registry.datasets(), &scene, &experiment.simulation);
             match collect(&dataset, &scene, threads, &bars) {
                 Ok(episodes) => println!(
@@ -156,7 +166,7 @@ fn print_plan(plan: &[Planned]) {
 fn print_networks(plan: &[Planned]) -> Result<()> {
     let mut networks: Vec<(String, Vec<&str>)> = Vec::new();
     for planned in plan {
-        let (layers, run) = (layers::table(&planned.spec)?, planned.folder.id());
+        let (layers, run) = (layers::table(&planned.spec, planned.layout())?, planned.folder.id());
         match networks.iter_mut().find(|(others, _)| *others == layers) {
             Some((_, runs)) => runs.push(run),
             None => networks.push((layers, vec![run])),

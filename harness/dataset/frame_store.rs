@@ -1,7 +1,7 @@
 //! The frames of a dataset: in memory, or where they would not fit, in a file that the system reads as they are needed.
 
 use crate::memory;
-use crate::spec::{FRAME_CHANNELS, FRAME_LEN};
+use crate::spec::{IMAGE_CHANNELS, Layout};
 use memmap2::{Advice, Mmap, UncheckedAdvice};
 use rayon::prelude::*;
 use std::fs::File;
@@ -30,47 +30,57 @@ pub enum FramePlace {
 
 impl FramePlace {
     /// Memory if the frames of so many samples take `limit` bytes at most, by default an eighth of what is within reach.
-    pub fn for_samples(samples: usize, limit: Option<u64>) -> Self {
+    pub fn for_samples(layout: &Layout, samples: usize, limit: Option<u64>) -> Self {
         let limit = limit.unwrap_or_else(|| memory::within_reach() / MEMORY_SHARE);
-        if frame_bytes(samples) <= limit { Self::Memory } else { Self::Disk }
+        if frame_bytes(layout, samples) <= limit { Self::Memory } else { Self::Disk }
     }
 }
 
-/// What the frames of so many samples take, bytes.
-pub fn frame_bytes(samples: usize) -> u64 {
-    (samples as u64).saturating_mul(FRAME_LEN as u64)
+/// What the images of so many samples take, bytes.
+pub fn frame_bytes(layout: &Layout, samples: usize) -> u64 {
+    let a_sample: usize = layout.stored_images().map(|image| image.width()).sum();
+    (samples as u64).saturating_mul(a_sample as u64)
 }
 
-/// Frames one after the other, `[frame, channel, row, column]`.
+/// Frames of one camera one after the other, `[frame, channel, row, column]`.
 #[derive(Debug)]
-pub(super) enum FrameStore {
+pub(super) struct FrameStore {
+    /// Bytes of a frame.
+    len: usize,
+    kept: Kept,
+}
+
+#[derive(Debug)]
+enum Kept {
     Memory(Vec<u8>),
     Disk(FrameFile),
 }
 
 impl FrameStore {
-    /// Room for the frames of `samples` samples; on disk, in `folder`.
-    pub fn new(place: FramePlace, samples: usize, folder: &Path) -> io::Result<Self> {
-        Ok(match place {
-            FramePlace::Nowhere => Self::Memory(Vec::new()),
-            FramePlace::Memory => Self::Memory(Vec::with_capacity(frame_bytes(samples) as usize)),
-            FramePlace::Disk => Self::Disk(FrameFile::new(folder)?),
-        })
+    /// Room for `samples` frames of `len` bytes; on disk, in `folder`.
+    pub fn new(place: FramePlace, len: usize, samples: usize, folder: &Path) -> io::Result<Self> {
+        let kept = match place {
+            FramePlace::Nowhere => Kept::Memory(Vec::new()),
+            FramePlace::Memory => Kept::Memory(Vec::with_capacity(samples * len)),
+            FramePlace::Disk => Kept::Disk(FrameFile::new(len, folder)?),
+        };
+        Ok(Self { len, kept })
     }
 
     /// Appends frames as cameras and files have them, `[frame, row, column, channel]`.
     pub fn push(&mut self, pixels: &[u8]) -> io::Result<()> {
-        match self {
-            Self::Memory(frames) => {
+        let len = self.len;
+        match &mut self.kept {
+            Kept::Memory(frames) => {
                 let before = frames.len();
                 frames.resize(before + pixels.len(), 0);
-                lay_out(pixels, &mut frames[before..]);
+                lay_out(len, pixels, &mut frames[before..]);
             }
-            Self::Disk(file) => {
-                let mut planes = vec![0; pixels.len().min(FRAMES_AT_ONCE * FRAME_LEN)];
-                for pixels in pixels.chunks(FRAMES_AT_ONCE * FRAME_LEN) {
+            Kept::Disk(file) => {
+                let mut planes = vec![0; pixels.len().min(FRAMES_AT_ONCE * len)];
+                for pixels in pixels.chunks(FRAMES_AT_ONCE * len) {
                     let planes = &mut planes[..pixels.len()];
-                    lay_out(pixels, planes);
+                    lay_out(len, pixels, planes);
                     file.append(planes)?;
                 }
                 file.map_again()?;
@@ -81,26 +91,31 @@ impl FrameStore {
 
     /// All frames.
     pub fn bytes(&self) -> &[u8] {
-        match self {
-            Self::Memory(frames) => frames,
-            Self::Disk(file) => file.bytes(),
+        match &self.kept {
+            Kept::Memory(frames) => frames,
+            Kept::Disk(file) => file.bytes(),
         }
+    }
+
+    /// One frame.
+    pub fn frame(&self, index: usize) -> &[u8] {
+        &self.bytes()[index * self.len..][..self.len]
     }
 
     /// Says that these frames, and the one before each, are about to be read.
     pub fn prefetch(&self, frames: &[usize]) {
-        if let Self::Disk(file) = self {
+        if let Kept::Disk(file) = &self.kept {
             file.prefetch(frames);
         }
     }
 }
 
-/// Lays frames out channel by channel.
-fn lay_out(pixels: &[u8], planes: &mut [u8]) {
-    let frames = planes.par_chunks_exact_mut(FRAME_LEN).zip(pixels.par_chunks_exact(FRAME_LEN));
+/// Lays frames of `len` bytes out channel by channel.
+fn lay_out(len: usize, pixels: &[u8], planes: &mut [u8]) {
+    let frames = planes.par_chunks_exact_mut(len).zip(pixels.par_chunks_exact(len));
     frames.for_each(|(planes, pixels)| {
-        for (channel, plane) in planes.chunks_exact_mut(FRAME_LEN / FRAME_CHANNELS).enumerate() {
-            let values = pixels[channel..].iter().step_by(FRAME_CHANNELS);
+        for (channel, plane) in planes.chunks_exact_mut(len / IMAGE_CHANNELS).enumerate() {
+            let values = pixels[channel..].iter().step_by(IMAGE_CHANNELS);
             plane.iter_mut().zip(values).for_each(|(value, pixel)| *value = *pixel);
         }
     });
@@ -108,8 +123,10 @@ fn lay_out(pixels: &[u8], planes: &mut [u8]) {
 
 /// A file that has no name, so nobody else can open it, and that is gone with the process.
 #[derive(Debug)]
-pub(super) struct FrameFile {
+struct FrameFile {
     file: File,
+    /// Bytes of a frame.
+    len: usize,
     /// Of what was written before the last call of [`FrameFile::map_again`]; `None` before the first.
     map: Option<Mmap>,
     /// Frames that were asked for since pages were given back.
@@ -117,9 +134,9 @@ pub(super) struct FrameFile {
 }
 
 impl FrameFile {
-    fn new(folder: &Path) -> io::Result<Self> {
+    fn new(len: usize, folder: &Path) -> io::Result<Self> {
         std::fs::create_dir_all(folder)?;
-        Ok(Self { file: tempfile::tempfile_in(folder)?, map: None, held: AtomicUsize::new(0) })
+        Ok(Self { file: tempfile::tempfile_in(folder)?, len, map: None, held: AtomicUsize::new(0) })
     }
 
     fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
@@ -146,9 +163,9 @@ impl FrameFile {
             let _ = unsafe { map.unchecked_advise(UncheckedAdvice::DontNeed) };
         }
         for frame in frames {
-            let before = frame.saturating_sub(1) * FRAME_LEN;
+            let before = frame.saturating_sub(1) * self.len;
             // Advice alone, which may be refused.
-            let _ = map.advise_range(Advice::WillNeed, before, (frame + 1) * FRAME_LEN - before);
+            let _ = map.advise_range(Advice::WillNeed, before, (frame + 1) * self.len - before);
         }
     }
 }

@@ -13,7 +13,7 @@ mod verify;
 pub use collect::collect;
 pub use frame_store::{FramePlace, frame_bytes};
 pub use imported::Imported;
-pub use samples::{FRAME_PLANE, Partition, Recording, Samples};
+pub use samples::{Partition, Recording, Samples};
 pub use standard::{Scale, Standard, frame_difference};
 pub use store::Dataset;
 pub use verify::{Inspection, inspect, is_lock};

@@ -3,22 +3,18 @@
 use super::DatasetError;
 use super::frame_store::{FramePlace, FrameStore, frame_bytes};
 use crate::simulation::Episode;
-use crate::spec::{ARM_JOINTS, Action, Division, FRAME_LEN, FRAME_SIDE, JOINTS, Modality, Split};
+use crate::spec::{Action, Definition, Division, Layout, Modality, Split};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use sha2::{Digest, Sha256};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-
-/// Values of one channel of a frame.
-pub const FRAME_PLANE: usize = FRAME_SIDE * FRAME_SIDE;
+use std::sync::Arc;
 
 /// What holds for all samples of a dataset.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Recording {
-    /// Whether the frames show the simulated robot, whose parts are told by their colours.
-    pub is_simulated: bool,
     /// Samples recorded a second, Hz.
     pub sample_rate_hz: f64,
     /// Seed of a simulation; 0 of what was imported.
@@ -31,23 +27,23 @@ pub struct Samples {
     recording: Recording,
     /// Where each episode's samples lie, in the order of the episodes.
     episodes: Vec<Range<usize>>,
-    proprioception: Vec<f32>,
-    arm: Vec<f32>,
-    setpoint: Vec<f32>,
-    contact_force: Vec<f32>,
-    contact_force_mean: Vec<f32>,
-    /// `[sample, channel, row, column]`; empty where no frames were asked for.
-    vision: FrameStore,
+    layout: Arc<Layout>,
+    /// For each of the layout's modalities that is a vector its values, `[sample, element]`.
+    vectors: Vec<Vec<f32>>,
+    /// For each of the layout's modalities that is a stored image its frames, `[sample, channel, row, column]`; empty where
+    /// none were asked for.
+    images: Vec<Option<FrameStore>>,
     /// Of the dataset, which may hold its frames.
     folder: PathBuf,
 }
 
 impl Samples {
     /// Memory that so many samples take, bytes, with their frames in their place.
-    pub fn bytes(samples: usize, frames: FramePlace) -> u64 {
-        let numbers = 3 * JOINTS + 2 * ARM_JOINTS;
+    pub fn bytes(layout: &Layout, samples: usize, frames: FramePlace) -> u64 {
+        let vectors = layout.modalities.iter().filter(|definition| !definition.is_image());
+        let numbers: usize = vectors.map(Definition::width).sum();
         let numbers = (samples as u64).saturating_mul((numbers * size_of::<f32>()) as u64);
-        numbers.saturating_add(if frames == FramePlace::Memory { frame_bytes(samples) } else { 0 })
+        numbers.saturating_add(if frames == FramePlace::Memory { frame_bytes(layout, samples) } else { 0 })
     }
 
     /// An empty dataset with room for `samples`, whose frames have their place; `folder` is that of the dataset.
@@ -56,22 +52,24 @@ impl Samples {
     /// When the frames' place is the disk, and no file can be made there.
     pub fn new(
         recording: Recording,
+        layout: Arc<Layout>,
         samples: usize,
         frames: FramePlace,
         folder: &Path,
     ) -> Result<Self, DatasetError> {
-        let vision = FrameStore::new(frames, samples, folder);
-        Ok(Self {
-            recording,
-            episodes: Vec::new(),
-            proprioception: Vec::with_capacity(samples * JOINTS),
-            arm: Vec::with_capacity(samples * ARM_JOINTS),
-            setpoint: Vec::with_capacity(samples * ARM_JOINTS),
-            contact_force: Vec::with_capacity(samples * JOINTS),
-            contact_force_mean: Vec::with_capacity(samples * JOINTS),
-            vision: vision.map_err(|source| DatasetError::Frames { folder: folder.to_owned(), source })?,
-            folder: folder.to_owned(),
-        })
+        let vector = |definition: &Definition| match definition.is_image() {
+            true => Vec::new(),
+            false => Vec::with_capacity(samples * definition.width()),
+        };
+        let image = |definition: &Definition| {
+            let is_stored = definition.is_image() && definition.difference_of.is_none();
+            is_stored.then(|| FrameStore::new(frames, definition.width(), samples, folder)).transpose()
+        };
+        let vectors = layout.modalities.iter().map(vector).collect();
+        let images = layout.modalities.iter().map(image).collect::<Result<_, _>>();
+        let images = images.map_err(|source| DatasetError::Frames { folder: folder.to_owned(), source })?;
+        let folder = folder.to_owned();
+        Ok(Self { recording, episodes: Vec::new(), layout, vectors, images, folder })
     }
 
     /// Appends an episode, with its frames if it has any.
@@ -81,28 +79,36 @@ impl Samples {
     pub fn push(&mut self, episode: &Episode) -> Result<(), DatasetError> {
         let first = self.len();
         self.episodes.push(first..first + episode.samples);
-        self.proprioception.extend_from_slice(&episode.proprioception);
-        self.arm.extend_from_slice(&episode.arm);
-        self.setpoint.extend_from_slice(&episode.setpoint);
-        self.contact_force.extend_from_slice(&episode.contact_force);
-        self.contact_force_mean.extend_from_slice(&episode.contact_force_mean);
-        let pushed = self.vision.push(&episode.vision);
-        pushed.map_err(|source| DatasetError::Frames { folder: self.folder.clone(), source })
+        for (index, definition) in self.layout.modalities.iter().enumerate() {
+            match (&mut self.images[index], definition.difference_of) {
+                (Some(frames), _) => frames
+                    .push(&episode.images[index])
+                    .map_err(|source| DatasetError::Frames { folder: self.folder.clone(), source })?,
+                (None, None) => self.vectors[index].extend_from_slice(&episode.vectors[index]),
+                (None, Some(_)) if definition.is_image() => {}
+                (None, Some(of)) => {
+                    let (values, width) = (episode.vector(of), definition.width());
+                    let before = values[..width.min(values.len())].iter().chain(values);
+                    self.vectors[index].extend(values.iter().zip(before).map(|(now, before)| now - before));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// What a sample holds.
+    pub fn layout(&self) -> &Arc<Layout> {
+        &self.layout
     }
 
     /// Samples in all.
     pub fn len(&self) -> usize {
-        self.arm.len() / ARM_JOINTS
+        self.episodes.last().map_or(0, |episode| episode.end)
     }
 
     /// Whether its frames were loaded.
     pub fn has_frames(&self) -> bool {
-        !self.frames().is_empty()
-    }
-
-    /// Whether the frames show the simulated robot, whose parts are told by their colours.
-    pub fn is_simulated(&self) -> bool {
-        self.recording.is_simulated
+        self.images.iter().flatten().any(|frames| !frames.bytes().is_empty())
     }
 
     pub fn is_empty(&self) -> bool {
@@ -120,54 +126,74 @@ impl Samples {
     }
 
     /// A vector modality of all samples, in physical units, `[samples, width]`.
+    ///
+    /// # Panics
+    /// The layout holds none of that name.
     pub fn vectors(&self, modality: Modality) -> &[f32] {
-        match modality {
-            Modality::Proprioception => &self.proprioception,
-            Modality::Arm => &self.arm,
-            Modality::ContactForce => &self.contact_force,
-            Modality::ContactForceMean => &self.contact_force_mean,
-            Modality::Vision | Modality::FrameDifference => unreachable!("frames are read by `frame_bytes`"),
-        }
+        &self.vectors[self.position(modality)]
+    }
+
+    fn position(&self, modality: Modality) -> usize {
+        let position = self.layout.position(modality);
+        position.unwrap_or_else(|| panic!("the dataset's layout holds no {modality}"))
     }
 
     /// A vector modality of one sample, in physical units.
     pub fn vector(&self, modality: Modality, sample: usize) -> &[f32] {
-        &self.vectors(modality)[sample * modality.width()..][..modality.width()]
+        let width = self.layout[modality].width();
+        &self.vectors(modality)[sample * width..][..width]
     }
 
-    /// The arm's commanded setpoint at all samples, in the units of `arm`, `[samples, 3]`.
+    /// What the actuators are commanded at all samples, `[samples, elements of the action]`.
     pub fn setpoints(&self) -> &[f32] {
-        &self.setpoint
+        self.vectors(Modality::SETPOINT)
     }
 
-    /// The camera's frames of all samples, `[samples, channel, row, column]`; empty if they weren't loaded.
-    pub fn frames(&self) -> &[u8] {
-        self.vision.bytes()
+    /// The frames of an image modality, or of the one that it is the difference of.
+    fn frames(&self, modality: Modality) -> &FrameStore {
+        let stored = self.layout[modality].difference_of.unwrap_or(modality);
+        let frames = self.images[self.position(stored)].as_ref();
+        frames.unwrap_or_else(|| panic!("{modality} is no image"))
     }
 
-    /// The camera frame of one sample as bytes, `[channel, row, column]`.
-    pub fn frame_bytes(&self, sample: usize) -> &[u8] {
-        &self.frames()[sample * FRAME_LEN..][..FRAME_LEN]
+    /// An image of all samples, `[samples, channel, row, column]`, or that which it is the difference of; empty if none
+    /// were loaded.
+    ///
+    /// # Panics
+    /// The layout holds no image of that name.
+    pub fn image(&self, modality: Modality) -> &[u8] {
+        self.frames(modality).bytes()
+    }
+
+    /// An image of one sample as bytes, `[channel, row, column]`; of a difference, the later one.
+    pub fn frame_bytes(&self, modality: Modality, sample: usize) -> &[u8] {
+        self.frames(modality).frame(sample)
     }
 
     /// Says that the frames of these samples, and of those before them, are about to be read. It changes nothing but the
     /// time that frames on disk take, and the memory: those that were read long ago are let go.
-    pub fn prefetch(&self, samples: &[usize]) {
-        self.vision.prefetch(samples);
+    pub fn prefetch(&self, modality: Modality, samples: &[usize]) {
+        self.frames(modality).prefetch(samples);
     }
 
-    /// The frame before `sample` in its episode; at the start, the frame itself, since nothing moved before.
-    pub fn previous_frame_bytes(&self, sample: usize) -> &[u8] {
+    /// The image before `sample` in its episode; at the start, the image itself, since nothing moved before.
+    pub fn previous_frame_bytes(&self, modality: Modality, sample: usize) -> &[u8] {
+        self.frame_bytes(modality, self.previous(sample))
+    }
+
+    /// The sample before in the same episode; the sample itself at the start.
+    fn previous(&self, sample: usize) -> usize {
         let (_, place) = self.place(sample);
-        self.frame_bytes(if place == 0 { sample } else { sample - 1 })
+        if place == 0 { sample } else { sample - 1 }
     }
 
     /// What the decoder is told about the step from `sample` to the next.
-    pub fn action(&self, action: Action, sample: usize) -> [f32; ARM_JOINTS] {
-        let setpoint = |sample: usize, joint: usize| self.setpoint[sample * ARM_JOINTS + joint];
-        std::array::from_fn(|joint| match action {
-            Action::Target => setpoint(sample + 1, joint),
-            Action::Increment => setpoint(sample + 1, joint) - setpoint(sample, joint),
+    pub fn action(&self, action: Action, sample: usize) -> impl Iterator<Item = f32> {
+        let width = self.layout.action().len();
+        let steps = &self.setpoints()[sample * width..][..2 * width];
+        (0..width).map(move |element| match action {
+            Action::Target => steps[width + element],
+            Action::Increment => steps[width + element] - steps[element],
         })
     }
 

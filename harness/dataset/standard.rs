@@ -1,8 +1,8 @@
 //! Standardisation with the training set's statistics, and batches of standardised values.
 
 use super::frames::Frames;
-use super::samples::{FRAME_PLANE, Samples};
-use crate::spec::{ARM_JOINTS, Action, Deviation, FRAME_LEN, FRAME_SIDE, Modality, Scalings};
+use super::samples::Samples;
+use crate::spec::{Action, Deviation, IMAGE_CHANNELS, Modality, Scalings};
 use candle_core::{Device, Result, Tensor};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -111,15 +111,18 @@ impl Standard {
     /// Statistics over `transitions` of the modalities that `scalings` names, and of the action.
     pub fn fit(samples: &Samples, transitions: &[usize], scalings: &Scalings, action: Action) -> Self {
         let scales = scalings.iter().map(|(&modality, scaling)| {
-            let moments = if modality.is_frame() {
+            let definition = &samples.layout()[modality];
+            let moments = if definition.is_image() {
                 frame_moments(samples, transitions, modality)
             } else {
-                Moments::of(modality.width(), transitions, |sample| samples.vector(modality, sample))
+                Moments::of(definition.width(), transitions, |sample| samples.vector(modality, sample))
             };
             let minimum = scaling.minimum.map(|minimum| minimum as f32);
             (modality, Scale { minimum, ..moments.scale(scaling.scale) })
         });
-        let actions = Moments::of(ARM_JOINTS, transitions, |sample| samples.action(action, sample));
+        let width = samples.layout().action().len();
+        let actions =
+            Moments::of(width, transitions, |sample| samples.action(action, sample).collect::<Vec<_>>());
         Self { scales: scales.collect(), action: actions.scale(Deviation::PerElement) }
     }
 
@@ -130,31 +133,38 @@ impl Standard {
         at: &[usize],
         modalities: &[Modality],
     ) -> Option<Result<Tensor>> {
-        let modalities: Vec<Modality> =
-            modalities.iter().copied().filter(|modality| !modality.is_frame()).collect();
-        let width: usize = modalities.iter().map(|modality| modality.width()).sum();
+        let layout = samples.layout();
+        let vectors = modalities.iter().filter(|modality| !layout[**modality].is_image());
+        let part = |modality: &Modality| {
+            (layout[*modality].width(), samples.vectors(*modality), &self.scales[modality])
+        };
+        let parts: Vec<(usize, &[f32], &Scale)> = vectors.map(part).collect();
+        let width: usize = parts.iter().map(|(width, ..)| width).sum();
         if width == 0 {
             return None;
         }
         let mut values = Vec::with_capacity(at.len() * width);
         for sample in at {
-            for modality in &modalities {
+            for (width, vectors, scale) in &parts {
                 let first = values.len();
-                values.extend_from_slice(samples.vector(*modality, *sample));
-                self.scales[modality].standardise(&mut values[first..]);
+                values.extend_from_slice(&vectors[sample * width..][..*width]);
+                scale.standardise(&mut values[first..]);
             }
         }
         Some(Tensor::from_vec(values, (at.len(), width), &Device::Cpu))
     }
 
-    /// The standardised action `[batch, 3]` of the steps from `at` to the next samples.
+    /// The standardised action `[batch, elements]` of the steps from `at` to the next samples.
     pub fn actions(&self, samples: &Samples, at: &[usize], action: Action) -> Result<Tensor> {
         let scale = &self.action;
         let values = at.iter().flat_map(|sample| {
-            let action = samples.action(action, *sample);
-            (0..ARM_JOINTS).map(move |joint| (action[joint] - scale.mean[joint]) / scale.deviation[joint])
+            let scales = scale.mean.iter().zip(&scale.deviation);
+            samples
+                .action(action, *sample)
+                .zip(scales)
+                .map(|(value, (mean, deviation))| (value - mean) / deviation)
         });
-        Tensor::from_vec(values.collect(), (at.len(), ARM_JOINTS), &Device::Cpu)
+        Tensor::from_vec(values.collect(), (at.len(), scale.mean.len()), &Device::Cpu)
     }
 
     /// The frames of several modalities stacked channel-wise, standardised when read; `None` if there are none.
@@ -166,29 +176,28 @@ impl Standard {
     ) -> Option<Arc<dyn Frames>> {
         let scales: Vec<(Modality, Scale)> = modalities
             .iter()
-            .filter(|modality| modality.is_frame())
+            .filter(|modality| samples.layout()[**modality].is_image())
             .map(|modality| (*modality, self.scales[modality].clone()))
             .collect();
-        if scales.is_empty() {
-            return None;
-        }
-        samples.prefetch(at);
-        Some(Arc::new(SampleFrames { samples: samples.clone(), at: at.to_vec(), scales }))
+        let (first, _) = scales.first()?;
+        let [side, _] = samples.layout()[*first].size()?;
+        scales.iter().for_each(|(modality, _)| samples.prefetch(*modality, at));
+        Some(Arc::new(SampleFrames { samples: samples.clone(), at: at.to_vec(), side, scales }))
     }
 }
 
 /// Those of a modality of frames. Bytes are summed as whole numbers, so neither threads nor order make a difference.
 fn frame_moments(samples: &Samples, at: &[usize], modality: Modality) -> Moments {
-    const BLACK: [u8; FRAME_LEN] = [0; FRAME_LEN];
+    let definition = &samples.layout()[modality];
+    let (width, is_difference) = (definition.width(), definition.difference_of.is_some());
+    let black = vec![0; width];
     let sums_of = |at: &[usize]| {
-        samples.prefetch(at);
-        let mut sums = vec![[0i32; 2]; FRAME_LEN];
+        samples.prefetch(modality, at);
+        let mut sums = vec![[0i32; 2]; width];
         for sample in at.iter().copied() {
-            let before = match modality {
-                Modality::FrameDifference => samples.previous_frame_bytes(sample),
-                _ => &BLACK,
-            };
-            let frames = samples.frame_bytes(sample).iter().zip(before);
+            let before =
+                if is_difference { samples.previous_frame_bytes(modality, sample) } else { black.as_slice() };
+            let frames = samples.frame_bytes(modality, sample).iter().zip(before);
             for ([sum, square], (now, before)) in sums.iter_mut().zip(frames) {
                 let value = i32::from(*now) - i32::from(*before);
                 *sum += value;
@@ -197,7 +206,7 @@ fn frame_moments(samples: &Samples, at: &[usize], modality: Modality) -> Moments
         }
         sums.into_iter().map(|sums| sums.map(i64::from)).collect::<Vec<_>>()
     };
-    let none = || vec![[0i64; 2]; FRAME_LEN];
+    let none = || vec![[0i64; 2]; width];
     let sums = at.par_chunks(FRAMES_AT_ONCE).map(sums_of).reduce(none, |mut sums, others| {
         let each = sums.iter_mut().flatten().zip(others.iter().flatten());
         each.for_each(|(sum, other)| *sum += other);
@@ -208,16 +217,18 @@ fn frame_moments(samples: &Samples, at: &[usize], modality: Modality) -> Moments
     Moments { count: at.len() as f64, sum, square }
 }
 
-/// What changed in the frame since the sample before, in [-1, 1], `[channel, row, column]`.
-pub fn frame_difference(samples: &Samples, sample: usize) -> impl Iterator<Item = f32> {
-    let frames = samples.frame_bytes(sample).iter().zip(samples.previous_frame_bytes(sample));
+/// What changed in an image since the sample before, in [-1, 1], `[channel, row, column]`.
+pub fn frame_difference(samples: &Samples, modality: Modality, sample: usize) -> impl Iterator<Item = f32> {
+    let before = samples.previous_frame_bytes(modality, sample);
+    let frames = samples.frame_bytes(modality, sample).iter().zip(before);
     frames.map(|(now, before)| (f32::from(*now) - f32::from(*before)) / 255.0)
 }
 
-/// Standardised frames of chosen samples, made one at a time.
+/// Standardised frames of chosen samples, made one at a time; all images have the same size.
 struct SampleFrames {
     samples: Arc<Samples>,
     at: Vec<usize>,
+    side: usize,
     scales: Vec<(Modality, Scale)>,
 }
 
@@ -227,25 +238,26 @@ impl Frames for SampleFrames {
     }
 
     fn channels(&self) -> usize {
-        self.scales.len() * FRAME_LEN / FRAME_PLANE
+        self.scales.len() * IMAGE_CHANNELS
     }
 
     fn side(&self) -> usize {
-        FRAME_SIDE
+        self.side
     }
 
     fn write(&self, index: usize, frame: &mut [f32]) {
         let sample = self.at[index];
-        let now = self.samples.frame_bytes(sample);
-        for ((modality, scale), frame) in self.scales.iter().zip(frame.chunks_exact_mut(FRAME_LEN)) {
+        let len = IMAGE_CHANNELS * self.side * self.side;
+        for ((modality, scale), frame) in self.scales.iter().zip(frame.chunks_exact_mut(len)) {
+            let now = self.samples.frame_bytes(*modality, sample);
             let factor = 1.0 / scale.deviation[0];
             let bytes = 1.0 / 255.0;
-            if *modality == Modality::Vision {
+            if self.samples.layout()[*modality].difference_of.is_none() {
                 for ((value, now), mean) in frame.iter_mut().zip(now).zip(&scale.mean) {
                     *value = (f32::from(*now) * bytes - mean) * factor;
                 }
             } else {
-                let before = self.samples.previous_frame_bytes(sample);
+                let before = self.samples.previous_frame_bytes(*modality, sample);
                 for (((value, now), before), mean) in frame.iter_mut().zip(now).zip(before).zip(&scale.mean) {
                     *value = ((f32::from(*now) - f32::from(*before)) * bytes - mean) * factor;
                 }

@@ -4,16 +4,18 @@ use super::imported::Content;
 use super::{DatasetError, FramePlace, Recording, Samples};
 use crate::files::write_bytes;
 use crate::progress::{Progress, Silent};
-use crate::schema::{ARM, frame_column, sample_columns};
+use crate::schema::{image_columns, sample_columns};
 use crate::seal::hex;
 use crate::simulation::{Episode, Scene, mujoco_version};
-use crate::spec::{ARM_JOINTS, FRAME_LEN, JOINTS, Scenario, Simulation};
+use crate::spec::{Definition, Layout, Scenario, Simulation};
 use crate::tables::{Stamp, TableError, TableFile, write_table};
 use polars::prelude::*;
 use rayon::prelude::*;
+use serde::Deserialize;
 use serde_json::json;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Raised whenever the same spec would be recorded differently than before.
 const FORMAT: u32 = 2;
@@ -25,6 +27,7 @@ pub struct Dataset {
     name: String,
     scenario: Scenario,
     spec: Simulation,
+    layout: Arc<Layout>,
     description: serde_json::Value,
 }
 
@@ -32,15 +35,20 @@ impl Dataset {
     /// The dataset of a scene under a spec, in `root`; nothing is read or written yet.
     pub fn new(root: &Path, scene: &Scene, spec: &Simulation) -> Self {
         let scenario = scene.scenario();
-        let description = json!({
+        let spec = scene.world().complete(spec);
+        let mut description = json!({
             "format": FORMAT,
             "scenario": scenario.name(),
             "simulation": spec,
-            "model_sha256": hex(&Sha256::digest(scene.xml())),
+            "model_sha256": scene.model_sha256(),
             "mujoco": mujoco_version(),
         });
-        let name = identify(scenario, &description);
-        Self { folder: root.join(&name), name, scenario, spec: spec.clone(), description }
+        if let Some(world) = scene.world().identity() {
+            description["world"] = world;
+        }
+        let (name, layout) = (identify(scenario, &description), scene.layout().clone());
+        description["layout"] = json!(*layout);
+        Self { folder: root.join(&name), name, scenario, spec, layout, description }
     }
 
     /// The dataset that a folder holds, with as many episodes as it was collected for last.
@@ -58,7 +66,8 @@ impl Dataset {
         let (scenario, spec) = description
             .simulated(&name)
             .ok_or_else(|| damaged("it does not describe the folder that it lies in"))?;
-        Ok(Self { folder: folder.to_owned(), name, scenario, spec, description: description.0 })
+        let layout = description.layout().map_err(|problem| damaged(&problem))?;
+        Ok(Self { folder: folder.to_owned(), name, scenario, spec, layout, description: description.0 })
     }
 
     /// The scenario that was simulated.
@@ -86,6 +95,11 @@ impl Dataset {
 
     pub fn spec(&self) -> &Simulation {
         &self.spec
+    }
+
+    /// What its samples hold.
+    pub fn layout(&self) -> &Arc<Layout> {
+        &self.layout
     }
 
     fn episode_path(&self, index: u32) -> PathBuf {
@@ -131,7 +145,7 @@ impl Dataset {
             ("harness_version".into(), env!("CARGO_PKG_VERSION").into()),
             ("renderer".into(), episode.renderer.clone()),
         ]);
-        let columns = [sample_columns(), vec![frame_column()]].concat();
+        let columns = [sample_columns(&self.layout), image_columns(&self.layout)].concat();
         let table = self.table(episode).map_err(TableError::from)?;
         Ok(write_table(&self.episode_path(episode.index), table, &columns, &stamp)?)
     }
@@ -150,14 +164,18 @@ impl Dataset {
             Column::new("sample".into(), (0..samples as u32).collect::<Vec<_>>()),
             Column::new("time".into(), times.collect::<Vec<_>>()),
         ];
-        for (name, width, values) in vectors(episode) {
-            for index in 0..width {
+        for definition in self.layout.stored_vectors() {
+            let (width, values) = (definition.width(), episode.vector(definition.name));
+            for (index, name) in definition.columns().enumerate() {
                 let values: Vec<f32> = values.iter().skip(index).step_by(width).copied().collect();
-                columns.push(Column::new(element_name(name, width, index).into(), values));
+                columns.push(Column::new(name.into(), values));
             }
         }
-        let frames: BinaryChunked = episode.vision.chunks_exact(FRAME_LEN).map(Some).collect();
-        columns.push(frames.with_name("vision".into()).into_series().into());
+        for definition in self.layout.stored_images() {
+            let pixels = episode.image(definition.name).chunks_exact(definition.width());
+            let frames: BinaryChunked = pixels.map(Some).collect();
+            columns.push(frames.with_name(definition.name.name().into()).into_series().into());
+        }
         DataFrame::new(samples, columns)
     }
 
@@ -168,8 +186,8 @@ impl Dataset {
     /// cancels.
     pub fn load(&self, frames: FramePlace, progress: &dyn Progress) -> Result<Samples, DatasetError> {
         let Simulation { sample_rate_hz, seed, .. } = self.spec;
-        let recording = Recording { is_simulated: true, sample_rate_hz, seed };
-        let mut samples = Samples::new(recording, self.len(), frames, &self.folder)?;
+        let recording = Recording { sample_rate_hz, seed };
+        let mut samples = Samples::new(recording, self.layout.clone(), self.len(), frames, &self.folder)?;
         let read = |index: u32| self.read(index, frames != FramePlace::Nowhere);
         progress.begin(&format!("loading {}", self.scenario), self.len() as u64, "samples");
         push_all(&mut samples, self.spec.episodes, read, progress)?;
@@ -180,7 +198,7 @@ impl Dataset {
     /// Reads one episode, with or without its frames; its whole file is compared with its seal either way.
     pub fn read(&self, index: u32, frames: bool) -> Result<Episode, DatasetError> {
         let (path, samples) = (self.episode_path(index), self.spec.samples_per_episode());
-        read_episode(&path, &self.name, index, samples, frames, &|_| true)
+        read_episode(&path, &self.name, index, samples, frames, &self.layout)
     }
 }
 
@@ -212,32 +230,36 @@ pub(super) fn push_all(
     Ok(())
 }
 
-/// Reads the file of episode `index` of the dataset named `dataset`, which must hold `samples` samples. A vector that
-/// the dataset does not hold, as `holds` says by its name, is zero.
+/// Reads the file of episode `index` of the dataset named `dataset`, which must hold `samples` samples of that layout.
 pub(super) fn read_episode(
     path: &Path,
     dataset: &str,
     index: u32,
     samples: usize,
     frames: bool,
-    holds: &dyn Fn(&str) -> bool,
+    layout: &Arc<Layout>,
 ) -> Result<Episode, DatasetError> {
     let damaged = |problem: &str| DatasetError::Damaged { path: path.to_owned(), problem: problem.into() };
-    let wanted = (!frames).then(|| sample_columns().into_iter().map(|column| column.name).collect());
-    let table = open_episode(path, dataset, index, samples)?.table(wanted)?;
-    let mut episode = Episode { index, samples: table.height(), ..Episode::default() };
-    for (name, width, values) in vectors_mut(&mut episode) {
-        *values = if holds(name) {
-            interleave(&table, name, width).map_err(|_| damaged("a column is missing"))?
-        } else {
-            vec![0.0; samples * width]
-        };
-    }
+    let mut wanted: Vec<String> = layout.stored_vectors().flat_map(Definition::columns).collect();
     if frames {
-        let vision = table.column("vision").and_then(|column| column.binary().cloned());
-        for frame in vision.map_err(|_| damaged("it has no frames"))?.iter() {
-            let frame = frame.filter(|frame| frame.len() == FRAME_LEN);
-            episode.vision.extend_from_slice(frame.ok_or_else(|| damaged("a frame has the wrong size"))?);
+        wanted.extend(layout.stored_images().map(|image| image.name.name().to_owned()));
+    }
+    let table = open_episode(path, dataset, index, samples)?.table(Some(wanted))?;
+    let mut episode = Episode::new(layout.clone(), index, samples);
+    for (place, definition) in layout.modalities.iter().enumerate() {
+        if definition.difference_of.is_some() {
+            continue;
+        }
+        if !definition.is_image() {
+            let values = interleave(&table, definition).map_err(|_| damaged("a column is missing"))?;
+            episode.vectors[place] = values;
+        } else if frames {
+            let column = table.column(definition.name.name()).and_then(|column| column.binary().cloned());
+            for frame in column.map_err(|_| damaged("it has no frames"))?.iter() {
+                let frame = frame.filter(|frame| frame.len() == definition.width());
+                let frame = frame.ok_or_else(|| damaged("a frame has the wrong size"))?;
+                episode.images[place].extend_from_slice(frame);
+            }
         }
     }
     Ok(episode)
@@ -248,6 +270,10 @@ fn identify(scenario: Scenario, description: &serde_json::Value) -> String {
     let mut identity = description.clone();
     // Whether an episode exists does not change what is in it: longer datasets extend shorter ones.
     identity["simulation"]["episodes"].take();
+    // It follows from the rest.
+    if let Some(fields) = identity.as_object_mut() {
+        fields.remove("layout");
+    }
     named_by_hash(scenario.name(), identity)
 }
 
@@ -277,9 +303,20 @@ impl Description {
     /// What is simulated and how, if this describes the dataset of that name: a name is a hash of all of it but the
     /// number of episodes.
     pub fn simulated(&self, name: &str) -> Option<(Scenario, Simulation)> {
-        let scenario = *Scenario::ALL.iter().find(|scenario| self.0["scenario"] == scenario.name())?;
+        let scenario = Scenario::new(self.0["scenario"].as_str()?)?;
         let simulation = serde_json::from_value(self.0["simulation"].clone()).ok()?;
         (identify(scenario, &self.0) == name).then_some((scenario, simulation))
+    }
+
+    /// What its samples hold; that of the finger where it does not say, as before it was said.
+    pub fn layout(&self) -> Result<Arc<Layout>, String> {
+        match self.0.get("layout") {
+            Some(layout) => {
+                let layout = Layout::deserialize(layout).map_err(|error| format!("its layout: {error}"))?;
+                Ok(Arc::new(layout))
+            }
+            None => Ok(Layout::finger()),
+        }
     }
 
     /// What was imported, if this describes the imported dataset of that name, which ends in a hash of it.
@@ -315,36 +352,12 @@ pub(super) fn open_episode(
     Ok(file)
 }
 
-/// The vector columns of an episode: name, width and values, in the order of the file.
-fn vectors(episode: &Episode) -> [(&'static str, usize, &Vec<f32>); 5] {
-    [
-        ("proprioception", JOINTS, &episode.proprioception),
-        ("arm", ARM_JOINTS, &episode.arm),
-        ("setpoint", ARM_JOINTS, &episode.setpoint),
-        ("contact_force", JOINTS, &episode.contact_force),
-        ("contact_force_mean", JOINTS, &episode.contact_force_mean),
-    ]
-}
-
-fn vectors_mut(episode: &mut Episode) -> [(&'static str, usize, &mut Vec<f32>); 5] {
-    [
-        ("proprioception", JOINTS, &mut episode.proprioception),
-        ("arm", ARM_JOINTS, &mut episode.arm),
-        ("setpoint", ARM_JOINTS, &mut episode.setpoint),
-        ("contact_force", JOINTS, &mut episode.contact_force),
-        ("contact_force_mean", JOINTS, &mut episode.contact_force_mean),
-    ]
-}
-
-fn element_name(name: &str, width: usize, index: usize) -> String {
-    if width == ARM_JOINTS { format!("{name}_{}", ARM[index].0) } else { format!("{name}_{index:02}") }
-}
-
-/// The columns of a vector side by side again, `[samples, width]`.
-fn interleave(table: &DataFrame, name: &str, width: usize) -> PolarsResult<Vec<f32>> {
+/// The columns of a vector side by side again, `[samples, elements]`.
+fn interleave(table: &DataFrame, definition: &Definition) -> PolarsResult<Vec<f32>> {
+    let width = definition.width();
     let mut values = vec![0.0; table.height() * width];
-    for index in 0..width {
-        let column = table.column(&element_name(name, width, index))?.f32()?;
+    for (index, name) in definition.columns().enumerate() {
+        let column = table.column(&name)?.f32()?;
         for (row, value) in values.chunks_exact_mut(width).zip(column.iter()) {
             row[index] = value.ok_or_else(|| PolarsError::NoData("an empty cell".into()))?;
         }

@@ -1,15 +1,15 @@
 //! A trained network, and the baselines, on the test transitions.
 
 use super::ExperimentError;
-use crate::dataset::{FRAME_PLANE, Partition, Samples, frame_difference};
+use crate::dataset::{Partition, Samples, frame_difference};
 use crate::learning::network::Decoder;
 use crate::learning::objective::View;
 use crate::learning::predict::{Predicted, decode};
 use crate::metrics::baselines::{Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
-use crate::metrics::parts::Part;
+use crate::metrics::parts;
 use crate::metrics::{Evaluation, MetricsError, contact};
 use crate::registry::{ForceRows, FrameRow, MetricRow, PredictionRow};
-use crate::spec::{FRAME_CHANNELS, Modality, Task};
+use crate::spec::{Definition, IMAGE_CHANNELS, Modality, Task};
 use candle_core::Tensor;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -22,20 +22,22 @@ const BATCH: usize = 256;
 
 /// The values of `modality` at the samples `at`, in physical units, `[at, width]`, frames channel by channel.
 pub fn physical(samples: &Samples, modality: Modality, at: &[usize]) -> Vec<f32> {
-    let mut values = vec![0.0; at.len() * modality.width()];
-    if modality.is_frame() {
-        samples.prefetch(at);
+    let definition = &samples.layout()[modality];
+    let width = definition.width();
+    let mut values = vec![0.0; at.len() * width];
+    if definition.is_image() {
+        samples.prefetch(modality, at);
     }
-    values.par_chunks_exact_mut(modality.width()).zip(at).for_each(|(values, &sample)| match modality {
-        Modality::Vision => {
-            let bytes = samples.frame_bytes(sample);
+    values.par_chunks_exact_mut(width).zip(at).for_each(|(values, &sample)| {
+        if !definition.is_image() {
+            values.copy_from_slice(samples.vector(modality, sample));
+        } else if definition.difference_of.is_some() {
+            let changes = frame_difference(samples, modality, sample);
+            values.iter_mut().zip(changes).for_each(|(value, change)| *value = change);
+        } else {
+            let bytes = samples.frame_bytes(modality, sample);
             values.iter_mut().zip(bytes).for_each(|(value, byte)| *value = f32::from(*byte) / 255.0);
         }
-        Modality::FrameDifference => {
-            let changes = frame_difference(samples, sample);
-            values.iter_mut().zip(changes).for_each(|(value, change)| *value = change);
-        }
-        _ => values.copy_from_slice(samples.vector(modality, sample)),
     });
     values
 }
@@ -66,8 +68,9 @@ pub fn network(
     test: &[usize],
     storyboard: &[Story],
 ) -> Result<Evaluated, ExperimentError> {
-    let mut evaluations: BTreeMap<Modality, Evaluation> =
-        output.iter().map(|modality| (*modality, Evaluation::new(*modality))).collect();
+    let layout = view.samples.layout();
+    let evaluation = |modality: &Modality| (*modality, Evaluation::new(&layout[*modality], &layout.regions));
+    let mut evaluations: BTreeMap<Modality, Evaluation> = output.iter().map(evaluation).collect();
     let (mut predictions, mut frames) = (Vec::new(), Vec::new());
     let mut failure = None;
     decode(view, decoder, output, task == Task::Prediction, latent, test, |predicted| {
@@ -78,10 +81,10 @@ pub fn network(
                 add(evaluation, &view.samples, predicted.modality, &at, &reference, &predicted.values);
             failure = failure.take().or(added.err());
         }
-        if predicted.modality.is_frame() {
+        if layout[predicted.modality].is_image() {
             frames.extend(frame_rows(&view.samples, task, &predicted, &reference, storyboard));
         }
-        if is_recorded(predicted.modality) {
+        if is_recorded(&layout[predicted.modality]) {
             predictions.extend(prediction_rows(&view.samples, task, &predicted, &reference));
         }
     })
@@ -102,19 +105,22 @@ fn add(
     reference: &[f32],
     predicted: &[f32],
 ) -> Result<(), MetricsError> {
-    // A real camera's colours do not tell the robot's parts.
-    if modality != Modality::FrameDifference || !samples.is_simulated() {
+    let layout = samples.layout();
+    if layout[modality].difference_of.is_none() || !layout[modality].is_image() || layout.regions.is_empty() {
         return evaluation.add(reference, predicted);
     }
-    let parts =
-        |sample: &usize| Part::in_either(samples.previous_frame_bytes(*sample), samples.frame_bytes(*sample));
-    let parts: Vec<Option<Part>> = at.par_iter().flat_map_iter(parts).collect();
-    evaluation.add_with_parts(reference, predicted, &parts)
+    let regions = |sample: &usize| {
+        let before = samples.previous_frame_bytes(modality, *sample);
+        parts::in_either(&layout.regions, before, samples.frame_bytes(modality, *sample))
+    };
+    let regions: Vec<Option<u8>> = at.par_iter().flat_map_iter(regions).collect();
+    evaluation.add_with_regions(reference, predicted, &regions)
 }
 
-/// Whether every single prediction is kept: those of the finger are, frames would take too much room.
-fn is_recorded(modality: Modality) -> bool {
-    !modality.is_frame() && modality != Modality::Arm
+/// Whether every single prediction is kept: those of images would take too much room, and values of different units don't
+/// stand in one column.
+fn is_recorded(definition: &Definition) -> bool {
+    !definition.is_image() && definition.unit().is_some()
 }
 
 fn prediction_rows<'a>(
@@ -123,7 +129,7 @@ fn prediction_rows<'a>(
     predicted: &'a Predicted,
     reference: &'a [f32],
 ) -> impl Iterator<Item = PredictionRow> + 'a {
-    let width = predicted.modality.width();
+    let width = samples.layout()[predicted.modality].width();
     let places = predicted_samples(task, predicted.at).into_iter().map(|sample| samples.place(sample));
     places.enumerate().flat_map(move |(row, (episode, sample))| {
         (0..width).map(move |index| PredictionRow {
@@ -153,16 +159,19 @@ const STORYBOARD: [f64; 5] = [0.02, 0.3, 0.6, 0.85, 0.98];
 ///
 /// The choice depends on the dataset alone, so that the pictures of all networks can be compared.
 pub fn storyboard(samples: &Samples, test: &[usize]) -> Vec<Story> {
+    let Some(camera) = samples.layout().stored_images().next().map(|image| image.name) else {
+        return Vec::new();
+    };
     if !samples.has_frames() || test.is_empty() {
         return Vec::new();
     }
     let motion = |transition: usize| {
-        let (sum, values) = frame_difference(samples, transition + 1)
+        let (sum, values) = frame_difference(samples, camera, transition + 1)
             .fold((0.0, 0), |(sum, values), change| (sum + f64::from(change.abs()), values + 1));
         Story { transition, motion: sum / f64::from(values) }
     };
     let batches = test.par_chunks(BATCH).flat_map_iter(|at| {
-        samples.prefetch(at);
+        samples.prefetch(camera, at);
         at.iter().map(|&transition| motion(transition))
     });
     let mut stories: Vec<Story> = batches.collect();
@@ -177,11 +186,12 @@ fn frame_rows<'a>(
     reference: &'a [f32],
     storyboard: &'a [Story],
 ) -> impl Iterator<Item = FrameRow> + 'a {
-    let width = predicted.modality.width();
+    let definition = &samples.layout()[predicted.modality];
+    let width = definition.width();
     storyboard.iter().filter_map(move |story| {
         let row = predicted.at.iter().position(|&transition| transition == story.transition)?;
         let (episode, sample) = samples.place(predicted_samples(task, &[story.transition])[0]);
-        let picture = |values: &[f32]| picture(predicted.modality, &values[row * width..][..width]);
+        let picture = |values: &[f32]| picture(definition, &values[row * width..][..width]);
         Some(FrameRow {
             task,
             modality: predicted.modality,
@@ -196,26 +206,27 @@ fn frame_rows<'a>(
 
 /// A frame `[channel, row, column]` as bytes `[row, column, channel]`: an intensity in [0, 1] times 255, a difference
 /// in [-1, 1] times 127 around 128, so that no change is kept exactly.
-fn picture(modality: Modality, values: &[f32]) -> Vec<u8> {
-    let byte = |value: f32| match modality {
-        Modality::FrameDifference => (128.0 + 127.0 * value).round().clamp(1.0, 255.0) as u8,
-        _ => (255.0 * value).round().clamp(0.0, 255.0) as u8,
+fn picture(definition: &Definition, values: &[f32]) -> Vec<u8> {
+    let byte = |value: f32| match definition.difference_of {
+        Some(_) => (128.0 + 127.0 * value).round().clamp(1.0, 255.0) as u8,
+        None => (255.0 * value).round().clamp(0.0, 255.0) as u8,
     };
-    (0..FRAME_PLANE)
-        .flat_map(|pixel| (0..FRAME_CHANNELS).map(move |channel| byte(values[channel * FRAME_PLANE + pixel])))
+    let pixels = values.len() / IMAGE_CHANNELS;
+    (0..pixels)
+        .flat_map(|pixel| (0..IMAGE_CHANNELS).map(move |channel| byte(values[channel * pixels + pixel])))
         .collect()
 }
 
-/// How those forces that the dataset holds are distributed, link by link: over the whole of it, and in each of its
+/// How the forces that the dataset holds are distributed, link by link: over the whole of it, and in each of its
 /// episodes.
-pub fn forces(samples: &Samples, holds: impl Fn(Modality) -> bool) -> Vec<ForceRows> {
-    let of = |modality, episode, range: Range<usize>| {
-        let forces: Vec<f32> = range.flat_map(|sample| samples.vector(modality, sample)).copied().collect();
-        ForceRows { modality, episode, links: contact::by_link(&forces) }
+pub fn forces(samples: &Samples) -> Vec<ForceRows> {
+    let of = |definition: &Definition, episode, range: Range<usize>| {
+        let (modality, width) = (definition.name, definition.width());
+        let forces = &samples.vectors(modality)[range.start * width..range.end * width];
+        ForceRows { modality, episode, links: contact::by_link(forces, width) }
     };
     let mut rows = Vec::new();
-    let forces = [Modality::ContactForce, Modality::ContactForceMean];
-    for modality in forces.into_iter().filter(|modality| holds(*modality)) {
+    for modality in samples.layout().stored_vectors().filter(|definition| definition.is_force()) {
         rows.push(of(modality, None, 0..samples.len()));
         let episodes = (0..).zip(samples.episodes());
         rows.extend(episodes.map(|(episode, range)| of(modality, Some(episode), range.clone())));
@@ -246,7 +257,8 @@ pub fn baselines(
         })?);
         if task == Task::Prediction {
             rows.extend(judge(view, partition, task, modality, "persistence", |at| {
-                Ok(persistence(modality, &physical(&view.samples, modality, at)).into_owned())
+                Ok(persistence(&view.samples.layout()[modality], &physical(&view.samples, modality, at))
+                    .into_owned())
             })?);
         }
     }
@@ -265,7 +277,8 @@ fn judge(
     model: &'static str,
     predict: impl Fn(&[usize]) -> Result<Vec<f32>, ExperimentError>,
 ) -> Result<Vec<MetricRow>, ExperimentError> {
-    let mut evaluation = Evaluation::new(modality);
+    let layout = view.samples.layout();
+    let mut evaluation = Evaluation::new(&layout[modality], &layout.regions);
     for at in partition.test.chunks(BATCH) {
         let samples = predicted_samples(task, at);
         let reference = physical(&view.samples, modality, &samples);
@@ -280,7 +293,7 @@ fn training_mean(
     task: Task,
     modality: Modality,
 ) -> Result<TrainingMean, ExperimentError> {
-    let mut mean = TrainingMean::new(modality.width());
+    let mut mean = TrainingMean::new(view.samples.layout()[modality].width());
     for at in partition.training.chunks(BATCH) {
         mean.add(&physical(&view.samples, modality, &predicted_samples(task, at)))?;
     }
@@ -294,8 +307,10 @@ fn ridge(
     input: &[Modality],
     output: &[Modality],
 ) -> Result<Vec<MetricRow>, ExperimentError> {
-    let vectors: Vec<Modality> = output.iter().copied().filter(|modality| !modality.is_frame()).collect();
-    let widths: usize = vectors.iter().map(|modality| modality.width()).sum();
+    let layout = view.samples.layout();
+    let vectors: Vec<Modality> =
+        output.iter().copied().filter(|modality| !layout[*modality].is_image()).collect();
+    let widths: usize = vectors.iter().map(|modality| layout[*modality].width()).sum();
     if vectors.is_empty() {
         return Ok(Vec::new());
     }
@@ -308,13 +323,13 @@ fn ridge(
     let mut rows = Vec::new();
     let mut first = 0;
     for modality in vectors.iter().copied() {
+        let width = layout[modality].width();
         rows.extend(judge(view, partition, Task::Prediction, modality, "ridge", |at| {
             let predicted = ridge.predict(&ridge_inputs(view, input, at)?)?;
-            let columns =
-                predicted.chunks_exact(widths).flat_map(|row| &row[first..first + modality.width()]);
+            let columns = predicted.chunks_exact(widths).flat_map(|row| &row[first..first + width]);
             Ok(columns.copied().collect())
         })?);
-        first += modality.width();
+        first += width;
     }
     Ok(rows)
 }
@@ -336,14 +351,16 @@ fn ridge_inputs(view: &View, input: &[Modality], at: &[usize]) -> Result<Vec<f32
     let vectors =
         view.observation(at, input).map_err(learning)?.vector.map(table).transpose().map_err(learning)?;
     let actions = view.actions(at).and_then(table).map_err(learning)?;
-    let frames: Vec<Modality> = input.iter().copied().filter(|modality| modality.is_frame()).collect();
+    let layout = view.samples.layout();
+    let size = |modality: &Modality| Some((*modality, layout[*modality].size()?));
+    let frames: Vec<(Modality, [usize; 2])> = input.iter().filter_map(size).collect();
     let rows = at.par_iter().enumerate().map(|(row, &sample)| {
         let mut values = actions[row].clone();
         values.extend(vectors.iter().flat_map(|vectors| &vectors[row]));
-        for modality in &frames {
+        for (modality, size) in &frames {
             let mut frame = physical(&view.samples, *modality, &[sample]);
             view.standard.scales[modality].standardise(&mut frame);
-            values.extend(downsample_frame(&frame)?);
+            values.extend(downsample_frame(&frame, *size)?);
         }
         Ok(values)
     });

@@ -29,7 +29,7 @@ use crate::registry::{
     Timings,
 };
 use crate::simulation::{Scene, SimulationError};
-use crate::spec::{Experiment, Modality, Origin, RunSpec, Task};
+use crate::spec::{Experiment, Layout, Origin, RunSpec, Task};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -49,6 +49,8 @@ pub enum ExperimentError {
     Metrics(#[from] MetricsError),
     #[error(transparent)]
     Registry(#[from] RegistryError),
+    #[error("{problem} (dataset {dataset})")]
+    Unsuitable { dataset: String, problem: String },
     #[error(
         "the split leaves nothing for training; give the experiment more or longer episodes, or the split smaller \
          shares or, by time, a smaller gap_seconds"
@@ -84,8 +86,6 @@ pub enum ExperimentError {
 /// What an experiment needs besides its spec.
 pub struct Laboratory<'a> {
     pub registry: &'a Registry,
-    /// A folder of MJCF files to use instead of the built-in ones.
-    pub models: Option<PathBuf>,
     /// Threads for collection, and for all trainings together.
     pub threads: usize,
     /// Runs that are trained side by side, each with its share of the threads; 1 trains them in the caller's pool.
@@ -129,15 +129,21 @@ impl Source {
         }
     }
 
-    fn holds(&self, modality: Modality) -> bool {
+    /// What its samples hold.
+    fn layout(&self) -> &Arc<Layout> {
         match self {
-            Self::Simulated { .. } => true,
-            Self::Imported(dataset) => dataset.holds(modality),
+            Self::Simulated { dataset, .. } => dataset.layout(),
+            Self::Imported(dataset) => dataset.layout(),
         }
     }
 }
 
 impl Planned {
+    /// What the samples of its dataset hold.
+    pub fn layout(&self) -> &Arc<Layout> {
+        self.source.layout()
+    }
+
     /// Whether two runs learn from the same data in the same form on the same device.
     fn shares_material(&self, other: &Planned) -> bool {
         let key = |planned: &Planned| {
@@ -166,7 +172,7 @@ impl Laboratory<'_> {
             let source = match sources.get(&spec.scenario) {
                 Some(source) => source.clone(),
                 None => {
-                    let source = Arc::new(self.source(&spec)?);
+                    let source = Arc::new(self.source(experiment, &spec)?);
                     sources.insert(spec.scenario.clone(), source.clone());
                     source
                 }
@@ -182,27 +188,33 @@ impl Laboratory<'_> {
         Ok(planned.collect())
     }
 
-    fn source(&self, spec: &RunSpec) -> Result<Source, ExperimentError> {
+    fn source(&self, experiment: &Experiment, spec: &RunSpec) -> Result<Source, ExperimentError> {
         let root = self.registry.datasets();
-        match &spec.scenario {
-            Origin::Simulated(scenario) => {
-                let scene = Box::new(Scene::load(*scenario, self.models.as_deref())?);
+        let source = match (experiment.world(&spec.scenario), &spec.scenario) {
+            (Some(world), _) => {
+                let scene = Box::new(Scene::new(world)?);
                 let simulation = spec.simulation.clone().unwrap_or_default();
+                scene.check(&simulation)?;
                 let dataset = Dataset::new(&root, &scene, &simulation);
-                Ok(Source::Simulated { scene, dataset })
+                Source::Simulated { scene, dataset }
             }
-            Origin::Imported(name) => {
-                let dataset = Imported::open(&root, name)?;
-                dataset.check(&spec.modalities())?;
-                Ok(Source::Imported(dataset))
+            (None, origin) => {
+                let dataset = Imported::open(&root, origin.name())?;
+                dataset.check(spec)?;
+                Source::Imported(dataset)
             }
-        }
+        };
+        let check = spec.check(source.layout());
+        check
+            .map_err(|problem| ExperimentError::Unsuitable { dataset: source.name().to_owned(), problem })?;
+        Ok(source)
     }
 
     /// Where a run's frames are kept.
     fn frame_place(&self, Planned { spec, source, .. }: &Planned) -> FramePlace {
-        match spec.modalities().iter().any(|modality| modality.is_frame()) {
-            true => FramePlace::for_samples(source.len(), self.memory),
+        let layout = source.layout();
+        match spec.modalities().iter().any(|modality| layout[*modality].is_image()) {
+            true => FramePlace::for_samples(layout, source.len(), self.memory),
             false => FramePlace::Nowhere,
         }
     }
@@ -222,14 +234,15 @@ impl Laboratory<'_> {
     /// Refuses a dataset that has no room, and says so of frames that are kept on disk.
     fn check_room(&self, source: &Source, frames: FramePlace) -> Result<(), ExperimentError> {
         let dataset = source.name().to_owned();
-        let (needed, available) = (Samples::bytes(source.len(), frames), memory::within_reach());
+        let (needed, available) =
+            (Samples::bytes(source.layout(), source.len(), frames), memory::within_reach());
         if needed > available {
             return Err(ExperimentError::Memory { dataset, needed, available });
         }
         if frames != FramePlace::Disk {
             return Ok(());
         }
-        let (needed, folder) = (frame_bytes(source.len()), self.registry.datasets());
+        let (needed, folder) = (frame_bytes(source.layout(), source.len()), self.registry.datasets());
         if let Some(available) = free_bytes(&folder).filter(|available| needed > *available) {
             return Err(ExperimentError::Disk { dataset, needed, available, folder });
         }
@@ -247,7 +260,8 @@ impl Laboratory<'_> {
         let frames = self.frame_place(planned);
         let samples = self.samples(source, frames)?;
         let partition = samples.partition(&spec.split).ok_or(ExperimentError::NoTraining)?;
-        let standard = Standard::fit(&samples, &partition.training, &spec.scalings(), spec.action);
+        let standard =
+            Standard::fit(&samples, &partition.training, &spec.scalings(samples.layout()), spec.action);
         let view = View {
             samples: Arc::new(samples),
             standard: Arc::new(standard),
@@ -259,9 +273,9 @@ impl Laboratory<'_> {
             let output = if *task == Task::Prediction { &spec.output } else { &spec.input };
             baselines.extend(evaluate::baselines(&view, &partition, *task, &spec.input, output)?);
         }
-        let forces = evaluate::forces(&view.samples, |modality| source.holds(modality));
+        let forces = evaluate::forces(&view.samples);
         let storyboard = evaluate::storyboard(&view.samples, &partition.test);
-        let bytes = Samples::bytes(source.len(), frames);
+        let bytes = Samples::bytes(source.layout(), source.len(), frames);
         let seconds = begin.elapsed().as_secs_f64();
         Ok(Material { view, partition, baselines, forces, storyboard, bytes, seconds })
     }
@@ -292,15 +306,16 @@ pub fn describe(error: &dyn std::error::Error) -> String {
     text
 }
 
-/// The network that a run trains for a task.
-pub fn architecture(spec: &RunSpec, task: Task) -> Architecture {
+/// The network that a run trains for a task on a dataset of this layout.
+pub fn architecture(spec: &RunSpec, layout: &Arc<Layout>, task: Task) -> Architecture {
     let (output, action) = match task {
-        Task::Prediction => (&spec.output, crate::spec::ARM_JOINTS),
+        Task::Prediction => (&spec.output, layout.action().len()),
         Task::Reconstruction => (&spec.input, 0),
     };
     Architecture {
         input: spec.input.clone(),
         output: output.clone(),
+        layout: layout.clone(),
         latent: spec.latent,
         action,
         network: spec.network.clone(),
@@ -309,9 +324,9 @@ pub fn architecture(spec: &RunSpec, task: Task) -> Architecture {
 }
 
 /// Memory that training a run's networks takes, one after the other, bytes: a generous estimate.
-fn training_bytes(spec: &RunSpec) -> Result<u64, LearningError> {
+fn training_bytes(spec: &RunSpec, layout: &Arc<Layout>) -> Result<u64, LearningError> {
     let bytes = |task: &Task| {
-        let summary = architecture(spec, *task).summary()?;
+        let summary = architecture(spec, layout, *task).summary()?;
         let (parameters, activations) = (summary.parameters(), summary.activations());
         Ok(learning::memory::training_bytes(parameters, activations, spec.training.batch_size))
     };
@@ -374,7 +389,7 @@ impl Trainee<'_> {
         let task = Task::Prediction;
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
-        let architecture = architecture(spec, task);
+        let architecture = architecture(spec, view.samples.layout(), task);
         let objective = Prediction {
             view,
             encoder: architecture
@@ -420,7 +435,11 @@ impl Trainee<'_> {
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
         let everything: Vec<usize> = (0..view.samples.len()).collect();
         let latent = predict::encode(view, encoder, &spec.input, &everything).map_err(LearningError::from)?;
-        let decoder = architecture(spec, task).decoder(&mut parameters, &mut random, &view.device);
+        let decoder = architecture(spec, view.samples.layout(), task).decoder(
+            &mut parameters,
+            &mut random,
+            &view.device,
+        );
         let objective = Reconstruction {
             view,
             latent: &latent,

@@ -7,7 +7,7 @@ use crate::learning::network::{Decoder, Encoder, Observation, Parameters};
 use crate::learning::random::{Random, Stream};
 use crate::learning::{LearningError, checkpoint, predict};
 use crate::registry::{Registry, RegistryError, RunFolder, RunRecord, Status};
-use crate::spec::{ARM_JOINTS, FRAME_SIDE, Modality, Task};
+use crate::spec::{IMAGE_CHANNELS, Modality, Task};
 use candle_core::{Device, Tensor};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -60,7 +60,7 @@ impl Model {
             return Err(ModelError::Unfinished { run: record.run, status: record.status });
         }
         let task = Task::Prediction;
-        let architecture = architecture(&record.spec, task);
+        let architecture = architecture(&record.spec, &record.layout, task);
         let mut parameters = Parameters::new();
         let mut random = Random::new(record.spec.seed, Stream::Parameters(task));
         let encoder = architecture.encoder(&mut parameters, &mut random, &Device::Cpu);
@@ -93,7 +93,7 @@ impl Model {
         Ok(posterior().map_err(LearningError::from)?)
     }
 
-    /// The next observations, from the posterior's mean and `action` `[batch, 3]` in the form and units that the run's
+    /// The next observations, from the posterior's mean and `action` `[batch, elements]` in the form and units that the run's
     /// spec says.
     ///
     /// # Errors
@@ -104,14 +104,15 @@ impl Model {
         observation: &Values,
         mut action: Vec<f32>,
     ) -> Result<Values, ModelError> {
-        check("action", batch, ARM_JOINTS, &action)?;
+        let elements = self.record.layout.action().len();
+        check("action", batch, elements, &action)?;
         let observation = self.observation(batch, observation)?;
         self.standard.action.standardise(&mut action);
         let predicted = || -> candle_core::Result<_> {
             let latent = self.encoder.encode(&observation)?.mean()?;
-            let action = Tensor::from_vec(action, (batch, ARM_JOINTS), &Device::Cpu)?;
+            let action = Tensor::from_vec(action, (batch, elements), &Device::Cpu)?;
             let decoded = self.decoder.decode(&latent, Some(&action))?;
-            predict::restored(&self.standard, &self.record.spec.output, decoded)
+            predict::restored(&self.standard, &self.record.layout, &self.record.spec.output, decoded)
         };
         Ok(predicted().map_err(LearningError::from)?.into_iter().collect())
     }
@@ -132,7 +133,7 @@ impl Model {
         let reconstructed = || -> candle_core::Result<_> {
             let latent = Tensor::from_vec(latent, (batch, spec.latent), &Device::Cpu)?;
             let decoded = decoder.decode(&latent, None)?;
-            predict::restored(&self.standard, &spec.input, decoded)
+            predict::restored(&self.standard, &self.record.layout, &spec.input, decoded)
         };
         Ok(reconstructed().map_err(LearningError::from)?.into_iter().collect())
     }
@@ -142,22 +143,27 @@ impl Model {
         let input = &self.record.spec.input;
         let mut vectors = Vec::new();
         let mut frames = Vec::new();
+        let mut side = 0;
         for &modality in input {
             let values = values.get(&modality).ok_or_else(|| ModelError::Lacks {
                 run: self.record.run.clone(),
                 modality,
                 given: input.clone(),
             })?;
-            check(modality.name(), batch, modality.width(), values)?;
+            let definition = &self.record.layout[modality];
+            check(modality.name(), batch, definition.width(), values)?;
             let mut values = values.clone();
             self.standard.scales[&modality].standardise(&mut values);
-            if modality.is_frame() { &mut frames } else { &mut vectors }.push((modality.width(), values));
+            let list = if definition.is_image() { &mut frames } else { &mut vectors };
+            list.push((definition.width(), values));
+            side = definition.size().map_or(side, |[side, _]| side);
         }
         let joined = || -> candle_core::Result<_> {
             let vector = side_by_side(batch, &vectors)?;
             let frames = side_by_side(batch, &frames)?.map(|frames| {
-                let channels = frames.dim(1)? / (FRAME_SIDE * FRAME_SIDE);
-                DenseFrames::new(&frames.reshape((batch, channels, FRAME_SIDE, FRAME_SIDE))?)
+                let channels =
+                    IMAGE_CHANNELS * input.iter().filter(|m| self.record.layout[**m].is_image()).count();
+                DenseFrames::new(&frames.reshape((batch, channels, side, side))?)
             });
             let frames = frames.transpose()?.map(|frames| Arc::new(frames) as Arc<dyn Frames>);
             Ok(Observation { vector, frames })
@@ -178,7 +184,8 @@ fn load_reconstruction(folder: &RunFolder, record: &RunRecord) -> Result<Box<dyn
     let task = Task::Reconstruction;
     let mut parameters = Parameters::new();
     let mut random = Random::new(record.spec.seed, Stream::Parameters(task));
-    let decoder = architecture(&record.spec, task).decoder(&mut parameters, &mut random, &Device::Cpu);
+    let decoder =
+        architecture(&record.spec, &record.layout, task).decoder(&mut parameters, &mut random, &Device::Cpu);
     let decoder = decoder.map_err(LearningError::from)?.detached();
     load_network(&folder.checkpoint(task), &parameters)?;
     Ok(decoder)

@@ -182,7 +182,7 @@ impl Shift<'_> {
             }
             _ => {}
         }
-        let record = registry.begin(folder, spec, &self.provenance)?;
+        let record = registry.begin(folder, spec, planned.layout(), &self.provenance)?;
         let end =
             self.train(planned).and_then(|outcome| Ok(registry.finish(folder, record.clone(), &outcome)?));
         if let Err(error) = &end
@@ -206,7 +206,7 @@ impl Shift<'_> {
     /// Makes sure that there is memory to train a run, once there is enough beside the other jobs' trainings: where there
     /// is none, the system would end the process, and all runs with it.
     fn promise(&self, spec: &RunSpec, material: &Material) -> Result<Promise<'_>, ExperimentError> {
-        let needed = training_bytes(spec)?;
+        let needed = training_bytes(spec, material.view.samples.layout())?;
         loop {
             let mut promised = self.promised.lock().unwrap_or_else(PoisonError::into_inner);
             let available = memory::within_reach().saturating_sub(material.bytes).saturating_sub(*promised);

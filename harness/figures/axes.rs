@@ -186,13 +186,13 @@ pub struct Look {
 
 pub fn colour_of(scenario: Scenario) -> &'static str {
     match scenario {
-        Scenario::Empty => BLUE,
-        Scenario::Cluttered => VERMILION,
+        Scenario::EMPTY => BLUE,
+        _ => VERMILION,
     }
 }
 
 pub fn look_of(colour: &'static str, direction: Direction) -> Look {
-    let lateral = direction == Direction::AdductionAbduction;
+    let lateral = direction == Direction::ADDUCTION_ABDUCTION;
     let mark = if lateral { Mark::Square } else { Mark::Disc };
     Look { colour, mark, hollow: lateral, dashed: lateral }
 }
@@ -200,8 +200,8 @@ pub fn look_of(colour: &'static str, direction: Direction) -> Look {
 /// What readers call a direction.
 pub fn words_of(direction: Direction) -> &'static str {
     match direction {
-        Direction::FlexionExtension => "flexion/extension",
-        Direction::AdductionAbduction => "adduction/abduction",
+        Direction::FLEXION_EXTENSION => "flexion/extension",
+        _ => "adduction/abduction",
     }
 }
 

@@ -61,8 +61,8 @@ impl Curves<'_> {
             (0..values.len()).filter(is_of).collect::<Vec<_>>()
         };
         let mut curves = Vec::new();
-        for &scenario in Scenario::ALL {
-            for direction in Direction::ALL {
+        for scenario in Scenario::PAPER {
+            for direction in Direction::FINGER {
                 let network = of(scenario, direction, NETWORK).into_iter();
                 let network = intervals(network.map(|row| (latents[row] as usize, values[row])));
                 let network: Vec<_> = network.into_iter().collect();
@@ -136,7 +136,8 @@ impl Measured<'_> {
             page.line([x, panel.top], [x, panel.bottom()], Stroke::new(GREY, 0.5).dashed());
         }
         for curve in &self.curves {
-            let place = curve.scenario as usize * 2 + curve.direction as usize;
+            let second = [curve.scenario != Scenario::PAPER[0], curve.direction != Direction::FINGER[0]];
+            let place = usize::from(second[0]) * 2 + usize::from(second[1]);
             let aside = (place as f64 - 1.5) * width * 0.17;
             let look = look_of(colour_of(curve.scenario), curve.direction);
             let at = |latent: &usize| slots[self.latents.binary_search(latent).unwrap_or_default()] + aside;
@@ -155,8 +156,8 @@ impl Measured<'_> {
 
 /// The legend of all curves, two rows from `y` on.
 pub fn explain(page: &mut Page, middle: f64, y: f64) {
-    for (row, &scenario) in Scenario::ALL.iter().enumerate() {
-        let entries: Vec<(Look, String)> = Direction::ALL
+    for (row, &scenario) in Scenario::PAPER.iter().enumerate() {
+        let entries: Vec<(Look, String)> = Direction::FINGER
             .iter()
             .map(|&direction| {
                 (look_of(colour_of(scenario), direction), format!("{scenario}, {}", words_of(direction)))

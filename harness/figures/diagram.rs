@@ -8,9 +8,10 @@ use crate::experiment::architecture;
 use crate::learning::LearningError;
 use crate::learning::network::Parameters;
 use crate::learning::random::{Random, Stream};
-use crate::spec::{FRAME_CHANNELS, FRAME_SIDE, Modality, RunSpec, Task};
+use crate::spec::{Definition, IMAGE_CHANNELS, Layout, Modality, RunSpec, Task};
 use candle_core::Device;
 use polars::prelude::*;
+use std::sync::Arc;
 
 pub const INPUT: &str = "#d8ebf7";
 pub const LATENT: &str = "#fdebc8";
@@ -21,8 +22,8 @@ pub const LINE: Stroke = Stroke::new(BLACK, 0.7);
 /// A network's layers, as its parameters have them.
 pub struct Anatomy {
     pub task: Task,
-    pub input: Vec<Modality>,
-    pub output: Vec<Modality>,
+    pub input: Vec<Definition>,
+    pub output: Vec<Definition>,
     pub latents: Vec<usize>,
     /// For each latent size the parameters' names and shapes.
     networks: Vec<Vec<(String, Vec<usize>)>>,
@@ -34,10 +35,15 @@ impl Anatomy {
         let runs = source.runs(Study::MultiToMulti)?;
         let latents = runs.latents();
         let spec = &runs.all[0].record.spec;
-        let build = |latent: &usize| shapes(&RunSpec { latent: *latent, ..spec.clone() }, task);
+        let build =
+            |latent: &usize| shapes(&RunSpec { latent: *latent, ..spec.clone() }, runs.layout(), task);
         let networks = latents.iter().map(build).collect::<Result<_, _>>()?;
-        let architecture = architecture(spec, task);
-        Ok(Self { task, input: architecture.input, output: architecture.output, latents, networks })
+        let architecture = architecture(spec, runs.layout(), task);
+        let definitions = |names: &[Modality]| {
+            names.iter().map(|name| (**runs.layout())[*name].clone()).collect::<Vec<Definition>>()
+        };
+        let (input, output) = (definitions(&architecture.input), definitions(&architecture.output));
+        Ok(Self { task, input, output, latents, networks })
     }
 
     /// The shape of a parameter, which is the same at every latent size but for the latent layers'.
@@ -95,8 +101,12 @@ impl Anatomy {
 }
 
 /// Names and shapes of the parameters that a run's network has for a task.
-fn shapes(spec: &RunSpec, task: Task) -> Result<Vec<(String, Vec<usize>)>, FigureError> {
-    let architecture = architecture(spec, task);
+fn shapes(
+    spec: &RunSpec,
+    layout: &Arc<Layout>,
+    task: Task,
+) -> Result<Vec<(String, Vec<usize>)>, FigureError> {
+    let architecture = architecture(spec, layout, task);
     let (mut parameters, mut random) = (Parameters::new(), Random::new(spec.seed, Stream::Parameters(task)));
     architecture.encoder(&mut parameters, &mut random, &Device::Cpu).map_err(LearningError::from)?;
     architecture.decoder(&mut parameters, &mut random, &Device::Cpu).map_err(LearningError::from)?;
@@ -116,13 +126,12 @@ pub fn block(page: &mut Page, centre: Point, size: [f64; 2], fill: &str, lines: 
 }
 
 /// What readers call a modality, and its shape.
-fn modality_lines(modality: Modality) -> Vec<String> {
-    let shape = if modality.is_frame() {
-        format!("{FRAME_SIDE} × {FRAME_SIDE} × {FRAME_CHANNELS}")
-    } else {
-        modality.width().to_string()
+fn modality_lines(modality: &Definition) -> Vec<String> {
+    let shape = match modality.size() {
+        Some([rows, columns]) => format!("{rows} × {columns} × {IMAGE_CHANNELS}"),
+        None => modality.width().to_string(),
     };
-    vec![modality.name().replace('_', " "), shape]
+    vec![modality.name.name().replace('_', " "), shape]
 }
 
 /// Height of a block of two lines, and of three.
@@ -168,10 +177,10 @@ fn encoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Ana
     let [frames, vectors, both] = centres(left);
     let side = side(anatomy, "encoder.hidden_frame.weight", 1, "encoder.conv.weight");
     if let (Some(kernel), Some(side)) = (anatomy.shape("encoder.conv.weight"), side) {
-        stack(page, frames, row(0), WIDE, anatomy.input.iter().filter(|modality| modality.is_frame()));
+        stack(page, frames, row(0), WIDE, anatomy.input.iter().filter(|modality| modality.is_image()));
         let lines = vec![
             "convolution".into(),
-            format!("{} × {}, stride {}", kernel[2], kernel[3], FRAME_SIDE / side),
+            format!("{} × {}, stride {}", kernel[2], kernel[3], image_side(&anatomy.input) / side),
             format!("{side} × {side} × {}", kernel[0]),
         ];
         block(page, [frames, row(1)], [WIDE, THREE], fill, &lines);
@@ -184,7 +193,7 @@ fn encoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Ana
         );
     }
     if anatomy.shape("encoder.hidden_vector.weight").is_some() {
-        stack(page, vectors, row(0), NARROW, anatomy.input.iter().filter(|modality| !modality.is_frame()));
+        stack(page, vectors, row(0), NARROW, anatomy.input.iter().filter(|modality| !modality.is_image()));
         page.arrow(&[[vectors, row(0) + TWO / 2.0], [vectors, row(2) - TWO / 2.0]], LINE);
     }
     let hidden = anatomy.shape("encoder.hidden.bias").map_or(0, |shape| shape[0]);
@@ -197,14 +206,14 @@ fn encoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Ana
 
 fn decoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Anatomy) {
     let [frames, vectors, both] = centres(left);
-    let frame_outputs = || anatomy.output.iter().filter(|modality| modality.is_frame());
+    let frame_outputs = || anatomy.output.iter().filter(|modality| modality.is_image());
     let side = side(anatomy, "decoder.frame.weight", 0, "decoder.conv.weight");
     if let (Some(kernel), Some(side)) = (anatomy.shape("decoder.conv.weight"), side) {
         stack(page, frames, row(0), WIDE, frame_outputs());
         let lines = vec![
             "transposed conv.".into(),
-            format!("{} × {}, stride {}", kernel[2], kernel[3], FRAME_SIDE / side),
-            format!("{FRAME_SIDE} × {FRAME_SIDE} × {}", kernel[1]),
+            format!("{} × {}, stride {}", kernel[2], kernel[3], image_side(&anatomy.output) / side),
+            format!("{0} × {0} × {1}", image_side(&anatomy.output), kernel[1]),
         ];
         block(page, [frames, row(1)], [WIDE, THREE], WHITE, &lines);
         let lines = ["fully conn., ReLU".to_owned(), format!("{side} × {side} × {}", kernel[0])];
@@ -214,7 +223,7 @@ fn decoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Ana
         page.arrow(&[[frames, row(3) - TWO / 2.0], [frames, row(2) + TWO / 2.0]], LINE);
     }
     if let Some(shape) = anatomy.shape("decoder.vector.weight") {
-        stack(page, vectors, row(0), NARROW, anatomy.output.iter().filter(|modality| !modality.is_frame()));
+        stack(page, vectors, row(0), NARROW, anatomy.output.iter().filter(|modality| !modality.is_image()));
         let lines = ["fully conn.".to_owned(), shape[0].to_string()];
         block(page, [vectors, row(2)], [NARROW, TWO], WHITE, &lines);
         page.arrow(&[[vectors, row(2) - TWO / 2.0], [vectors, row(0) + TWO / 2.0]], LINE);
@@ -253,9 +262,14 @@ fn side(anatomy: &Anatomy, dense: &str, axis: usize, convolution: &str) -> Optio
     Some(values.isqrt())
 }
 
+/// Side of the images among modalities, pixels; 0 without any.
+fn image_side(modalities: &[Definition]) -> usize {
+    modalities.iter().find_map(Definition::size).map_or(0, |[side, _]| side)
+}
+
 /// Height of the taller of the two stacks of `modalities`.
-fn tallest(modalities: &[Modality]) -> f64 {
-    let frames = modalities.iter().filter(|modality| modality.is_frame()).count();
+fn tallest(modalities: &[Definition]) -> f64 {
+    let frames = modalities.iter().filter(|modality| modality.is_image()).count();
     stack_height(frames.max(modalities.len() - frames))
 }
 
@@ -264,12 +278,12 @@ fn stack_height(count: usize) -> f64 {
 }
 
 /// One block that names all `modalities`; its lower edge is that of a block of two lines at `y`.
-fn stack<'a>(page: &mut Page, x: f64, y: f64, width: f64, modalities: impl Iterator<Item = &'a Modality>) {
+fn stack<'a>(page: &mut Page, x: f64, y: f64, width: f64, modalities: impl Iterator<Item = &'a Definition>) {
     let modalities: Vec<_> = modalities.collect();
     let height = stack_height(modalities.len());
     let y = y - (height - TWO) / 2.0;
     if let [one] = modalities.as_slice() {
-        block(page, [x, y], [width, height], INPUT, &modality_lines(**one));
+        block(page, [x, y], [width, height], INPUT, &modality_lines(one));
         return;
     }
     page.rectangle(
@@ -279,7 +293,7 @@ fn stack<'a>(page: &mut Page, x: f64, y: f64, width: f64, modalities: impl Itera
         INPUT,
         Some(Stroke::new(GREY, 0.6)),
     );
-    let lines: Vec<String> = modalities.iter().flat_map(|modality| modality_lines(**modality)).collect();
+    let lines: Vec<String> = modalities.iter().flat_map(|modality| modality_lines(modality)).collect();
     for (index, line) in lines.iter().enumerate() {
         let y = y + 2.2 + 7.6 * (index as f64 - (lines.len() as f64 - 1.0) / 2.0);
         let face = if index % 2 == 0 { Face::Bold } else { Face::Regular };

@@ -4,7 +4,7 @@ use super::axes::{Panel, Scale, colour_legend, colour_of, remark};
 use super::page::{COLUMN, Page, Stroke, WHITE};
 use super::source::{Source, Study, integers, reals, texts};
 use super::{Drawing, FigureError};
-use crate::spec::{JOINTS, Scenario};
+use crate::spec::{Modality, Scenario};
 
 const LEFT: f64 = 30.0;
 const WIDTH: f64 = COLUMN - LEFT - 5.0;
@@ -29,8 +29,9 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let (share, contacts) = (column("contact_percent")?, integers(&data, "contacts")?);
     let quantiles = [column("p05")?, column("p25")?, column("p50")?, column("p75")?, column("p95")?];
 
+    let count = runs.layout()[Modality::CONTACT_FORCE].width();
     let mut page = Page::new(COLUMN, 246.0, "Contacts and contact forces by link of the finger");
-    let shown: Vec<_> = Scenario::ALL
+    let shown: Vec<_> = Scenario::PAPER
         .iter()
         .filter(|scenario| scenarios.iter().any(|name| name == scenario.name()))
         .collect();
@@ -52,7 +53,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     for (row, (scenario, link)) in scenarios.iter().zip(&links).enumerate() {
         let Some(place) = shown.iter().position(|shown| shown.name() == scenario) else { continue };
         let colour = colour_of(*shown[place]);
-        let slot = WIDTH / JOINTS as f64;
+        let slot = WIDTH / count as f64;
         let bar = slot * 0.38;
         let x = LEFT
             + (*link as f64 + 0.5) * slot
@@ -73,13 +74,13 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
         }
     }
     let names: Vec<String> =
-        (0..JOINTS).map(|link| if link % 2 == 0 { link.to_string() } else { String::new() }).collect();
-    often.bottom_names(&mut page, &often.slots(JOINTS), &vec![String::new(); JOINTS], "");
+        (0..count).map(|link| if link % 2 == 0 { link.to_string() } else { String::new() }).collect();
+    often.bottom_names(&mut page, &often.slots(count), &vec![String::new(); count], "");
     hard.bottom_names(
         &mut page,
-        &hard.slots(JOINTS),
+        &hard.slots(count),
         &names,
-        "link of the finger, 0 at the base, 19 at the tip",
+        &format!("link of the finger, 0 at the base, {} at the tip", count - 1),
     );
     often.heading(&mut page, "a", "how often a link is touched");
     hard.heading(&mut page, "b", "how hard, while it is touched");

@@ -23,7 +23,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
         title,
         baseline: Some(("persistence", "pers.")),
     };
-    let (body, force) = (Modality::Proprioception, Modality::ContactForce);
+    let (body, force) = (Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE);
     let a = curves(&single, body, Metric::Smape, "a", Study::SingleToMulti.input());
     let b = curves(&single, force, Metric::Wmape, "b", Study::SingleToMulti.input());
     let c = curves(&multi, body, Metric::Smape, "c", Study::MultiToMulti.input());

@@ -5,7 +5,7 @@ use super::page::{COLUMN, GREY, Page, Stroke, Type};
 use super::source::{Runs, Source, Study, integers, reals};
 use super::{Drawing, FigureError};
 use crate::analysis::{Interval, intervals};
-use crate::spec::{FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE};
+use crate::spec::IMAGE_CHANNELS;
 use image::{Rgb, RgbImage};
 use polars::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -36,7 +36,7 @@ struct Trial {
     motion: f64,
     /// What the camera saw at the instant before; only runs that reconstruct vision keep it.
     camera: Option<Vec<u8>>,
-    /// Mean over the colours of what changed, [`FRAME_SIDE`]² values in [-1, 1].
+    /// Mean over the colours of what changed, row by row, in [-1, 1].
     reference: Vec<f32>,
     /// The same as predicted, by latent size.
     predicted: BTreeMap<i64, Vec<f32>>,
@@ -103,7 +103,8 @@ impl Block {
             page.text(&format!("trial {}", column + 1), [x, top + TOP - 4.5], Type::SMALL);
             let mut pictures = Vec::new();
             if let (true, Some(bytes)) = (has_camera, &trial.camera) {
-                pictures.push(RgbImage::from_raw(FRAME_SIDE as u32, FRAME_SIDE as u32, bytes.clone()));
+                let side = (bytes.len() / IMAGE_CHANNELS).isqrt() as u32;
+                pictures.push(RgbImage::from_raw(side, side, bytes.clone()));
             }
             pictures.push(Some(coloured(&trial.reference)));
             let predicted = latents.iter().map(|latent| trial.predicted.get(latent));
@@ -203,12 +204,12 @@ fn trials(runs: &Runs, scenario: &str) -> Result<Vec<Trial>, FigureError> {
 
 /// The mean over colours of a stored frame difference; the column's meaning says how it is coded.
 fn change(bytes: Option<&[u8]>) -> Result<Vec<f32>, FigureError> {
-    let bytes = bytes.filter(|bytes| bytes.len() == FRAME_LEN);
+    let bytes = bytes.filter(|bytes| bytes.len().is_multiple_of(IMAGE_CHANNELS));
     let bytes = bytes.ok_or_else(|| FigureError::Picture("a frame has the wrong size".into()))?;
     let pixel = |pixel: &[u8]| {
-        pixel.iter().map(|&byte| (f32::from(byte) - 128.0) / 127.0).sum::<f32>() / FRAME_CHANNELS as f32
+        pixel.iter().map(|&byte| (f32::from(byte) - 128.0) / 127.0).sum::<f32>() / IMAGE_CHANNELS as f32
     };
-    Ok(bytes.chunks_exact(FRAME_CHANNELS).map(pixel).collect())
+    Ok(bytes.chunks_exact(IMAGE_CHANNELS).map(pixel).collect())
 }
 
 /// Squared error of the frame difference relative to no change, by latent size.
@@ -230,9 +231,12 @@ fn colour(change: f32) -> Rgb<u8> {
 }
 
 fn coloured(change: &[f32]) -> RgbImage {
-    RgbImage::from_fn(FRAME_SIDE as u32, FRAME_SIDE as u32, |x, y| {
-        colour(change[y as usize * FRAME_SIDE + x as usize] / RANGE)
-    })
+    {
+        let side = change.len().isqrt();
+        RgbImage::from_fn(side as u32, side as u32, |x, y| {
+            colour(change[y as usize * side + x as usize] / RANGE)
+        })
+    }
 }
 
 fn colour_bar(page: &mut Page, top: f64) -> Result<(), FigureError> {
@@ -277,7 +281,8 @@ fn data(blocks: &[Block], experiment: &str) -> Result<DataFrame, FigureError> {
             }));
         }
     }
-    let rows: Vec<&Shown> = shown.iter().flat_map(|shown| std::iter::repeat_n(shown, FRAME_SIDE)).collect();
+    let side = shown.first().map_or(0, |shown| shown.change.len().isqrt());
+    let rows: Vec<&Shown> = shown.iter().flat_map(|shown| std::iter::repeat_n(shown, side)).collect();
     let model = |shown: &Shown| if shown.latent.is_some() { "network" } else { "reference" };
     let mut columns = vec![
         Column::new("experiment".into(), vec![experiment; rows.len()]),
@@ -288,10 +293,10 @@ fn data(blocks: &[Block], experiment: &str) -> Result<DataFrame, FigureError> {
         Column::new("motion".into(), rows.iter().map(|row| row.trial.motion).collect::<Vec<_>>()),
         Column::new("model".into(), rows.iter().map(|row| model(row)).collect::<Vec<_>>()),
         Column::new("latent".into(), rows.iter().map(|row| row.latent).collect::<Vec<_>>()),
-        Column::new("row".into(), (0..rows.len()).map(|row| (row % FRAME_SIDE) as u32).collect::<Vec<_>>()),
+        Column::new("row".into(), (0..rows.len()).map(|row| (row % side) as u32).collect::<Vec<_>>()),
     ];
-    columns.extend((0..FRAME_SIDE).map(|column| {
-        let values = shown.iter().flat_map(|shown| shown.change.iter().skip(column).step_by(FRAME_SIDE));
+    columns.extend((0..side).map(|column| {
+        let values = shown.iter().flat_map(|shown| shown.change.iter().skip(column).step_by(side));
         let values: Vec<f32> = values.map(|change| (change * 1e4).round() / 1e4).collect();
         Column::new(format!("column_{column:02}").into(), values)
     }));

@@ -13,7 +13,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let curves = |runs, letter, title| Curves {
         runs,
         task: Task::Reconstruction,
-        modality: Modality::Proprioception,
+        modality: Modality::PROPRIOCEPTION,
         metric: Metric::Smape,
         letter,
         title,

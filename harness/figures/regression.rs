@@ -18,10 +18,10 @@ const SIDE: f64 = (COLUMN - LEFT - 4.0 - 2.0 * GAP) / 3.0;
 
 fn look(direction: Direction) -> Look {
     match direction {
-        Direction::FlexionExtension => Look { colour: GREEN, mark: Mark::Disc, hollow: false, dashed: false },
-        Direction::AdductionAbduction => {
-            Look { colour: WINE, mark: Mark::Square, hollow: false, dashed: false }
+        Direction::FLEXION_EXTENSION => {
+            Look { colour: GREEN, mark: Mark::Disc, hollow: false, dashed: false }
         }
+        _ => Look { colour: WINE, mark: Mark::Square, hollow: false, dashed: false },
     }
 }
 
@@ -39,10 +39,10 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let of = |modality, panel| -> Result<[Predictions; 2], FigureError> {
         Ok([predictions(&single, modality, panel)?, predictions(&multi, modality, panel)?])
     };
-    let [angles, forces] = [of(Modality::Proprioception, "a")?, of(Modality::ContactForce, "b")?];
+    let [angles, forces] = [of(Modality::PROPRIOCEPTION, "a")?, of(Modality::CONTACT_FORCE, "b")?];
 
     let mut page = Page::new(COLUMN, 397.0, "Predictions over references at the fingertip, in clutter");
-    let entries = Direction::ALL.map(|direction| (look(direction), words_of(direction)));
+    let entries = Direction::FINGER.map(|direction| (look(direction), words_of(direction)));
     legend(&mut page, COLUMN / 2.0, 8.0, &entries);
     block(&mut page, 25.0, &angles, "a", "fingertip angle", "rad");
     block(&mut page, 209.0, &forces, "b", "fingertip force", "N");
@@ -78,7 +78,7 @@ fn block(page: &mut Page, top: f64, studies: &[Predictions; 2], letter: &str, qu
             panel.bottom_axis(page, &x, (row == 1).then_some(reference.as_str()));
             let (from, to) = (x.clamp(f64::NEG_INFINITY), x.clamp(f64::INFINITY));
             page.line([x.at(from), y.at(from)], [x.at(to), y.at(to)], Stroke::new(GREY, 0.6));
-            for (line, direction) in Direction::ALL.into_iter().enumerate() {
+            for (line, direction) in Direction::FINGER.into_iter().enumerate() {
                 let look = look(direction);
                 let Some(points) = study.points.get(&(*latent, direction)) else { continue };
                 let places: Vec<_> = points.iter().map(|[r, p]| [x.at(*r), y.at(*p)]).collect();
@@ -112,17 +112,20 @@ fn r2_words(r2: &Interval) -> String {
 }
 
 fn predictions(runs: &Runs, modality: Modality, panel: &str) -> Result<Predictions, FigureError> {
-    let tips = Direction::ALL.map(Direction::fingertip);
+    let definition = &runs.layout()[modality];
+    let tips =
+        Direction::FINGER.map(|direction| direction.elements(definition).last().copied().unwrap_or_default());
     let place = format!(
         "scenario = '{}' and task = 'prediction' and modality = '{modality}' and index in ({}, {})",
-        Scenario::Cluttered,
+        Scenario::CLUTTERED,
         tips[0],
         tips[1]
     );
     let rows = runs.query(&format!(
         "select latent, index, value from metrics where {place} and metric = 'r2' and model = 'network'"
     ))?;
-    let key = |latent: i64, index: i64| (latent as usize, Direction::of(index as usize));
+    let direction = |index: i64| Direction::FINGER[usize::from(index as usize == tips[1])];
+    let key = |latent: i64, index: i64| (latent as usize, direction(index));
     let (latents, links) = (integers(&rows, "latent")?, integers(&rows, "index")?);
     let r2 =
         intervals((0..rows.height()).map(|row| key(latents[row], links[row])).zip(reals(&rows, "value")?));
@@ -162,7 +165,7 @@ fn predictions(runs: &Runs, modality: Modality, panel: &str) -> Result<Predictio
     };
     let directions: Vec<&str> =
         groups.iter().flat_map(|((_, direction), rows)| vec![direction.name(); rows.len()]).collect();
-    let unit = if modality == Modality::Proprioception { "rad" } else { "N" };
+    let unit = if modality == Modality::PROPRIOCEPTION { "rad" } else { "N" };
     let more = [
         Column::new("r2".into(), of(|r2| Some(r2.mean))),
         Column::new("r2_low".into(), of(|r2| r2.bounds.map(|bounds| bounds.0))),

@@ -15,7 +15,7 @@ const HEIGHT: f64 = 140.0;
 const NARROW: f64 = COLUMN - WIDE - 3.0;
 
 pub fn draw() -> Result<Drawing, FigureError> {
-    let scene = Scene::load(Scenario::Empty, None)?;
+    let scene = Scene::paper(Scenario::EMPTY)?;
     let states = replay(&scene, &Simulation::default(), EPISODE)?;
     let sample = SAMPLE.min(states.len() - 1);
     let mut page = Page::new(COLUMN, HEIGHT, "The robot: a cylindrical arm with a passive finger");

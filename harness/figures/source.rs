@@ -2,7 +2,9 @@
 
 use super::FigureError;
 use crate::analysis::{Analysis, Run};
+use crate::spec::Layout;
 use polars::prelude::*;
+use std::sync::Arc;
 
 /// What the names of quick runs' experiments end in.
 const QUICK: &str = "-quick";
@@ -105,7 +107,7 @@ impl<'a> Source<'a> {
     }
 }
 
-impl Runs<'_> {
+impl<'a> Runs<'a> {
     /// The rows of a query over these runs.
     ///
     /// # Errors
@@ -130,6 +132,11 @@ impl Runs<'_> {
             return Err(FigureError::NoRows { experiment, root: self.analysis.root().to_owned(), command });
         }
         Ok(answer)
+    }
+
+    /// What the samples of the runs' datasets hold.
+    pub fn layout(&self) -> &'a Arc<Layout> {
+        &self.all[0].record.layout
     }
 
     /// The latent sizes there are, ascending.

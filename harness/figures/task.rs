@@ -2,7 +2,7 @@
 
 use super::page::{BLACK, COLUMN, Page, Point, Stroke, Type, WHITE};
 use super::{Drawing, FigureError};
-use crate::simulation::{BOXES, Portrait, Scene, SimulationError, replay};
+use crate::simulation::{Portrait, Scene, SimulationError, replay};
 use crate::spec::{Scenario, Simulation};
 use polars::prelude::*;
 
@@ -13,7 +13,7 @@ const SAMPLE: usize = 79;
 const PICTURE: [u32; 2] = [2008, 1334];
 
 pub fn draw() -> Result<Drawing, FigureError> {
-    let scene = Scene::load(Scenario::Cluttered, None)?;
+    let scene = Scene::paper(Scenario::CLUTTERED)?;
     let states = replay(&scene, &Simulation::default(), EPISODE)?;
     let state = &states[SAMPLE.min(states.len() - 1)];
     let mut portrait = Portrait::new(&scene, PICTURE[0], PICTURE[1])?;
@@ -27,7 +27,7 @@ pub fn draw() -> Result<Drawing, FigureError> {
     };
     label(&mut page, at("finger_link_10")?, [-40.0, -26.0], "passive soft finger");
     label(&mut page, at("arm_sleeve")?, [-34.0, -24.0], "rigid arm");
-    label(&mut page, at("box_7")?, [44.0, 16.0], &format!("{BOXES} movable boxes"));
+    label(&mut page, at("box_7")?, [44.0, 16.0], &format!("{} movable boxes", scene.boxes()));
     Ok(Drawing { page, data: data(scene.scenario(), EPISODE, SAMPLE, state)? })
 }
 

@@ -48,7 +48,9 @@ pub fn load(path: &Path, parameters: &Parameters) -> Result<Standard, LearningEr
         let minimum = part("minimum").and_then(|minimum| minimum.first().copied());
         Some(Scale { mean: part("mean")?, deviation: part("deviation")?, minimum })
     };
-    let scales = Modality::ALL.iter().filter_map(|modality| Some((*modality, scale(modality.name())?)));
+    let names = file.tensors.keys().filter_map(|key| key.strip_prefix("scale.")?.strip_suffix(".mean"));
+    let modalities = names.filter(|name| *name != "action").filter_map(Modality::new);
+    let scales = modalities.filter_map(|modality| Some((modality, scale(modality.name())?)));
     let scales: BTreeMap<Modality, Scale> = scales.collect();
     let action = scale("action").ok_or_else(|| damaged("no scale of the action".into()))?;
     Ok(Standard { scales, action })

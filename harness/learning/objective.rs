@@ -9,6 +9,9 @@ use candle_core::{Device, Result, Tensor};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// The name of the divergence among a loss's terms.
+pub const KL: &str = "kl";
+
 /// A dataset as a network sees it.
 #[derive(Clone)]
 pub struct View {
@@ -37,7 +40,7 @@ impl View {
         Ok(Targets { vector, losses: BTreeMap::new(), frames: frames.collect() })
     }
 
-    /// The standardised actions `[batch, 3]` from the samples `at` to the next.
+    /// The standardised actions `[batch, elements]` from the samples `at` to the next.
     pub fn actions(&self, at: &[usize]) -> Result<Tensor> {
         self.standard.actions(&self.samples, at, self.action)?.to_device(&self.device)
     }
@@ -102,7 +105,7 @@ impl Objective for Prediction<'_> {
         let targets = Targets { losses: self.losses.clone(), ..self.view.targets(&next, self.output)? };
         let action = self.view.actions(at)?;
         let mut terms = weighted(self.decoder.losses(&latent, Some(&action), &targets)?, self.loss_weights);
-        terms.push(Weighted { name: "kl".into(), weight: self.kl_weight, value: posterior.divergence()? });
+        terms.push(Weighted { name: KL.into(), weight: self.kl_weight, value: posterior.divergence()? });
         Ok(terms)
     }
 

@@ -3,7 +3,7 @@
 use super::network::{Decoded, Decoder, Encoder};
 use super::objective::{View, rows};
 use crate::dataset::Standard;
-use crate::spec::{FRAME_CHANNELS, Modality};
+use crate::spec::{IMAGE_CHANNELS, Layout, Modality};
 use candle_core::{Result, Tensor};
 
 /// Transitions decoded at once; bounds the memory that frames take.
@@ -40,7 +40,7 @@ pub fn decode(
         let places: Vec<usize> = (index * BATCH..index * BATCH + at.len()).collect();
         let action = acting.then(|| view.actions(at)).transpose()?;
         let decoded = decoder.decode(&rows(latent, &places)?, action.as_ref())?;
-        for (modality, values) in restored(&view.standard, output, decoded)? {
+        for (modality, values) in restored(&view.standard, view.samples.layout(), output, decoded)? {
             each(Predicted { modality, at, values });
         }
     }
@@ -50,18 +50,21 @@ pub fn decode(
 /// A decoder's output by modality, in physical units: `[batch, width]` each, frames channel by channel.
 pub fn restored(
     standard: &Standard,
+    layout: &Layout,
     output: &[Modality],
     Decoded { vector, frames }: Decoded,
 ) -> Result<Vec<(Modality, Vec<f32>)>> {
     let (mut column, mut channel) = (0, 0);
     let mut restored = Vec::with_capacity(output.len());
     for modality in output.iter().copied() {
-        let values = if modality.is_frame() {
-            channel += FRAME_CHANNELS;
-            part(&frames, channel - FRAME_CHANNELS, FRAME_CHANNELS)?
+        let definition = &layout[modality];
+        let values = if definition.is_image() {
+            channel += IMAGE_CHANNELS;
+            part(&frames, channel - IMAGE_CHANNELS, IMAGE_CHANNELS)?
         } else {
-            column += modality.width();
-            part(&vector, column - modality.width(), modality.width())?
+            let width = definition.width();
+            column += width;
+            part(&vector, column - width, width)?
         };
         let mut values = values.flatten_all()?.to_vec1()?;
         standard.scales[&modality].restore(&mut values);

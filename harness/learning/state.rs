@@ -2,11 +2,11 @@
 
 use super::LearningError;
 use super::network::Parameters;
+use super::objective::KL;
 use super::ops::Adam;
 use super::tensors::TensorFile;
 use super::training::{Epoch, TOTAL};
 use crate::progress::Progress;
-use crate::spec::Modality;
 use candle_core::{Result as CandleResult, Tensor, Var};
 use serde_json::{Map, json};
 use std::cell::{Cell, RefCell};
@@ -37,7 +37,9 @@ impl State {
     /// The last epoch, counted from 1, that brought some output modality's validation error to its lowest value so far; 0
     /// before the first.
     pub fn last_improvement(&self) -> usize {
-        Modality::ALL.iter().map(|modality| self.best_epoch_of(modality.name())).max().unwrap_or_default()
+        let terms = self.epochs.first().map(|epoch| epoch.validation.keys()).into_iter().flatten();
+        let outputs = terms.filter(|term| ![TOTAL, KL].contains(&term.as_str()));
+        outputs.map(|term| self.best_epoch_of(term)).max().unwrap_or_default()
     }
 
     fn best_epoch_of(&self, term: &str) -> usize {

@@ -2,26 +2,24 @@
 
 use super::COLUMNS_AT_ONCE;
 use super::error::{MetricsError, check_finite, check_samples, rows};
-use crate::spec::{FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, Modality};
+use crate::spec::{Definition, IMAGE_CHANNELS};
 use rayon::prelude::*;
 use std::borrow::Cow;
 
-/// Side of the square that [`downsample_frame`] makes, pixels.
+/// Rows and columns that [`downsample_frame`] makes at most.
 pub const GREY_SIDE: usize = 16;
-/// Values in it.
-pub const GREY_LEN: usize = GREY_SIDE * GREY_SIDE;
 
 /// Rows that ridge regression turns to f64 at a time; a batch of frames takes 25 MB so.
 const CHUNK_ROWS: usize = 256;
 
-/// Predicts that the next observation equals this one, `now`; of a frame difference, that nothing changes.
+/// Predicts that the next observation equals this one, `now`; of a difference, that nothing changes.
 ///
 /// `now` is row-major `[samples, width]`, the modality that is predicted as it was sensed at the sample itself.
 /// The picture stays as it is, so its difference is zero; repeating the last one would say that motion goes on.
-pub fn persistence(modality: Modality, now: &[f32]) -> Cow<'_, [f32]> {
-    match modality {
-        Modality::FrameDifference => Cow::Owned(vec![0.0; now.len()]),
-        _ => Cow::Borrowed(now),
+pub fn persistence<'a>(definition: &Definition, now: &'a [f32]) -> Cow<'a, [f32]> {
+    match definition.difference_of {
+        Some(_) => Cow::Owned(vec![0.0; now.len()]),
+        None => Cow::Borrowed(now),
     }
 }
 
@@ -188,26 +186,31 @@ impl Ridge {
     }
 }
 
-/// Grey 16 x 16 picture of a camera frame, or of a difference of two, as inputs of ridge regression.
+/// Grey picture of an image, or of a difference of two, of 16 x 16 values at most, as inputs of ridge regression.
 ///
-/// `frame` is `[channel, row, column]`, 3 x 64 x 64; each value of the result is the mean of 4 x 4 pixels and
-/// their three channels, in the frame's own unit.
+/// `frame` is `[channel, row, column]` of `size`, rows and columns; each value of the result is the mean of a block of
+/// pixels and their three channels, in the frame's own unit.
 ///
 /// # Errors
 /// `frame` is not one frame long.
-pub fn downsample_frame(frame: &[f32]) -> Result<[f32; GREY_LEN], MetricsError> {
-    if frame.len() != FRAME_LEN {
-        return Err(MetricsError::Shape { what: "the camera frame", values: frame.len(), width: FRAME_LEN });
+pub fn downsample_frame(frame: &[f32], size: [usize; 2]) -> Result<Vec<f32>, MetricsError> {
+    let [rows, columns] = size;
+    let width = rows * columns * IMAGE_CHANNELS;
+    if frame.len() != width {
+        return Err(MetricsError::Shape { what: "the camera frame", values: frame.len(), width });
     }
-    const BLOCK: usize = FRAME_SIDE / GREY_SIDE;
-    let mut grey = [0.0; GREY_LEN];
-    for channel in frame.chunks_exact(FRAME_SIDE * FRAME_SIDE) {
+    let [grey_rows, grey_columns] = size.map(|side| side.min(GREY_SIDE));
+    let mut grey = vec![(0.0, 0); grey_rows * grey_columns];
+    for channel in frame.chunks_exact(rows * columns) {
         for (pixel, value) in channel.iter().enumerate() {
-            let (row, column) = (pixel / FRAME_SIDE, pixel % FRAME_SIDE);
-            grey[row / BLOCK * GREY_SIDE + column / BLOCK] += value;
+            let (row, column) = (pixel / columns, pixel % columns);
+            let (sum, count) =
+                &mut grey[row * grey_rows / rows * grey_columns + column * grey_columns / columns];
+            *sum += value;
+            *count += 1;
         }
     }
-    Ok(grey.map(|sum| sum / (BLOCK * BLOCK * FRAME_CHANNELS) as f32))
+    Ok(grey.into_iter().map(|(sum, count)| sum / count as f32).collect())
 }
 
 /// `[samples, inputs]` in f64, with a column of ones before the first.

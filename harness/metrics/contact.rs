@@ -1,7 +1,5 @@
 //! How the force on a link is distributed.
 
-use crate::spec::JOINTS;
-
 /// The quantiles of the force in contact, with their column's names.
 pub const QUANTILES: [(&str, f64); 5] =
     [("p05", 0.05), ("p25", 0.25), ("p50", 0.5), ("p75", 0.75), ("p95", 0.95)];
@@ -19,10 +17,10 @@ pub struct Contact {
     pub max: Option<f64>,
 }
 
-/// The distribution of each link's force; `forces` is row-major `[samples, 20]`, N.
-pub fn by_link(forces: &[f32]) -> Vec<Contact> {
-    let column = |link: usize| forces.iter().skip(link).step_by(JOINTS).map(|&force| f64::from(force));
-    (0..JOINTS).map(|link| of(column(link))).collect()
+/// The distribution of each link's force; `forces` is row-major `[samples, links]`, N.
+pub fn by_link(forces: &[f32], links: usize) -> Vec<Contact> {
+    let column = |link: usize| forces.iter().skip(link).step_by(links).map(|&force| f64::from(force));
+    (0..links).map(|link| of(column(link))).collect()
 }
 
 fn of(forces: impl Iterator<Item = f64>) -> Contact {

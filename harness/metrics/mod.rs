@@ -15,42 +15,40 @@ pub use error::MetricsError;
 use error::{check_finite, check_samples, rows};
 pub use series::Series;
 
-use crate::spec::{JOINTS, Modality};
-use parts::Part;
+use crate::spec::{Definition, IMAGE_CHANNELS, Modality, Percentage, Region, intern};
 use rayon::prelude::*;
 use std::slice::from_ref;
+
+const RELATIVE_ERROR: &str = "relative_error";
 
 /// Columns that a thread adds up at a time.
 const COLUMNS_AT_ONCE: usize = 1024;
 
-/// The axis a joint of the finger bends about; a link's direction is that of the joint at its base.
+/// A group of elements, by its name in the tables.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Direction {
-    /// Joints 0, 2, 4, …
-    FlexionExtension,
-    /// Joints 1, 3, 5, …
-    AdductionAbduction,
-}
+pub struct Direction(&'static str);
 
 impl Direction {
-    pub const ALL: [Direction; 2] = [Direction::FlexionExtension, Direction::AdductionAbduction];
+    /// The finger's joints 0, 2, 4, …, and the links that they carry.
+    pub const FLEXION_EXTENSION: Self = Self("fe");
+    /// The finger's joints 1, 3, 5, …
+    pub const ADDUCTION_ABDUCTION: Self = Self("aa");
+    /// Those of the finger, which the paper's figures tell apart.
+    pub const FINGER: [Self; 2] = [Self::FLEXION_EXTENSION, Self::ADDUCTION_ABDUCTION];
 
-    /// Direction of the finger's `joint`, counted from 0 at the base.
-    pub fn of(joint: usize) -> Direction {
-        Self::ALL[joint % 2]
+    /// The group of that name.
+    pub fn new(name: &str) -> Self {
+        Self(intern(name))
     }
 
-    /// The last joint, or link, of this direction.
-    pub fn fingertip(self) -> usize {
-        (0..JOINTS).rev().find(|joint| Direction::of(*joint) == self).unwrap_or_default()
-    }
-
-    /// The name in tables: the paper's subscripts.
+    /// The name in tables: of the finger, the paper's subscripts.
     pub fn name(self) -> &'static str {
-        match self {
-            Direction::FlexionExtension => "fe",
-            Direction::AdductionAbduction => "aa",
-        }
+        self.0
+    }
+
+    /// The elements of a modality that belong to it.
+    pub fn elements(self, definition: &Definition) -> &[usize] {
+        definition.groups.iter().find(|group| group.name == self.0).map_or(&[], |group| &group.elements)
     }
 }
 
@@ -66,28 +64,45 @@ pub enum Metric {
     /// `frame_difference` is compared with no change, `vision` with each pixel's own mean over the test
     /// samples, the best still picture there is.
     RelativeError,
-    /// The same over the pixels that show the arm before or after the change, and not the finger.
-    RelativeErrorArm,
-    /// The same over the pixels that show the finger before or after the change.
-    RelativeErrorFinger,
+    /// The same over the pixels that show a region before or after the change, by the metric's whole name.
+    RelativeErrorOf(&'static str),
 }
 
 impl Metric {
-    pub const ALL: [Metric; 8] = {
+    /// Those that no region has of its own.
+    pub const GENERAL: [Metric; 6] = {
         use Metric::*;
-        [Smape, Wmape, R2, Rmse, Mae, RelativeError, RelativeErrorArm, RelativeErrorFinger]
+        [Smape, Wmape, R2, Rmse, Mae, RelativeError]
     };
 
-    /// The metrics that a modality is judged by.
-    pub fn of(modality: Modality) -> &'static [Metric] {
+    /// The error of a region, relative to that of a trivial prediction.
+    pub fn of_region(region: &str) -> Self {
+        Self::RelativeErrorOf(intern(&format!("{RELATIVE_ERROR}_{region}")))
+    }
+
+    /// The metric of that name; `None` where there is none.
+    pub fn named(name: &str) -> Option<Self> {
+        let general = Self::GENERAL.into_iter().find(|metric| metric.name() == name);
+        general.or_else(|| {
+            let region = name.strip_prefix(RELATIVE_ERROR)?.strip_prefix('_')?;
+            Modality::new(region).map(|_| Self::of_region(region))
+        })
+    }
+
+    /// The metrics that a modality is judged by, where images have these regions.
+    pub fn of(definition: &Definition, regions: &[Region]) -> Vec<Metric> {
         use Metric::*;
-        match modality {
-            Modality::Proprioception => &[Smape, R2, Rmse, Mae],
-            Modality::ContactForce | Modality::ContactForceMean => &[Wmape, R2, Rmse, Mae],
-            Modality::Arm => &[R2, Rmse, Mae],
-            Modality::Vision => &[RelativeError, Rmse, Mae],
-            Modality::FrameDifference => &[RelativeError, RelativeErrorArm, RelativeErrorFinger, Rmse, Mae],
+        if !definition.is_image() {
+            let percentage = definition.percentage.map(|percentage| match percentage {
+                Percentage::Smape => Smape,
+                Percentage::Wmape => Wmape,
+            });
+            return percentage.into_iter().chain([R2, Rmse, Mae]).collect();
         }
+        // The region of a pixel is that of a change.
+        let regions = if definition.difference_of.is_some() { regions } else { &[] };
+        let of_regions = regions.iter().map(|region| Self::of_region(&region.name));
+        [RelativeError].into_iter().chain(of_regions).chain([Rmse, Mae]).collect()
     }
 
     /// The name in tables.
@@ -98,9 +113,8 @@ impl Metric {
             Metric::R2 => "r2",
             Metric::Rmse => "rmse",
             Metric::Mae => "mae",
-            Metric::RelativeError => "relative_error",
-            Metric::RelativeErrorArm => "relative_error_arm",
-            Metric::RelativeErrorFinger => "relative_error_finger",
+            Metric::RelativeError => RELATIVE_ERROR,
+            Metric::RelativeErrorOf(name) => name,
         }
     }
 }
@@ -114,27 +128,10 @@ pub struct Row {
     /// The joint or link, counted from 0 at the base; `None` where several are pooled.
     pub index: Option<u32>,
     pub metric: Metric,
-    /// In [`Row::unit`]; `None` where the metric isn't defined.
+    /// `None` where the metric isn't defined.
     pub value: Option<f64>,
-}
-
-impl Row {
     /// Unit of the value: "%", "1" (none), or the measured quantity's.
-    pub fn unit(&self) -> &'static str {
-        match self.metric {
-            Metric::Smape | Metric::Wmape => "%",
-            Metric::R2 | Metric::RelativeError | Metric::RelativeErrorArm | Metric::RelativeErrorFinger => {
-                "1"
-            }
-            Metric::Rmse | Metric::Mae => match self.modality {
-                Modality::Proprioception => "rad",
-                Modality::Arm if self.index == Some(0) => "rad",
-                Modality::Arm => "m",
-                Modality::ContactForce | Modality::ContactForceMean => "N",
-                Modality::Vision | Modality::FrameDifference => "1",
-            },
-        }
-    }
+    pub unit: String,
 }
 
 /// Compares predictions of one modality with the reference, batch by batch.
@@ -142,17 +139,22 @@ impl Row {
 /// Values are in physical units: rad, m, N; frames as intensities in [0, 1] and their differences in [-1, 1].
 #[derive(Debug, Clone)]
 pub struct Evaluation {
-    modality: Modality,
+    definition: Definition,
+    metrics: Vec<Metric>,
     columns: Vec<Series>,
-    /// Of the pixels that show each part.
-    arm: Series,
-    finger: Series,
+    /// Of the pixels that show each region.
+    regions: Vec<Series>,
 }
 
 impl Evaluation {
-    pub fn new(modality: Modality) -> Self {
-        let columns = vec![Series::default(); modality.width()];
-        Self { modality, columns, arm: Series::default(), finger: Series::default() }
+    /// Of a modality, in whose images these regions are told apart.
+    pub fn new(definition: &Definition, regions: &[Region]) -> Self {
+        Self {
+            definition: definition.clone(),
+            metrics: Metric::of(definition, regions),
+            columns: vec![Series::default(); definition.width()],
+            regions: vec![Series::default(); regions.len()],
+        }
     }
 
     /// Adds a batch: `reference` and `predicted`, each row-major `[samples, width of the modality]`.
@@ -177,51 +179,64 @@ impl Evaluation {
         Ok(())
     }
 
-    /// Adds a batch of frames, with the part of the robot that each pixel shows: `[samples, pixels]`.
+    /// Adds a batch of frames, with the region that each pixel shows, by its index: `[samples, pixels]`.
     ///
     /// # Errors
     /// As [`Evaluation::add`], or `parts` has another number of samples.
-    pub fn add_with_parts(
+    pub fn add_with_regions(
         &mut self,
         reference: &[f32],
         predicted: &[f32],
-        parts: &[Option<Part>],
+        parts: &[Option<u8>],
     ) -> Result<(), MetricsError> {
         let width = self.columns.len();
-        let parts = rows("the mask of parts", parts, parts::PIXELS)?;
-        check_samples(("the reference", reference.len() / width), ("the mask of parts", parts.len()))?;
+        let parts = rows("the mask of regions", parts, width / IMAGE_CHANNELS)?;
+        check_samples(("the reference", reference.len() / width), ("the mask of regions", parts.len()))?;
         self.add(reference, predicted)?;
         let frames = reference.chunks_exact(width).zip(predicted.chunks_exact(width));
         for ((reference, predicted), parts) in frames.zip(parts) {
             // Every channel has the same pixels.
             for ((&r, &p), part) in reference.iter().zip(predicted).zip(parts.iter().cycle()) {
-                match part {
-                    Some(Part::Arm) => self.arm.add(r, p),
-                    Some(Part::Finger) => self.finger.add(r, p),
-                    None => {}
+                if let Some(region) = part {
+                    self.regions[usize::from(*region)].add(r, p);
                 }
             }
         }
         Ok(())
     }
 
-    /// The metrics so far: overall first, then by direction, then by joint or link.
+    /// The metrics so far: overall first, then by group, then by element.
     ///
-    /// Joints and links of the finger have all three; the arm's joints differ in unit and are never pooled;
-    /// frames are only pooled. Pooled values add the sums of their series, see [`series`].
+    /// Elements of different units are never pooled; images are only pooled. Pooled values add the sums of their series,
+    /// see [`series`].
     pub fn rows(&self) -> Vec<Row> {
-        self.groups()
-            .into_iter()
-            .flat_map(|group| {
-                Metric::of(self.modality).iter().map(move |&metric| Row {
-                    modality: self.modality,
-                    direction: group.direction,
-                    index: group.index,
-                    metric,
-                    value: self.value(metric, &group.series),
-                })
+        let groups = self.groups();
+        let rows = groups.iter().flat_map(|group| {
+            self.metrics.iter().map(|&metric| Row {
+                modality: self.definition.name,
+                direction: group.direction,
+                index: group.index,
+                metric,
+                value: self.value(metric, &group.series),
+                unit: self.unit(metric, group.index),
             })
-            .collect()
+        });
+        rows.collect()
+    }
+
+    fn unit(&self, metric: Metric, index: Option<u32>) -> String {
+        match metric {
+            Metric::Smape | Metric::Wmape => "%".into(),
+            Metric::R2 | Metric::RelativeError | Metric::RelativeErrorOf(_) => "1".into(),
+            Metric::Rmse | Metric::Mae => {
+                let element = index.and_then(|index| self.definition.elements().get(index as usize));
+                element
+                    .map(|element| element.unit.as_str())
+                    .or(self.definition.unit())
+                    .unwrap_or_default()
+                    .into()
+            }
+        }
     }
 
     /// A metric over `series`, pooled; `None` where it isn't defined.
@@ -232,37 +247,38 @@ impl Evaluation {
             Metric::R2 => series::r2(series),
             Metric::Rmse => series::rmse(series),
             Metric::Mae => series::mae(series),
-            Metric::RelativeError if self.modality == Modality::FrameDifference => {
+            Metric::RelativeError if self.definition.difference_of.is_some() => {
                 series::error_relative_to_zero(series)
             }
             Metric::RelativeError => series::error_relative_to_mean(series),
-            Metric::RelativeErrorArm => series::error_relative_to_zero(from_ref(&self.arm)),
-            Metric::RelativeErrorFinger => series::error_relative_to_zero(from_ref(&self.finger)),
+            Metric::RelativeErrorOf(_) => {
+                let of_regions =
+                    self.metrics.iter().filter(|other| matches!(other, Metric::RelativeErrorOf(_)));
+                let region = of_regions.zip(&self.regions).find(|(other, _)| **other == metric);
+                series::error_relative_to_zero(from_ref(region?.1))
+            }
         }
     }
 
     fn groups(&self) -> Vec<Group> {
-        let finger = is_finger(self.modality);
+        let definition = &self.definition;
         let mut groups = Vec::new();
-        if self.modality != Modality::Arm {
+        if definition.unit().is_some() {
             groups.push(Group { direction: None, index: None, series: self.columns.clone() });
+            groups.extend(definition.groups.iter().map(|group| Group {
+                direction: Some(Direction::new(&group.name)),
+                index: None,
+                series: group.elements.iter().map(|element| self.columns[*element]).collect(),
+            }));
         }
-        if finger {
-            groups.extend(Direction::ALL.map(|direction| self.direction(direction)));
-        }
-        if finger || self.modality == Modality::Arm {
+        if !definition.is_image() {
             groups.extend(self.columns.iter().enumerate().map(|(index, &series)| Group {
-                direction: finger.then(|| Direction::of(index)),
+                direction: definition.group_of(index).map(|group| Direction::new(&group.name)),
                 index: Some(index as u32),
                 series: vec![series],
             }));
         }
         groups
-    }
-
-    fn direction(&self, direction: Direction) -> Group {
-        let joints = self.columns.iter().enumerate().filter(|(joint, _)| Direction::of(*joint) == direction);
-        Group { direction: Some(direction), index: None, series: joints.map(|(_, &series)| series).collect() }
     }
 }
 
@@ -274,12 +290,12 @@ struct Group {
 }
 
 /// The metrics of one modality over samples that fit in memory; see [`Evaluation`] for shapes, units, errors.
-pub fn evaluate(modality: Modality, reference: &[f32], predicted: &[f32]) -> Result<Vec<Row>, MetricsError> {
-    let mut evaluation = Evaluation::new(modality);
+pub fn evaluate(
+    definition: &Definition,
+    reference: &[f32],
+    predicted: &[f32],
+) -> Result<Vec<Row>, MetricsError> {
+    let mut evaluation = Evaluation::new(definition, &[]);
     evaluation.add(reference, predicted)?;
     Ok(evaluation.rows())
-}
-
-fn is_finger(modality: Modality) -> bool {
-    matches!(modality, Modality::Proprioception | Modality::ContactForce | Modality::ContactForceMean)
 }

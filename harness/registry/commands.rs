@@ -123,7 +123,6 @@ struct Asked {
     spec: PathBuf,
     overrides: Vec<String>,
     quick: bool,
-    models: Option<PathBuf>,
 }
 
 impl Asked {
@@ -135,13 +134,10 @@ impl Asked {
             match word.as_str() {
                 "run" | "collect" => {}
                 "--quick" => asked.quick = true,
-                "--models" => asked.models = words.next().map(PathBuf::from),
+                // A run that was made with models of its own can't be made again.
+                option if option.starts_with("--models") => return None,
                 "--results" | "--threads" | "--jobs" => drop(words.next()),
-                option if option.starts_with('-') => {
-                    if let Some(models) = option.strip_prefix("--models=") {
-                        asked.models = Some(models.into());
-                    }
-                }
+                option if option.starts_with('-') => {}
                 setting if setting.contains('=') => asked.overrides.push(word),
                 path => asked.spec = path.into(),
             }
@@ -150,19 +146,14 @@ impl Asked {
     }
 
     fn words(&self) -> String {
-        let (spec, models) =
-            (self.spec.to_string_lossy(), self.models.as_ref().map(|path| path.to_string_lossy()));
+        let spec = self.spec.to_string_lossy();
         let quick = self.quick.then_some("--quick");
-        let models = models.iter().flat_map(|models| ["--models", models]);
-        quoted(
-            [&*spec].into_iter().chain(self.overrides.iter().map(String::as_str)).chain(quick).chain(models),
-        )
+        quoted([&*spec].into_iter().chain(self.overrides.iter().map(String::as_str)).chain(quick))
     }
 
     fn made(&self) -> Made {
-        let has_models = self.models.as_ref().is_none_or(|models| models.is_dir());
         match spec::load(&self.spec, &self.overrides, self.quick) {
-            Ok(experiment) if has_models => {
+            Ok(experiment) => {
                 let specs = experiment.runs().iter().map(RunSpec::hash).collect();
                 Made { experiment: experiment.name, specs }
             }

@@ -33,7 +33,7 @@ pub(crate) use rows::{Condition, conditions};
 pub use verify::{Finding, Report};
 
 use crate::files::{FolderLock, LockError, WriteError, write_bytes};
-use crate::spec::{RunSpec, Task};
+use crate::spec::{Layout, RunSpec, Task};
 use crate::tables::TableError;
 use commands::command_in;
 use sha2::{Digest, Sha256};
@@ -242,13 +242,14 @@ impl Registry {
         &self,
         folder: &RunFolder,
         spec: &RunSpec,
+        layout: &Arc<Layout>,
         by: &Provenance,
     ) -> Result<RunRecord, RegistryError> {
         write_bytes(&folder.path.join(SPEC), spec.to_yaml().as_bytes())?;
         if let Some(diff) = &by.uncommitted {
             write_bytes(&folder.path.join(UNCOMMITTED), diff.as_bytes())?;
         }
-        let record = RunRecord::new(folder, spec, by);
+        let record = RunRecord::new(folder, spec, layout, by);
         record.write(&folder.path.join(RECORD))?;
         Ok(record)
     }

@@ -5,7 +5,6 @@ use super::{RECORD, Registry, RegistryError, RunFolder, SPEC};
 use crate::files::write_bytes;
 use crate::progress::Progress;
 use crate::schema::Table;
-use crate::spec::JOINTS;
 use crate::tables::{TableError, TableFile, write_table};
 use polars::prelude::*;
 use std::collections::BTreeMap;
@@ -110,8 +109,12 @@ impl Shown {
         let is_lowest_seed = self.seeds.get(&cell(record)) == Some(&record.spec.seed);
         match table {
             Table::Predictions if is_lowest_seed => {
-                let is_last = col("index").gt_eq(lit(JOINTS as i64 - 2));
-                rows.lazy().filter(is_last).collect()
+                let is_last = record.layout.modalities.iter().map(|definition| {
+                    let last = definition.last_elements().into_iter().map(|index| index as i64);
+                    let index = last.map(|index| col("index").eq(lit(index))).reduce(Expr::or);
+                    col("modality").eq(lit(definition.name.name())).and(index.unwrap_or(lit(false)))
+                });
+                rows.lazy().filter(is_last.reduce(Expr::or).unwrap_or(lit(false))).collect()
             }
             Table::Frames if is_lowest_seed => Ok(rows),
             Table::Forces if self.datasets.get(&dataset(record)) == Some(&record.run) => Ok(rows),

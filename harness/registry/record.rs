@@ -7,7 +7,7 @@ use crate::metrics::Row;
 use crate::metrics::contact::{Contact, QUANTILES};
 use crate::schema::Table;
 use crate::seal::{self, SealError, hex};
-use crate::spec::{Modality, RunSpec, Task};
+use crate::spec::{Layout, Modality, RunSpec, Task};
 use crate::tables::{Stamp, TableError, data_type, read_footer, write_table};
 use jiff::Timestamp;
 use polars::prelude::*;
@@ -17,6 +17,7 @@ use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// The tables that each run writes.
 pub(super) const TABLES: [Table; 5] =
@@ -156,13 +157,35 @@ pub struct RunRecord {
     pub parameters: Option<usize>,
     pub provenance: Provenance,
     pub spec: RunSpec,
+    /// What the samples of its dataset hold; the finger's where the record does not say.
+    #[serde(default = "Layout::finger", skip_serializing_if = "is_finger", with = "shared")]
+    pub layout: Arc<Layout>,
     /// The files of a run that is done, by name; empty before.
     #[serde(default)]
     pub files: BTreeMap<String, FileRecord>,
 }
 
+fn is_finger(layout: &Arc<Layout>) -> bool {
+    **layout == *Layout::finger()
+}
+
+/// A layout as plain data.
+mod shared {
+    use crate::spec::Layout;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+    use std::sync::Arc;
+
+    pub fn serialize<S: Serializer>(layout: &Arc<Layout>, serializer: S) -> Result<S::Ok, S::Error> {
+        layout.as_ref().serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Arc<Layout>, D::Error> {
+        Layout::deserialize(deserializer).map(Arc::new)
+    }
+}
+
 impl RunRecord {
-    pub(super) fn new(folder: &RunFolder, spec: &RunSpec, by: &Provenance) -> Self {
+    pub(super) fn new(folder: &RunFolder, spec: &RunSpec, layout: &Arc<Layout>, by: &Provenance) -> Self {
         Self {
             experiment: folder.experiment.clone(),
             run: folder.id.clone(),
@@ -176,6 +199,7 @@ impl RunRecord {
             parameters: None,
             provenance: Provenance { command: command_of(&by.command, spec), ..by.clone() },
             spec: spec.clone(),
+            layout: layout.clone(),
             files: BTreeMap::new(),
         }
     }
@@ -477,7 +501,7 @@ impl Outcome {
             ),
             Column::new("metric".into(), rows.iter().map(|row| row.row.metric.name()).collect::<Vec<_>>()),
             Column::new("value".into(), rows.iter().map(|row| row.row.value).collect::<Vec<_>>()),
-            Column::new("unit".into(), rows.iter().map(|row| row.row.unit()).collect::<Vec<_>>()),
+            Column::new("unit".into(), rows.iter().map(|row| row.row.unit.as_str()).collect::<Vec<_>>()),
         ]
     }
 

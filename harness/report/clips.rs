@@ -21,8 +21,8 @@ const SAMPLES: usize = 50;
 /// What is filmed: an episode and the sample at which it begins, both so that the finger is pressed on something.
 fn take(scenario: Scenario) -> (u32, usize) {
     match scenario {
-        Scenario::Empty => (0, 20),
-        Scenario::Cluttered => (7, 60),
+        Scenario::EMPTY => (0, 20),
+        _ => (7, 60),
     }
 }
 
@@ -66,13 +66,13 @@ pub fn film(progress: &dyn Progress) -> Result<Vec<(Clip, Frames)>, FigureError>
         })?;
         serde_json::from_slice(&film).map_err(unreadable)
     };
-    Scenario::ALL.iter().map(film).collect()
+    Scenario::PAPER.iter().map(film).collect()
 }
 
 fn clip(scenario: Scenario, progress: &dyn Progress) -> Result<(Clip, Frames), FigureError> {
     let (episode, first) = take(scenario);
     let simulation = Simulation::default();
-    let scene = Scene::load(scenario, None)?;
+    let scene = Scene::paper(scenario)?;
     let mut portrait = Portrait::new(&scene, SIZE[0], SIZE[1])?;
     let states = replay(&scene, &simulation, episode)?;
     let mut frames = Vec::with_capacity(SAMPLES);

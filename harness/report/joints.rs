@@ -5,7 +5,7 @@ use crate::analysis::{Interval, LEVEL, NETWORK, mean_interval};
 use crate::figures::FigureError;
 use crate::figures::source::{Runs, Source, Study};
 use crate::registry::rows;
-use crate::spec::{JOINTS, Modality, Scenario, Task};
+use crate::spec::{Modality, Scenario, Task};
 use polars::prelude::{IntoLazy, col};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -108,19 +108,23 @@ fn of_study(runs: &Runs, study: Study) -> Result<Vec<Series>, FigureError> {
             values.truncate(1);
         }
     }
-    Ok(all.into_iter().map(|(of, places)| Series::new(of, places)).collect())
+    let series = |(of, places): (Of, _)| {
+        let width = runs.layout()[of.modality].width();
+        Series::new(of, width, places)
+    };
+    Ok(all.into_iter().map(series).collect())
 }
 
 impl Series {
-    fn new(of: Of, places: BTreeMap<Place, Vec<f64>>) -> Self {
-        let mut series = Self { of, seeds: 0, values: vec![None; JOINTS], overall: BTreeMap::new() };
+    fn new(of: Of, width: usize, places: BTreeMap<Place, Vec<f64>>) -> Self {
+        let mut series = Self { of, seeds: 0, values: vec![None; width], overall: BTreeMap::new() };
         for (place, seeds) in places {
             series.seeds = series.seeds.max(seeds.len());
             let Some(interval) = mean_interval(&seeds, LEVEL) else {
                 continue;
             };
             match place {
-                Place::Joint(joint) if joint < JOINTS => series.values[joint] = Some(value(&interval)),
+                Place::Joint(joint) if joint < width => series.values[joint] = Some(value(&interval)),
                 Place::Joint(_) => {}
                 Place::Overall(direction) => drop(series.overall.insert(direction, value(&interval))),
             }

@@ -66,7 +66,9 @@ pub fn clouds(source: &Source) -> Result<(Vec<Cloud>, BTreeSet<Absent>), FigureE
 }
 
 fn of_study(runs: &Runs, study: Study) -> Result<Vec<Cloud>, FigureError> {
-    let [flexion, abduction] = Direction::ALL.map(Direction::fingertip);
+    let definition = &runs.layout()[Modality::PROPRIOCEPTION];
+    let tip = |direction: Direction| direction.elements(definition).last().copied().unwrap_or_default();
+    let [flexion, abduction] = Direction::FINGER.map(tip);
     let place = format!(
         "task = 'prediction' and modality in ('proprioception', 'contact_force') \
          and index in ({flexion}, {abduction})"
@@ -89,7 +91,7 @@ fn of_study(runs: &Runs, study: Study) -> Result<Vec<Cloud>, FigureError> {
     let cloud = |(of, samples): (Of, Vec<Sample>)| Cloud {
         study: study.name(),
         input: study.input(),
-        unit: if of.modality == Modality::Proprioception { "rad" } else { "N" },
+        unit: if of.modality == Modality::PROPRIOCEPTION { "rad" } else { "N" },
         seed: samples[0].seed,
         r2: r2.get(&of).map(value),
         points: points(&samples),

@@ -2,13 +2,14 @@
 
 use super::SimulationError;
 use super::live::LiveSimulation;
-use crate::spec::{ARM_JOINTS, Scenario, Simulation};
+use super::scene::Scene;
+use crate::spec::{Modality, Simulation};
 use rayon::prelude::*;
 
 /// The most simulations of a batch: beyond any use, and far below what memory holds.
 const MAX_BATCH: usize = 4096;
 
-/// Simulations of one scenario that are independent of each other. Each takes part of the work of the caller's
+/// Simulations of one scene that are independent of each other. Each takes part of the work of the caller's
 /// rayon pool; a single one stays on the caller's thread, and needs no pool.
 pub struct Batch {
     simulations: Vec<LiveSimulation>,
@@ -19,13 +20,13 @@ impl Batch {
     ///
     /// # Errors
     /// When `count` is 0 or too large, or as [`LiveSimulation::new`].
-    pub fn new(scenario: Scenario, spec: &Simulation, count: usize) -> Result<Self, SimulationError> {
+    pub fn new(scene: &'static Scene, spec: &Simulation, count: usize) -> Result<Self, SimulationError> {
         if !(1..=MAX_BATCH).contains(&count) {
             return Err(SimulationError::Batch(format!(
                 "count: a batch holds 1 to {MAX_BATCH} simulations, not {count}"
             )));
         }
-        let simulations = (0..count).map(|_| LiveSimulation::new(scenario, spec));
+        let simulations = (0..count).map(|_| LiveSimulation::new(scene, spec));
         Ok(Self { simulations: simulations.collect::<Result<_, _>>()? })
     }
 
@@ -54,7 +55,7 @@ impl Batch {
     /// # Errors
     /// When there are not as many setpoints as simulations, and as [`LiveSimulation::step`]; the others have been
     /// stepped then.
-    pub fn step(&mut self, setpoints: &[[f64; ARM_JOINTS]], active: &[bool]) -> Result<(), SimulationError> {
+    pub fn step(&mut self, setpoints: &[Vec<f64>], active: &[bool]) -> Result<(), SimulationError> {
         let count = self.simulations.len();
         for (name, found) in [("setpoints", setpoints.len()), ("active", active.len())] {
             if found != count {
@@ -62,7 +63,7 @@ impl Batch {
             }
         }
         self.each(|index, simulation| match active[index] {
-            true => simulation.step(setpoints[index]),
+            true => simulation.step(&setpoints[index]),
             false => Ok(()),
         })
     }
@@ -75,18 +76,18 @@ impl Batch {
         self.each(|_, simulation| simulation.follow())
     }
 
-    /// The camera's frames, `[count, 64, 64, 3]`, written to `frames`.
+    /// A camera's images, `[count, rows, columns, 3]`, written to `frames`.
     ///
     /// # Errors
-    /// When there is no OpenGL to render with.
-    pub fn vision(&mut self, frames: &mut [u8]) -> Result<(), SimulationError> {
+    /// As [`LiveSimulation::image`].
+    pub fn image(&mut self, modality: Modality, frames: &mut [u8]) -> Result<(), SimulationError> {
         let size = frames.len() / self.simulations.len();
         match self.simulations.as_mut_slice() {
-            [simulation] => simulation.vision(frames),
+            [simulation] => simulation.image(modality, frames),
             several => several
                 .par_iter_mut()
                 .zip(frames.par_chunks_exact_mut(size))
-                .try_for_each(|(simulation, frame)| simulation.vision(frame)),
+                .try_for_each(|(simulation, frame)| simulation.image(modality, frame)),
         }
     }
 
@@ -107,8 +108,8 @@ impl Batch {
         };
         let failed = ends.into_iter().enumerate().find_map(|(index, end)| Some((index, end.err()?)));
         match failed {
-            Some((index, SimulationError::Setpoint { setpoint, .. })) => {
-                Err(SimulationError::Setpoint { index, setpoint })
+            Some((index, SimulationError::Setpoint { setpoint, expected, .. })) => {
+                Err(SimulationError::Setpoint { index, setpoint, expected })
             }
             Some((_, error)) => Err(error),
             None => Ok(()),

@@ -1,7 +1,7 @@
-//! The external camera: small frames for the networks, large pictures for people.
+//! Cameras: small frames for the networks, large pictures for people.
 
 use super::SimulationError;
-use super::scene::Scene;
+use super::scene::{Scene, SceneCamera};
 use image::RgbImage;
 use mujoco_rs::prelude::*;
 use mujoco_rs::renderer::MjRenderer;
@@ -36,7 +36,7 @@ pub fn renderer_name() -> Result<String, SimulationError> {
     Ok(current_renderer_name())
 }
 
-/// Films a scene's state from its camera `external`, on the thread that made it.
+/// Films a scene's state from one of its cameras, on the thread that made it.
 pub struct Camera {
     renderer: MjRenderer,
     renderer_name: String,
@@ -46,10 +46,22 @@ impl Camera {
     /// # Errors
     /// When there is no OpenGL to render with, or the model's offscreen buffer is smaller than the frame.
     pub fn new(scene: &Scene, width: u32, height: u32) -> Result<Self, SimulationError> {
-        Self::for_model(&scene.model, scene, width, height)
+        Self::for_model(&scene.model, scene, scene.view, width, height)
     }
 
-    fn for_model(model: &MjModel, scene: &Scene, width: u32, height: u32) -> Result<Self, SimulationError> {
+    /// One that is recorded.
+    pub(super) fn recording(scene: &Scene, recorded: &SceneCamera) -> Result<Self, SimulationError> {
+        let [rows, columns] = recorded.size;
+        Self::for_model(&scene.model, scene, Some(recorded.camera), columns as u32, rows as u32)
+    }
+
+    fn for_model(
+        model: &MjModel,
+        scene: &Scene,
+        camera: Option<usize>,
+        width: u32,
+        height: u32,
+    ) -> Result<Self, SimulationError> {
         let buffer = &model.vis().global;
         if width as i32 > buffer.offwidth || height as i32 > buffer.offheight {
             let problem = format!(
@@ -60,7 +72,8 @@ impl Camera {
             return Err(SimulationError::Unsuitable { scene: scene.name.clone(), problem });
         }
         let mut renderer = open_renderer(model, width, height)?;
-        renderer.set_camera(MjvCamera::new_fixed(scene.camera));
+        let camera = camera.map_or_else(|| MjvCamera::new_free(model), MjvCamera::new_fixed);
+        renderer.set_camera(camera);
         Ok(Self { renderer, renderer_name: current_renderer_name() })
     }
 
@@ -111,16 +124,20 @@ impl<'s> Portrait<'s> {
         check_size(width, height)?;
         let mut model = good_looking(&scene.model, width, height);
         let body = scene.id(MjtObjBase::mjOBJ_BODY, "body", body)?;
-        model.cam_mode_mut()[scene.camera] = MjtCamLight::mjCAMLIGHT_TARGETBODY;
+        let camera = scene.view.ok_or_else(|| SimulationError::Unsuitable {
+            scene: scene.name.clone(),
+            problem: "it has no camera".into(),
+        })?;
+        model.cam_mode_mut()[camera] = MjtCamLight::mjCAMLIGHT_TARGETBODY;
         // SAFETY: the index is that of a body of this model.
-        unsafe { model.cam_targetbodyid_mut()[scene.camera] = body as i32 };
-        model.cam_fovy_mut()[scene.camera] = angle_deg;
+        unsafe { model.cam_targetbodyid_mut()[camera] = body as i32 };
+        model.cam_fovy_mut()[camera] = angle_deg;
         Self::of_model(scene, model, [width, height])
     }
 
     fn of_model(scene: &'s Scene, model: MjModel, size: [u32; 2]) -> Result<Self, SimulationError> {
         let model = Arc::new(model);
-        let camera = Camera::for_model(&model, scene, size[0], size[1])?;
+        let camera = Camera::for_model(&model, scene, scene.view, size[0], size[1])?;
         Ok(Self { scene, data: MjData::new(model), camera, size })
     }
 
@@ -134,14 +151,17 @@ impl<'s> Portrait<'s> {
 
     /// Where a place in the world, m, lies in the picture that was drawn last: from its upper left corner to the
     /// right and down, in parts of its width and height. The place must be before the camera.
+    ///
+    /// # Panics
+    /// The scene has no camera.
     pub fn project(&self, place: [f64; 3]) -> [f64; 2] {
-        let (camera, turn) =
-            (self.data.cam_xpos()[self.scene.camera], self.data.cam_xmat()[self.scene.camera]);
+        let view = self.scene.view.expect("the built-in scenes have a camera");
+        let (camera, turn) = (self.data.cam_xpos()[view], self.data.cam_xmat()[view]);
         let away: [f64; 3] = std::array::from_fn(|axis| place[axis] - camera[axis]);
         // The camera's axes are the matrix's columns: right, up, and backwards.
         let [right, up, back]: [f64; 3] =
             std::array::from_fn(|column| (0..3).map(|row| turn[3 * row + column] * away[row]).sum());
-        let half = (self.data.model().cam_fovy()[self.scene.camera].to_radians() / 2.0).tan();
+        let half = (self.data.model().cam_fovy()[view].to_radians() / 2.0).tan();
         let aspect = f64::from(self.size[0]) / f64::from(self.size[1]);
         [0.5 + right / (-back * 2.0 * half * aspect), 0.5 - up / (-back * 2.0 * half)]
     }

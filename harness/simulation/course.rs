@@ -1,10 +1,10 @@
-//! What is random about an episode: how the arm moves, and where the boxes stand.
+//! What is random about an episode: how the actuators move, and where boxes stand.
 
 use super::SimulationError;
-use super::motion::{Motion, Timing, rest};
+use super::motion::{Motion, Timing, ranges, rest};
 use super::placement::place_boxes;
 use super::scene::Scene;
-use crate::spec::{ARM_JOINTS, Simulation};
+use crate::spec::Simulation;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use sha2::{Digest, Sha256};
@@ -30,14 +30,14 @@ impl Course {
     pub fn draw(scene: &Scene, spec: &Simulation, index: u32) -> Result<Self, SimulationError> {
         let timing = Timing::new(spec, scene.step_s())?;
         let mut rng = episode_stream(scene, spec.seed, index);
-        let motion = Motion::draw(spec, &timing, rest(spec), &mut rng);
+        let motion = Motion::draw(&ranges(scene, spec), &rest(scene, spec), spec, &timing, &mut rng);
         let boxes = place_boxes(scene, spec, index, &mut rng)?;
         Ok(Self { episode: index, boxes, motion })
     }
 
-    /// The arm's commanded rotation (rad), lift (m) and extension (m) during a simulation step.
-    pub fn setpoint(&self, step: usize) -> [f64; ARM_JOINTS] {
-        self.motion.setpoint(step)
+    /// Writes what the actuators are commanded during a simulation step.
+    pub fn setpoint(&self, step: usize, setpoint: &mut [f64]) {
+        self.motion.setpoint(step, setpoint);
     }
 }
 

@@ -5,40 +5,61 @@ use super::camera::Camera;
 use super::course::{Course, Pose};
 use super::physics::{Instant, Physics};
 use super::scene::Scene;
-use crate::spec::{ARM_JOINTS, FRAME_LEN, FRAME_SIDE, JOINTS, Simulation};
+use crate::spec::{IMAGE_CHANNELS, Layout, Modality, Simulation};
 use std::fmt;
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 /// What one simulation recorded: `samples` rows an array, row k at k / `sample_rate_hz` seconds.
-#[derive(Clone, Default, PartialEq)]
+#[derive(Clone, PartialEq)]
 pub struct Episode {
     /// Its index in the dataset.
     pub index: u32,
     /// Rows of each array.
     pub samples: usize,
-    /// Finger joint angles, rad, `[samples, 20]`.
-    pub proprioception: Vec<f32>,
-    /// Arm rotation (rad), lift (m) and extension (m), `[samples, 3]`.
-    pub arm: Vec<f32>,
-    /// The arm's commanded setpoint, in the same units, `[samples, 3]`.
-    pub setpoint: Vec<f32>,
-    /// Normal contact force of each link at the instant, N, `[samples, 20]`.
-    pub contact_force: Vec<f32>,
-    /// The same, averaged over the steps since the previous sample, N, `[samples, 20]`.
-    pub contact_force_mean: Vec<f32>,
-    /// The camera's RGB frames, top row first, `[samples, 64, 64, 3]`.
-    pub vision: Vec<u8>,
-    /// Each box's first position (m) and orientation (unit quaternion w, x, y, z).
+    /// What it holds.
+    pub layout: Arc<Layout>,
+    /// For each of the layout's modalities that is a stored vector its values, `[samples, elements]`.
+    pub vectors: Vec<Vec<f32>>,
+    /// For each of the layout's modalities that is a stored image its RGB pixels, top row first,
+    /// `[samples, rows, columns, 3]`.
+    pub images: Vec<Vec<u8>>,
+    /// Where what is placed at random started: position (m) and orientation (unit quaternion w, x, y, z).
     pub boxes: Vec<Pose>,
     /// The OpenGL renderer that drew the frames.
     pub renderer: String,
+}
+
+impl Episode {
+    /// One without values.
+    pub fn new(layout: Arc<Layout>, index: u32, samples: usize) -> Self {
+        let count = layout.modalities.len();
+        let (vectors, images) = (vec![Vec::new(); count], vec![Vec::new(); count]);
+        Self { index, samples, layout, vectors, images, boxes: Vec::new(), renderer: String::new() }
+    }
+
+    /// The values of a vector, `[samples, elements]`; empty where it is none that is stored.
+    pub fn vector(&self, modality: Modality) -> &[f32] {
+        self.layout.position(modality).map_or(&[], |index| &self.vectors[index])
+    }
+
+    /// The pixels of an image, `[samples, rows, columns, 3]`; empty where it is none that is stored, or none was read.
+    pub fn image(&self, modality: Modality) -> &[u8] {
+        self.layout.position(modality).map_or(&[], |index| &self.images[index])
+    }
+
+    /// The same without images.
+    pub fn without_images(self) -> Self {
+        Self { images: vec![Vec::new(); self.layout.modalities.len()], ..self }
+    }
 }
 
 /// Simulates and films episodes of one scene, on the thread that made it.
 pub struct Simulator<'s> {
     spec: Simulation,
     physics: Physics<'s>,
-    camera: Camera,
+    /// One for each of the scene's.
+    cameras: Vec<Camera>,
 }
 
 impl<'s> Simulator<'s> {
@@ -46,8 +67,8 @@ impl<'s> Simulator<'s> {
     /// When the spec's ranges or rates do not suit the scene, or there is no OpenGL to render with.
     pub fn new(scene: &'s Scene, spec: &Simulation) -> Result<Self, SimulationError> {
         let physics = Physics::new(scene, spec)?;
-        let camera = Camera::new(scene, FRAME_SIDE as u32, FRAME_SIDE as u32)?;
-        Ok(Self { spec: spec.clone(), physics, camera })
+        let cameras = scene.cameras.iter().map(|camera| Camera::recording(scene, camera));
+        Ok(Self { spec: spec.clone(), physics, cameras: cameras.collect::<Result<_, _>>()? })
     }
 
     /// Simulates the episode of that index; `on_sample` is called after each sample and may cancel.
@@ -60,11 +81,15 @@ impl<'s> Simulator<'s> {
         on_sample: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<Episode, SimulationError> {
         let course = Course::draw(self.physics.scene, &self.spec, index)?;
-        let mut episode = Episode::new(&course, self.physics.timing.samples, self.camera.renderer_name());
-        let (scene, camera) = (self.physics.scene, &mut self.camera);
+        let (scene, cameras) = (self.physics.scene, &mut self.cameras);
+        let renderer = cameras.first().map(|camera| camera.renderer_name().to_owned());
+        let mut episode = Episode::of(scene, &course, self.physics.timing.samples);
+        episode.renderer = renderer.unwrap_or_else(|| "none".into());
         self.physics.run(&course, &mut |instant, data| {
             episode.record(scene, instant);
-            episode.vision.extend_from_slice(camera.capture(data)?);
+            for (camera, recorded) in cameras.iter_mut().zip(&scene.cameras) {
+                episode.images[recorded.position].extend_from_slice(camera.capture(data)?);
+            }
             match on_sample() {
                 ControlFlow::Continue(()) => Ok(()),
                 ControlFlow::Break(()) => Err(SimulationError::Cancelled { episode: index }),
@@ -90,29 +115,24 @@ pub fn replay(scene: &Scene, spec: &Simulation, index: u32) -> Result<Vec<Vec<f6
 }
 
 impl Episode {
-    fn new(course: &Course, samples: usize, renderer: &str) -> Self {
-        let rows = |width: usize| Vec::with_capacity(samples * width);
-        Self {
-            index: course.episode,
-            samples,
-            proprioception: rows(JOINTS),
-            arm: rows(ARM_JOINTS),
-            setpoint: rows(ARM_JOINTS),
-            contact_force: rows(JOINTS),
-            contact_force_mean: rows(JOINTS),
-            vision: Vec::with_capacity(samples * FRAME_LEN),
-            boxes: course.boxes.clone(),
-            renderer: renderer.to_owned(),
+    /// Room for the samples of a course.
+    fn of(scene: &Scene, course: &Course, samples: usize) -> Self {
+        let mut episode = Self::new(scene.layout().clone(), course.episode, samples);
+        for (values, readings) in episode.vectors.iter_mut().zip(&scene.readings) {
+            values.reserve_exact(samples * readings.len());
         }
+        for camera in &scene.cameras {
+            let [rows, columns] = camera.size;
+            episode.images[camera.position].reserve_exact(samples * rows * columns * IMAGE_CHANNELS);
+        }
+        episode.boxes = course.boxes.clone();
+        episode
     }
 
     fn record(&mut self, scene: &Scene, instant: &Instant) {
-        let single = |value: f64| value as f32;
-        self.proprioception.extend(scene.finger_qpos.map(|index| single(instant.qpos[index])));
-        self.arm.extend(scene.arm.map(|joint| single(instant.qpos[joint.qpos])));
-        self.setpoint.extend(instant.setpoint.map(single));
-        self.contact_force.extend(instant.forces.map(single));
-        self.contact_force_mean.extend(instant.mean_forces.map(single));
+        for (position, values) in self.vectors.iter_mut().enumerate() {
+            values.extend(instant.vector(scene, position));
+        }
     }
 }
 

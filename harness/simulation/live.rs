@@ -4,14 +4,14 @@ use super::SimulationError;
 use super::camera::{Camera, Portrait};
 use super::course::{Course, Pose};
 use super::motion::ranges;
-use super::physics::Physics;
+use super::physics::{Physics, sensed_position};
 use super::scene::Scene;
-use crate::spec::{ARM_JOINTS, FRAME_SIDE, JOINTS, Scenario, Simulation};
+use crate::spec::{Modality, Simulation};
 use image::RgbImage;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 
-/// A simulation of a built-in scene whose arm is told a setpoint at each sample.
+/// A simulation of a scene whose actuators are told a setpoint at each sample.
 ///
 /// What it senses is what an episode of a dataset records: the course of an episode's own, followed by
 /// [`LiveSimulation::follow`], gives that episode's samples bit by bit.
@@ -24,21 +24,25 @@ pub struct LiveSimulation {
 thread_local! {
     /// This thread's cameras: OpenGL contexts belong to the thread that made them, and simulations go from thread to
     /// thread.
-    static CAMERAS: RefCell<BTreeMap<Scenario, Camera>> = const { RefCell::new(BTreeMap::new()) };
+    static CAMERAS: RefCell<BTreeMap<(usize, Modality), Camera>> = const { RefCell::new(BTreeMap::new()) };
     /// The portrait that this thread drew last, with its scenario and size: the next is most likely alike.
     static PORTRAIT: RefCell<Option<(Picture, Box<Portrait<'static>>)>> = const { RefCell::new(None) };
 }
 
-/// What a portrait is made for: the scenario, and width and height in pixels.
-type Picture = (Scenario, u32, u32);
+/// What a portrait is made for: the scene, and width and height in pixels.
+type Picture = (usize, u32, u32);
+
+/// Tells one scene from others as long as the process lives.
+fn key(scene: &'static Scene) -> usize {
+    std::ptr::from_ref(scene).addr()
+}
 
 impl LiveSimulation {
     /// A simulation at the start of the spec's first episode.
     ///
     /// # Errors
     /// When the spec's ranges or rates do not suit the scene, the boxes find no place, or the simulation diverges.
-    pub fn new(scenario: Scenario, spec: &Simulation) -> Result<Self, SimulationError> {
-        let scene = Scene::builtin(scenario)?;
+    pub fn new(scene: &'static Scene, spec: &Simulation) -> Result<Self, SimulationError> {
         let (physics, course) = (Physics::new(scene, spec)?, Course::draw(scene, spec, 0)?);
         let mut live = Self { spec: spec.clone(), physics, course };
         live.reset(spec.seed, 0)?;
@@ -56,25 +60,28 @@ impl LiveSimulation {
         self.follow()
     }
 
-    /// Goes on to the next sample while the arm's setpoint moves evenly to this one: rotation (rad), lift (m) and
-    /// extension (m). What lies beyond the spec's ranges ends at their bounds.
+    /// Goes on to the next sample while the setpoint moves evenly to this one. What lies beyond the spec's ranges ends at
+    /// their bounds.
     ///
     /// # Errors
-    /// When a value is not finite, or the simulation diverges.
-    pub fn step(&mut self, setpoint: [f64; ARM_JOINTS]) -> Result<(), SimulationError> {
-        if !setpoint.iter().all(|value| value.is_finite()) {
-            return Err(SimulationError::Setpoint { index: 0, setpoint });
+    /// When there are not as many values as the action has elements, one is not finite, or the simulation diverges.
+    pub fn step(&mut self, setpoint: &[f64]) -> Result<(), SimulationError> {
+        let ranges = ranges(self.physics.scene, &self.spec);
+        if setpoint.len() != ranges.len() || !setpoint.iter().all(|value| value.is_finite()) {
+            let (setpoint, expected) = (setpoint.to_vec(), ranges.len());
+            return Err(SimulationError::Setpoint { index: 0, setpoint, expected });
         }
-        let ranges = ranges(&self.spec);
-        let to: [f64; ARM_JOINTS] =
-            std::array::from_fn(|joint| setpoint[joint].clamp(ranges[joint][0], ranges[joint][1]));
-        let from = self.physics.instant.setpoint;
+        let to: Vec<f64> =
+            setpoint.iter().zip(&ranges).map(|(value, [low, high])| value.clamp(*low, *high)).collect();
+        let from = self.physics.instant.setpoint.clone();
         let (steps, sampled) = (self.physics.timing.steps_per_sample, self.physics.step() - 1);
-        self.physics.advance(|step| match step - sampled {
-            done if done == steps => to,
-            done => std::array::from_fn(|joint| {
-                from[joint] + done as f64 / steps as f64 * (to[joint] - from[joint])
-            }),
+        self.physics.advance(|step, setpoint| match step - sampled {
+            done if done == steps => setpoint.copy_from_slice(&to),
+            done => {
+                for (value, (from, to)) in setpoint.iter_mut().zip(from.iter().zip(&to)) {
+                    *value = from + done as f64 / steps as f64 * (to - from);
+                }
+            }
         })
     }
 
@@ -84,7 +91,7 @@ impl LiveSimulation {
     /// When the simulation diverges.
     pub fn follow(&mut self) -> Result<(), SimulationError> {
         let course = &self.course;
-        self.physics.advance(|step| course.setpoint(step))
+        self.physics.advance(|step, setpoint| course.setpoint(step, setpoint))
     }
 
     /// How it is simulated; the seed is that of the latest reset.
@@ -92,56 +99,60 @@ impl LiveSimulation {
         &self.spec
     }
 
-    /// The setpoint at this sample: rotation (rad), lift (m), extension (m).
-    pub fn setpoint(&self) -> [f64; ARM_JOINTS] {
-        self.physics.instant.setpoint
+    /// The scene that is simulated.
+    pub fn scene(&self) -> &'static Scene {
+        self.physics.scene
     }
 
-    /// Finger joint angles, rad, base to tip.
-    pub fn proprioception(&self) -> [f32; JOINTS] {
-        self.physics.scene.finger_qpos.map(|index| self.physics.instant.qpos[index] as f32)
+    /// The setpoint at this sample.
+    pub fn setpoint(&self) -> &[f64] {
+        &self.physics.instant.setpoint
     }
 
-    /// The arm's rotation (rad), lift (m) and extension (m).
-    pub fn arm(&self) -> [f32; ARM_JOINTS] {
-        self.physics.scene.arm.map(|joint| self.physics.instant.qpos[joint.qpos] as f32)
+    /// The ranges that setpoints are held to.
+    pub fn setpoint_ranges(&self) -> Vec<[f64; 2]> {
+        ranges(self.physics.scene, &self.spec)
     }
 
-    /// Normal contact force of each link at the sample, N, base to tip.
-    pub fn contact_force(&self) -> [f32; JOINTS] {
-        self.physics.instant.forces.map(|force| force as f32)
+    /// A vector at the sample; `None` if none of that name is sensed.
+    pub fn vector(&self, modality: Modality) -> Option<Vec<f32>> {
+        let scene = self.physics.scene;
+        let position = sensed_position(scene.layout(), modality)?;
+        Some(self.physics.instant.vector(scene, position).collect())
     }
 
-    /// The same, averaged over the steps since the sample before, N.
-    pub fn contact_force_mean(&self) -> [f32; JOINTS] {
-        self.physics.instant.mean_forces.map(|force| force as f32)
-    }
-
-    /// The end of the last link's axis in the world, m.
-    pub fn fingertip(&self) -> [f64; 3] {
-        let tip = self.physics.scene.tip;
+    /// The end of the axis of the last link whose contacts are sensed, in the world, m; `None` without such links.
+    pub fn fingertip(&self) -> Option<[f64; 3]> {
+        let tip = self.physics.scene.tip?;
         let (joint, middle) = (self.physics.data.xpos()[tip.body], self.physics.data.geom_xpos()[tip.geom]);
-        std::array::from_fn(|axis| 2.0 * middle[axis] - joint[axis])
+        Some(std::array::from_fn(|axis| 2.0 * middle[axis] - joint[axis]))
     }
 
     /// Where each box is in the world.
     pub fn boxes(&self) -> impl Iterator<Item = Pose> {
         let qpos = &self.physics.instant.qpos;
-        self.physics.scene.boxes.iter().map(|body| std::array::from_fn(|axis| qpos[body.qpos + axis]))
+        let boxes = self.physics.scene.placements.iter().flat_map(|placement| &placement.boxes);
+        boxes.map(|body| std::array::from_fn(|axis| qpos[body.qpos + axis]))
     }
 
-    /// The camera's RGB frame of the sample, top row first, `[64, 64, 3]`, written to `frame`.
+    /// A camera's RGB image of the sample, top row first, `[rows, columns, 3]`, written to `frame`.
     ///
     /// # Errors
-    /// When there is no OpenGL to render with.
-    pub fn vision(&mut self, frame: &mut [u8]) -> Result<(), SimulationError> {
+    /// When no camera of that name is recorded, or there is no OpenGL to render with.
+    pub fn image(&mut self, modality: Modality, frame: &mut [u8]) -> Result<(), SimulationError> {
         let (scene, data) = (self.physics.scene, &mut self.physics.data);
+        let recorded = scene.cameras.iter().find(|camera| camera.modality == modality);
+        let recorded = recorded.ok_or_else(|| SimulationError::Missing {
+            scene: scene.name.clone(),
+            kind: "camera for the modality",
+            name: modality.name().to_owned(),
+        })?;
         CAMERAS.with_borrow_mut(|cameras| {
-            let camera = match cameras.remove(&scene.scenario()) {
+            let camera = match cameras.remove(&(key(scene), modality)) {
                 Some(camera) => camera,
-                None => Camera::new(scene, FRAME_SIDE as u32, FRAME_SIDE as u32)?,
+                None => Camera::recording(scene, recorded)?,
             };
-            frame.copy_from_slice(cameras.entry(scene.scenario()).or_insert(camera).capture(data)?);
+            frame.copy_from_slice(cameras.entry((key(scene), modality)).or_insert(camera).capture(data)?);
             Ok(())
         })
     }
@@ -152,7 +163,7 @@ impl LiveSimulation {
     /// When a side is 0 or above 4096 pixels, or there is no OpenGL to render with.
     pub fn portrait(&self, width: u32, height: u32) -> Result<RgbImage, SimulationError> {
         let scene = self.physics.scene;
-        let kind = (scene.scenario(), width, height);
+        let kind = (key(scene), width, height);
         PORTRAIT.with_borrow_mut(|kept| {
             let portrait = match kept.take() {
                 Some((other, portrait)) if other == kind => portrait,

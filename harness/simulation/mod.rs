@@ -7,6 +7,7 @@
 mod batch;
 mod camera;
 mod course;
+mod draft;
 mod episode;
 mod live;
 mod motion;
@@ -18,13 +19,14 @@ mod sensors;
 pub use batch::Batch;
 pub use camera::{Camera, Portrait, prepare_rendering, renderer_name};
 pub use course::{Course, Pose};
+pub use draft::draft_world;
 pub use episode::{Episode, Simulator, replay};
 pub use live::LiveSimulation;
-pub use scene::{BOXES, Scene};
-pub use sensors::{LinkForces, link_forces};
+pub use scene::Scene;
+pub use sensors::link_forces;
 
+use crate::spec::SpecError;
 use mujoco_rs::prelude::RendererError;
-use std::path::PathBuf;
 
 /// The MuJoCo release that the bindings, the models and the published numbers are for.
 pub const MUJOCO_VERSION: &str = "3.17.0";
@@ -41,26 +43,26 @@ pub enum SimulationError {
     #[error("MuJoCo {found} is linked, but this program is built for {MUJOCO_VERSION}: run `make setup`")]
     Version { found: String },
 
-    #[error("cannot read the scene {}", path.display())]
-    Read { path: PathBuf, source: std::io::Error },
+    #[error(transparent)]
+    World(#[from] SpecError),
 
     #[error("{scene} does not compile: {message}")]
     Compile { scene: String, message: String },
 
-    #[error("{scene} has no {kind} named `{name}`; models/README.md lists the names a scene must have")]
+    #[error("{scene} has no {kind} named `{name}`")]
     Missing { scene: String, kind: &'static str, name: String },
 
     #[error("{scene}: {problem}")]
     Unsuitable { scene: String, problem: String },
 
     #[error("simulation.{field}: {problem}")]
-    Spec { field: &'static str, problem: String },
+    Spec { field: String, problem: String },
 
     #[error(
         "episode {episode}: no free place for box {placed} of {boxes} after {attempts} draws; \
-         widen simulation.rotation_range_rad or extension_range_m, or lower simulation.box_clearance_m"
+         widen the ranges or the area that boxes are placed in, or lower simulation.{setting}"
     )]
-    Placement { episode: u32, placed: usize, boxes: usize, attempts: usize },
+    Placement { episode: u32, placed: usize, boxes: usize, attempts: usize, setting: String },
 
     #[error("episode {episode} of {scene} diverged {time_s:.3} s after its start: {what}")]
     Diverged { scene: String, episode: u32, time_s: f64, what: String },
@@ -81,9 +83,9 @@ pub enum SimulationError {
     PictureSize { width: u32, height: u32, max: u32 },
 
     #[error(
-        "the setpoint {setpoint:?} of simulation {index} must be three finite numbers: rotation (rad), lift and extension (m)"
+        "the setpoint {setpoint:?} of simulation {index} must be {expected} finite numbers, one an element of the action"
     )]
-    Setpoint { index: usize, setpoint: [f64; 3] },
+    Setpoint { index: usize, setpoint: Vec<f64>, expected: usize },
 
     #[error("{0}")]
     Batch(String),

@@ -1,8 +1,8 @@
-//! The arm's commanded motion: smoothstep moves between random setpoints, on an exact time grid.
+//! The commanded motion: smoothstep moves between random setpoints, on an exact time grid.
 
 use super::SimulationError;
-use super::scene::Scene;
-use crate::spec::{ARM_JOINTS, Simulation};
+use super::scene::{Scene, within};
+use crate::spec::{Simulation, Start};
 use rand::{Rng, RngExt};
 
 /// Steps, samples and actuations of an episode; whole numbers, so that no instant is off by a rounding.
@@ -21,7 +21,7 @@ impl Timing {
     /// When a sampling interval is not a whole number of steps, or an actuation not of samples.
     pub fn new(spec: &Simulation, step_s: f64) -> Result<Self, SimulationError> {
         let steps_per_sample = whole(1.0 / (spec.sample_rate_hz * step_s)).ok_or_else(|| SimulationError::Spec {
-            field: "sample_rate_hz",
+            field: "sample_rate_hz".into(),
             problem: format!(
                 "a whole number of steps of {step_s} s must fit between samples, which {} Hz does not give",
                 spec.sample_rate_hz
@@ -29,7 +29,7 @@ impl Timing {
         })?;
         let samples_per_actuation =
             whole(spec.actuation_seconds * spec.sample_rate_hz).ok_or_else(|| SimulationError::Spec {
-                field: "actuation_seconds",
+                field: "actuation_seconds".into(),
                 problem: format!(
                     "{} s must hold a whole number of samples at {} Hz",
                     spec.actuation_seconds, spec.sample_rate_hz
@@ -51,28 +51,39 @@ fn whole(value: f64) -> Option<usize> {
     is_whole.then_some(nearest as usize)
 }
 
-/// The arm's setpoint as a function of time.
+/// The setpoint as a function of time.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Motion {
-    /// Where the moves start and end: rotation (rad), lift (m), extension (m).
-    waypoints: Vec<[f64; ARM_JOINTS]>,
+    /// Where the moves start and end, one element of the action after the other.
+    waypoints: Vec<f64>,
+    elements: usize,
     steps_per_move: usize,
 }
 
 impl Motion {
     /// Draws as many uniformly random waypoints as the spec has actuations, and starts at `rest`.
-    pub fn draw(spec: &Simulation, timing: &Timing, rest: [f64; ARM_JOINTS], rng: &mut impl Rng) -> Self {
-        let random = |_| ranges(spec).map(|[low, high]| rng.random_range(low..=high));
-        let waypoints = std::iter::once(rest).chain((0..spec.actuations_per_episode).map(random)).collect();
-        Self { waypoints, steps_per_move: timing.steps_per_actuation }
+    pub fn draw(
+        ranges: &[[f64; 2]],
+        rest: &[f64],
+        spec: &Simulation,
+        timing: &Timing,
+        rng: &mut impl Rng,
+    ) -> Self {
+        let random = (0..spec.actuations_per_episode).flat_map(|_| ranges);
+        let random = random.map(|[low, high]| rng.random_range(*low..=*high));
+        let waypoints = rest.iter().copied().chain(random).collect();
+        Self { waypoints, elements: ranges.len(), steps_per_move: timing.steps_per_actuation }
     }
 
-    /// The setpoint at the start of a step; the last waypoint after the last move.
-    pub fn setpoint(&self, step: usize) -> [f64; ARM_JOINTS] {
-        let index = step / self.steps_per_move;
-        let [from, to] = [index, index + 1].map(|i| self.waypoints[i.min(self.waypoints.len() - 1)]);
+    /// Writes the setpoint at the start of a step; the last waypoint after the last move.
+    pub fn setpoint(&self, step: usize, setpoint: &mut [f64]) {
+        let (index, last) = (step / self.steps_per_move, self.waypoints.len() / self.elements - 1);
+        let [from, to] =
+            [index, index + 1].map(|i| &self.waypoints[i.min(last) * self.elements..][..self.elements]);
         let done = smoothstep((step % self.steps_per_move) as f64 / self.steps_per_move as f64);
-        std::array::from_fn(|joint| from[joint] + done * (to[joint] - from[joint]))
+        for (value, (from, to)) in setpoint.iter_mut().zip(from.iter().zip(to)) {
+            *value = from + done * (to - from);
+        }
     }
 }
 
@@ -81,15 +92,25 @@ fn smoothstep(u: f64) -> f64 {
     u * u * (3.0 - 2.0 * u)
 }
 
-/// The arm's ranges, in the order of the `arm` modality.
-pub(super) fn ranges(spec: &Simulation) -> [[f64; 2]; ARM_JOINTS] {
-    [spec.rotation_range_rad, spec.lift_range_m, spec.extension_range_m]
+/// The ranges of the setpoint's elements.
+pub(super) fn ranges(scene: &Scene, spec: &Simulation) -> Vec<[f64; 2]> {
+    let own = scene.world().file().action.actuators.iter();
+    let range = |(driven, (_, own)): (&super::scene::Driven, (&str, &crate::spec::Actuator))| {
+        spec.range(&driven.setting).unwrap_or(own.range)
+    };
+    scene.actuators.iter().zip(own).map(range).collect()
 }
 
-/// Where every episode starts: turned to the middle, lifted, retracted.
-pub(super) fn rest(spec: &Simulation) -> [f64; ARM_JOINTS] {
-    let [low, high] = spec.rotation_range_rad;
-    [0.5 * (low + high), spec.lift_range_m[1], spec.extension_range_m[0]]
+/// The setpoint that every episode starts with.
+pub(super) fn rest(scene: &Scene, spec: &Simulation) -> Vec<f64> {
+    let actuators = scene.world().file().action.actuators.iter();
+    let start =
+        |([low, high], (_, actuator)): ([f64; 2], (&str, &crate::spec::Actuator))| match actuator.start {
+            Start::Low => low,
+            Start::Middle => 0.5 * (low + high),
+            Start::High => high,
+        };
+    ranges(scene, spec).into_iter().zip(actuators).map(start).collect()
 }
 
 /// Refuses ranges that the scene's joints or actuators would clip.
@@ -97,17 +118,14 @@ pub(super) fn rest(spec: &Simulation) -> [f64; ARM_JOINTS] {
 /// # Errors
 /// Names the range, and what the scene allows.
 pub(super) fn check_ranges(spec: &Simulation, scene: &Scene) -> Result<(), SimulationError> {
-    let fields = ["rotation_range_rad", "lift_range_m", "extension_range_m"];
-    for ((field, [low, high]), joint) in fields.into_iter().zip(ranges(spec)).zip(&scene.arm) {
-        let [min, max] = joint.limits;
-        // A limit written in a few decimals may round to inside the range it was meant for.
-        let slack = 1e-6;
-        if !(low <= high && low >= min - slack && high <= max + slack) {
+    for ([low, high], driven) in ranges(scene, spec).into_iter().zip(&scene.actuators) {
+        if !within([low, high], driven.limits) {
+            let [min, max] = driven.limits;
             let problem = format!(
                 "[{low}, {high}] must ascend and lie within [{min}, {max}], as {} allows",
                 scene.name
             );
-            return Err(SimulationError::Spec { field, problem });
+            return Err(SimulationError::Spec { field: driven.setting.clone(), problem });
         }
     }
     Ok(())
@@ -140,26 +158,30 @@ mod tests {
 
     #[test]
     fn moves_are_continuous_within_the_ranges_and_half_way_at_half_time() {
-        let spec = Simulation::default();
-        let rest = rest(&spec);
-        let motion = Motion::draw(&spec, &timing(), rest, &mut ChaCha8Rng::seed_from_u64(7));
-        assert_eq!(motion.setpoint(0), rest);
-        let (first, second) = (motion.setpoint(1000), motion.setpoint(2000));
+        let (spec, ranges, rest) = (Simulation::default(), [[-1.0, 2.0], [0.0, 1.5]], [0.5, 0.0]);
+        let motion = Motion::draw(&ranges, &rest, &spec, &timing(), &mut ChaCha8Rng::seed_from_u64(7));
+        let setpoint = |step: usize| {
+            let mut setpoint = [0.0; 2];
+            motion.setpoint(step, &mut setpoint);
+            setpoint
+        };
+        assert_eq!(setpoint(0), rest);
+        let (first, second) = (setpoint(1000), setpoint(2000));
         assert_ne!(first, second);
-        for joint in 0..ARM_JOINTS {
-            assert!((motion.setpoint(1500)[joint] - 0.5 * (first[joint] + second[joint])).abs() < 1e-12);
+        for joint in 0..2 {
+            assert!((setpoint(1500)[joint] - 0.5 * (first[joint] + second[joint])).abs() < 1e-12);
             // smoothstep(1/4) = 5/32
             let quarter = first[joint] + 5.0 / 32.0 * (second[joint] - first[joint]);
-            assert!((motion.setpoint(1250)[joint] - quarter).abs() < 1e-12);
+            assert!((setpoint(1250)[joint] - quarter).abs() < 1e-12);
         }
         for step in 0..100_000 {
-            let (here, next) = (motion.setpoint(step), motion.setpoint(step + 1));
-            for (joint, [low, high]) in ranges(&spec).into_iter().enumerate() {
+            let (here, next) = (setpoint(step), setpoint(step + 1));
+            for (joint, [low, high]) in ranges.into_iter().enumerate() {
                 assert!((low..=high).contains(&here[joint]));
                 // The smoothstep's steepest slope is 1.5 spans a move.
                 assert!((next[joint] - here[joint]).abs() <= 1.5 * (high - low) / 1000.0 + 1e-12);
             }
         }
-        assert_eq!(motion.setpoint(100_000), motion.setpoint(123_456));
+        assert_eq!(setpoint(100_000), setpoint(123_456));
     }
 }

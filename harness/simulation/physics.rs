@@ -1,13 +1,12 @@
-//! The stepping loop: drives the arm along its motion and shows each sampled instant to an observer.
+//! The stepping loop: drives the actuators along their motion and shows each sampled instant to an observer.
 
 use super::SimulationError;
 use super::course::Course;
 use super::motion::{Timing, check_ranges};
-use super::scene::Scene;
-use super::sensors::{LinkForces, MeanForces, divergence, link_forces};
-use crate::spec::{ARM_JOINTS, Simulation};
+use super::scene::{Reading, Scene};
+use super::sensors::{MeanForces, divergence, sum_forces};
+use crate::spec::{Layout, Modality, Simulation};
 use mujoco_rs::prelude::*;
-use std::mem::take;
 
 /// MuJoCo's state of one scene on one thread.
 pub(super) struct Physics<'s> {
@@ -16,6 +15,10 @@ pub(super) struct Physics<'s> {
     pub data: MjData<&'s MjModel>,
     /// What holds at the latest sampled instant.
     pub instant: Instant,
+    /// What is commanded at this step.
+    setpoint: Vec<f64>,
+    /// Forces of the latest step.
+    forces: Vec<f64>,
     /// Forces since that instant.
     mean: MeanForces,
     /// The episode that is simulated, for messages.
@@ -28,10 +31,41 @@ pub(super) struct Physics<'s> {
 pub(super) struct Instant {
     /// Generalised positions; the state's own are those after the instant's step.
     pub qpos: Vec<f64>,
-    pub setpoint: [f64; ARM_JOINTS],
-    pub forces: LinkForces,
+    /// Generalised velocities, likewise.
+    pub qvel: Vec<f64>,
+    pub setpoint: Vec<f64>,
+    pub forces: Vec<f64>,
     /// Averaged over the steps since the previous sample.
-    pub mean_forces: LinkForces,
+    pub mean_forces: Vec<f64>,
+    /// Values of all of the model's sensors.
+    pub sensors: Vec<f64>,
+}
+
+impl Instant {
+    fn read(&self, reading: Reading) -> f32 {
+        let value = match reading {
+            Reading::Position(index) => self.qpos[index],
+            Reading::Velocity(index) => self.qvel[index],
+            Reading::Force(index) => self.forces[index],
+            Reading::MeanForce(index) => self.mean_forces[index],
+            Reading::Sensor(index) => self.sensors[index],
+            Reading::Setpoint(index) => self.setpoint[index],
+        };
+        value as f32
+    }
+
+    /// The elements of a vector, by its position in the scene's layout.
+    pub fn vector(&self, scene: &Scene, position: usize) -> impl Iterator<Item = f32> {
+        scene.readings[position].iter().map(|reading| self.read(*reading))
+    }
+}
+
+/// The position in a layout of a vector that is sensed.
+pub(super) fn sensed_position(layout: &Layout, modality: Modality) -> Option<usize> {
+    let is_it = |definition: &crate::spec::Definition| {
+        definition.name == modality && !definition.is_image() && definition.difference_of.is_none()
+    };
+    layout.modalities.iter().position(is_it)
 }
 
 /// Receives each sampled instant, and the state whose derived quantities (poses for the camera) belong to it.
@@ -44,14 +78,27 @@ impl<'s> Physics<'s> {
     pub fn new(scene: &'s Scene, spec: &Simulation) -> Result<Self, SimulationError> {
         check_ranges(spec, scene)?;
         let timing = Timing::new(spec, scene.step_s())?;
+        let data = MjData::new(&scene.model);
+        let elements = scene.actuators.len();
         let instant = Instant {
             qpos: scene.model.qpos0().to_vec(),
-            setpoint: [0.0; ARM_JOINTS],
-            forces: LinkForces::default(),
-            mean_forces: LinkForces::default(),
+            qvel: data.qvel().to_vec(),
+            setpoint: vec![0.0; elements],
+            forces: vec![0.0; scene.forces],
+            mean_forces: vec![0.0; scene.forces],
+            sensors: data.sensordata().to_vec(),
         };
-        let data = MjData::new(&scene.model);
-        Ok(Self { scene, timing, data, instant, mean: MeanForces::default(), episode: 0, step: 0 })
+        Ok(Self {
+            scene,
+            timing,
+            data,
+            instant,
+            setpoint: vec![0.0; elements],
+            forces: vec![0.0; scene.forces],
+            mean: MeanForces::new(scene.forces),
+            episode: 0,
+            step: 0,
+        })
     }
 
     /// Simulates one episode from rest.
@@ -61,27 +108,28 @@ impl<'s> Physics<'s> {
     pub fn run(&mut self, course: &Course, observe: &mut Observer<'_, 's>) -> Result<(), SimulationError> {
         self.start(course);
         for _ in 0..self.timing.samples {
-            self.advance(|step| course.setpoint(step))?;
+            self.advance(|step, setpoint| course.setpoint(step, setpoint))?;
             observe(&self.instant, &mut self.data)?;
         }
         Ok(())
     }
 
-    /// Simulates up to the next sampled instant, which is the start itself at first; `setpoint` commands the arm at
-    /// each step, counted from the start.
+    /// Simulates up to the next sampled instant, which is the start itself at first; `setpoint` writes what is
+    /// commanded at each step, counted from the start.
     ///
     /// A step computes the forces and poses of the instant it starts from, and then moves the positions on.
     /// So a sample takes its positions before a step, and everything else after it, at no extra cost.
     ///
     /// # Errors
     /// When the simulation diverges.
-    pub fn advance(&mut self, setpoint: impl Fn(usize) -> [f64; ARM_JOINTS]) -> Result<(), SimulationError> {
+    pub fn advance(&mut self, setpoint: impl Fn(usize, &mut [f64])) -> Result<(), SimulationError> {
         loop {
             let is_sample = self.step.is_multiple_of(self.timing.steps_per_sample);
-            let setpoint = setpoint(self.step);
-            self.command(setpoint);
+            setpoint(self.step, &mut self.setpoint);
+            self.command();
             if is_sample {
                 self.instant.qpos.copy_from_slice(self.data.qpos());
+                self.instant.qvel.copy_from_slice(self.data.qvel());
             }
             self.data.step();
             if let Some(what) = divergence(&self.data) {
@@ -90,11 +138,13 @@ impl<'s> Physics<'s> {
                 return Err(SimulationError::Diverged { scene, episode: self.episode, time_s, what });
             }
             self.step += 1;
-            let forces = link_forces(self.scene, &self.data);
-            self.mean.add(&forces);
+            sum_forces(self.scene, &self.data, &mut self.forces);
+            self.mean.add(&self.forces);
             if is_sample {
-                let mean_forces = self.mean.take();
-                self.instant = Instant { setpoint, forces, mean_forces, qpos: take(&mut self.instant.qpos) };
+                self.instant.setpoint.copy_from_slice(&self.setpoint);
+                self.instant.forces.copy_from_slice(&self.forces);
+                self.mean.take(&mut self.instant.mean_forces);
+                self.instant.sensors.copy_from_slice(self.data.sensordata());
                 return Ok(());
             }
         }
@@ -105,23 +155,28 @@ impl<'s> Physics<'s> {
         self.step
     }
 
-    /// Puts the arm at the motion's start, the finger straight and the boxes in their places, all at rest.
+    /// Puts what position servos drive at the motion's start and the boxes in their places, all at rest.
     pub fn start(&mut self, course: &Course) {
-        (self.episode, self.step, self.mean) = (course.episode, 0, MeanForces::default());
+        (self.episode, self.step) = (course.episode, 0);
+        self.mean.clear();
         self.data.reset();
+        course.setpoint(0, &mut self.setpoint);
         let qpos = self.data.qpos_mut();
-        for (joint, value) in self.scene.arm.iter().zip(course.setpoint(0)) {
-            qpos[joint.qpos] = value;
+        for (driven, value) in self.scene.actuators.iter().zip(&self.setpoint) {
+            if let Some(index) = driven.qpos {
+                qpos[index] = *value;
+            }
         }
-        for (body, pose) in self.scene.boxes.iter().zip(&course.boxes) {
+        let boxes = self.scene.placements.iter().flat_map(|placement| &placement.boxes);
+        for (body, pose) in boxes.zip(&course.boxes) {
             qpos[body.qpos..body.qpos + pose.len()].copy_from_slice(pose);
         }
     }
 
-    fn command(&mut self, setpoint: [f64; ARM_JOINTS]) {
+    fn command(&mut self) {
         let ctrl = self.data.ctrl_mut();
-        for (joint, value) in self.scene.arm.iter().zip(setpoint) {
-            ctrl[joint.actuator] = value;
+        for (driven, value) in self.scene.actuators.iter().zip(&self.setpoint) {
+            ctrl[driven.actuator] = *value;
         }
     }
 }

@@ -1,9 +1,9 @@
-//! Where the boxes of the cluttered scenario start.
+//! Where the boxes of a world start.
 
 use super::SimulationError;
 use super::course::Pose;
-use super::motion::rest;
-use super::scene::Scene;
+use super::motion::{ranges, rest};
+use super::scene::{Area, Mount, Scene};
 use crate::spec::Simulation;
 use rand::{Rng, RngExt};
 use std::f64::consts::PI;
@@ -24,51 +24,69 @@ impl Footprint {
     }
 }
 
-/// Stands the scene's boxes on the ground, uniformly over the sector that the finger sweeps, with random yaw.
+/// Stands the scene's boxes on the ground, uniformly over their area, with random yaw.
 ///
-/// Around each box, and the finger's place at rest, the circle that encloses it in any yaw is kept free, with
+/// Around each box, and the place under an arm's body at rest, the circle that encloses it in any yaw is kept free, with
 /// the spec's clearance: draws that are too near to an earlier one are rejected.
 ///
 /// # Errors
-/// When the draws run out: the sector is too small for the boxes.
+/// When the draws run out: the area is too small for the boxes.
 pub(super) fn place_boxes(
     scene: &Scene,
     spec: &Simulation,
     episode: u32,
     rng: &mut impl Rng,
 ) -> Result<Vec<Pose>, SimulationError> {
-    let [rotation, _, extension] = rest(spec);
-    let finger =
-        Footprint { centre: scene.mount.below_finger(rotation, extension), radius: scene.finger_radius };
-    let mut taken = vec![finger];
-    let mut poses = Vec::with_capacity(scene.boxes.len());
-    for _ in 0..MAX_DRAWS {
-        let Some(next) = scene.boxes.get(poses.len()) else { break };
-        let [half_x, half_y, half_z] = next.half_size;
-        let drawn = Footprint { centre: draw_place(scene, spec, rng), radius: half_x.hypot(half_y) };
-        if taken.iter().all(|other| drawn.gap(other) >= spec.box_clearance_m) {
-            let half_yaw = 0.5 * rng.random_range(-PI..PI);
-            let [x, y] = drawn.centre;
-            poses.push([x, y, half_z, half_yaw.cos(), 0.0, 0.0, half_yaw.sin()]);
-            taken.push(drawn);
+    let (ranges, rest) = (ranges(scene, spec), rest(scene, spec));
+    let mounts = scene.placements.iter().filter_map(|placement| match &placement.area {
+        Area::Sector(mount) => Some(mount),
+        Area::Rectangle(_) => None,
+    });
+    let mut taken: Vec<Footprint> = mounts
+        .map(|mount| {
+            let [rotation, extension] = mount.elements.map(|element| rest[element]);
+            Footprint { centre: mount.below(rotation, extension), radius: mount.body_radius }
+        })
+        .collect();
+    let mut poses = Vec::with_capacity(scene.boxes());
+    for placement in &scene.placements {
+        let clearance = spec.number(&placement.setting).unwrap_or(placement.clearance_m);
+        let mut boxes = placement.boxes.iter();
+        let mut next = boxes.next();
+        for _ in 0..MAX_DRAWS {
+            let Some(free_box) = next else { break };
+            let [half_x, half_y, half_z] = free_box.half_size;
+            let centre = match &placement.area {
+                Area::Sector(mount) => draw_in_sector(mount, &ranges, rng),
+                Area::Rectangle(sides) => sides.map(|[low, high]| rng.random_range(low..=high)),
+            };
+            let drawn = Footprint { centre, radius: half_x.hypot(half_y) };
+            if taken.iter().all(|other| drawn.gap(other) >= clearance) {
+                let half_yaw = 0.5 * rng.random_range(-PI..PI);
+                let [x, y] = drawn.centre;
+                poses.push([x, y, half_z, half_yaw.cos(), 0.0, 0.0, half_yaw.sin()]);
+                taken.push(drawn);
+                next = boxes.next();
+            }
         }
-    }
-    if poses.len() < scene.boxes.len() {
-        return Err(SimulationError::Placement {
-            episode,
-            placed: poses.len() + 1,
-            boxes: scene.boxes.len(),
-            attempts: MAX_DRAWS,
-        });
+        if next.is_some() {
+            return Err(SimulationError::Placement {
+                episode,
+                placed: poses.len() + 1,
+                boxes: scene.boxes(),
+                attempts: MAX_DRAWS,
+                setting: placement.setting.clone(),
+            });
+        }
     }
     Ok(poses)
 }
 
 /// A point of the swept sector, each area as likely as any other of its size.
-fn draw_place(scene: &Scene, spec: &Simulation, rng: &mut impl Rng) -> [f64; 2] {
-    let [low, high] = spec.rotation_range_rad;
+fn draw_in_sector(mount: &Mount, ranges: &[[f64; 2]], rng: &mut impl Rng) -> [f64; 2] {
+    let [[low, high], extension] = mount.elements.map(|element| ranges[element]);
     let rotation = rng.random_range(low..=high);
-    let [inner, outer] = spec.extension_range_m.map(|extension| (scene.mount.radius + extension).powi(2));
+    let [inner, outer] = extension.map(|extension| (mount.radius + extension).powi(2));
     let radius = rng.random_range(inner..=outer).sqrt();
-    scene.mount.below_finger(rotation, radius - scene.mount.radius)
+    mount.below(rotation, radius - mount.radius)
 }

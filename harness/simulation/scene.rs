@@ -1,41 +1,71 @@
-//! A scene: the compiled MuJoCo model of a scenario, with every name the harness needs resolved once.
+//! A scene: the compiled MuJoCo model of a world, with every name of the world file resolved once.
 
+use super::motion::{Timing, check_ranges};
 use super::{MUJOCO_VERSION, SimulationError, mujoco_version};
-use crate::spec::{ARM_JOINTS, JOINTS, Scenario};
+use crate::seal::hex;
+use crate::spec::{
+    Definition, Deviation, Element, Group, Kind, Layout, Modality, ModelFile, Percentage, Scenario,
+    Simulation, Source, World, clearance_setting, matching, range_setting,
+};
 use mujoco_rs::prelude::*;
+use sha2::{Digest, Sha256};
 use std::io::{self, Write};
-use std::path::Path;
-use std::sync::{Once, OnceLock};
+use std::sync::{Arc, Mutex, Once};
 
-/// Movable boxes of the cluttered scenario.
-pub const BOXES: usize = 8;
-
-/// Joints and actuators of the arm, in the order of the `arm` modality.
-const ARM_NAMES: [&str; ARM_JOINTS] = ["arm_rotation", "arm_lift", "arm_extension"];
-
-/// A scenario's compiled model, shared by every thread that simulates it.
+/// A world's compiled model, shared by every thread that simulates it.
 #[derive(Debug)]
 pub struct Scene {
     /// Where the model came from, for messages.
     pub(super) name: String,
-    scenario: Scenario,
+    world: Arc<World>,
     xml: String,
+    model_sha256: String,
     pub(super) model: MjModel,
-    /// Index into `qpos` of each finger joint, base to tip.
-    pub(super) finger_qpos: [usize; JOINTS],
-    pub(super) arm: [ArmJoint; ARM_JOINTS],
-    /// For each geom, the finger link it belongs to.
-    pub(super) link_of_geom: Vec<Option<usize>>,
-    /// Radius of the finger's first link, m.
-    pub(super) finger_radius: f64,
-    pub(super) mount: Mount,
-    pub(super) boxes: Vec<FreeBox>,
-    pub(super) camera: usize,
-    /// Body and geom of the finger's last link.
-    pub(super) tip: Tip,
+    layout: Arc<Layout>,
+    /// For each of the layout's modalities what its elements are read from; empty where nothing is read.
+    pub(super) readings: Vec<Vec<Reading>>,
+    pub(super) cameras: Vec<SceneCamera>,
+    pub(super) actuators: Vec<Driven>,
+    /// For each geom, the force that its contacts add to.
+    pub(super) force_of_geom: Vec<Option<usize>>,
+    /// Forces that are added up.
+    pub(super) forces: usize,
+    pub(super) placements: Vec<Placement>,
+    /// The camera that pictures for people are taken by; `None` for MuJoCo's free one.
+    pub(super) view: Option<usize>,
+    /// Body and geom of the last link whose contacts are sensed.
+    pub(super) tip: Option<Tip>,
 }
 
-/// The finger's last link.
+/// What an element of a vector is read from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Reading {
+    /// Index into `qpos`.
+    Position(usize),
+    /// Index into `qvel`.
+    Velocity(usize),
+    /// One of the scene's forces, at the instant.
+    Force(usize),
+    /// The same, averaged since the sample before.
+    MeanForce(usize),
+    /// Index into `sensordata`.
+    Sensor(usize),
+    /// An element of what the actuators are commanded.
+    Setpoint(usize),
+}
+
+/// A camera that is recorded.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SceneCamera {
+    pub modality: Modality,
+    /// Its place in the layout.
+    pub position: usize,
+    pub camera: usize,
+    /// Rows and columns.
+    pub size: [usize; 2],
+}
+
+/// The last link whose contacts are sensed.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Tip {
     /// Its body, whose origin is its joint.
@@ -44,25 +74,50 @@ pub(super) struct Tip {
     pub geom: usize,
 }
 
-/// A driven joint of the arm.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ArmJoint {
-    pub qpos: usize,
+/// An actuator that is commanded.
+#[derive(Debug, Clone)]
+pub(super) struct Driven {
+    /// Of a joint's position servo, the index into `qpos`: an episode starts with the joint at its setpoint.
+    pub qpos: Option<usize>,
     pub actuator: usize,
-    /// Positions that the joint's and the actuator's limits allow, rad or m.
+    /// Setpoints that the joint's and the actuator's limits allow.
     pub limits: [f64; 2],
+    /// The setting of a spec that has its range.
+    pub setting: String,
 }
 
-/// Where the finger hangs: at the bearing `bearing + rotation` and the distance `radius + extension` from
-/// the arm's vertical axis.
+/// Bodies that each episode places.
+#[derive(Debug, Clone)]
+pub(super) struct Placement {
+    pub boxes: Vec<FreeBox>,
+    /// The setting of a spec that has their clearance.
+    pub setting: String,
+    pub clearance_m: f64,
+    pub area: Area,
+}
+
+/// Where bodies are placed.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Area {
+    Sector(Mount),
+    /// Lowest and highest x and y, m.
+    Rectangle([[f64; 2]; 2]),
+}
+
+/// Where an arm's body hangs: at the bearing `bearing + rotation` and the distance `radius + extension` from the arm's
+/// vertical axis.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Mount {
+    /// The elements of the action that turn and extend it.
+    pub elements: [usize; 2],
     /// The axis on the ground, m.
     pub axis: [f64; 2],
     /// Distance with the extension at 0, m.
     pub radius: f64,
     /// Bearing with the rotation at 0, rad.
     pub bearing: f64,
+    /// Radius of the body, m.
+    pub body_radius: f64,
 }
 
 /// A box with a free joint.
@@ -75,8 +130,8 @@ pub(super) struct FreeBox {
 }
 
 impl Mount {
-    /// The point of the ground plane under the finger, m.
-    pub fn below_finger(&self, rotation: f64, extension: f64) -> [f64; 2] {
+    /// The point of the ground plane under the body, m.
+    pub fn below(&self, rotation: f64, extension: f64) -> [f64; 2] {
         let (sin, cos) = (self.bearing + rotation).sin_cos();
         let radius = self.radius + extension;
         [self.axis[0] + radius * cos, self.axis[1] + radius * sin]
@@ -84,86 +139,139 @@ impl Mount {
 }
 
 impl Scene {
-    /// Compiles the scenario's built-in model, or `<models>/<scenario>.xml`.
-    ///
-    /// The file must stand alone (no `include`, no asset files), so that its text identifies the model.
+    /// Compiles a world's model.
     ///
     /// # Errors
-    /// When the linked MuJoCo is another version, the file cannot be read or compiled, or it lacks a name or
-    /// a property that the harness relies on.
-    pub fn load(scenario: Scenario, models: Option<&Path>) -> Result<Self, SimulationError> {
-        let file = format!("{}.xml", scenario.name());
-        let Some(folder) = models else {
-            return Self::from_xml(scenario, builtin_xml(scenario), format!("the built-in models/{file}"));
-        };
-        let path = folder.join(file);
-        let xml = std::fs::read_to_string(&path)
-            .map_err(|source| SimulationError::Read { path: path.clone(), source })?;
-        Self::from_xml(scenario, &xml, path.display().to_string())
+    /// When the linked MuJoCo is another version, the model can't be read or compiled, or it lacks what the world file
+    /// names; then with the line of the world file.
+    pub fn new(world: Arc<World>) -> Result<Self, SimulationError> {
+        match world.model() {
+            ModelFile::BuiltIn { name, xml } => {
+                Self::from_xml(world, xml, format!("the built-in models/{name}.xml"))
+            }
+            ModelFile::File(path) => {
+                prepare()?;
+                let name = path.display().to_string();
+                let xml = std::fs::read_to_string(&path)
+                    .map_err(|error| world.fault("model", format!("can't read the model {name}: {error}")))?;
+                forget_assets();
+                let model = MjModel::from_xml(&path).map_err(|error| compile_error(&name, error))?;
+                // What other files hold is in the compiled model.
+                let stands_alone = !xml.contains("<include") && !xml.contains("file=");
+                let sha256 = if stands_alone { digest(xml.as_bytes()) } else { digest_of_model(&model)? };
+                Self::of_model(world, model, xml, sha256, name)
+            }
+        }
     }
 
-    /// Compiles MJCF text; `name` says in messages where it came from.
+    /// The built-in world of one of the paper's scenarios.
     ///
     /// # Errors
-    /// As [`Scene::load`], except for reading.
-    pub fn from_xml(scenario: Scenario, xml: &str, name: String) -> Result<Self, SimulationError> {
-        require_mujoco_version()?;
-        silence_mujoco_warnings();
+    /// When the linked MuJoCo is another version.
+    pub fn paper(scenario: Scenario) -> Result<Self, SimulationError> {
+        Self::new(World::paper(scenario))
+    }
+
+    /// Compiles MJCF text for a world; `name` says in messages where it came from. It must stand alone.
+    ///
+    /// # Errors
+    /// As [`Scene::new`], except for reading.
+    pub fn from_xml(world: Arc<World>, xml: &str, name: String) -> Result<Self, SimulationError> {
+        prepare()?;
         let model = MjModel::from_xml_string(xml).map_err(|error| compile_error(&name, error))?;
-        let names = Names { scene: &name, model: &model };
-        let mut link_of_geom = vec![None; model.ngeom() as usize];
-        for link in 0..JOINTS {
-            link_of_geom[names.geom(&format!("finger_link_{link:02}"))?] = Some(link);
+        Self::of_model(world, model, xml.to_owned(), digest(xml.as_bytes()), name)
+    }
+
+    /// The scene of a world, which lives as long as the process; one each, as long as neither world nor model change.
+    ///
+    /// # Errors
+    /// As [`Scene::new`].
+    pub fn shared(world: Arc<World>) -> Result<&'static Self, SimulationError> {
+        static SCENES: Mutex<Vec<&'static Scene>> = Mutex::new(Vec::new());
+        let scene = Self::new(world)?;
+        let mut scenes = SCENES.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let known = scenes
+            .iter()
+            .find(|known| known.world == scene.world && known.model_sha256 == scene.model_sha256);
+        if let Some(known) = known {
+            return Ok(known);
         }
-        names.geom("ground")?;
-        let finger_qpos = try_array(|joint| names.joint(&format!("finger_joint_{joint:02}"), HINGE))?;
-        let arm = try_array(|joint| names.arm_joint(ARM_NAMES[joint]))?;
-        let mount = names.mount(&arm)?;
-        let boxes = (0..box_count(scenario)).map(|index| names.free_box(index)).collect::<Result<_, _>>()?;
-        let finger_radius = model.geom_size()[names.geom("finger_link_00")?][0];
-        let camera = names.id(MjtObjBase::mjOBJ_CAMERA, "camera", "external")?;
-        let last = format!("finger_link_{:02}", JOINTS - 1);
-        let tip = Tip { body: names.id(MjtObjBase::mjOBJ_BODY, "body", &last)?, geom: names.geom(&last)? };
-        let xml = xml.to_owned();
+        let scene: &'static Scene = Box::leak(Box::new(scene));
+        scenes.push(scene);
+        Ok(scene)
+    }
+
+    fn of_model(
+        world: Arc<World>,
+        mut model: MjModel,
+        xml: String,
+        model_sha256: String,
+        name: String,
+    ) -> Result<Self, SimulationError> {
+        let resolved = Resolver::new(&world, &model).resolve()?;
+        let Resolved { layout, readings, cameras, actuators, force_of_geom, forces, placements, view, tip } =
+            resolved;
+        // Frames that are larger than the model's offscreen buffer would be refused.
+        for camera in &cameras {
+            let buffer = &mut model.vis_mut().global;
+            buffer.offheight = buffer.offheight.max(camera.size[0] as i32);
+            buffer.offwidth = buffer.offwidth.max(camera.size[1] as i32);
+        }
         Ok(Self {
             name,
-            scenario,
+            world,
             xml,
+            model_sha256,
             model,
-            finger_qpos,
-            arm,
-            link_of_geom,
-            finger_radius,
-            mount,
-            boxes,
-            camera,
+            layout: Arc::new(layout),
+            readings,
+            cameras,
+            actuators,
+            force_of_geom,
+            forces,
+            placements,
+            view,
             tip,
         })
     }
 
-    /// The scenario's built-in model, compiled once a process and kept.
+    /// Refuses settings that do not suit the model.
     ///
     /// # Errors
-    /// When the linked MuJoCo is another version.
-    pub fn builtin(scenario: Scenario) -> Result<&'static Self, SimulationError> {
-        static SCENES: [OnceLock<Scene>; Scenario::ALL.len()] =
-            [const { OnceLock::new() }; Scenario::ALL.len()];
-        let scene = &SCENES[scenario as usize];
-        match scene.get() {
-            Some(scene) => Ok(scene),
-            // Two threads may both compile it; the first one's is kept.
-            None => Self::load(scenario, None).map(|compiled| scene.get_or_init(|| compiled)),
-        }
+    /// When a range leaves what joints and actuators allow, or a rate does not fit the model's step.
+    pub fn check(&self, spec: &Simulation) -> Result<(), SimulationError> {
+        check_ranges(spec, self)?;
+        Timing::new(spec, self.step_s()).map(drop)
     }
 
-    /// The scenario it is the model of.
+    /// The world it is the model of.
+    pub fn world(&self) -> &Arc<World> {
+        &self.world
+    }
+
+    /// The world's name.
     pub fn scenario(&self) -> Scenario {
-        self.scenario
+        self.world.scenario()
     }
 
-    /// The MJCF text, which decides the content of a dataset.
+    /// What its samples hold.
+    pub fn layout(&self) -> &Arc<Layout> {
+        &self.layout
+    }
+
+    /// Where the model came from.
+    pub fn source(&self) -> &str {
+        &self.name
+    }
+
+    /// The MJCF text, without what it includes.
     pub fn xml(&self) -> &str {
         &self.xml
+    }
+
+    /// Identifies the model: the SHA-256 of its MJCF or, where that uses other files, of the compiled model.
+    pub fn model_sha256(&self) -> &str {
+        &self.model_sha256
     }
 
     /// Duration of a simulation step, s.
@@ -176,6 +284,11 @@ impl Scene {
         self.model.qpos0()
     }
 
+    /// Bodies that an episode places.
+    pub fn boxes(&self) -> usize {
+        self.placements.iter().map(|placement| placement.boxes.len()).sum()
+    }
+
     /// The index of a named thing; `word` says in messages what kind it is.
     pub(super) fn id(
         &self,
@@ -183,7 +296,11 @@ impl Scene {
         word: &'static str,
         name: &str,
     ) -> Result<usize, SimulationError> {
-        Names { scene: &self.name, model: &self.model }.id(kind, word, name)
+        self.model.name_to_id(kind, name).ok_or_else(|| SimulationError::Missing {
+            scene: self.name.clone(),
+            kind: word,
+            name: name.to_owned(),
+        })
     }
 
     /// The compiled model.
@@ -192,126 +309,516 @@ impl Scene {
     }
 }
 
-fn builtin_xml(scenario: Scenario) -> &'static str {
-    match scenario {
-        Scenario::Empty => include_str!("../../models/empty.xml"),
-        Scenario::Cluttered => include_str!("../../models/cluttered.xml"),
-    }
+/// Empties MuJoCo's cache of meshes and textures, which would take a file that changed within a second for the old one.
+fn forget_assets() {
+    // SAFETY: the cache is the library's own, lives as long as the process, and guards itself with a lock.
+    unsafe { mujoco_rs::mujoco_c::mj_clearCache(mujoco_rs::mujoco_c::mj_getCache()) };
 }
 
-fn box_count(scenario: Scenario) -> usize {
-    match scenario {
-        Scenario::Empty => 0,
-        Scenario::Cluttered => BOXES,
-    }
+fn digest(bytes: &[u8]) -> String {
+    hex(&Sha256::digest(bytes))
+}
+
+fn digest_of_model(model: &MjModel) -> Result<String, SimulationError> {
+    let mut bytes = vec![0; model.size()];
+    model.save_to_buffer(&mut bytes).map_err(|error| SimulationError::Batch(error.to_string()))?;
+    Ok(digest(&bytes))
 }
 
 const HINGE: MjtJoint = MjtJoint::mjJNT_HINGE;
 const SLIDE: MjtJoint = MjtJoint::mjJNT_SLIDE;
 const FREE: MjtJoint = MjtJoint::mjJNT_FREE;
 
-/// Looks names up in a model, with errors that say what is missing where.
-struct Names<'a> {
-    scene: &'a str,
-    model: &'a MjModel,
+/// Kinds of things that a world file names, and the word for each.
+const JOINT: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_JOINT, "joint");
+const GEOM: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_GEOM, "geom");
+const BODY: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_BODY, "body");
+const SENSOR: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_SENSOR, "sensor");
+const CAMERA: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_CAMERA, "camera");
+const ACTUATOR: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_ACTUATOR, "actuator");
+
+/// Names that a message lists at most.
+const NAMES_SHOWN: usize = 40;
+
+/// What a world file comes to on its model.
+struct Resolved {
+    layout: Layout,
+    readings: Vec<Vec<Reading>>,
+    cameras: Vec<SceneCamera>,
+    actuators: Vec<Driven>,
+    force_of_geom: Vec<Option<usize>>,
+    forces: usize,
+    placements: Vec<Placement>,
+    view: Option<usize>,
+    tip: Option<Tip>,
 }
 
-impl Names<'_> {
-    fn id(&self, kind: MjtObjBase, word: &'static str, name: &str) -> Result<usize, SimulationError> {
-        self.model.name_to_id(kind, name).ok_or_else(|| SimulationError::Missing {
-            scene: self.scene.to_owned(),
-            kind: word,
-            name: name.to_owned(),
+/// Looks the names of a world file up in its model, with errors that say what is missing where.
+struct Resolver<'a> {
+    world: &'a World,
+    model: &'a MjModel,
+    force_of_geom: Vec<Option<usize>>,
+    forces: usize,
+    tip: Option<Tip>,
+}
+
+impl<'a> Resolver<'a> {
+    fn new(world: &'a World, model: &'a MjModel) -> Self {
+        Self { world, model, force_of_geom: vec![None; model.ngeom() as usize], forces: 0, tip: None }
+    }
+
+    fn resolve(mut self) -> Result<Resolved, SimulationError> {
+        let (file, step_rate) = (self.world.file(), 1.0 / self.model.opt().timestep);
+        if (file.step_rate_hz - step_rate).abs() > 1e-6 * step_rate {
+            let message =
+                format!("the model's timestep is {} s; write {step_rate}", self.model.opt().timestep);
+            return Err(self.fault("step_rate_hz", message));
+        }
+        let actuators = self.actuators()?;
+        let mut modalities: Vec<(Definition, Vec<Reading>)> = Vec::new();
+        let mut cameras = Vec::new();
+        for (name, sensing) in file.modalities.iter() {
+            let Some(modality) = Modality::new(name) else { continue };
+            let path = format!("modalities.{name}.{}", sensing.source().key());
+            if let Source::Camera { name, size } = sensing.source() {
+                let camera = self.find(CAMERA, name, &path)?;
+                cameras.push(SceneCamera { modality, position: modalities.len(), camera, size });
+            }
+            let sensed = self.modality(modality, sensing, &path, &modalities)?;
+            modalities.push(sensed);
+        }
+        let setpoint = self.setpoint();
+        let is_sensed =
+            |(definition, _): &(Definition, Vec<Reading>)| definition.elements() == setpoint.0.elements();
+        let place = modalities.iter().position(is_sensed).map_or(modalities.len(), |index| index + 1);
+        modalities.insert(place, setpoint);
+        cameras.iter_mut().filter(|camera| camera.position >= place).for_each(|camera| camera.position += 1);
+        let placements = self.placements(&actuators)?;
+        let (definitions, readings) = modalities.into_iter().unzip();
+        let view = cameras.first().map(|camera| camera.camera).or((self.model.ncam() > 0).then_some(0));
+        Ok(Resolved {
+            layout: Layout { modalities: definitions, regions: self.world.regions() },
+            readings,
+            cameras,
+            actuators,
+            force_of_geom: self.force_of_geom,
+            forces: self.forces,
+            placements,
+            view,
+            tip: self.tip,
         })
     }
 
-    fn geom(&self, name: &str) -> Result<usize, SimulationError> {
-        self.id(MjtObjBase::mjOBJ_GEOM, "geom", name)
+    fn fault(&self, path: &str, message: impl Into<String>) -> SimulationError {
+        self.world.fault(path, message).into()
     }
 
-    fn unsuitable(&self, problem: String) -> SimulationError {
-        SimulationError::Unsuitable { scene: self.scene.to_owned(), problem }
-    }
-
-    /// Index into `qpos` of a joint of the given type.
-    fn joint(&self, name: &str, kind: MjtJoint) -> Result<usize, SimulationError> {
-        let id = self.id(MjtObjBase::mjOBJ_JOINT, "joint", name)?;
-        let found = self.model.jnt_type()[id];
-        if found != kind {
-            return Err(self.unsuitable(format!("joint `{name}` is {found:?}, must be {kind:?}")));
-        }
-        Ok(self.model.jnt_qposadr()[id] as usize)
-    }
-
-    fn arm_joint(&self, name: &str) -> Result<ArmJoint, SimulationError> {
-        let kind = if name == ARM_NAMES[0] { HINGE } else { SLIDE };
-        let qpos = self.joint(name, kind)?;
-        let joint = self.id(MjtObjBase::mjOBJ_JOINT, "joint", name)?;
-        let actuator = self.id(MjtObjBase::mjOBJ_ACTUATOR, "actuator", name)?;
-        if self.model.actuator_trnid()[actuator][0] as usize != joint {
-            return Err(self.unsuitable(format!("actuator `{name}` does not drive the joint of that name")));
-        }
-        let mut limits = [f64::NEG_INFINITY, f64::INFINITY];
-        let joint_range = self.model.jnt_limited()[joint].then(|| self.model.jnt_range()[joint]);
-        let ctrl_range =
-            self.model.actuator_ctrllimited()[actuator].then(|| self.model.actuator_ctrlrange()[actuator]);
-        for [low, high] in [joint_range, ctrl_range].into_iter().flatten() {
-            limits = [limits[0].max(low), limits[1].min(high)];
-        }
-        Ok(ArmJoint { qpos, actuator, limits })
-    }
-
-    /// Reads the finger's place off the kinematics, and checks that the arm moves it on a vertical cylinder.
-    fn mount(&self, arm: &[ArmJoint; ARM_JOINTS]) -> Result<Mount, SimulationError> {
-        let finger = self.id(MjtObjBase::mjOBJ_BODY, "body", "finger_link_00")?;
-        let rotation = self.id(MjtObjBase::mjOBJ_JOINT, "joint", ARM_NAMES[0])?;
-        let mut data = MjData::new(self.model);
-        let mut finger_at = |pose: [f64; ARM_JOINTS]| {
-            for (joint, value) in arm.iter().zip(pose) {
-                data.qpos_mut()[joint.qpos] = value;
-            }
-            data.kinematics();
-            (data.xpos()[finger], data.xanchor()[rotation])
+    /// Names and indices of all things of a kind that have a name, in the model's order.
+    fn all(&self, (kind, _): (MjtObjBase, &str)) -> (Vec<&'a str>, Vec<usize>) {
+        let model = self.model;
+        let count = match kind {
+            MjtObjBase::mjOBJ_JOINT => model.njnt(),
+            MjtObjBase::mjOBJ_GEOM => model.ngeom(),
+            MjtObjBase::mjOBJ_BODY => model.nbody(),
+            MjtObjBase::mjOBJ_SENSOR => model.nsensor(),
+            MjtObjBase::mjOBJ_CAMERA => model.ncam(),
+            _ => model.nactuator(),
         };
-        let ([x, y, _], axis) = finger_at([0.0; ARM_JOINTS]);
+        (0..count as usize)
+            .filter_map(|id| Some((model.id_to_name(kind, id)?, id)))
+            .filter(|(name, _)| !name.is_empty())
+            .unzip()
+    }
+
+    fn list(names: &[&str], word: &str) -> String {
+        if names.is_empty() {
+            return format!("the model has no {word} with a name");
+        }
+        let more = if names.len() > NAMES_SHOWN { ", …" } else { "" };
+        format!("the model has {}{more}", names[..names.len().min(NAMES_SHOWN)].join(", "))
+    }
+
+    fn find(&self, what: (MjtObjBase, &str), name: &str, path: &str) -> Result<usize, SimulationError> {
+        let (names, ids) = self.all(what);
+        let found = names.iter().position(|other| *other == name).map(|index| ids[index]);
+        found.ok_or_else(|| {
+            self.fault(path, format!("the model has no {} '{name}'; {}", what.1, Self::list(&names, what.1)))
+        })
+    }
+
+    /// The things of a kind that patterns match: names and indices.
+    fn matches(
+        &self,
+        what: (MjtObjBase, &str),
+        patterns: &[String],
+        path: &str,
+    ) -> Result<Vec<(&'a str, usize)>, SimulationError> {
+        let (names, ids) = self.all(what);
+        let found = matching(patterns, &names).map_err(|(pattern, problem)| {
+            let word = what.1;
+            self.fault(
+                path,
+                format!("'{pattern}' {problem} among the model's {word} names; {}", Self::list(&names, word)),
+            )
+        })?;
+        Ok(found.into_iter().map(|index| (names[index], ids[index])).collect())
+    }
+
+    /// What a modality holds, and what it is read from.
+    fn modality(
+        &mut self,
+        name: Modality,
+        sensing: &crate::spec::Sensing,
+        path: &str,
+        others: &[(Definition, Vec<Reading>)],
+    ) -> Result<(Definition, Vec<Reading>), SimulationError> {
+        let source = sensing.source();
+        let scaling = self.world.scaling(name).unwrap_or(crate::spec::Scaling::plain(false));
+        let mut definition = Definition {
+            name,
+            meaning: String::new(),
+            kind: Kind::Vector { elements: Vec::new() },
+            difference_of: None,
+            groups: Vec::new(),
+            scale: scaling.scale,
+            minimum: scaling.minimum,
+            percentage: sensing.percentage,
+        };
+        let values = match source {
+            Source::Camera { name, size } => {
+                definition.kind = Kind::Image { size };
+                definition.meaning = format!("Image of the camera {name}");
+                return Ok((definition, Vec::new()));
+            }
+            Source::DifferenceOf(of) => {
+                definition.meaning = format!("Change of {of} since the sample before");
+                definition.difference_of = Some(of);
+                if let Some((other, _)) = others.iter().find(|(other, _)| other.name == of) {
+                    definition.kind = other.kind.clone();
+                    definition.groups = other.groups.clone();
+                    return Ok((definition, Vec::new()));
+                }
+                return Err(self.fault(path, format!("'{of}' must stand before what is its difference")));
+            }
+            Source::JointPositions(patterns) => {
+                definition.meaning = "Position of joint".into();
+                self.joints(patterns, path, ["rad", "m"], Reading::Position, |model, id| {
+                    model.jnt_qposadr()[id]
+                })?
+            }
+            Source::JointVelocities(patterns) => {
+                definition.meaning = "Velocity of joint".into();
+                self.joints(patterns, path, ["rad/s", "m/s"], Reading::Velocity, |model, id| {
+                    model.jnt_dofadr()[id]
+                })?
+            }
+            Source::NormalForce { names, mean } => {
+                definition.meaning = match mean {
+                    false => "Normal contact force, at the instant, on link".into(),
+                    true => {
+                        "Normal contact force, averaged over the interval up to the instant, on link".into()
+                    }
+                };
+                self.contact_forces(names, path, mean)?
+            }
+            Source::Sensor(patterns) => {
+                definition.meaning = "Value of sensor".into();
+                self.sensors(patterns, path, sensing.unit.as_deref().unwrap_or_default())?
+            }
+        };
+        let patterns = match source {
+            Source::JointPositions(names) | Source::JointVelocities(names) | Source::Sensor(names) => names,
+            Source::NormalForce { names, .. } => names,
+            _ => &[],
+        };
+        let names: Vec<&str> = values.iter().map(|value| value.name.as_str()).collect();
+        let elements = short_names(patterns, &names).into_iter().zip(&values);
+        let elements = elements.map(|(name, value)| Element { name, unit: value.unit.clone() }).collect();
+        definition.kind = Kind::Vector { elements };
+        for (group, patterns) in sensing.groups.iter() {
+            let path = format!("modalities.{name}.groups.{group}");
+            let elements = matching(patterns, &names).map_err(|(pattern, problem)| {
+                self.fault(&path, format!("'{pattern}' {problem} among {}", names.join(", ")))
+            })?;
+            definition.groups.push(Group { name: group.to_owned(), elements });
+        }
+        if definition.percentage.is_none() {
+            definition.percentage = match source {
+                Source::NormalForce { .. } => Some(Percentage::Wmape),
+                Source::JointPositions(_) if definition.unit() == Some("rad") => Some(Percentage::Smape),
+                _ => None,
+            };
+        }
+        Ok((definition, values.into_iter().map(|value| value.reading).collect()))
+    }
+
+    fn joints(
+        &self,
+        patterns: &[String],
+        path: &str,
+        units: [&str; 2],
+        reading: fn(usize) -> Reading,
+        address: fn(&MjModel, usize) -> i32,
+    ) -> Result<Vec<Sensed>, SimulationError> {
+        let found = self.matches(JOINT, patterns, path)?;
+        let joint = |(name, id): (&str, usize)| {
+            let unit = match self.model.jnt_type()[id] {
+                HINGE => units[0],
+                SLIDE => units[1],
+                other => {
+                    let message =
+                        format!("joint '{name}' is {other:?}; only hinges and slides can be sensed");
+                    return Err(self.fault(path, message));
+                }
+            };
+            let reading = reading(address(self.model, id) as usize);
+            Ok(Sensed { name: name.to_owned(), unit: unit.to_owned(), reading })
+        };
+        found.into_iter().map(joint).collect()
+    }
+
+    /// Forces on geoms or, where no geom matches, on all geoms of each body.
+    fn contact_forces(
+        &mut self,
+        patterns: &[String],
+        path: &str,
+        mean: bool,
+    ) -> Result<Vec<Sensed>, SimulationError> {
+        let bodies = self.matches(BODY, patterns, path);
+        let (found, of_bodies) = match self.matches(GEOM, patterns, path) {
+            Ok(geoms) => (geoms, false),
+            Err(error) => (bodies.map_err(|_| error)?, true),
+        };
+        let mut sensed = Vec::new();
+        for (name, id) in found {
+            let geoms = match of_bodies {
+                false => id..id + 1,
+                true => {
+                    let count = self.model.body_geomnum()[id] as usize;
+                    let first = self.model.body_geomadr()[id].max(0) as usize;
+                    first..first + count
+                }
+            };
+            let known = geoms.clone().next().and_then(|geom| self.force_of_geom[geom]);
+            let force = known.unwrap_or(self.forces);
+            let is_free = |geom: usize| self.force_of_geom[geom] == known;
+            if !geoms.clone().all(is_free) {
+                return Err(self.fault(path, format!("a geom of '{name}' belongs to another force as well")));
+            }
+            if known.is_none() {
+                self.forces += 1;
+            }
+            geoms.for_each(|geom| self.force_of_geom[geom] = Some(force));
+            let reading = if mean { Reading::MeanForce(force) } else { Reading::Force(force) };
+            sensed.push(Sensed { name: name.to_owned(), unit: "N".into(), reading });
+        }
+        if let (None, Some(last)) = (self.tip, sensed.last()) {
+            let id = |(kind, _): (MjtObjBase, &str)| self.model.name_to_id(kind, &last.name);
+            self.tip = id(BODY).zip(id(GEOM)).map(|(body, geom)| Tip { body, geom });
+        }
+        Ok(sensed)
+    }
+
+    fn sensors(&self, patterns: &[String], path: &str, unit: &str) -> Result<Vec<Sensed>, SimulationError> {
+        let mut sensed = Vec::new();
+        for (name, id) in self.matches(SENSOR, patterns, path)? {
+            let (first, count) = (self.model.sensor_adr()[id] as usize, self.model.sensor_dim()[id] as usize);
+            sensed.extend((0..count).map(|value| Sensed {
+                name: if count == 1 { name.to_owned() } else { format!("{name}_{value}") },
+                unit: unit.to_owned(),
+                reading: Reading::Sensor(first + value),
+            }));
+        }
+        Ok(sensed)
+    }
+
+    /// What the actuators are commanded, as a modality.
+    fn setpoint(&self) -> (Definition, Vec<Reading>) {
+        let actuators = self.world.file().action.actuators.iter();
+        let element = |(name, actuator): (&str, &crate::spec::Actuator)| Element {
+            name: name.to_owned(),
+            unit: actuator.unit.clone(),
+        };
+        let elements: Vec<Element> = actuators.map(element).collect();
+        let readings = (0..elements.len()).map(Reading::Setpoint).collect();
+        let definition = Definition {
+            name: Modality::SETPOINT,
+            meaning: "Commanded setpoint of".into(),
+            kind: Kind::Vector { elements },
+            difference_of: None,
+            groups: Vec::new(),
+            scale: Deviation::PerElement,
+            minimum: None,
+            percentage: None,
+        };
+        (definition, readings)
+    }
+
+    fn actuators(&self) -> Result<Vec<Driven>, SimulationError> {
+        let mut driven = Vec::new();
+        for (name, actuator) in self.world.file().action.actuators.iter() {
+            let path = format!("action.actuators.{name}");
+            let own = if actuator.actuator.is_some() { format!("{path}.actuator") } else { path.clone() };
+            let id = self.find(ACTUATOR, actuator.actuator.as_deref().unwrap_or(name), &own)?;
+            let servo = self.servo(id);
+            let mut limits = [f64::NEG_INFINITY, f64::INFINITY];
+            let of_joint = servo.filter(|joint| self.model.jnt_limited()[*joint]);
+            let of_joint = of_joint.map(|joint| self.model.jnt_range()[joint]);
+            let of_actuator =
+                self.model.actuator_ctrllimited()[id].then(|| self.model.actuator_ctrlrange()[id]);
+            for [low, high] in [of_joint, of_actuator].into_iter().flatten() {
+                limits = [limits[0].max(low), limits[1].min(high)];
+            }
+            let [low, high] = actuator.range;
+            if !within([low, high], limits) {
+                let [min, max] = limits;
+                let message =
+                    format!("[{low}, {high}] must lie within [{min}, {max}], which the model allows");
+                return Err(self.fault(&format!("{path}.range"), message));
+            }
+            let qpos = servo.map(|joint| self.model.jnt_qposadr()[joint] as usize);
+            driven.push(Driven { qpos, actuator: id, limits, setting: range_setting(name, actuator) });
+        }
+        Ok(driven)
+    }
+
+    /// The hinge or slide whose position an actuator's control is.
+    fn servo(&self, actuator: usize) -> Option<usize> {
+        let model = self.model;
+        let (gain, bias) = (model.actuator_gainprm()[actuator][0], model.actuator_biasprm()[actuator][1]);
+        let is_servo = model.actuator_trntype()[actuator] == MjtTrn::mjTRN_JOINT
+            && model.actuator_biastype()[actuator] == MjtBias::mjBIAS_AFFINE
+            && gain != 0.0
+            && gain == -bias
+            && model.actuator_gear()[actuator][0] == 1.0;
+        let joint = usize::try_from(model.actuator_trnid()[actuator][0]).ok().filter(|_| is_servo)?;
+        [HINGE, SLIDE].contains(&model.jnt_type()[joint]).then_some(joint)
+    }
+
+    fn placements(&self, actuators: &[Driven]) -> Result<Vec<Placement>, SimulationError> {
+        let mut placements = Vec::new();
+        for (name, placing) in self.world.file().placement.iter() {
+            let path = format!("placement.{name}.bodies");
+            let bodies = self.matches(BODY, &placing.bodies, &path)?;
+            let boxes = bodies.into_iter().map(|(name, body)| self.free_box(name, body, &path));
+            let boxes = boxes.collect::<Result<Vec<_>, _>>()?;
+            let area = match (&placing.sector, placing.rectangle) {
+                (Some(sector), _) => Area::Sector(self.mount(name, sector, actuators)?),
+                (None, rectangle) => Area::Rectangle(rectangle.unwrap_or_default()),
+            };
+            let setting = clearance_setting(name);
+            placements.push(Placement { boxes, setting, clearance_m: placing.clearance_m, area });
+        }
+        Ok(placements)
+    }
+
+    /// Reads the body's place off the kinematics, and checks that the arm moves it on a vertical cylinder.
+    fn mount(
+        &self,
+        placed: &str,
+        sector: &crate::spec::Sector,
+        actuators: &[Driven],
+    ) -> Result<Mount, SimulationError> {
+        let path = format!("placement.{placed}.sector");
+        let body = self.find(BODY, &sector.body, &format!("{path}.body"))?;
+        let geom = self.find(GEOM, &sector.body, &format!("{path}.body"))?;
+        let names: Vec<&str> = self.world.file().action.actuators.iter().map(|(name, _)| name).collect();
+        let element = |name: &str| names.iter().position(|other| *other == name).unwrap_or_default();
+        let elements = [element(&sector.rotation), element(&sector.extension)];
+        let [Some(rotation), Some(extension)] = elements.map(|element| actuators[element].qpos) else {
+            return Err(self.fault(&path, "rotation and extension must be position servos of joints"));
+        };
+        let joint = self.model.actuator_trnid()[actuators[elements[0]].actuator][0] as usize;
+        let mut data = MjData::new(self.model);
+        let mut body_at = |turned: f64, extended: f64| {
+            let qpos = data.qpos_mut();
+            actuators.iter().filter_map(|driven| driven.qpos).for_each(|index| qpos[index] = 0.0);
+            (qpos[rotation], qpos[extension]) = (turned, extended);
+            data.kinematics();
+            (data.xpos()[body], data.xanchor()[joint])
+        };
+        let ([x, y, _], axis) = body_at(0.0, 0.0);
         let (dx, dy) = (x - axis[0], y - axis[1]);
-        let mount = Mount { axis: [axis[0], axis[1]], radius: dx.hypot(dy), bearing: dy.atan2(dx) };
-        let (found, _) = finger_at([0.5, 0.0, 0.25]);
-        let expected = mount.below_finger(0.5, 0.25);
+        let mount = Mount {
+            elements,
+            axis: [axis[0], axis[1]],
+            radius: dx.hypot(dy),
+            bearing: dy.atan2(dx),
+            body_radius: self.model.geom_size()[geom][0],
+        };
+        let (found, _) = body_at(0.5, 0.25);
+        let expected = mount.below(0.5, 0.25);
         if (found[0] - expected[0]).hypot(found[1] - expected[1]) > 1e-6 {
-            return Err(self.unsuitable(
-                "the arm must turn the finger about a vertical axis, counter-clockwise from above, and extend \
-                 away from that axis"
-                    .to_owned(),
+            return Err(self.fault(
+                &path,
+                "the arm must turn the body about a vertical axis, counter-clockwise from above, and extend away from \
+                 that axis",
             ));
         }
         Ok(mount)
     }
 
-    fn free_box(&self, index: usize) -> Result<FreeBox, SimulationError> {
-        let name = format!("box_{index}");
-        let geom = self.geom(&name)?;
+    fn free_box(&self, name: &str, body: usize, path: &str) -> Result<FreeBox, SimulationError> {
+        let geom = self.find(GEOM, name, path)?;
         if self.model.geom_type()[geom] != MjtGeomBase::mjGEOM_BOX {
-            return Err(self.unsuitable(format!("geom `{name}` must be a box")));
+            return Err(self.fault(path, format!("geom '{name}' must be a box")));
         }
-        let body = self.id(MjtObjBase::mjOBJ_BODY, "body", &name)?;
         let joint = self.model.body_jntadr()[body];
         if joint < 0 || self.model.jnt_type()[joint as usize] != FREE {
-            return Err(self.unsuitable(format!("body `{name}` must have a free joint")));
+            return Err(self.fault(path, format!("body '{name}' must have a free joint")));
         }
         let qpos = self.model.jnt_qposadr()[joint as usize] as usize;
         Ok(FreeBox { qpos, half_size: self.model.geom_size()[geom] })
     }
 }
 
-fn try_array<T, const N: usize>(
-    mut item: impl FnMut(usize) -> Result<T, SimulationError>,
-) -> Result<[T; N], SimulationError> {
-    let items = (0..N).map(&mut item).collect::<Result<Vec<_>, _>>()?;
-    Ok(items.try_into().unwrap_or_else(|_| unreachable!("N items were collected")))
+/// One element as it was found in the model.
+struct Sensed {
+    name: String,
+    unit: String,
+    reading: Reading,
 }
 
-fn compile_error(scene: &str, error: MjModelError) -> SimulationError {
+/// Whether a range lies within limits, which may have been rounded to a few decimals.
+pub(super) fn within([low, high]: [f64; 2], [min, max]: [f64; 2]) -> bool {
+    let slack = 1e-6;
+    low <= high && low >= min - slack && high <= max + slack
+}
+
+/// Names of elements for columns: what follows the pattern's fixed beginning, or else the whole names; in lower case, with
+/// `_` for what no column's name has.
+fn short_names(patterns: &[String], names: &[&str]) -> Vec<String> {
+    let prefix = match patterns {
+        [pattern] => pattern.split(['*', '?', '[']).next().unwrap_or_default(),
+        _ => "",
+    };
+    let ends = |prefix: &str| -> Vec<String> {
+        let end = |name: &&str| {
+            let end = name.strip_prefix(prefix).unwrap_or(name);
+            end.to_lowercase().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect()
+        };
+        names.iter().map(end).collect()
+    };
+    let is_unique = |ends: &[String]| {
+        let distinct: std::collections::BTreeSet<&String> = ends.iter().collect();
+        distinct.len() == ends.len() && ends.iter().all(|end| !end.is_empty())
+    };
+    let found = ends(prefix);
+    if is_unique(&found) {
+        return found;
+    }
+    let whole = ends("");
+    if is_unique(&whole) { whole } else { (0..names.len()).map(|index| index.to_string()).collect() }
+}
+
+/// What must be done before MuJoCo is used.
+pub(super) fn prepare() -> Result<(), SimulationError> {
+    require_mujoco_version()?;
+    silence_mujoco_warnings();
+    Ok(())
+}
+
+pub(super) fn compile_error(scene: &str, error: MjModelError) -> SimulationError {
     let message = match error {
         // MuJoCo puts the element and its line below what is wrong with it.
         MjModelError::LoadFailed(message) => message.trim().replace('\n', "; "),

@@ -1,25 +1,31 @@
 //! What is read off the state after each step: contact forces, and signs that the simulation went wrong.
 
 use super::scene::Scene;
-use crate::spec::JOINTS;
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_auxiliary::MjContact;
 
-/// Normal contact forces of the links, base to tip, N.
-pub type LinkForces = [f64; JOINTS];
-
-/// For each finger link, the sum of the normal components of its contacts, N.
-///
-/// The finger does not collide with itself, so no contact belongs to two links.
-pub fn link_forces(scene: &Scene, data: &MjData<&MjModel>) -> LinkForces {
-    let mut forces = [0.0; JOINTS];
-    for contact in data.contact() {
-        let links = contact.geom.map(|geom| scene.link_of_geom.get(geom as usize).copied().flatten());
-        if let [Some(link), _] | [_, Some(link)] = links {
-            forces[link] += normal_force(scene, data, contact);
-        }
-    }
+/// Each of the scene's forces: the sum of the normal components of a link's contacts, N.
+pub fn link_forces(scene: &Scene, data: &MjData<&MjModel>) -> Vec<f64> {
+    let mut forces = vec![0.0; scene.forces];
+    sum_forces(scene, data, &mut forces);
     forces
+}
+
+/// The same, written to `forces`. A contact of two links counts for both.
+pub(super) fn sum_forces(scene: &Scene, data: &MjData<&MjModel>, forces: &mut [f64]) {
+    forces.fill(0.0);
+    if forces.is_empty() {
+        return;
+    }
+    for contact in data.contact() {
+        let links = contact.geom.map(|geom| scene.force_of_geom.get(geom as usize).copied().flatten());
+        if links == [None, None] {
+            continue;
+        }
+        let force = normal_force(scene, data, contact);
+        let second = links[1].filter(|second| links[0] != Some(*second));
+        links[0].into_iter().chain(second).for_each(|link| forces[link] += force);
+    }
 }
 
 /// The normal component of a contact's force, N, as `mj_contactForce` gives it, without the friction.
@@ -36,25 +42,36 @@ fn normal_force(scene: &Scene, data: &MjData<&MjModel>, contact: &MjContact) -> 
     efc_force[first..first + rows].iter().sum()
 }
 
-/// The mean of the link forces since the last [`MeanForces::take`].
-#[derive(Debug, Default)]
+/// The mean of the forces since the last [`MeanForces::take`].
+#[derive(Debug)]
 pub(super) struct MeanForces {
-    sum: LinkForces,
+    sum: Vec<f64>,
     steps: usize,
 }
 
 impl MeanForces {
-    pub fn add(&mut self, forces: &LinkForces) {
+    pub fn new(forces: usize) -> Self {
+        Self { sum: vec![0.0; forces], steps: 0 }
+    }
+
+    pub fn add(&mut self, forces: &[f64]) {
         for (sum, force) in self.sum.iter_mut().zip(forces) {
             *sum += force;
         }
         self.steps += 1;
     }
 
-    /// The mean over the steps added, N; starts anew.
-    pub fn take(&mut self) -> LinkForces {
-        let Self { sum, steps } = std::mem::take(self);
-        sum.map(|force| force / steps as f64)
+    /// Writes the mean over the steps added, N; starts anew.
+    pub fn take(&mut self, mean: &mut [f64]) {
+        for (mean, sum) in mean.iter_mut().zip(&self.sum) {
+            *mean = sum / self.steps as f64;
+        }
+        self.clear();
+    }
+
+    pub fn clear(&mut self) {
+        self.sum.fill(0.0);
+        self.steps = 0;
     }
 }
 
@@ -87,12 +104,14 @@ mod tests {
 
     #[test]
     fn the_mean_is_over_the_steps_since_it_was_taken() {
-        let mut mean = MeanForces::default();
-        mean.add(&[1.0; JOINTS]);
-        mean.add(&[4.0; JOINTS]);
-        assert_eq!(mean.take(), [2.5; JOINTS]);
-        mean.add(&[7.0; JOINTS]);
-        assert_eq!(mean.take(), [7.0; JOINTS]);
+        let (mut forces, mut mean) = (MeanForces::new(2), [0.0; 2]);
+        forces.add(&[1.0; 2]);
+        forces.add(&[4.0; 2]);
+        forces.take(&mut mean);
+        assert_eq!(mean, [2.5; 2]);
+        forces.add(&[7.0; 2]);
+        forces.take(&mut mean);
+        assert_eq!(mean, [7.0; 2]);
     }
 
     #[test]

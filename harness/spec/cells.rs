@@ -1,9 +1,13 @@
 //! The runs that an experiment expands to. All that decides one run's result is in its [`RunSpec`].
 
-use super::scaling::{Scaling, Scalings};
-use super::types::{Action, Experiment, Modality, Network, Origin, Simulation, Split, Task, Training};
+use super::modality::{Layout, Modality};
+use super::scaling::{GivenScaling, Scaling, Scalings};
+use super::types::{Action, Experiment, Network, Origin, Simulation, Split, Task, Training};
+use super::validate::{Images, check_images};
+use super::world::{Known, World};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use std::sync::Arc;
 
 /// One run: a cell (scenario, modalities, latent size, network) with one seed. It holds everything that
 /// decides the result and nothing that does not, so runs of different experiments with equal specs are equal.
@@ -63,6 +67,7 @@ impl Experiment {
             }
             let mut experiment: Experiment =
                 serde_json::from_value(tree).expect("every combination is checked when the spec is read");
+            experiment.worlds = self.worlds.clone();
             experiment.make_canonical();
             (name(&combination), experiment)
         });
@@ -84,7 +89,7 @@ impl Experiment {
 
     fn run(&self, scenario: &Origin, variant: &str, latent: usize, seed: u64) -> RunSpec {
         RunSpec {
-            scenario: scenario.clone(),
+            scenario: scenario.scenario().map_or_else(|| scenario.clone(), Origin::Simulated),
             variant: variant.to_owned(),
             input: self.input.clone(),
             output: self.output.clone(),
@@ -93,22 +98,52 @@ impl Experiment {
             tasks: self.tasks.clone(),
             action: self.action,
             network: self.network.clone(),
-            simulation: matches!(scenario, Origin::Simulated(_)).then(|| self.simulation.clone()),
+            simulation: self.world(scenario).map(|world| world.complete(&self.simulation)),
             split: self.split.clone(),
-            scaling: self.scaling_of_used(),
+            scaling: self.scaling_of_used(scenario),
             training: self.training.clone(),
         }
     }
 
-    /// The scaling of what is used, as a run's spec states it.
-    fn scaling_of_used(&self) -> Scalings {
-        let is_used = |modality: &Modality| self.input.contains(modality) || self.output.contains(modality);
-        let mut scaling = self.scaling.clone();
-        scaling.retain(|modality, _| is_used(modality));
-        if scaling.iter().all(|(modality, scaling)| *scaling == Scaling::plain(*modality)) {
-            scaling.clear();
+    /// The world that a scenario is; `None` of an imported dataset.
+    pub fn world(&self, origin: &Origin) -> Option<Arc<World>> {
+        let scenario = origin.scenario()?;
+        let own = self.worlds.iter().find(|world| world.scenario() == scenario).cloned();
+        own.or_else(|| World::named(scenario.name()))
+    }
+
+    /// What is known of a modality before a model is compiled or a dataset opened; `None` where nothing is.
+    pub(super) fn known(&self, origin: &Origin, modality: Modality) -> Option<Known> {
+        match self.world(origin) {
+            Some(world) => world.known(modality),
+            // Of an imported dataset, what its modality would be if it were the finger's. Sizes are its own.
+            None => {
+                let layout = Layout::finger();
+                let like = layout.get(modality)?;
+                let scaling = Scaling { scale: like.scale, minimum: like.minimum };
+                Some(Known { size: like.size(), scaling })
+            }
         }
-        scaling
+    }
+
+    /// The scaling of what is used, as a run's spec states it.
+    fn scaling_of_used(&self, origin: &Origin) -> Scalings {
+        let used: Vec<Modality> = self.input.iter().chain(&self.output).copied().collect();
+        let scaling = |modality: &Modality| {
+            let given = self.scaling.get(modality).copied().unwrap_or_default();
+            let known = self.known(origin, *modality).map(|known| known.scaling);
+            if known.is_none() && given == GivenScaling::default() {
+                // Its dataset says how it is scaled.
+                return None;
+            }
+            Some((*modality, given.or(known.unwrap_or(Scaling::plain(false)))))
+        };
+        let scaling: Scalings = used.iter().filter_map(scaling).collect();
+        let is_plain = |modality: &Modality| {
+            let is_image = self.known(origin, *modality).is_some_and(|known| known.size.is_some());
+            Modality::BUILT_IN.contains(modality) && scaling.get(modality) == Some(&Scaling::plain(is_image))
+        };
+        if used.iter().all(is_plain) { Scalings::new() } else { scaling }
     }
 }
 
@@ -125,14 +160,45 @@ pub(super) fn name(combination: &[(&str, &serde_json::Value)]) -> String {
 impl RunSpec {
     /// What the networks are given or predict, in the order of [`Modality`].
     pub fn modalities(&self) -> Vec<Modality> {
-        let is_used = |modality: &Modality| self.input.contains(modality) || self.output.contains(modality);
-        Modality::ALL.iter().copied().filter(is_used).collect()
+        let mut used: Vec<Modality> = self.input.iter().chain(&self.output).copied().collect();
+        used.sort();
+        used.dedup();
+        used
     }
 
     /// How each modality that is used is scaled.
-    pub fn scalings(&self) -> Scalings {
-        let of = |modality| self.scaling.get(&modality).copied().unwrap_or(Scaling::plain(modality));
+    pub fn scalings(&self, layout: &Layout) -> Scalings {
+        let of = |modality: Modality| {
+            let definition = &layout[modality];
+            let unsaid = if Modality::BUILT_IN.contains(&modality) {
+                Scaling::plain(definition.is_image())
+            } else {
+                Scaling { scale: definition.scale, minimum: definition.minimum }
+            };
+            self.scaling.get(&modality).copied().unwrap_or(unsaid)
+        };
         self.modalities().into_iter().map(|modality| (modality, of(modality))).collect()
+    }
+
+    /// Refuses what a dataset of this layout can't be used for, in words.
+    pub fn check(&self, layout: &Layout) -> Result<(), String> {
+        let images = |modalities: &[Modality]| -> Vec<(Modality, [usize; 2])> {
+            let size = |modality: &Modality| Some((*modality, layout.get(*modality)?.size()?));
+            modalities.iter().filter_map(size).collect()
+        };
+        let (input, output) = (images(&self.input), images(&self.output));
+        let images = Images { input: &input, output: &output };
+        check_images(&images, &self.network, &self.training).map_err(|fault| fault.message)?;
+        let by_element = self.scaling.iter().find(|(modality, scaling)| {
+            layout.get(**modality).is_some_and(|definition| definition.is_image())
+                && scaling.scale == super::Deviation::PerElement
+        });
+        match by_element {
+            Some((modality, _)) => {
+                Err(format!("'{modality}' is an image, whose values have one deviation for all; use shared"))
+            }
+            None => Ok(()),
+        }
     }
 
     /// Identifies the run: 16 hexadecimal digits of the SHA-256 of its JSON with keys sorted. It does not

@@ -11,6 +11,9 @@ pub enum SpecError {
     /// Something in the file, at a line and a column counted from 1.
     #[error("{path}:{line}:{column}: {message}")]
     Invalid { path: String, line: u64, column: u64, message: String },
+    /// A name that is no world's.
+    #[error("{message}")]
+    NoWorld { message: String },
     /// Something in an override.
     #[error("override '{text}': {message}")]
     Override { text: String, message: String },

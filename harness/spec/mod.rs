@@ -7,6 +7,7 @@
 
 mod cells;
 mod error;
+mod modality;
 mod narrow;
 mod overrides;
 mod parse;
@@ -14,18 +15,23 @@ mod scaling;
 mod schema;
 mod types;
 mod validate;
+mod world;
 
 pub use cells::RunSpec;
 pub use error::SpecError;
-pub use scaling::{Deviation, Scaling, Scalings};
+pub use modality::*;
+pub use scaling::{Deviation, GivenScaling, GivenScalings, Scaling, Scalings};
 pub use schema::{schema, setting_names};
 pub use types::*;
+pub use world::*;
 
+pub(crate) use modality::{intern, is_name};
 pub(crate) use parse::read as read_text;
 
 use error::Problem;
 use parse::{Entry, Node, Value};
 use std::path::Path;
+use std::sync::Arc;
 
 /// Reads a spec, applies its own `quick` settings if `quick` says so, then `overrides` (`KEY=VALUE`, the key
 /// dotted and the value YAML), and resolves it. With `quick` its name ends in `-quick`, so that small results
@@ -39,14 +45,15 @@ pub fn load(path: &Path, overrides: &[String], quick: bool) -> Result<Experiment
     parse_spec(&path.display().to_string(), &parse::read(path)?, overrides, quick)
 }
 
-/// The same for a spec's text; `path` is what messages call it.
+/// The same for a spec's text; `path` is what messages call it, and paths of world files start in its folder.
 pub fn parse_spec(
     path: &str,
     text: &str,
     overrides: &[String],
     quick: bool,
 ) -> Result<Experiment, SpecError> {
-    let mut experiment = load_text(text, overrides, quick).map_err(|problem| problem.in_file(path))?;
+    let mut experiment =
+        load_text(Path::new(path), text, overrides, quick).map_err(|problem| problem.in_file(path))?;
     if quick {
         experiment.name.push_str("-quick");
     }
@@ -56,7 +63,7 @@ pub fn parse_spec(
 const NOT_QUICK: &str = "there is no 'quick' section, so a quick run would be the full one under another name; add the \
                          section, or leave out --quick";
 
-fn load_text(text: &str, overrides: &[String], quick: bool) -> Result<Experiment, Problem> {
+fn load_text(path: &Path, text: &str, overrides: &[String], quick: bool) -> Result<Experiment, Problem> {
     let mut tree = parse::parse(text)?;
     if matches!(tree.value, Value::Null) {
         return Err(Problem::new(
@@ -65,12 +72,13 @@ fn load_text(text: &str, overrides: &[String], quick: bool) -> Result<Experiment
         ));
     }
     schema::list_single_values(&mut tree);
-    resolve(&tree)?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    resolve(folder, &tree)?;
     let mut quick_tree = tree.clone();
     match tree.get("quick") {
         Some(Node { value: Value::Section(settings), .. }) if !settings.is_empty() => {
             overrides::apply(&mut quick_tree, settings);
-            resolve(&quick_tree).map_err(|problem| problem.after("applying 'quick'"))?;
+            resolve(folder, &quick_tree).map_err(|problem| problem.after("applying 'quick'"))?;
         }
         _ if quick => return Err(Problem::new(&tree.origin, NOT_QUICK)),
         _ => {}
@@ -81,13 +89,13 @@ fn load_text(text: &str, overrides: &[String], quick: bool) -> Result<Experiment
     let overrides = overrides.iter().map(|text| overrides::read(text)).collect::<Result<Vec<_>, _>>()?;
     overrides::apply(&mut tree, &overrides);
     schema::list_single_values(&mut tree);
-    let experiment = resolve(&tree).map_err(|problem| problem.after("applying the overrides"))?;
-    check_variants(&tree, &experiment)?;
+    let experiment = resolve(folder, &tree).map_err(|problem| problem.after("applying the overrides"))?;
+    check_variants(folder, &tree, &experiment)?;
     Ok(experiment)
 }
 
 /// Checks what each combination of the settings under `vary` makes of the experiment.
-fn check_variants(tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
+fn check_variants(folder: &Path, tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
     let Some(Node { value: Value::Section(varied), .. }) = tree.get("vary") else { return Ok(()) };
     for combination in experiment.combinations() {
         let settings = combination.iter().filter_map(|(key, value)| {
@@ -98,23 +106,72 @@ fn check_variants(tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
         });
         let mut tree = tree.clone();
         overrides::apply(&mut tree, &settings.collect::<Vec<_>>());
-        resolve(&tree).map_err(|problem| problem.after("applying 'vary'"))?;
+        resolve(folder, &tree).map_err(|problem| problem.after("applying 'vary'"))?;
     }
     Ok(())
 }
 
-/// The experiment that a tree describes, checked, with every default explicit.
-fn resolve(tree: &Node) -> Result<Experiment, Problem> {
+/// The experiment that a tree describes, checked, with every default explicit; paths of world files start in `folder`.
+fn resolve(folder: &Path, tree: &Node) -> Result<Experiment, Problem> {
     schema::check(tree)?;
     let mut experiment: Experiment = serde_json::from_value(tree.to_json())
         .map_err(|error| Problem::new(&tree.origin, error.to_string()))?;
-    validate::validate(&experiment)
-        .map_err(|fault| Problem::new(tree.origin_of(&fault.path), fault.message))?;
+    experiment.worlds = worlds(folder, tree, &experiment.scenarios)?;
+    let at = |fault: validate::Fault| Problem::new(tree.origin_of(&fault.path), fault.message);
+    experiment.take_defaults_of_worlds(tree).map_err(at)?;
+    validate::validate(&experiment).map_err(at)?;
     experiment.make_canonical();
     Ok(experiment)
 }
 
+/// The worlds of the files among `scenarios`.
+fn worlds(folder: &Path, tree: &Node, scenarios: &[Origin]) -> Result<Vec<Arc<World>>, Problem> {
+    let mut worlds: Vec<Arc<World>> = Vec::new();
+    for (index, origin) in scenarios.iter().enumerate() {
+        let Origin::File(path) = origin else { continue };
+        let at = |message: String| Problem::new(tree.origin_of(&format!("scenarios.{index}")), message);
+        let world = World::load(&folder.join(path)).map_err(|error| at(error.to_string()))?;
+        if worlds.iter().any(|other| other.scenario() == world.scenario()) {
+            return Err(at(format!(
+                "two world files are called '{}'; give one another name",
+                world.scenario()
+            )));
+        }
+        worlds.push(world);
+    }
+    Ok(worlds)
+}
+
 impl Experiment {
+    /// Sets what the spec leaves to its worlds: rates, and the worlds' own settings.
+    fn take_defaults_of_worlds(&mut self, tree: &Node) -> Result<(), validate::Fault> {
+        let worlds: Vec<Arc<World>> = self.scenarios.iter().filter_map(|origin| self.world(origin)).collect();
+        let given = |key: &str| tree.get("simulation").is_some_and(|section| section.get(key).is_some());
+        for (index, world) in worlds.iter().enumerate() {
+            let own = world.simulation();
+            let rates = [
+                ("sample_rate_hz", own.sample_rate_hz, &mut self.simulation.sample_rate_hz),
+                ("actuation_seconds", own.actuation_seconds, &mut self.simulation.actuation_seconds),
+            ];
+            for (key, own, value) in rates.into_iter().filter(|(key, ..)| !given(key)) {
+                if index > 0 && *value != own {
+                    return Err(validate::Fault::between_worlds(key, &worlds[0], world));
+                }
+                *value = own;
+            }
+            for (key, own) in own.world {
+                if given(&key) {
+                    continue;
+                }
+                let other = self.simulation.world.insert(key.clone(), own);
+                if index > 0 && other.is_some_and(|other| other != own) {
+                    return Err(validate::Fault::between_worlds(&key, &worlds[0], world));
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// Gives specs that mean the same the same value: the order of modalities, a weight of 1, a squared loss and the
     /// default gap make no difference when they are left out, and `quick` has been dealt with.
     fn make_canonical(&mut self) {
@@ -127,8 +184,13 @@ impl Experiment {
         self.training
             .losses
             .retain(|modality, loss| self.output.contains(modality) && *loss != Loss::Squared);
-        let uses_frames = self.input.iter().chain(&self.output).any(|modality| modality.is_frame());
-        if uses_frames {
+        // Only a dataset can tell whether a modality that no world declares is an image.
+        let may_be_image = |modality: &Modality| {
+            self.scenarios
+                .iter()
+                .any(|origin| self.known(origin, *modality).is_none_or(|known| known.size.is_some()))
+        };
+        if self.input.iter().chain(&self.output).any(may_be_image) {
             self.network.channels = Some(self.network.channels().to_vec());
         } else {
             (self.network.channels, self.network.average) = (Some(Vec::new()), 1);

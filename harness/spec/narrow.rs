@@ -1,6 +1,7 @@
 //! Overrides of an experiment, cut down to one of its runs.
 
 use super::cells::{RunSpec, name};
+use super::types::Origin;
 use std::collections::BTreeMap;
 
 impl RunSpec {
@@ -11,10 +12,20 @@ impl RunSpec {
         match key.trim() {
             "seeds" => format!("seeds=[{}]", self.seed),
             "latent" => format!("latent=[{}]", self.latent),
-            "scenarios" => format!("scenarios=[{}]", self.scenario),
+            "scenarios" => {
+                self.own_scenario(value).unwrap_or_else(|| format!("scenarios=[{}]", self.scenario))
+            }
             "vary" => self.own_variant(value).unwrap_or_else(|| text.to_owned()),
             _ => text.to_owned(),
         }
+    }
+
+    /// The override of `scenarios` by the one that is this run's: a world file by its path.
+    fn own_scenario(&self, given: &str) -> Option<String> {
+        let all: Vec<Origin> =
+            serde_yaml::from_str(given).or_else(|_| serde_yaml::from_str(given).map(|one| vec![one])).ok()?;
+        let own = all.into_iter().find(|origin| origin.name() == self.scenario.name())?;
+        Some(format!("scenarios=[{}]", String::from(own)))
     }
 
     /// The override of `vary` by the one combination of settings that this run has.

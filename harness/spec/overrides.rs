@@ -16,7 +16,7 @@ pub(super) fn read(text: &str) -> Result<Entry, Problem> {
     let key = key.trim();
     let names = schema::setting_names();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
-    if !names.contains(&key) {
+    if !names.contains(&key) && !schema::is_setting(key) {
         return Err(Problem::new(&origin, not_a_setting(key, value, &names)));
     }
     if value.len() as u64 > parse::MAX_FILE_BYTES {

@@ -1,6 +1,7 @@
 //! How a modality's values are scaled for a network, and what range its predictions have.
 
-use super::types::{Modality, names};
+use super::modality::Modality;
+use super::types::{by_modality, names};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
@@ -29,69 +30,52 @@ pub struct Scaling {
 /// One scaling a modality.
 pub type Scalings = BTreeMap<Modality, Scaling>;
 
-impl Scaling {
-    /// What a modality has where a spec says nothing.
-    ///
-    /// Forces share a deviation because the fingertip has most of their variance, and links that are hardly ever
-    /// touched would count twenty times as much. No force is negative.
-    pub fn default_of(modality: Modality) -> Self {
-        match modality {
-            Modality::ContactForce | Modality::ContactForceMean => {
-                Self { scale: Deviation::Shared, minimum: Some(0.0) }
-            }
-            _ => Self::plain(modality),
+/// What a spec says of how a modality is scaled; what it leaves out, the world or the dataset says.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GivenScaling {
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<Deviation>,
+    /// `Some(None)` is a `null` that stands in the spec.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "present")]
+    pub minimum: Option<Option<f64>>,
+}
+
+/// What a spec says of some modalities.
+pub type GivenScalings = BTreeMap<Modality, GivenScaling>;
+
+fn present<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Option<f64>>, D::Error> {
+    Option::deserialize(deserializer).map(Some)
+}
+
+impl GivenScaling {
+    /// With what it leaves out as in `default`.
+    pub fn or(self, default: Scaling) -> Scaling {
+        Scaling {
+            scale: self.scale.unwrap_or(default.scale),
+            minimum: self.minimum.unwrap_or(default.minimum),
         }
     }
+}
 
+impl Scaling {
     /// What a modality had before it was a setting: a vector's elements scaled one by one, and no minimum.
-    pub fn plain(modality: Modality) -> Self {
-        let scale = if modality.is_frame() { Deviation::Shared } else { Deviation::PerElement };
+    pub fn plain(is_image: bool) -> Self {
+        let scale = if is_image { Deviation::Shared } else { Deviation::PerElement };
         Self { scale, minimum: None }
     }
 }
 
-/// Every modality's default.
-pub(super) fn defaults() -> Scalings {
-    Modality::ALL.iter().map(|&modality| (modality, Scaling::default_of(modality))).collect()
-}
-
-/// What a spec says of some modalities, and the defaults of the others.
-pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Scalings, D::Error> {
-    #[derive(Deserialize)]
-    #[serde(deny_unknown_fields)]
-    struct Given {
-        scale: Option<Deviation>,
-        /// `Some(None)` is a `null` that stands in the spec.
-        #[serde(default, deserialize_with = "present")]
-        minimum: Option<Option<f64>>,
-    }
-    fn present<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Option<f64>>, D::Error> {
-        Option::deserialize(deserializer).map(Some)
-    }
-    let mut scalings = defaults();
-    for (modality, given) in BTreeMap::<Modality, Given>::deserialize(deserializer)? {
-        let default = Scaling::default_of(modality);
-        let scale = given.scale.unwrap_or(default.scale);
-        scalings.insert(modality, Scaling { scale, minimum: given.minimum.unwrap_or(default.minimum) });
-    }
-    Ok(scalings)
-}
-
-/// A section a modality, each with the keys of [`Scaling`].
+/// A section a modality, each with the keys of [`GivenScaling`].
 pub(super) fn schema(generator: &mut SchemaGenerator) -> Schema {
     let scale = generator.subschema_for::<Deviation>();
     let minimum = json_schema!({
         "description": "The least value of a prediction, in physical units; `null` for none.",
         "type": ["number", "null"],
     });
-    let section = json_schema!({
+    by_modality(json_schema!({
         "type": "object",
         "properties": { "scale": scale, "minimum": minimum },
         "additionalProperties": false,
-    });
-    let properties: serde_json::Map<_, _> = Modality::ALL
-        .iter()
-        .map(|modality| (modality.name().to_owned(), section.clone().to_value()))
-        .collect();
-    json_schema!({ "type": "object", "properties": properties, "additionalProperties": false })
+    }))
 }

@@ -1,8 +1,10 @@
 //! The JSON schema of a spec, for editors, and the checks that follow from it: keys, types, choices, bounds.
 
 use super::error::Problem;
+use super::modality::Modality;
 use super::parse::{Entry, Node, Value, shorten};
-use super::types::{Experiment, Origin};
+use super::types::{Experiment, Origin, Setting};
+use super::world::World;
 use serde_json::{Value as Json, json};
 use std::collections::HashSet;
 use std::sync::LazyLock;
@@ -29,6 +31,7 @@ pub fn setting_names() -> Vec<String> {
 
 fn build() -> Json {
     let mut schema = schemars::schema_for!(Experiment).to_value();
+    add_settings_of_worlds(&mut schema["$defs"]["Simulation"]);
     let mut settings = serde_json::Map::new();
     collect_settings(&schema, &schema, "", &mut settings);
     settings.remove("quick");
@@ -36,6 +39,25 @@ fn build() -> Json {
     settings.insert("vary".into(), schema["properties"]["vary"].clone());
     set_keys(&mut schema["properties"]["quick"], settings);
     schema
+}
+
+/// Adds the settings of the built-in worlds, and what those of other worlds may be.
+fn add_settings_of_worlds(simulation: &mut Json) {
+    let range = |description: &str| json!({ "description": description, "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2 });
+    let number = |description: &str| json!({ "description": description, "type": "number", "minimum": 0.0, "maximum": 1000.0 });
+    for world in World::built_in() {
+        for (name, setting) in world.settings() {
+            let world = world.scenario();
+            simulation["properties"][name] = match setting {
+                Setting::Range(_) => range(&format!("Range of a setpoint: lowest, highest (world {world}).")),
+                Setting::Number(_) => number(&format!(
+                    "What is placed nearer than this to another is placed again, m (world {world})."
+                )),
+            };
+        }
+    }
+    simulation["additionalProperties"] =
+        json!({ "description": "A setting of another world.", "anyOf": [range(""), number("")] });
 }
 
 /// Whether `vary` takes the setting: not what makes cells of its own, nor what decides a dataset, of which a scenario
@@ -70,7 +92,7 @@ fn collect_settings(root: &Json, schema: &Json, prefix: &str, settings: &mut ser
 }
 
 /// Lets a single value stand for each list that may have one item alone, down from `schema`.
-fn allow_single_values(schema: &mut Json) {
+pub(super) fn allow_single_values(schema: &mut Json) {
     match schema {
         Json::Array(schemas) => schemas.iter_mut().for_each(allow_single_values),
         Json::Object(keywords) => keywords.values_mut().for_each(allow_single_values),
@@ -90,21 +112,26 @@ fn allow_single_values(schema: &mut Json) {
 
 /// Makes a list of each single value that stands where the schema wants one: `latent: 4` is `latent: [4]`.
 pub(super) fn list_single_values(tree: &mut Node) {
-    list_below(&SCHEMA, tree);
+    list_single(&SCHEMA, tree);
 }
 
-fn list_below(schema: &Json, node: &mut Node) {
-    let (schema, _) = resolve(&SCHEMA, schema);
+/// The same for a tree of another schema.
+pub(super) fn list_single(root: &Json, tree: &mut Node) {
+    list_below(root, root, tree);
+}
+
+fn list_below(root: &Json, schema: &Json, node: &mut Node) {
+    let (schema, _) = resolve(root, schema);
     let is_list = matches!(node.value, Value::List(_));
-    if takes_one_item(schema) && !is_list && fits(&schema["items"], &node.value) {
+    if takes_one_item(schema) && !is_list && fits(root, &schema["items"], &node.value) {
         node.value = Value::List(vec![node.clone()]);
     }
     match &mut node.value {
-        Value::List(items) => items.iter_mut().for_each(|item| list_below(&schema["items"], item)),
+        Value::List(items) => items.iter_mut().for_each(|item| list_below(root, &schema["items"], item)),
         Value::Section(entries) => {
             entries
                 .iter_mut()
-                .for_each(|entry| list_below(&schema["properties"][&entry.key], &mut entry.node));
+                .for_each(|entry| list_below(root, property(schema, &entry.key), &mut entry.node));
         }
         _ => {}
     }
@@ -119,63 +146,116 @@ fn takes_one_item(schema: &Json) -> bool {
 }
 
 /// Whether a value, or the list that is made of it, has the type that the schema wants.
-fn fits(schema: &Json, value: &Value) -> bool {
-    let (schema, _) = resolve(&SCHEMA, schema);
+fn fits(root: &Json, schema: &Json, value: &Value) -> bool {
+    let (schema, _) = resolve(root, schema);
     if choices(schema).is_some() {
         return matches!(value, Value::Text(_));
     }
-    has_type(schema, value) || takes_one_item(schema) && fits(&schema["items"], value)
+    has_type(schema, value) || takes_one_item(schema) && fits(root, &schema["items"], value)
 }
 
 /// Whether a setting is a list that may have a single item.
 pub(super) fn is_list(setting: &str) -> bool {
-    takes_one_item(resolve(&SCHEMA, &SCHEMA["properties"]["quick"]["properties"][setting]).0)
+    setting_schema(setting).is_some_and(takes_one_item)
+}
+
+/// Whether there is a setting of that dotted key: one of [`setting_names`], or one that a world or a modality of another
+/// name makes.
+pub(super) fn is_setting(key: &str) -> bool {
+    setting_schema(key).is_some_and(|schema| schema.get("properties").is_none())
+}
+
+/// What a dotted key may hold.
+fn setting_schema(key: &str) -> Option<&'static Json> {
+    let mut schema: &'static Json = &SCHEMA;
+    if key == "quick" {
+        return None;
+    }
+    for step in key.split('.') {
+        let next = property(schema, step);
+        if next.is_null() || next == false {
+            return None;
+        }
+        schema = resolve(&SCHEMA, next).0;
+    }
+    Some(schema)
+}
+
+/// The schema of a section's key: its own, or the one that all others have; null or false where there is none.
+fn property<'a>(schema: &'a Json, key: &str) -> &'a Json {
+    match schema["properties"].get(key) {
+        Some(own) => own,
+        None if super::modality::is_name(key) => &schema["additionalProperties"],
+        None => &Json::Null,
+    }
 }
 
 /// Refuses a tree that the schema does not allow.
 pub(super) fn check(tree: &Node) -> Result<(), Problem> {
-    check_node(&SCHEMA, tree, "")
+    check_against(&SCHEMA, tree)
 }
 
-fn check_node(schema: &Json, node: &Node, path: &str) -> Result<(), Problem> {
-    let (schema, definition) = resolve(&SCHEMA, schema);
+/// Refuses a tree that another schema does not allow.
+pub(super) fn check_against(root: &Json, tree: &Node) -> Result<(), Problem> {
+    check_node(root, root, tree, "")
+}
+
+fn check_node(root: &Json, schema: &Json, node: &Node, path: &str) -> Result<(), Problem> {
+    let (schema, definition) = resolve(root, schema);
     if let Some(choices) = choices(schema) {
-        return check_choice(schema, &choices, &definition.to_lowercase(), node, path);
+        return check_choice(root, schema, &choices, &definition.to_lowercase(), node, path);
+    }
+    if let Some(either) = schema["anyOf"].as_array() {
+        if either.iter().any(|choice| check_node(root, choice, node, path).is_ok()) {
+            return Ok(());
+        }
+        return Err(Problem::new(&node.origin, unexpected(&expected(root, schema), &node.value, path)));
     }
     if !has_type(schema, &node.value) || !is_within_bounds(schema, &node.value) {
-        return Err(Problem::new(&node.origin, unexpected(&expected(schema), &node.value, path)));
+        return Err(Problem::new(&node.origin, unexpected(&expected(root, schema), &node.value, path)));
     }
     match &node.value {
-        Value::List(items) => check_items(schema, items, path),
-        Value::Section(entries) => check_keys(schema, node, entries, path),
+        Value::List(items) => check_items(root, schema, items, path),
+        Value::Section(entries) => check_keys(root, schema, node, entries, path),
         _ => Ok(()),
     }
 }
 
-fn check_choice(schema: &Json, choices: &[&str], what: &str, node: &Node, path: &str) -> Result<(), Problem> {
-    let is_imported = |text: &str| takes_imported(schema) && Origin::try_from(text.to_owned()).is_ok();
+fn check_choice(
+    root: &Json,
+    schema: &Json,
+    choices: &[&str],
+    what: &str,
+    node: &Node,
+    path: &str,
+) -> Result<(), Problem> {
+    // What fits a pattern alone is compared with the worlds and datasets that have such names.
+    let fits_pattern = |text: &str| match what {
+        "scenario" => Origin::try_from(text.to_owned()).is_ok(),
+        "modality" => Modality::new(text).is_some(),
+        _ => false,
+    };
     let message = match &node.value {
-        Value::Text(text) if choices.contains(&text.as_str()) || is_imported(text) => return Ok(()),
-        Value::Text(text) => unknown(what, text, path, choices, str::to_owned) + imported_words(schema),
-        other => unexpected(&expected(schema), other, path),
+        Value::Text(text) if choices.contains(&text.as_str()) || fits_pattern(text) => return Ok(()),
+        Value::Text(text) => unknown(what, text, path, choices, str::to_owned) + other_choices(what),
+        other => unexpected(&expected(root, schema), other, path),
     };
     Err(Problem::new(&node.origin, message))
 }
 
-/// Whether one of the choices is a pattern, as that of the imported datasets' names is.
-fn takes_imported(schema: &Json) -> bool {
-    let choices = schema["oneOf"].as_array();
-    choices.is_some_and(|choices| choices.iter().any(|choice| choice.get("pattern").is_some()))
+/// What may be chosen besides the names that a schema lists.
+fn other_choices(what: &str) -> &'static str {
+    match what {
+        "scenario" => ", the path of a world file, or the name of an imported dataset",
+        "modality" => ", or a modality of another world or dataset",
+        _ => "",
+    }
 }
 
-fn imported_words(schema: &Json) -> &'static str {
-    if takes_imported(schema) { ", or the name of an imported dataset" } else { "" }
-}
-
-fn check_items(schema: &Json, items: &[Node], path: &str) -> Result<(), Problem> {
+fn check_items(root: &Json, schema: &Json, items: &[Node], path: &str) -> Result<(), Problem> {
     let mut earlier = HashSet::new();
     for item in items {
-        check_node(&schema["items"], item, path)?;
+        check_node(root, &schema["items"], item, path)?;
         let value = item.to_json().to_string();
         if schema["uniqueItems"] == true && !earlier.insert(value.clone()) {
             return Err(Problem::new(&item.origin, format!("{value} stands twice in '{path}'")));
@@ -184,10 +264,17 @@ fn check_items(schema: &Json, items: &[Node], path: &str) -> Result<(), Problem>
     Ok(())
 }
 
-fn check_keys(schema: &Json, section: &Node, entries: &[Entry], path: &str) -> Result<(), Problem> {
+fn check_keys(
+    root: &Json,
+    schema: &Json,
+    section: &Node,
+    entries: &[Entry],
+    path: &str,
+) -> Result<(), Problem> {
     let names: Vec<&str> = properties(schema).map(|(name, _)| name.as_str()).collect();
     for entry in entries {
-        if !names.contains(&entry.key.as_str()) {
+        let own = property(schema, &entry.key);
+        if own.is_null() || own == false {
             return Err(Problem::new(
                 &entry.key_origin,
                 unknown("key", &entry.key, path, &names, str::to_owned),
@@ -203,7 +290,7 @@ fn check_keys(schema: &Json, section: &Node, entries: &[Entry], path: &str) -> R
         return Err(Problem::new(&section.origin, format!("missing {}", missing.join(", "))));
     }
     entries.iter().try_for_each(|entry| {
-        check_node(&schema["properties"][&entry.key], &entry.node, &join(path, &entry.key))
+        check_node(root, property(schema, &entry.key), &entry.node, &join(path, &entry.key))
     })
 }
 
@@ -313,17 +400,22 @@ fn is_within_bounds(schema: &Json, value: &Value) -> bool {
 }
 
 /// What a schema allows, in words.
-fn expected(schema: &Json) -> String {
-    let (schema, _) = resolve(&SCHEMA, schema);
+fn expected(root: &Json, schema: &Json) -> String {
+    let (schema, definition) = resolve(root, schema);
     if let Some(choices) = choices(schema) {
-        return format!("one of {}{}", choices.join(", "), imported_words(schema));
+        return format!("one of {}{}", choices.join(", "), other_choices(&definition.to_lowercase()));
+    }
+    if let Some(either) = schema["anyOf"].as_array() {
+        return either.iter().map(|choice| expected(root, choice)).collect::<Vec<_>>().join(" or ");
     }
     let name = |name: &str| match name {
         "integer" => format!("an integer{}", expected_bounds(schema)),
         "number" => format!("a finite number{}", expected_bounds(schema)),
         "string" => TEXT.into(),
         "boolean" => "true or false".into(),
-        "array" => format!("a list of {}, each {}", expected_length(schema), expected(&schema["items"])),
+        "array" => {
+            format!("a list of {}, each {}", expected_length(schema), expected(root, &schema["items"]))
+        }
         "object" => "a section of keys".into(),
         other => other.into(),
     };
@@ -350,6 +442,7 @@ fn expected_length(schema: &Json) -> String {
         (Some(1), None) => "at least one item".into(),
         (Some(1), Some(maximum)) => format!("one to {maximum} items"),
         (None, Some(maximum)) => format!("at most {maximum} items"),
+        (None, None) => "items".into(),
         (minimum, maximum) => unreachable!("no list of the spec has {minimum:?} to {maximum:?} items"),
     }
 }
@@ -406,7 +499,7 @@ mod tests {
     #[test]
     fn every_setting_can_be_described() {
         for (name, property) in properties(&SCHEMA["properties"]["quick"]) {
-            let words = expected(property);
+            let words = expected(&SCHEMA, property);
             let known = ["a", "one of ", "true or false"];
             assert!(known.iter().any(|start| words.starts_with(start)), "{name}: {words}");
         }

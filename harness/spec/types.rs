@@ -1,25 +1,18 @@
 //! The types of a spec. Their bounds stand in the `schemars` attributes, and nowhere else: the JSON schema
 //! that editors read and the checks that a spec goes through are both made from them.
 
-use super::scaling::{self, Scalings};
+use super::modality::{Modality, intern, is_name};
+use super::scaling::GivenScalings;
+use super::world::World;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::ops::Range;
-
-/// Joints, and links, of the finger.
-pub const JOINTS: usize = 20;
-/// Degrees of freedom of the arm: rotation (rad), lift (m), extension (m).
-pub const ARM_JOINTS: usize = 3;
-/// Side of the square camera frame, pixels.
-pub const FRAME_SIDE: usize = 64;
-/// Colour channels of the camera frame.
-pub const FRAME_CHANNELS: usize = 3;
-/// Values in one camera frame.
-pub const FRAME_LEN: usize = FRAME_SIDE * FRAME_SIDE * FRAME_CHANNELS;
-/// Steps of the simulation a second, Hz.
-pub const STEP_RATE_HZ: f64 = 1000.0;
+use std::path::Path;
+use std::sync::Arc;
 
 /// The largest seed, 2^53 - 1: up to here every reader of JSON and Parquet keeps an integer exact.
 pub const MAX_SEED: u64 = (1 << 53) - 1;
@@ -46,34 +39,95 @@ macro_rules! names {
 }
 pub(super) use names;
 
-/// The world an episode takes place in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Scenario {
-    /// Finger, arm and ground alone.
-    Empty,
-    /// Eight movable boxes besides, placed at random over the swept sector.
-    Cluttered,
-}
-names!(Scenario { Empty => "empty", Cluttered => "cluttered" });
+/// The name of a world that is simulated: of a built-in one, or of a world file, whose name it is.
+///
+/// The paper's come first in every order, then all others by the alphabet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Scenario(&'static str);
 
-/// What the samples of a cell come from. In a spec, a scenario's name or that of an imported dataset.
+impl Scenario {
+    /// Finger, arm and ground alone.
+    pub const EMPTY: Self = Self("empty");
+    /// Eight movable boxes besides, placed at random over the swept sector.
+    pub const CLUTTERED: Self = Self("cluttered");
+    /// The paper's, which its figures and claims compare.
+    pub const PAPER: [Self; 2] = [Self::EMPTY, Self::CLUTTERED];
+
+    /// The scenario of that name; `None` where none can be called so.
+    pub fn new(name: &str) -> Option<Self> {
+        is_name(name).then(|| Self(intern(name)))
+    }
+
+    /// The name in specs, tables and file names.
+    pub const fn name(self) -> &'static str {
+        self.0
+    }
+}
+
+impl Ord for Scenario {
+    fn cmp(&self, other: &Self) -> Ordering {
+        let rank = |scenario: &Self| {
+            Self::PAPER.iter().position(|other| other == scenario).unwrap_or(Self::PAPER.len())
+        };
+        (rank(self), self.0).cmp(&(rank(other), other.0))
+    }
+}
+
+impl PartialOrd for Scenario {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl fmt::Display for Scenario {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.pad(self.0)
+    }
+}
+
+impl Serialize for Scenario {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.0)
+    }
+}
+
+impl<'de> Deserialize<'de> for Scenario {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        Self::new(&name).ok_or_else(|| D::Error::custom(format!("'{name}' can't name a scenario")))
+    }
+}
+
+/// What the samples of a cell come from. In a spec, the name of a built-in world, the path of a world file, or the name
+/// of an imported dataset.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Origin {
     /// Episodes that are simulated here.
     Simulated(Scenario),
+    /// The same, in the world of a file, as a spec names it. A run names its scenario instead.
+    File(String),
     /// A dataset that was imported, by the name of its folder: `lab_finger-0123456789abcdef`, in which the digits are a
     /// hash of its content.
     Imported(String),
 }
 
 impl Origin {
-    /// The name in specs, tables and file names.
+    /// The name in tables and file names: that of a world file is its own without folder and ending.
     pub fn name(&self) -> &str {
         match self {
             Self::Simulated(scenario) => scenario.name(),
+            Self::File(path) => Path::new(path).file_stem().and_then(|stem| stem.to_str()).unwrap_or(path),
             Self::Imported(name) => name,
+        }
+    }
+
+    /// The scenario that is simulated; `None` of an imported dataset, and of a file that can't name one.
+    pub fn scenario(&self) -> Option<Scenario> {
+        match self {
+            Self::Simulated(scenario) => Some(*scenario),
+            Self::File(_) => Scenario::new(self.name()),
+            Self::Imported(_) => None,
         }
     }
 }
@@ -92,7 +146,11 @@ impl From<Scenario> for Origin {
 
 impl From<Origin> for String {
     fn from(origin: Origin) -> Self {
-        origin.name().to_owned()
+        match origin {
+            Origin::Simulated(scenario) => scenario.name().to_owned(),
+            Origin::File(path) => path,
+            Origin::Imported(name) => name,
+        }
     }
 }
 
@@ -100,47 +158,55 @@ impl TryFrom<String> for Origin {
     type Error = String;
 
     fn try_from(name: String) -> Result<Self, String> {
-        if let Some(scenario) = Scenario::ALL.iter().find(|scenario| scenario.name() == name) {
-            return Ok(Self::Simulated(*scenario));
+        if name.contains('/') || name.ends_with(".yaml") || name.ends_with(".yml") {
+            return Ok(Self::File(name));
         }
         if is_imported_name(&name) {
             return Ok(Self::Imported(name));
         }
-        Err(format!("'{name}' is neither a scenario nor the name of an imported dataset"))
+        let scenario = Scenario::new(&name).map(Self::Simulated);
+        scenario.ok_or_else(|| {
+            format!(
+                "'{name}' is neither a built-in world, nor the path of a world file, nor an imported dataset"
+            )
+        })
     }
 }
 
 /// The name of an imported dataset, which no simulated one can have.
 const IMPORTED_NAME: &str = "^[a-z][a-z0-9_]{0,63}-[0-9a-f]{16}$";
 
-/// Whether a text matches [`IMPORTED_NAME`], and begins with no scenario's name.
+/// Whether a text matches [`IMPORTED_NAME`], and begins with no built-in world's name.
 fn is_imported_name(text: &str) -> bool {
     let Some((name, hash)) = text.rsplit_once('-') else { return false };
-    let is_name_letter = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
-    (1..=64).contains(&name.len())
-        && name.starts_with(|c: char| c.is_ascii_lowercase())
-        && name.chars().all(is_name_letter)
-        && Scenario::ALL.iter().all(|scenario| scenario.name() != name)
+    is_name(name)
+        && Scenario::PAPER.iter().all(|scenario| scenario.name() != name)
         && hash.len() == 16
         && hash.chars().all(|c| matches!(c, '0'..='9' | 'a'..='f'))
 }
 
-/// The scenarios' schema with one more choice.
+/// The built-in worlds by name, and two patterns.
 impl JsonSchema for Origin {
     fn schema_name() -> std::borrow::Cow<'static, str> {
-        Scenario::schema_name()
+        "Scenario".into()
     }
 
-    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
-        let mut schema = Scenario::json_schema(generator).to_value();
-        let description = "An imported dataset, by the name of its folder in results/datasets.";
-        let imported = serde_json::json!({
-            "description": description, "type": "string", "pattern": IMPORTED_NAME,
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        let built_in = World::built_in().iter().map(|world| {
+            serde_json::json!({
+                "description": world.description(), "type": "string", "const": world.scenario().name(),
+            })
         });
-        if let Some(choices) = schema["oneOf"].as_array_mut() {
-            choices.push(imported);
-        }
-        schema.try_into().expect("an object with one more choice is a schema")
+        let file = serde_json::json!({
+            "description": "A world file, by its path from the spec's folder.", "type": "string",
+            "pattern": "(/|\\.ya?ml$)",
+        });
+        let imported = serde_json::json!({
+            "description": "An imported dataset, by the name of its folder in results/datasets.", "type": "string",
+            "pattern": IMPORTED_NAME,
+        });
+        let choices: Vec<_> = built_in.chain([file, imported]).collect();
+        json_schema!({ "description": "What the samples of a cell come from.", "oneOf": choices })
     }
 }
 
@@ -158,49 +224,6 @@ pub enum Division {
     Sample,
 }
 names!(Division { Episode => "episode", Time => "time", Sample => "sample" });
-
-/// What is sensed at a sample. The order is that in which modalities are packed, whatever a spec's order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Modality {
-    /// The finger's 20 joint angles, rad, base to tip; even joints flexion/extension, odd adduction/abduction.
-    Proprioception,
-    /// The arm's rotation (rad), lift (m) and extension (m).
-    Arm,
-    /// Normal contact force of each of the 20 links at the sampling instant, N.
-    ContactForce,
-    /// The same, averaged over the sampling interval that ends at the instant, N.
-    ContactForceMean,
-    /// The external camera's frame, 64 x 64 x 3.
-    Vision,
-    /// This frame minus the one a sample before, in [-1, 1]; zero at an episode's first sample. The paper
-    /// predicts it for the next sample and calls it optical flow.
-    FrameDifference,
-}
-names!(Modality {
-    Proprioception => "proprioception",
-    Arm => "arm",
-    ContactForce => "contact_force",
-    ContactForceMean => "contact_force_mean",
-    Vision => "vision",
-    FrameDifference => "frame_difference",
-});
-
-impl Modality {
-    /// Whether it is an image, 64 x 64 x 3, rather than a vector.
-    pub const fn is_frame(self) -> bool {
-        matches!(self, Self::Vision | Self::FrameDifference)
-    }
-
-    /// Values of one sample.
-    pub const fn width(self) -> usize {
-        match self {
-            Modality::Arm => ARM_JOINTS,
-            Modality::Proprioception | Modality::ContactForce | Modality::ContactForceMean => JOINTS,
-            Modality::Vision | Modality::FrameDifference => FRAME_LEN,
-        }
-    }
-}
 
 /// How the arm's commanded motion conditions the decoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
@@ -326,7 +349,8 @@ pub struct Experiment {
     /// The question, in a sentence.
     #[serde(default)]
     pub description: String,
-    /// The worlds to simulate, or imported datasets; each makes cells of its own.
+    /// The worlds to simulate, by the names of built-in ones or the paths of world files, or imported datasets; each makes
+    /// cells of its own.
     #[schemars(length(min = 1), extend("uniqueItems" = true))]
     pub scenarios: Vec<Origin>,
     /// What the encoder is given. The order does not matter.
@@ -356,9 +380,9 @@ pub struct Experiment {
     pub split: Split,
     /// How each modality is scaled for the network, and the range of its predictions; both are undone, and hold, in
     /// physical units.
-    #[serde(default = "scaling::defaults", deserialize_with = "scaling::deserialize")]
-    #[schemars(schema_with = "scaling::schema")]
-    pub scaling: Scalings,
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[schemars(schema_with = "super::scaling::schema")]
+    pub scaling: GivenScalings,
     #[serde(default)]
     pub training: Training,
     /// Settings to try in every combination, by dotted key: `training.kl_weight: [0, 0.001]`. Each combination makes
@@ -368,6 +392,9 @@ pub struct Experiment {
     /// Overrides that `--quick` applies, by dotted key as on the command line: `training.epochs: 3`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub quick: BTreeMap<String, serde_json::Value>,
+    /// What the world files among `scenarios` say, read when the spec was.
+    #[serde(skip)]
+    pub worlds: Vec<Arc<World>>,
 }
 
 /// Layers of the networks, on each side. A preset is the paper's network; every other setting overrides a part of it.
@@ -407,7 +434,7 @@ impl Network {
 
 /// How episodes are simulated. Everything here decides a dataset's content, and so its hash.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
+#[serde(default)]
 pub struct Simulation {
     /// Seed of the dataset; an episode's stream is derived from it, the scenario and the episode's index.
     #[schemars(range(min = 0, max = MAX_SEED))]
@@ -422,18 +449,23 @@ pub struct Simulation {
     /// Duration of one arm move, s; a whole number of samples.
     #[schemars(range(max = 60.0), extend("exclusiveMinimum" = 0.0))]
     pub actuation_seconds: f64,
-    /// Samples recorded a second, Hz; a whole number of 1 ms simulation steps must fit between two.
-    #[schemars(range(max = STEP_RATE_HZ), extend("exclusiveMinimum" = 0.0))]
+    /// Samples recorded a second, Hz; a whole number of simulation steps must fit between two.
+    #[schemars(range(max = 100_000.0), extend("exclusiveMinimum" = 0.0))]
     pub sample_rate_hz: f64,
-    /// Range of the arm's rotation, rad: lowest, highest.
-    pub rotation_range_rad: [f64; 2],
-    /// Range of the arm's lift, m: lowest, highest.
-    pub lift_range_m: [f64; 2],
-    /// Range of the arm's extension, m: lowest, highest.
-    pub extension_range_m: [f64; 2],
-    /// A box that is drawn nearer than this to another is drawn again, m (cluttered).
-    #[schemars(range(min = 0.0, max = 0.2))]
-    pub box_clearance_m: f64,
+    /// What the world lets a spec change, by its name: the range of each actuator's setpoints, and the clearance of what
+    /// is placed. The world's own where nothing is given.
+    #[serde(flatten)]
+    #[schemars(skip)]
+    pub world: BTreeMap<String, Setting>,
+}
+
+/// The value of a world's setting.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Setting {
+    /// Lowest, highest.
+    Range([f64; 2]),
+    Number(f64),
 }
 
 /// What is for training, for validation and for the test.
@@ -520,9 +552,30 @@ pub struct Training {
 }
 
 impl Simulation {
-    /// Simulation steps from one sample to the next.
-    pub fn steps_per_sample(&self) -> usize {
-        (STEP_RATE_HZ / self.sample_rate_hz).round() as usize
+    /// The settings that every world has.
+    pub(super) const KEYS: [&str; 5] =
+        ["seed", "episodes", "actuations_per_episode", "actuation_seconds", "sample_rate_hz"];
+
+    /// The range of a world's setting; `None` if it has none of that name.
+    pub fn range(&self, setting: &str) -> Option<[f64; 2]> {
+        match self.world.get(setting)? {
+            Setting::Range(range) => Some(*range),
+            Setting::Number(_) => None,
+        }
+    }
+
+    /// The number of a world's setting; `None` if it has none of that name.
+    pub fn number(&self, setting: &str) -> Option<f64> {
+        match self.world.get(setting)? {
+            Setting::Number(number) => Some(*number),
+            Setting::Range(_) => None,
+        }
+    }
+
+    /// The same with another value of a world's setting.
+    pub fn with(mut self, setting: &str, value: Setting) -> Self {
+        self.world.insert(setting.to_owned(), value);
+        self
     }
 
     /// Samples recorded during one actuation.
@@ -577,17 +630,13 @@ pub struct SplitCounts {
 
 impl Default for Simulation {
     fn default() -> Self {
-        use std::f64::consts::PI;
         Self {
             seed: 0,
             episodes: 200,
             actuations_per_episode: 20,
             actuation_seconds: 1.0,
             sample_rate_hz: 10.0,
-            rotation_range_rad: [0.75 * PI, 1.25 * PI],
-            lift_range_m: [-1.0, 0.0],
-            extension_range_m: [0.0, 1.5],
-            box_clearance_m: 0.05,
+            world: BTreeMap::new(),
         }
     }
 }
@@ -683,19 +732,23 @@ fn channels_schema(_: &mut SchemaGenerator) -> Schema {
 
 /// One loss a modality that is a vector.
 fn losses_schema(generator: &mut SchemaGenerator) -> Schema {
-    let loss = generator.subschema_for::<Loss>().to_value();
-    let vectors = Modality::ALL.iter().filter(|modality| !modality.is_frame());
-    let properties: serde_json::Map<_, _> =
-        vectors.map(|modality| (modality.name().to_owned(), loss.clone())).collect();
-    json_schema!({ "type": "object", "properties": properties, "additionalProperties": false })
+    let mut schema = by_modality(generator.subschema_for::<Loss>()).to_value();
+    if let Some(properties) = schema["properties"].as_object_mut() {
+        let layout = super::modality::Layout::finger();
+        properties.retain(|name, _| Modality::new(name).is_some_and(|modality| !layout[modality].is_image()));
+    }
+    schema.try_into().expect("an object with fewer properties is a schema")
 }
 
-/// One weight a modality. Derived, the schema would allow any key, since `Modality`'s has a description a value.
+/// One weight a modality.
 fn loss_weights_schema(_: &mut SchemaGenerator) -> Schema {
-    let weight = json_schema!({ "type": "number", "minimum": 0.0, "maximum": 1e6 });
-    let properties: serde_json::Map<_, _> = Modality::ALL
-        .iter()
-        .map(|modality| (modality.name().to_owned(), weight.clone().to_value()))
-        .collect();
-    json_schema!({ "type": "object", "properties": properties, "additionalProperties": false })
+    by_modality(json_schema!({ "type": "number", "minimum": 0.0, "maximum": 1e6 }))
+}
+
+/// A section with such a value for each modality: those of the built-in worlds, for editors, and any other.
+pub(super) fn by_modality(value: Schema) -> Schema {
+    let value = value.to_value();
+    let properties: serde_json::Map<_, _> =
+        Modality::BUILT_IN.iter().map(|modality| (modality.name().to_owned(), value.clone())).collect();
+    json_schema!({ "type": "object", "properties": properties, "additionalProperties": value })
 }

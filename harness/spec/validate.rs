@@ -1,14 +1,16 @@
 //! What the schema cannot say: rules that tie several settings together.
 
-use super::scaling::{Deviation, Scaling, Scalings};
+use super::modality::Modality;
+use super::scaling::Deviation;
+use super::schema::unknown;
 use super::types::{
-    Device, Division, Experiment, FRAME_SIDE, Modality, Network, Precision, STEP_RATE_HZ, Simulation, Split,
-    Task, Training,
+    Device, Division, Experiment, Network, Origin, Precision, Setting, Simulation, Split, Task, Training,
 };
+use super::world::World;
 
 /// Largest tensor of a network, values: 1 GiB in single precision.
 const MAX_TENSOR_LEN: usize = 1 << 28;
-/// Most samples of one scenario; a frame is 12 KiB before compression.
+/// Most samples of one scenario.
 const MAX_SAMPLES: usize = 100_000_000;
 
 /// Most runs of one experiment.
@@ -22,6 +24,17 @@ pub(super) struct Fault {
     pub message: String,
 }
 
+impl Fault {
+    /// A setting that two worlds have different values for, and the spec none.
+    pub fn between_worlds(key: &str, one: &World, other: &World) -> Self {
+        let (one, other) = (one.scenario(), other.scenario());
+        let path = format!("simulation.{key}");
+        let message =
+            format!("the worlds {one} and {other} have different defaults for '{path}'; give it a value");
+        Self { path, message }
+    }
+}
+
 fn fault(path: impl Into<String>, message: impl Into<String>) -> Result<(), Fault> {
     Err(Fault { path: path.into(), message: message.into() })
 }
@@ -30,15 +43,17 @@ fn fault(path: impl Into<String>, message: impl Into<String>) -> Result<(), Faul
 pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     name(&experiment.name)?;
     runs(experiment)?;
+    scenarios(experiment)?;
+    modalities(experiment)?;
     tasks(&experiment.tasks)?;
     frames(experiment)?;
     losses(experiment)?;
     precision(&experiment.training)?;
     steps(&experiment.training)?;
-    ranges(&experiment.simulation)?;
-    timing(&experiment.simulation)?;
+    settings(experiment)?;
+    timing(experiment)?;
     samples(&experiment.simulation)?;
-    scaling(&experiment.scaling)?;
+    scaling(experiment)?;
     split(experiment)
 }
 
@@ -88,56 +103,159 @@ fn tasks(tasks: &[Task]) -> Result<(), Fault> {
     )
 }
 
-fn frames(experiment: &Experiment) -> Result<(), Fault> {
-    let lists = [("input", &experiment.input), ("output", &experiment.output)];
-    let frame = lists.iter().find_map(|(list, modalities)| {
-        let index = modalities.iter().position(|modality| modality.is_frame())?;
-        Some((format!("{list}.{index}"), modalities[index]))
-    });
-    let Some((path, modality)) = frame else { return Ok(()) };
-    let Network { preset, average, .. } = experiment.network;
-    if experiment.network.channels().is_empty() {
-        return fault(
-            path,
-            format!(
-                "'{modality}' is a frame, and a {preset} network takes vectors alone; leave it out, use \
-                 network.preset: multi_to_multi, or give it convolutions by network.channels"
-            ),
-        );
+/// Refuses a name that is no built-in world's.
+fn scenarios(experiment: &Experiment) -> Result<(), Fault> {
+    for (index, origin) in experiment.scenarios.iter().enumerate() {
+        if let Origin::Simulated(scenario) = origin
+            && World::named(scenario.name()).is_none()
+        {
+            let names: Vec<&str> = World::built_in().iter().map(|world| world.scenario().name()).collect();
+            let message = unknown("scenario", scenario.name(), "scenarios", &names, str::to_owned);
+            return fault(
+                format!("scenarios.{index}"),
+                message + ", the path of a world file, or the name of an imported dataset",
+            );
+        }
     }
-    if !FRAME_SIDE.is_multiple_of(average) {
-        return fault(
-            "network.average",
-            format!(
-                "frames of {FRAME_SIDE} x {FRAME_SIDE} pixels have no whole squares of {average} x {average}"
-            ),
-        );
-    }
-    convolutions(&experiment.network)?;
-    tensors(&experiment.network, &experiment.training)
+    Ok(())
 }
 
-/// Each convolution halves the side of its image, which must therefore be even.
-fn convolutions(network: &Network) -> Result<(), Fault> {
-    let side = FRAME_SIDE / network.average;
+/// Refuses a modality that one of the worlds does not declare; those of an imported dataset are compared when it is opened.
+fn modalities(experiment: &Experiment) -> Result<(), Fault> {
+    let lists = [("input", &experiment.input), ("output", &experiment.output)];
+    let worlds: Vec<_> = experiment.scenarios.iter().filter_map(|origin| experiment.world(origin)).collect();
+    for world in &worlds {
+        let names: Vec<&str> = world.modalities().map(Modality::name).collect();
+        for (list, modalities) in lists {
+            let missing = modalities.iter().position(|modality| !names.contains(&modality.name()));
+            if let Some(index) = missing {
+                let mut message = unknown("modality", modalities[index].name(), list, &names, str::to_owned);
+                let elsewhere =
+                    |other: &&std::sync::Arc<World>| other.modalities().any(|name| name == modalities[index]);
+                if worlds.iter().any(|other| elsewhere(&other)) {
+                    message += &format!(" in the world {}", world.scenario());
+                }
+                return fault(format!("{list}.{index}"), message);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The images that networks are given and predict, with their rows and columns.
+pub(super) struct Images<'a> {
+    pub input: &'a [(Modality, [usize; 2])],
+    pub output: &'a [(Modality, [usize; 2])],
+}
+
+fn frames(experiment: &Experiment) -> Result<(), Fault> {
+    for origin in &experiment.scenarios {
+        let images = |modalities: &[Modality]| -> Vec<(Modality, [usize; 2])> {
+            let size = |modality: &Modality| Some((*modality, experiment.known(origin, *modality)?.size?));
+            modalities.iter().filter_map(size).collect()
+        };
+        let (input, output) = (images(&experiment.input), images(&experiment.output));
+        let images = Images { input: &input, output: &output };
+        // The sizes of an imported dataset's images are known when it is opened.
+        let checked = match experiment.world(origin) {
+            Some(_) => check_images(&images, &experiment.network, &experiment.training),
+            None => convolves(&images, &experiment.network),
+        };
+        checked.map_err(|fault| place(fault, experiment))?;
+    }
+    Ok(())
+}
+
+/// A fault of a modality, where the spec names it.
+fn place(fault: Fault, experiment: &Experiment) -> Fault {
+    let at = |list: &str, modalities: &[Modality]| {
+        let index = modalities.iter().position(|modality| modality.name() == fault.path)?;
+        Some(format!("{list}.{index}"))
+    };
+    let path = at("input", &experiment.input).or_else(|| at("output", &experiment.output));
+    Fault { path: path.unwrap_or(fault.path), message: fault.message }
+}
+
+/// Refuses images where there are no convolutions; the fault's path is the modality.
+fn convolves(images: &Images, network: &Network) -> Result<(), Fault> {
+    let Some((modality, _)) = images.input.iter().chain(images.output).next() else { return Ok(()) };
+    if !network.channels().is_empty() {
+        return Ok(());
+    }
+    fault(
+        modality.name(),
+        format!(
+            "'{modality}' is an image, and a {} network takes vectors alone; leave it out, use \
+             network.preset: multi_to_multi, or give it convolutions by network.channels",
+            network.preset
+        ),
+    )
+}
+
+/// Refuses images that the network can't take.
+pub(super) fn check_images(images: &Images, network: &Network, training: &Training) -> Result<(), Fault> {
+    convolves(images, network)?;
+    for (list, averaged) in [(images.input, true), (images.output, false)] {
+        let Some(&(first, [rows, columns])) = list.first() else { continue };
+        if rows != columns {
+            return fault(
+                first.name(),
+                format!("'{first}' has {rows} x {columns} pixels, and the networks take square images alone"),
+            );
+        }
+        if let Some((other, [rows, columns])) = list.iter().find(|(_, size)| *size != [rows, columns]) {
+            return fault(
+                other.name(),
+                format!(
+                    "'{other}' has {rows} x {columns} pixels and '{first}' {0} x {0}; images that go into a network, or \
+                     come out of it, together must have one size",
+                    list[0].1[0]
+                ),
+            );
+        }
+        convolutions(first, rows, network, averaged)?;
+        tensors(rows, network, training)?;
+    }
+    Ok(())
+}
+
+/// Each convolution halves the side of its image, which must therefore be even. An input is averaged before.
+fn convolutions(modality: Modality, side: usize, network: &Network, averaged: bool) -> Result<(), Fault> {
+    let average = if averaged { network.average } else { 1 };
+    if !side.is_multiple_of(average) {
+        return fault(
+            "network.average",
+            format!("images of {side} x {side} pixels have no whole squares of {average} x {average}"),
+        );
+    }
+    let side = side / average;
     let (most, asked) = (side.trailing_zeros() as usize, network.channels().len());
     if asked <= most {
         return Ok(());
     }
-    let averaged = if network.average > 1 { " after averaging" } else { "" };
+    let words = if average > 1 { " after averaging" } else { "" };
+    if most == 0 {
+        return fault(
+            modality.name(),
+            format!(
+                "'{modality}' has a side of {side} pixels{words}, which is odd; a convolution halves it, so use an even \
+                 number"
+            ),
+        );
+    }
     fault(
         "network.channels",
         format!(
-            "{asked} convolutions halve the side of a frame as often, and it has {side} pixels{averaged}; \
+            "{asked} convolutions halve the side of an image as often, and it has {side} pixels{words}; \
              give {most} channels at most"
         ),
     )
 }
 
 /// Bounds the largest tensors of the convolutions: the weights of the layer behind them, and a batch of what they make.
-fn tensors(network: &Network, training: &Training) -> Result<(), Fault> {
+fn tensors(side: usize, network: &Network, training: &Training) -> Result<(), Fault> {
     let convolutions = network.channels();
-    let side = FRAME_SIDE >> convolutions.len();
+    let side = side >> convolutions.len();
     let values = convolutions.last().map_or(0, |channels| channels * side * side);
     let hidden = network.hidden.iter().copied().max().unwrap_or(1);
     for (path, factor) in [("network.hidden", hidden), ("training.batch_size", training.batch_size)] {
@@ -194,6 +312,16 @@ fn losses(experiment: &Experiment) -> Result<(), Fault> {
             format!("'{modality}' has a {words} but is no output; outputs: {}", list(&experiment.output)),
         );
     }
+    let is_image = |modality: &Modality| {
+        let known = experiment.scenarios.iter().find_map(|origin| experiment.known(origin, *modality));
+        known.is_some_and(|known| known.size.is_some())
+    };
+    if let Some(modality) = losses.keys().find(|modality| is_image(modality)) {
+        return fault(
+            format!("training.losses.{modality}"),
+            format!("'{modality}' is an image, whose errors are squared; leave it out"),
+        );
+    }
     let weight = |modality| weights.get(modality).copied().unwrap_or(1.0);
     if experiment.output.iter().all(|modality| weight(modality) == 0.0) {
         return fault("training.loss_weights", "every output has weight 0, so there is nothing to learn");
@@ -205,33 +333,41 @@ fn list(modalities: &[Modality]) -> String {
     modalities.iter().map(|modality| modality.name()).collect::<Vec<_>>().join(", ")
 }
 
-fn ranges(simulation: &Simulation) -> Result<(), Fault> {
-    let ranges = [
-        ("rotation_range_rad", simulation.rotation_range_rad),
-        ("lift_range_m", simulation.lift_range_m),
-        ("extension_range_m", simulation.extension_range_m),
-    ];
-    for (key, [low, high]) in ranges {
-        if low > high {
-            return fault(
-                format!("simulation.{key}"),
-                format!("the range [{low}, {high}] is reversed; write [{high}, {low}]"),
-            );
+/// Refuses settings that no world has, and values that theirs can't have.
+fn settings(experiment: &Experiment) -> Result<(), Fault> {
+    let worlds: Vec<_> = experiment.scenarios.iter().filter_map(|origin| experiment.world(origin)).collect();
+    let known: Vec<(String, Setting)> = worlds.iter().flat_map(|world| world.settings()).collect();
+    for (key, value) in &experiment.simulation.world {
+        let path = format!("simulation.{key}");
+        if !known.iter().any(|(name, _)| name == key) {
+            let fixed = Simulation::KEYS.iter().copied();
+            let names: Vec<&str> = fixed.chain(known.iter().map(|(name, _)| name.as_str())).collect();
+            // An imported dataset is not simulated: what stands here has no effect on it.
+            if worlds.is_empty() {
+                continue;
+            }
+            return fault(path, unknown("key", key, "simulation", &names, str::to_owned));
+        }
+        for world in &worlds {
+            world.check_setting(key, value).or_else(|message| fault(&path, message))?;
         }
     }
     Ok(())
 }
 
-fn timing(simulation: &Simulation) -> Result<(), Fault> {
-    let Simulation { actuation_seconds: seconds, sample_rate_hz: rate, .. } = *simulation;
-    if !is_positive_whole(STEP_RATE_HZ / rate) {
-        return fault(
-            "simulation.sample_rate_hz",
-            format!(
-                "{rate} Hz does not divide the simulation's {STEP_RATE_HZ} Hz; use one that does, \
+fn timing(experiment: &Experiment) -> Result<(), Fault> {
+    let Simulation { actuation_seconds: seconds, sample_rate_hz: rate, .. } = experiment.simulation;
+    for world in experiment.scenarios.iter().filter_map(|origin| experiment.world(origin)) {
+        let steps = world.file().step_rate_hz;
+        if !is_positive_whole(steps / rate) {
+            return fault(
+                "simulation.sample_rate_hz",
+                format!(
+                    "{rate} Hz does not divide the simulation's {steps} Hz; use one that does, \
                      as 10, 20, 50 or 100"
-            ),
-        );
+                ),
+            );
+        }
     }
     if !is_positive_whole(seconds * rate) {
         let interval = 1.0 / rate;
@@ -270,15 +406,30 @@ fn samples(simulation: &Simulation) -> Result<(), Fault> {
     Ok(())
 }
 
-fn scaling(scalings: &Scalings) -> Result<(), Fault> {
-    let per_element = |(modality, scaling): &(&Modality, &Scaling)| {
-        modality.is_frame() && scaling.scale == Deviation::PerElement
-    };
-    let Some((modality, _)) = scalings.iter().find(per_element) else { return Ok(()) };
-    fault(
-        format!("scaling.{modality}.scale"),
-        format!("'{modality}' is a frame, whose values have one deviation for all; use shared"),
-    )
+fn scaling(experiment: &Experiment) -> Result<(), Fault> {
+    for (modality, given) in &experiment.scaling {
+        let known: Vec<_> =
+            experiment.scenarios.iter().map(|origin| experiment.known(origin, *modality)).collect();
+        if known.iter().all(Option::is_none)
+            && experiment.scenarios.iter().all(|o| experiment.world(o).is_some())
+        {
+            let worlds = experiment.scenarios.iter().filter_map(|origin| experiment.world(origin));
+            let names: Vec<&str> =
+                worlds.flat_map(|world| world.modalities().collect::<Vec<_>>()).map(Modality::name).collect();
+            return fault(
+                format!("scaling.{modality}"),
+                unknown("key", modality.name(), "scaling", &names, str::to_owned),
+            );
+        }
+        let is_image = known.iter().flatten().any(|known| known.size.is_some());
+        if is_image && given.scale == Some(Deviation::PerElement) {
+            return fault(
+                format!("scaling.{modality}.scale"),
+                format!("'{modality}' is an image, whose values have one deviation for all; use shared"),
+            );
+        }
+    }
+    Ok(())
 }
 
 fn split(experiment: &Experiment) -> Result<(), Fault> {

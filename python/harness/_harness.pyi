@@ -129,7 +129,7 @@ class Model:
 
 @final
 class SimulationBatch:
-    """`count` simulations of a scenario (`empty`, `cluttered`), independent of each other and stepped in parallel.
+    """`count` simulations of a world, by its name (`empty`, `cluttered`) or the path of its file, independent of each other and stepped in parallel.
 
     Each is at a sample of an episode. What it senses is what a dataset records: `follow` goes through a dataset's episode
     bit by bit, where the settings are the dataset's: a spec's where one is given, or by `Dataset.simulation`.
@@ -143,9 +143,9 @@ class SimulationBatch:
         """Takes a simulation to the start of the episode of that index in the dataset of that seed."""
 
     def step(self, setpoints: NDArray[np.float64], active: NDArray[np.bool_] | None = None) -> None:
-        """Takes each simulation to its next sample, while the arm's setpoint moves evenly to `setpoints[index]`.
+        """Takes each simulation to its next sample, while the setpoint moves evenly to `setpoints[index]`.
 
-        setpoints: `[count, 3]`, rotation (rad), lift and extension (m); held to `setpoint_ranges`. active: `[count]`,
+        setpoints: `[count, elements]`, of the finger rotation (rad), lift and extension (m); held to `setpoint_ranges`. active: `[count]`,
         the simulations that are stepped; all by default. Raises ValueError for another shape or a value that is not
         finite.
         """
@@ -154,14 +154,21 @@ class SimulationBatch:
         """Takes each simulation to its next sample along its episode's own course."""
 
     def sense(self, modality: str) -> NDArray[Any]:
-        """What the simulations sense: proprioception, contact_force and contact_force_mean `[count, 20]`, arm
-        `[count, 3]`, float32; vision `[count, 64, 64, 3]`, uint8. Raises KeyError for another modality."""
+        """What the simulations sense, by one of `modalities`: a vector `[count, elements]`, float32, or an image
+        `[count, rows, columns, 3]`, uint8. Raises KeyError for another modality."""
 
     def portrait(self, index: int, width: int, height: int) -> NDArray[np.uint8]:
         """A picture of a simulation in good quality, `[height, width, 3]`, each side 1 to 4096 pixels."""
 
     @property
-    def scenario(self) -> str: ...
+    def scenario(self) -> str:
+        """The world's name."""
+    @property
+    def modalities(self) -> dict[str, tuple[int, ...]]:
+        """What is sensed, with the shape of one simulation's values."""
+    @property
+    def action(self) -> list[str]:
+        """Names of the elements of the action."""
     @property
     def count(self) -> int: ...
     @property
@@ -175,13 +182,13 @@ class SimulationBatch:
         """Duration of one arm move in a dataset's episode, s."""
     @property
     def setpoint_ranges(self) -> NDArray[np.float64]:
-        """Lowest and highest rotation (rad), lift and extension (m), `[3, 2]`."""
+        """Lowest and highest setpoint of each element of the action, `[elements, 2]`."""
     @property
     def setpoint(self) -> NDArray[np.float64]:
-        """The setpoints at this sample, `[count, 3]`."""
+        """The setpoints at this sample, `[count, elements]`."""
     @property
     def fingertip(self) -> NDArray[np.float64]:
-        """Where the fingers end in the world, m, `[count, 3]`."""
+        """Where the fingers end in the world, m, `[count, 3]`. Raises ValueError in a world without forces of links."""
     @property
     def boxes(self) -> NDArray[np.float64]:
         """Position (m) and orientation (unit quaternion w, x, y, z) of the boxes in the world, `[count, boxes, 7]`."""

@@ -15,19 +15,20 @@ import numpy as np
 from dm_env import specs
 from numpy.typing import NDArray
 
-from .episodes import MODALITIES, Episodes, one_action
+from .episodes import Episodes, one_action
 
 
 def load(
     scenario: str,
-    task: str,
+    task: str | None,
     *,
     seed: int | None = None,
-    modalities: tuple[str, ...] = MODALITIES,
+    modalities: tuple[str, ...] | None = None,
     samples: int = 100,
     spec: str | os.PathLike[str] | None = None,
 ) -> "Environment":
-    """An environment: `scenario` is empty or cluttered, `task` one of `harness.tasks.TASKS`.
+    """An environment: `scenario` is a built-in world or the path of a world file, `task` one of `harness.tasks.TASKS`, which are
+    those of the finger, or None.
 
     seed: of the dataset whose episodes are gone through from the first; a random one by default. modalities: what is
     observed besides the task's `goal`; `vision` may be among it. samples: actions an episode, 0.1 s each. spec: an
@@ -50,10 +51,10 @@ class Environment(dm_env.Environment):
         return dm_env.restart(self._observation())
 
     def step(self, action: NDArray[Any]) -> dm_env.TimeStep:
-        """Takes an action `[3]`; the first step after an episode's end ignores it and begins the next."""
+        """Takes an action; the first step after an episode's end ignores it and begins the next."""
         if self._over:
             return self.reset()
-        reward = float(self._episodes.step(one_action(action))[0])
+        reward = float(self._episodes.step(one_action(action, self._episodes.names))[0])
         self._over = bool(self._episodes.ended[0])
         if self._over:
             return dm_env.truncation(reward, self._observation())
@@ -61,7 +62,7 @@ class Environment(dm_env.Environment):
 
     def action_spec(self) -> specs.BoundedArray:
         fastest = self._episodes.fastest
-        return specs.BoundedArray((3,), np.float64, -fastest, fastest, name="increment")
+        return specs.BoundedArray(fastest.shape, np.float64, -fastest, fastest, name="increment")
 
     def observation_spec(self) -> Mapping[str, specs.BoundedArray]:
         bounds = self._episodes.bounds().items()

@@ -10,9 +10,6 @@ from numpy.typing import NDArray
 from ._harness import SimulationBatch
 from .tasks import State, task_named
 
-MODALITIES = ("proprioception", "arm", "contact_force", "contact_force_mean")
-"""What is observed by default: everything but `vision`, which needs OpenGL."""
-
 MAX_SEED = 2**53 - 1
 """The largest seed of a dataset."""
 
@@ -23,8 +20,8 @@ FASTEST = 1.5
 class Episodes:
     """`count` episodes of a task, independent of each other.
 
-    An action is the change of the arm's setpoint until the next sample, `[3]`: rotation (rad), lift and extension (m),
-    as networks with `action: increment` are told it. A simulation's episode is that of a dataset, given by its seed and
+    An action is the change of the setpoint until the next sample; of the finger, `[3]`: rotation (rad), lift and
+    extension (m), as networks with `action: increment` are told it. A simulation's episode is that of a dataset, given by its seed and
     its index there: resetting with a seed goes to its first, resetting without to the next. So boxes stand as they do in
     the dataset, and the goal is drawn from seed and index alone.
     """
@@ -32,32 +29,39 @@ class Episodes:
     def __init__(
         self,
         scenario: str,
-        task: str,
+        task: str | None,
         count: int = 1,
         *,
-        modalities: tuple[str, ...] = MODALITIES,
+        modalities: tuple[str, ...] | None = None,
         samples: int = 100,
         spec: str | os.PathLike[str] | None = None,
     ) -> None:
-        """samples: actions an episode, of 0.1 s each by default. spec: an experiment whose simulation settings to use."""
+        """scenario: a built-in world, or the path of a world file. task: one of `harness.tasks.TASKS`, which are those of the
+        finger; without one, there is no goal, and every reward is 0. modalities: what is observed; all vectors by default.
+        samples: actions an episode, of 0.1 s each by default. spec: an experiment whose simulation settings to use."""
         if samples < 1:
             raise ValueError(f"samples: {samples} must be at least 1")
         self.simulations = SimulationBatch(scenario, count, None if spec is None else os.fspath(spec))
-        self.task = task_named(task, scenario)
-        self.modalities = tuple(modalities)
+        self.task = None if task is None else task_named(task, scenario)
+        self.names = self.simulations.action
+        """Names of the elements of an action."""
+        self.shapes = self.simulations.modalities
+        """Shape of what can be observed of one simulation, by name: `[elements]` or `[rows, columns, 3]`."""
+        vectors = tuple(name for name, shape in self.shapes.items() if len(shape) == 1)
+        self.modalities = vectors if modalities is None else tuple(modalities)
         self.samples = samples
         self.ranges = self.simulations.setpoint_ranges
         per_sample = FASTEST * self.simulations.sample_seconds / self.simulations.actuation_seconds
         self.fastest = per_sample * (self.ranges[:, 1] - self.ranges[:, 0])
-        """The largest change of the setpoint in a sample, `[3]`."""
+        """The largest change of the setpoint in a sample, `[elements]`."""
         self.seeds: list[int | None] = [None] * count
         self.indices = np.zeros(count, dtype=np.int64)
         """Index of each simulation's episode in the dataset of its seed."""
         self.taken = np.zeros(count, dtype=np.int64)
         """Actions taken in each episode."""
-        self.goals = np.zeros((count, len(self.task.goal_low)))
+        self.goals = np.zeros((count, len(self.task.goal_low) if self.task else 0))
         for modality in self.modalities:
-            if modality != "vision":
+            if len(self.shapes.get(modality, ())) != 3:
                 self.simulations.sense(modality)
 
     def reset(self, index: int, seed: int | None = None) -> None:
@@ -72,13 +76,15 @@ class Episodes:
             episode = int(self.indices[index]) + 1
         self.simulations.reset(index, known, episode)
         self.seeds[index], self.indices[index], self.taken[index] = known, episode, 0
+        if self.task is None:
+            return
         self.goals[index] = self.task.draw(np.random.default_rng([known, episode]), self.state(), index)
 
     def step(self, actions: NDArray[Any], active: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
-        """Takes actions `[count, 3]`, held to `fastest`; returns the rewards `[count]`, 0 for those not active."""
+        """Takes actions `[count, elements]`, held to `fastest`; returns the rewards `[count]`, 0 for those not active."""
         change = np.clip(np.asarray(actions, dtype=np.float64), -self.fastest, self.fastest)
         self.simulations.step(self.simulations.setpoint + change, active)
-        rewards = self.task.reward(self.state(), self.goals)
+        rewards = np.zeros(len(self.taken)) if self.task is None else self.task.reward(self.state(), self.goals)
         if active is None:
             self.taken += 1
             return rewards
@@ -101,28 +107,34 @@ class Episodes:
     def observe(self) -> dict[str, NDArray[Any]]:
         """The observations by modality, and the `goal`, `[count, …]`."""
         observed = {modality: self.simulations.sense(modality) for modality in self.modalities}
-        return {**observed, "goal": self.goals.astype(np.float32)}
+        return observed if self.task is None else {**observed, "goal": self.goals.astype(np.float32)}
 
     def bounds(self) -> dict[str, tuple[Any, Any, tuple[int, ...], type]]:
         """Lowest and highest value, shape and type of what one simulation's observation holds, by name."""
         # The arm lags its setpoint by 0.01 rad or m, the finger gives way beyond its joints' stops by less than that; and
         # ten times the largest force of a dataset is far from what is bounded by the models.
         arm = self.ranges + np.array([-0.5, 0.5])
-        force = (0.0, 1e4, (20,), np.float32)
-        known: dict[str, tuple[Any, Any, tuple[int, ...], type]] = {
-            "proprioception": (-np.pi, np.pi, (20,), np.float32),
-            "arm": (arm[:, 0], arm[:, 1], (3,), np.float32),
-            "contact_force": force,
-            "contact_force_mean": force,
-            "vision": (0, 255, (64, 64, 3), np.uint8),
+        known: dict[str, tuple[Any, Any]] = {
+            "proprioception": (-np.pi, np.pi),
+            "arm": (arm[:, 0], arm[:, 1]),
+            "contact_force": (0.0, 1e4),
+            "contact_force_mean": (0.0, 1e4),
         }
+        bounds: dict[str, tuple[Any, Any, tuple[int, ...], type]] = {}
+        for modality in self.modalities:
+            shape = self.shapes[modality]
+            is_image = len(shape) == 3
+            low, high = (0, 255) if is_image else known.get(modality, (-np.inf, np.inf))
+            bounds[modality] = (low, high, shape, np.uint8 if is_image else np.float32)
+        if self.task is None:
+            return bounds
         goal = (np.array(self.task.goal_low), np.array(self.task.goal_high), self.goals.shape[1:], np.float32)
-        return {**{modality: known[modality] for modality in self.modalities}, "goal": goal}
+        return {**bounds, "goal": goal}
 
 
-def one_action(action: NDArray[Any]) -> NDArray[np.float64]:
-    """An action as that of a batch of one. Raises ValueError where it is not three finite numbers."""
+def one_action(action: NDArray[Any], names: list[str]) -> NDArray[np.float64]:
+    """An action as that of a batch of one. Raises ValueError where it is not as many finite numbers as `names`."""
     values = np.asarray(action, dtype=np.float64)
-    if values.shape != (3,) or not np.all(np.isfinite(values)):
-        raise ValueError(f"action: {action!r} must be three finite numbers: rotation (rad), lift and extension (m)")
+    if values.shape != (len(names),) or not np.all(np.isfinite(values)):
+        raise ValueError(f"action: {action!r} must be {len(names)} finite numbers: {', '.join(names)}")
     return values[None]

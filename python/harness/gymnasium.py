@@ -6,6 +6,8 @@
     environment = gymnasium.make("SoftFinger-Cluttered-v0", task="push")
     several = gymnasium.make_vec("SoftFinger-Cluttered-Push-v0", num_envs=8)
 
+Any world, without a task: `gymnasium.make("HarnessWorld-v0", scenario="robots/gripper.yaml")`; every reward is 0 then.
+
 Without the import, `gymnasium.make("harness.gymnasium:SoftFinger-Cluttered-v0")` does both.
 `SoftFinger-Empty-v0` and `SoftFinger-Cluttered-v0` take the task as an argument (`reach` without one); with a task in the
 name, as in `SoftFinger-Empty-Press-v0`, it is that. Vector environments are stepped in parallel, in Rust.
@@ -20,7 +22,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from .episodes import MODALITIES, Episodes, one_action
+from .episodes import Episodes, one_action
 from .tasks import TASKS
 
 Observation = dict[str, NDArray[Any]]
@@ -41,9 +43,9 @@ class SoftFinger(gymnasium.Env[Any, Any]):
     def __init__(
         self,
         scenario: str,
-        task: str = "reach",
+        task: str | None = "reach",
         *,
-        modalities: tuple[str, ...] = MODALITIES,
+        modalities: tuple[str, ...] | None = None,
         samples: int = 100,
         spec: str | os.PathLike[str] | None = None,
         render_mode: str | None = None,
@@ -65,7 +67,7 @@ class SoftFinger(gymnasium.Env[Any, Any]):
         return self._observation(), {"seed": self.episodes.seeds[0], "episode": int(self.episodes.indices[0])}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        reward = float(self.episodes.step(one_action(action))[0])
+        reward = float(self.episodes.step(one_action(action, self.episodes.names))[0])
         return self._observation(), reward, False, bool(self.episodes.ended[0]), {}
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -90,9 +92,9 @@ class SoftFingerVector(VectorEnv[Any, Any, Any]):
         self,
         num_envs: int,
         scenario: str,
-        task: str = "reach",
+        task: str | None = "reach",
         *,
-        modalities: tuple[str, ...] = MODALITIES,
+        modalities: tuple[str, ...] | None = None,
         samples: int = 100,
         spec: str | os.PathLike[str] | None = None,
         render_mode: str | None = None,
@@ -155,7 +157,13 @@ def spaces(episodes: Episodes) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.
 
 
 def register() -> None:
-    """Registers the environments of every scenario and task."""
+    """Registers the environments of every scenario and task, and one for any world."""
+    gymnasium.register(
+        "HarnessWorld-v0",
+        entry_point="harness.gymnasium:SoftFinger",
+        vector_entry_point="harness.gymnasium:SoftFingerVector",
+        kwargs={"task": None},
+    )
     for scenario in ("empty", "cluttered"):
         tasks = {f"-{name.title()}": {"task": name} for name, task in TASKS.items() if scenario in task.scenarios}
         for suffix, arguments in {"": {}, **tasks}.items():

@@ -14,12 +14,15 @@ columns of the recording make up which modality:
       arm: [rotation, lift, extension]            # columns side by side
       contact_force: force_??                     # columns by a pattern of * and ?, in their order in the file
       contact_force_mean: {from: mean_??, scale: 9.81}      # a factor, or one an element, into rad, m and N
-      vision: observation.images.external         # pictures of any size; they become 64 x 64 pixels
+      vision: observation.images.external         # pictures of any size
+      touch: {from: "pad_?", unit: N}             # any other name is a vector of its own, with its unit
+      wrist: {from: observation.images.wrist, size: [96, 96]}     # or an image, with its rows and columns
     episode: episode                # of Parquet: the column that tells episodes apart,
     order: sample                   # the column that orders an episode's rows,
     sample_rate_hz: 10              # and how many of them there are a second
 
-Networks have fixed sizes so far: 20 joint angles and forces, 3 values of the arm and its setpoint.
+Vectors may have any width. The names of the finger's modalities keep what they mean: `vision` is an image and becomes
+64 x 64 pixels unless it has a `size`, forces are in N and never negative, and so on.
 """
 
 from __future__ import annotations
@@ -42,7 +45,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from harness.recorded import FORMAT, FRAME_SHAPE, VECTORS, Episode, write_episode
+from harness.recorded import FINGER, FORMAT, Episode, Layout, write_episode
 
 try:
     import yaml
@@ -55,7 +58,12 @@ except ImportError as error:
 
 SCENARIOS = ("empty", "cluttered")
 FORMATS = ("lerobot", "parquet")
-MODALITIES = (*VECTORS, "vision")
+RESERVED = ("dataset", "scenario", "episode", "sample", "time", "action", "kl", "total", "frame_difference")
+"""Names that mean something else, or are computed."""
+MAX_SIDE = 1024
+
+KNOWN: dict[str, dict[str, Any]] = {each["name"]: each for each in FINGER["modalities"]}
+"""What the finger's layout says of its modalities, whose names keep what they mean."""
 PARQUET_KEYS = ("episode", "order", "sample_rate_hz")
 
 Columns = dict[str, Any]
@@ -76,6 +84,10 @@ class Selection:
     terms: tuple[str, ...]
     scale: np.ndarray | None
     """float64, one factor or one an element; None for values that are already in the harness's units."""
+    unit: str = ""
+    """Of a vector that the finger does not have."""
+    size: tuple[int, int] | None = None
+    """Rows and columns of an image; None of a vector."""
 
     def columns(self, available: list[str]) -> list[str]:
         """The recording's columns that it needs.
@@ -100,12 +112,10 @@ class Selection:
                     raise self.error(f"'{column}' holds no numbers, or lists of different lengths") from None
                 parts.append(values.reshape(len(values), -1)[:, elements])
         values = np.concatenate(parts, axis=1)
-        width = len(VECTORS[self.modality])
-        if values.shape[1] != width:
-            raise self.error(
-                f"{' + '.join(self.terms)} gives {values.shape[1]} values, and {width} are needed: this version's "
-                "networks are of fixed size"
-            )
+        if values.shape[1] == 0:
+            raise self.error(f"{' + '.join(self.terms)} gives no values")
+        if self.scale is not None and len(self.scale) not in (1, values.shape[1]):
+            raise self.error(f"scale: must be 1 number or {values.shape[1]}, not {len(self.scale)}")
         if self.scale is not None:
             values = values * self.scale
         with np.errstate(over="ignore"):
@@ -209,36 +219,74 @@ class Mapping:
 
 def _selections(modalities: Any) -> dict[str, Selection]:
     if not isinstance(modalities, dict):
-        raise MappingError(f"modalities: must say what makes up each of {', '.join(MODALITIES)}")
-    _check_keys(modalities, ("setpoint",), "modalities.", MODALITIES)
+        raise MappingError("modalities: must say what makes up each modality, by its name")
+    if modalities.get("setpoint") is None:
+        raise MappingError("missing 'modalities.setpoint'")
     if len(modalities) == 1:
         raise MappingError(
             "modalities: there is nothing to learn from the setpoint alone; name what was sensed"
         )
-    given = [modality for modality in MODALITIES if modality in modalities]
-    return {modality: _selection(modality, modalities[modality]) for modality in given}
+    for name in modalities:
+        if not re.fullmatch(r"[a-z][a-z0-9_]{0,63}", str(name)) or name in RESERVED:
+            raise MappingError(
+                f"modalities: {name!r} can't name a modality; use small letters, digits and _, a letter first, and none "
+                f"of {', '.join(RESERVED)}"
+            )
+    # The finger's come first, in its order, so that a dataset of the finger has its columns.
+    given = [name for name in KNOWN if name in modalities]
+    return {name: _selection(name, modalities[name]) for name in dict.fromkeys([*given, *modalities])}
 
 
 def _selection(modality: str, value: Any) -> Selection:
     where = f"modalities.{modality}"
-    scale = None
+    scale, unit, size = None, "", KNOWN.get(modality, {}).get("size")
     if isinstance(value, dict):
-        _check_keys(value, ("from", "scale"), f"{where}.")
-        value, scale = value["from"], value["scale"]
+        _check_keys(value, ("from",), f"{where}.", ("from", "scale", "unit", "size"))
+        size, unit, scale, value = value.get("size", size), value.get("unit", ""), value.get("scale"), value["from"]
+        if modality in KNOWN and (KNOWN[modality]["kind"] == "image") != (size is not None):
+            raise MappingError(f"{where}: is a {KNOWN[modality]['kind']}; an image has a size, a vector has none")
+        if modality in KNOWN and unit:
+            raise MappingError(f"{where}.unit: is that of the finger's; leave it out, or give the modality another name")
+    if size is not None and not (
+        isinstance(size, list)
+        and len(size) == 2
+        and all(isinstance(side, int) and 1 <= side <= MAX_SIDE for side in size)
+    ):
+        raise MappingError(f"{where}.size: must be rows and columns of 1 to {MAX_SIDE} pixels, not {size!r}")
+    if scale is not None:
         numbers = scale if isinstance(scale, list) else [scale]
-        if modality == "vision" or not all(isinstance(number, int | float) for number in numbers):
+        if size is not None or not all(isinstance(number, int | float) for number in numbers):
             raise MappingError(f"{where}.scale: must be a number or a list of them, and is for vectors alone")
-        if len(numbers) not in (1, len(VECTORS[modality])):
-            raise MappingError(
-                f"{where}.scale: must be 1 number or {len(VECTORS[modality])}, not {len(numbers)}"
-            )
         scale = np.array(numbers, np.float64)
     terms = value if isinstance(value, list) else [value]
     if not terms or not all(isinstance(term, str) for term in terms):
         raise MappingError(f"{where}: must be a column, or a list of columns, not {value!r}")
-    if modality == "vision" and len(terms) != 1:
+    if size is not None and len(terms) != 1:
         raise MappingError(f"{where}: must be one column")
-    return Selection(modality, tuple(terms), scale)
+    return Selection(modality, tuple(terms), scale, str(unit), tuple(size) if size else None)
+
+
+def _layout(mapping: Mapping, widths: dict[str, int]) -> Layout:
+    """What a dataset's samples hold, given the widths of its vectors."""
+    modalities: list[dict[str, Any]] = []
+    for name, selection in mapping.selections.items():
+        known = KNOWN.get(name)
+        if selection.size is not None:
+            image = {"kind": "image", "size": list(selection.size), "scale": "shared"}
+            modalities.append({"name": name, "meaning": "Image", **image})
+            difference = "frame_difference" if name == "vision" else f"{name}_difference"
+            meaning = f"Change of {name} since the sample before"
+            modalities.append({"name": difference, "meaning": meaning, **image, "difference_of": name})
+        elif known and len(known["elements"]) == widths[name]:
+            modalities.append(known)
+        else:
+            units = {element["unit"] for element in known["elements"]} if known else {selection.unit}
+            unit = units.pop() if len(units) == 1 else ""
+            elements = [{"name": f"{index:02}", "unit": unit} for index in range(widths[name])]
+            keep = ("scale", "minimum", "percentage")
+            rest = {key: known[key] for key in keep if key in known} if known else {"scale": "per_element"}
+            modalities.append({"name": name, "meaning": "Value", "kind": "vector", "elements": elements, **rest})
+    return {"modalities": modalities}
 
 
 def _check_keys(
@@ -381,23 +429,26 @@ def _episode(index: int, columns: Columns, mapping: Mapping, rate: float) -> Epi
     samples = len(next(iter(columns.values())))
     if samples < 2:
         raise MappingError("it has 1 sample; a prediction needs a next one")
-    vectors = {name: mapping.selections[name].pick(columns) for name in VECTORS if name in mapping.selections}
-    frames = np.empty((0, *FRAME_SHAPE), np.uint8)
-    if selection := mapping.selections.get("vision"):
-        (column,) = selection.columns(list(columns))
-        frames = np.stack([_frame(picture, selection) for picture in columns[column]])
-    return Episode(index, np.arange(samples) / rate, vectors, frames)
+    selections = mapping.selections
+    vectors = {name: each.pick(columns) for name, each in selections.items() if each.size is None}
+    images = {}
+    for name, selection in selections.items():
+        if selection.size is not None:
+            (column,) = selection.columns(list(columns))
+            shape = (*selection.size, 3)
+            images[name] = np.stack([_frame(picture, selection, shape) for picture in columns[column]])
+    return Episode(index, np.arange(samples) / rate, vectors, images)
 
 
-def _frame(picture: Any, selection: Selection) -> np.ndarray:
-    """A picture as 64 x 64 RGB pixels: an array, the bytes of such a frame, or a file's bytes, as PNG's."""
+def _frame(picture: Any, selection: Selection, shape: tuple[int, int, int]) -> np.ndarray:
+    """A picture as so many rows and columns of RGB pixels: an array, the bytes of such a frame, or a file's bytes, as PNG's."""
     if isinstance(picture, dict):
         picture = picture.get("bytes")
-    if isinstance(picture, bytes) and len(picture) == np.prod(FRAME_SHAPE):
-        return np.frombuffer(picture, np.uint8).reshape(FRAME_SHAPE)
+    if isinstance(picture, bytes) and len(picture) == np.prod(shape):
+        return np.frombuffer(picture, np.uint8).reshape(shape)
     try:
         image = Image.open(io.BytesIO(picture)) if isinstance(picture, bytes) else Image.fromarray(picture)
-        height, width, _ = FRAME_SHAPE
+        height, width, _ = shape
         if image.size == (width, height):
             return np.asarray(image.convert("RGB"))
         # Each new pixel is the mean of those that it covers.
@@ -408,10 +459,20 @@ def _frame(picture: Any, selection: Selection) -> np.ndarray:
 
 def _write(mapping: Mapping, rate: float, episodes: list[Episode], results: Path) -> str:
     """Writes a dataset, unless it is there already, and returns its name."""
+    widths = {name: values.shape[1] for name, values in episodes[0].vectors.items()}
+    for episode in episodes:
+        for name, values in episode.vectors.items():
+            if values.shape[1] != widths[name]:
+                raise MappingError(
+                    f"modalities.{name}: has {values.shape[1]} values in episode {episode.index} and {widths[name]} in the "
+                    "first"
+                )
+    layout = _layout(mapping, widths)
     content = {
+        "layout": layout,
         "name": mapping.name,
         "sample_rate_hz": rate,
-        "modalities": [name for name in MODALITIES if name in mapping.selections and name != "setpoint"],
+        "modalities": [name for name in mapping.selections if name != "setpoint"],
         "episodes": [{"samples": len(episode), "sha256": _digest(episode)} for episode in episodes],
     }
     identity = {"format": FORMAT, "imported": content}
@@ -425,7 +486,7 @@ def _write(mapping: Mapping, rate: float, episodes: list[Episode], results: Path
     try:
         unfinished.chmod(0o755)
         for episode in episodes:
-            write_episode(unfinished / f"episode_{episode.index:05}.parquet", name, name, episode)
+            write_episode(unfinished / f"episode_{episode.index:05}.parquet", name, name, episode, layout)
         description = json.dumps(identity | {"mapping": mapping.text}, indent=2, default=str)
         (unfinished / "dataset.json").write_text(description + "\n")
         unfinished.rename(folder)
@@ -437,7 +498,7 @@ def _write(mapping: Mapping, rate: float, episodes: list[Episode], results: Path
 def _digest(episode: Episode) -> str:
     """The SHA-256 of all that an episode holds."""
     digest = hashlib.sha256()
-    for name, values in [*episode.vectors.items(), ("vision", episode.frames)]:
+    for name, values in [*episode.vectors.items(), *episode.images.items()]:
         if len(values):
             digest.update(name.encode())
             digest.update(np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes())

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import io
-import itertools
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -17,8 +17,11 @@ import polars as pl
 FORMAT = 2
 """The format of the files that this version reads and writes; the harness's own `FORMAT`."""
 
-FRAME_SHAPE = (64, 64, 3)
-"""Rows from the top, pixels from the left, RGB."""
+Layout = dict[str, Any]
+"""What the samples of a dataset hold, as its `dataset.json` says: `modalities`, and `regions` of the images."""
+
+FINGER: Layout = json.loads((Path(__file__).parent / "models" / "finger.json").read_text())
+"""The layout of the built-in worlds, and of datasets that don't say theirs, as before layouts."""
 
 
 @dataclass(frozen=True)
@@ -32,19 +35,56 @@ class Column:
     meaning: str
 
 
-COLUMNS = tuple(
-    Column(**column) for column in json.loads((Path(__file__).parent / "columns.json").read_text())
+KEY_COLUMNS = (
+    Column("dataset", "text", "", "the dataset's folder"),
+    Column("scenario", "text", "", "empty, cluttered, the name of a world file, or that of an imported dataset"),
+    Column("episode", "integer", "1", "episode of the dataset"),
+    Column("sample", "integer", "1", "counted from 0 within the episode"),
+    Column("time", "real", "s", "time since the episode's start"),
 )
-"""All of them, in order: a test compares them with those that the harness writes."""
+"""The first columns of every episode's file."""
 
-VECTORS: dict[str, tuple[Column, ...]] = {
-    vector: tuple(columns)
-    for vector, columns in itertools.groupby(
-        (column for column in COLUMNS if column.kind == "real" and column.name != "time"),
-        key=lambda column: column.name.rpartition("_")[0],
-    )
-}
-"""The columns of each vector, in the order of its elements: `proprioception` and the like."""
+
+def _stored(layout: Layout, kind: str) -> list[dict[str, Any]]:
+    """The modalities of a kind that are in the files: differences are computed."""
+    return [each for each in layout["modalities"] if each["kind"] == kind and not each.get("difference_of")]
+
+
+def vector_columns(layout: Layout) -> dict[str, tuple[Column, ...]]:
+    """The columns of each vector, in the order of its elements, by its name: `proprioception` and the like."""
+    return {
+        vector["name"]: tuple(
+            Column(
+                f"{vector['name']}_{element['name']}",
+                "real",
+                element.get("unit", ""),
+                f"{vector.get('meaning', '')} {element['name']}",
+            )
+            for element in vector["elements"]
+        )
+        for vector in _stored(layout, "vector")
+    }
+
+
+def image_shapes(layout: Layout) -> dict[str, tuple[int, int, int]]:
+    """Rows, columns and channels of each image, by its name."""
+    return {image["name"]: (*image["size"], 3) for image in _stored(layout, "image")}
+
+
+def columns(layout: Layout) -> list[Column]:
+    """The columns of an episode's file, in order: a test compares them with those that the harness writes."""
+    images = [
+        Column(
+            name,
+            "bytes",
+            "",
+            f"image, {rows} x {width} x 3 bytes: rows from the top, pixels from the left, RGB",
+        )
+        for name, (rows, width, _) in image_shapes(layout).items()
+    ]
+    vectors = [column for elements in vector_columns(layout).values() for column in elements]
+    return [*KEY_COLUMNS, *vectors, *images]
+
 
 _SEAL = b"sha256-seal:"
 _DIGITS = 64
@@ -62,10 +102,9 @@ class Episode:
     time: np.ndarray
     """s since the episode's start, [samples]."""
     vectors: dict[str, np.ndarray]
-    """float32 [samples, elements] by the names of `VECTORS`, in the units of the files' columns: rad, m, N. Those that
-    an imported dataset lacks are not there."""
-    frames: np.ndarray
-    """The camera's frames, uint8 [samples, 64, 64, 3]; empty where an imported dataset has none."""
+    """float32 [samples, elements] by name, in the units of the files' columns."""
+    images: dict[str, np.ndarray]
+    """uint8 [samples, rows, columns, 3] by name."""
 
     def __len__(self) -> int:
         return len(self.time)
@@ -100,8 +139,13 @@ class RecordedDataset:
         return self.folder.resolve().name
 
     @property
+    def layout(self) -> Layout:
+        """What its samples hold."""
+        return self.description.get("layout", FINGER)
+
+    @property
     def scenario(self) -> str:
-        """`empty` or `cluttered`."""
+        """The world that was simulated: `empty`, `cluttered`, or the name of a world file."""
         return str(self.description["scenario"])
 
     @property
@@ -156,9 +200,12 @@ class RecordedDataset:
             time=table["time"].to_numpy(),
             vectors={
                 vector: table.select(column.name for column in columns).to_numpy()
-                for vector, columns in VECTORS.items()
+                for vector, columns in vector_columns(self.layout).items()
             },
-            frames=np.frombuffer(b"".join(table["vision"]), np.uint8).reshape(-1, *FRAME_SHAPE),
+            images={
+                name: np.frombuffer(b"".join(table[name]), np.uint8).reshape(-1, *shape)
+                for name, shape in image_shapes(self.layout).items()
+            },
         )
 
     def _path(self, index: int) -> Path:
@@ -191,32 +238,29 @@ def _digest(data: bytes, start: int) -> bytes:
     return digest.hexdigest().encode()
 
 
-def write_episode(path: Path, dataset: str, scenario: str, episode: Episode) -> None:
-    """Writes and seals an episode's file; what the episode lacks is null in it."""
+def write_episode(path: Path, dataset: str, scenario: str, episode: Episode, layout: Layout) -> None:
+    """Writes and seals an episode's file."""
     samples = len(episode)
-    columns = {
+    values = {
         "dataset": pl.repeat(dataset, samples, eager=True),
         "scenario": pl.repeat(scenario, samples, eager=True),
         "episode": pl.repeat(episode.index, samples, dtype=pl.UInt32, eager=True),
         "sample": pl.arange(samples, dtype=pl.UInt32, eager=True),
         "time": pl.Series(episode.time, dtype=pl.Float64),
-        "vision": pl.repeat(None, samples, dtype=pl.Binary, eager=True),
     }
-    for vector, elements in VECTORS.items():
-        values = episode.vectors.get(vector)
+    for vector, elements in vector_columns(layout).items():
         for place, column in enumerate(elements):
-            row = [None] * samples if values is None else values[:, place]
-            columns[column.name] = pl.Series(row, dtype=pl.Float32)
-    if len(episode.frames):
-        columns["vision"] = pl.Series([frame.tobytes() for frame in episode.frames], dtype=pl.Binary)
+            values[column.name] = pl.Series(episode.vectors[vector][:, place], dtype=pl.Float32)
+    for name in image_shapes(layout):
+        values[name] = pl.Series([image.tobytes() for image in episode.images[name]], dtype=pl.Binary)
     metadata = {
-        "harness.columns": json.dumps([dataclasses.asdict(column) for column in COLUMNS]),
+        "harness.columns": json.dumps([dataclasses.asdict(column) for column in columns(layout)]),
         "harness.dataset": dataset,
         "harness.episode": str(episode.index),
         "harness.seal": (_SEAL + b"-" * _DIGITS).decode(),
     }
     buffer = io.BytesIO()
-    table = pl.DataFrame({column.name: columns[column.name] for column in COLUMNS})
+    table = pl.DataFrame({column.name: values[column.name] for column in columns(layout)})
     table.write_parquet(buffer, metadata=metadata)
     data = bytearray(buffer.getvalue())
     start = data.rfind(_SEAL) + len(_SEAL)

@@ -16,15 +16,15 @@ class Transitions(torch.utils.data.Dataset[tuple[Observation, torch.Tensor, Obse
     """The transitions of a dataset: a sample, the action, and the next sample of the same episode.
 
     An item is the observation by the modalities of `input`, the action `[3]` (`increment` or `target`, as in a spec) and
-    the next observation by those of `output`, all in physical units: vectors are float32, `vision` is `[3, 64, 64]`,
-    uint8, and `frame_difference` `[3, 64, 64]`, float32 in [-1, 1], what changed since the sample before. Processes of
+    the next observation by those of `output`, all in physical units: vectors are float32, images are
+    `[3, rows, columns]`, uint8, and their differences (`frame_difference`, `IMAGE_difference`) float32 in [-1, 1], what changed since the sample before. Processes of
     a DataLoader share the dataset's memory.
     """
 
     def __init__(self, data: "Dataset", input: list[str], output: list[str], action: str = "increment") -> None:
         if action not in ("increment", "target"):
             raise ValueError(f"action: there is no '{action}'; allowed: increment, target")
-        needed = {"vision" if name == "frame_difference" else name for name in [*input, *output]}
+        needed = {self._source(name) for name in [*input, *output]}
         self.arrays = {name: data[name] for name in sorted(needed)}
         self.input, self.output, self.action = list(input), list(output), action
         self.setpoint = data["setpoint"]
@@ -47,14 +47,20 @@ class Transitions(torch.utils.data.Dataset[tuple[Observation, torch.Tensor, Obse
         return {name: self._value(sample, name) for name in names}
 
     def _value(self, sample: int, name: str) -> torch.Tensor:
-        if name == "frame_difference":
-            before = max(sample - 1, int(self.first[sample]))
-            now, then = (self._planes(at).astype(np.float32) for at in (sample, before))
-            return torch.from_numpy((now - then) / np.float32(255))
-        if name == "vision":
-            return torch.from_numpy(self._planes(sample).copy())
-        return torch.from_numpy(self.arrays[name][sample].copy())
+        source = self._source(name)
+        if self.arrays[source].ndim != 4:
+            return torch.from_numpy(self.arrays[name][sample].copy())
+        if name == source:
+            return torch.from_numpy(self._planes(source, sample).copy())
+        before = max(sample - 1, int(self.first[sample]))
+        now, then = (self._planes(source, at).astype(np.float32) for at in (sample, before))
+        return torch.from_numpy((now - then) / np.float32(255))
 
-    def _planes(self, sample: int) -> NDArray[np.uint8]:
-        planes: NDArray[np.uint8] = self.arrays["vision"][sample].transpose(2, 0, 1)
+    @staticmethod
+    def _source(name: str) -> str:
+        """What a modality is computed from: an image for `frame_difference` and `IMAGE_difference`, or else itself."""
+        return "vision" if name == "frame_difference" else name.removesuffix("_difference")
+
+    def _planes(self, name: str, sample: int) -> NDArray[np.uint8]:
+        planes: NDArray[np.uint8] = self.arrays[name][sample].transpose(2, 0, 1)
         return planes

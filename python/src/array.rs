@@ -3,7 +3,7 @@
 //! The crate numpy would do this too, but its own dependencies ask for other features of what candle is built on, which
 //! then would be compiled twice.
 
-use harness::spec::{FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, Modality};
+use harness::spec::{Definition, IMAGE_CHANNELS};
 use pyo3::buffer::{Element, PyBuffer};
 use pyo3::exceptions::{PyBufferError, PyTypeError, PyValueError};
 use pyo3::ffi;
@@ -158,24 +158,25 @@ pub fn read<T: Item>(name: &str, given: &Bound<PyAny>, shape: &[usize]) -> PyRes
     buffer.to_vec(given.py())
 }
 
-/// A batch of frames `[batch, 64, 64, 3]`, channel by channel; those of `vision` may be bytes.
+/// A batch of images `[batch, rows, columns, 3]`, channel by channel; those that are no difference may be bytes.
 ///
 /// # Errors
 /// As [`read`].
-pub fn read_frames(modality: Modality, given: &Bound<PyAny>, batch: usize) -> PyResult<Vec<f32>> {
-    let shape = [batch, FRAME_SIDE, FRAME_SIDE, FRAME_CHANNELS];
-    if modality == Modality::Vision && PyBuffer::<u8>::get(given).is_ok() {
-        let bytes: Vec<u8> = read(modality.name(), given, &shape)?;
-        return Ok(planes(&bytes).map(|byte| f32::from(byte) / 255.0).collect());
+pub fn read_frames(definition: &Definition, given: &Bound<PyAny>, batch: usize) -> PyResult<Vec<f32>> {
+    let [rows, columns] = definition.size().unwrap_or_default();
+    let (shape, name) = ([batch, rows, columns, IMAGE_CHANNELS], definition.name.name());
+    if definition.difference_of.is_none() && PyBuffer::<u8>::get(given).is_ok() {
+        let bytes: Vec<u8> = read(name, given, &shape)?;
+        return Ok(planes(&bytes, definition.width()).map(|byte| f32::from(byte) / 255.0).collect());
     }
-    let values: Vec<f32> = read(modality.name(), given, &shape)?;
-    Ok(planes(&values).collect())
+    let values: Vec<f32> = read(name, given, &shape)?;
+    Ok(planes(&values, definition.width()).collect())
 }
 
-/// Frames of pixels, channel by channel.
-fn planes<T: Copy>(pixels: &[T]) -> impl Iterator<Item = T> {
-    pixels.chunks_exact(FRAME_LEN).flat_map(|frame| {
-        (0..FRAME_CHANNELS)
-            .flat_map(move |channel| frame.iter().skip(channel).step_by(FRAME_CHANNELS).copied())
+/// Frames of `len` values, pixel by pixel, channel by channel.
+fn planes<T: Copy>(pixels: &[T], len: usize) -> impl Iterator<Item = T> {
+    pixels.chunks_exact(len).flat_map(|frame| {
+        (0..IMAGE_CHANNELS)
+            .flat_map(move |channel| frame.iter().skip(channel).step_by(IMAGE_CHANNELS).copied())
     })
 }

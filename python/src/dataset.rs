@@ -2,11 +2,11 @@
 
 use crate::array::{array, pixels_last, view};
 use crate::errors::Raise;
-use crate::simulation::SimulationBatch;
+use crate::simulation::{SimulationBatch, scene};
 use crate::work::interruptible;
 use harness::dataset::{self, DatasetError, FramePlace, Imported, Samples};
 use harness::progress::Silent;
-use harness::spec::{ARM_JOINTS, FRAME_CHANNELS, FRAME_SIDE, Modality, Origin};
+use harness::spec::{IMAGE_CHANNELS, Layout, Modality, Origin, World};
 use pyo3::exceptions::{PyFileNotFoundError, PyKeyError, PyValueError};
 use pyo3::prelude::*;
 use std::path::{Path, PathBuf};
@@ -36,8 +36,9 @@ impl Described {
 
     /// Reads it, with the frames if asked and if it has any; they stay on disk if they would take much memory.
     fn load(&self, frames: bool) -> Result<Samples, DatasetError> {
-        let place = |samples| match frames && self.holds(Modality::Vision) {
-            true => FramePlace::for_samples(samples, None),
+        let layout = self.layout();
+        let place = |samples| match frames && layout.stored_images().next().is_some() {
+            true => FramePlace::for_samples(layout, samples, None),
             false => FramePlace::Nowhere,
         };
         match self {
@@ -46,10 +47,10 @@ impl Described {
         }
     }
 
-    fn holds(&self, modality: Modality) -> bool {
+    fn layout(&self) -> &Layout {
         match self {
-            Self::Simulated(_) => true,
-            Self::Imported(dataset) => dataset.holds(modality),
+            Self::Simulated(dataset) => dataset.layout(),
+            Self::Imported(dataset) => dataset.layout(),
         }
     }
 }
@@ -120,7 +121,14 @@ impl Dataset {
     fn simulation(&self, py: Python, count: usize) -> PyResult<SimulationBatch> {
         match &self.described {
             Described::Simulated(dataset) => {
-                SimulationBatch::start(py, dataset.scenario(), dataset.spec().clone(), count)
+                let name = dataset.scenario().name();
+                if World::named(name).is_none() {
+                    return Err(PyValueError::new_err(format!(
+                        "{} was simulated in the world of a file; give harness.Simulation the path of {name}.yaml",
+                        dataset.name()
+                    )));
+                }
+                SimulationBatch::start(py, scene(name)?, dataset.spec().clone(), count)
             }
             Described::Imported(dataset) => {
                 Err(PyValueError::new_err(format!("{} was imported, not simulated", dataset.name())))
@@ -129,38 +137,28 @@ impl Dataset {
     }
 
     fn keys(&self) -> Vec<&'static str> {
-        let frames = self.samples.has_frames().then_some("vision");
-        let held = VECTORS.iter().filter(|(_, modality)| self.described.holds(*modality));
-        held.map(|(name, _)| *name).chain(["setpoint"]).chain(frames).collect()
+        let layout = self.samples.layout();
+        let frames = layout.stored_images().filter(|_| self.samples.has_frames());
+        let names = layout.stored_vectors().map(|definition| definition.name);
+        let vectors = names.filter(|name| *name != Modality::SETPOINT).chain([Modality::SETPOINT]);
+        vectors.chain(frames.map(|definition| definition.name)).map(Modality::name).collect()
     }
 
     fn __getitem__<'py>(slf: &Bound<'py, Self>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         let samples = &slf.get().samples;
-        // SAFETY (of both views): a dataset never changes, and the array holds it.
-        if name == "vision" && samples.has_frames() {
-            let shape = [samples.len(), FRAME_CHANNELS, FRAME_SIDE, FRAME_SIDE];
-            return pixels_last(unsafe { view(slf, samples.frames(), &shape) }?);
-        }
-        let held = |modality| slf.get().described.holds(modality);
-        let vectors = VECTORS.iter().find(|(other, modality)| *other == name && held(*modality));
-        let (values, width) = match vectors {
-            Some((_, modality)) => (samples.vectors(*modality), modality.width()),
-            None if name == "setpoint" => (samples.setpoints(), ARM_JOINTS),
-            None => {
-                let all = slf.get().keys().join(", ");
-                return Err(PyKeyError::new_err(format!(
-                    "the dataset has no '{name}' in memory; it has {all}"
-                )));
-            }
+        let modality = Modality::new(name).filter(|found| slf.get().keys().contains(&found.name()));
+        let Some(modality) = modality else {
+            let all = slf.get().keys().join(", ");
+            return Err(PyKeyError::new_err(format!("the dataset has no '{name}' in memory; it has {all}")));
         };
-        unsafe { view(slf, values, &[samples.len(), width]) }
+        let definition = &samples.layout()[modality];
+        // SAFETY (of both views): a dataset never changes, and the array holds it.
+        match definition.size() {
+            Some([rows, columns]) => {
+                let shape = [samples.len(), IMAGE_CHANNELS, rows, columns];
+                pixels_last(unsafe { view(slf, samples.image(modality), &shape) }?)
+            }
+            None => unsafe { view(slf, samples.vectors(modality), &[samples.len(), definition.width()]) },
+        }
     }
 }
-
-/// What a dataset records, frames and setpoints apart.
-const VECTORS: [(&str, Modality); 4] = [
-    ("proprioception", Modality::Proprioception),
-    ("arm", Modality::Arm),
-    ("contact_force", Modality::ContactForce),
-    ("contact_force_mean", Modality::ContactForceMean),
-];

@@ -5,7 +5,7 @@ use crate::errors::Raise;
 use crate::work::detached;
 use harness::experiment::{self, Values};
 use harness::registry::Registry;
-use harness::spec::{ARM_JOINTS, FRAME_CHANNELS, FRAME_SIDE, Modality};
+use harness::spec::{IMAGE_CHANNELS, Layout, Modality};
 use pyo3::exceptions::{PyKeyError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -82,26 +82,33 @@ impl Model {
         action: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let (batch, values) = self.read(observation)?;
-        let action = read("action", action, &[batch, ARM_JOINTS])?;
+        let action = read("action", action, &[batch, self.layout().action().len()])?;
         let predicted = detached(py, || self.0.predict(batch, &values, action))?;
-        by_modality(py, batch, predicted.map_err(Raise::raise)?)
+        by_modality(py, self.layout(), batch, predicted.map_err(Raise::raise)?)
     }
 
     fn reconstruct<'py>(&self, py: Python<'py>, latent: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyDict>> {
         let batch = batch_of("latent", latent)?;
         let latent = read("latent", latent, &[batch, self.latent()])?;
         let reconstructed = detached(py, || self.0.reconstruct(batch, latent))?;
-        by_modality(py, batch, reconstructed.map_err(Raise::raise)?)
+        by_modality(py, self.layout(), batch, reconstructed.map_err(Raise::raise)?)
     }
 }
 
 /// A batch as a dictionary of arrays.
-fn by_modality(py: Python, batch: usize, values: Values) -> PyResult<Bound<PyDict>> {
+fn by_modality<'py>(
+    py: Python<'py>,
+    layout: &Layout,
+    batch: usize,
+    values: Values,
+) -> PyResult<Bound<'py, PyDict>> {
     let answer = PyDict::new(py);
     for (modality, values) in values {
-        let values = match modality.is_frame() {
-            true => pixels_last(array(py, values, &[batch, FRAME_CHANNELS, FRAME_SIDE, FRAME_SIDE])?)?,
-            false => array(py, values, &[batch, modality.width()])?,
+        let values = match layout[modality].size() {
+            Some([rows, columns]) => {
+                pixels_last(array(py, values, &[batch, IMAGE_CHANNELS, rows, columns])?)?
+            }
+            None => array(py, values, &[batch, layout[modality].width()])?,
         };
         answer.set_item(modality.name(), values)?;
     }
@@ -117,6 +124,10 @@ fn batch_of(name: &str, values: &Bound<PyAny>) -> PyResult<usize> {
 }
 
 impl Model {
+    fn layout(&self) -> &Layout {
+        &self.0.record().layout
+    }
+
     /// The batch's size, and of the observation what the encoder is given.
     fn read(&self, observation: &Bound<PyDict>) -> PyResult<(usize, Values)> {
         let input = &self.0.record().spec.input;
@@ -131,9 +142,10 @@ impl Model {
         for (modality, given) in given {
             // What lacks is named by the model.
             let Some(given) = given else { continue };
-            let read = match modality.is_frame() {
-                true => read_frames(modality, &given, batch)?,
-                false => read(modality.name(), &given, &[batch, modality.width()])?,
+            let definition = &self.layout()[modality];
+            let read = match definition.is_image() {
+                true => read_frames(definition, &given, batch)?,
+                false => read(modality.name(), &given, &[batch, definition.width()])?,
             };
             values.insert(modality, read);
         }

@@ -44,7 +44,6 @@ pub fn run(
     let listener = Listener { shown, cancelled: &cancelled };
     let laboratory = Laboratory {
         registry: &registry,
-        models: None,
         threads,
         jobs,
         memory,

@@ -3,21 +3,20 @@
 use crate::array::{Item, array, read};
 use crate::errors::Raise;
 use crate::work::belongs_here;
-use harness::simulation::{Batch, LiveSimulation, Pose, SimulationError};
-use harness::spec::{
-    self, ARM_JOINTS, FRAME_CHANNELS, FRAME_LEN, FRAME_SIDE, Modality, Scenario, Simulation,
-};
+use harness::simulation::{Batch, LiveSimulation, Pose, Scene, SimulationError};
+use harness::spec::{self, IMAGE_CHANNELS, Layout, Modality, Simulation, World};
 use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, TryLockError};
 
-/// Simulations of one scenario, stepped in parallel; see `_harness.pyi`.
+/// Simulations of one world, stepped in parallel; see `_harness.pyi`.
 #[pyclass(frozen)]
 pub struct SimulationBatch {
     work: Mutex<Work>,
     spec: Simulation,
-    scenario: Scenario,
+    scene: &'static Scene,
     count: usize,
     /// The process that made it: a fork has neither its threads nor its OpenGL contexts.
     process: u32,
@@ -43,14 +42,14 @@ impl Work {
 
 impl SimulationBatch {
     /// `count` simulations with these settings.
-    pub fn start(py: Python, scenario: Scenario, spec: Simulation, count: usize) -> PyResult<Self> {
-        let batch = py.detach(|| Batch::new(scenario, &spec, count)).map_err(Raise::raise)?;
+    pub fn start(py: Python, scene: &'static Scene, spec: Simulation, count: usize) -> PyResult<Self> {
+        let batch = py.detach(|| Batch::new(scene, &spec, count)).map_err(Raise::raise)?;
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         let threads =
             (count > 1).then(|| rayon::ThreadPoolBuilder::new().num_threads(cores.min(count)).build());
         let threads = threads.transpose().map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
         let work = Mutex::new(Work { batch, threads });
-        Ok(Self { work, spec, scenario, count, process: std::process::id() })
+        Ok(Self { work, spec, scene, count, process: std::process::id() })
     }
 
     fn lock(&self) -> PyResult<MutexGuard<'_, Work>> {
@@ -76,29 +75,33 @@ impl SimulationBatch {
         py.detach(|| held.on_its_threads(work)).map_err(Raise::raise)
     }
 
-    /// Values of each simulation side by side, `[count, N]`.
-    fn gather<'py, T: Item, const N: usize>(
+    /// `width` values of each simulation side by side, `[count, width]`.
+    fn gather<'py, T: Item>(
         &self,
         py: Python<'py>,
-        of: impl Fn(&LiveSimulation) -> [T; N],
+        width: usize,
+        of: impl Fn(&LiveSimulation) -> Vec<T>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let values = self.lock()?.batch.simulations().iter().flat_map(of).collect();
-        array(py, values, &[self.count, N])
+        array(py, values, &[self.count, width])
     }
 
-    fn vision<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let mut frames = vec![0u8; self.count * FRAME_LEN];
-        self.work(py, |batch| batch.vision(&mut frames))?;
-        array(py, frames, &[self.count, FRAME_SIDE, FRAME_SIDE, FRAME_CHANNELS])
+    fn layout(&self) -> &Layout {
+        self.scene.layout()
+    }
+
+    /// What is sensed: stored vectors and images.
+    fn sensed(&self) -> Vec<&'static str> {
+        let layout = self.layout();
+        let sensed = layout.stored_vectors().chain(layout.stored_images()).map(|definition| definition.name);
+        sensed.filter(|name| *name != Modality::SETPOINT).map(Modality::name).collect()
     }
 }
 
-/// The scenario of that name.
-pub fn scenario(name: &str) -> PyResult<Scenario> {
-    Scenario::ALL.iter().copied().find(|scenario| scenario.name() == name).ok_or_else(|| {
-        let all = Scenario::ALL.iter().map(|scenario| scenario.name()).collect::<Vec<_>>().join(", ");
-        PyValueError::new_err(format!("scenario: there is no '{name}'; allowed: {all}"))
-    })
+/// The scene of the world of that name, or of the file of that path.
+pub fn scene(world: &str) -> PyResult<&'static Scene> {
+    let world = World::find(world).map_err(|error| PyValueError::new_err(format!("scenario: {error}")))?;
+    Scene::shared(world).map_err(Raise::raise)
 }
 
 #[pymethods]
@@ -106,12 +109,14 @@ impl SimulationBatch {
     #[new]
     #[pyo3(signature = (scenario, count=1, spec=None))]
     fn new(py: Python, scenario: &str, count: usize, spec: Option<PathBuf>) -> PyResult<Self> {
-        let scenario = self::scenario(scenario)?;
+        let scene = scene(scenario)?;
         let settings = match spec {
-            Some(path) => spec::load(&path, &[], false).map_err(Raise::raise)?.simulation,
-            None => Simulation::default(),
+            Some(path) => {
+                scene.world().complete(&spec::load(&path, &[], false).map_err(Raise::raise)?.simulation)
+            }
+            None => scene.world().simulation(),
         };
-        Self::start(py, scenario, settings, count)
+        Self::start(py, scene, settings, count)
     }
 
     fn reset(&self, py: Python, index: usize, seed: u64, episode: u32) -> PyResult<()> {
@@ -123,9 +128,9 @@ impl SimulationBatch {
 
     #[pyo3(signature = (setpoints, active=None))]
     fn step(&self, py: Python, setpoints: &Bound<PyAny>, active: Option<Vec<bool>>) -> PyResult<()> {
-        let values: Vec<f64> = read("setpoints", setpoints, &[self.count, ARM_JOINTS])?;
-        let setpoints: Vec<[f64; ARM_JOINTS]> =
-            values.chunks_exact(ARM_JOINTS).map(|row| [row[0], row[1], row[2]]).collect();
+        let elements = self.layout().action().len();
+        let values: Vec<f64> = read("setpoints", setpoints, &[self.count, elements])?;
+        let setpoints: Vec<Vec<f64>> = values.chunks_exact(elements).map(<[f64]>::to_vec).collect();
         let active = active.unwrap_or_else(|| vec![true; self.count]);
         self.work(py, |batch| batch.step(&setpoints, &active))
     }
@@ -135,17 +140,20 @@ impl SimulationBatch {
     }
 
     fn sense<'py>(&self, py: Python<'py>, modality: &str) -> PyResult<Bound<'py, PyAny>> {
-        let found = Modality::ALL.iter().copied().find(|other| other.name() == modality);
-        match found {
-            Some(Modality::Proprioception) => self.gather(py, LiveSimulation::proprioception),
-            Some(Modality::Arm) => self.gather(py, LiveSimulation::arm),
-            Some(Modality::ContactForce) => self.gather(py, LiveSimulation::contact_force),
-            Some(Modality::ContactForceMean) => self.gather(py, LiveSimulation::contact_force_mean),
-            Some(Modality::Vision) => self.vision(py),
-            Some(Modality::FrameDifference) | None => Err(PyKeyError::new_err(format!(
-                "modality: '{modality}' is not sensed; allowed: proprioception, arm, contact_force, \
-                 contact_force_mean, vision"
-            ))),
+        let found = Modality::new(modality).filter(|found| self.sensed().contains(&found.name()));
+        let found = found.ok_or_else(|| {
+            let allowed = self.sensed().join(", ");
+            PyKeyError::new_err(format!("modality: '{modality}' is not sensed; allowed: {allowed}"))
+        })?;
+        let definition = &self.layout()[found];
+        let width = definition.width();
+        match definition.size() {
+            None => self.gather(py, width, |live| live.vector(found).unwrap_or_default()),
+            Some([rows, columns]) => {
+                let mut frames = vec![0u8; self.count * width];
+                self.work(py, |batch| batch.image(found, &mut frames))?;
+                array(py, frames, &[self.count, rows, columns, IMAGE_CHANNELS])
+            }
         }
     }
 
@@ -164,12 +172,33 @@ impl SimulationBatch {
         let simulation = &held.batch.simulations()[index];
         // On this thread, which keeps its OpenGL context for the next picture.
         let picture = py.detach(|| simulation.portrait(width, height)).map_err(Raise::raise)?;
-        array(py, picture.into_raw(), &[height as usize, width as usize, FRAME_CHANNELS])
+        array(py, picture.into_raw(), &[height as usize, width as usize, IMAGE_CHANNELS])
     }
 
     #[getter]
     fn scenario(&self) -> &'static str {
-        self.scenario.name()
+        self.scene.scenario().name()
+    }
+
+    /// What is sensed, with the shape of one simulation's values.
+    #[getter]
+    fn modalities<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let shapes = PyDict::new(py);
+        for name in self.sensed() {
+            let definition = Modality::new(name).and_then(|modality| self.layout().get(modality));
+            let shape = definition.map(|definition| match definition.size() {
+                Some([rows, columns]) => vec![rows, columns, IMAGE_CHANNELS],
+                None => vec![definition.width()],
+            });
+            shapes.set_item(name, PyTuple::new(py, shape.unwrap_or_default())?)?;
+        }
+        Ok(shapes)
+    }
+
+    /// Names of the elements of the action.
+    #[getter]
+    fn action(&self) -> Vec<String> {
+        self.layout().action().iter().map(|element| element.name.clone()).collect()
     }
 
     #[getter]
@@ -194,19 +223,22 @@ impl SimulationBatch {
 
     #[getter]
     fn setpoint_ranges<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let Simulation { rotation_range_rad, lift_range_m, extension_range_m, .. } = self.spec;
-        let ranges = [rotation_range_rad, lift_range_m, extension_range_m];
-        array(py, ranges.into_iter().flatten().collect(), &[ARM_JOINTS, 2])
+        let ranges = self.lock()?.batch.simulations()[0].setpoint_ranges();
+        let count = ranges.len();
+        array(py, ranges.into_iter().flatten().collect(), &[count, 2])
     }
 
     #[getter]
     fn setpoint<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        self.gather(py, LiveSimulation::setpoint)
+        self.gather(py, self.layout().action().len(), |live| live.setpoint().to_vec())
     }
 
     #[getter]
     fn fingertip<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        self.gather(py, LiveSimulation::fingertip)
+        if self.lock()?.batch.simulations()[0].fingertip().is_none() {
+            return Err(PyValueError::new_err("the world senses no forces of links, so it has no fingertip"));
+        }
+        self.gather(py, 3, |live| live.fingertip().unwrap_or_default().to_vec())
     }
 
     #[getter]

@@ -74,7 +74,7 @@ for _pair in PAIRS:
     + ["SoftFinger-Empty-v0", "SoftFinger-Cluttered-v0"],
 )
 def test_gymnasiums_checker_finds_nothing(name: str) -> None:
-    modalities = (*harness.episodes.MODALITIES, "vision")
+    modalities = ("proprioception", "arm", "contact_force", "contact_force_mean", "vision")
     environment = gymnasium.make(name, render_mode="rgb_array", modalities=modalities, samples=5, width=64, height=48)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -3,12 +3,13 @@
 use super::layers::{Builder, FrameOutput, Perceptron};
 use super::{Architecture, Decoded, Decoder, LayerSummary, Targets, Term};
 use crate::learning::ops::{Quantity, Stack, frame_decoder, frame_loss, vector_losses};
-use crate::spec::{FRAME_SIDE, Fusion, Modality};
+use crate::spec::{Fusion, Modality};
 use candle_core::{Result, Tensor};
 
 /// The decoder that an architecture describes.
 pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Result<Box<dyn Decoder>> {
-    let (vector, channels) = (architecture.vector_outputs(), architecture.frame_outputs());
+    let vector = architecture.vector_width(&architecture.output);
+    let (channels, side) = architecture.images(&architecture.output);
     let hidden =
         [&[architecture.latent + architecture.action], architecture.network.hidden.as_slice()].concat();
     let width = hidden[hidden.len() - 1];
@@ -26,7 +27,7 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
         .then(|| {
             let name = if vector > 0 { "frame_hidden" } else { "hidden" };
             let own = (!shares).then(|| builder.perceptron(name, &hidden)).transpose()?;
-            let stack = Stack::new(channels, FRAME_SIDE, architecture.network.channels());
+            let stack = Stack::new(channels, side, architecture.network.channels());
             let dense = builder.dense("frame", width, stack.coarse_len())?;
             let convolutions = builder.transposed_convolutions(&stack)?;
             let output = FrameOutput { stack, convolutions, dense, arithmetic: architecture.arithmetic };
@@ -35,7 +36,7 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
         .transpose()?;
     let (frame_hidden, frames) = frames.map_or((None, None), |(own, output)| (own, Some(output)));
     Ok(Box::new(PerceptronDecoder {
-        output: architecture.output.clone(),
+        vectors_of: vectors_of(architecture),
         shared,
         vectors,
         frame_hidden,
@@ -43,9 +44,16 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
     }))
 }
 
+/// The vectors that are predicted, side by side, with their widths.
+fn vectors_of(architecture: &Architecture) -> Vec<(Modality, usize)> {
+    let vectors = architecture.output.iter().filter(|modality| !architecture.is_image(**modality));
+    vectors.map(|modality| (*modality, architecture.layout[*modality].width())).collect()
+}
+
 /// Hidden layers, shared by vectors and frames or one series each, then the vectors and the frames.
 struct PerceptronDecoder {
-    output: Vec<Modality>,
+    /// The vectors that are predicted, side by side, with their widths.
+    vectors_of: Vec<(Modality, usize)>,
     /// Hidden layers that vectors and frames share.
     shared: Option<Perceptron>,
     /// To the vectors, from what is shared or from the latent state.
@@ -96,16 +104,15 @@ impl Decoder for PerceptronDecoder {
 
     fn losses(&self, latent: &Tensor, action: Option<&Tensor>, targets: &Targets) -> Result<Vec<Term>> {
         let hidden = self.hidden(latent, action)?;
-        let mut terms = Vec::with_capacity(self.output.len());
+        let mut terms = Vec::new();
         if let (Some(predicted), Some(target)) = (self.vectors(&hidden)?, &targets.vector) {
-            let modalities: Vec<Modality> =
-                self.output.iter().copied().filter(|modality| !modality.is_frame()).collect();
-            let loss = |modality| targets.losses.get(modality).copied().unwrap_or_default();
-            let quantities =
-                modalities.iter().map(|modality| Quantity { width: modality.width(), loss: loss(modality) });
-            let losses = vector_losses(&predicted, target, &quantities.collect::<Vec<_>>())?;
-            for (index, modality) in modalities.into_iter().enumerate() {
-                terms.push(Term { modality, value: losses.get(index)? });
+            let loss = |modality: &Modality| targets.losses.get(modality).copied().unwrap_or_default();
+            let quantity =
+                |(modality, width): &(Modality, usize)| Quantity { width: *width, loss: loss(modality) };
+            let quantities: Vec<Quantity> = self.vectors_of.iter().map(quantity).collect();
+            let losses = vector_losses(&predicted, target, &quantities)?;
+            for (index, (modality, _)) in self.vectors_of.iter().enumerate() {
+                terms.push(Term { modality: *modality, value: losses.get(index)? });
             }
         }
         let mut first = 0;
@@ -125,7 +132,7 @@ impl Decoder for PerceptronDecoder {
     fn detached(&self) -> Box<dyn Decoder> {
         let detached = |layers: &Option<Perceptron>| layers.as_ref().map(Perceptron::detached);
         Box::new(Self {
-            output: self.output.clone(),
+            vectors_of: self.vectors_of.clone(),
             shared: detached(&self.shared),
             vectors: detached(&self.vectors),
             frame_hidden: detached(&self.frame_hidden),

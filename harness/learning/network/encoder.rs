@@ -4,13 +4,14 @@ use super::layers::{Builder, Dense, FrameInput, Norm, Perceptron, numbered};
 use super::{Architecture, Encoder, LayerSummary, Observation, Posterior};
 use crate::dataset::frames::Frames;
 use crate::learning::ops::{Arithmetic, Dropout, Stack};
-use crate::spec::{FRAME_SIDE, Fusion};
+use crate::spec::Fusion;
 use candle_core::{Result, Tensor};
 use std::sync::Arc;
 
 /// The encoder that an architecture describes.
 pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Result<Box<dyn Encoder>> {
-    let (vector, channels) = (architecture.vector_inputs(), architecture.frame_inputs());
+    let vector = architecture.vector_width(&architecture.input);
+    let (channels, _) = architecture.images(&architecture.input);
     Ok(match architecture.network.fusion {
         Fusion::Early if channels == 0 => Box::new(VectorEncoder::new(architecture, vector, builder)?),
         Fusion::Early => Box::new(EarlyEncoder::new(architecture, vector, channels, builder)?),
@@ -27,7 +28,8 @@ fn frame_input(
     builder: &mut Builder,
 ) -> Result<FrameInput> {
     let average = architecture.network.average;
-    let stack = Stack::new(channels, FRAME_SIDE / average, architecture.network.channels());
+    let (_, side) = architecture.images(&architecture.input);
+    let stack = Stack::new(channels, side / average, architecture.network.channels());
     let convolutions = builder.convolutions(&stack)?;
     let len = stack.coarse_len();
     let weight = builder.uniform(weight, &[outputs, len], len)?;

@@ -12,7 +12,7 @@ mod layers;
 use super::ops::{self, Arithmetic, Dropout};
 use super::random::Random;
 use crate::dataset::frames::Frames;
-use crate::spec::{FRAME_CHANNELS, Loss, Modality, Network};
+use crate::spec::{IMAGE_CHANNELS, Layout, Loss, Modality, Network};
 use candle_core::{DType, Device, Result, Tensor, Var};
 use layers::{Builder, Made};
 use std::collections::BTreeMap;
@@ -28,6 +28,8 @@ pub struct Architecture {
     pub input: Vec<Modality>,
     /// What the decoder predicts.
     pub output: Vec<Modality>,
+    /// What is known of both.
+    pub layout: Arc<Layout>,
     pub latent: usize,
     /// Width of the condition; 0 for a decoder without one.
     pub action: usize,
@@ -62,7 +64,12 @@ impl Architecture {
         Ok(Summary {
             encoder: encoder::build(self, &mut self.builder("encoder", Made::Shapes))?.layers()?,
             decoder: decoder::build(self, &mut self.builder("decoder", Made::Shapes))?.layers()?,
-            observed: self.input.iter().chain(&self.output).map(|modality| modality.width()).sum(),
+            observed: self
+                .input
+                .iter()
+                .chain(&self.output)
+                .map(|modality| self.layout[*modality].width())
+                .sum(),
         })
     }
 
@@ -70,29 +77,21 @@ impl Architecture {
         Builder { made, prefix, arithmetic: self.arithmetic }
     }
 
-    fn vector_inputs(&self) -> usize {
-        vector_width(&self.input)
+    fn is_image(&self, modality: Modality) -> bool {
+        self.layout[modality].is_image()
     }
 
-    fn vector_outputs(&self) -> usize {
-        vector_width(&self.output)
+    /// Values of all vectors among `modalities`.
+    fn vector_width(&self, modalities: &[Modality]) -> usize {
+        let vectors = modalities.iter().filter(|modality| !self.is_image(**modality));
+        vectors.map(|modality| self.layout[*modality].width()).sum()
     }
 
-    fn frame_inputs(&self) -> usize {
-        frame_channels(&self.input)
+    /// Channels of all images among `modalities`, and the side that they share; 0 where there are none.
+    fn images(&self, modalities: &[Modality]) -> (usize, usize) {
+        let images = modalities.iter().filter_map(|modality| self.layout[*modality].size());
+        images.fold((0, 0), |(channels, _), [side, _]| (channels + IMAGE_CHANNELS, side))
     }
-
-    fn frame_outputs(&self) -> usize {
-        frame_channels(&self.output)
-    }
-}
-
-fn vector_width(modalities: &[Modality]) -> usize {
-    modalities.iter().filter(|modality| !modality.is_frame()).map(|modality| modality.width()).sum()
-}
-
-fn frame_channels(modalities: &[Modality]) -> usize {
-    modalities.iter().filter(|modality| modality.is_frame()).count() * FRAME_CHANNELS
 }
 
 /// From an observation to a posterior over the latent state.
@@ -167,7 +166,7 @@ impl Summary {
 pub struct Decoded {
     /// Vectors side by side `[batch, width]`.
     pub vector: Option<Tensor>,
-    /// Frames stacked by channel `[batch, channels, 64, 64]`.
+    /// Frames stacked by channel `[batch, channels, side, side]`.
     pub frames: Option<Tensor>,
 }
 

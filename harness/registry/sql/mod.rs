@@ -104,7 +104,7 @@ fn described(name: &ObjectName) -> Answer<DataFrame> {
     let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
     let types: Vec<String> =
         columns.iter().map(|column| format!("{:?}", column.kind).to_lowercase()).collect();
-    let units: Vec<&str> = columns.iter().map(|column| column.unit).collect();
+    let units: Vec<&str> = columns.iter().map(|column| &*column.unit).collect();
     let meanings: Vec<&str> = columns.iter().map(|column| column.meaning.as_str()).collect();
     Ok(df!("column" => names, "type" => types, "unit" => units, "meaning" => meanings)?)
 }

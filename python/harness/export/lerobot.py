@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.recorded import FRAME_SHAPE, VECTORS, Episode, RecordedDataset
+from harness.recorded import FINGER, Episode, Layout, RecordedDataset, image_shapes, vector_columns
 
 try:
     import av
@@ -20,16 +20,25 @@ except ImportError as error:
         f"exporting to LeRobot needs the package lerobot: pip install 'lerobot[dataset]' ({error})"
     ) from error
 
-FEATURES: dict[str, tuple[str, ...]] = {
-    "observation.state": ("proprioception", "arm"),
-    "observation.contact_force": ("contact_force",),
-    "observation.contact_force_mean": ("contact_force_mean",),
-    "action": ("setpoint",),
-}
-"""What each feature is made of, side by side. An `action` is the setpoint that is commanded at its sample's instant, so
-a row of LeRobot's is an observation and the command that is given upon it."""
+STATE = ("proprioception", "arm")
+"""The vectors of the finger that are LeRobot's `observation.state`, where a dataset has both."""
 
-CAMERA = "observation.images.external"
+
+def features_of(layout: Layout) -> dict[str, tuple[str, ...]]:
+    """The vectors that each of LeRobot's features is made of, side by side. An `action` is the setpoint that is
+    commanded at its sample's instant, so a row of LeRobot's is an observation and the command that is given upon it."""
+    vectors = vector_columns(layout)
+    state = STATE if all(name in vectors for name in STATE) else ()
+    others = [name for name in vectors if name not in (*state, "setpoint")]
+    features = {"observation.state": state} if state else {}
+    return features | {f"observation.{name}": (name,) for name in others} | {"action": ("setpoint",)}
+
+
+def cameras_of(layout: Layout) -> dict[str, str]:
+    """LeRobot's feature of each image: the finger's `vision` is that of the external camera."""
+    names = {name: "external" if name == "vision" else name for name in image_shapes(layout)}
+    return {image: f"observation.images.{name}" for image, name in names.items()}
+
 
 # The finger is two or three pixels across. With LeRobot's own settings a colour of the cluttered scene is off by up to
 # 208 of 255, with these by 16 (mean 0.7), at 2 KB a frame. Full colour resolution (4:4:4) matters most; ffmpeg plays it,
@@ -53,9 +62,9 @@ def write(source: RecordedDataset, episodes: Iterable[Episode], output: Path) ->
     dataset = LeRobotDataset.create(
         repo_id=f"harness/{source.name}",
         fps=int(source.sample_rate_hz),
-        features=_features(),
+        features=_features(source.layout),
         root=output,
-        robot_type="soft_finger",
+        robot_type="soft_finger" if source.layout == FINGER else source.scenario,
         # Only for reading back, which doesn't happen here; looking for the fastest decoder would warn of those that
         # are missing.
         video_backend="pyav",
@@ -63,26 +72,28 @@ def write(source: RecordedDataset, episodes: Iterable[Episode], output: Path) ->
     )
     task = f"random motion, {source.scenario} scenario"
     for episode in episodes:
-        _add(dataset, episode, task)
+        _add(dataset, episode, task, source.layout)
     dataset.finalize()
 
 
-def _features() -> dict[str, dict[str, Any]]:
+def _features(layout: Layout) -> dict[str, dict[str, Any]]:
     """LeRobot's description of the features; elements are named as the columns, with their units."""
-    features = {}
-    for feature, vectors in FEATURES.items():
-        names = [f"{column.name} [{column.unit}]" for vector in vectors for column in VECTORS[vector]]
+    columns, features = vector_columns(layout), {}
+    for feature, vectors in features_of(layout).items():
+        names = [f"{column.name} [{column.unit}]" for vector in vectors for column in columns[vector]]
         features[feature] = {"dtype": "float32", "shape": (len(names),), "names": names}
-    features[CAMERA] = {"dtype": "video", "shape": FRAME_SHAPE, "names": ["height", "width", "channels"]}
+    shapes = image_shapes(layout)
+    for image, feature in cameras_of(layout).items():
+        features[feature] = {"dtype": "video", "shape": shapes[image], "names": ["height", "width", "channels"]}
     return features
 
 
-def _add(dataset: LeRobotDataset, episode: Episode, task: str) -> None:
+def _add(dataset: LeRobotDataset, episode: Episode, task: str, layout: Layout) -> None:
     rows = {
         feature: np.concatenate([episode.vectors[vector] for vector in vectors], axis=1)
-        for feature, vectors in FEATURES.items()
+        for feature, vectors in features_of(layout).items()
     }
-    rows[CAMERA] = episode.frames
+    rows |= {feature: episode.images[image] for image, feature in cameras_of(layout).items()}
     for sample in range(len(episode)):
         dataset.add_frame({feature: values[sample] for feature, values in rows.items()} | {"task": task})
     dataset.save_episode()

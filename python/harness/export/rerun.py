@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from harness.recorded import FRAME_SHAPE, VECTORS, Episode, RecordedDataset
+from harness.recorded import FINGER, Episode, Layout, RecordedDataset, image_shapes, vector_columns
 
 try:
     import mujoco
@@ -32,7 +32,8 @@ CAPSULE, CYLINDER, BOX = (
 def write(source: RecordedDataset, episodes: Iterable[Episode], output: Path) -> None:
     """Writes each episode as a recording, `output/episode_00000.rrd`, over the timelines `time` and `sample`.
 
-    The robot's pose follows from the recorded joint angles by the model's kinematics. The boxes of the cluttered
+    The finger's pose follows from the recorded joint angles by the model's kinematics; other robots are not drawn in
+    space. The boxes of the cluttered
     scenario are not drawn in space: a dataset records no poses of theirs. They are in the camera's frames.
 
     Raises:
@@ -40,16 +41,18 @@ def write(source: RecordedDataset, episodes: Iterable[Episode], output: Path) ->
     """
     # Otherwise a wrong value is a warning, and left out.
     rr.set_strict_mode(True)
-    robot = Robot(source)
+    layout = source.layout
+    robot = Robot(source) if layout == FINGER else None
     output.mkdir()
     for episode in episodes:
         recording = rr.RecordingStream("harness", recording_id=f"{source.name}-episode-{episode.index:05}")
         with recording:
-            recording.save(output / f"episode_{episode.index:05}.rrd", default_blueprint=_blueprint())
+            recording.save(output / f"episode_{episode.index:05}.rrd", default_blueprint=_blueprint(layout))
             recording.send_recording_name(f"{source.name}, episode {episode.index}")
-            _send_vectors(recording, episode)
-            _send_frames(recording, episode)
-            robot.send(recording, episode)
+            _send_vectors(recording, episode, layout)
+            _send_images(recording, episode)
+            if robot:
+                robot.send(recording, episode)
         recording.disconnect()
 
 
@@ -60,19 +63,25 @@ def _timelines(episode: Episode) -> list[rr.TimeColumn]:
     ]
 
 
-def _send_vectors(recording: rr.RecordingStream, episode: Episode) -> None:
+def _send_vectors(recording: rr.RecordingStream, episode: Episode, layout: Layout) -> None:
     """Each vector is an entity of its name, its elements are series named as the columns, with their units."""
-    for vector, columns in VECTORS.items():
+    for vector, columns in vector_columns(layout).items():
         series = [f"{column.name} [{column.unit}]" for column in columns]
         recording.log(vector, rr.SeriesLines(names=series), static=True)
         values = rr.Scalars.columns(scalars=episode.vectors[vector].astype(np.float64))
         recording.send_columns(vector, _timelines(episode), values)
 
 
-def _send_frames(recording: rr.RecordingStream, episode: Episode) -> None:
-    pictures = [_png(frame) for frame in episode.frames]
-    columns = rr.EncodedImage.columns(blob=pictures, media_type=["image/png"] * len(pictures))
-    recording.send_columns("world/camera", _timelines(episode), columns)
+def _send_images(recording: rr.RecordingStream, episode: Episode) -> None:
+    for name, frames in episode.images.items():
+        pictures = [_png(frame) for frame in frames]
+        columns = rr.EncodedImage.columns(blob=pictures, media_type=["image/png"] * len(pictures))
+        recording.send_columns(_entity(name), _timelines(episode), columns)
+
+
+def _entity(image: str) -> str:
+    """Where an image is among the entities: the finger's camera has its place in the world."""
+    return "world/camera" if image == "vision" else f"world/{image}"
 
 
 def _png(frame: np.ndarray) -> bytes:
@@ -81,15 +90,14 @@ def _png(frame: np.ndarray) -> bytes:
     return buffer.getvalue()
 
 
-def _blueprint() -> rrb.Blueprint:
+def _blueprint(layout: Layout) -> rrb.Blueprint:
     """What the viewer shows at first: the robot in space, and beside it the frames and the series."""
-    series = [rrb.TimeSeriesView(name=vector.replace("_", " "), origin=vector) for vector in VECTORS]
+    series = [rrb.TimeSeriesView(name=vector.replace("_", " "), origin=vector) for vector in vector_columns(layout)]
     space = rrb.Spatial3DView(name="robot", origin="world")
-    frames = rrb.Spatial2DView(name="camera", origin="world/camera")
+    frames = [rrb.Spatial2DView(name=name, origin=_entity(name)) for name in image_shapes(layout)]
     plots = rrb.Vertical(*series)
-    return rrb.Blueprint(
-        rrb.Horizontal(rrb.Vertical(space, frames, row_shares=[2, 1]), plots), collapse_panels=True
-    )
+    left = rrb.Vertical(space, *frames, row_shares=[2, *(1 for _ in frames)])
+    return rrb.Blueprint(rrb.Horizontal(left, plots), collapse_panels=True)
 
 
 class Robot:
@@ -103,8 +111,9 @@ class Robot:
             )
         self.model = mujoco.MjModel.from_xml_path(str(path))
         self.data = mujoco.MjData(self.model)
-        joints = [column.name for column in VECTORS["arm"]]
-        joints += [f"finger_joint_{index:02}" for index in range(len(VECTORS["proprioception"]))]
+        columns = vector_columns(source.layout)
+        joints = [column.name for column in columns["arm"]]
+        joints += [f"finger_joint_{index:02}" for index in range(len(columns["proprioception"]))]
         self.positions = [self.model.joint(name).qposadr[0] for name in joints]
         self.geoms = [geom for geom in range(self.model.ngeom) if self._is_robots(geom)]
 
@@ -163,7 +172,7 @@ class Robot:
         recording.log(
             "world/camera", rr.Transform3D(translation=camera.pos, quaternion=quaternion), static=True
         )
-        height, width, _ = FRAME_SHAPE
+        height, width, _ = image_shapes(FINGER)["vision"]
         pinhole = rr.Pinhole(
             # pixels, from the vertical field of view, degrees
             focal_length=float(0.5 * height / np.tan(0.5 * np.radians(camera.fovy[0]))),

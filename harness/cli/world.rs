@@ -1,0 +1,113 @@
+//! `harness world`: what worlds there are, what a world file means on its model, and a first one for any model.
+
+use super::DONE;
+use super::table::shown;
+use anyhow::Result;
+use clap::{Args, Subcommand};
+use harness::files::write_bytes;
+use harness::simulation::{Scene, draft_world};
+use harness::spec::{Definition, Modality, World, world_schema};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[derive(Args)]
+pub struct Command {
+    #[command(subcommand)]
+    command: Action,
+}
+
+#[derive(Subcommand)]
+enum Action {
+    /// List the built-in worlds
+    List,
+    /// Compile a world's model and say what each entry of its file matches
+    Check {
+        /// The path of a world file, or the name of a built-in world
+        #[arg(value_name = "WORLD")]
+        world: String,
+    },
+    /// Write a first world file for an MJCF model, beside it
+    New {
+        /// The MJCF file
+        #[arg(value_name = "MODEL")]
+        model: PathBuf,
+        /// The world file to write [default: the model's name with the ending .yaml]
+        #[arg(long, short, value_name = "FILE")]
+        output: Option<PathBuf>,
+    },
+    /// Print the JSON schema of a world file, for editors
+    Schema,
+}
+
+/// Why no world file is written.
+#[derive(Debug, thiserror::Error)]
+pub enum WorldError {
+    #[error("{} is there already; name another file with --output", .0.display())]
+    Exists(PathBuf),
+}
+
+impl Command {
+    pub fn execute(self) -> Result<ExitCode> {
+        match self.command {
+            Action::List => {
+                for world in World::built_in() {
+                    println!("{:<12} {}", world.scenario(), world.description());
+                }
+            }
+            Action::Check { world } => check(&Scene::new(World::find(&world)?)?),
+            Action::New { model, output } => {
+                let path = output.unwrap_or_else(|| model.with_extension("yaml"));
+                if path.exists() {
+                    return Err(WorldError::Exists(path).into());
+                }
+                // Beside the model its name will do; from elsewhere its whole path is needed.
+                let named = match path.parent() == model.parent() {
+                    true => model.file_name().unwrap_or_default().into(),
+                    false => std::fs::canonicalize(&model).unwrap_or_else(|_| model.clone()),
+                };
+                write_bytes(&path, draft_world(&model, &named.to_string_lossy())?.as_bytes())?;
+                println!("{}", shown(&path));
+            }
+            Action::Schema => println!("{}", serde_json::to_string_pretty(&world_schema())?),
+        }
+        Ok(ExitCode::from(DONE))
+    }
+}
+
+fn check(scene: &Scene) {
+    let (world, layout) = (scene.world(), scene.layout());
+    println!("{}: {}", world.scenario(), world.description());
+    println!("model       {}", scene.source());
+    for definition in &layout.modalities {
+        println!("{:<24} {}", definition.name, describe(definition));
+        for group in &definition.groups {
+            let elements = definition.elements();
+            let names: Vec<&str> =
+                group.elements.iter().map(|index| elements[*index].name.as_str()).collect();
+            println!("  group {:<16} {}", group.name, names.join(", "));
+        }
+    }
+    for (name, setting) in world.settings() {
+        println!("simulation.{name} = {}", serde_json::to_string(&setting).unwrap_or_default());
+    }
+    if scene.boxes() > 0 {
+        println!("{} bodies are placed at random in each episode", scene.boxes());
+    }
+}
+
+fn describe(definition: &Definition) -> String {
+    let of = definition.difference_of.map(|of| format!("change of {of}: ")).unwrap_or_default();
+    match definition.size() {
+        Some([rows, columns]) => format!("{of}image of {rows} x {columns} pixels"),
+        None => {
+            let elements = definition.elements();
+            let element = |element: &harness::spec::Element| match element.unit.as_str() {
+                "" => element.name.clone(),
+                unit => format!("{} ({unit})", element.name),
+            };
+            let names: Vec<String> = elements.iter().map(element).collect();
+            let what = if definition.name == Modality::SETPOINT { "the action: " } else { "" };
+            format!("{what}{of}{} values: {}", names.len(), names.join(", "))
+        }
+    }
+}

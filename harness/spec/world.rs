@@ -1,0 +1,789 @@
+//! Worlds: what a robot senses and does, and what is drawn for an episode, in a YAML file beside its MJCF.
+
+use super::error::{Problem, SpecError};
+use super::modality::{Modality, NAME, Percentage, Region, is_name};
+use super::parse::{self, Node, shorten};
+use super::scaling::{Deviation, Scaling};
+use super::schema;
+use super::types::{Scenario, Setting, Simulation};
+use schemars::JsonSchema;
+use serde::de::{Deserializer, MapAccess, Visitor};
+use serde::ser::{SerializeMap, Serializer};
+use serde::{Deserialize, Serialize};
+use serde_json::Value as Json;
+use std::borrow::Borrow;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, LazyLock};
+
+/// The longest side of an image that a world can declare, pixels.
+pub const MAX_IMAGE_SIDE: usize = 1024;
+
+/// Sections of a file in the order in which they stand there.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ordered<T>(pub Vec<(String, T)>);
+
+impl<T> Default for Ordered<T> {
+    fn default() -> Self {
+        Self(Vec::new())
+    }
+}
+
+impl<T> Ordered<T> {
+    pub fn iter(&self) -> impl Iterator<Item = (&str, &T)> {
+        self.0.iter().map(|(name, value)| (name.as_str(), value))
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+}
+
+impl<T: Serialize> Serialize for Ordered<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(self.0.len()))?;
+        self.0.iter().try_for_each(|(name, value)| map.serialize_entry(name, value))?;
+        map.end()
+    }
+}
+
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for Ordered<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Entries<T>(PhantomData<T>);
+        impl<'de, T: Deserialize<'de>> Visitor<'de> for Entries<T> {
+            type Value = Ordered<T>;
+
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                write!(f, "a section of keys")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Ordered<T>, A::Error> {
+                let mut entries = Vec::new();
+                while let Some(entry) = map.next_entry()? {
+                    entries.push(entry);
+                }
+                Ok(Ordered(entries))
+            }
+        }
+        deserializer.deserialize_map(Entries(PhantomData))
+    }
+}
+
+/// A world file. Names of joints, geoms, sensors, cameras, actuators and bodies are the MJCF's; where several are wanted,
+/// `*`, `?` and `[abc]` match as in a shell, and what matches is taken in the model's order.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct WorldFile {
+    /// The world, in a sentence.
+    #[serde(default)]
+    pub description: String,
+    /// The MJCF file, by its path from this file's folder.
+    pub model: String,
+    /// Simulation steps a second, Hz: 1 / the model's `timestep`.
+    #[schemars(range(max = 1_000_000.0), extend("exclusiveMinimum" = 0.0))]
+    pub step_rate_hz: f64,
+    /// Samples recorded a second where a spec says nothing, Hz.
+    #[serde(default = "ten")]
+    #[schemars(range(max = 100_000.0), extend("exclusiveMinimum" = 0.0))]
+    pub sample_rate_hz: f64,
+    /// What is sensed at each sample, by name.
+    #[schemars(with = "BTreeMap<String, Sensing>")]
+    pub modalities: Ordered<Sensing>,
+    /// What moves.
+    pub action: Acting,
+    /// Bodies that each episode places at random, by a name for all of them.
+    #[serde(default, skip_serializing_if = "Ordered::is_empty")]
+    #[schemars(with = "BTreeMap<String, Placing>")]
+    pub placement: Ordered<Placing>,
+    /// Parts of the images whose error is reported apart, by name; where two fit a pixel, it belongs to the later one.
+    #[serde(default, skip_serializing_if = "Ordered::is_empty")]
+    #[schemars(with = "BTreeMap<String, Colours>")]
+    pub regions: Ordered<Colours>,
+}
+
+/// One modality: exactly one of `joint_positions`, `joint_velocities`, `normal_force`, `sensor`, `camera` and
+/// `difference_of`, and what is to be known of it.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Sensing {
+    /// Angles (rad) of hinges and positions (m) of slides.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "globs")]
+    pub joint_positions: Option<Vec<String>>,
+    /// Velocities (rad/s, m/s) of hinges and slides.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "globs")]
+    pub joint_velocities: Option<Vec<String>>,
+    /// The normal force of all contacts of each geom, or of each body's geoms, N.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "globs")]
+    pub normal_force: Option<Vec<String>>,
+    /// The values of sensors of the MJCF.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "globs")]
+    pub sensor: Option<Vec<String>>,
+    /// The image of a camera.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "text")]
+    pub camera: Option<String>,
+    /// The change of another modality since the sample before; zero at an episode's first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "text")]
+    pub difference_of: Option<String>,
+    /// Rows and columns of a camera's image, pixels.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "size")]
+    pub size: Option<[usize; 2]>,
+    /// `sample`: forces are averaged over the steps since the sample before. They are those of the instant otherwise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "averaged")]
+    pub average_over: Option<Interval>,
+    /// Unit of a sensor's values.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "text")]
+    pub unit: Option<String>,
+    /// What metrics sum up together, by name: patterns of the names in the MJCF.
+    #[serde(default, skip_serializing_if = "Ordered::is_empty")]
+    #[schemars(schema_with = "groups")]
+    pub groups: Ordered<Vec<String>>,
+    /// What the values are divided by for a network: `shared` for forces and images, `per_element` for others where
+    /// nothing is said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "scale")]
+    pub scale: Option<Deviation>,
+    /// The least value of a prediction; 0 for forces where nothing is said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "number")]
+    pub minimum: Option<f64>,
+    /// How errors are given in percent: `wmape` for forces and `smape` for angles where nothing is said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "percentage")]
+    pub percentage: Option<Percentage>,
+}
+
+/// What an average is over.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Interval {
+    /// The time since the sample before.
+    Sample,
+}
+
+/// The action: random moves of actuators.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Acting {
+    /// Duration of a move from one random setpoint to the next where a spec says nothing, s. It is a smoothstep.
+    #[serde(default = "second")]
+    #[schemars(range(max = 60.0), extend("exclusiveMinimum" = 0.0))]
+    pub seconds: f64,
+    /// The elements of the action, by name.
+    #[schemars(with = "BTreeMap<String, Actuator>")]
+    pub actuators: Ordered<Actuator>,
+}
+
+/// An actuator that is commanded.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Actuator {
+    /// Its name in the MJCF, where it differs from the element's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "text")]
+    pub actuator: Option<String>,
+    /// Unit of its control.
+    #[serde(default)]
+    pub unit: String,
+    /// Setpoints are drawn between these, uniformly.
+    pub range: [f64; 2],
+    /// The setpoint at an episode's start.
+    #[serde(default)]
+    pub start: Start,
+}
+
+/// Where in its range a setpoint starts.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Start {
+    /// At the lowest.
+    Low,
+    /// Half-way.
+    #[default]
+    Middle,
+    /// At the highest.
+    High,
+}
+
+/// Bodies with free joints that each episode stands on the ground, uniformly over an area, with random yaw.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Placing {
+    /// Each has a free joint and a box of the same name.
+    #[schemars(schema_with = "globs")]
+    pub bodies: Vec<String>,
+    /// A body that is drawn nearer than this to another is drawn again, m.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub clearance_m: f64,
+    /// Over what an arm sweeps.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "sector")]
+    pub sector: Option<Sector>,
+    /// Over a rectangle: lowest and highest x, lowest and highest y, m.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "rectangle")]
+    pub rectangle: Option<[[f64; 2]; 2]>,
+}
+
+/// What an arm sweeps that turns about a vertical axis and extends away from it. The place under `body` at an episode's
+/// start is kept free.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Sector {
+    /// The element of the action that turns the arm.
+    pub rotation: String,
+    /// The element of the action that extends it.
+    pub extension: String,
+    /// The body, with a geom of the same name, that it carries.
+    pub body: String,
+}
+
+/// Pixels by their colour.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Colours {
+    /// (red - blue) / brightest channel of the pixel is in this range, the upper bound excluded.
+    pub red_minus_blue: [f64; 2],
+}
+
+fn ten() -> f64 {
+    10.0
+}
+fn second() -> f64 {
+    1.0
+}
+
+/// The plain schemas of values that may be left out: that they may is no choice of a file's.
+mod plain {
+    use super::{Deviation, Interval, MAX_IMAGE_SIDE, Percentage, Sector};
+    use schemars::{Schema, SchemaGenerator, json_schema};
+
+    pub fn globs(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": "array", "items": { "type": "string" } })
+    }
+    pub fn groups(generator: &mut SchemaGenerator) -> Schema {
+        let globs = globs(generator).to_value();
+        json_schema!({ "type": "object", "properties": {}, "additionalProperties": globs })
+    }
+    pub fn text(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": "string" })
+    }
+    pub fn number(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": "number" })
+    }
+    pub fn size(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "type": "array", "minItems": 2, "maxItems": 2,
+            "items": { "type": "integer", "minimum": 1, "maximum": MAX_IMAGE_SIDE },
+        })
+    }
+    pub fn rectangle(_: &mut SchemaGenerator) -> Schema {
+        let range = json_schema!({
+            "type": "array", "minItems": 2, "maxItems": 2, "items": { "type": "number" },
+        });
+        json_schema!({ "type": "array", "minItems": 2, "maxItems": 2, "items": range })
+    }
+    pub fn averaged(generator: &mut SchemaGenerator) -> Schema {
+        generator.subschema_for::<Interval>()
+    }
+    pub fn scale(generator: &mut SchemaGenerator) -> Schema {
+        generator.subschema_for::<Deviation>()
+    }
+    pub fn percentage(generator: &mut SchemaGenerator) -> Schema {
+        generator.subschema_for::<Percentage>()
+    }
+    pub fn sector(generator: &mut SchemaGenerator) -> Schema {
+        generator.subschema_for::<Sector>()
+    }
+}
+use plain::{averaged, globs, groups, number, percentage, rectangle, scale, sector, size, text};
+
+/// The schema of a world file.
+static SCHEMA: LazyLock<Json> = LazyLock::new(|| schemars::schema_for!(WorldFile).to_value());
+
+/// The JSON schema of a world file, for editors.
+pub fn world_schema() -> Json {
+    let mut schema = SCHEMA.clone();
+    schema::allow_single_values(&mut schema);
+    schema
+}
+
+/// What a modality is sensed by.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Source<'a> {
+    JointPositions(&'a [String]),
+    JointVelocities(&'a [String]),
+    /// `mean` is over the steps since the sample before.
+    NormalForce {
+        names: &'a [String],
+        mean: bool,
+    },
+    Sensor(&'a [String]),
+    Camera {
+        name: &'a str,
+        size: [usize; 2],
+    },
+    DifferenceOf(Modality),
+}
+
+impl Source<'_> {
+    /// The key in a world file.
+    pub fn key(&self) -> &'static str {
+        match self {
+            Self::JointPositions(_) => "joint_positions",
+            Self::JointVelocities(_) => "joint_velocities",
+            Self::NormalForce { .. } => "normal_force",
+            Self::Sensor(_) => "sensor",
+            Self::Camera { .. } => "camera",
+            Self::DifferenceOf(_) => "difference_of",
+        }
+    }
+}
+
+impl Sensing {
+    /// The keys of which a modality has exactly one.
+    const SOURCES: &str = "joint_positions, joint_velocities, normal_force, sensor, camera, difference_of";
+
+    /// What it is sensed by; of a file that was checked.
+    pub fn source(&self) -> Source<'_> {
+        let mean = self.average_over.is_some();
+        let sources = [
+            self.joint_positions.as_deref().map(Source::JointPositions),
+            self.joint_velocities.as_deref().map(Source::JointVelocities),
+            self.normal_force.as_deref().map(|names| Source::NormalForce { names, mean }),
+            self.sensor.as_deref().map(Source::Sensor),
+            self.camera.as_deref().map(|name| Source::Camera { name, size: self.size.unwrap_or([1, 1]) }),
+            self.difference_of.as_deref().and_then(Modality::new).map(Source::DifferenceOf),
+        ];
+        sources.into_iter().flatten().next().unwrap_or(Source::Sensor(&[]))
+    }
+
+    fn sources(&self) -> usize {
+        let lists = [&self.joint_positions, &self.joint_velocities, &self.normal_force, &self.sensor];
+        lists.into_iter().filter(|list| list.is_some()).count()
+            + usize::from(self.camera.is_some())
+            + usize::from(self.difference_of.is_some())
+    }
+}
+
+/// A world that was read: what a file says, and where.
+#[derive(Debug, Clone)]
+pub struct World {
+    scenario: Scenario,
+    /// As messages call the file.
+    label: String,
+    /// Where the model's path starts; `None` of a built-in world.
+    folder: Option<PathBuf>,
+    file: WorldFile,
+    tree: Node,
+}
+
+/// Two worlds that say the same are equal, wherever they lie.
+impl PartialEq for World {
+    fn eq(&self, other: &Self) -> bool {
+        (self.scenario, &self.file) == (other.scenario, &other.file)
+    }
+}
+
+/// Where a world's MJCF is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum ModelFile {
+    /// In the program.
+    BuiltIn {
+        name: &'static str,
+        xml: &'static str,
+    },
+    File(PathBuf),
+}
+
+/// What is known of a modality before the model is compiled.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Known {
+    /// Rows and columns of an image; `None` of a vector.
+    pub size: Option<[usize; 2]>,
+    pub scaling: Scaling,
+}
+
+/// Name, world file, MJCF.
+const BUILT_IN: [(&str, &str, &str); 4] = [
+    ("empty", include_str!("../../models/empty.yaml"), include_str!("../../models/empty.xml")),
+    ("cluttered", include_str!("../../models/cluttered.yaml"), include_str!("../../models/cluttered.xml")),
+    ("wrist", include_str!("../../models/wrist.yaml"), include_str!("../../models/wrist.xml")),
+    ("tendon", include_str!("../../models/tendon.yaml"), include_str!("../../models/tendon.xml")),
+];
+
+impl World {
+    /// Every world that is part of the program.
+    pub fn built_in() -> &'static [Arc<World>] {
+        static WORLDS: LazyLock<Vec<Arc<World>>> = LazyLock::new(|| {
+            let read = |(name, yaml, _): &(&str, &str, &str)| {
+                let label = format!("the built-in models/{name}.yaml");
+                Arc::new(World::parse(&label, None, name, yaml).expect("a test reads every built-in world"))
+            };
+            BUILT_IN.iter().map(read).collect()
+        });
+        &WORLDS
+    }
+
+    /// The built-in world of that name.
+    pub fn named(name: &str) -> Option<Arc<World>> {
+        Self::built_in().iter().find(|world| world.scenario.name() == name).cloned()
+    }
+
+    /// The built-in world of that name, or the one in the file of that path.
+    ///
+    /// # Errors
+    /// When there is neither, or the file is at fault.
+    pub fn find(name: &str) -> Result<Arc<World>, SpecError> {
+        let looks_like_path = name.contains('/') || name.contains('.');
+        match Self::named(name) {
+            Some(world) => Ok(world),
+            None if looks_like_path => Self::load(Path::new(name)),
+            None => {
+                let names: Vec<&str> = Self::built_in().iter().map(|world| world.scenario.name()).collect();
+                let message = schema::unknown("world", name, "", &names, str::to_owned);
+                Err(SpecError::NoWorld { message: format!("{message}, or the path of a world file") })
+            }
+        }
+    }
+
+    /// The built-in world of one of the paper's scenarios.
+    pub fn paper(scenario: Scenario) -> Arc<World> {
+        Self::named(scenario.name()).expect("the paper's scenarios are built-in worlds")
+    }
+
+    /// Reads a world file, which is called as its scenario.
+    ///
+    /// # Errors
+    /// The first fault of the file, at its line and column.
+    pub fn load(path: &Path) -> Result<Arc<World>, SpecError> {
+        let label = path.display().to_string();
+        let name = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+        let unreadable = |message: String| SpecError::Unreadable { path: label.clone(), message };
+        if !is_name(name) {
+            return Err(unreadable(format!(
+                "the file's name names the world, and '{}' can't; use lower-case letters, digits and '_', a letter first",
+                shorten(name)
+            )));
+        }
+        if Self::named(name).is_some() {
+            return Err(unreadable(format!(
+                "'{name}' is the name of a built-in world; give the file another name"
+            )));
+        }
+        let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+        Self::parse(&label, Some(folder), name, &parse::read(path)?).map(Arc::new)
+    }
+
+    /// The world of a file's text: `label` is what messages call the file, `folder` is where the path of its model starts.
+    ///
+    /// # Errors
+    /// The first fault, at its line and column.
+    pub fn parse(label: &str, folder: Option<PathBuf>, name: &str, text: &str) -> Result<World, SpecError> {
+        let parsed = || -> Result<(WorldFile, Node), Problem> {
+            let mut tree = parse::parse(text)?;
+            if matches!(tree.value, parse::Value::Null) {
+                return Err(Problem::new(
+                    &tree.origin,
+                    "the file is empty; `harness world new MODEL.xml` writes one",
+                ));
+            }
+            schema::list_single(&SCHEMA, &mut tree);
+            schema::check_against(&SCHEMA, &tree)?;
+            let file: WorldFile = serde_json::from_value(tree.to_json())
+                .map_err(|error| Problem::new(&tree.origin, error.to_string()))?;
+            check(&file).map_err(|(path, message)| Problem::new(tree.origin_of(&path), message))?;
+            Ok((file, tree))
+        };
+        let (file, tree) = parsed().map_err(|problem| problem.in_file(label))?;
+        let scenario = Scenario::new(name).ok_or_else(|| SpecError::Unreadable {
+            path: label.to_owned(),
+            message: format!("'{}' can't name a world", shorten(name)),
+        })?;
+        Ok(World { scenario, label: label.to_owned(), folder, file, tree })
+    }
+
+    pub fn scenario(&self) -> Scenario {
+        self.scenario
+    }
+
+    pub fn description(&self) -> &str {
+        &self.file.description
+    }
+
+    /// What the file says.
+    pub fn file(&self) -> &WorldFile {
+        &self.file
+    }
+
+    /// As messages call the file.
+    pub fn label(&self) -> &str {
+        &self.label
+    }
+
+    /// Where its MJCF is.
+    pub fn model(&self) -> ModelFile {
+        let built_in = BUILT_IN.iter().find(|(name, ..)| *name == self.scenario.name());
+        match (&self.folder, built_in) {
+            (None, Some((name, _, xml))) => ModelFile::BuiltIn { name, xml },
+            (folder, _) => ModelFile::File(folder.clone().unwrap_or_default().join(&self.file.model)),
+        }
+    }
+
+    /// A fault of the world at a dotted path of its file.
+    pub fn fault(&self, path: &str, message: impl Into<String>) -> SpecError {
+        Problem::new(self.tree.origin_of(path), message).in_file(&self.label)
+    }
+
+    /// What decides the content of the world's datasets besides the model and the settings; `None` of the two worlds
+    /// that there were before worlds were files, so that their datasets keep their names.
+    pub fn identity(&self) -> Option<Json> {
+        if self.folder.is_none() && Scenario::PAPER.contains(&self.scenario) {
+            return None;
+        }
+        let file = WorldFile { description: String::new(), ..self.file.clone() };
+        Some(serde_json::to_value(file).expect("a world file is plain data"))
+    }
+
+    /// The modalities that a spec can name.
+    pub fn modalities(&self) -> impl Iterator<Item = Modality> {
+        self.file.modalities.iter().filter_map(|(name, _)| Modality::new(name))
+    }
+
+    /// The regions of its images.
+    pub fn regions(&self) -> Vec<Region> {
+        let region = |(name, colours): (&str, &Colours)| Region {
+            name: name.to_owned(),
+            red_minus_blue: colours.red_minus_blue.map(|bound| bound as f32),
+        };
+        self.file.regions.iter().map(region).collect()
+    }
+
+    pub(super) fn known(&self, modality: Modality) -> Option<Known> {
+        let sensing = self.sensing(modality)?;
+        let size = match sensing.source() {
+            Source::Camera { size, .. } => Some(size),
+            Source::DifferenceOf(of) => self.sensing(of)?.size,
+            _ => None,
+        };
+        Some(Known { size, scaling: self.scaling(modality)? })
+    }
+
+    fn sensing(&self, modality: Modality) -> Option<&Sensing> {
+        self.file.modalities.iter().find(|(name, _)| *name == modality.name()).map(|(_, sensing)| sensing)
+    }
+
+    /// How a modality is scaled where a spec says nothing; `None` if the world has none of that name.
+    pub fn scaling(&self, modality: Modality) -> Option<Scaling> {
+        let sensing = self.sensing(modality)?;
+        let default = match sensing.source() {
+            Source::NormalForce { .. } => Scaling { scale: Deviation::Shared, minimum: Some(0.0) },
+            Source::DifferenceOf(of) => Scaling::plain(self.sensing(of)?.camera.is_some()),
+            Source::Camera { .. } => Scaling::plain(true),
+            _ => Scaling::plain(false),
+        };
+        Some(Scaling {
+            scale: sensing.scale.unwrap_or(default.scale),
+            minimum: sensing.minimum.or(default.minimum),
+        })
+    }
+
+    /// The settings that a spec can change under `simulation`, with their own values.
+    pub fn settings(&self) -> Vec<(String, Setting)> {
+        let ranges = self.file.action.actuators.iter();
+        let ranges =
+            ranges.map(|(name, actuator)| (range_setting(name, actuator), Setting::Range(actuator.range)));
+        let clearances = self.file.placement.iter();
+        let clearances =
+            clearances.map(|(name, placing)| (clearance_setting(name), Setting::Number(placing.clearance_m)));
+        ranges.chain(clearances).collect()
+    }
+
+    /// The settings with those that the world has and `given` lacks, and without those that it doesn't have.
+    pub fn complete(&self, given: &Simulation) -> Simulation {
+        let settings = self.settings().into_iter().map(|(name, own)| {
+            let value = given.world.get(&name).copied().unwrap_or(own);
+            (name, value)
+        });
+        Simulation { world: settings.collect(), ..given.clone() }
+    }
+
+    /// The settings of an experiment that says nothing.
+    pub fn simulation(&self) -> Simulation {
+        self.complete(&Simulation {
+            sample_rate_hz: self.file.sample_rate_hz,
+            actuation_seconds: self.file.action.seconds,
+            ..Simulation::default()
+        })
+    }
+
+    /// Refuses a value that the world's setting can't have, in words.
+    pub(super) fn check_setting(&self, name: &str, value: &Setting) -> Result<(), String> {
+        let own = self.settings().into_iter().find(|(own, _)| own == name).map(|(_, own)| own);
+        match (own, value) {
+            (Some(Setting::Range(_)), Setting::Range([low, high])) if low > high => {
+                Err(format!("the range [{low}, {high}] is reversed; write [{high}, {low}]"))
+            }
+            (Some(Setting::Range(_)), Setting::Number(_)) => {
+                Err(format!("'simulation.{name}': expected a list of 2 items, each a finite number"))
+            }
+            (Some(Setting::Number(_)), Setting::Range(_)) => {
+                Err(format!("'simulation.{name}': expected a finite number"))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The setting that changes the range of an element of the action: `lift_range_m`.
+pub fn range_setting(name: &str, actuator: &Actuator) -> String {
+    let unit: String = actuator.unit.chars().filter(char::is_ascii_alphanumeric).collect();
+    if unit.is_empty() { format!("{name}_range") } else { format!("{name}_range_{}", unit.to_lowercase()) }
+}
+
+/// The setting that changes how far apart bodies are placed.
+pub fn clearance_setting(name: &str) -> String {
+    format!("{name}_clearance_m")
+}
+
+/// What the schema can't say of a world file: the path at fault, and what is wrong.
+fn check(file: &WorldFile) -> Result<(), (String, String)> {
+    if file.modalities.is_empty() {
+        return Err(("modalities".into(), "a world without modalities records nothing".into()));
+    }
+    for (name, sensing) in file.modalities.iter() {
+        let at = |key: &str| format!("modalities.{name}.{key}");
+        modality(file, name, sensing).map_err(|(key, message)| {
+            (if key.is_empty() { format!("modalities.{name}") } else { at(key) }, message)
+        })?;
+    }
+    if file.action.actuators.is_empty() {
+        return Err(("action.actuators".into(), "a world without actuators has no action".into()));
+    }
+    for (name, actuator) in file.action.actuators.iter() {
+        named("an element of the action", name)
+            .map_err(|message| (format!("action.actuators.{name}"), message))?;
+        ascending(actuator.range).map_err(|message| (format!("action.actuators.{name}.range"), message))?;
+    }
+    for (name, placing) in file.placement.iter() {
+        let at = |key: &str| format!("placement.{name}{key}");
+        named("what is placed", name).map_err(|message| (at(""), message))?;
+        match (&placing.sector, &placing.rectangle) {
+            (Some(sector), None) => {
+                for (key, element) in [("rotation", &sector.rotation), ("extension", &sector.extension)] {
+                    let all: Vec<&str> = file.action.actuators.iter().map(|(name, _)| name).collect();
+                    if !all.contains(&element.as_str()) {
+                        let message =
+                            schema::unknown("element of the action", element, "", &all, str::to_owned);
+                        return Err((at(&format!(".sector.{key}")), message));
+                    }
+                }
+            }
+            (None, Some(ranges)) => {
+                ranges.iter().try_for_each(|range| ascending(*range)).map_err(|m| (at(".rectangle"), m))?;
+            }
+            _ => return Err((at(""), "give one of sector and rectangle".into())),
+        }
+    }
+    for (name, colours) in file.regions.iter() {
+        named("a region", name).map_err(|message| (format!("regions.{name}"), message))?;
+        ascending(colours.red_minus_blue).map_err(|m| (format!("regions.{name}.red_minus_blue"), m))?;
+    }
+    Ok(())
+}
+
+fn modality<'a>(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), (&'a str, String)> {
+    named("a modality", name).map_err(|message| ("", message))?;
+    if Modality::RESERVED.contains(&name) {
+        return Err((
+            "",
+            format!("'{name}' means something else in the tables; give the modality another name"),
+        ));
+    }
+    let sources = sensing.sources();
+    if sources != 1 {
+        let found = if sources == 0 { "none" } else { "several" };
+        return Err(("", format!("a modality has exactly one of {}; found {found}", Sensing::SOURCES)));
+    }
+    let misplaced = |key, of: &str| Err((key, format!("only {of} has '{key}'")));
+    let is_camera = sensing.camera.is_some();
+    if is_camera && sensing.size.is_none() {
+        return Err(("", "a camera's image needs its size: rows and columns, as [96, 96]".into()));
+    }
+    if !is_camera && sensing.size.is_some() {
+        return misplaced("size", "a camera");
+    }
+    if sensing.average_over.is_some() && sensing.normal_force.is_none() {
+        return misplaced("average_over", "a normal_force");
+    }
+    if sensing.unit.is_some() && sensing.sensor.is_none() {
+        return misplaced("unit", "a sensor");
+    }
+    if let Some(of) = &sensing.difference_of {
+        let sources: Vec<&str> =
+            file.modalities.iter().filter(|(_, s)| s.difference_of.is_none()).map(|(n, _)| n).collect();
+        if !sources.contains(&of.as_str()) {
+            return Err(("difference_of", schema::unknown("modality", of, "", &sources, str::to_owned)));
+        }
+    }
+    let source =
+        sensing.difference_of.as_ref().and_then(|of| file.modalities.iter().find(|(name, _)| name == of));
+    let is_image = is_camera || source.is_some_and(|(_, source)| source.camera.is_some());
+    if is_image && !sensing.groups.is_empty() {
+        return Err(("groups", "an image has no groups; 'regions' tell its parts apart".into()));
+    }
+    if is_image && sensing.scale == Some(Deviation::PerElement) {
+        return Err(("scale", "the values of an image have one deviation for all; use shared".into()));
+    }
+    if is_image && sensing.percentage.is_some() {
+        return Err(("percentage", "errors of images are not given in percent".into()));
+    }
+    Ok(())
+}
+
+fn named(what: &str, name: &str) -> Result<(), String> {
+    if is_name(name) {
+        return Ok(());
+    }
+    let name = shorten(name);
+    Err(format!(
+        "'{name}' can't name {what}; use lower-case letters, digits and '_', a letter first ({NAME})"
+    ))
+}
+
+fn ascending([low, high]: [f64; 2]) -> Result<(), String> {
+    if low <= high {
+        Ok(())
+    } else {
+        Err(format!("the range [{low}, {high}] is reversed; write [{high}, {low}]"))
+    }
+}
+
+/// Which of `names` match one of the patterns, in their order.
+///
+/// # Errors
+/// When a pattern is broken, or matches nothing: the pattern, and what is wrong with it.
+pub fn matching<N: Borrow<str>>(patterns: &[String], names: &[N]) -> Result<Vec<usize>, (String, String)> {
+    let mut found = Vec::new();
+    for pattern in patterns {
+        let glob = glob::Pattern::new(pattern).map_err(|error| (pattern.clone(), error.msg.to_owned()))?;
+        let before = found.len();
+        found.extend((0..names.len()).filter(|index| glob.matches(names[*index].borrow())));
+        if found.len() == before {
+            return Err((pattern.clone(), "matches nothing".into()));
+        }
+    }
+    found.sort_unstable();
+    found.dedup();
+    Ok(found)
+}

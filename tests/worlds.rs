@@ -1,0 +1,432 @@
+//! Worlds: what a file of one may say, which mistakes are named where, and robots that the harness has never seen.
+
+mod common;
+
+use common::{finish, fresh, harness, succeed};
+use harness::dataset::Dataset;
+use harness::simulation::Scene;
+use harness::spec::{self, Modality, World};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+const EMPTY: &str = include_str!("../models/empty.yaml");
+const EMPTY_XML: &str = include_str!("../models/empty.xml");
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// What is said of the empty world with `old` replaced by `new`, in a file `own.yaml`, after its folder's name.
+fn fault(old: &str, new: &str) -> String {
+    assert!(EMPTY.contains(old), "{old}");
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("own.xml"), EMPTY_XML).unwrap();
+    let path = folder.path().join("own.yaml");
+    fs::write(&path, EMPTY.replacen(old, new, 1).replacen("model: empty.xml", "model: own.xml", 1)).unwrap();
+    let said = match World::load(&path) {
+        Ok(world) => Scene::new(world).unwrap_err().to_string(),
+        Err(error) => error.to_string(),
+    };
+    assert!(!said.contains('\n'), "{said}");
+    said.replace(&format!("{}/", folder.path().display()), "")
+}
+
+/// The line and column, counted from 1, where `text` first stands in the empty world's file.
+fn place(text: &str) -> String {
+    let before = &EMPTY[..EMPTY.find(text).unwrap()];
+    let line = before.matches('\n').count() + 1;
+    format!("own.yaml:{line}:{}", before.len() - before.rfind('\n').map_or(0, |end| end + 1) + 1)
+}
+
+#[test]
+fn every_mistake_of_a_world_file_is_one_line_with_its_place_and_what_exists() {
+    let cases = [
+        (
+            "joint_positions: finger_joint_*",
+            "joint_positions: knuckle_*",
+            place("finger_joint_*"),
+            "'knuckle_*' matches nothing among the model's joint names; the model has arm_rotation, arm_lift",
+        ),
+        (
+            "camera: external",
+            "camera: inside",
+            place("external"),
+            "no camera 'inside'; the model has external",
+        ),
+        (
+            "actuator: arm_lift",
+            "actuator: lift",
+            place("arm_lift, unit"),
+            "no actuator 'lift'; the model has arm_rotation, arm_lift, arm_extension",
+        ),
+        (
+            "camera: external",
+            "camra: external",
+            place("camera: external"),
+            "unknown key 'camra' in 'modalities.vision'; did you mean 'camera'?",
+        ),
+        (
+            "    camera: external\n",
+            "",
+            place("size: [64, 64]"),
+            "exactly one of joint_positions, joint_velocities, normal_force, sensor, camera, difference_of; found none",
+        ),
+        (
+            "unit: m, range: [-1, 0]",
+            "unit: m, range: [-2, 0]",
+            place("[-1, 0]"),
+            "[-2, 0] must lie within [-1, 0], which the model allows",
+        ),
+        (
+            "unit: m, range: [-1, 0]",
+            "unit: m, range: [0, -1]",
+            place("[-1, 0]"),
+            "the range [0, -1] is reversed; write [-1, 0]",
+        ),
+        ("  arm:\n", "  proprioception:\n", place("  arm:\n"), "duplicate"),
+        (
+            "size: [64, 64]",
+            "size: [64, 100000]",
+            place("64, 64]"),
+            "an integer of at least 1 and at most 1024",
+        ),
+        (
+            "difference_of: vision",
+            "difference_of: visoin",
+            place("vision\n\naction"),
+            "unknown modality 'visoin'; did you mean 'vision'?",
+        ),
+        ("average_over: sample", "average_over: minute", place("sample\n"), "unknown interval 'minute'"),
+        (
+            "step_rate_hz: 1000",
+            "step_rate_hz: 500",
+            place("1000"),
+            "the model's timestep is 0.001 s; write 1000",
+        ),
+        ("*[02468]", "*[x]", place("\"*[02468]\""), "'*[x]' matches nothing among finger_joint_00"),
+        (
+            "rotation: rotation,",
+            "rotation: turn,",
+            place("rotation, extension:"),
+            "unknown element of the action 'turn'",
+        ),
+        (
+            "  contact_force:\n",
+            "  total:\n",
+            place("  contact_force:\n"),
+            "'total' means something else in the tables",
+        ),
+    ];
+    for (old, new, at, expected) in cases {
+        let said = fault(old, new);
+        let line = |place: &str| place.split(':').take(2).collect::<Vec<_>>().join(":");
+        // The columns of what was replaced may differ; the lines may not, but for a section that lost its first key.
+        let near = said.starts_with(&line(&at))
+            || new.is_empty()
+            || old.contains("  arm")
+            || old.starts_with("  contact");
+        assert!(near && said.contains(expected), "{at}, {expected}: {said}");
+        assert!(said.starts_with("own.yaml:"), "{said}");
+    }
+}
+
+#[test]
+fn a_world_file_without_a_model_that_compiles_is_refused() {
+    let said = fault("model: empty.xml", "model: none.xml");
+    assert!(said.starts_with("own.yaml:3:8: can't read the model none.xml: "), "{said}");
+}
+
+#[test]
+fn names_of_worlds_are_those_of_files_and_no_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let said = |name: &str| {
+        let path = folder.path().join(name);
+        fs::write(&path, EMPTY).unwrap();
+        World::load(&path).unwrap_err().to_string()
+    };
+    assert!(said("cluttered.yaml").contains("the name of a built-in world"), "{}", said("cluttered.yaml"));
+    assert!(said("My Robot.yaml").contains("lower-case letters"), "{}", said("My Robot.yaml"));
+    let spec = |scenarios: &str| {
+        let text = format!(
+            "name: a\nscenarios: {scenarios}\ninput: arm\noutput: arm\nlatent: 1\nnetwork: {{preset: single_to_multi}}\n"
+        );
+        spec::parse_spec(folder.path().join("spec.yaml").to_str().unwrap(), &text, &[], false)
+    };
+    fs::create_dir(folder.path().join("other")).unwrap();
+    for path in ["own.yaml", "other/own.yaml"] {
+        fs::write(folder.path().join(path), EMPTY).unwrap();
+    }
+    assert_eq!(spec("[own.yaml]").unwrap().runs()[0].scenario.name(), "own");
+    let said = spec("[own.yaml, other/own.yaml]").unwrap_err().to_string();
+    assert!(said.contains("spec.yaml:2:") && said.contains("two world files are called 'own'"), "{said}");
+    let said = spec("[none.yaml]").unwrap_err().to_string();
+    assert!(said.contains("spec.yaml:2:") && said.contains("there is no such file"), "{said}");
+}
+
+/// What an experiment has read does not change with the file.
+#[test]
+fn a_world_file_that_changes_under_a_running_experiment_changes_the_next_one_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |clearance: &str| {
+        let text = EMPTY.replace("model: empty.xml", "model: own.xml").replace("range: [0, 1.5]", clearance);
+        fs::write(folder.path().join("own.yaml"), text).unwrap();
+    };
+    fs::write(folder.path().join("own.xml"), EMPTY_XML).unwrap();
+    write("range: [0, 1.5]");
+    let text = "name: a\nscenarios: own.yaml\ninput: arm\noutput: arm\nlatent: 1\nnetwork: {preset: single_to_multi}\n";
+    let load = || {
+        let path = folder.path().join("spec.yaml");
+        spec::parse_spec(path.to_str().unwrap(), text, &[], false).unwrap()
+    };
+    let dataset = |experiment: &spec::Experiment| {
+        let scene = Scene::new(experiment.world(&experiment.scenarios[0]).unwrap()).unwrap();
+        Dataset::new(Path::new("datasets"), &scene, &experiment.simulation).name().to_owned()
+    };
+    let before = load();
+    let name = dataset(&before);
+    write("range: [0, 1.0]");
+    assert_eq!(dataset(&before), name);
+    assert_ne!(dataset(&load()), name);
+}
+
+/// A pendulum whose parts lie in three files: the bob is a mesh.
+const PENDULUM: &str = r#"<mujoco model="pendulum">
+  <include file="parts/bob.xml"/>
+  <option timestep="0.01"/>
+  <worldbody>
+    <light pos="0 0 3"/>
+    <camera name="side" pos="0 -2 1" xyaxes="1 0 0 0 0 1"/>
+    <body name="rod" pos="0 0 1">
+      <joint name="swing" axis="0 1 0" damping="0.1"/>
+      <geom name="bob" type="mesh" mesh="bob" density="1000"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="push" joint="swing" ctrlrange="-1 1"/></actuator>
+  <sensor><jointvel name="speed" joint="swing"/></sensor>
+</mujoco>
+"#;
+const BOB: &str = r#"<mujoco><asset><mesh name="bob" file="bob.obj"/></asset></mujoco>"#;
+const MESH: &str = "v 0 0 0\nv 0.2 0 0\nv 0 0.2 0\nv 0 0 -0.5\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
+
+#[test]
+fn what_a_model_includes_and_its_meshes_decide_the_dataset() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+    fs::create_dir(folder.path().join("parts")).unwrap();
+    write("pendulum.xml", PENDULUM);
+    write("parts/bob.xml", BOB);
+    write("bob.obj", MESH);
+    let results = folder.path().join("results");
+    let model = folder.path().join("pendulum.xml");
+    succeed(&results, &["world", "new", model.to_str().unwrap()]);
+    let world = folder.path().join("pendulum.yaml");
+    let said = succeed(&results, &["world", "check", world.to_str().unwrap()]);
+    for expected in
+        ["joints ", "swing (rad)", "jointvel", "camera_0_difference", "the action: 1 values: push"]
+    {
+        assert!(said.contains(expected), "{expected}: {said}");
+    }
+    let again = finish(&mut harness(&results, &["world", "new", model.to_str().unwrap()]));
+    assert!(again.code != 0 && again.stderr.contains("is there already"), "{}", again.stderr);
+    let name = || {
+        let scene = Scene::new(World::load(&world).unwrap()).unwrap();
+        let spec = scene.world().simulation();
+        Dataset::new(Path::new("datasets"), &scene, &spec).name().to_owned()
+    };
+    let first = name();
+    assert_eq!(name(), first, "the compiled model is the same each time");
+    write("bob.obj", &MESH.replace("-0.5", "-0.6"));
+    let second = name();
+    write("parts/bob.xml", &BOB.replace("file=", "scale=\"2 2 2\" file="));
+    assert!(first != second && name() != second && name() != first);
+}
+
+/// A small experiment in a folder, over every modality that is named.
+fn write_spec(folder: &Path, world: &str, input: &str, output: &str) -> PathBuf {
+    let path = folder.join("experiment.yaml");
+    let text = format!(
+        "name: strange\nscenarios: [{world}]\ninput: {input}\noutput: {output}\nlatent: [2, 4]\n\
+         network: {{preset: multi_to_multi, hidden: [16], channels: [4]}}\n\
+         simulation: {{episodes: 4, actuations_per_episode: 3}}\ntraining: {{epochs: 2, batch_size: 16}}\n"
+    );
+    fs::write(&path, text).unwrap();
+    path
+}
+
+/// Runs an experiment and looks at its results with every command that reads them.
+fn go_through(results: &Path, folder: &Path, spec: &Path, world: &Path, modality: &str) {
+    let said = succeed(results, &["run", spec.to_str().unwrap()]);
+    assert!(said.contains("2 done, 0 done before, 0 failed"), "{said}");
+    let query = format!(
+        "select scenario, metric, index, value from metrics where modality = '{modality}' and model = 'network' \
+         and value is not null"
+    );
+    assert!(succeed(results, &["query", &query]).contains("rmse"));
+    assert!(
+        succeed(results, &["compare", "strange", "--metrics", "r2,rmse", "--format", "markdown"])
+            .contains("latent 4")
+    );
+    let page = folder.join("report.html");
+    succeed(results, &["report", "--out", page.to_str().unwrap()]);
+    assert!(fs::metadata(page).unwrap().len() > 10_000);
+    let picture = folder.join("robot.png");
+    let arguments = [
+        "render",
+        world.to_str().unwrap(),
+        "--episode",
+        "1",
+        "--sample",
+        "3",
+        "--output",
+        picture.to_str().unwrap(),
+    ];
+    succeed(results, &arguments);
+    assert!(fs::metadata(picture).unwrap().len() > 1000);
+    succeed(results, &["verify"]);
+    assert!(succeed(results, &["run", spec.to_str().unwrap()]).contains("0 done, 2 done before"));
+    let run = format!("strange/{}-z4", world.file_stem().unwrap().to_str().unwrap());
+    assert!(succeed(results, &["show", &run]).contains("prediction in all"));
+}
+
+#[test]
+fn a_finger_of_twelve_links_with_a_second_camera_goes_through_every_command() {
+    let (folder, results) = (tempfile::tempdir().unwrap(), fresh("worlds_twelve"));
+    for name in ["twelve.xml", "twelve.yaml"] {
+        fs::copy(root().join("models").join(name), folder.path().join(name)).unwrap();
+    }
+    let world = folder.path().join("twelve.yaml");
+    let layout = Scene::new(World::load(&world).unwrap()).unwrap().layout().clone();
+    assert_eq!(layout[Modality::PROPRIOCEPTION].width(), 12);
+    assert_eq!(layout.stored_images().count(), 2);
+    let spec = write_spec(
+        folder.path(),
+        "twelve.yaml",
+        "[proprioception, vision, wrist]",
+        "[proprioception, contact_force, frame_difference]",
+    );
+    go_through(&results, folder.path(), &spec, &world, "contact_force");
+}
+
+#[test]
+fn dm_controls_own_finger_goes_through_every_command() {
+    let site = fs::read_dir(root().join(".venv/lib")).unwrap().next().unwrap().unwrap().path();
+    let model = site.join("site-packages/dm_control/suite/finger.xml");
+    let (folder, results) = (tempfile::tempdir().unwrap(), fresh("worlds_dm_control"));
+    let world = folder.path().join("suite_finger.yaml");
+    succeed(&results, &["world", "new", model.to_str().unwrap(), "--output", world.to_str().unwrap()]);
+    let said = succeed(&results, &["world", "check", world.to_str().unwrap()]);
+    assert!(said.contains("2 values: touchtop (N), touchbottom (N)"), "{said}");
+    let spec = write_spec(
+        folder.path(),
+        "suite_finger.yaml",
+        "[joints, touch, camera_0]",
+        "[joint_velocities, touch]",
+    );
+    go_through(&results, folder.path(), &spec, &world, "touch");
+}
+
+/// A modality that no Rust file knows: added to a copy of a world, it is recorded and learned.
+#[test]
+fn a_modality_is_added_without_compiling_anything() {
+    let (folder, results) = (tempfile::tempdir().unwrap(), fresh("worlds_modality"));
+    fs::write(folder.path().join("own.xml"), EMPTY_XML).unwrap();
+    let more = "modalities:\n  finger_speed:\n    joint_velocities: finger_joint_0[0-4]\n  bend:\n    difference_of: proprioception\n";
+    let text = EMPTY.replace("model: empty.xml", "model: own.xml").replacen("modalities:\n", more, 1);
+    // What is a difference of another stands behind it.
+    let text = text.replacen("  bend:\n    difference_of: proprioception\n", "", 1).replacen(
+        "  vision:\n",
+        "  bend:\n    difference_of: proprioception\n  vision:\n",
+        1,
+    );
+    fs::write(folder.path().join("own.yaml"), text).unwrap();
+    let spec = write_spec(folder.path(), "own.yaml", "[finger_speed, bend]", "[finger_speed, bend]");
+    let said = succeed(&results, &["run", spec.to_str().unwrap(), "latent=2"]);
+    assert!(said.contains("1 done"), "{said}");
+    let rows = succeed(
+        &results,
+        &[
+            "query",
+            "select modality, unit from metrics where metric = 'rmse' and index = 4 and model = 'persistence'",
+        ],
+    );
+    assert!(rows.contains("finger_speed") && rows.contains("rad/s") && rows.contains("bend"), "{rows}");
+}
+
+#[test]
+fn images_that_a_network_cannot_take_are_refused_with_their_place() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("own.xml"), EMPTY_XML).unwrap();
+    let said = |size: &str| {
+        let text = EMPTY.replace("model: empty.xml", "model: own.xml").replace("size: [64, 64]", size);
+        fs::write(folder.path().join("own.yaml"), text).unwrap();
+        let spec = write_spec(folder.path(), "own.yaml", "[arm, vision]", "[arm]");
+        spec::load(&spec, &[], false).map(|_| ()).map_err(|error| error.to_string())
+    };
+    assert_eq!(said("size: [20, 20]"), Ok(()));
+    let odd = said("size: [21, 21]").unwrap_err();
+    assert!(odd.contains("experiment.yaml:3:14: 'vision' has a side of 21 pixels, which is odd"), "{odd}");
+    let rectangular = said("size: [48, 64]").unwrap_err();
+    assert!(
+        rectangular.contains("experiment.yaml:3:14: 'vision' has 48 x 64 pixels")
+            && rectangular.contains("square"),
+        "{rectangular}"
+    );
+}
+
+/// The sizes of the finger's modalities belong to its models: 20 joints and links, 3 elements of the action, 64 pixels.
+#[test]
+fn no_size_of_the_finger_stands_in_the_program() {
+    const NAMES: [&str; 5] = ["JOINTS", "ARM_JOINTS", "FRAME_SIDE", "FRAME_LEN", "FRAME_SHAPE"];
+    const SIZES: [&str; 9] =
+        ["; 20]", "; 64]", "0..20", "0..64", "(20,", "(64, 64", "step_by(20)", "[64, 64", "[20]"];
+    let mut folders = vec![root().join("harness"), root().join("python/src"), root().join("python/harness")];
+    let (mut files, mut found) = (0, Vec::new());
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let is_source = path.extension().is_some_and(|ending| ending == "rs" || ending == "py");
+            if path.is_dir() && !path.ends_with("benches") && !path.ends_with("kernels") {
+                folders.push(path);
+            } else if is_source {
+                files += 1;
+                let text = fs::read_to_string(&path).unwrap();
+                // What tests within a file do is not part of the program.
+                let program = text.split("#[cfg(test)]").next().unwrap_or_default();
+                let code = program.lines().filter(|line| !line.trim_start().starts_with(['/', '#', '!']));
+                let lines = code.filter(|line| NAMES.iter().chain(&SIZES).any(|size| line.contains(size)));
+                found.extend(lines.map(|line| format!("{}: {line}", path.display())));
+            }
+        }
+    }
+    assert!(files > 100 && found.is_empty(), "{files} files: {found:#?}");
+}
+
+/// The commands of the tutorial, in a copy of the folders that they name.
+#[test]
+fn every_command_of_the_tutorial_works() {
+    let text = fs::read_to_string(root().join("docs/your-own-robot.md")).unwrap();
+    let commands: Vec<&str> =
+        text.split("```bash\n").skip(1).map(|part| part.split("```").next().unwrap()).collect();
+    assert!(commands.len() >= 7, "{commands:?}");
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["models", "experiments"] {
+        std::os::unix::fs::symlink(root().join(name), folder.path().join(name)).unwrap();
+    }
+    let program = Path::new(env!("CARGO_BIN_EXE_harness")).parent().unwrap();
+    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+    let output = std::process::Command::new("bash")
+        .args(["-euc", &commands.concat()])
+        .current_dir(folder.path())
+        .env("PATH", path)
+        .env("XDG_CACHE_HOME", env!("CARGO_TARGET_TMPDIR"))
+        .output()
+        .unwrap();
+    let said =
+        String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    assert!(said.contains("1 done, 0 done before, 0 failed"), "{said}");
+    assert!(
+        folder.path().join("my_robot/report.html").exists()
+            && folder.path().join("my_robot/robot.png").exists()
+    );
+}
