@@ -134,7 +134,7 @@ fn write(registry: &Registry, experiment: &Experiment, name: &str, random: &mut 
 
 /// Tables of random numbers; what the dataset decides is the same in all of a scenario's runs.
 fn outcome(spec: &RunSpec, random: &mut ChaCha8Rng) -> Outcome {
-    let mut outcome = Outcome::default();
+    let mut outcome = Outcome { parameters: random.random_range(1000..2000), ..Outcome::default() };
     let mut of_dataset = ChaCha8Rng::seed_from_u64(u64::from(spec.scenario.name() == "empty"));
     for task in &spec.tasks {
         let output = if *task == Task::Prediction { &spec.output } else { &spec.input };
@@ -325,6 +325,9 @@ fn ask(results: &Path, answers: &Path) {
             "scenarios": claim.scenarios,
             "experiments": claim.experiments,
             "condition": claim.condition.to_string(),
+            "required_sql": claim.required_sql(false),
+            "required_quick": claim.required_sql(true),
+            "required_condition": claim.requires.as_ref().map(|requirement| requirement.condition.to_string()),
         })
     };
     let claims: Vec<_> = claims.iter().map(claim).collect();

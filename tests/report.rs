@@ -93,6 +93,11 @@ fn every_section_is_there() {
         let shown = between(&PAGE, &format!("id=\"claim-{}\"", claim.id()), "</details>");
         let query = between(shown, "<pre tabindex=\"0\" aria-label=\"Query\">", "</pre>");
         assert_eq!(unescaped(query), claim.sql(false), "{}", claim.id());
+        if let Some(required) = claim.required_sql(false) {
+            let query =
+                between(shown, "<pre tabindex=\"0\" aria-label=\"Query of what is required\">", "</pre>");
+            assert_eq!(unescaped(query), required, "{}", claim.id());
+        }
     }
     // 2 latent sizes and 1, 2 scenarios, 2 seeds.
     assert_eq!(PAGE.matches("<details class=\"run\">").count(), (2 + 1) * 2 * 2);
@@ -127,8 +132,8 @@ fn verdicts_are_those_of_harness_claims() {
     let table = succeed(&RESULTS, &["claims"]);
     let summary = table.lines().find(|line| line.contains(" hold, ")).unwrap();
     let counts: Vec<&str> =
-        summary.split(|c: char| !c.is_ascii_digit()).filter(|word| !word.is_empty()).take(3).collect();
-    for (class, count) in ["holds", "fails", "undecided"].iter().zip(&counts) {
+        summary.split(|c: char| !c.is_ascii_digit()).filter(|word| !word.is_empty()).take(4).collect();
+    for (class, count) in ["holds", "fails", "undecided", "untestable"].iter().zip(&counts) {
         let shown = between(&PAGE, &format!("<div class=\"{class}\">"), "</div>");
         assert_eq!(between(shown, "<dd>", "</dd>"), *count, "{class}: {summary}");
         let verdicts = PAGE.matches(&format!("<span class=\"verdict {class}\">")).count();

@@ -28,8 +28,20 @@ pub struct Claim {
     /// The scenarios that the claim is made for, each judged by itself; none where it is about both together.
     #[serde(default, deserialize_with = "scenarios_of_the_paper")]
     pub scenarios: Vec<Scenario>,
-    /// The experiments whose tables the query reads.
+    /// The experiments whose tables the queries read.
     pub experiments: Vec<String>,
+    pub requires: Option<Requirement>,
+    query: Spanned<String>,
+    pub condition: Condition,
+}
+
+/// What must hold for a claim to be testable, as that the networks which it compares learned something; measured for the
+/// claim's scenarios, on the tables of its experiments.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Requirement {
+    /// What the number is that the query gives, with its unit.
+    pub measured: String,
     query: Spanned<String>,
     pub condition: Condition,
 }
@@ -58,7 +70,16 @@ impl Claim {
 
     /// The query, over the tables of the experiments or, if `quick`, of their quick runs.
     pub fn sql(&self, quick: bool) -> String {
-        let mut sql = self.query.value.clone();
+        self.over_tables(&self.query.value, quick)
+    }
+
+    /// The query of what the claim requires, over the same tables.
+    pub fn required_sql(&self, quick: bool) -> Option<String> {
+        self.requires.as_ref().map(|requirement| self.over_tables(&requirement.query.value, quick))
+    }
+
+    fn over_tables(&self, query: &str, quick: bool) -> String {
+        let mut sql = query.to_owned();
         if quick {
             for name in &self.experiments {
                 sql = sql.replace(&format!("'{name}'"), &format!("'{name}-quick'"));
@@ -81,6 +102,16 @@ impl Condition {
         match self {
             Self::Above(bound) => value > bound,
             Self::Below(bound) => value < bound,
+        }
+    }
+
+    /// The verdict on a mean with this interval.
+    fn judge(self, interval: Interval) -> Verdict {
+        match interval.bounds.map(|(low, high)| (self.satisfied_by(low), self.satisfied_by(high))) {
+            None => Verdict::OneSeed { satisfied: self.satisfied_by(interval.mean) },
+            Some((true, true)) => Verdict::Holds,
+            Some((false, false)) => Verdict::DoesNotHold,
+            Some(_) => Verdict::Undecided,
         }
     }
 }
@@ -130,6 +161,13 @@ pub struct Measured {
     pub values: BTreeMap<i64, f64>,
 }
 
+impl Measured {
+    /// The mean over seeds or episodes with its interval; `None` without data.
+    pub fn interval(&self) -> Option<Interval> {
+        mean_interval(&self.values.values().copied().collect::<Vec<_>>(), LEVEL)
+    }
+}
+
 /// What is alike but for chance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Each {
@@ -158,6 +196,8 @@ pub enum Verdict {
     Undecided,
     /// A single seed has no interval; whether its value satisfies the condition.
     OneSeed { satisfied: bool },
+    /// What the claim requires doesn't hold, or is undecided; with a single seed, its value doesn't satisfy it.
+    NotTestable,
     /// The runs differ in settings that the query doesn't tell apart, so that nothing can be measured.
     Mixed,
     /// Nothing was measured.
@@ -172,6 +212,7 @@ impl fmt::Display for Verdict {
             Self::Undecided => "undecided",
             Self::OneSeed { satisfied: true } => "undecided: 1 seed, agrees",
             Self::OneSeed { satisfied: false } => "undecided: 1 seed, disagrees",
+            Self::NotTestable => "not testable",
             Self::Mixed => "undecided: settings differ",
             Self::NoData => "undecided: no data",
         })
@@ -184,6 +225,8 @@ pub struct Judgement<'a> {
     pub claim: &'a Claim,
     pub scenario: Option<Scenario>,
     pub measured: Measured,
+    /// What was measured of the claim's requirement; `None` if it has none.
+    pub required: Option<Measured>,
     /// The experiments whose runs can't be put together, for which nothing is measured.
     pub mixed: Vec<Mixed>,
 }
@@ -191,19 +234,28 @@ pub struct Judgement<'a> {
 impl Judgement<'_> {
     /// The mean over seeds or episodes with its interval; `None` without data.
     pub fn interval(&self) -> Option<Interval> {
-        mean_interval(&self.measured.values.values().copied().collect::<Vec<_>>(), LEVEL)
+        self.measured.interval()
     }
 
     pub fn verdict(&self) -> Verdict {
-        let Some(interval) = self.interval() else {
-            return if self.mixed.is_empty() { Verdict::NoData } else { Verdict::Mixed };
-        };
-        let satisfied = |value| self.claim.condition.satisfied_by(value);
-        match interval.bounds.map(|(low, high)| (satisfied(low), satisfied(high))) {
-            None => Verdict::OneSeed { satisfied: satisfied(interval.mean) },
-            Some((true, true)) => Verdict::Holds,
-            Some((false, false)) => Verdict::DoesNotHold,
-            Some(_) => Verdict::Undecided,
+        match self.interval() {
+            None if self.mixed.is_empty() => Verdict::NoData,
+            None => Verdict::Mixed,
+            Some(_) if self.unmet().is_some() => Verdict::NotTestable,
+            Some(interval) => self.claim.condition.judge(interval),
+        }
+    }
+
+    /// What the claim requires and these runs don't meet, in words: what was measured, its value and the condition.
+    pub fn unmet(&self) -> Option<String> {
+        let Requirement { measured, condition, .. } = self.claim.requires.as_ref()?;
+        let interval = self.required.as_ref().and_then(Measured::interval);
+        match interval.map(|interval| condition.judge(interval)) {
+            Some(Verdict::Holds | Verdict::OneSeed { satisfied: true }) => None,
+            _ => {
+                let value = interval.map_or("no value".to_owned(), |interval| interval.to_string());
+                Some(format!("{measured}: {value}, not {condition}"))
+            }
         }
     }
 }
@@ -244,7 +296,8 @@ pub fn selection(claims: &[&Claim], settings: &[Setting], quick: bool) -> Select
 
 /// Says which columns the claims' queries will ask for.
 pub fn expect(analysis: Analysis, claims: &[&Claim], quick: bool) -> Analysis {
-    let queries: Vec<String> = claims.iter().map(|claim| claim.sql(quick)).collect();
+    let required = claims.iter().filter_map(|claim| claim.required_sql(quick));
+    let queries: Vec<String> = claims.iter().map(|claim| claim.sql(quick)).chain(required).collect();
     analysis.expect(queries.iter().map(String::as_str))
 }
 
@@ -258,17 +311,27 @@ pub fn judge<'a>(
     quick: bool,
 ) -> Result<Vec<Judgement<'a>>, ClaimsError> {
     let experiments = claim.experiments(quick);
-    // Variants are different settings, which a query may tell apart by their column.
-    let by_variant = claim.query.value.contains("variant");
+    let requirement = claim.requires.as_ref().map(|requirement| &requirement.query);
+    // Variants are different settings, which queries may tell apart by their column.
+    let by_variant =
+        [&claim.query].into_iter().chain(requirement).all(|query| query.value.contains("variant"));
     let checked = experiments.iter().filter_map(|name| analysis.check_uniform(name, by_variant).err());
     let mixed: Vec<Mixed> = checked.collect();
     let usable = if mixed.is_empty() { experiments.as_slice() } else { &[] };
-    let measured = claim.measure(analysis, usable, quick).map_err(|problem| ClaimsError::Query {
-        id: claim.id().to_owned(),
-        line: claim.query.referenced.line(),
-        problem,
-    })?;
-    let judgement = |(scenario, measured)| Judgement { claim, scenario, measured, mixed: mixed.clone() };
+    let measure = |query: &Spanned<String>| {
+        let sql = claim.over_tables(&query.value, quick);
+        claim.measure(analysis, usable, &sql).map_err(|problem| ClaimsError::Query {
+            id: claim.id().to_owned(),
+            line: query.defined.line(),
+            problem,
+        })
+    };
+    let measured = measure(&claim.query)?;
+    let mut required = requirement.map(measure).transpose()?.into_iter().flatten();
+    let judgement = |(scenario, measured)| {
+        let required = required.next().map(|(_, measured)| measured);
+        Judgement { claim, scenario, measured, required, mixed: mixed.clone() }
+    };
     Ok(measured.into_iter().map(judgement).collect())
 }
 
@@ -282,14 +345,15 @@ struct Row {
 }
 
 impl Claim {
+    /// What a query finds for each of the claim's scenarios in turn, or for both together.
     fn measure(
         &self,
         analysis: &Analysis,
         experiments: &[String],
-        quick: bool,
+        sql: &str,
     ) -> Result<Vec<(Option<Scenario>, Measured)>, String> {
         let experiments: Vec<&str> = experiments.iter().map(String::as_str).collect();
-        let mut answer = analysis.query(&experiments, &self.sql(quick)).map_err(|error| error.to_string())?;
+        let mut answer = analysis.query(&experiments, sql).map_err(|error| error.to_string())?;
         let each = self.check_columns(&answer)?;
         let rows: Vec<Row> = rows(&mut answer).map_err(|error| error.to_string())?;
         let scenarios: Vec<Option<Scenario>> = match self.scenarios.as_slice() {

@@ -5,12 +5,12 @@ use super::table::{shown, wrapped};
 use anyhow::Result;
 use clap::Args;
 use harness::analysis::{Analysis, Interval, Mixed, Setting};
-use harness::claims::{self, Judgement, Verdict};
+use harness::claims::{self, Judgement, Measured, Requirement, Verdict};
 use harness::numbers::rounded;
 use harness::registry::{self, Registry};
 use harness::spec::Scenario;
 use polars::prelude::{Column, DataFrame};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -83,27 +83,40 @@ fn scenario(judgement: &Judgement) -> &'static str {
 
 fn print_details(judgements: &[Judgement], quick: bool) {
     for judgement in judgements {
-        let each = judgement.measured.each.name();
-        let values = judgement.measured.values.iter();
-        let values: Vec<String> =
-            values.map(|(n, value)| format!("{each} {n}: {}", rounded(*value))).collect();
-        if !values.is_empty() {
-            println!("{} {}: {}", judgement.claim.id(), scenario(judgement), values.join(", "));
+        let (id, scenario) = (judgement.claim.id(), scenario(judgement));
+        print_values(&format!("{id} {scenario}"), &judgement.measured);
+        if let Some(required) = &judgement.required {
+            print_values(&format!("{id} {scenario} requires"), required);
         }
     }
     for judgements in judgements.chunk_by(|a, b| a.claim.id() == b.claim.id()) {
-        println!("\n{}:\n{}", judgements[0].claim.id(), judgements[0].claim.sql(quick));
+        let claim = judgements[0].claim;
+        println!("\n{}:\n{}", claim.id(), claim.sql(quick));
+        if let (Some(requirement), Some(sql)) = (&claim.requires, claim.required_sql(quick)) {
+            println!("requires {}, {}:\n{sql}", requirement.measured, requirement.condition);
+        }
+    }
+}
+
+fn print_values(of: &str, measured: &Measured) {
+    let each = measured.each.name();
+    let values: Vec<String> =
+        measured.values.iter().map(|(n, value)| format!("{each} {n}: {}", rounded(*value))).collect();
+    if !values.is_empty() {
+        println!("{of}: {}", values.join(", "));
     }
 }
 
 fn print_summary(runs: &Analysis, judgements: &[Judgement], quick: bool) {
     let count = |verdict: fn(&Verdict) -> bool| judgements.iter().filter(|j| verdict(&j.verdict())).count();
+    let (holds, fails) = (count(|v| *v == Verdict::Holds), count(|v| *v == Verdict::DoesNotHold));
+    let untestable = count(|verdict| *verdict == Verdict::NotTestable);
     println!(
-        "{} hold, {} do not hold, {} undecided; intervals are 95 % over seeds (forces: episodes)",
-        count(|verdict| *verdict == Verdict::Holds),
-        count(|verdict| *verdict == Verdict::DoesNotHold),
-        count(|verdict| !matches!(verdict, Verdict::Holds | Verdict::DoesNotHold)),
+        "{holds} hold, {fails} do not hold, {} undecided, {untestable} not testable; intervals are 95 % over seeds \
+         (forces: episodes)",
+        judgements.len() - holds - fails - untestable,
     );
+    print_unmet(judgements);
     let mixed: BTreeSet<String> =
         judgements.iter().flat_map(|judgement| &judgement.mixed).map(Mixed::to_string).collect();
     for text in runs.notes().iter().chain(&mixed) {
@@ -118,17 +131,40 @@ fn print_summary(runs: &Analysis, judgements: &[Judgement], quick: bool) {
     }
 }
 
+/// What claims require that is not met, with the claims.
+fn print_unmet(judgements: &[Judgement]) {
+    let mut claims: BTreeMap<(&str, String), Vec<&str>> = BTreeMap::new();
+    for judgement in judgements.iter().filter(|judgement| judgement.verdict() == Verdict::NotTestable) {
+        let key = (scenario(judgement), judgement.unmet().unwrap_or_default());
+        claims.entry(key).or_default().push(judgement.claim.id());
+    }
+    for ((scenario, unmet), claims) in claims {
+        println!("not testable, {scenario}   {unmet}: {}", claims.join(", "));
+    }
+}
+
 /// The verdicts as a table for other programs.
 fn frame(judgements: &[Judgement]) -> Result<DataFrame> {
     let text = |name: &str, of: &dyn Fn(&Judgement) -> Option<String>| {
         Column::new(name.into(), judgements.iter().map(of).collect::<Vec<_>>())
     };
-    let number = |name: &str, of: &dyn Fn(Interval) -> Option<f64>| {
-        let values = judgements.iter().map(|judgement| judgement.interval().and_then(of));
-        Column::new(name.into(), values.collect::<Vec<_>>())
+    let numbers = |name: &str, of: &dyn Fn(&Judgement) -> Option<Interval>| {
+        let intervals: Vec<Option<Interval>> = judgements.iter().map(of).collect();
+        let column = |end: &str, of: fn(Interval) -> Option<f64>| {
+            let values: Vec<Option<f64>> = intervals.iter().map(|interval| interval.and_then(of)).collect();
+            Column::new(format!("{name}{end}").into(), values)
+        };
+        [
+            column("mean", |interval| Some(interval.mean)),
+            column("low", |interval| interval.bounds.map(|(low, _)| low)),
+            column("high", |interval| interval.bounds.map(|(_, high)| high)),
+        ]
+    };
+    let requirement = |name: &str, of: &dyn Fn(&Requirement) -> String| {
+        text(name, &|judgement| judgement.claim.requires.as_ref().map(of))
     };
     let counts = judgements.iter().map(|judgement| judgement.measured.values.len() as i64);
-    let columns = vec![
+    let mut columns = vec![
         text("claim", &|judgement| Some(judgement.claim.id().to_owned())),
         text("paper", &|judgement| Some(judgement.claim.paper.clone())),
         text("section", &|judgement| Some(judgement.claim.section.clone())),
@@ -136,11 +172,12 @@ fn frame(judgements: &[Judgement]) -> Result<DataFrame> {
         text("scenario", &|judgement| judgement.scenario.map(|scenario| scenario.name().to_owned())),
         text("each", &|judgement| Some(judgement.measured.each.name().to_owned())),
         Column::new("values".into(), counts.collect::<Vec<_>>()),
-        number("mean", &|interval| Some(interval.mean)),
-        number("low", &|interval| interval.bounds.map(|(low, _)| low)),
-        number("high", &|interval| interval.bounds.map(|(_, high)| high)),
-        text("condition", &|judgement| Some(judgement.claim.condition.to_string())),
-        text("verdict", &|judgement| Some(judgement.verdict().to_string())),
     ];
+    columns.extend(numbers("", &|judgement| judgement.interval()));
+    columns.push(text("condition", &|judgement| Some(judgement.claim.condition.to_string())));
+    columns.push(requirement("requires", &|requirement| requirement.measured.clone()));
+    columns.extend(numbers("required_", &|judgement| judgement.required.as_ref()?.interval()));
+    columns.push(requirement("required_condition", &|requirement| requirement.condition.to_string()));
+    columns.push(text("verdict", &|judgement| Some(judgement.verdict().to_string())));
     Ok(DataFrame::new(judgements.len(), columns)?)
 }

@@ -95,7 +95,8 @@ enum Command {
   harness claims --output verdicts.csv
 
 A claim holds where the whole 95 % interval over seeds satisfies its condition, does not hold where the whole \
-interval violates it, and is undecided otherwise, or with a single seed.")]
+interval violates it, and is undecided otherwise, or with a single seed. It is not testable where what it requires \
+does not hold, as that the networks which it compares learned something.")]
     Claims(claims::Claims),
     /// Print runs side by side: mean and interval over seeds, the best of a row marked
     #[command(after_help = "Examples:

@@ -26,6 +26,7 @@ struct Counts {
     holds: usize,
     fails: usize,
     undecided: usize,
+    untestable: usize,
 }
 
 /// A claim and its judgements in words: one a scenario, or one alone.
@@ -37,7 +38,16 @@ struct Judged {
     measured: String,
     condition: String,
     sql: String,
+    requires: Option<Required>,
     judgements: Vec<Words>,
+}
+
+/// What a claim requires.
+#[derive(Serialize)]
+struct Required {
+    measured: String,
+    condition: String,
+    sql: String,
 }
 
 /// A judgement in words.
@@ -48,6 +58,8 @@ struct Words {
     value: String,
     verdict: String,
     class: &'static str,
+    /// What is required and not met, of a claim that is not testable.
+    unmet: Option<String>,
     /// What there is a value for, seed or episode, and the values.
     each: &'static str,
     values: Vec<(i64, String)>,
@@ -98,6 +110,7 @@ impl Counts {
         match verdict {
             Verdict::Holds => self.holds += 1,
             Verdict::DoesNotHold => self.fails += 1,
+            Verdict::NotTestable => self.untestable += 1,
             Verdict::Undecided | Verdict::OneSeed { .. } | Verdict::Mixed | Verdict::NoData => {
                 self.undecided += 1
             }
@@ -114,6 +127,11 @@ impl Judged {
             measured: claim.measured.clone(),
             condition: claim.condition.to_string(),
             sql: claim.sql(quick),
+            requires: claim.requires.as_ref().map(|requirement| Required {
+                measured: requirement.measured.clone(),
+                condition: requirement.condition.to_string(),
+                sql: claim.required_sql(quick).unwrap_or_default(),
+            }),
             judgements: judgements.iter().map(Words::new).collect(),
         }
     }
@@ -130,10 +148,12 @@ impl Words {
             class: match verdict {
                 Verdict::Holds => "holds",
                 Verdict::DoesNotHold => "fails",
+                Verdict::NotTestable => "untestable",
                 Verdict::Undecided | Verdict::OneSeed { .. } | Verdict::Mixed | Verdict::NoData => {
                     "undecided"
                 }
             },
+            unmet: judgement.unmet().filter(|_| verdict == Verdict::NotTestable),
             each: judgement.measured.each.name(),
             values: values.map(|(each, value)| (*each, rounded(*value))).collect(),
             strip: Strip::of(judgement),

@@ -233,15 +233,19 @@ def check_compare():
 
 # --- claims ---
 
+AGREES = "undecided: 1 seed, agrees"
+
 
 def check_claims(quick):
     ending = "-quick" if quick else ""
     command = "claims" + ending
     claims = json.loads((ANSWERS / "claims.json").read_text())
-    of = {name: [run for run in DONE if run.experiment == name + ending] for name in ("single_to_multi", "multi_to_multi")}
+    names = {name for claim in claims for name in claim["experiments"]}
+    of = {name: [run for run in DONE if run.experiment == name + ending] for name in names}
     usable = [claim for claim in claims if all(is_uniform(of[name]) for name in claim["experiments"])]
     for claim in usable:
-        tables = [name for name in ("metrics", "epochs", "forces", "predictions", "frames") if name in claim["sql"]]
+        queries = claim["sql"] + (claim["required_sql"] or "")
+        tables = [name for name in ("metrics", "epochs", "forces", "predictions", "frames") if name in queries]
         if refused(command, [run for name in claim["experiments"] for run in of[name]], tables):
             return
     check(COMMANDS[command]["code"] == 0, command, "failed:", COMMANDS[command])
@@ -254,32 +258,63 @@ def check_claims(quick):
                 row = rows[claim["id"], scenario]
                 check(row["verdict"] == "undecided: settings differ" and row["mean"] is None, "mixed:", row)
             continue
-        answer = asked(claim, [run for name in claim["experiments"] for run in of[name]], quick)
+        runs = [run for name in claim["experiments"] for run in of[name]]
+        answer = asked(claim["quick" if quick else "sql"], runs)
+        required = asked(claim["required_quick" if quick else "required_sql"], runs)
         for scenario in scenarios:
-            values = [row["value"] for row in answer if row.get("scenario") == scenario and row["value"] is not None]
             row = rows[claim["id"], scenario]
+            values, must = values_of(answer, scenario), values_of(required, scenario)
+            for found, prefix in ((values, ""), (must, "required_")):
+                ends = interval(found) if found else (None, None, None)
+                same = all(close(row[prefix + name], end) for name, end in zip(("mean", "low", "high"), ends))
+                check(same, command, row, "instead of", found, ends)
+            check(row["values"] == len(values), command, row, "instead of", values)
             if not values:
-                check(row["verdict"] == "undecided: no data" and row["values"] == 0, "no data:", row)
+                check(row["verdict"] == "undecided: no data", "no data:", row)
                 continue
-            mean, low, high = interval(values)
-            same = close(row["mean"], mean) and close(row["low"], low) and close(row["high"], high)
-            check(same and row["values"] == len(values), command, row, "instead of", values, (mean, low, high))
-            word, bound = claim["condition"].split()
-            holds = [(end > float(bound)) == (word == "above") and end != float(bound) for end in (low, high) if end is not None]
-            expected = {(True, True): "holds", (False, False): "does not hold"}.get(tuple(holds), "undecided")
-            check(row["verdict"].split(":")[0] == expected, command, row, "instead of", expected)
+            expected = verdict(values, claim["condition"])
+            if claim["required_sql"] and verdict(must, claim["required_condition"]) not in ("holds", AGREES):
+                expected = "not testable"
+            check(row["verdict"] == expected, command, row, "instead of", expected)
 
 
-def asked(claim, runs, quick):
+def values_of(answer, scenario):
+    return [row["value"] for row in answer if row.get("scenario") == scenario and row["value"] is not None]
+
+
+def verdict(values, condition):
+    """Holds, does not hold or undecided; and of a single value whether it satisfies the condition."""
+    if not values:
+        return "no data"
+    word, bound = condition.split()
+    mean, low, high = interval(values)
+    ends = (mean,) if low is None else (low, high)
+    satisfied = tuple((end > float(bound)) == (word == "above") and end != float(bound) for end in ends)
+    if len(satisfied) == 1:
+        return AGREES if satisfied[0] else "undecided: 1 seed, disagrees"
+    return {(True, True): "holds", (False, False): "does not hold"}.get(satisfied, "undecided")
+
+
+def asked(sql, runs):
     """The rows that DuckDB answers a claim's query with."""
     database = duckdb.connect()
-    for name in ("metrics", "epochs", "forces"):
-        if name in claim["sql"]:
-            rows = table(runs, name)
+    for name in ("metrics", "epochs", "forces", "runs"):
+        if sql and name in sql:
+            rows = table_of_runs(runs) if name == "runs" else table(runs, name)
             if rows is None:
                 return []
             database.register(name, rows)
-    return database.sql(claim["quick" if quick else "sql"]).pl().to_dicts()
+    return database.sql(sql).pl().to_dicts() if sql else []
+
+
+def table_of_runs(runs):
+    """The columns of `runs` that claims ask for."""
+    rows = [
+        {"experiment": run.experiment, "scenario": run.scenario, "latent": run.latent, "seed": run.seed}
+        | {"parameters": run.record["parameters"]}
+        for run in runs
+    ]
+    return pl.DataFrame(rows) if rows else None
 
 
 # --- figures ---
