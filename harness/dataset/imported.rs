@@ -36,7 +36,7 @@ struct ImportedEpisode {
 
 impl Content {
     /// What its samples hold.
-    fn layout(&self) -> Arc<Layout> {
+    pub fn layout(&self) -> Arc<Layout> {
         if let Some(layout) = &self.layout {
             return Arc::new(layout.clone());
         }

@@ -15,7 +15,7 @@ pub use frame_store::{FramePlace, frame_bytes};
 pub use imported::Imported;
 pub use samples::{Partition, Recording, Samples};
 pub use standard::{Scale, Standard, frame_difference};
-pub use store::Dataset;
+pub use store::{Dataset, layout_of};
 pub use verify::{Inspection, inspect, is_lock};
 
 use crate::files::{LockError, WriteError};

@@ -329,6 +329,22 @@ impl Description {
     }
 }
 
+/// What the samples of the dataset in a folder hold, simulated or imported.
+///
+/// # Errors
+/// When its description can't be read.
+pub fn layout_of(folder: &Path) -> Result<Arc<Layout>, DatasetError> {
+    let described = || {
+        let description = Description::read(folder)?;
+        let name = folder.file_name().unwrap_or_default().to_string_lossy();
+        match description.imported(&name) {
+            Some(content) => Ok(content.layout()),
+            None => description.layout(),
+        }
+    };
+    described().map_err(|problem| DatasetError::Damaged { path: folder.join(Description::FILE), problem })
+}
+
 /// Opens the file of episode `index` of the dataset named `dataset`, which must hold `samples` samples.
 pub(super) fn open_episode(
     path: &Path,

@@ -5,13 +5,16 @@ use super::folders::Recorded;
 use super::record::{RunRecord, runs_table};
 use super::rows::conditions;
 use super::{Registry, RegistryError, Status, sql};
+use crate::dataset::layout_of;
 use crate::files::{WriteError, write_whole};
-use crate::schema::{Column, Table};
+use crate::schema::{Column, Table, sample_columns};
+use crate::spec::Layout;
 use crate::tables::{TableError, data_type, scan};
 use polars::prelude::*;
 use serde::de::DeserializeOwned;
 use std::fs::File;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Address space for the stack on which a query is parsed and planned: `1+1+1…` nests as deep as it is long, and
 /// the parser and Polars walk what nests by recursion. Only what is used takes memory.
@@ -107,7 +110,7 @@ pub(crate) fn table(
                 Some(runs_table(&records).map_err(TableError::from).map_err(RegistryError::from)?.lazy())
             }
         }
-        Table::Episodes => scan(&registry.episode_files(runs)?, &columns).map_err(QueryError::Sql)?,
+        Table::Episodes => episodes(&registry.episode_files(runs)?, &columns)?,
         Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
             // A run's tables count once its record says that it is done, and as its record lists them.
             let done = runs.iter().map(|(_, run)| run).filter(|run| run.status == Status::Done);
@@ -144,6 +147,41 @@ fn run_table(
         return Ok(frames.pop());
     }
     Ok(Some(concat(frames, UnionArgs::default())?))
+}
+
+/// The episodes' files one after the other, those of a dataset together: first the columns that the table always has, then
+/// those that only some datasets have. What a dataset lacks is null.
+fn episodes(files: &[PathBuf], always: &[Column]) -> Result<Option<LazyFrame>, QueryError> {
+    let mut groups: Vec<(Arc<Layout>, Vec<PathBuf>)> = Vec::new();
+    for of_dataset in files.chunk_by(|a, b| a.parent() == b.parent()) {
+        let folder = of_dataset[0].parent().unwrap_or(Path::new(""));
+        let layout = layout_of(folder).map_err(|error| QueryError::Refused(error.to_string()))?;
+        match groups.iter_mut().find(|(other, _)| *other == layout) {
+            Some((_, files)) => files.extend_from_slice(of_dataset),
+            None => groups.push((layout, of_dataset.to_vec())),
+        }
+    }
+    let held: Vec<Vec<Column>> = groups.iter().map(|(layout, _)| sample_columns(layout)).collect();
+    let mut names: Vec<&str> = always.iter().map(|column| column.name.as_str()).collect();
+    for column in held.iter().flatten() {
+        if !names.contains(&column.name.as_str()) {
+            names.push(&column.name);
+        }
+    }
+    let mut frames = Vec::new();
+    for ((_, files), held) in groups.iter().zip(&held) {
+        let Some(frame) = scan(files, held).map_err(QueryError::Sql)? else { continue };
+        let value = |name: &&str| match held.iter().any(|column| column.name == *name) {
+            true => col(*name),
+            // Only elements of vectors can lack.
+            false => lit(NULL).cast(DataType::Float32).alias(*name),
+        };
+        frames.push(frame.select(names.iter().map(value).collect::<Vec<_>>()));
+    }
+    match frames.len() {
+        0 | 1 => Ok(frames.pop()),
+        _ => concat(frames, UnionArgs::default()).map(Some).map_err(QueryError::Sql),
+    }
 }
 
 /// A table without rows, so that a query of an empty results folder has an empty answer.

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from harness.export import export
-from harness.recorded import VECTORS, DamagedError, RecordedDataset
+from harness.recorded import DamagedError, RecordedDataset, vector_columns
 
 EPISODES, SAMPLES = 4, 30
 
@@ -53,7 +53,7 @@ def test_a_lerobot_dataset_opens_with_lerobot_and_holds_the_same(dataset, tmp_pa
             for force in ("contact_force", "contact_force_mean"):
                 np.testing.assert_array_equal(item[f"observation.{force}"].numpy(), vectors[force][sample])
             frame = item["observation.images.external"].permute(1, 2, 0).numpy()
-            errors.append(np.abs(frame.astype(int) - episode.frames[sample]))
+            errors.append(np.abs(frame.astype(int) - episode.images["vision"][sample]))
     # The frames went through H.264. A frame shifted by one sample differs by hundreds.
     assert np.mean(errors) < 1.5 and np.max(errors) < 40, (np.mean(errors), np.max(errors))
 
@@ -85,14 +85,14 @@ def test_a_rerun_recording_opens_with_rerun_and_holds_the_same(dataset, tmp_path
     source = RecordedDataset(dataset)
     for index, file in zip([1, 3], recordings, strict=True):
         episode, found = source.read(index), entities(file)
-        for vector in VECTORS:
+        for vector in vector_columns(source.layout):
             entity = found[f"/{vector}"]
             assert entity["sample"] == list(range(SAMPLES))
             assert [time.total_seconds() for time in entity["time"]] == pytest.approx(episode.time)
             np.testing.assert_array_equal(np.float32(entity["Scalars:scalars"]), episode.vectors[vector])
         pictures = [blob[0] for blob in found["/world/camera"]["EncodedImage:blob"]]
         frames = [np.array(Image.open(io.BytesIO(bytes(picture)))) for picture in pictures]
-        np.testing.assert_array_equal(frames, episode.frames)
+        np.testing.assert_array_equal(frames, episode.images["vision"])
         assert [entity for entity in found if entity.startswith("/world/robot/finger_link_")] == sorted(
             f"/world/robot/finger_link_{link:02}" for link in range(20)
         )
@@ -111,7 +111,7 @@ def test_the_finger_in_space_is_where_the_camera_saw_it(dataset, tmp_path):
     position = np.array(camera["Transform3D:translation"][0][0])
     rotation = rotation_matrix(camera["Transform3D:quaternion"][0][0])
     focal, centre = np.array(camera["Pinhole:image_from_camera"][0][0]).reshape(3, 3).T[[0, 0], [0, 2]]
-    found, frames = entities(file), RecordedDataset(dataset).read(2).frames
+    found, frames = entities(file), RecordedDataset(dataset).read(2).images["vision"]
     # The upper half of the finger, which no box hides; MuJoCo's camera looks along -z, with y up.
     for link in range(10):
         for sample, translation in enumerate(

@@ -4,7 +4,7 @@ use super::expression::{Value, is_plain, one_row};
 use super::plan::{Ctes, Planner, none_of};
 use super::scope::{Column, Relation, Type, choice, resolve, same};
 use super::{Answer, refuse, shown};
-use crate::schema::Table;
+use crate::schema::{Kind, Table};
 use polars::prelude::*;
 use sqlparser::ast::{self, JoinConstraint, JoinOperator, TableFactor};
 use std::collections::BTreeSet;
@@ -215,11 +215,16 @@ impl Planner<'_> {
             }
         };
         let held = frame.clone().collect_schema()?;
-        let columns = table.columns().into_iter().map(|column| Column {
+        let known = table.columns();
+        // Elements of vectors that only some datasets have.
+        let more = held.iter_names().filter(|name| !known.iter().any(|column| column.name == ***name));
+        let more: Vec<(Kind, String)> = more.map(|name| (Kind::Real, name.to_string())).collect();
+        let known = known.into_iter().map(|column| (column.kind, column.name));
+        let columns = known.chain(more).map(|(kind, name)| Column {
             table: None,
-            kind: Type::of(column.kind, held.get(&column.name)),
-            id: column.name.clone(),
-            name: column.name,
+            kind: Type::of(kind, held.get(&name)),
+            id: name.clone(),
+            name,
             merged: false,
         });
         Ok(Relation { frame, columns: columns.collect(), rows: None, reads: 1 })
