@@ -116,10 +116,12 @@ class Episodes:
         arm = self.ranges + np.array([-0.5, 0.5])
         known: dict[str, tuple[Any, Any]] = {
             "proprioception": (-np.pi, np.pi),
-            "arm": (arm[:, 0], arm[:, 1]),
             "contact_force": (0.0, 1e4),
             "contact_force_mean": (0.0, 1e4),
         }
+        # In other worlds than the paper's, the action may have more elements than the arm.
+        if self.shapes.get("arm") == (len(arm),):
+            known["arm"] = (arm[:, 0], arm[:, 1])
         bounds: dict[str, tuple[Any, Any, tuple[int, ...], type]] = {}
         for modality in self.modalities:
             shape = self.shapes[modality]

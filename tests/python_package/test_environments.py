@@ -271,3 +271,16 @@ def test_a_wrong_action_is_named(action: np.ndarray) -> None:
     environment.reset()
     with pytest.raises(ValueError, match="action"):
         environment.step(action)
+
+
+def test_any_world_is_an_environment_without_a_task():
+    """The observations are the world's own, the action has its elements, and Gymnasium's checker is content."""
+    own = Path(__file__).parents[2] / "models" / "twelve.yaml"
+    for scenario, elements, joints in [(str(own), 3, 12), ("tendon", 7, 20)]:
+        environment = gymnasium.make("HarnessWorld-v0", scenario=scenario)
+        observation, _ = environment.reset(seed=0)
+        assert environment.action_space.shape == (elements,) and observation["proprioception"].shape == (joints,)
+        assert "goal" not in observation and "vision" not in observation
+        _, reward, terminated, truncated, _ = environment.step(environment.action_space.sample())
+        assert (reward, terminated, truncated) == (0.0, False, False)
+        check_env(environment.unwrapped, skip_render_check=True)
