@@ -141,7 +141,8 @@ class RecordedDataset:
     @property
     def layout(self) -> Layout:
         """What its samples hold."""
-        return self.description.get("layout", FINGER)
+        layout: Layout = self.description.get("layout", FINGER)
+        return layout
 
     @property
     def scenario(self) -> str:

@@ -28,10 +28,11 @@ def features_of(layout: Layout) -> dict[str, tuple[str, ...]]:
     """The vectors that each of LeRobot's features is made of, side by side. An `action` is the setpoint that is
     commanded at its sample's instant, so a row of LeRobot's is an observation and the command that is given upon it."""
     vectors = vector_columns(layout)
-    state = STATE if all(name in vectors for name in STATE) else ()
+    state: tuple[str, ...] = STATE if all(name in vectors for name in STATE) else ()
     others = [name for name in vectors if name not in (*state, "setpoint")]
-    features = {"observation.state": state} if state else {}
-    return features | {f"observation.{name}": (name,) for name in others} | {"action": ("setpoint",)}
+    features: dict[str, tuple[str, ...]] = {"observation.state": state} if state else {}
+    features |= {f"observation.{name}": (name,) for name in others}
+    return features | {"action": ("setpoint",)}
 
 
 def cameras_of(layout: Layout) -> dict[str, str]:
