@@ -459,7 +459,7 @@ mod tests {
     #[test]
     fn the_checks_know_every_keyword_of_the_schema() {
         const ANNOTATIONS: &[&str] = &["$schema", "title", "description", "default", "format"];
-        // `pattern` stands for the name's rule in `validate` and for `Origin`'s; `additionalProperties` is always false.
+        // `pattern` stands for the name's rule in `validate` and for `Origin`'s.
         const CHECKED: &[&str] = &[
             "$defs",
             "$ref",
@@ -475,6 +475,7 @@ mod tests {
             "maximum",
             "exclusiveMinimum",
             "exclusiveMaximum",
+            "anyOf",
             "oneOf",
             "const",
             "pattern",
@@ -486,7 +487,9 @@ mod tests {
                 match keyword {
                     "$defs" | "properties" => value.as_object().unwrap().values().for_each(visit),
                     "items" => visit(value),
-                    "oneOf" => value.as_array().unwrap().iter().for_each(visit),
+                    "anyOf" | "oneOf" => value.as_array().unwrap().iter().for_each(visit),
+                    // False, or what every other key's value must be.
+                    "additionalProperties" if value.is_object() => visit(value),
                     "additionalProperties" => assert_eq!(value, false),
                     _ => {}
                 }
