@@ -153,7 +153,10 @@ def markdown(measurements: list[Measurement], machine: Machine) -> str:
 
 
 def write_parquet(path: Path, measurements: list[Measurement], machine: Machine) -> None:
-    """Writes one row a measurement, whole or not at all, with units and meanings in the metadata."""
+    """Writes one row a measurement, whole or not at all, with units and meanings in the metadata.
+
+    Of a file that is there, the rows of other comparisons stay.
+    """
     import pyarrow
     import pyarrow.parquet
 
@@ -171,6 +174,10 @@ def write_parquet(path: Path, measurements: list[Measurement], machine: Machine)
     # Where the harness's own tables have it.
     schema = pyarrow.schema(fields, metadata={"harness.columns": json.dumps(described)})
     rows = [asdict(measurement) | asdict(machine) for measurement in measurements]
+    measured = {row["name"] for row in rows}
+    if path.exists():
+        before = pyarrow.parquet.read_table(path).to_pylist()
+        rows = [row for row in before if row["name"] not in measured] + rows
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".unfinished-", delete=False) as file:
         temporary = Path(file.name)
