@@ -2,11 +2,8 @@
 
 use super::scaling::Deviation;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::de::Error;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use std::cmp::Ordering;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
-use std::fmt;
 use std::ops::Index;
 use std::sync::{Arc, LazyLock, Mutex};
 
@@ -34,6 +31,61 @@ pub(crate) fn intern(name: &str) -> &'static str {
     names.insert(name);
     name
 }
+
+/// Gives a type around an interned name what all such names have: the text, an order, `Display` and serde. The names of
+/// `$first` come first in every order, then all others by the alphabet.
+macro_rules! interned_name {
+    ($type:ident, first: $first:ident, refused: $refused:literal) => {
+        impl $type {
+            /// The one of that name; `None` where none can be called so.
+            pub fn new(name: &str) -> Option<Self> {
+                $crate::spec::is_name(name).then(|| Self($crate::spec::intern(name)))
+            }
+
+            /// The name in specs, tables and file names.
+            pub const fn name(self) -> &'static str {
+                self.0
+            }
+
+            fn rank(self) -> usize {
+                Self::$first.iter().position(|other| *other == self).unwrap_or(Self::$first.len())
+            }
+        }
+
+        impl Ord for $type {
+            fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+                (self.rank(), self.0).cmp(&(other.rank(), other.0))
+            }
+        }
+
+        impl PartialOrd for $type {
+            fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+                Some(self.cmp(other))
+            }
+        }
+
+        impl std::fmt::Display for $type {
+            fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+                f.pad(self.0)
+            }
+        }
+
+        impl serde::Serialize for $type {
+            fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_str(self.0)
+            }
+        }
+
+        impl<'de> serde::Deserialize<'de> for $type {
+            fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                let name = String::deserialize(deserializer)?;
+                let refused = || serde::de::Error::custom(format!(concat!("'{}' ", $refused), name));
+                Self::new(&name).ok_or_else(refused)
+            }
+        }
+    };
+}
+pub(super) use interned_name;
 
 /// The name of a modality, as specs and tables write it. What it stands for is in the dataset's [`Layout`].
 ///
@@ -71,56 +123,13 @@ impl Modality {
     /// Names that mean something else in a column, a loss term or a saved network.
     pub(super) const RESERVED: [&str; 9] =
         ["dataset", "scenario", "episode", "sample", "time", "setpoint", "action", "kl", "total"];
-
-    /// The modality of that name; `None` where no modality can be called so.
-    pub fn new(name: &str) -> Option<Self> {
-        (is_name(name)).then(|| Self(intern(name)))
-    }
-
-    /// The name in specs, tables and file names.
-    pub const fn name(self) -> &'static str {
-        self.0
-    }
-
-    fn rank(self) -> usize {
-        Self::BUILT_IN.iter().position(|other| *other == self).unwrap_or(Self::BUILT_IN.len())
-    }
 }
 
-impl Ord for Modality {
-    fn cmp(&self, other: &Self) -> Ordering {
-        (self.rank(), self.0).cmp(&(other.rank(), other.0))
-    }
-}
-
-impl PartialOrd for Modality {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl fmt::Display for Modality {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        f.pad(self.0)
-    }
-}
-
-impl Serialize for Modality {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(self.0)
-    }
-}
-
-impl<'de> Deserialize<'de> for Modality {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let name = String::deserialize(deserializer)?;
-        Self::new(&name).ok_or_else(|| {
-            D::Error::custom(format!(
-                "'{name}' can't name a modality; use lower-case letters, digits and '_', a letter first"
-            ))
-        })
-    }
-}
+interned_name!(
+    Modality,
+    first: BUILT_IN,
+    refused: "can't name a modality; use lower-case letters, digits and '_', a letter first"
+);
 
 /// The modalities of the built-in worlds by name, and any other name.
 impl JsonSchema for Modality {

@@ -1,13 +1,11 @@
 //! The types of a spec. Their bounds stand in the `schemars` attributes, and nowhere else: the JSON schema
 //! that editors read and the checks that a spec goes through are both made from them.
 
-use super::modality::{Modality, intern, is_name};
+use super::modality::{Modality, interned_name, is_name};
 use super::scaling::GivenScalings;
 use super::world::World;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::de::Error;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use std::cmp::Ordering;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::ops::Range;
@@ -52,51 +50,9 @@ impl Scenario {
     pub const CLUTTERED: Self = Self("cluttered");
     /// The paper's, which its figures and claims compare.
     pub const PAPER: [Self; 2] = [Self::EMPTY, Self::CLUTTERED];
-
-    /// The scenario of that name; `None` where none can be called so.
-    pub fn new(name: &str) -> Option<Self> {
-        is_name(name).then(|| Self(intern(name)))
-    }
-
-    /// The name in specs, tables and file names.
-    pub const fn name(self) -> &'static str {
-        self.0
-    }
 }
 
-impl Ord for Scenario {
-    fn cmp(&self, other: &Self) -> Ordering {
-        let rank = |scenario: &Self| {
-            Self::PAPER.iter().position(|other| other == scenario).unwrap_or(Self::PAPER.len())
-        };
-        (rank(self), self.0).cmp(&(rank(other), other.0))
-    }
-}
-
-impl PartialOrd for Scenario {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl fmt::Display for Scenario {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        f.pad(self.0)
-    }
-}
-
-impl Serialize for Scenario {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(self.0)
-    }
-}
-
-impl<'de> Deserialize<'de> for Scenario {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let name = String::deserialize(deserializer)?;
-        Self::new(&name).ok_or_else(|| D::Error::custom(format!("'{name}' can't name a scenario")))
-    }
-}
+interned_name!(Scenario, first: PAPER, refused: "can't name a scenario");
 
 /// What the samples of a cell come from. In a spec, the name of a built-in world, the path of a world file, or the name
 /// of an imported dataset.
