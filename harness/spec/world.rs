@@ -631,9 +631,7 @@ impl World {
     pub(super) fn check_setting(&self, name: &str, value: &Setting) -> Result<(), String> {
         let own = self.settings().into_iter().find(|(own, _)| own == name).map(|(_, own)| own);
         match (own, value) {
-            (Some(Setting::Range(_)), Setting::Range([low, high])) if low > high => {
-                Err(format!("the range [{low}, {high}] is reversed; write [{high}, {low}]"))
-            }
+            (Some(Setting::Range(_)), Setting::Range(range)) => ascending(*range),
             (Some(Setting::Range(_)), Setting::Number(_)) => {
                 Err(format!("'simulation.{name}': expected a list of 2 items, each a finite number"))
             }
