@@ -69,6 +69,11 @@ impl Table {
         }
     }
 
+    /// The name of the file that holds a run's rows.
+    pub fn file_name(self) -> String {
+        format!("{}.parquet", self.name())
+    }
+
     /// What a row is.
     pub fn meaning(self) -> &'static str {
         match self {

@@ -131,7 +131,7 @@ impl RunTable {
         runs: impl Iterator<Item = &'a RunRecord>,
     ) -> Result<Self, RegistryError> {
         let folder = registry.runs().join(experiment);
-        let name = file_name(table);
+        let name = table.file_name();
         let file = |record: &RunRecord| {
             let listed = record.listed(&folder.join(&record.run), &name)?.clone();
             // Published runs are copies for version control, and few.
@@ -361,7 +361,7 @@ impl RunTable {
     }
 
     fn path(&self, run: &str) -> PathBuf {
-        self.runs.join(run).join(file_name(self.table))
+        self.runs.join(run).join(self.table.file_name())
     }
 }
 
@@ -429,10 +429,6 @@ impl Part {
 /// The columns as a file's metadata have them.
 fn described(columns: &[Column]) -> String {
     serde_json::to_string(columns).unwrap_or_default()
-}
-
-fn file_name(table: Table) -> String {
-    format!("{}.parquet", table.name())
 }
 
 /// An error of the registry as one of Polars, as which it passes through a query. `QueryError` finds it again.

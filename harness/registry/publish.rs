@@ -57,7 +57,7 @@ impl Registry {
             write_bytes(&copy.path.join(SPEC), &spec)?;
             let mut names = vec![SPEC.to_owned()];
             for table in TABLES {
-                let name = format!("{}.parquet", table.name());
+                let name = table.file_name();
                 let rows = TableFile::open(&record.check_file(folder, &name)?)?.table(None)?;
                 let kept = shown.keep(table, record, rows).map_err(TableError::from)?;
                 write_table(&copy.path.join(&name), kept, &table.columns(), &record.stamp())?;

@@ -257,7 +257,7 @@ impl RunRecord {
 
     /// The files that a run of this spec leaves, besides its record.
     pub(super) fn expected_files(&self) -> Vec<String> {
-        let tables = TABLES.iter().map(|table| format!("{}.parquet", table.name()));
+        let tables = TABLES.iter().map(|table| table.file_name());
         let checkpoints = self.spec.tasks.iter().map(|task| format!("{}.safetensors", task.name()));
         std::iter::once(SPEC.to_owned()).chain(tables).chain(checkpoints).collect()
     }
@@ -450,7 +450,7 @@ impl Outcome {
             });
             let columns = key.chain(columns).collect();
             let frame = DataFrame::new(rows, columns).map_err(TableError::from)?;
-            let path = folder.path.join(format!("{}.parquet", table.name()));
+            let path = folder.path.join(table.file_name());
             write_table(&path, frame, &table.columns(), &record.stamp())?;
         }
         Ok(())
