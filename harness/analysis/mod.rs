@@ -23,7 +23,7 @@ use crate::registry::{
     Condition, QueryError, Registry, RunRecord, RunTable, Status, answer, conditions, lazily, table,
 };
 use crate::schema::Table;
-use crate::spec::Origin;
+use crate::spec::{Origin, QUICK};
 use polars::prelude::*;
 use rayon::prelude::*;
 use seen::Seen;
@@ -164,8 +164,8 @@ impl Analysis {
 
     /// The command that makes the runs of one of the checked-in experiments, with the settings that are asked for.
     pub fn command(&self, name: &str, quick: bool) -> String {
-        let option = if quick { " --quick" } else { "" };
-        let experiment = if quick { format!("{name}-quick") } else { name.to_owned() };
+        let (option, ending) = if quick { (" --quick", QUICK) } else { ("", "") };
+        let experiment = format!("{name}{ending}");
         let about = self.selection.settings.iter().filter(|setting| setting.is_about(&experiment));
         let overrides: String =
             about.filter_map(Setting::as_override).map(|text| format!(" {text}")).collect();

@@ -6,7 +6,7 @@ pub use file::load;
 
 use crate::analysis::{Analysis, AnalysisError, Interval, LEVEL, Mixed, Selection, Setting, mean_interval};
 use crate::registry::{Registry, rows};
-use crate::spec::{Origin, Scenario, SpecError};
+use crate::spec::{Origin, QUICK, Scenario, SpecError};
 use polars::prelude::DataFrame;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
@@ -64,7 +64,7 @@ impl Claim {
 
     /// The experiments' names in tables.
     pub fn experiments(&self, quick: bool) -> Vec<String> {
-        let ending = if quick { "-quick" } else { "" };
+        let ending = if quick { QUICK } else { "" };
         self.experiments.iter().map(|name| format!("{name}{ending}")).collect()
     }
 
@@ -82,7 +82,7 @@ impl Claim {
         let mut sql = query.to_owned();
         if quick {
             for name in &self.experiments {
-                sql = sql.replace(&format!("'{name}'"), &format!("'{name}-quick'"));
+                sql = sql.replace(&format!("'{name}'"), &format!("'{name}{QUICK}'"));
             }
         }
         sql

@@ -2,12 +2,9 @@
 
 use super::FigureError;
 use crate::analysis::{Analysis, Run};
-use crate::spec::Layout;
+use crate::spec::{Layout, QUICK};
 use polars::prelude::*;
 use std::sync::Arc;
-
-/// What the names of quick runs' experiments end in.
-const QUICK: &str = "-quick";
 
 /// The paper's experiments; each has a spec of its name in `experiments/`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -55,10 +55,13 @@ pub fn parse_spec(
     let mut experiment =
         load_text(Path::new(path), text, overrides, quick).map_err(|problem| problem.in_file(path))?;
     if quick {
-        experiment.name.push_str("-quick");
+        experiment.name.push_str(QUICK);
     }
     Ok(experiment)
 }
+
+/// What the name of an experiment ends in whose runs have its spec's `quick` settings.
+pub const QUICK: &str = "-quick";
 
 const NOT_QUICK: &str = "there is no 'quick' section, so a quick run would be the full one under another name; add the \
                          section, or leave out --quick";
