@@ -241,6 +241,24 @@ fn what_a_model_includes_and_its_meshes_decide_the_dataset() {
     assert!(first != second && name() != second && name() != first);
 }
 
+#[test]
+fn another_file_counts_however_its_name_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+    let mesh = "<asset><mesh name=\"bob\" file = \"bob.obj\"/></asset>";
+    write("pendulum.xml", &PENDULUM.replace("<include file=\"parts/bob.xml\"/>", mesh));
+    write("bob.obj", MESH);
+    let (results, model) = (folder.path().join("results"), folder.path().join("pendulum.xml"));
+    succeed(&results, &["world", "new", model.to_str().unwrap()]);
+    let sha256 = || {
+        let world = World::load(&folder.path().join("pendulum.yaml")).unwrap();
+        Scene::new(world).unwrap().model_sha256().to_owned()
+    };
+    let first = sha256();
+    write("bob.obj", &MESH.replace("-0.5", "-0.6"));
+    assert_ne!(sha256(), first);
+}
+
 /// A small experiment in a folder, over every modality that is named.
 fn write_spec(folder: &Path, world: &str, input: &str, output: &str) -> PathBuf {
     let path = folder.join("experiment.yaml");

@@ -1,7 +1,7 @@
 //! A first world file for any model.
 
 use super::SimulationError;
-use super::scene::{compile_error, prepare};
+use super::scene::{compile_error, named, prepare};
 use mujoco_rs::prelude::*;
 use std::fmt::Write;
 use std::path::Path;
@@ -9,21 +9,17 @@ use std::path::Path;
 /// Sides of the images that a first world file asks for, pixels.
 const SIDE: usize = 64;
 
-/// The text of a world file for the MJCF at `model`, which it calls `named`: all joints, links, sensors and
+/// The text of a world file for the MJCF at `model`, which it calls `called`: all joints, links, sensors and
 /// cameras that have a name, and all actuators.
 ///
 /// # Errors
 /// When the model can't be compiled, or has no actuator with a name.
-pub fn draft_world(model: &Path, named: &str) -> Result<String, SimulationError> {
+pub fn draft_world(model: &Path, called: &str) -> Result<String, SimulationError> {
     prepare()?;
     let shown = model.display().to_string();
     let file = model.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let model = MjModel::from_xml(model).map_err(|error| compile_error(&shown, error))?;
-    let names = |kind, count: i64| -> Vec<(usize, &str)> {
-        let named = (0..count as usize).filter_map(|id| Some((id, model.id_to_name(kind, id)?)));
-        named.filter(|(_, name)| !name.is_empty()).collect()
-    };
-    let actuators = names(MjtObjBase::mjOBJ_ACTUATOR, model.nactuator());
+    let actuators = named(&model, MjtObjBase::mjOBJ_ACTUATOR);
     if actuators.is_empty() {
         let problem = "it has no actuator with a name, and a world's action is made of them".to_owned();
         return Err(SimulationError::Unsuitable { scene: shown, problem });
@@ -32,13 +28,13 @@ pub fn draft_world(model: &Path, named: &str) -> Result<String, SimulationError>
         "# Written by `harness world new`. Take away what is not sensed; `harness world check` says what each name matches.\n\
          description: {}\nmodel: {}\nstep_rate_hz: {}\nsample_rate_hz: 10\n\nmodalities:\n",
         quoted(&format!("The robot of {file}")),
-        quoted(named),
+        quoted(called),
         1.0 / model.opt().timestep,
     );
-    let joints = names(MjtObjBase::mjOBJ_JOINT, model.njnt());
+    let joints = named(&model, MjtObjBase::mjOBJ_JOINT);
     let is_single =
         |joint: usize| [MjtJoint::mjJNT_HINGE, MjtJoint::mjJNT_SLIDE].contains(&model.jnt_type()[joint]);
-    let joints: Vec<&str> = joints.iter().filter(|(id, _)| is_single(*id)).map(|(_, name)| *name).collect();
+    let joints: Vec<&str> = joints.iter().filter(|(_, id)| is_single(*id)).map(|(name, _)| *name).collect();
     if !joints.is_empty() {
         entry(&mut text, "joints", &[("joint_positions", list(&joints))]);
         entry(&mut text, "joint_velocities", &[("joint_velocities", list(&joints))]);
@@ -51,18 +47,18 @@ pub fn draft_world(model: &Path, named: &str) -> Result<String, SimulationError>
         let collides = model.geom_contype()[geom] != 0 || model.geom_conaffinity()[geom] != 0;
         collides && moves(model.geom_bodyid()[geom] as usize)
     };
-    let geoms = names(MjtObjBase::mjOBJ_GEOM, model.ngeom());
-    let mut links: Vec<&str> = geoms.iter().filter(|(id, _)| touches(*id)).map(|(_, name)| *name).collect();
+    let geoms = named(&model, MjtObjBase::mjOBJ_GEOM);
+    let mut links: Vec<&str> = geoms.iter().filter(|(_, id)| touches(*id)).map(|(name, _)| *name).collect();
     if links.is_empty() && geoms.is_empty() {
-        let bodies = names(MjtObjBase::mjOBJ_BODY, model.nbody());
+        let bodies = named(&model, MjtObjBase::mjOBJ_BODY);
         let is_link = |body: usize| moves(body) && model.body_geomnum()[body] > 0;
-        links = bodies.iter().filter(|(id, _)| is_link(*id)).map(|(_, name)| *name).collect();
+        links = bodies.iter().filter(|(_, id)| is_link(*id)).map(|(name, _)| *name).collect();
     }
     if !links.is_empty() {
         entry(&mut text, "contact_force", &[("normal_force", list(&links))]);
     }
     let mut sensors: Vec<(String, Vec<&str>)> = Vec::new();
-    for (id, name) in names(MjtObjBase::mjOBJ_SENSOR, model.nsensor()) {
+    for (name, id) in named(&model, MjtObjBase::mjOBJ_SENSOR) {
         let kind = format!("{:?}", model.sensor_type()[id]).trim_start_matches("mjSENS_").to_lowercase();
         match sensors.iter_mut().find(|(other, _)| *other == kind) {
             Some((_, names)) => names.push(name),
@@ -81,13 +77,13 @@ pub fn draft_world(model: &Path, named: &str) -> Result<String, SimulationError>
         };
         entry(&mut text, kind, &[("sensor", list(names)), ("unit", quoted(unit))]);
     }
-    for (index, (_, name)) in names(MjtObjBase::mjOBJ_CAMERA, model.ncam()).into_iter().enumerate() {
+    for (index, (name, _)) in named(&model, MjtObjBase::mjOBJ_CAMERA).into_iter().enumerate() {
         let modality = format!("camera_{index}");
         entry(&mut text, &modality, &[("camera", quoted(name)), ("size", format!("[{SIDE}, {SIDE}]"))]);
         entry(&mut text, &format!("{modality}_difference"), &[("difference_of", modality.clone())]);
     }
     text.push_str("\naction:\n  seconds: 1\n  actuators:\n");
-    for (index, (id, name)) in actuators.into_iter().enumerate() {
+    for (index, (name, id)) in actuators.into_iter().enumerate() {
         let [low, high] =
             if model.actuator_ctrllimited()[id] { model.actuator_ctrlrange()[id] } else { [-1.0, 1.0] };
         let element = name.to_lowercase();

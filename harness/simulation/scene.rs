@@ -156,9 +156,11 @@ impl Scene {
                     .map_err(|error| world.fault("model", format!("can't read the model {name}: {error}")))?;
                 forget_assets();
                 let model = MjModel::from_xml(&path).map_err(|error| compile_error(&name, error))?;
-                // What other files hold is in the compiled model.
-                let stands_alone = !xml.contains("<include") && !xml.contains("file=");
-                let sha256 = if stands_alone { digest(xml.as_bytes()) } else { digest_of_model(&model)? };
+                // What other files hold is in the compiled model. MJCF names them by attributes that begin with `file`,
+                // as `file` and `fileright`; a comment with that word does no harm.
+                let stands_alone = !xml.contains("file");
+                let sha256 =
+                    if stands_alone { digest(xml.as_bytes()) } else { digest_of_model(&name, &model)? };
                 Self::of_model(world, model, xml, sha256, name)
             }
         }
@@ -319,9 +321,9 @@ fn digest(bytes: &[u8]) -> String {
     hex(&Sha256::digest(bytes))
 }
 
-fn digest_of_model(model: &MjModel) -> Result<String, SimulationError> {
+fn digest_of_model(name: &str, model: &MjModel) -> Result<String, SimulationError> {
     let mut bytes = vec![0; model.size()];
-    model.save_to_buffer(&mut bytes).map_err(|error| SimulationError::Batch(error.to_string()))?;
+    model.save_to_buffer(&mut bytes).map_err(|error| compile_error(name, error))?;
     Ok(digest(&bytes))
 }
 
@@ -336,6 +338,20 @@ const BODY: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_BODY, "body");
 const SENSOR: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_SENSOR, "sensor");
 const CAMERA: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_CAMERA, "camera");
 const ACTUATOR: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_ACTUATOR, "actuator");
+
+/// All things of a kind that have a name: names and indices, in the model's order.
+pub(super) fn named(model: &MjModel, kind: MjtObjBase) -> Vec<(&str, usize)> {
+    let count = match kind {
+        MjtObjBase::mjOBJ_JOINT => model.njnt(),
+        MjtObjBase::mjOBJ_GEOM => model.ngeom(),
+        MjtObjBase::mjOBJ_BODY => model.nbody(),
+        MjtObjBase::mjOBJ_SENSOR => model.nsensor(),
+        MjtObjBase::mjOBJ_CAMERA => model.ncam(),
+        _ => model.nactuator(),
+    };
+    let with_name = (0..count as usize).filter_map(|id| Some((model.id_to_name(kind, id)?, id)));
+    with_name.filter(|(name, _)| !name.is_empty()).collect()
+}
 
 /// Names that a message lists at most.
 const NAMES_SHOWN: usize = 40;
@@ -413,55 +429,42 @@ impl<'a> Resolver<'a> {
         self.world.fault(path, message).into()
     }
 
-    /// Names and indices of all things of a kind that have a name, in the model's order.
-    fn all(&self, (kind, _): (MjtObjBase, &str)) -> (Vec<&'a str>, Vec<usize>) {
-        let model = self.model;
-        let count = match kind {
-            MjtObjBase::mjOBJ_JOINT => model.njnt(),
-            MjtObjBase::mjOBJ_GEOM => model.ngeom(),
-            MjtObjBase::mjOBJ_BODY => model.nbody(),
-            MjtObjBase::mjOBJ_SENSOR => model.nsensor(),
-            MjtObjBase::mjOBJ_CAMERA => model.ncam(),
-            _ => model.nactuator(),
-        };
-        (0..count as usize)
-            .filter_map(|id| Some((model.id_to_name(kind, id)?, id)))
-            .filter(|(name, _)| !name.is_empty())
-            .unzip()
-    }
-
-    fn list(names: &[&str], word: &str) -> String {
-        if names.is_empty() {
+    fn list(all: &[(&str, usize)], word: &str) -> String {
+        if all.is_empty() {
             return format!("the model has no {word} with a name");
         }
-        let more = if names.len() > NAMES_SHOWN { ", …" } else { "" };
-        format!("the model has {}{more}", names[..names.len().min(NAMES_SHOWN)].join(", "))
+        let names: Vec<&str> = all.iter().take(NAMES_SHOWN).map(|(name, _)| *name).collect();
+        let more = if all.len() > NAMES_SHOWN { ", …" } else { "" };
+        format!("the model has {}{more}", names.join(", "))
     }
 
-    fn find(&self, what: (MjtObjBase, &str), name: &str, path: &str) -> Result<usize, SimulationError> {
-        let (names, ids) = self.all(what);
-        let found = names.iter().position(|other| *other == name).map(|index| ids[index]);
+    fn find(
+        &self,
+        (kind, word): (MjtObjBase, &str),
+        name: &str,
+        path: &str,
+    ) -> Result<usize, SimulationError> {
+        let all = named(self.model, kind);
+        let found = all.iter().find(|(other, _)| *other == name).map(|(_, id)| *id);
         found.ok_or_else(|| {
-            self.fault(path, format!("the model has no {} '{name}'; {}", what.1, Self::list(&names, what.1)))
+            self.fault(path, format!("the model has no {word} '{name}'; {}", Self::list(&all, word)))
         })
     }
 
     /// The things of a kind that patterns match: names and indices.
     fn matches(
         &self,
-        what: (MjtObjBase, &str),
+        (kind, word): (MjtObjBase, &str),
         patterns: &[String],
         path: &str,
     ) -> Result<Vec<(&'a str, usize)>, SimulationError> {
-        let (names, ids) = self.all(what);
+        let all = named(self.model, kind);
+        let names: Vec<&str> = all.iter().map(|(name, _)| *name).collect();
         let found = matching(patterns, &names).map_err(|(pattern, problem)| {
-            let word = what.1;
-            self.fault(
-                path,
-                format!("'{pattern}' {problem} among the model's {word} names; {}", Self::list(&names, word)),
-            )
+            let there = Self::list(&all, word);
+            self.fault(path, format!("'{pattern}' {problem} among the model's {word} names; {there}"))
         })?;
-        Ok(found.into_iter().map(|index| (names[index], ids[index])).collect())
+        Ok(found.into_iter().map(|index| all[index]).collect())
     }
 
     /// What a modality holds, and what it is read from.
