@@ -20,7 +20,7 @@ fn python(script: &str) -> Command {
     command
 }
 
-/// An example's program; `cargo test` builds them, `cargo test --test benchmarks` does not.
+/// An example's program; `cargo test` builds them, `cargo test --test all` does not.
 fn example(name: &str) -> Command {
     let program = Path::new(env!("CARGO_BIN_EXE_harness")).with_file_name("examples").join(name);
     assert!(program.exists(), "{} is not there: `cargo build --examples`", program.display());

@@ -1,10 +1,8 @@
 //! The paper's claims, judged by tables that say what the paper says, by tables that say the opposite, and by tables of
 //! networks that learned nothing.
 
-mod common;
-
-use common::{finish, harness, succeed};
-use finger::JOINTS;
+use crate::common::finger::JOINTS;
+use crate::common::{finish, harness, succeed};
 use harness::claims::{Claim, Condition, Each, Judgement, Measured, Verdict, choose, judge, load, runs};
 use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::contact::Contact;
@@ -16,9 +14,6 @@ use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use tempfile::TempDir;
-
-#[path = "common/finger.rs"]
-mod finger;
 
 const FILE: &str = "experiments/claims.yaml";
 const EXPERIMENTS: [&str; 3] = ["single_to_multi", "multi_to_multi", "choose_action"];

@@ -1,8 +1,6 @@
 //! The program as its users meet it: a whole experiment, every command, and what happens to bad input.
 
-mod common;
-
-use common::{Answer, SMOKE, finish, harness, smoke_run, succeed};
+use crate::common::{Answer, SMOKE, finish, harness, smoke_run, succeed};
 use harness::files::UNFINISHED;
 use harness::tables::read_footer;
 use image::AnimationDecoder;

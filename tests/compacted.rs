@@ -1,8 +1,6 @@
 //! Tables of many runs, kept together: the same answers as from the runs' own files, whatever happens to either.
 
-mod common;
-
-use common::{SMOKE, finish, fresh, harness};
+use crate::common::{SMOKE, finish, fresh, harness};
 use harness::analysis::{Selection, compare};
 use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::evaluate;

@@ -1,8 +1,6 @@
 //! `harness compare` on real runs: the numbers are those of the tables, whatever the format.
 
-mod common;
-
-use common::{SMOKE, finish, fresh, harness, succeed};
+use crate::common::{SMOKE, finish, fresh, harness, succeed};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;

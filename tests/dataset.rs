@@ -1,6 +1,6 @@
 //! Datasets from real simulations: the same whatever the threads, whole or made again, and read as written.
 
-use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
+use crate::common::finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness::dataset::{Dataset, DatasetError, FramePlace, Partition, Recording, Samples, Standard, collect};
 use harness::files::UNFINISHED;
 use harness::progress::{Progress, Silent};
@@ -16,9 +16,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
-
-#[path = "common/finger.rs"]
-mod finger;
 
 /// Two seconds an episode, of which there are four.
 fn short() -> Simulation {

@@ -1,9 +1,7 @@
 //! The figures, drawn from small real runs of the paper's two experiments.
 
-mod common;
-
-use common::{MULTI, SINGLE, TINY, finish, fresh, harness, succeed};
-use finger::FRAME_LEN;
+use crate::common::finger::FRAME_LEN;
+use crate::common::{MULTI, SINGLE, TINY, finish, fresh, harness, succeed};
 use harness::analysis::{LEVEL, mean_interval};
 use harness::dataset::Dataset;
 use harness::figures::Figure;
@@ -18,9 +16,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
-
-#[path = "common/finger.rs"]
-mod finger;
 
 const EPISODES: u32 = 4;
 const ACTUATIONS: u32 = 3;

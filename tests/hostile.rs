@@ -2,11 +2,9 @@
 //!
 //! Each reader is given what an attacker would write, and random mutations of good input: a few thousand in
 //! `cargo test`, as many as fit into `SOAK_SECONDS` (600 if unset) a reader, or `SOAK_READER` alone, in
-//! `cargo test --test hostile -- --ignored --nocapture`. The targets in `fuzz/` drive the same readers by coverage.
+//! `cargo test hostile:: -- --ignored --nocapture`. The targets in `fuzz/` drive the same readers by coverage.
 
-mod common;
-
-use common::{SMOKE, finish, harness};
+use crate::common::{SMOKE, finish, harness};
 use harness::learning::tensors::TensorFile;
 use harness::registry::{Registry, query};
 use harness::schema::Table;

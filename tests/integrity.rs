@@ -1,8 +1,6 @@
 //! Damage to results: every kind is noticed, none is read as good, and what `harness verify` says mends it does.
 
-mod common;
-
-use common::{SMOKE, finish, harness, smoke_run, succeed};
+use crate::common::{Answer, SMOKE, finish, harness, smoke_run, succeed};
 use harness::dataset::{Dataset, DatasetError, collect};
 use harness::files::UNFINISHED;
 use harness::learning::LearningError;
@@ -244,7 +242,7 @@ fn a_training_whose_state_is_damaged_begins_anew_and_comes_to_the_same_end() {
 
 // --- harness verify ---
 
-fn verify(results: &Path) -> common::Answer {
+fn verify(results: &Path) -> Answer {
     finish(&mut harness(results, &["verify"]))
 }
 

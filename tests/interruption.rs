@@ -1,8 +1,6 @@
 //! Killed, asked to stop, run twice at once, out of room: nothing is lost, and the numbers stay the same.
 
-mod common;
-
-use common::{Answer, SMOKE, smoke_run};
+use crate::common::{Answer, SMOKE, smoke_run};
 use harness::files::{FolderLock, LOCK, UNFINISHED};
 use harness::tables::read_footer;
 use rand::{RngExt, SeedableRng};

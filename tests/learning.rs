@@ -1,9 +1,9 @@
 //! Own ops against finite differences and candle's own operations, the network against its PyTorch twin, and
 //! training: deterministic, resumable, stopped early.
 
+use crate::common::finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use candle_core::{Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
-use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness::dataset::frames::{Averaged, DenseFrames, Frames};
 use harness::dataset::{FramePlace, Partition, Recording, Samples, Standard};
 use harness::learning::network::{Architecture, Observation, Parameters, Targets, scalar};
@@ -30,9 +30,6 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
-
-#[path = "common/finger.rs"]
-mod finger;
 
 fn random(seed: u64) -> Random {
     Random::new(seed, Stream::Parameters(Task::Prediction))

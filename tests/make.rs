@@ -1,24 +1,22 @@
 //! `make` as whoever clones the repository uses it, with stand-ins for what it calls.
 
 use std::fs;
-use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::Command;
-use std::sync::{Mutex, PoisonError};
 
-/// A script that notes its name and arguments, and ends with a code.
+/// A script that notes its name and arguments, and ends with a code. Another process writes it: if this one did, a test
+/// that starts a program at the same moment would pass on the open file, and a script that is open can't be run.
 fn stand_in(path: &Path, code: i32) {
     fs::create_dir_all(path.parent().unwrap()).unwrap();
     let name = path.file_name().unwrap().to_string_lossy();
-    fs::write(path, format!("#!/bin/sh\necho \"{name} $*\" >>\"$CALLS\"\nexit {code}\n")).unwrap();
-    fs::set_permissions(path, fs::Permissions::from_mode(0o755)).unwrap();
+    let script = format!("#!/bin/sh\necho \"{name} $*\" >>\"$CALLS\"\nexit {code}\n");
+    let write = r#"printf %s "$2" >"$1" && chmod +x "$1""#;
+    let status = Command::new("sh").args(["-c", write, "sh"]).arg(path).arg(script).status();
+    assert!(status.unwrap().success());
 }
 
 /// What is called, in order, and the exit code of a command in a clone where cargo and Python end with these codes.
 fn calls(command: &[&str], cargo: i32, python: i32) -> (Vec<String>, i32) {
-    // A script can't be run while another test's process still has it open, as it was when that was forked.
-    static ONE: Mutex<()> = Mutex::new(());
-    let _alone = ONE.lock().unwrap_or_else(PoisonError::into_inner);
     let (root, folder) = (Path::new(env!("CARGO_MANIFEST_DIR")), tempfile::tempdir().unwrap());
     let path = |name: &str| folder.path().join(name);
     fs::create_dir(path(".ci")).unwrap();

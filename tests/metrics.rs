@@ -1,6 +1,6 @@
 //! The metrics against hand-worked values and scikit-learn's, and the baselines beside them.
 
-use finger::{ARM_JOINTS, FRAME_LEN, FRAME_SIDE, JOINTS};
+use crate::common::finger::{ARM_JOINTS, FRAME_LEN, FRAME_SIDE, JOINTS};
 use harness::analysis::{Interval, mean_interval};
 use harness::metrics::baselines::{GREY_SIDE, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
 use harness::metrics::contact::{Contact, by_link};
@@ -14,9 +14,6 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use std::io::Write;
 use std::process::{Command, Stdio};
-
-#[path = "common/finger.rs"]
-mod finger;
 
 fn of_finger(modality: Modality) -> Definition {
     Layout::finger()[modality].clone()

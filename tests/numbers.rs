@@ -2,21 +2,16 @@
 //! files (tests/python/reference_numbers.py), on results folders in which settings, seeds, scenarios, quick runs, copies
 //! and damage are mixed at random.
 //!
-//! `NUMBERS_CASES=200 cargo test --test numbers` tries more folders than the few of an ordinary test.
+//! `NUMBERS_CASES=200 cargo test numbers::` tries more folders than the few of an ordinary test.
 
-mod common;
-
-use common::{finish, fresh, harness};
+use crate::common::finger::{FRAME_LEN, JOINTS};
+use crate::common::{finish, fresh, harness};
 use harness::claims::{Claim, load};
 use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::contact::by_link;
 use harness::metrics::{Direction, Metric, Row};
 use harness::registry::{ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, Provenance, Registry};
 use harness::spec::{self, Experiment, Layout, Modality, RunSpec, Task};
-
-#[path = "common/finger.rs"]
-mod finger;
-use finger::{FRAME_LEN, JOINTS};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::json;

@@ -1,8 +1,6 @@
 //! `harness publish` on real runs: what is kept, what is thinned, and that the copy is as good a registry.
 
-mod common;
-
-use common::{SMOKE, finish, fresh, harness, succeed};
+use crate::common::{SMOKE, finish, fresh, harness, succeed};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;

@@ -1,8 +1,6 @@
 //! The published results, as a clone has them: whole, and enough for every figure, claim and query in the documents.
 
-mod common;
-
-use common::succeed;
+use crate::common::succeed;
 use std::path::{Path, PathBuf};
 
 fn reference() -> PathBuf {

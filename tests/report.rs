@@ -1,8 +1,6 @@
 //! `harness report`: one page that holds everything, whatever is missing, whoever wrote the names in it.
 
-mod common;
-
-use common::{MULTI, SINGLE, TINY, finish, fresh, harness, smoke_run, succeed};
+use crate::common::{MULTI, SINGLE, TINY, finish, fresh, harness, smoke_run, succeed};
 use harness::analysis::{LEVEL, mean_interval};
 use harness::figures::Figure;
 use harness::numbers::duration;

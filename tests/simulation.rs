@@ -1,6 +1,6 @@
 //! The simulated world against MuJoCo's own sensors, Python's `mujoco`, and what a user may get wrong.
 
-use finger::{ARM_JOINTS, BOXES, FRAME_LEN, FRAME_SIDE, JOINTS};
+use crate::common::finger::{ARM_JOINTS, BOXES, FRAME_LEN, FRAME_SIDE, JOINTS};
 use harness::metrics::parts::region_of;
 use harness::simulation::{
     Batch, Course, Episode, LiveSimulation, Portrait, Scene, SimulationError, Simulator, link_forces, replay,
@@ -11,9 +11,6 @@ use std::ffi::OsStr;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-
-#[path = "common/finger.rs"]
-mod finger;
 
 const STEPS_PER_SAMPLE: usize = 100;
 
@@ -655,7 +652,7 @@ fn without_a_driver_rendering_is_an_error() {
         return;
     }
     let status = Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "without_a_driver_rendering_is_an_error"])
+        .args(["--exact", "simulation::without_a_driver_rendering_is_an_error"])
         .env(DRIVERS, "/nonexistent")
         .status();
     assert!(status.unwrap().success());

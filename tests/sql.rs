@@ -1,8 +1,6 @@
 //! Questions in SQL: answered as the standard says, or refused with what to write instead.
 
-mod common;
-
-use common::{finish, harness, succeed};
+use crate::common::{finish, harness, succeed};
 use harness::registry::{Registry, query, save};
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -1,9 +1,7 @@
 //! Every command that the program suggests works when it is pasted: in each situation that can be made here, what is
 //! suggested is collected and given to a shell.
 
-mod common;
-
-use common::{SMOKE, finish, harness, smoke_run};
+use crate::common::{SMOKE, finish, harness, smoke_run, succeed};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -236,7 +234,7 @@ fn the_tables_can_be_asked_for_as_is_suggested() {
     let there = Situation::new();
     let answer = finish(&mut harness(&there.results, &["query", "delete from runs"]));
     assert!(answer.stderr.contains("SHOW TABLES"), "{}", answer.stderr);
-    let tables = common::succeed(&there.results, &["query", "show tables"]);
+    let tables = succeed(&there.results, &["query", "show tables"]);
     for table in harness::schema::Table::ALL {
         assert!(tables.contains(table.name()), "{tables}");
     }

@@ -1,8 +1,6 @@
 //! The result tables as other programs read them: pyarrow, pandas, DuckDB, Polars, scikit-learn.
 
-mod common;
-
-use common::{smoke_run, succeed};
+use crate::common::{smoke_run, succeed};
 use harness::schema::{Column, Table, image_columns};
 use harness::spec::Layout;
 use serde::Deserialize;

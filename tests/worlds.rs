@@ -1,8 +1,6 @@
 //! Worlds: what a file of one may say, which mistakes are named where, and robots that the harness has never seen.
 
-mod common;
-
-use common::{finish, fresh, harness, succeed};
+use crate::common::{finish, fresh, harness, succeed};
 use harness::dataset::Dataset;
 use harness::simulation::Scene;
 use harness::spec::{self, Modality, World};

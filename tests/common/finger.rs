@@ -1,5 +1,4 @@
 //! The sizes of the finger's modalities, as the models have them.
-#![allow(dead_code)]
 
 pub const JOINTS: usize = 20;
 pub const ARM_JOINTS: usize = 3;

@@ -1,5 +1,6 @@
 //! The harness's program as tests use it.
-#![allow(dead_code, reason = "no test file uses all of it")]
+
+pub mod finger;
 
 use assert_cmd::Command;
 use std::path::{Path, PathBuf};

@@ -1,0 +1,30 @@
+//! All integration tests, as one program that is linked once. Its tests share a process, and run at the same time: what
+//! is changed for a whole process (environment, current folder, signals, limits) is changed in a child.
+
+mod common;
+
+mod benchmarks;
+mod claims;
+mod cli;
+mod compacted;
+mod compare;
+mod dataset;
+mod figures;
+mod hostile;
+mod integrity;
+mod interruption;
+mod learning;
+mod make;
+mod many_runs;
+mod metrics;
+mod models;
+mod numbers;
+mod publish;
+mod reference;
+mod report;
+mod simulation;
+mod spec;
+mod sql;
+mod suggestions;
+mod tables;
+mod worlds;
