@@ -147,6 +147,9 @@ fn run_details() -> Vec<Column> {
             "hash of everything that decides the run but its seed: runs that have the same are seeds of one group",
         ),
         text("dataset", "the dataset's folder"),
+        integer("dataset_seed", "seed of the dataset; null where it was imported"),
+        text("reading", "the reading of the paper; null where the experiment has none"),
+        text("role", "the experiment that the run stands for; null where it stands for its own"),
         text(
             "split",
             "what is divided into training, validation and test: episode, time, or sample, by which test samples have \

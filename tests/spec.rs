@@ -87,6 +87,8 @@ fn what_is_left_out_gets_its_default() {
             ..Training::default()
         },
         vary: Default::default(),
+        roles: Default::default(),
+        readings: Vec::new(),
         quick: Default::default(),
         worlds: Vec::new(),
     };
@@ -179,7 +181,8 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         (
             "seed: 1\n",
             "spec.yaml:7:1: unknown key 'seed'; did you mean 'seeds'? Allowed: name, description, scenarios, \
-             input, output, latent, seeds, tasks, action, network, simulation, split, scaling, training, vary, quick",
+             input, output, latent, seeds, tasks, action, network, simulation, split, scaling, training, vary, roles, \
+             readings, quick",
         ),
     ]);
 }
@@ -858,21 +861,12 @@ fn what_varies_may_change_the_modalities() {
 fn each_combination_of_what_varies_must_be_possible() {
     assert_refused(&[
         (
-            "vary:\n  simulation.seed: [0, 1]\n",
-            "spec.yaml:8:3: unknown key 'simulation.seed' in 'vary'. Allowed: input, output, tasks, action, \
-             network.preset, network.hidden, network.channels, network.average, network.fusion, \
-             scaling.proprioception.scale, \
-             scaling.proprioception.minimum, scaling.arm.scale, scaling.arm.minimum, scaling.contact_force.scale, \
-             scaling.contact_force.minimum, scaling.contact_force_mean.scale, scaling.contact_force_mean.minimum, \
-             scaling.vision.scale, scaling.vision.minimum, scaling.frame_difference.scale, \
-             scaling.frame_difference.minimum, training.learning_rate, training.schedule, \
-             training.warmup_epochs, training.weight_decay, training.clip_norm, training.batch_size, \
-             training.epochs, training.patience, training.stop, training.kl_weight, training.losses.proprioception, \
-             training.losses.arm, training.losses.contact_force, training.losses.contact_force_mean, \
-             training.loss_weights.proprioception, \
-             training.loss_weights.arm, training.loss_weights.contact_force, \
-             training.loss_weights.contact_force_mean, training.loss_weights.vision, \
-             training.loss_weights.frame_difference, training.dropout, training.precision, training.tiles, training.device",
+            "vary:\n  simulation.seeds: [0, 1]\n",
+            "spec.yaml:8:3: unknown key 'simulation.seeds' in 'vary'; did you mean 'simulation.seed'? Allowed: \
+             simulation.seed, simulation.episodes, simulation.actuations_per_episode, simulation.actuation_seconds, \
+             simulation.sample_rate_hz, simulation.rotation_range_rad, simulation.lift_range_m, \
+             simulation.extension_range_m, simulation.box_clearance_m, simulation.front_range_n, \
+             simulation.back_range_n, simulation.left_range_n, simulation.right_range_n",
         ),
         (
             "vary:\n  training.epochs: [5, 0]\n",
@@ -881,7 +875,7 @@ fn each_combination_of_what_varies_must_be_possible() {
         (
             "vary:\n  input: [[arm], [vision]]\n",
             "spec.yaml:8:19: 'vision' is an image, and a single_to_multi network takes vectors alone; leave it out, \
-             use network.preset: multi_to_multi, or give it convolutions by network.channels (after applying 'vary')",
+             use network.preset: multi_to_multi, or give it convolutions by network.channels (after applying input=vision)",
         ),
         (
             "vary:\n  training.kl_weight: [0, 1, 0]\n",
@@ -897,9 +891,105 @@ fn each_combination_of_what_varies_must_be_possible() {
         .collect();
     let message = refusal(format!("{BASE}vary:\n{lists}"));
     assert!(
-        message.contains("2 latent sizes, 8000 combinations of 'vary' and 1 seeds make 32000 runs"),
+        message.contains("2 latent sizes, 8000 combinations of settings and 1 seeds make 32000 runs"),
         "{message}"
     );
+}
+
+/// A spec with two roles, two readings besides its own, and two datasets.
+fn readings() -> String {
+    let reading = |name: &str, settings: &str| {
+        let texts = "choice: c, base: b, instead: i, paper: p";
+        format!("- {{name: {name}, {texts}, settings: {{{settings}}}}}\n")
+    };
+    let lists = reading("target", "action: target") + &reading("long", "training.epochs: 7, split.by: time");
+    base_with("scenarios: [empty]")
+        + "roles: {small: {latent: 2, output: contact_force}, large: {latent: [4]}}\n"
+        + &format!("readings:\n{lists}vary: {{simulation.seed: [0, 5]}}\n")
+}
+
+#[test]
+fn each_reading_changes_one_choice_for_every_role_and_dataset() {
+    let runs = load(&readings()).runs();
+    let labels: Vec<String> = runs.iter().map(|run| run.label()).collect();
+    let expected = ["base", "target", "long"].into_iter().flat_map(|reading| {
+        [("large", 4), ("small", 2)].into_iter().flat_map(move |(role, latent)| {
+            ["", "-data5"].map(|data| format!("empty-z{latent}-reading={reading},role={role}{data}-seed0"))
+        })
+    });
+    assert_eq!(labels, expected.collect::<Vec<_>>());
+    for run in &runs {
+        let reading = run.reading().unwrap();
+        assert_eq!(run.action == Action::Target, reading == "target");
+        assert_eq!(run.training.epochs, if reading == "long" { 7 } else { 200 });
+        assert_eq!(run.split.by == Division::Time, reading == "long");
+        assert_eq!(run.output.len(), if run.role() == Some("small") { 1 } else { 2 });
+        assert_eq!(run.training.loss_weights.len(), run.output.len());
+    }
+    assert_eq!(runs.iter().map(|run| run.dataset_seed()).collect::<Vec<_>>(), [0, 5].repeat(6));
+    let plain = &load(BASE).runs()[0];
+    assert_eq!((plain.reading(), plain.role(), plain.dataset_seed()), (None, None, 0));
+}
+
+#[test]
+fn a_setting_that_is_given_counts_in_every_reading_and_role() {
+    let runs = load_with(readings(), &["training.epochs=3", "latent=[8]"], false).unwrap().runs();
+    assert!(runs.iter().all(|run| run.training.epochs == 3 && run.latent == 8));
+    assert!(runs.iter().any(|run| run.split.by == Division::Time), "the rest of a reading stays");
+}
+
+#[test]
+fn the_command_of_a_run_names_its_own_dataset() {
+    let runs = load(&readings()).runs();
+    let own = runs[1].own_override("vary={\"simulation.seed\": [0, 5]}");
+    assert_eq!(own, "vary={\"simulation.seed\":[5]}");
+}
+
+#[test]
+fn a_split_that_is_not_by_time_has_no_gap_though_the_spec_s_own_has() {
+    let text = format!("{BASE}split: {{by: time}}\nvary: {{split.by: [time, sample]}}\n");
+    let gaps: Vec<_> = load(&text).runs().iter().map(|run| run.split.gap_seconds.is_some()).collect();
+    assert_eq!(gaps[..4], [true, true, false, false]);
+}
+
+#[test]
+fn readings_that_cannot_be_told_apart_or_run_are_refused() {
+    let reading = |name: &str, settings: &str| {
+        format!(
+            "readings: [{{name: {name}, choice: c, base: b, instead: i, paper: p, settings: {{{settings}}}}}]\n"
+        )
+    };
+    assert_refused(&[
+        (
+            &reading("base", "action: target"),
+            "spec.yaml:7:19: 'base' is the reading that the spec's own settings are; use another name",
+        ),
+        (
+            &reading("a=b", "action: target"),
+            "spec.yaml:7:19: 'a=b' can't name a reading; use 1 to 64 small letters, digits and '_', a letter first",
+        ),
+        (
+            &reading("many", "simulation.episodes: 2"),
+            "spec.yaml:7:99: a split by episode needs at least 3 episodes, one each for training, validation and test, \
+             found 2; use more, or split.by: time, which divides each episode (after applying reading=many)",
+        ),
+        (
+            "readings: [{name: a, choice: c, base: b}]\n",
+            "spec.yaml:7:12: missing 'readings.instead', 'readings.paper', 'readings.settings'",
+        ),
+    ]);
+    let unknown = [
+        ("vary: {latent: [[2], [4]]}\n", "spec.yaml:7:8: unknown key 'latent' in 'vary'"),
+        (&reading("target", "latent: [2]"), "spec.yaml:7:80: unknown key 'latent' in 'readings.settings'"),
+        ("roles: {small: {seeds: [1]}}\n", "spec.yaml:7:17: unknown key 'seeds' in 'roles.small'"),
+    ];
+    for (addition, expected) in unknown {
+        let said = refusal(format!("{BASE}{addition}"));
+        assert!(said.starts_with(expected), "{said}");
+    }
+    let twice = readings().replace("name: long", "name: target");
+    assert_eq!(refusal(twice), "spec.yaml:10:10: there is a reading 'target' already");
+    assert!(override_refusal("readings=[]").starts_with("override 'readings=[]': unknown key 'readings'"));
 }
 
 fn first_hash(text: &str) -> String {
@@ -1089,6 +1179,8 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
         } else {
             Default::default()
         },
+        roles: Default::default(),
+        readings: Vec::new(),
         quick: Default::default(),
         worlds: Vec::new(),
     }

@@ -10,7 +10,7 @@ use std::str::FromStr;
 pub(super) const DATASET: &str = "dataset";
 const REVISION: &str = "revision";
 /// What tells the cells and seeds of an experiment apart.
-const OF_CELLS: [&str; 3] = ["scenario", "latent", "seed"];
+const OF_CELLS: [&str; 4] = ["scenario", "latent", "seed", "simulation.seed"];
 const VARIANT: &str = "variant";
 /// The section of a spec that only runs on simulated episodes have.
 const SIMULATION: &str = "simulation.";
@@ -145,7 +145,12 @@ fn is_in_variant(runs: &[&Settings], key: &str) -> bool {
     let name = key.split_once('.').map_or(key, |(_section, name)| name);
     let names = |variant: &str| {
         let mut named = variant.split(',').filter_map(|part| part.split_once('=')).map(|(named, _)| named);
-        named.any(|named| name == named || name.strip_prefix(named).is_some_and(|rest| rest.starts_with('.')))
+        named.any(|named| {
+            // Readings and roles stand for settings of any name.
+            ["reading", "role"].contains(&named)
+                || name == named
+                || name.strip_prefix(named).is_some_and(|rest| rest.starts_with('.'))
+        })
     };
     let mut values: BTreeMap<&str, &str> = BTreeMap::new();
     runs.iter().all(|run| {

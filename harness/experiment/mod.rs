@@ -29,9 +29,8 @@ use crate::registry::{
     Timings,
 };
 use crate::simulation::{Scene, SimulationError};
-use crate::spec::{Experiment, Layout, Origin, RunSpec, Task};
+use crate::spec::{Experiment, Layout, Origin, RunSpec, Simulation, Task};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -146,18 +145,12 @@ impl Planned {
 
     /// Whether two runs learn from the same data in the same form on the same device.
     fn shares_material(&self, other: &Planned) -> bool {
-        let key = |planned: &Planned| {
+        fn key(planned: &Planned) -> impl PartialEq {
             let spec = &planned.spec;
-            (
-                spec.scenario.clone(),
-                spec.input.clone(),
-                spec.output.clone(),
-                spec.tasks.clone(),
-                spec.action,
-                spec.scaling.clone(),
-                spec.training.device,
-            )
-        };
+            let data = (&spec.scenario, &spec.simulation, &spec.split);
+            let form = (&spec.input, &spec.output, &spec.tasks, spec.action, &spec.scaling);
+            (data, form, spec.training.device)
+        }
         key(self) == key(other)
     }
 }
@@ -166,14 +159,17 @@ impl Laboratory<'_> {
     /// Each run of the experiment with what will happen to it, and why.
     pub fn plan(&self, experiment: &Experiment) -> Result<Vec<Planned>, ExperimentError> {
         open_device(experiment.training.device)?;
-        let mut sources: BTreeMap<Origin, Arc<Source>> = BTreeMap::new();
+        let mut sources: Vec<(Origin, Option<Simulation>, Arc<Source>)> = Vec::new();
         let mut wanted = Vec::new();
         for spec in experiment.runs() {
-            let source = match sources.get(&spec.scenario) {
-                Some(source) => source.clone(),
+            let known = sources
+                .iter()
+                .find(|(origin, simulation, _)| (origin, simulation) == (&spec.scenario, &spec.simulation));
+            let source = match known {
+                Some((.., source)) => source.clone(),
                 None => {
                     let source = Arc::new(self.source(experiment, &spec)?);
-                    sources.insert(spec.scenario.clone(), source.clone());
+                    sources.push((spec.scenario.clone(), spec.simulation.clone(), source.clone()));
                     source
                 }
             };

@@ -53,8 +53,8 @@ impl Laboratory<'_> {
         loop {
             let mut held = Vec::new();
             // One dataset at a time: its samples are in memory once, and the other's are not.
-            for runs in pending.chunk_by(|a, b| a.shares_material(b)) {
-                for (planned, end) in runs.iter().zip(self.shift(runs)?) {
+            for runs in by_material(pending) {
+                for (planned, end) in runs.iter().zip(self.shift(&runs)?) {
                     match end {
                         End::Done => summary.done += 1,
                         End::Skipped => summary.skipped += 1,
@@ -115,6 +115,18 @@ impl Laboratory<'_> {
         }
         Ok(())
     }
+}
+
+/// Runs that share their material together, in the order of the first of each.
+fn by_material(runs: Vec<&Planned>) -> Vec<Vec<&Planned>> {
+    let mut groups: Vec<Vec<&Planned>> = Vec::new();
+    for run in runs {
+        match groups.iter_mut().rev().find(|group| group[0].shares_material(run)) {
+            Some(group) => group.push(run),
+            None => groups.push(vec![run]),
+        }
+    }
+    groups
 }
 
 /// What the jobs share that work on runs of the same material.

@@ -380,10 +380,13 @@ impl RunRecord {
         let mut row = self.key();
         row.extend([
             text(self.status.name()),
-            optional(&self.reason),
+            optional(self.reason.as_deref()),
             text(&self.spec_hash),
             text(self.group_hash()),
             text(&self.dataset),
+            self.spec.simulation.as_ref().map_or(AnyValue::Null, |simulation| count(simulation.seed)),
+            optional(self.spec.reading()),
+            optional(self.spec.role()),
             text(self.spec.split.by.name()),
             text(&self.started),
             seconds(|timings| Some(timings.collect)),
@@ -392,7 +395,7 @@ impl RunRecord {
             seconds(|timings| Some(timings.evaluation)),
             self.peak_memory_bytes.map_or(AnyValue::Null, count),
             self.parameters.map_or(AnyValue::Null, |parameters| count(parameters as u64)),
-            optional(&by.git_commit),
+            optional(by.git_commit.as_deref()),
             by.git_dirty.map_or(AnyValue::Null, AnyValue::Boolean),
             text(&by.harness_version),
             text(&by.mujoco_version),
@@ -410,8 +413,8 @@ fn text(value: impl AsRef<str>) -> AnyValue<'static> {
     AnyValue::StringOwned(value.as_ref().into())
 }
 
-fn optional(value: &Option<String>) -> AnyValue<'static> {
-    value.as_ref().map_or(AnyValue::Null, text)
+fn optional(value: Option<&str>) -> AnyValue<'static> {
+    value.map_or(AnyValue::Null, text)
 }
 
 fn count(value: u64) -> AnyValue<'static> {

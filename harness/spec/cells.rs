@@ -2,12 +2,17 @@
 
 use super::modality::{Layout, Modality};
 use super::scaling::{GivenScaling, Scaling, Scalings};
-use super::types::{Action, Experiment, Network, Origin, Simulation, Split, Task, Training};
+use super::types::{
+    Action, Experiment, Network, Origin, Reading, Settings, Simulation, Split, Task, Training,
+};
 use super::validate::{Images, check_images};
 use super::world::{Known, World};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::sync::Arc;
+
+/// Key of the setting that tells several datasets of one simulation apart.
+pub(super) const DATASET_SEED: &str = "simulation.seed";
 
 /// One run: a cell (scenario, modalities, latent size, network) with one seed. It holds everything that
 /// decides the result and nothing that does not, so runs of different experiments with equal specs are equal.
@@ -21,7 +26,8 @@ pub struct RunSpec {
     pub output: Vec<Modality>,
     /// Size of the latent state.
     pub latent: usize,
-    /// The settings that the experiment varies, as `kl_weight=0.001,hidden=64`; empty where it varies none.
+    /// The reading, the role and the settings that the experiment varies, as `reading=base,role=single_to_multi` or
+    /// `kl_weight=0.001,hidden=64`; empty where it varies none. A dataset's seed is not named.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub variant: String,
     /// Seed of the initial weights, the sampling and the order of batches.
@@ -57,32 +63,37 @@ impl Experiment {
         runs
     }
 
-    /// The experiment with each combination of the settings that it varies, and what the combination is called.
+    /// The experiment with each combination of what it varies, and what the combination is called.
     fn variants(&self) -> Vec<(String, Experiment)> {
         let tree = serde_json::to_value(self).expect("an experiment is plain data");
         let variants = self.combinations().into_iter().map(|combination| {
             let mut tree = tree.clone();
-            for (key, value) in &combination {
+            for (key, value) in &combination.settings {
                 *key.split('.').fold(&mut tree, |section, key| &mut section[key]) = (*value).clone();
             }
             let mut experiment: Experiment =
                 serde_json::from_value(tree).expect("every combination is checked when the spec is read");
             experiment.worlds = self.worlds.clone();
             experiment.make_canonical();
-            (name(&combination), experiment)
+            (combination.name(), experiment)
         });
         variants.collect()
     }
 
-    /// Every combination of the settings that the experiment varies, by dotted key: one without any where there are none.
-    pub(super) fn combinations(&self) -> Vec<Vec<(&str, &serde_json::Value)>> {
-        let mut combinations = vec![Vec::new()];
+    /// Every combination of a reading, a role and the settings under `vary`: one without any where there are none.
+    pub(super) fn combinations(&self) -> Vec<Combination<'_>> {
+        let mut combinations = vec![Combination::default()];
+        if !self.readings.is_empty() {
+            let mut readings = vec![(Reading::BASE, &NO_SETTINGS)];
+            readings.extend(self.readings.iter().map(|one| (one.name.as_str(), &one.settings)));
+            combinations = combinations.iter().flat_map(|one| one.each("reading", &readings)).collect();
+        }
+        if !self.roles.is_empty() {
+            let roles: Vec<_> = self.roles.iter().map(|(role, settings)| (role.as_str(), settings)).collect();
+            combinations = combinations.iter().flat_map(|one| one.each("role", &roles)).collect();
+        }
         for (key, values) in &self.vary {
-            let longer = |combination: &Vec<_>| -> Vec<_> {
-                let with = |value| [combination.as_slice(), &[(key.as_str(), value)]].concat();
-                values.iter().map(with).collect()
-            };
-            combinations = combinations.iter().flat_map(longer).collect();
+            combinations = combinations.iter().flat_map(|one| one.each_value(key, values)).collect();
         }
         combinations
     }
@@ -147,14 +158,54 @@ impl Experiment {
     }
 }
 
-/// Names a combination of settings: `kl_weight=0.001,hidden=64`; fit for a folder's name.
-pub(super) fn name(combination: &[(&str, &serde_json::Value)]) -> String {
-    let named = combination.iter().map(|(key, value)| {
-        let key = key.split_once('.').map_or(*key, |(_section, key)| key);
-        let value: String = value.to_string().chars().filter(|c| !"\"[]{} ".contains(*c)).collect();
-        format!("{key}={}", value.replace([',', '/'], "+"))
-    });
-    named.collect::<Vec<_>>().join(",")
+/// One of the combinations of what an experiment varies.
+#[derive(Clone, Default)]
+pub(super) struct Combination<'a> {
+    /// What it is called, in parts: `reading=base`, `kl_weight=0.001`.
+    names: Vec<String>,
+    /// By dotted key; of two for the same key, the later one stands.
+    pub settings: Vec<(&'a str, &'a serde_json::Value)>,
+}
+
+static NO_SETTINGS: Settings = Settings::new();
+
+impl<'a> Combination<'a> {
+    /// This combination with each of several named groups of settings.
+    fn each(&self, kind: &str, groups: &[(&str, &'a Settings)]) -> Vec<Self> {
+        let with = |(name, settings): &(&str, &'a Settings)| {
+            let mut combination = self.clone();
+            combination.names.push(format!("{kind}={name}"));
+            combination.settings.extend(settings.iter().map(|(key, value)| (key.as_str(), value)));
+            combination
+        };
+        groups.iter().map(with).collect()
+    }
+
+    /// This combination with each value of a setting.
+    fn each_value(&self, key: &'a str, values: &'a [serde_json::Value]) -> Vec<Self> {
+        let with = |value: &'a serde_json::Value| {
+            let mut combination = self.clone();
+            // Several datasets are no variants, as several seeds are none.
+            if key != DATASET_SEED {
+                combination.names.push(named(key, value));
+            }
+            combination.settings.push((key, value));
+            combination
+        };
+        values.iter().map(with).collect()
+    }
+
+    /// `reading=base,role=multi_to_multi` or `kl_weight=0.001,hidden=64`; fit for a folder's name.
+    pub fn name(&self) -> String {
+        self.names.join(",")
+    }
+}
+
+/// Names the value of a setting: `kl_weight=0.001`.
+pub(super) fn named(key: &str, value: &serde_json::Value) -> String {
+    let key = key.split_once('.').map_or(key, |(_section, key)| key);
+    let value: String = value.to_string().chars().filter(|c| !"\"[]{} ".contains(*c)).collect();
+    format!("{key}={}", value.replace([',', '/'], "+"))
 }
 
 impl RunSpec {
@@ -215,6 +266,27 @@ impl RunSpec {
         serde_yaml::to_string(self).expect("a run's spec is plain data, which YAML can hold")
     }
 
+    /// The seed of the dataset; 0 of one that was imported.
+    pub fn dataset_seed(&self) -> u64 {
+        self.simulation.as_ref().map_or(0, |simulation| simulation.seed)
+    }
+
+    /// The reading that the run takes; `None` where its experiment has no readings.
+    pub fn reading(&self) -> Option<&str> {
+        self.named("reading")
+    }
+
+    /// The experiment that the run stands for; `None` where it stands for its own.
+    pub fn role(&self) -> Option<&str> {
+        self.named("role")
+    }
+
+    /// What the variant says of a key.
+    fn named(&self, key: &str) -> Option<&str> {
+        let parts = self.variant.split(',').filter_map(|part| part.split_once('='));
+        parts.filter(|(own, _)| *own == key).map(|(_, value)| value).next()
+    }
+
     /// The cell in short, `cluttered-z64` or `cluttered-z64-kl_weight=0.001`; unique within an experiment.
     pub fn cell(&self) -> String {
         let Self { scenario, latent, variant, .. } = self;
@@ -222,8 +294,13 @@ impl RunSpec {
         format!("{scenario}-z{latent}{separator}{variant}")
     }
 
-    /// The run in short, `cluttered-z64-seed0`; unique within an experiment.
+    /// The run in short, `cluttered-z64-seed0` or, on another dataset than the first, `cluttered-z64-data1-seed0`;
+    /// unique within an experiment.
     pub fn label(&self) -> String {
-        format!("{}-seed{}", self.cell(), self.seed)
+        let data = match self.dataset_seed() {
+            0 => String::new(),
+            seed => format!("-data{seed}"),
+        };
+        format!("{}{data}-seed{}", self.cell(), self.seed)
     }
 }

@@ -97,21 +97,39 @@ fn load_text(path: &Path, text: &str, overrides: &[String], quick: bool) -> Resu
     Ok(experiment)
 }
 
-/// Checks what each combination of the settings under `vary` makes of the experiment.
+/// Checks what each combination of a reading, a role and the settings under `vary` makes of the experiment.
 fn check_variants(folder: &Path, tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
-    let Some(Node { value: Value::Section(varied), .. }) = tree.get("vary") else { return Ok(()) };
+    let given = varied_settings(tree);
     for combination in experiment.combinations() {
-        let settings = combination.iter().filter_map(|(key, value)| {
-            let entry = varied.iter().find(|entry| entry.key == *key)?;
-            let Value::List(values) = &entry.node.value else { return None };
-            let node = values.iter().find(|node| node.to_json() == **value)?;
-            Some(Entry { node: node.clone(), ..entry.clone() })
+        let settings = combination.settings.iter().filter_map(|(key, value)| {
+            given.iter().find(|entry| entry.key == *key && entry.node.to_json() == **value).cloned()
         });
         let mut tree = tree.clone();
         overrides::apply(&mut tree, &settings.collect::<Vec<_>>());
-        resolve(folder, &tree).map_err(|problem| problem.after("applying 'vary'"))?;
+        let name = combination.name();
+        let what = if name.is_empty() { "'vary'" } else { &name };
+        resolve(folder, &tree).map_err(|problem| problem.after(&format!("applying {what}")))?;
     }
     Ok(())
+}
+
+/// The settings that a tree varies, with each of their values, as they were written.
+fn varied_settings(tree: &Node) -> Vec<Entry> {
+    let section = |node: Option<&Node>| match node.map(|node| &node.value) {
+        Some(Value::Section(entries)) => entries.clone(),
+        _ => Vec::new(),
+    };
+    let list = |node: Option<&Node>| match node.map(|node| &node.value) {
+        Some(Value::List(items)) => items.clone(),
+        _ => Vec::new(),
+    };
+    let of_readings = list(tree.get("readings")).into_iter().flat_map(|one| section(one.get("settings")));
+    let of_roles = section(tree.get("roles")).into_iter().flat_map(|role| section(Some(&role.node)));
+    let varied = section(tree.get("vary")).into_iter().flat_map(|entry| {
+        let values = list(Some(&entry.node)).into_iter();
+        values.map(move |node| Entry { node, ..entry.clone() }).collect::<Vec<_>>()
+    });
+    of_readings.chain(of_roles).chain(varied).collect()
 }
 
 /// The experiment that a tree describes, checked, with every default explicit; paths of world files start in `folder`.
@@ -200,6 +218,8 @@ impl Experiment {
         }
         if self.split.by == Division::Time {
             self.split.gap_seconds.get_or_insert(Split::GAP_SECONDS);
+        } else {
+            self.split.gap_seconds = None;
         }
         self.quick.clear();
     }

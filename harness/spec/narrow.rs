@@ -1,6 +1,6 @@
 //! Overrides of an experiment, cut down to one of its runs.
 
-use super::cells::{RunSpec, name};
+use super::cells::{DATASET_SEED, RunSpec, named};
 use super::types::Origin;
 use std::collections::BTreeMap;
 
@@ -32,9 +32,9 @@ impl RunSpec {
     fn own_variant(&self, varied: &str) -> Option<String> {
         let mut varied: BTreeMap<String, Vec<serde_json::Value>> = serde_yaml::from_str(varied).ok()?;
         for (key, values) in &mut varied {
-            let is_own = |value: &serde_json::Value| {
-                let setting = name(&[(key, value)]);
-                self.variant.split(',').any(|own| own == setting)
+            let is_own = |value: &serde_json::Value| match key.as_str() {
+                DATASET_SEED => value.as_u64() == Some(self.dataset_seed()),
+                _ => self.variant.split(',').any(|own| own == named(key, value)),
             };
             values.retain(is_own);
             if values.is_empty() {

@@ -6,6 +6,9 @@ use super::schema;
 
 /// Key of the settings to try in every combination.
 const VARY: &str = "vary";
+/// Keys of the other readings, and of the experiments that runs stand for.
+const READINGS: &str = "readings";
+const ROLES: &str = "roles";
 
 /// Reads `KEY=VALUE`: the dotted key of a setting, and its value in YAML.
 pub(super) fn read(text: &str) -> Result<Entry, Problem> {
@@ -52,12 +55,29 @@ pub(super) fn apply(tree: &mut Node, settings: &[Entry]) {
     }
 }
 
-/// Leaves a setting that the tree varies this one value.
+/// Leaves a setting that the tree varies this one value, also in readings and roles.
 fn try_alone(tree: &mut Node, setting: &Entry) {
-    let Some(Node { value: Value::Section(varied), .. }) = tree.get_mut(VARY) else { return };
-    if let Some(entry) = varied.iter_mut().find(|entry| entry.key == setting.key) {
+    if let Some(Node { value: Value::Section(varied), .. }) = tree.get_mut(VARY)
+        && let Some(entry) = varied.iter_mut().find(|entry| entry.key == setting.key)
+    {
         let only = setting.node.clone();
         entry.node = Node { origin: only.origin.clone(), value: Value::List(vec![only]) };
+    }
+    if let Some(Node { value: Value::List(readings), .. }) = tree.get_mut(READINGS) {
+        readings
+            .iter_mut()
+            .filter_map(|reading| reading.get_mut("settings"))
+            .for_each(|of| replace(of, setting));
+    }
+    if let Some(Node { value: Value::Section(roles), .. }) = tree.get_mut(ROLES) {
+        roles.iter_mut().for_each(|role| replace(&mut role.node, setting));
+    }
+}
+
+/// Gives a setting another value where it has one.
+fn replace(settings: &mut Node, setting: &Entry) {
+    if let Some(node) = settings.get_mut(&setting.key) {
+        *node = setting.node.clone();
     }
 }
 

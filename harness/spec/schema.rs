@@ -34,8 +34,18 @@ fn build() -> Json {
     add_settings_of_worlds(&mut schema["$defs"]["Simulation"]);
     let mut settings = serde_json::Map::new();
     collect_settings(&schema, &schema, "", &mut settings);
-    settings.remove("quick");
-    set_keys(&mut schema["properties"]["vary"], settings.iter().filter(|(key, _)| varies(key)).map(several));
+    NOT_OVERRIDDEN.iter().for_each(|key| drop(settings.remove(*key)));
+    let varied: serde_json::Map<String, Json> = settings
+        .iter()
+        .filter(|(key, _)| varies(key))
+        .map(|(key, setting)| (key.clone(), setting.clone()))
+        .collect();
+    let of_roles = settings.get_key_value("latent").map(|(key, setting)| (key.clone(), setting.clone()));
+    let of_roles: serde_json::Map<String, Json> = varied.clone().into_iter().chain(of_roles).collect();
+    set_keys(&mut schema["properties"]["vary"], varied.iter().map(several));
+    set_keys(&mut schema["$defs"]["Reading"]["properties"]["settings"], varied.clone());
+    schema["properties"]["roles"]["additionalProperties"] = json!({ "type": "object" });
+    set_keys(&mut schema["properties"]["roles"]["additionalProperties"], of_roles);
     settings.insert("vary".into(), schema["properties"]["vary"].clone());
     set_keys(&mut schema["properties"]["quick"], settings);
     schema
@@ -60,11 +70,14 @@ fn add_settings_of_worlds(simulation: &mut Json) {
         json!({ "description": "A setting of another world.", "anyOf": [range(""), number("")] });
 }
 
-/// Whether `vary` takes the setting: not what makes cells of its own, nor what decides a dataset, of which a scenario
-/// has one.
+/// The keys of a spec that `quick` and overrides don't change as a whole.
+const NOT_OVERRIDDEN: [&str; 3] = ["quick", "readings", "roles"];
+
+/// Whether `vary` takes the setting: not what makes cells of its own.
 fn varies(key: &str) -> bool {
-    let section = key.split('.').next().unwrap_or(key);
-    ["input", "output", "tasks", "action", "network", "scaling", "training"].contains(&section)
+    const SECTIONS: [&str; 9] =
+        ["input", "output", "tasks", "action", "network", "simulation", "split", "scaling", "training"];
+    SECTIONS.contains(&key.split('.').next().unwrap_or(key))
 }
 
 /// A list of different values of a setting.
@@ -168,7 +181,7 @@ pub(super) fn is_setting(key: &str) -> bool {
 /// What a dotted key may hold.
 fn setting_schema(key: &str) -> Option<&'static Json> {
     let mut schema: &'static Json = &SCHEMA;
-    if key == "quick" {
+    if NOT_OVERRIDDEN.contains(&key.split('.').next().unwrap_or(key)) {
         return None;
     }
     for step in key.split('.') {

@@ -345,12 +345,46 @@ pub struct Experiment {
     /// cells of its own, told apart by the tables' column `variant`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub vary: BTreeMap<String, Vec<serde_json::Value>>,
+    /// Experiments that the runs stand for, each with its settings by dotted key. Each makes cells of its own, told apart
+    /// by the table `runs`, column `role`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub roles: BTreeMap<String, Settings>,
+    /// Other readings of what a text leaves open. Each makes cells of its own beside those of the spec's own settings, the
+    /// reading `base`; told apart by the table `runs`, column `reading`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub readings: Vec<Reading>,
     /// Overrides that `--quick` applies, by dotted key as on the command line: `training.epochs: 3`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub quick: BTreeMap<String, serde_json::Value>,
+    pub quick: Settings,
     /// What the world files among `scenarios` say, read when the spec was.
     #[serde(skip)]
     pub worlds: Vec<Arc<World>>,
+}
+
+/// Values of settings, by dotted key: `training.epochs: 3`.
+pub type Settings = BTreeMap<String, serde_json::Value>;
+
+/// A defensible reading of what a text leaves open: it changes one choice of the spec.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Reading {
+    /// Names the reading in tables: 1 to 64 letters, digits and `_`, a letter first.
+    pub name: String,
+    /// What is left open.
+    pub choice: String,
+    /// What the spec's own settings choose.
+    pub base: String,
+    /// What this reading chooses instead.
+    pub instead: String,
+    /// The sentence that leaves it open, with its place.
+    pub paper: String,
+    /// The settings that differ, by dotted key.
+    pub settings: Settings,
+}
+
+impl Reading {
+    /// The name of the reading that the spec's own settings are.
+    pub const BASE: &str = "base";
 }
 
 /// Layers of the networks, on each side. A preset is the paper's network; every other setting overrides a part of it.

@@ -1,10 +1,11 @@
 //! What the schema cannot say: rules that tie several settings together.
 
-use super::modality::Modality;
+use super::modality::{Modality, is_name};
 use super::scaling::Deviation;
 use super::schema::unknown;
 use super::types::{
-    Device, Division, Experiment, Network, Origin, Precision, Setting, Simulation, Split, Task, Training,
+    Device, Division, Experiment, Network, Origin, Precision, Reading, Setting, Simulation, Split, Task,
+    Training,
 };
 use super::world::World;
 
@@ -42,6 +43,7 @@ fn fault(path: impl Into<String>, message: impl Into<String>) -> Result<(), Faul
 /// Refuses an experiment that cannot be run, or that would not mean what it says.
 pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     name(&experiment.name)?;
+    readings(experiment)?;
     runs(experiment)?;
     scenarios(experiment)?;
     modalities(experiment)?;
@@ -66,10 +68,34 @@ fn name(name: &str) -> Result<(), Fault> {
     fault("name", format!("'{name}' can't name a folder; use 1 to 64 ASCII letters, digits, '_' and '-'"))
 }
 
+/// Refuses names of readings and roles that can't tell them apart.
+fn readings(experiment: &Experiment) -> Result<(), Fault> {
+    for (index, Reading { name, .. }) in experiment.readings.iter().enumerate() {
+        let path = format!("readings.{index}.name");
+        if name == Reading::BASE {
+            return fault(path, "'base' is the reading that the spec's own settings are; use another name");
+        }
+        if !is_name(name) {
+            return fault(path, NAME_RULE.replace("{}", &super::parse::shorten(name)));
+        }
+        if experiment.readings[..index].iter().any(|other| other.name == *name) {
+            return fault(path, format!("there is a reading '{name}' already"));
+        }
+    }
+    Ok(())
+}
+
+/// What a name has to be that stands in `variant`.
+const NAME_RULE: &str =
+    "'{}' can't name a reading; use 1 to 64 small letters, digits and '_', a letter first";
+
 fn runs(experiment: &Experiment) -> Result<(), Fault> {
     let (scenarios, latent) = (experiment.scenarios.len(), experiment.latent.len());
     let seeds = experiment.seeds.len();
-    let variants = experiment.vary.values().fold(1, |all: usize, values| all.saturating_mul(values.len()));
+    let readings = if experiment.readings.is_empty() { 1 } else { experiment.readings.len() + 1 };
+    let cells = readings.saturating_mul(experiment.roles.len().max(1));
+    let variants =
+        experiment.vary.values().fold(cells, |all: usize, values| all.saturating_mul(values.len()));
     let all = scenarios.saturating_mul(latent).saturating_mul(seeds).saturating_mul(variants);
     if all <= MAX_RUNS {
         return Ok(());
@@ -81,7 +107,10 @@ fn runs(experiment: &Experiment) -> Result<(), Fault> {
     } else {
         "latent"
     };
-    let varied = if variants > 1 { format!(", {variants} combinations of 'vary'") } else { String::new() };
+    let varied = match variants {
+        1 => String::new(),
+        _ => format!(", {variants} combinations of settings"),
+    };
     fault(
         path,
         format!(
