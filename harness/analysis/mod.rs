@@ -20,7 +20,7 @@ pub use means::{Mean, NETWORK, Of, compare};
 pub use settings::{Difference, Setting};
 
 use crate::registry::{
-    Condition, QueryError, Registry, RunRecord, RunTable, Status, answer, conditions, lazily, table,
+    Condition, QueryError, Registry, RunRecord, RunTable, Status, answer, conditions, implies, lazily, table,
 };
 use crate::schema::Table;
 use crate::spec::{Origin, QUICK};
@@ -119,6 +119,15 @@ pub struct Analysis {
 struct Expected {
     queries: BTreeSet<String>,
     rows: BTreeMap<Table, BTreeSet<Condition>>,
+}
+
+impl Expected {
+    /// Whether the expected queries see all rows of a table that `sql` sees.
+    fn sees(&self, sql: &str, table: Table) -> bool {
+        let Some(rows) = self.rows.get(&table) else { return false };
+        let seen = conditions(sql, table);
+        !seen.is_empty() && seen.iter().all(|condition| rows.iter().any(|wide| implies(condition, wide)))
+    }
 }
 
 impl Analysis {
@@ -228,7 +237,7 @@ impl Analysis {
     }
 
     /// Says which queries will be asked, so that each table is read once for all of them, and only the rows that they see
-    /// are kept.
+    /// are kept. Other queries that see no more than those rows are answered from them too.
     pub fn expect<'a>(mut self, queries: impl IntoIterator<Item = &'a str>) -> Self {
         let expected = &mut self.expected;
         for sql in queries {
@@ -285,11 +294,11 @@ impl Analysis {
         table(&self.registry, of, &recorded, sql)
     }
 
-    /// A table of an experiment's runs; if `sql` was expected, with the rows that the expected queries see.
+    /// A table of an experiment's runs; if the expected queries see all that `sql` sees, with the rows that they see.
     fn table(&self, table: Table, experiment: &str, sql: &str) -> Result<LazyFrame, QueryError> {
         let mut tables = self.tables.lock().unwrap_or_else(PoisonError::into_inner);
         let key = (table, experiment.to_owned());
-        let is_expected = self.expected.queries.contains(sql);
+        let is_expected = self.expected.sees(sql, table);
         let seen = match tables.get(&key) {
             Some(seen) if is_expected => seen.clone(),
             _ => {

@@ -183,7 +183,8 @@ fn print_networks(plan: &[Planned]) -> Result<()> {
 fn print_results(registry: &Registry, experiment: &Experiment, plan: &[Planned]) -> Result<()> {
     let runs: BTreeSet<&str> = plan.iter().map(|planned| planned.folder.id()).collect();
     let model = |name: &str| format!("avg(case when model = '{name}' then value end) as {name}");
-    let is_plain = experiment.vary.is_empty() && experiment.readings.is_empty() && experiment.roles.is_empty();
+    let is_plain =
+        experiment.vary.is_empty() && experiment.readings.is_empty() && experiment.roles.is_empty();
     let cell = if is_plain { "latent" } else { "latent, variant" };
     let answer = query_of(
         registry,

@@ -12,18 +12,19 @@ const WIDTH: f64 = COLUMN - LEFT - 5.0;
 /// Contacts below which a link's quartiles would mean nothing.
 const FEWEST: i64 = 20;
 
+/// What the forces table is asked for.
+pub const SQL: &str = "select scenario, index as link, modality, 'N' as unit, \
+    max(samples) as samples, max(contacts) as contacts, max(100.0 * contacts / samples) as contact_percent, \
+    max(mean) as mean, max(p05) as p05, max(p25) as p25, max(p50) as p50, max(p75) as p75, max(p95) as p95, \
+    max(max) as max from forces where modality = 'contact_force' and episode is null \
+    group by scenario, index, modality order by scenario, link";
+
 pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     // Both studies are about the same datasets.
     let runs = source
         .runs(Study::SingleToMulti)
         .or_else(|error| source.runs(Study::MultiToMulti).map_err(|_| error))?;
-    let data = runs.query(
-        "select scenario, index as link, modality, 'N' as unit, \
-         max(samples) as samples, max(contacts) as contacts, max(100.0 * contacts / samples) as contact_percent, \
-         max(mean) as mean, max(p05) as p05, max(p25) as p25, max(p50) as p50, max(p75) as p75, max(p95) as p95, \
-         max(max) as max from forces where modality = 'contact_force' and episode is null \
-         group by scenario, index, modality order by scenario, link",
-    )?;
+    let data = runs.query(SQL)?;
     let (scenarios, links) = (texts(&data, "scenario")?, integers(&data, "link")?);
     let column = |name: &str| reals(&data, name);
     let (share, contacts) = (column("contact_percent")?, integers(&data, "contacts")?);

@@ -25,6 +25,7 @@ use crate::files::{WriteError, write_bytes};
 use crate::learning::LearningError;
 use crate::registry::{QueryError, save};
 use crate::simulation::SimulationError;
+pub use forces_dataset::SQL as FORCES_SQL;
 use page::Page;
 use polars::prelude::{DataFrame, PolarsError};
 use source::Source;

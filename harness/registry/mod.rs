@@ -29,7 +29,7 @@ pub(crate) use query::{answer, table};
 pub use record::{
     FileRecord, ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings,
 };
-pub(crate) use rows::{Condition, conditions};
+pub(crate) use rows::{Condition, conditions, implies};
 pub use verify::{Finding, Report};
 
 use crate::files::{FolderLock, LockError, WriteError, write_bytes};

@@ -7,6 +7,7 @@ use sqlparser::ast::{
 };
 use sqlparser::dialect::GenericDialect;
 use sqlparser::parser::Parser;
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
@@ -126,28 +127,71 @@ impl Visitor for Readers {
     }
 }
 
+/// Whether all rows that meet `narrow` meet `wide` too.
+pub(crate) fn implies(narrow: &Condition, wide: &Condition) -> bool {
+    wide.iter().all(|(column, wanted)| match narrow.get(column) {
+        // No text asks for null.
+        Some(texts) => texts.is_empty() == wanted.is_empty() && texts.is_subset(wanted),
+        None => false,
+    })
+}
+
 /// The rows that meet any of some conditions.
 pub(super) fn kept(rows: DataFrame, conditions: &BTreeSet<Condition>) -> PolarsResult<DataFrame> {
     if conditions.is_empty() || conditions.iter().any(BTreeMap::is_empty) {
         return Ok(rows);
     }
-    let mut wanted = BooleanChunked::full("wanted".into(), false, rows.height());
-    for condition in conditions {
-        let mut all = BooleanChunked::full("wanted".into(), true, rows.height());
-        for (column, texts) in condition {
-            let column = rows.column(column)?;
-            if texts.is_empty() {
-                all = all & column.is_null();
-                continue;
-            }
-            let column = column.str()?;
-            let mut any = BooleanChunked::full("wanted".into(), false, rows.height());
-            for text in texts {
-                any = any | column.equal(text.as_str());
-            }
-            all = all & any;
+    // Conditions share most of their terms; each is evaluated once.
+    let mut terms: BTreeMap<(&String, &BTreeSet<String>), BooleanChunked> = BTreeMap::new();
+    for term in conditions.iter().flatten() {
+        if let Entry::Vacant(entry) = terms.entry(term) {
+            entry.insert(holds(rows.column(term.0)?, term.1)?);
         }
-        wanted = wanted | all;
     }
+    let none = BooleanChunked::full("wanted".into(), false, rows.height());
+    let all = |condition: &Condition| {
+        condition.iter().map(|term| terms[&term].clone()).reduce(|all, term| all & term)
+    };
+    let wanted = conditions.iter().filter_map(all).fold(none, |any, all| any | all);
     rows.filter(&wanted)
+}
+
+/// Where a column holds one of some texts, or null where there are none.
+fn holds(column: &polars::prelude::Column, texts: &BTreeSet<String>) -> PolarsResult<BooleanChunked> {
+    if texts.is_empty() {
+        return Ok(column.is_null());
+    }
+    let column = column.str()?;
+    let none = BooleanChunked::full("wanted".into(), false, column.len());
+    Ok(texts.iter().fold(none, |any, text| any | column.equal(text.as_str())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn condition(terms: &[(&str, &[&str])]) -> Condition {
+        let set = |texts: &[&str]| texts.iter().map(|text| (*text).to_owned()).collect();
+        terms.iter().map(|(column, texts)| ((*column).to_owned(), set(texts))).collect()
+    }
+
+    #[test]
+    fn a_condition_implies_those_that_ask_for_less() {
+        let narrow = condition(&[("metric", &["r2"]), ("model", &["network"]), ("index", &[])]);
+        for wide in [
+            condition(&[]),
+            condition(&[("metric", &["r2", "nmse"])]),
+            condition(&[("model", &["network"]), ("index", &[])]),
+        ] {
+            assert!(implies(&narrow, &wide), "{wide:?}");
+        }
+        for other in [
+            condition(&[("metric", &["nmse"])]),
+            condition(&[("metric", &[])]),
+            condition(&[("index", &["1"])]),
+            condition(&[("task", &["prediction"])]),
+        ] {
+            assert!(!implies(&narrow, &other), "{other:?}");
+        }
+    }
 }

@@ -17,8 +17,8 @@ mod verdicts;
 
 use crate::analysis::{Analysis, AnalysisError, Setting};
 use crate::claims::{self, Claim, ClaimsError};
-use crate::figures::FigureError;
 use crate::figures::source::{Experiments, Runs, Source, Study};
+use crate::figures::{FORCES_SQL, FigureError};
 use crate::progress::Progress;
 use crate::registry::{QueryError, Registry};
 use crate::simulation::SimulationError;
@@ -175,7 +175,7 @@ pub fn page(
     let drawn = Experiments::of_the_paper(quick);
     selection.experiments.extend(drawn.names());
     let analysis = Analysis::new(registry, &selection)?;
-    let analysis = claims::expect(analysis, &claims, quick).expect([joints::SQL]);
+    let analysis = claims::expect(analysis, &claims, quick).expect([joints::SQL, FORCES_SQL]);
     let source = Source::new(&analysis, drawn);
     let figures = figures::draw(&source, progress)?;
     let verdicts = verdicts::Verdicts::of(&analysis, &claims, quick)?;
