@@ -1,29 +1,26 @@
 //! A research harness for multi-modal perception of a soft robot.
 //!
-//! Data flows one way, and each room may use only those before it:
-//! spec, simulation, dataset, learning, metrics, registry. The story of an experiment is in [`experiment`];
-//! [`analysis`] says which of its runs form a result, [`claims`] are judged by its results, [`figures`] drawn of them, and a [`report`] tells it all. [`cli`] is the program,
-//! for its binary and for Python.
+//! Each layer is a crate, and uses only those before it; ARCHITECTURE.md has the table. This crate gives them their
+//! names in one place, for programs and for Python, and adds [`cli`], the program. How an experiment runs is in
+//! [`experiment`].
 
 // The command line names the library as any other user does.
 extern crate self as harness;
 
-pub mod analysis;
-pub mod claims;
 pub mod cli;
-pub mod dataset;
-pub mod experiment;
-pub mod figures;
-pub mod files;
-pub mod learning;
-pub mod memory;
-pub mod metrics;
-pub mod numbers;
-pub mod progress;
-pub mod registry;
-pub mod report;
-pub mod schema;
-pub mod seal;
-pub mod simulation;
-pub mod spec;
-pub mod tables;
+
+pub use harness_analysis as analysis;
+pub use harness_claims as claims;
+pub use harness_collection as collection;
+pub use harness_dataset as dataset;
+pub use harness_experiment as experiment;
+pub use harness_figures as figures;
+pub use harness_learning as learning;
+pub use harness_metrics as metrics;
+pub use harness_registry as registry;
+pub use harness_report as report;
+pub use harness_shared::{files, memory, numbers, progress, seal};
+pub use harness_simulation as simulation;
+pub use harness_spec as spec;
+pub use harness_tables as tables;
+pub use harness_tables::schema;

@@ -2,10 +2,11 @@
 
 use crate::common::{SMOKE, finish, fresh, harness};
 use harness::analysis::{Selection, compare};
+use harness::experiment::provenance;
 use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::evaluate;
 use harness::progress::Silent;
-use harness::registry::{MetricRow, Outcome, PredictionRow, Provenance, QueryError, Registry, query};
+use harness::registry::{MetricRow, Outcome, PredictionRow, QueryError, Registry, query};
 use harness::spec::{self, Layout, Modality, Task};
 use polars::prelude::DataFrame;
 use rayon::prelude::*;
@@ -39,7 +40,7 @@ fn write_runs(results: &Path, experiment: &str, seeds: Range<u64>, scale: f32) {
     let name = format!("name={experiment}");
     let overrides = ["scenarios=[empty]".into(), "tasks=[prediction]".into(), name, seeds];
     let made = spec::load(Path::new(SMOKE), &overrides, false).unwrap();
-    let by = Provenance::gather(1, "harness run".into());
+    let by = provenance(1, "harness run".into());
     made.runs().par_iter().for_each(|spec| {
         let folder = registry.run(experiment, spec, "empty-00000000");
         let _lock = registry.claim(&folder).unwrap().unwrap();

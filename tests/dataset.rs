@@ -1,11 +1,13 @@
 //! Datasets from real simulations: the same whatever the threads, whole or made again, and read as written.
 
-use crate::common::finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
-use harness::dataset::{Dataset, DatasetError, FramePlace, Partition, Recording, Samples, Standard, collect};
-use harness::files::UNFINISHED;
-use harness::progress::{Progress, Silent};
-use harness::simulation::{Episode, Scene, SimulationError, Simulator};
-use harness::spec::{
+use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
+use harness_collection::{CollectionError, collect, dataset_of};
+use harness_dataset::{Dataset, DatasetError, FramePlace, Partition, Recording, Samples};
+use harness_learning::Standard;
+use harness_shared::files::UNFINISHED;
+use harness_shared::progress::{Progress, Silent};
+use harness_simulation::{Episode, Scene, SimulationError, Simulator};
+use harness_spec::{
     Action, Deviation, Division, IMAGE_CHANNELS, Layout, Modality, Scaling, Scalings, Scenario, Setting,
     Simulation, Split, World,
 };
@@ -16,6 +18,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
+
+#[path = "common/finger.rs"]
+mod finger;
+
+/// The repository's.
+const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
 /// Two seconds an episode, of which there are four.
 fn short() -> Simulation {
@@ -36,7 +44,7 @@ struct Collected {
 impl Collected {
     fn new(scenario: Scenario, threads: usize) -> Self {
         let (root, scene) = (tempfile::tempdir().unwrap(), scene(scenario));
-        let dataset = Dataset::new(root.path(), &scene, &short());
+        let dataset = dataset_of(root.path(), &scene, &short());
         assert_eq!(collect(&dataset, &scene, threads, &Silent).unwrap(), 4);
         Self { root, scene, dataset }
     }
@@ -116,7 +124,7 @@ fn only_what_is_missing_is_collected() {
         );
     }
     let longer = Simulation { episodes: 6, ..short() };
-    let longer = Dataset::new(collected.root.path(), &collected.scene, &longer);
+    let longer = dataset_of(collected.root.path(), &collected.scene, &longer);
     assert_eq!(longer.folder(), collected.dataset.folder(), "a longer dataset extends a shorter one");
     assert_eq!(longer.missing(), [4, 5]);
 }
@@ -124,7 +132,7 @@ fn only_what_is_missing_is_collected() {
 #[test]
 fn what_decides_the_content_decides_the_folder() {
     let (root, scene) = (Path::new("datasets"), scene(Scenario::EMPTY));
-    let name = |spec: Simulation| Dataset::new(root, &scene, &spec).name().to_owned();
+    let name = |spec: Simulation| dataset_of(root, &scene, &spec).name().to_owned();
     let others = [
         Simulation { seed: 1, ..short() },
         Simulation { actuations_per_episode: 3, ..short() },
@@ -136,7 +144,7 @@ fn what_decides_the_content_decides_the_folder() {
     let edited = scene.xml().replace("damping=\"3\"", "damping=\"4\"");
     assert_ne!(edited, scene.xml());
     let edited = Scene::from_xml(World::paper(Scenario::EMPTY), &edited, "edited.xml".into()).unwrap();
-    assert_ne!(Dataset::new(root, &edited, &short()).name(), name(short()));
+    assert_ne!(dataset_of(root, &edited, &short()).name(), name(short()));
 }
 
 #[test]
@@ -189,9 +197,9 @@ fn a_simulation_that_diverges_is_an_error_and_leaves_no_episode() {
     let world = World::parse("stiff.yaml", None, "empty", &world).unwrap();
     let scene = Scene::from_xml(world.into(), &stiff, "stiff.xml".into()).unwrap();
     let root = tempfile::tempdir().unwrap();
-    let dataset = Dataset::new(root.path(), &scene, &short());
+    let dataset = dataset_of(root.path(), &scene, &short());
     let error = collect(&dataset, &scene, 2, &Silent).unwrap_err();
-    assert!(matches!(error, DatasetError::Simulation(SimulationError::Diverged { .. })), "{error}");
+    assert!(matches!(error, CollectionError::Simulation(SimulationError::Diverged { .. })), "{error}");
     assert!(error.to_string().contains("diverged"), "{error}");
     let lock = format!("{UNFINISHED}lock");
     assert_eq!(contents(dataset.folder()).into_keys().collect::<Vec<_>>(), [&lock, "dataset.json"]);
@@ -217,10 +225,13 @@ impl Progress for Impatient {
 #[test]
 fn a_cancelled_collection_keeps_whole_episodes_and_goes_on_from_them() {
     let (root, scene) = (tempfile::tempdir().unwrap(), scene(Scenario::EMPTY));
-    let dataset = Dataset::new(root.path(), &scene, &short());
+    let dataset = dataset_of(root.path(), &scene, &short());
     // In the middle of the second episode.
     let error = collect(&dataset, &scene, 1, &Impatient(AtomicU64::new(30))).unwrap_err();
-    assert!(matches!(error, DatasetError::Simulation(SimulationError::Cancelled { episode: 1 })), "{error}");
+    assert!(
+        matches!(error, CollectionError::Simulation(SimulationError::Cancelled { episode: 1 })),
+        "{error}"
+    );
     assert_eq!(dataset.missing(), [1, 2, 3]);
     assert_eq!(collect(&dataset, &scene, 1, &Silent).unwrap(), 3);
 }
@@ -257,7 +268,7 @@ impl Progress for LeavesSomething {
 #[test]
 fn collecting_ends_after_its_threads_have_freed_everything() {
     let (root, scene) = (tempfile::tempdir().unwrap(), scene(Scenario::EMPTY));
-    let (dataset, progress) = (Dataset::new(root.path(), &scene, &short()), LeavesSomething::default());
+    let (dataset, progress) = (dataset_of(root.path(), &scene, &short()), LeavesSomething::default());
     collect(&dataset, &scene, 2, &progress).unwrap();
     assert_eq!(progress.0.load(Ordering::Relaxed), 2);
 }
@@ -265,7 +276,7 @@ fn collecting_ends_after_its_threads_have_freed_everything() {
 #[test]
 fn two_at_once_share_the_work() {
     let (root, scene) = (tempfile::tempdir().unwrap(), scene(Scenario::EMPTY));
-    let dataset = Dataset::new(root.path(), &scene, &short());
+    let dataset = dataset_of(root.path(), &scene, &short());
     let made: usize = std::thread::scope(|scope| {
         let both = [(); 2].map(|()| scope.spawn(|| collect(&dataset, &scene, 1, &Silent).unwrap()));
         both.into_iter().map(|one| one.join().unwrap()).sum()
@@ -297,7 +308,7 @@ fn standardised_values_restore_to_what_was_recorded() {
             let mut values = vec![0.0; at.len() * FRAME_LEN];
             let each = values.chunks_exact_mut(FRAME_LEN).enumerate();
             each.for_each(|(index, frame)| frames.write(index, frame));
-            (values, harness::experiment::physical(&samples, modality, &at), 1.0)
+            (values, harness_dataset::physical(&samples, modality, &at), 1.0)
         } else {
             let table = standard.vectors(&samples, &at, &[modality]).unwrap().unwrap();
             let expected: Vec<f32> =
@@ -504,7 +515,7 @@ fn frames_are_scaled_by_their_pixels_means_and_one_deviation_whatever_the_thread
                 .map(|&sample| match modality {
                     Modality::VISION => f64::from(samples.frame_bytes(modality, sample)[pixel]) / 255.0,
                     _ => f64::from(
-                        harness::dataset::frame_difference(&samples, modality, sample).nth(pixel).unwrap(),
+                        harness_dataset::frame_difference(&samples, modality, sample).nth(pixel).unwrap(),
                     ),
                 })
                 .collect();
@@ -522,7 +533,7 @@ fn frames_are_scaled_by_their_pixels_means_and_one_deviation_whatever_the_thread
 /// The Python package reads and writes episodes' files by the same list.
 #[test]
 fn the_python_packages_columns_are_those_of_the_files() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = Path::new(ROOT);
     let script = "import dataclasses, importlib.util, json, sys\n\
         spec = importlib.util.spec_from_file_location('recorded', sys.argv[1])\n\
         recorded = importlib.util.module_from_spec(spec)\n\
@@ -537,8 +548,8 @@ fn the_python_packages_columns_are_those_of_the_files() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     let columns = [
-        harness::schema::sample_columns(&Layout::finger()),
-        harness::schema::image_columns(&Layout::finger()),
+        harness_tables::schema::sample_columns(&Layout::finger()),
+        harness_tables::schema::image_columns(&Layout::finger()),
     ]
     .concat();
     let expected = serde_json::to_value(&columns).unwrap();

@@ -3,7 +3,7 @@
 use crate::common::finger::FRAME_LEN;
 use crate::common::{MULTI, SINGLE, TINY, finish, fresh, harness, succeed};
 use harness::analysis::{LEVEL, mean_interval};
-use harness::dataset::Dataset;
+use harness::collection::dataset_of;
 use harness::figures::Figure;
 use harness::figures::page::{Anchor, Page, Stroke, Type};
 use harness::registry::{Registry, query};
@@ -250,7 +250,7 @@ fn forces_and_frames_are_those_of_the_dataset() {
     run(&results, MULTI, &["latent=[4]", "network.channels=[4]", "scenarios=[cluttered]", "seeds=[0]"]);
     let scene = Scene::paper(Scenario::CLUTTERED).unwrap();
     let spec = Simulation { episodes: EPISODES, actuations_per_episode: ACTUATIONS, ..Simulation::default() };
-    let dataset = Dataset::new(&results.join("datasets"), &scene, &spec);
+    let dataset = dataset_of(&results.join("datasets"), &scene, &spec);
     let episodes: Vec<_> = (0..EPISODES).map(|index| dataset.read(index, true).unwrap()).collect();
     let run = fs::read_dir(results.join("runs/multi_to_multi")).unwrap().next().unwrap().unwrap().path();
 

@@ -2,7 +2,7 @@
 //!
 //! Each reader is given what an attacker would write, and random mutations of good input: a few thousand in
 //! `cargo test`, as many as fit into `SOAK_SECONDS` (600 if unset) a reader, or `SOAK_READER` alone, in
-//! `cargo test hostile:: -- --ignored --nocapture`. The targets in `fuzz/` drive the same readers by coverage.
+//! `cargo test --test all hostile:: -- --ignored --nocapture`. The targets in `fuzz/` drive the same readers by coverage.
 
 use crate::common::{SMOKE, finish, harness};
 use harness::learning::tensors::TensorFile;

@@ -1,7 +1,8 @@
 //! Damage to results: every kind is noticed, none is read as good, and what `harness verify` says mends it does.
 
 use crate::common::{Answer, SMOKE, finish, harness, smoke_run, succeed};
-use harness::dataset::{Dataset, DatasetError, collect};
+use harness::collection::{collect, dataset_of};
+use harness::dataset::DatasetError;
 use harness::files::UNFINISHED;
 use harness::learning::LearningError;
 use harness::learning::tensors::TensorFile;
@@ -109,7 +110,7 @@ fn a_damaged_episode_is_never_read() {
     let scene = Scene::paper(Scenario::EMPTY).unwrap();
     let spec = Simulation { episodes: 4, actuations_per_episode: 3, ..Simulation::default() };
     let root = tempfile::tempdir().unwrap();
-    let dataset = Dataset::new(root.path(), &scene, &spec);
+    let dataset = dataset_of(root.path(), &scene, &spec);
     collect(&dataset, &scene, 2, &Silent).unwrap();
     let episode = dataset.folder().join("episode_00002.parquet");
     damage(&episode, 1, |what| {

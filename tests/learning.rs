@@ -1,35 +1,42 @@
 //! Own ops against finite differences and candle's own operations, the network against its PyTorch twin, and
 //! training: deterministic, resumable, stopped early.
 
-use crate::common::finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use candle_core::{Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
-use harness::dataset::frames::{Averaged, DenseFrames, Frames};
-use harness::dataset::{FramePlace, Partition, Recording, Samples, Standard};
-use harness::learning::network::{Architecture, Observation, Parameters, Targets, scalar};
-use harness::learning::objective::{Draw, Objective, Prediction, View, Weighted};
-use harness::learning::ops::{
+use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
+use harness_dataset::{FramePlace, Partition, Recording, Samples};
+use harness_kernels::convolution::LANES;
+use harness_kernels::product::{Arithmetic, Unit};
+use harness_learning::Standard;
+use harness_learning::frames::{Averaged, DenseFrames, Frames};
+use harness_learning::network::{Architecture, Observation, Parameters, Targets, scalar};
+use harness_learning::objective::{Draw, Objective, Prediction, View, Weighted};
+use harness_learning::ops::{
     Adam, Dropout, FrameDecoder, Quantity, Stack, TwoLayers, composed, divergence, frame_decoder,
     frame_encoder, frame_loss, linear, sample, two_layers, vector_losses,
 };
-use harness::learning::random::{Random, Stream};
-use harness::learning::state::StateFile;
-use harness::learning::training::{Epoch, Fit, TOTAL, learning_rate};
-use harness::learning::{LearningError, checkpoint};
-use harness::progress::Progress;
-use harness::simulation::Episode;
-use harness::spec::{
+use harness_learning::random::{Random, Stream};
+use harness_learning::state::StateFile;
+use harness_learning::training::{Epoch, Fit, TOTAL, learning_rate};
+use harness_learning::{LearningError, checkpoint};
+use harness_shared::progress::Progress;
+use harness_spec::Episode;
+use harness_spec::{
     Action, Fusion, Layout, Loss, Modality, Network, Preset, Scenario, Schedule, Split, Stop, Task, Training,
     World,
 };
-use harness_kernels::convolution::LANES;
-use harness_kernels::product::{Arithmetic, Unit};
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
+
+#[path = "common/finger.rs"]
+mod finger;
+
+/// The repository's.
+const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
 fn random(seed: u64) -> Random {
     Random::new(seed, Stream::Parameters(Task::Prediction))
@@ -433,8 +440,7 @@ fn network(hidden: usize, channels: usize) -> Network {
 
 impl Twin {
     fn load(name: &str, frames: bool, arithmetic: Arithmetic) -> Self {
-        let path =
-            Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/fixtures/twin_{name}.safetensors"));
+        let path = Path::new(ROOT).join(format!("tests/fixtures/twin_{name}.safetensors"));
         let bytes = std::fs::read(&path).unwrap();
         let (_, header) = safetensors::SafeTensors::read_metadata(&bytes).unwrap();
         let settings = &header.metadata().as_ref().unwrap()["settings"];
@@ -725,7 +731,7 @@ impl Bench {
     }
 
     fn train_undisturbed(&self, seed: u64) -> (Vec<Epoch>, Parameters) {
-        self.train(seed, &StateFile::none(), &harness::progress::Silent).unwrap()
+        self.train(seed, &StateFile::none(), &harness_shared::progress::Silent).unwrap()
     }
 }
 
@@ -828,7 +834,7 @@ fn every_epoch_visits_every_transition_once_in_an_order_of_its_own() {
     let parameters = Parameters::from([("parameter".to_owned(), parameter)]);
     let partition = Partition { training: (0..10).collect(), validation: vec![20, 21, 22], test: vec![30] };
     let training = Training { epochs: 3, batch_size: 4, patience: None, ..Training::default() };
-    let (state, progress) = (StateFile::none(), &harness::progress::Silent);
+    let (state, progress) = (StateFile::none(), &harness_shared::progress::Silent);
     let task = Task::Prediction;
     let fit = Fit { task, training: &training, seed: 0, partition: &partition, state: &state, progress };
     fit.run(&protocol, &parameters).unwrap();
@@ -861,7 +867,7 @@ fn an_interrupted_training_ends_as_an_undisturbed_one() {
         let stopped = bench.train(7, &state(), &Impatient(AtomicUsize::new(steps_per_epoch + 1)));
         assert!(matches!(stopped, Err(LearningError::Cancelled)));
         assert!(path.exists(), "the first epoch was saved");
-        let (resumed_epochs, resumed) = bench.train(7, &state(), &harness::progress::Silent).unwrap();
+        let (resumed_epochs, resumed) = bench.train(7, &state(), &harness_shared::progress::Silent).unwrap();
         assert_eq!(losses(&epochs), losses(&resumed_epochs));
         assert!(bits(&parameters) == bits(&resumed));
     }
@@ -1052,7 +1058,7 @@ fn patience_counts_from_the_best_total_or_from_the_last_term_that_improved() {
         let parameters = Parameters::from([("parameter".to_owned(), parameter.clone())]);
         let partition = Partition { training: vec![0], validation: vec![1], test: vec![2] };
         let training = Training { epochs: 7, patience: Some(2), stop, ..Training::default() };
-        let (state, progress) = (StateFile::none(), &harness::progress::Silent);
+        let (state, progress) = (StateFile::none(), &harness_shared::progress::Silent);
         let task = Task::Prediction;
         let fit = Fit { task, training: &training, seed: 0, partition: &partition, state: &state, progress };
         let done = fit.run(&scripted, &parameters).unwrap().len();
@@ -1068,7 +1074,7 @@ fn patience_counts_from_the_best_total_or_from_the_last_term_that_improved() {
 fn a_loss_that_is_not_finite_ends_the_training() {
     let mut bench = Bench::new();
     bench.training.learning_rate = 1e30;
-    let error = bench.train(7, &StateFile::none(), &harness::progress::Silent).err().unwrap();
+    let error = bench.train(7, &StateFile::none(), &harness_shared::progress::Silent).err().unwrap();
     assert!(matches!(error, LearningError::NotFinite { .. }), "{error}");
 }
 
@@ -1114,11 +1120,11 @@ fn a_frame_difference_is_what_changed_since_the_sample_before() {
     let samples = walks(2, 3);
     let first = samples.episodes()[1].start;
     assert!(
-        harness::dataset::frame_difference(&samples, Modality::FRAME_DIFFERENCE, first)
+        harness_dataset::frame_difference(&samples, Modality::FRAME_DIFFERENCE, first)
             .all(|change| change == 0.0)
     );
     let change: Vec<f32> =
-        harness::dataset::frame_difference(&samples, Modality::FRAME_DIFFERENCE, first + 1).collect();
+        harness_dataset::frame_difference(&samples, Modality::FRAME_DIFFERENCE, first + 1).collect();
     let (now, before) =
         (samples.frame_bytes(Modality::VISION, first + 1), samples.frame_bytes(Modality::VISION, first));
     assert_eq!(change[5], (f32::from(now[5]) - f32::from(before[5])) / 255.0);

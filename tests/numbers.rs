@@ -2,7 +2,7 @@
 //! files (tests/python/reference_numbers.py), on results folders in which settings, seeds, scenarios, quick runs, copies
 //! and damage are mixed at random.
 //!
-//! `NUMBERS_CASES=200 cargo test numbers::` tries more folders than the few of an ordinary test.
+//! `NUMBERS_CASES=200 cargo test --test all numbers::` tries more folders than the few of an ordinary test.
 
 use crate::common::finger::{FRAME_LEN, JOINTS};
 use crate::common::{finish, fresh, harness};

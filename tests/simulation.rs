@@ -1,16 +1,22 @@
 //! The simulated world against MuJoCo's own sensors, Python's `mujoco`, and what a user may get wrong.
 
-use crate::common::finger::{ARM_JOINTS, BOXES, FRAME_LEN, FRAME_SIDE, JOINTS};
-use harness::metrics::parts::region_of;
-use harness::simulation::{
+use finger::{ARM_JOINTS, BOXES, FRAME_LEN, FRAME_SIDE, JOINTS};
+use harness_metrics::parts::region_of;
+use harness_simulation::{
     Batch, Course, Episode, LiveSimulation, Portrait, Scene, SimulationError, Simulator, link_forces, replay,
 };
-use harness::spec::{IMAGE_CHANNELS, Layout, Modality, Scenario, Setting, Simulation, World};
+use harness_spec::{IMAGE_CHANNELS, Layout, Modality, Scenario, Setting, Simulation, World};
 use mujoco_rs::prelude::*;
 use std::ffi::OsStr;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+
+#[path = "common/finger.rs"]
+mod finger;
+
+/// The repository's.
+const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
 const STEPS_PER_SAMPLE: usize = 100;
 
@@ -408,7 +414,7 @@ fn a_bent_finger_comes_to_rest_without_swinging() {
 
 /// Runs a script of tests/python in the project's virtual environment.
 fn python(script: &str, arguments: &[&dyn AsRef<OsStr>]) {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = Path::new(ROOT);
     let output = Command::new(root.join(".venv/bin/python"))
         .arg(root.join("tests/python").join(script))
         .args(arguments.iter().map(|argument| argument.as_ref()))
@@ -447,7 +453,7 @@ impl Trajectory {
 
     /// Runs a script on the repository's model file; it must arrive at the same positions, bit by bit.
     fn assert_same(&self, scenario: Scenario, script: &str, options: &[&str]) {
-        let model = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("models/{scenario}.xml"));
+        let model = Path::new(ROOT).join(format!("models/{scenario}.xml"));
         let (start, controls, positions) =
             (self.file("start"), self.file("controls"), self.file("positions"));
         let every = STEPS_PER_SAMPLE.to_string();
@@ -652,7 +658,7 @@ fn without_a_driver_rendering_is_an_error() {
         return;
     }
     let status = Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "simulation::without_a_driver_rendering_is_an_error"])
+        .args(["--exact", "without_a_driver_rendering_is_an_error"])
         .env(DRIVERS, "/nonexistent")
         .status();
     assert!(status.unwrap().success());

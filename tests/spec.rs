@@ -1,16 +1,19 @@
 //! Specs as their authors meet them: what loads, what is refused and how it is said, and what makes two runs
 //! the same.
 
-use harness::spec::{
-    self, Action, Deviation, Division, Experiment, Fusion, GivenScaling, Layout, Loss, Modality, Network,
-    Origin, Preset, Scaling, Scalings, Scenario, Schedule, Setting, Simulation, Split, SplitCounts, Stop,
-    Task, Training, World,
+use harness_spec::{
+    self as spec, Action, Deviation, Division, Experiment, Fusion, GivenScaling, Layout, Loss, Modality,
+    Network, Origin, Preset, Scaling, Scalings, Scenario, Schedule, Setting, Simulation, Split, SplitCounts,
+    Stop, Task, Training, World,
 };
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::fs;
 use std::path::Path;
+
+/// The repository's.
+const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
 /// A valid spec of 6 lines; what a test adds begins on line 7.
 const BASE: &str = "\
@@ -82,8 +85,8 @@ fn what_is_left_out_gets_its_default() {
         scaling: Default::default(),
         training: Training {
             loss_weights: [(Modality::PROPRIOCEPTION, 1.0), (Modality::CONTACT_FORCE, 1.0)].into(),
-            precision: harness::spec::Precision::F32,
-            device: harness::spec::Device::Cpu,
+            precision: harness_spec::Precision::F32,
+            device: harness_spec::Device::Cpu,
             ..Training::default()
         },
         vary: Default::default(),
@@ -1170,9 +1173,9 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             losses,
             loss_weights,
             dropout: if random.random() { 0.0 } else { random.random_range(0.0..1.0) },
-            precision: harness::spec::Precision::F32,
+            precision: harness_spec::Precision::F32,
             tiles: random.random(),
-            device: harness::spec::Device::Cpu,
+            device: harness_spec::Device::Cpu,
         },
         vary: if random.random() {
             [("training.batch_size".into(), vec![64.into(), 128.into()])].into()
@@ -1241,7 +1244,7 @@ fn names_are_those_of_serde() {
 }
 
 fn experiments() -> std::path::PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments")
+    Path::new(ROOT).join("experiments")
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Worlds: what a file of one may say, which mistakes are named where, and robots that the harness has never seen.
 
 use crate::common::{finish, fresh, harness, succeed};
-use harness::dataset::Dataset;
+use harness::collection::dataset_of;
 use harness::simulation::Scene;
 use harness::spec::{self, Modality, World};
 use std::fs;
@@ -178,7 +178,7 @@ fn a_world_file_that_changes_under_a_running_experiment_changes_the_next_one_alo
     };
     let dataset = |experiment: &spec::Experiment| {
         let scene = Scene::new(experiment.world(&experiment.scenarios[0]).unwrap()).unwrap();
-        Dataset::new(Path::new("datasets"), &scene, &experiment.simulation).name().to_owned()
+        dataset_of(Path::new("datasets"), &scene, &experiment.simulation).name().to_owned()
     };
     let before = load();
     let name = dataset(&before);
@@ -229,7 +229,7 @@ fn what_a_model_includes_and_its_meshes_decide_the_dataset() {
     let name = || {
         let scene = Scene::new(World::load(&world).unwrap()).unwrap();
         let spec = scene.world().simulation();
-        Dataset::new(Path::new("datasets"), &scene, &spec).name().to_owned()
+        dataset_of(Path::new("datasets"), &scene, &spec).name().to_owned()
     };
     let first = name();
     assert_eq!(name(), first, "the compiled model is the same each time");

@@ -1,11 +1,8 @@
 //! Any text as overrides, one a line: refused with a message, or an experiment that can be written and read again.
 #![no_main]
 
+use harness_spec as spec;
 use libfuzzer_sys::fuzz_target;
-
-#[allow(dead_code, unused_imports)]
-#[path = "../../harness/spec/mod.rs"]
-mod spec;
 
 const SMOKE: &str = include_str!("../../experiments/smoke.yaml");
 

@@ -1,11 +1,8 @@
 //! Any text as a spec: refused with a message, or an experiment that stays within its bounds.
 #![no_main]
 
+use harness_spec as spec;
 use libfuzzer_sys::fuzz_target;
-
-#[allow(dead_code, unused_imports)]
-#[path = "../../harness/spec/mod.rs"]
-mod spec;
 
 fuzz_target!(|text: &str| {
     for quick in [false, true] {

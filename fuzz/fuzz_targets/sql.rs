@@ -1,7 +1,7 @@
 //! Any text as a query over empty tables.
 #![no_main]
 
-use harness::registry::{Registry, query};
+use harness_registry::{Registry, query};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|sql: &str| {

@@ -1,7 +1,7 @@
 //! Any bytes as a Parquet table. The seal refuses all but intact ones: Polars' decoder would end the process at some.
 #![no_main]
 
-use harness::tables::TableFile;
+use harness_tables::TableFile;
 use libfuzzer_sys::fuzz_target;
 use std::path::Path;
 

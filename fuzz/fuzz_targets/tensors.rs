@@ -1,7 +1,7 @@
 //! Any bytes as a checkpoint or a training's state; the seal, which would refuse nearly all of them, is left out.
 #![no_main]
 
-use harness::learning::tensors::TensorFile;
+use harness_learning::tensors::TensorFile;
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {

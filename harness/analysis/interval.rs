@@ -1,6 +1,6 @@
 //! How far a mean over seeds can be trusted.
 
-use crate::numbers::rounded;
+use harness_shared::numbers::rounded;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
 use std::fmt;

@@ -1,8 +1,8 @@
 //! Metrics as means over seeds.
 
 use super::{Analysis, AnalysisError, Interval, LEVEL, Run, Selection, mean_interval};
-use crate::registry::{QueryError, Registry, rows};
-use crate::spec::{Modality, Origin, Task};
+use harness_registry::{QueryError, Registry, rows};
+use harness_spec::{Modality, Origin, Task};
 use polars::prelude::{Column, DataFrame, PolarsResult};
 use serde::Deserialize;
 use std::collections::{BTreeMap, HashMap};

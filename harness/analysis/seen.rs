@@ -1,8 +1,8 @@
 //! What the queries that are expected see of a table.
 
 use super::{Expected, tables_of, words};
-use crate::registry::{RunTable, asked_columns};
-use crate::schema::Table;
+use harness_registry::{RunTable, asked_columns};
+use harness_tables::schema::Table;
 use polars::prelude::*;
 use std::any::Any;
 use std::collections::BTreeSet;

@@ -1,6 +1,6 @@
 //! The settings of runs: what each has, in what several differ, and which are asked for.
 
-use crate::registry::{RunRecord, quoted};
+use harness_registry::{RunRecord, quoted};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;

@@ -7,7 +7,8 @@
 //! same numbers. There are fewer test samples than real ones have, networks are empty files, and there is no dataset.
 
 use clap::Parser;
-use harness::dataset::Dataset;
+use harness::collection::dataset_of;
+use harness::experiment::provenance;
 use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::contact::{Contact, by_link};
 use harness::metrics::{Row, evaluate};
@@ -53,7 +54,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let overrides = [setting, format!("training.epochs={}", arguments.epochs)];
         let experiment = spec::load(&path, &overrides, false)?;
         let datasets = datasets(&registry, &experiment)?;
-        let provenance = Provenance::gather(2, command);
+        let provenance = provenance(2, command);
         let runs = experiment.runs();
         runs.par_iter().try_for_each(|spec| {
             write(&registry, &experiment.name, spec, &datasets[spec.scenario.name()], &provenance)
@@ -71,7 +72,7 @@ fn datasets(
     experiment: &Experiment,
 ) -> Result<BTreeMap<&'static str, String>, Box<dyn Error>> {
     let name = |scenario: &Scenario| {
-        let dataset = Dataset::new(&registry.datasets(), &Scene::paper(*scenario)?, &experiment.simulation);
+        let dataset = dataset_of(&registry.datasets(), &Scene::paper(*scenario)?, &experiment.simulation);
         Ok((scenario.name(), dataset.name().to_owned()))
     };
     Scenario::PAPER.iter().map(name).collect()

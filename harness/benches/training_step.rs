@@ -8,7 +8,7 @@
 
 use candle_core::{Device, Tensor};
 use clap::Parser;
-use harness::dataset::frames::{DenseFrames, Frames};
+use harness::learning::frames::{DenseFrames, Frames};
 use harness::learning::network::{Architecture, Observation, Parameters, Targets};
 use harness::learning::ops::Adam;
 use harness::learning::ops::arithmetic;

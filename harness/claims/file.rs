@@ -1,7 +1,7 @@
 //! A file of claims: YAML to checked types.
 
 use super::Claim;
-use crate::spec::{SpecError, read_text};
+use harness_spec::{SpecError, read_text};
 use serde_yaml::{Location, MessageFormatter, UserMessageFormatter};
 use std::path::Path;
 

@@ -1,8 +1,7 @@
 //! The layers of the networks that runs train, as `harness show` and `harness run --dry-run` print them.
 
 use anyhow::Result;
-use harness::experiment::architecture;
-use harness::learning::network::LayerSummary;
+use harness::learning::network::{LayerSummary, architecture};
 use harness::spec::{Layout, RunSpec, Task};
 use std::sync::Arc;
 

@@ -25,6 +25,7 @@ use anyhow::bail;
 use clap::{Parser, Subcommand};
 use harness::analysis::AnalysisError;
 use harness::claims::ClaimsError;
+use harness::collection::CollectionError;
 use harness::dataset::DatasetError;
 use harness::experiment::{ExperimentError, describe};
 use harness::learning::LearningError;
@@ -291,7 +292,7 @@ fn all_threads() -> usize {
 /// Whether the work stopped because it was asked to.
 fn is_cancelled(error: &anyhow::Error) -> bool {
     error.downcast_ref().is_some_and(ExperimentError::is_cancelled)
-        || error.downcast_ref().is_some_and(DatasetError::is_cancelled)
+        || error.downcast_ref().is_some_and(CollectionError::is_cancelled)
 }
 
 /// Whether the user asked for something that can't be; then the exit code is 2, as for unknown arguments.

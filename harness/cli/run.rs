@@ -5,9 +5,9 @@ use super::table::{print, shown};
 use super::{DONE, FAILED, interrupt, layers, output};
 use anyhow::Result;
 use clap::Args;
-use harness::dataset::{Dataset, collect};
-use harness::experiment::{Laboratory, Planned, Summary, describe};
-use harness::registry::{Decision, Provenance, Registry, query_of, quoted};
+use harness::collection::{collect, dataset_of};
+use harness::experiment::{Laboratory, Planned, Summary, describe, provenance};
+use harness::registry::{Decision, Registry, query_of, quoted};
 use harness::simulation::Scene;
 use harness::spec::{self, Experiment};
 use std::collections::BTreeSet;
@@ -75,7 +75,7 @@ fn gigabytes(text: &str) -> Result<u64, String> {
 impl Run {
     pub fn execute(self, registry: &Registry, threads: usize) -> Result<ExitCode> {
         let experiment = self.spec.load()?;
-        let provenance = Provenance::gather(threads, super::command_line());
+        let provenance = provenance(threads, super::command_line());
         let bars = Bars::default();
         let laboratory = Laboratory {
             registry,
@@ -124,7 +124,7 @@ impl Collect {
             };
             let scene = Scene::new(world)?;
             scene.check(&experiment.simulation)?;
-            let dataset = Dataset::new(&registry.datasets(), &scene, &experiment.simulation);
+            let dataset = dataset_of(&registry.datasets(), &scene, &experiment.simulation);
             match collect(&dataset, &scene, threads, &bars) {
                 Ok(episodes) => println!(
                     "{}: {episodes} episodes made, {} samples in all",

@@ -1,7 +1,7 @@
 //! The frames of a dataset: in memory, or where they would not fit, in a file that the system reads as they are needed.
 
-use crate::memory;
-use crate::spec::{IMAGE_CHANNELS, Layout};
+use harness_shared::memory;
+use harness_spec::{IMAGE_CHANNELS, Layout};
 use memmap2::{Advice, Mmap, UncheckedAdvice};
 use rayon::prelude::*;
 use std::fs::File;

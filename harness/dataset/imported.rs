@@ -2,8 +2,8 @@
 
 use super::store::{Description, episode_file, push_all, read_episode};
 use super::{DatasetError, FramePlace, Recording, Samples};
-use crate::progress::Progress;
-use crate::spec::{Layout, Modality, RunSpec};
+use harness_shared::progress::Progress;
+use harness_spec::{Layout, Modality, RunSpec};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -2,11 +2,11 @@
 
 use super::DatasetError;
 use super::frame_store::{FramePlace, FrameStore, frame_bytes};
-use crate::simulation::Episode;
-use crate::spec::{Action, Definition, Division, Layout, Modality, Split};
+use harness_spec::{Action, Definition, Division, Episode, Layout, Modality, Split};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -260,4 +260,33 @@ pub struct Partition {
     pub training: Vec<usize>,
     pub validation: Vec<usize>,
     pub test: Vec<usize>,
+}
+
+/// The values of `modality` at the samples `at`, in physical units, `[at, width]`, frames channel by channel.
+pub fn physical(samples: &Samples, modality: Modality, at: &[usize]) -> Vec<f32> {
+    let definition = &samples.layout()[modality];
+    let width = definition.width();
+    let mut values = vec![0.0; at.len() * width];
+    if definition.is_image() {
+        samples.prefetch(modality, at);
+    }
+    values.par_chunks_exact_mut(width).zip(at).for_each(|(values, &sample)| {
+        if !definition.is_image() {
+            values.copy_from_slice(samples.vector(modality, sample));
+        } else if definition.difference_of.is_some() {
+            let changes = frame_difference(samples, modality, sample);
+            values.iter_mut().zip(changes).for_each(|(value, change)| *value = change);
+        } else {
+            let bytes = samples.frame_bytes(modality, sample);
+            values.iter_mut().zip(bytes).for_each(|(value, byte)| *value = f32::from(*byte) / 255.0);
+        }
+    });
+    values
+}
+
+/// What changed in an image since the sample before, in [-1, 1], `[channel, row, column]`.
+pub fn frame_difference(samples: &Samples, modality: Modality, sample: usize) -> impl Iterator<Item = f32> {
+    let before = samples.previous_frame_bytes(modality, sample);
+    let frames = samples.frame_bytes(modality, sample).iter().zip(before);
+    frames.map(|(now, before)| (f32::from(*now) - f32::from(*before)) / 255.0)
 }

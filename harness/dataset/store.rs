@@ -2,13 +2,12 @@
 
 use super::imported::Content;
 use super::{DatasetError, FramePlace, Recording, Samples};
-use crate::files::write_bytes;
-use crate::progress::{Progress, Silent};
-use crate::schema::{image_columns, sample_columns};
-use crate::seal::hex;
-use crate::simulation::{Episode, Scene, mujoco_version};
-use crate::spec::{Definition, Layout, Scenario, Simulation};
-use crate::tables::{Stamp, TableError, TableFile, write_table};
+use harness_shared::files::write_bytes;
+use harness_shared::progress::{Progress, Silent};
+use harness_shared::seal::hex;
+use harness_spec::{Definition, Episode, Layout, Scenario, Simulation, World};
+use harness_tables::schema::{image_columns, sample_columns};
+use harness_tables::{Stamp, TableError, TableFile, write_table};
 use polars::prelude::*;
 use rayon::prelude::*;
 use serde::Deserialize;
@@ -31,22 +30,31 @@ pub struct Dataset {
     description: serde_json::Value,
 }
 
+/// What decides a dataset's content beside its world and spec.
+#[derive(Debug, Clone, Copy)]
+pub struct CompiledModel<'a> {
+    /// What a sample holds.
+    pub layout: &'a Arc<Layout>,
+    pub sha256: &'a str,
+    pub mujoco_version: &'a str,
+}
+
 impl Dataset {
-    /// The dataset of a scene under a spec, in `root`; nothing is read or written yet.
-    pub fn new(root: &Path, scene: &Scene, spec: &Simulation) -> Self {
-        let scenario = scene.scenario();
-        let spec = scene.world().complete(spec);
+    /// The dataset of a world, whose model was compiled, under a spec, in `root`; nothing is read or written yet.
+    pub fn new(root: &Path, world: &World, model: CompiledModel, spec: &Simulation) -> Self {
+        let scenario = world.scenario();
+        let spec = world.complete(spec);
         let mut description = json!({
             "format": FORMAT,
             "scenario": scenario.name(),
             "simulation": spec,
-            "model_sha256": scene.model_sha256(),
-            "mujoco": mujoco_version(),
+            "model_sha256": model.sha256,
+            "mujoco": model.mujoco_version,
         });
-        if let Some(world) = scene.world().identity() {
+        if let Some(world) = world.identity() {
             description["world"] = world;
         }
-        let (name, layout) = (identify(scenario, &description), scene.layout().clone());
+        let (name, layout) = (identify(scenario, &description), model.layout.clone());
         description["layout"] = json!(*layout);
         Self { folder: root.join(&name), name, scenario, spec, layout, description }
     }
@@ -141,7 +149,7 @@ impl Dataset {
             ("dataset".into(), self.name.clone()),
             ("episode".into(), episode.index.to_string()),
             ("simulation_seed".into(), self.spec.seed.to_string()),
-            ("mujoco_version".into(), mujoco_version().into()),
+            ("mujoco_version".into(), self.description["mujoco"].as_str().unwrap_or_default().into()),
             ("harness_version".into(), env!("CARGO_PKG_VERSION").into()),
             ("renderer".into(), episode.renderer.clone()),
         ]);

@@ -2,9 +2,9 @@
 
 use super::DatasetError;
 use super::store::{Description, episode_file, open_episode};
-use crate::files::UNFINISHED;
-use crate::spec::Simulation;
-use crate::tables::{TableError, TableFile};
+use harness_shared::files::UNFINISHED;
+use harness_spec::Simulation;
+use harness_tables::{TableError, TableFile};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

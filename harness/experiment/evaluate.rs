@@ -1,16 +1,16 @@
 //! A trained network, and the baselines, on the test transitions.
 
 use super::ExperimentError;
-use crate::dataset::{Partition, Samples, frame_difference};
-use crate::learning::network::Decoder;
-use crate::learning::objective::View;
-use crate::learning::predict::{Predicted, decode};
-use crate::metrics::baselines::{Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
-use crate::metrics::parts;
-use crate::metrics::{Evaluation, MetricsError, contact};
-use crate::registry::{ForceRows, FrameRow, MetricRow, PredictionRow};
-use crate::spec::{Definition, IMAGE_CHANNELS, Modality, Task};
 use candle_core::Tensor;
+use harness_dataset::{Partition, Samples, frame_difference, physical};
+use harness_learning::network::Decoder;
+use harness_learning::objective::View;
+use harness_learning::predict::{Predicted, decode};
+use harness_metrics::baselines::{Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
+use harness_metrics::parts;
+use harness_metrics::{Evaluation, MetricsError, contact};
+use harness_registry::{ForceRows, FrameRow, MetricRow, PredictionRow};
+use harness_spec::{Definition, IMAGE_CHANNELS, Modality, Task};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -19,28 +19,6 @@ use std::ops::Range;
 const RIDGE_ALPHA: f64 = 1.0;
 /// Test transitions that are evaluated at once; bounds the memory that frames take.
 const BATCH: usize = 256;
-
-/// The values of `modality` at the samples `at`, in physical units, `[at, width]`, frames channel by channel.
-pub fn physical(samples: &Samples, modality: Modality, at: &[usize]) -> Vec<f32> {
-    let definition = &samples.layout()[modality];
-    let width = definition.width();
-    let mut values = vec![0.0; at.len() * width];
-    if definition.is_image() {
-        samples.prefetch(modality, at);
-    }
-    values.par_chunks_exact_mut(width).zip(at).for_each(|(values, &sample)| {
-        if !definition.is_image() {
-            values.copy_from_slice(samples.vector(modality, sample));
-        } else if definition.difference_of.is_some() {
-            let changes = frame_difference(samples, modality, sample);
-            values.iter_mut().zip(changes).for_each(|(value, change)| *value = change);
-        } else {
-            let bytes = samples.frame_bytes(modality, sample);
-            values.iter_mut().zip(bytes).for_each(|(value, byte)| *value = f32::from(*byte) / 255.0);
-        }
-    });
-    values
-}
 
 /// The samples that a task predicts from the transitions `at`.
 fn predicted_samples(task: Task, at: &[usize]) -> Vec<usize> {
@@ -88,7 +66,7 @@ pub fn network(
             predictions.extend(prediction_rows(&view.samples, task, &predicted, &reference));
         }
     })
-    .map_err(crate::learning::LearningError::from)?;
+    .map_err(harness_learning::LearningError::from)?;
     if let Some(failure) = failure {
         return Err(failure.into());
     }
@@ -346,7 +324,7 @@ fn side_by_side(view: &View, vectors: &[Modality], at: &[usize]) -> Vec<f32> {
 /// The encoder's input and the action, standardised, with frames as small grey pictures; `[at, inputs]`.
 fn ridge_inputs(view: &View, input: &[Modality], at: &[usize]) -> Result<Vec<f32>, ExperimentError> {
     let learning =
-        |error: candle_core::Error| ExperimentError::from(crate::learning::LearningError::from(error));
+        |error: candle_core::Error| ExperimentError::from(harness_learning::LearningError::from(error));
     let table = |tensor: Tensor| tensor.to_device(&candle_core::Device::Cpu)?.to_vec2::<f32>();
     let vectors =
         view.observation(at, input).map_err(learning)?.vector.map(table).transpose().map_err(learning)?;

@@ -1,14 +1,13 @@
 //! A trained network at work on observations from anywhere, in physical units.
 
-use super::architecture;
-use crate::dataset::Standard;
-use crate::dataset::frames::{DenseFrames, Frames};
-use crate::learning::network::{Decoder, Encoder, Observation, Parameters};
-use crate::learning::random::{Random, Stream};
-use crate::learning::{LearningError, checkpoint, predict};
-use crate::registry::{Registry, RegistryError, RunFolder, RunRecord, Status};
-use crate::spec::{IMAGE_CHANNELS, Modality, Task};
 use candle_core::{Device, Tensor};
+use harness_learning::Standard;
+use harness_learning::frames::{DenseFrames, Frames};
+use harness_learning::network::{Decoder, Encoder, Observation, Parameters, architecture};
+use harness_learning::random::{Random, Stream};
+use harness_learning::{LearningError, checkpoint, predict};
+use harness_registry::{Registry, RegistryError, RunFolder, RunRecord, Status};
+use harness_spec::{IMAGE_CHANNELS, Modality, Task};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -1,9 +1,9 @@
 //! Which run is done when, and by whom: several jobs of this process, or other processes on the same results folder.
 
 use super::{ExperimentError, Laboratory, Material, Planned, Trainee, describe, training_bytes};
-use crate::memory;
-use crate::registry::{Decision, Outcome, Provenance, Status};
-use crate::spec::{Division, RunSpec};
+use harness_registry::{Decision, Outcome, Provenance, Status};
+use harness_shared::memory;
+use harness_spec::{Division, RunSpec};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;

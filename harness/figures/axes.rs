@@ -1,9 +1,9 @@
 //! Axes, series and legends on a page.
 
 use super::page::{BLACK, BLUE, GREY, Mark, PALE, Page, Point, Stroke, Type, VERMILION};
-use crate::analysis::Interval;
-use crate::metrics::Direction;
-use crate::spec::Scenario;
+use harness_analysis::Interval;
+use harness_metrics::Direction;
+use harness_spec::Scenario;
 
 const AXIS: Stroke = Stroke::new(BLACK, 0.6);
 const GRID: Stroke = Stroke::new(PALE, 0.5);

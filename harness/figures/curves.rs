@@ -4,9 +4,9 @@ use super::FigureError;
 use super::axes::{Look, Panel, Scale, colour_of, legend, look_of, remark, words_of};
 use super::page::{GREY, Page, Stroke};
 use super::source::{Runs, integers, reals, texts};
-use crate::analysis::{Interval, NETWORK, intervals};
-use crate::metrics::{Direction, Metric};
-use crate::spec::{Modality, Scenario, Task};
+use harness_analysis::{Interval, NETWORK, intervals};
+use harness_metrics::{Direction, Metric};
+use harness_spec::{Modality, Scenario, Task};
 use polars::prelude::*;
 use std::collections::BTreeSet;
 

@@ -4,12 +4,11 @@ use super::FigureError;
 use super::page::{BLACK, GREY, Page, Point, Stroke, Type, WHITE};
 use super::source::{Source, Study};
 use super::text::Face;
-use crate::experiment::architecture;
-use crate::learning::LearningError;
-use crate::learning::network::Parameters;
-use crate::learning::random::{Random, Stream};
-use crate::spec::{Definition, IMAGE_CHANNELS, Layout, Modality, RunSpec, Task};
 use candle_core::Device;
+use harness_learning::LearningError;
+use harness_learning::network::{Parameters, architecture};
+use harness_learning::random::{Random, Stream};
+use harness_spec::{Definition, IMAGE_CHANNELS, Layout, Modality, RunSpec, Task};
 use polars::prelude::*;
 use std::sync::Arc;
 

@@ -4,7 +4,7 @@ use super::axes::{Panel, Scale, colour_legend, colour_of, remark};
 use super::page::{COLUMN, Page, Stroke, WHITE};
 use super::source::{Source, Study, integers, reals, texts};
 use super::{Drawing, FigureError};
-use crate::spec::{Modality, Scenario};
+use harness_spec::{Modality, Scenario};
 
 const LEFT: f64 = 30.0;
 const WIDTH: f64 = COLUMN - LEFT - 5.0;

@@ -5,7 +5,7 @@ use super::diagram::{Anatomy, network};
 use super::page::{COLUMN, Page};
 use super::source::Source;
 use super::{Drawing, FigureError};
-use crate::spec::Task;
+use harness_spec::Task;
 
 pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let anatomy = Anatomy::of(source, Task::Reconstruction)?;

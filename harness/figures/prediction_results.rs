@@ -5,8 +5,8 @@ use super::curves::{Curves, Measured, explain, explain_bars, stack};
 use super::page::{COLUMN, Page};
 use super::source::{Source, Study};
 use super::{Drawing, FigureError};
-use crate::metrics::Metric;
-use crate::spec::{Modality, Task};
+use harness_metrics::Metric;
+use harness_spec::{Modality, Task};
 
 const LEFT: f64 = 33.0;
 const WIDTH: f64 = 97.0;

@@ -5,8 +5,8 @@ use super::curves::{Curves, explain, explain_bars, stack};
 use super::page::{COLUMN, Page};
 use super::source::{Source, Study};
 use super::{Drawing, FigureError};
-use crate::metrics::Metric;
-use crate::spec::{Modality, Task};
+use harness_metrics::Metric;
+use harness_spec::{Modality, Task};
 
 pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let [single, multi] = [source.runs(Study::SingleToMulti)?, source.runs(Study::MultiToMulti)?];

@@ -4,9 +4,9 @@ use super::axes::{Look, Panel, Scale, legend, remark, words_of};
 use super::page::{COLUMN, GREEN, GREY, Mark, Page, Stroke, Type, WINE};
 use super::source::{Runs, Source, Study, integers, reals};
 use super::{Drawing, FigureError};
-use crate::analysis::{Interval, intervals};
-use crate::metrics::Direction;
-use crate::spec::{Modality, Scenario};
+use harness_analysis::{Interval, intervals};
+use harness_metrics::Direction;
+use harness_spec::{Modality, Scenario};
 use polars::prelude::*;
 use std::collections::BTreeMap;
 

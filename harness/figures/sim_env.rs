@@ -4,8 +4,8 @@ use super::page::{BLACK, BLUE, COLUMN, GREEN, Page, Point, Stroke, Type, WHITE, 
 use super::task::{data, label};
 use super::text::Face;
 use super::{Drawing, FigureError};
-use crate::simulation::{Portrait, Scene, SimulationError, replay};
-use crate::spec::{Scenario, Simulation};
+use harness_simulation::{Portrait, Scene, SimulationError, replay};
+use harness_spec::{Scenario, Simulation};
 
 /// An instant at which the finger bends both ways.
 const EPISODE: u32 = 0;

@@ -1,8 +1,8 @@
 //! What figures are drawn from: the runs of the paper's two experiments, and their tables.
 
 use super::FigureError;
-use crate::analysis::{Analysis, Run};
-use crate::spec::{Layout, QUICK};
+use harness_analysis::{Analysis, Run};
+use harness_spec::{Layout, QUICK};
 use polars::prelude::*;
 use std::sync::Arc;
 

@@ -2,8 +2,8 @@
 
 use super::page::{BLACK, COLUMN, Page, Point, Stroke, Type, WHITE};
 use super::{Drawing, FigureError};
-use crate::simulation::{Portrait, Scene, SimulationError, replay};
-use crate::spec::{Scenario, Simulation};
+use harness_simulation::{Portrait, Scene, SimulationError, replay};
+use harness_spec::{Scenario, Simulation};
 use polars::prelude::*;
 
 /// An instant at which the finger is pressed on the ground beside boxes.

@@ -3,9 +3,9 @@
 use super::LearningError;
 use super::network::Parameters;
 use super::tensors::TensorFile;
-use crate::dataset::{Scale, Standard};
-use crate::spec::Modality;
+use crate::{Scale, Standard};
 use candle_core::{Device, Result as CandleResult, Tensor};
+use harness_spec::Modality;
 use serde_json::Map;
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;

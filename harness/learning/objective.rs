@@ -3,9 +3,10 @@
 use super::network::{Decoder, Encoder, Observation, Targets};
 use super::ops::Dropout;
 use super::random::Random;
-use crate::dataset::{Samples, Standard};
-use crate::spec::{Action, Loss, Modality};
+use crate::Standard;
 use candle_core::{Device, Result, Tensor};
+use harness_dataset::Samples;
+use harness_spec::{Action, Loss, Modality};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

@@ -2,9 +2,9 @@
 
 use super::network::{Decoded, Decoder, Encoder};
 use super::objective::{View, rows};
-use crate::dataset::Standard;
-use crate::spec::{IMAGE_CHANNELS, Layout, Modality};
+use crate::Standard;
 use candle_core::{Result, Tensor};
+use harness_spec::{IMAGE_CHANNELS, Layout, Modality};
 
 /// Transitions decoded at once; bounds the memory that frames take.
 const BATCH: usize = 256;

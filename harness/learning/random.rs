@@ -1,6 +1,6 @@
 //! The random numbers of a run. candle's CPU generator can't be seeded, so none of its own are used.
 
-use crate::spec::Task;
+use harness_spec::Task;
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

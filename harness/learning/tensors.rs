@@ -3,9 +3,9 @@
 //! Any reader of safetensors opens them; the note is JSON, under the metadata's key `harness`.
 
 use super::LearningError;
-use crate::seal;
 use candle_core::safetensors::Load;
 use candle_core::{Device, Tensor};
+use harness_shared::seal;
 use safetensors::{Dtype, SafeTensors};
 use serde_json::{Map, Value};
 use std::collections::HashMap;

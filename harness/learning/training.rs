@@ -6,31 +6,14 @@ use super::objective::{Draw, Objective, Weighted};
 use super::ops::Adam;
 use super::random::{Random, Stream};
 use super::state::{State, StateFile};
-use crate::dataset::Partition;
-use crate::progress::Progress;
-use crate::spec::{Schedule, Stop, Task, Training};
 use candle_core::{Result as CandleResult, Tensor};
-use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use harness_dataset::Partition;
+use harness_shared::progress::Progress;
+use harness_spec::{Schedule, Stop, Task, Training};
 use std::f64::consts::PI;
 use std::time::Instant;
 
-/// Mean of every term of the loss over a split, on standardised values and before weighting; `total` is the
-/// weighted sum.
-pub type Losses = BTreeMap<String, f64>;
-
-/// Name of the weighted sum of all terms.
-pub const TOTAL: &str = "total";
-
-/// What one epoch gave.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Epoch {
-    /// Counted from 1.
-    pub epoch: usize,
-    pub train: Losses,
-    pub validation: Losses,
-    pub seconds: f64,
-}
+pub use harness_metrics::epoch::{Epoch, Losses, TOTAL};
 
 /// The learning rate of a training's step, counted from 0 over all epochs of `epoch_steps` steps each. It depends on
 /// nothing else, so that a resumed training goes on as it would have.

@@ -2,7 +2,7 @@
 
 use super::COLUMNS_AT_ONCE;
 use super::error::{MetricsError, check_finite, check_samples, rows};
-use crate::spec::{Definition, IMAGE_CHANNELS};
+use harness_spec::{Definition, IMAGE_CHANNELS};
 use rayon::prelude::*;
 use std::borrow::Cow;
 

@@ -1,6 +1,6 @@
 //! Which pixels of an image show which region, told by their colours.
 
-use crate::spec::{IMAGE_CHANNELS, Region};
+use harness_spec::{IMAGE_CHANNELS, Region};
 
 /// The region that a pixel shows, by its index, given its red, green and blue; `None` where it shows none.
 ///

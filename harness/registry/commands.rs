@@ -3,7 +3,7 @@
 use super::folders::{Recorded, folders};
 use super::record::RunRecord;
 use super::{DEFAULT_ROOT, Registry, SPEC};
-use crate::spec::{self, RunSpec};
+use harness_spec::{self as spec, RunSpec};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

@@ -13,10 +13,10 @@ use super::folders::sorted;
 use super::record::{FileRecord, RunRecord};
 use super::rows::{Condition, kept};
 use super::{Registry, RegistryError};
-use crate::files::FolderLock;
-use crate::schema::{Column, Table};
-use crate::seal::hex;
-use crate::tables::{Stamp, TableFile, stacked, write_table};
+use harness_shared::files::FolderLock;
+use harness_shared::seal::hex;
+use harness_tables::schema::{Column, Table};
+use harness_tables::{Stamp, TableFile, stacked, write_table};
 use polars::prelude::*;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -44,7 +44,7 @@ const RUNS_KEY: &str = "runs";
 
 /// One of the tables over finished runs of one experiment, whose rows come in the runs' order.
 #[derive(Clone)]
-pub(crate) struct RunTable {
+pub struct RunTable {
     table: Table,
     /// The folder of the experiment's runs, and that of its parts.
     runs: PathBuf,
@@ -386,7 +386,7 @@ impl AnonymousScan for RunTable {
 }
 
 /// The columns that a query asks a table for.
-pub(crate) fn asked_columns(asked: &AnonymousScanArgs) -> Vec<String> {
+pub fn asked_columns(asked: &AnonymousScanArgs) -> Vec<String> {
     match &asked.with_columns {
         Some(names) => names.iter().map(PlSmallStr::to_string).collect(),
         None => asked.schema.iter_names().map(PlSmallStr::to_string).collect(),
@@ -394,7 +394,7 @@ pub(crate) fn asked_columns(asked: &AnonymousScanArgs) -> Vec<String> {
 }
 
 /// A table that is read when Polars computes an answer.
-pub(crate) fn lazily(table: impl AnonymousScan + 'static, schema: SchemaRef) -> PolarsResult<LazyFrame> {
+pub fn lazily(table: impl AnonymousScan + 'static, schema: SchemaRef) -> PolarsResult<LazyFrame> {
     LazyFrame::anonymous_scan(
         Arc::new(table),
         ScanArgsAnonymous { schema: Some(schema), name: "RUNS", ..ScanArgsAnonymous::default() },

@@ -3,8 +3,8 @@
 use super::folders::{Recorded, folders};
 use super::record::RunRecord;
 use super::{Registry, RegistryError, Status};
-use crate::dataset::inspect;
-use crate::files::FolderLock;
+use harness_dataset::inspect;
+use harness_shared::files::FolderLock;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 

@@ -2,13 +2,13 @@
 
 use super::record::RunRecord;
 use super::{RECORD, Registry, RegistryError, Status};
-use crate::files::FolderLock;
+use harness_shared::files::FolderLock;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::PoisonError;
 
 /// A run's folder and its record.
-pub(crate) type Recorded = (PathBuf, RunRecord);
+pub type Recorded = (PathBuf, RunRecord);
 
 impl Registry {
     /// Every run's record, by experiment and id. Those that can't be read, or lie in the folder of another run, are left
@@ -18,7 +18,7 @@ impl Registry {
     }
 
     /// Every run's folder and record, likewise.
-    pub(crate) fn recorded(&self) -> Vec<Recorded> {
+    pub fn recorded(&self) -> Vec<Recorded> {
         self.read(self.run_folders())
     }
 

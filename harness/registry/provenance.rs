@@ -1,9 +1,15 @@
 //! Where results come from: source, versions, machine.
 
-use crate::simulation::mujoco_version;
 use serde::{Deserialize, Serialize};
 use std::process::Command;
 use sysinfo::System;
+
+/// Versions of what simulates and learns.
+#[derive(Debug, Clone, Copy)]
+pub struct Versions {
+    pub mujoco: &'static str,
+    pub candle: &'static str,
+}
 
 /// What stood behind a command; the same for all of its runs.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -26,7 +32,7 @@ pub struct Provenance {
 
 impl Provenance {
     /// Looks at the current folder's git repository and at this machine.
-    pub fn gather(threads: usize, command: String) -> Self {
+    pub fn gather(versions: Versions, threads: usize, command: String) -> Self {
         let commit = git(&["rev-parse", "HEAD"]);
         let status = commit.as_ref().and_then(|_| git(&["status", "--porcelain", "--untracked-files=no"]));
         let dirty = status.map(|status| !status.is_empty());
@@ -38,8 +44,8 @@ impl Provenance {
             git_commit: commit,
             git_dirty: dirty,
             harness_version: env!("CARGO_PKG_VERSION").into(),
-            mujoco_version: mujoco_version().into(),
-            candle_version: env!("CANDLE_VERSION").into(),
+            mujoco_version: versions.mujoco.into(),
+            candle_version: versions.candle.into(),
             host: System::host_name().unwrap_or_default(),
             processor: system.cpus().first().map(|cpu| cpu.brand().to_owned()).unwrap_or_default(),
             threads,

@@ -2,10 +2,10 @@
 
 use super::record::{RunRecord, TABLES};
 use super::{RECORD, Registry, RegistryError, RunFolder, SPEC};
-use crate::files::write_bytes;
-use crate::progress::Progress;
-use crate::schema::Table;
-use crate::tables::{TableError, TableFile, write_table};
+use harness_shared::files::write_bytes;
+use harness_shared::progress::Progress;
+use harness_tables::schema::Table;
+use harness_tables::{TableError, TableFile, write_table};
 use polars::prelude::*;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -5,11 +5,11 @@ use super::folders::Recorded;
 use super::record::{RunRecord, runs_table};
 use super::rows::conditions;
 use super::{Registry, RegistryError, Status, sql};
-use crate::dataset::layout_of;
-use crate::files::{WriteError, write_whole};
-use crate::schema::{Column, Table, sample_columns};
-use crate::spec::Layout;
-use crate::tables::{TableError, data_type, scan};
+use harness_dataset::layout_of;
+use harness_shared::files::{WriteError, write_whole};
+use harness_spec::Layout;
+use harness_tables::schema::{Column, Table, sample_columns};
+use harness_tables::{TableError, data_type, scan};
 use polars::prelude::*;
 use serde::de::DeserializeOwned;
 use std::fs::File;
@@ -76,10 +76,10 @@ pub fn query_of(
 }
 
 /// What a table's name stands for in a query.
-pub(crate) type TableOf<'a> = dyn Fn(Table) -> Result<LazyFrame, QueryError> + Sync + 'a;
+pub type TableOf<'a> = dyn Fn(Table) -> Result<LazyFrame, QueryError> + Sync + 'a;
 
 /// Answers a query over the tables that `table_of` gives, which is asked for those that the query may be about.
-pub(crate) fn answer(question: &str, table_of: &TableOf) -> Result<DataFrame, QueryError> {
+pub fn answer(question: &str, table_of: &TableOf) -> Result<DataFrame, QueryError> {
     std::thread::scope(|scope| {
         let thread = std::thread::Builder::new().stack_size(QUERY_STACK_BYTES);
         let thread = thread.spawn_scoped(scope, || sql::answer(question, table_of));
@@ -94,7 +94,7 @@ pub(crate) fn answer(question: &str, table_of: &TableOf) -> Result<DataFrame, Qu
 }
 
 /// One of the tables, over `runs`, or over all datasets, with the rows that `sql` can see at least.
-pub(crate) fn table(
+pub fn table(
     registry: &Registry,
     table: Table,
     runs: &[Recorded],

@@ -2,13 +2,13 @@
 
 use super::commands::command_of;
 use super::{Provenance, REVISION, RegistryError, RunFolder, SPEC, identity, peak_memory_bytes};
-use crate::learning::training::Epoch;
-use crate::metrics::Row;
-use crate::metrics::contact::{Contact, QUANTILES};
-use crate::schema::Table;
-use crate::seal::{self, SealError, hex};
-use crate::spec::{Layout, Modality, RunSpec, Task};
-use crate::tables::{Stamp, TableError, data_type, read_footer, write_table};
+use harness_metrics::Row;
+use harness_metrics::contact::{Contact, QUANTILES};
+use harness_metrics::epoch::Epoch;
+use harness_shared::seal::{self, SealError, hex};
+use harness_spec::{Layout, Modality, RunSpec, Task};
+use harness_tables::schema::Table;
+use harness_tables::{Stamp, TableError, data_type, read_footer, write_table};
 use jiff::Timestamp;
 use polars::prelude::*;
 use rayon::prelude::*;
@@ -171,7 +171,7 @@ fn is_finger(layout: &Arc<Layout>) -> bool {
 
 /// A layout as plain data.
 mod shared {
-    use crate::spec::Layout;
+    use harness_spec::Layout;
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
     use std::sync::Arc;
 

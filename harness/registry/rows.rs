@@ -1,6 +1,6 @@
 //! Which rows of a table queries can see: those that no WHERE of theirs leaves out.
 
-use crate::schema::{Column, Kind, Table};
+use harness_tables::schema::{Column, Kind, Table};
 use polars::prelude::*;
 use sqlparser::ast::{
     BinaryOperator, Expr as Sql, JoinOperator, Query, Select, SetExpr, TableFactor, Value, Visit, Visitor,
@@ -13,10 +13,10 @@ use std::ops::ControlFlow;
 
 /// What columns must hold, by their names: one of some texts, or null where there are none. Without any column, all rows are
 /// wanted.
-pub(crate) type Condition = BTreeMap<String, BTreeSet<String>>;
+pub type Condition = BTreeMap<String, BTreeSet<String>>;
 
 /// What each part of a query that reads a table asks of its rows.
-pub(crate) fn conditions(sql: &str, table: Table) -> BTreeSet<Condition> {
+pub fn conditions(sql: &str, table: Table) -> BTreeSet<Condition> {
     let everything = BTreeSet::from([Condition::new()]);
     let Ok(statements) = Parser::parse_sql(&GenericDialect, sql) else { return everything };
     let mut readers = Readers { table, found: 0, conditions: Vec::new() };
@@ -128,7 +128,7 @@ impl Visitor for Readers {
 }
 
 /// Whether all rows that meet `narrow` meet `wide` too.
-pub(crate) fn implies(narrow: &Condition, wide: &Condition) -> bool {
+pub fn implies(narrow: &Condition, wide: &Condition) -> bool {
     wide.iter().all(|(column, wanted)| match narrow.get(column) {
         // No text asks for null.
         Some(texts) => texts.is_empty() == wanted.is_empty() && texts.is_subset(wanted),

@@ -1,7 +1,7 @@
 //! Pictures that take seconds to render and depend on the program alone, kept from one report to the next in the user's
 //! folder for caches: `$XDG_CACHE_HOME/harness`, or `~/.cache/harness`.
 
-use crate::seal;
+use harness_shared::seal;
 use std::path::{Path, PathBuf};
 
 /// What the program was made of: files of another program are not taken.

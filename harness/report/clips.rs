@@ -1,12 +1,12 @@
 //! Clips of both scenes.
 
 use super::cache::cached;
-use crate::figures::FigureError;
-use crate::progress::Progress;
-use crate::simulation::{Portrait, Scene, replay};
-use crate::spec::{Scenario, Simulation};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
+use harness_figures::FigureError;
+use harness_shared::progress::Progress;
+use harness_simulation::{Portrait, Scene, replay};
+use harness_spec::{Scenario, Simulation};
 use image::RgbImage;
 use image::codecs::jpeg::JpegEncoder;
 use serde::{Deserialize, Serialize};

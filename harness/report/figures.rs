@@ -2,9 +2,9 @@
 
 use super::cache::cached;
 use super::{Part, part};
-use crate::figures::source::Source;
-use crate::figures::{Figure, FigureError};
-use crate::progress::Progress;
+use harness_figures::source::Source;
+use harness_figures::{Figure, FigureError};
+use harness_shared::progress::Progress;
 use serde::Serialize;
 
 /// A figure, or why it isn't there.

@@ -1,11 +1,11 @@
 //! How well each joint's angle and each link's force is predicted.
 
 use super::{Absent, of_both, short};
-use crate::analysis::{Interval, LEVEL, NETWORK, mean_interval};
-use crate::figures::FigureError;
-use crate::figures::source::{Runs, Source, Study};
-use crate::registry::rows;
-use crate::spec::{Modality, Scenario, Task};
+use harness_analysis::{Interval, LEVEL, NETWORK, mean_interval};
+use harness_figures::FigureError;
+use harness_figures::source::{Runs, Source, Study};
+use harness_registry::rows;
+use harness_spec::{Modality, Scenario, Task};
 use polars::prelude::{IntoLazy, col};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};

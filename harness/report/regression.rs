@@ -2,12 +2,12 @@
 
 use super::joints::{Value, value};
 use super::{Absent, of_both, short};
-use crate::analysis::intervals;
-use crate::figures::FigureError;
-use crate::figures::source::{Runs, Source, Study};
-use crate::metrics::Direction;
-use crate::registry::rows;
-use crate::spec::{Modality, Scenario};
+use harness_analysis::intervals;
+use harness_figures::FigureError;
+use harness_figures::source::{Runs, Source, Study};
+use harness_metrics::Direction;
+use harness_registry::rows;
+use harness_spec::{Modality, Scenario};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,7 +1,7 @@
 //! The runs and where their numbers come from.
 
-use crate::numbers::duration;
-use crate::registry::{Registry, RunRecord, Status, Timings};
+use harness_registry::{Registry, RunRecord, Status, Timings};
+use harness_shared::numbers::duration;
 use serde::Serialize;
 use std::collections::BTreeMap;
 

@@ -1,8 +1,8 @@
 //! How the losses fell, epoch by epoch.
 
 use super::short;
-use crate::registry::{QueryError, Registry, RunRecord, RunTable, Status};
-use crate::schema::Table;
+use harness_registry::{QueryError, Registry, RunRecord, RunTable, Status};
+use harness_tables::schema::Table;
 use polars::prelude::{DataFrame, PolarsResult};
 use serde::Serialize;
 use std::collections::BTreeMap;

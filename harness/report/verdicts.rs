@@ -1,9 +1,9 @@
 //! The claims and what becomes of them.
 
-use crate::analysis::{Analysis, Mixed};
-use crate::claims::{Claim, ClaimsError, Condition, Judgement, Verdict, judge};
-use crate::numbers::rounded;
-use crate::spec::Scenario;
+use harness_analysis::{Analysis, Mixed};
+use harness_claims::{Claim, ClaimsError, Condition, Judgement, Verdict, judge};
+use harness_shared::numbers::rounded;
+use harness_spec::Scenario;
 use serde::Serialize;
 use std::collections::BTreeSet;
 

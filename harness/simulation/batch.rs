@@ -3,7 +3,7 @@
 use super::SimulationError;
 use super::live::LiveSimulation;
 use super::scene::Scene;
-use crate::spec::{Modality, Simulation};
+use harness_spec::{Modality, Simulation};
 use rayon::prelude::*;
 
 /// The most simulations of a batch: beyond any use, and far below what memory holds.

@@ -4,13 +4,10 @@ use super::SimulationError;
 use super::motion::{Motion, Timing, ranges, rest};
 use super::placement::place_boxes;
 use super::scene::Scene;
-use crate::spec::Simulation;
+use harness_spec::{Pose, Simulation};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use sha2::{Digest, Sha256};
-
-/// Position (m) and orientation (unit quaternion w, x, y, z) of a box.
-pub type Pose = [f64; 7];
 
 /// All that decides an episode, given its scene.
 #[derive(Debug, Clone, PartialEq)]

@@ -87,7 +87,7 @@ pub fn draft_world(model: &Path, called: &str) -> Result<String, SimulationError
         let [low, high] =
             if model.actuator_ctrllimited()[id] { model.actuator_ctrlrange()[id] } else { [-1.0, 1.0] };
         let element = name.to_lowercase();
-        let element = if crate::spec::is_name(&element) { element } else { format!("actuator_{index}") };
+        let element = if harness_spec::is_name(&element) { element } else { format!("actuator_{index}") };
         let (name, range) = (quoted(name), format!("[{low:?}, {high:?}]"));
         let _ = writeln!(text, "    {element}: {{actuator: {name}, range: {range}}}");
     }

@@ -2,11 +2,12 @@
 
 use super::SimulationError;
 use super::camera::{Camera, Portrait};
-use super::course::{Course, Pose};
+use super::course::Course;
 use super::motion::ranges;
 use super::physics::{Physics, sensed_position};
 use super::scene::Scene;
-use crate::spec::{Modality, Simulation};
+use harness_spec::Pose;
+use harness_spec::{Modality, Simulation};
 use image::RgbImage;
 use std::cell::RefCell;
 use std::collections::BTreeMap;

@@ -2,7 +2,7 @@
 
 use super::SimulationError;
 use super::scene::{Scene, within};
-use crate::spec::{Simulation, Start};
+use harness_spec::{Simulation, Start};
 use rand::{Rng, RngExt};
 
 /// Steps, samples and actuations of an episode; whole numbers, so that no instant is off by a rounding.
@@ -95,7 +95,7 @@ fn smoothstep(u: f64) -> f64 {
 /// The ranges of the setpoint's elements.
 pub(super) fn ranges(scene: &Scene, spec: &Simulation) -> Vec<[f64; 2]> {
     let own = scene.world().file().action.actuators.iter();
-    let range = |(driven, (_, own)): (&super::scene::Driven, (&str, &crate::spec::Actuator))| {
+    let range = |(driven, (_, own)): (&super::scene::Driven, (&str, &harness_spec::Actuator))| {
         spec.range(&driven.setting).unwrap_or(own.range)
     };
     scene.actuators.iter().zip(own).map(range).collect()
@@ -105,7 +105,7 @@ pub(super) fn ranges(scene: &Scene, spec: &Simulation) -> Vec<[f64; 2]> {
 pub(super) fn rest(scene: &Scene, spec: &Simulation) -> Vec<f64> {
     let actuators = scene.world().file().action.actuators.iter();
     let start =
-        |([low, high], (_, actuator)): ([f64; 2], (&str, &crate::spec::Actuator))| match actuator.start {
+        |([low, high], (_, actuator)): ([f64; 2], (&str, &harness_spec::Actuator))| match actuator.start {
             Start::Low => low,
             Start::Middle => 0.5 * (low + high),
             Start::High => high,

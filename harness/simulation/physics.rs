@@ -5,7 +5,7 @@ use super::course::Course;
 use super::motion::{Timing, check_ranges};
 use super::scene::{Reading, Scene};
 use super::sensors::{MeanForces, divergence, sum_forces};
-use crate::spec::{Layout, Modality, Simulation};
+use harness_spec::{Layout, Modality, Simulation};
 use mujoco_rs::prelude::*;
 
 /// MuJoCo's state of one scene on one thread.
@@ -62,7 +62,7 @@ impl Instant {
 
 /// The position in a layout of a vector that is sensed.
 pub(super) fn sensed_position(layout: &Layout, modality: Modality) -> Option<usize> {
-    let is_it = |definition: &crate::spec::Definition| {
+    let is_it = |definition: &harness_spec::Definition| {
         definition.name == modality && !definition.is_image() && definition.difference_of.is_none()
     };
     layout.modalities.iter().position(is_it)

@@ -1,10 +1,9 @@
 //! Where the boxes of a world start.
 
 use super::SimulationError;
-use super::course::Pose;
 use super::motion::{ranges, rest};
 use super::scene::{Area, Mount, Scene};
-use crate::spec::Simulation;
+use harness_spec::{Pose, Simulation};
 use rand::{Rng, RngExt};
 use std::f64::consts::PI;
 

@@ -2,8 +2,8 @@
 
 use super::motion::{Timing, check_ranges};
 use super::{MUJOCO_VERSION, SimulationError, mujoco_version};
-use crate::seal::hex;
-use crate::spec::{
+use harness_shared::seal::hex;
+use harness_spec::{
     Definition, Deviation, Element, Group, Kind, Layout, Modality, ModelFile, Percentage, Scenario,
     Simulation, Source, World, clearance_setting, matching, range_setting,
 };
@@ -471,12 +471,12 @@ impl<'a> Resolver<'a> {
     fn modality(
         &mut self,
         name: Modality,
-        sensing: &crate::spec::Sensing,
+        sensing: &harness_spec::Sensing,
         path: &str,
         others: &[(Definition, Vec<Reading>)],
     ) -> Result<(Definition, Vec<Reading>), SimulationError> {
         let source = sensing.source();
-        let scaling = self.world.scaling(name).unwrap_or(crate::spec::Scaling::plain(false));
+        let scaling = self.world.scaling(name).unwrap_or(harness_spec::Scaling::plain(false));
         let mut definition = Definition {
             name,
             meaning: String::new(),
@@ -638,7 +638,7 @@ impl<'a> Resolver<'a> {
     /// What the actuators are commanded, as a modality.
     fn setpoint(&self) -> (Definition, Vec<Reading>) {
         let actuators = self.world.file().action.actuators.iter();
-        let element = |(name, actuator): (&str, &crate::spec::Actuator)| Element {
+        let element = |(name, actuator): (&str, &harness_spec::Actuator)| Element {
             name: name.to_owned(),
             unit: actuator.unit.clone(),
         };
@@ -719,7 +719,7 @@ impl<'a> Resolver<'a> {
     fn mount(
         &self,
         placed: &str,
-        sector: &crate::spec::Sector,
+        sector: &harness_spec::Sector,
         actuators: &[Driven],
     ) -> Result<Mount, SimulationError> {
         let path = format!("placement.{placed}.sector");

@@ -14,14 +14,14 @@ pub const IMAGE_CHANNELS: usize = 3;
 pub(super) const NAME: &str = "^[a-z][a-z0-9_]{0,63}$";
 
 /// Whether a text matches [`NAME`].
-pub(crate) fn is_name(text: &str) -> bool {
+pub fn is_name(text: &str) -> bool {
     (1..=64).contains(&text.len())
         && text.starts_with(|c: char| c.is_ascii_lowercase())
         && text.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
 }
 
 /// The one copy of a name, which lives as long as the process: names are few and short.
-pub(crate) fn intern(name: &str) -> &'static str {
+pub fn intern(name: &str) -> &'static str {
     static NAMES: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
     let mut names = NAMES.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
     if let Some(known) = names.get(name) {
@@ -39,7 +39,7 @@ macro_rules! interned_name {
         impl $type {
             /// The one of that name; `None` where none can be called so.
             pub fn new(name: &str) -> Option<Self> {
-                $crate::spec::is_name(name).then(|| Self($crate::spec::intern(name)))
+                $crate::is_name(name).then(|| Self($crate::intern(name)))
             }
 
             /// The name in specs, tables and file names.

@@ -135,7 +135,7 @@ pub(super) fn shorten(text: &str) -> String {
 }
 
 /// The text of a YAML file.
-pub(crate) fn read(path: &Path) -> Result<String, SpecError> {
+pub fn read(path: &Path) -> Result<String, SpecError> {
     let unreadable = |message: String| SpecError::Unreadable { path: path.display().to_string(), message };
     if path.is_dir() {
         return Err(unreadable("is a directory; name a YAML file in it".into()));

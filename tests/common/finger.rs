@@ -1,4 +1,5 @@
 //! The sizes of the finger's modalities, as the models have them.
+#![allow(dead_code, reason = "no test program uses all of it")]
 
 pub const JOINTS: usize = 20;
 pub const ARM_JOINTS: usize = 3;

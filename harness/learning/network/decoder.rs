@@ -2,9 +2,9 @@
 
 use super::layers::{Builder, FrameOutput, Perceptron};
 use super::{Architecture, Decoded, Decoder, LayerSummary, Targets, Term};
-use crate::learning::ops::{Quantity, Stack, frame_decoder, frame_loss, vector_losses};
-use crate::spec::{Fusion, Modality};
+use crate::ops::{Quantity, Stack, frame_decoder, frame_loss, vector_losses};
 use candle_core::{Result, Tensor};
+use harness_spec::{Fusion, Modality};
 
 /// The decoder that an architecture describes.
 pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Result<Box<dyn Decoder>> {

@@ -2,10 +2,10 @@
 
 use super::layers::{Builder, Dense, FrameInput, Norm, Perceptron, numbered};
 use super::{Architecture, Encoder, LayerSummary, Observation, Posterior};
-use crate::dataset::frames::Frames;
-use crate::learning::ops::{Arithmetic, Dropout, Stack};
-use crate::spec::Fusion;
+use crate::frames::Frames;
+use crate::ops::{Arithmetic, Dropout, Stack};
 use candle_core::{Result, Tensor};
+use harness_spec::Fusion;
 use std::sync::Arc;
 
 /// The encoder that an architecture describes.

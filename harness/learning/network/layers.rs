@@ -1,11 +1,9 @@
 //! The layers that encoders and decoders are made of.
 
 use super::{LayerSummary, Parameters};
-use crate::dataset::frames::{Averaged, Frames};
-use crate::learning::ops::{
-    Arithmetic, Dropout, FrameDecoder, Stack, TwoLayers, frame_encoder, linear, two_layers,
-};
-use crate::learning::random::Random;
+use crate::frames::{Averaged, Frames};
+use crate::ops::{Arithmetic, Dropout, FrameDecoder, Stack, TwoLayers, frame_encoder, linear, two_layers};
+use crate::random::Random;
 use candle_core::{DType, Device, Result, Tensor, Var};
 use std::sync::Arc;
 

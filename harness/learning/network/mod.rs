@@ -11,9 +11,9 @@ mod layers;
 
 use super::ops::{self, Arithmetic, Dropout};
 use super::random::Random;
-use crate::dataset::frames::Frames;
-use crate::spec::{IMAGE_CHANNELS, Layout, Loss, Modality, Network};
+use crate::frames::Frames;
 use candle_core::{DType, Device, Result, Tensor, Var};
+use harness_spec::{IMAGE_CHANNELS, Layout, Loss, Modality, Network, RunSpec, Task};
 use layers::{Builder, Made};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -36,6 +36,23 @@ pub struct Architecture {
     /// Layers and their widths.
     pub network: Network,
     pub arithmetic: Arithmetic,
+}
+
+/// The network that a run trains for a task on a dataset of this layout.
+pub fn architecture(spec: &RunSpec, layout: &Arc<Layout>, task: Task) -> Architecture {
+    let (output, action) = match task {
+        Task::Prediction => (&spec.output, layout.action().len()),
+        Task::Reconstruction => (&spec.input, 0),
+    };
+    Architecture {
+        input: spec.input.clone(),
+        output: output.clone(),
+        layout: layout.clone(),
+        latent: spec.latent,
+        action,
+        network: spec.network.clone(),
+        arithmetic: ops::arithmetic(spec.training.tiles, spec.training.precision),
+    }
 }
 
 impl Architecture {

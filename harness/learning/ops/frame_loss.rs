@@ -7,7 +7,7 @@
 
 use super::stack::{Layer, Side, Stack, StackSums, part_len, sum_packed};
 use super::{Arithmetic, slice, tensor, threads, with_values};
-use crate::dataset::frames::Frames;
+use crate::frames::Frames;
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
 use harness_kernels::convolution::{Images, LANES};
 use harness_kernels::product::{Accumulate, Matrix, product};

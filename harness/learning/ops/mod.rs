@@ -26,9 +26,9 @@ pub use vector_losses::{Quantity, composed, vector_losses};
 
 pub use harness_kernels::product::Arithmetic;
 
-use crate::spec::Precision;
 use candle_core::{CpuStorage, Layout, Result, Storage, Tensor};
 use harness_kernels::product::{self, Unit};
+use harness_spec::Precision;
 
 /// How a network's products are computed: `tiles` allows the processor's tile unit, if it has one.
 pub fn arithmetic(tiles: bool, precision: Precision) -> Arithmetic {

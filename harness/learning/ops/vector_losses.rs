@@ -1,9 +1,9 @@
 //! The mean losses of several quantities that lie side by side, as one op.
 
 use super::{slice, tensor, with_values};
-use crate::spec::Loss;
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
 use harness_kernels as kernels;
+use harness_spec::Loss;
 
 /// A quantity's columns, and what its errors cost.
 #[derive(Debug, Clone, Copy)]

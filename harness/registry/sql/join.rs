@@ -4,7 +4,7 @@ use super::expression::{Value, is_plain, one_row};
 use super::plan::{Ctes, Planner, none_of};
 use super::scope::{Column, Relation, Type, choice, resolve, same};
 use super::{Answer, refuse, shown};
-use crate::schema::{Kind, Table};
+use harness_tables::schema::{Kind, Table};
 use polars::prelude::*;
 use sqlparser::ast::{self, JoinConstraint, JoinOperator, TableFactor};
 use std::collections::BTreeSet;

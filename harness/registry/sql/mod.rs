@@ -11,7 +11,7 @@ mod scope;
 mod window;
 
 use super::query::QueryError;
-use crate::schema::Table;
+use harness_tables::schema::Table;
 use plan::{Ctes, Planner};
 use polars::prelude::*;
 use scope::{Type, choice, same};

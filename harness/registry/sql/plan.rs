@@ -5,7 +5,7 @@ use super::join::{split_and, within_rows};
 use super::scope::{Column, Relation, Type, resolve, same};
 use super::window::Window;
 use super::{Answer, refuse, shown};
-use crate::schema::Table;
+use harness_tables::schema::Table;
 use polars::prelude::*;
 use sqlparser::ast::{self, SetExpr, SetOperator, SetQuantifier};
 use std::cell::{Cell, RefCell};

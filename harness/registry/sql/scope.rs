@@ -1,6 +1,6 @@
 //! The columns that a place of a query may name, and where they stand.
 
-use crate::schema::Kind;
+use harness_tables::schema::Kind;
 use polars::prelude::*;
 use sqlparser::ast::Ident;
 

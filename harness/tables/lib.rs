@@ -1,9 +1,11 @@
 //! Parquet tables: written whole, stamped with what made them, with units in their metadata.
 
-use crate::files::WriteError;
-use crate::schema::{Column, Kind};
-use crate::seal;
+pub mod schema;
+
+use harness_shared::files::WriteError;
+use harness_shared::seal;
 use polars::prelude::*;
+use schema::{Column, Kind};
 use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};

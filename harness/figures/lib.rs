@@ -2,7 +2,7 @@
 //!
 //! One file a figure; each makes a [`Drawing`]: a [`page::Page`] and the numbers on it. The scenes are rendered by
 //! `simulation`, the diagrams are read off the networks that `learning` builds, everything else comes from
-//! [`source::Source`], by the runs that [`analysis`](crate::analysis) lets count. The same tables give the same bytes of SVG.
+//! [`source::Source`], by the runs that [`analysis`](harness_analysis) lets count. The same tables give the same bytes of SVG.
 
 mod axes;
 mod curves;
@@ -20,12 +20,12 @@ pub mod source;
 mod task;
 mod text;
 
-use crate::analysis::Mixed;
-use crate::files::{WriteError, write_bytes};
-use crate::learning::LearningError;
-use crate::registry::{QueryError, save};
-use crate::simulation::SimulationError;
 pub use forces_dataset::SQL as FORCES_SQL;
+use harness_analysis::Mixed;
+use harness_learning::LearningError;
+use harness_registry::{QueryError, save};
+use harness_shared::files::{WriteError, write_bytes};
+use harness_simulation::SimulationError;
 use page::Page;
 use polars::prelude::{DataFrame, PolarsError};
 use source::Source;

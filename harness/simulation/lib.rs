@@ -18,14 +18,16 @@ mod sensors;
 
 pub use batch::Batch;
 pub use camera::{Camera, Portrait, prepare_rendering, renderer_name};
-pub use course::{Course, Pose};
+pub use course::Course;
 pub use draft::draft_world;
-pub use episode::{Episode, Simulator, replay};
+pub use episode::{Simulator, replay};
 pub use live::LiveSimulation;
 pub use scene::Scene;
 pub use sensors::link_forces;
 
-use crate::spec::SpecError;
+pub use harness_spec::{Episode, Pose};
+
+use harness_spec::SpecError;
 use mujoco_rs::prelude::RendererError;
 
 /// The MuJoCo release that the bindings, the models and the published numbers are for.

@@ -1,34 +1,25 @@
 //! Datasets: made once, found by what decides their content, and read by every experiment that needs them.
-//! Tensors begin here.
 
-mod collect;
 mod frame_store;
-pub mod frames;
 mod imported;
 mod samples;
-mod standard;
 mod store;
 mod verify;
 
-pub use collect::collect;
 pub use frame_store::{FramePlace, frame_bytes};
 pub use imported::Imported;
-pub use samples::{Partition, Recording, Samples};
-pub use standard::{Scale, Standard, frame_difference};
-pub use store::{Dataset, layout_of};
+pub use samples::{Partition, Recording, Samples, frame_difference, physical};
+pub use store::{CompiledModel, Dataset, layout_of};
 pub use verify::{Inspection, inspect, is_lock};
 
-use crate::files::{LockError, WriteError};
-use crate::simulation::SimulationError;
-use crate::spec::Modality;
-use crate::tables::TableError;
+use harness_shared::files::{LockError, WriteError};
+use harness_spec::Modality;
+use harness_tables::TableError;
 use std::path::PathBuf;
 
 /// Why a dataset could not be made or read.
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
-    #[error(transparent)]
-    Simulation(#[from] SimulationError),
     #[error(transparent)]
     Write(#[from] WriteError),
     #[error(transparent)]
@@ -58,6 +49,6 @@ pub enum DatasetError {
 impl DatasetError {
     /// Whether this is the caller's own wish to stop.
     pub fn is_cancelled(&self) -> bool {
-        matches!(self, Self::Cancelled | Self::Simulation(SimulationError::Cancelled { .. }))
+        matches!(self, Self::Cancelled)
     }
 }

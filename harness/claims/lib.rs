@@ -4,9 +4,9 @@ mod file;
 
 pub use file::load;
 
-use crate::analysis::{Analysis, AnalysisError, Interval, LEVEL, Mixed, Selection, Setting, mean_interval};
-use crate::registry::{Registry, rows};
-use crate::spec::{Origin, QUICK, Scenario, SpecError};
+use harness_analysis::{Analysis, AnalysisError, Interval, LEVEL, Mixed, Selection, Setting, mean_interval};
+use harness_registry::{Registry, rows};
+use harness_spec::{Origin, QUICK, Scenario, SpecError};
 use polars::prelude::DataFrame;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};

@@ -1,7 +1,7 @@
 //! The columns of every table, with units and meanings: the writers, the queries, the documents and
 //! `harness schema` all read them here.
 
-use crate::spec::{Layout, Modality};
+use harness_spec::{Layout, Modality};
 use serde::Serialize;
 use std::borrow::Cow;
 
@@ -236,7 +236,7 @@ fn force_values() -> Vec<Column> {
         integer("contacts", "samples in which the link is touched: its force is above 0"),
         real("mean", "N", "mean force over all samples, touched or not"),
     ];
-    columns.extend(crate::metrics::contact::QUANTILES.iter().map(|(name, share)| {
+    columns.extend(harness_metrics::contact::QUANTILES.iter().map(|(name, share)| {
         let meaning = format!("quantile {share} of the force over the samples in contact; null without any");
         real(name, "N", &meaning)
     }));

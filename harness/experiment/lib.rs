@@ -4,32 +4,28 @@ mod evaluate;
 mod model;
 mod schedule;
 
-pub use evaluate::physical;
 pub use model::{Model, ModelError, Values};
 pub use schedule::Summary;
 
 use evaluate::{Evaluated, Story};
-
-use crate::dataset::{
-    Dataset, DatasetError, FramePlace, Imported, Partition, Samples, Standard, collect, frame_bytes,
-};
-use crate::files::free_bytes;
-use crate::learning::network::{Architecture, Encoder, Parameters};
-use crate::learning::objective::{Prediction, Reconstruction, View};
-use crate::learning::ops;
-use crate::learning::random::{Random, Stream};
-use crate::learning::state::StateFile;
-use crate::learning::training::{Epoch, Fit};
-use crate::learning::{self, LearningError, checkpoint, open_device, predict};
-use crate::memory;
-use crate::metrics::MetricsError;
-use crate::progress::Progress;
-use crate::registry::{
+use harness_collection::{CollectionError, collect, dataset_of};
+use harness_dataset::{Dataset, DatasetError, FramePlace, Imported, Partition, Samples, frame_bytes};
+use harness_learning::network::{Encoder, Parameters, architecture};
+use harness_learning::objective::{Prediction, Reconstruction, View};
+use harness_learning::random::{Random, Stream};
+use harness_learning::state::StateFile;
+use harness_learning::training::{Epoch, Fit};
+use harness_learning::{self as learning, LearningError, Standard, checkpoint, open_device, predict};
+use harness_metrics::MetricsError;
+use harness_registry::{
     Decision, ForceRows, MetricRow, Outcome, Provenance, Registry, RegistryError, RunFolder, RunRecord,
-    Timings,
+    Timings, Versions,
 };
-use crate::simulation::{Scene, SimulationError};
-use crate::spec::{Experiment, Layout, Origin, RunSpec, Simulation, Task};
+use harness_shared::files::free_bytes;
+use harness_shared::memory;
+use harness_shared::progress::Progress;
+use harness_simulation::{Scene, SimulationError, mujoco_version};
+use harness_spec::{Experiment, Layout, Origin, RunSpec, Simulation, Task};
 use rayon::prelude::*;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -42,6 +38,8 @@ pub enum ExperimentError {
     Simulation(#[from] SimulationError),
     #[error(transparent)]
     Dataset(#[from] DatasetError),
+    #[error(transparent)]
+    Collection(#[from] CollectionError),
     #[error(transparent)]
     Learning(#[from] LearningError),
     #[error(transparent)]
@@ -191,7 +189,7 @@ impl Laboratory<'_> {
                 let scene = Box::new(Scene::new(world)?);
                 let simulation = spec.simulation.clone().unwrap_or_default();
                 scene.check(&simulation)?;
-                let dataset = Dataset::new(&root, &scene, &simulation);
+                let dataset = dataset_of(&root, &scene, &simulation);
                 Source::Simulated { scene, dataset }
             }
             (None, origin) => {
@@ -283,9 +281,16 @@ impl ExperimentError {
         match self {
             Self::Cancelled | Self::Learning(LearningError::Cancelled) => true,
             Self::Dataset(error) => error.is_cancelled(),
+            Self::Collection(error) => error.is_cancelled(),
             _ => false,
         }
     }
+}
+
+/// What stands behind a command, with the versions of what simulates and learns.
+pub fn provenance(threads: usize, command: String) -> Provenance {
+    let versions = Versions { mujoco: mujoco_version(), candle: learning::CANDLE_VERSION };
+    Provenance::gather(versions, threads, command)
 }
 
 /// An error and its causes, in one line.
@@ -300,23 +305,6 @@ pub fn describe(error: &dyn std::error::Error) -> String {
         cause = error.source();
     }
     text
-}
-
-/// The network that a run trains for a task on a dataset of this layout.
-pub fn architecture(spec: &RunSpec, layout: &Arc<Layout>, task: Task) -> Architecture {
-    let (output, action) = match task {
-        Task::Prediction => (&spec.output, layout.action().len()),
-        Task::Reconstruction => (&spec.input, 0),
-    };
-    Architecture {
-        input: spec.input.clone(),
-        output: output.clone(),
-        layout: layout.clone(),
-        latent: spec.latent,
-        action,
-        network: spec.network.clone(),
-        arithmetic: ops::arithmetic(spec.training.tiles, spec.training.precision),
-    }
 }
 
 /// Memory that training a run's networks takes, one after the other, bytes: a generous estimate.
@@ -417,7 +405,7 @@ impl Trainee<'_> {
             &partition.test,
             storyboard,
         )?;
-        outcome.add(task, epochs, evaluated);
+        add(outcome, task, epochs, evaluated);
         outcome.timings.evaluation += begin.elapsed().as_secs_f64();
         Ok((objective.encoder, parameters))
     }
@@ -447,7 +435,8 @@ impl Trainee<'_> {
         outcome.timings.reconstruction = Some(begin.elapsed().as_secs_f64());
         checkpoint::save(&self.folder.checkpoint(task), &parameters, &view.standard)?;
         let begin = Instant::now();
-        let test = crate::learning::objective::rows(&latent, &partition.test).map_err(LearningError::from)?;
+        let test =
+            harness_learning::objective::rows(&latent, &partition.test).map_err(LearningError::from)?;
         let evaluated = evaluate::network(
             view,
             task,
@@ -457,17 +446,16 @@ impl Trainee<'_> {
             &partition.test,
             storyboard,
         )?;
-        outcome.add(task, epochs, evaluated);
+        add(outcome, task, epochs, evaluated);
         outcome.timings.evaluation += begin.elapsed().as_secs_f64();
         Ok(())
     }
 }
 
-impl Outcome {
-    fn add(&mut self, task: Task, epochs: Vec<Epoch>, evaluated: Evaluated) {
-        self.epochs.extend(epochs.into_iter().map(|epoch| (task, epoch)));
-        self.metrics.extend(evaluated.metrics);
-        self.predictions.extend(evaluated.predictions);
-        self.frames.extend(evaluated.frames);
-    }
+/// Adds what the training and the evaluation of one task gave.
+fn add(outcome: &mut Outcome, task: Task, epochs: Vec<Epoch>, evaluated: Evaluated) {
+    outcome.epochs.extend(epochs.into_iter().map(|epoch| (task, epoch)));
+    outcome.metrics.extend(evaluated.metrics);
+    outcome.predictions.extend(evaluated.predictions);
+    outcome.frames.extend(evaluated.frames);
 }

@@ -1,20 +1,27 @@
 //! Networks, their own candle ops, and their training. Knows tensors and datasets, not MuJoCo.
 
 pub mod checkpoint;
+pub mod frames;
 pub mod memory;
 pub mod network;
 pub mod objective;
 pub mod ops;
 pub mod predict;
 pub mod random;
+mod standard;
 pub mod state;
 pub mod tensors;
 pub mod training;
 
-use crate::files::WriteError;
-use crate::spec::{Device, Task};
+pub use standard::{Scale, Standard};
+
+use harness_shared::files::WriteError;
+use harness_spec::{Device, Task};
 use std::path::PathBuf;
 use training::Losses;
+
+/// The version of candle that this was built with.
+pub const CANDLE_VERSION: &str = env!("CANDLE_VERSION");
 
 /// Keeps candle from starting threads of its own beside rayon's: they wait for work without sleeping, and what is left
 /// to them is short. A value of `CANDLE_NUM_THREADS` that the user set is kept.

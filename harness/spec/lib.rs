@@ -6,6 +6,7 @@
 //! Derived values are kept out.
 
 mod cells;
+mod episode;
 mod error;
 mod modality;
 mod narrow;
@@ -18,15 +19,14 @@ mod validate;
 mod world;
 
 pub use cells::RunSpec;
+pub use episode::{Episode, Pose};
 pub use error::SpecError;
 pub use modality::*;
+pub use parse::read as read_text;
 pub use scaling::{Deviation, GivenScaling, GivenScalings, Scaling, Scalings};
 pub use schema::{schema, setting_names};
 pub use types::*;
 pub use world::*;
-
-pub(crate) use modality::{intern, is_name};
-pub(crate) use parse::read as read_text;
 
 use error::Problem;
 use parse::{Entry, Node, Value};

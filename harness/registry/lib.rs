@@ -21,21 +21,20 @@ mod sql;
 mod verify;
 
 pub use commands::quoted;
-pub(crate) use compact::{RunTable, asked_columns, lazily};
-pub use provenance::{Provenance, peak_memory_bytes};
+pub use compact::{RunTable, asked_columns, lazily};
+pub use provenance::{Provenance, Versions, peak_memory_bytes};
 pub use publish::Published;
-pub use query::{QueryError, query, query_of, rows, save};
-pub(crate) use query::{answer, table};
+pub use query::{QueryError, answer, query, query_of, rows, save, table};
 pub use record::{
     FileRecord, ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings,
 };
-pub(crate) use rows::{Condition, conditions, implies};
+pub use rows::{Condition, conditions, implies};
 pub use verify::{Finding, Report};
 
-use crate::files::{FolderLock, LockError, WriteError, write_bytes};
-use crate::spec::{Layout, RunSpec, Task};
-use crate::tables::TableError;
 use commands::command_in;
+use harness_shared::files::{FolderLock, LockError, WriteError, write_bytes};
+use harness_spec::{Layout, RunSpec, Task};
+use harness_tables::TableError;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

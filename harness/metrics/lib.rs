@@ -2,11 +2,12 @@
 //!
 //! [`series`] has the formulas, [`Evaluation`] applies those that suit a modality to its joints, links or
 //! pixels, [`parts`] tells which pixels show the robot's parts, [`baselines`] predicts without a network,
-//! [`contact`] sums up forces. Everything accumulates batch by batch in f64, so a test set of frames need not fit in
+//! [`contact`] sums up forces, [`epoch`] is what training logs. Everything accumulates batch by batch in f64, so a test set of frames need not fit in
 //! memory.
 
 pub mod baselines;
 pub mod contact;
+pub mod epoch;
 mod error;
 pub mod parts;
 pub mod series;
@@ -15,7 +16,7 @@ pub use error::MetricsError;
 use error::{check_finite, check_samples, rows};
 pub use series::Series;
 
-use crate::spec::{Definition, IMAGE_CHANNELS, Modality, Percentage, Region, intern};
+use harness_spec::{Definition, IMAGE_CHANNELS, Modality, Percentage, Region, intern};
 use rayon::prelude::*;
 use std::slice::from_ref;
 

@@ -1,9 +1,9 @@
 //! Standardisation with the training set's statistics, and batches of standardised values.
 
 use super::frames::Frames;
-use super::samples::Samples;
-use crate::spec::{Action, Deviation, IMAGE_CHANNELS, Modality, Scalings};
 use candle_core::{Device, Result, Tensor};
+use harness_dataset::Samples;
+use harness_spec::{Action, Deviation, IMAGE_CHANNELS, Modality, Scalings};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -215,13 +215,6 @@ fn frame_moments(samples: &Samples, at: &[usize], modality: Modality) -> Moments
     let [sum, square] = [(0, 255.0), (1, 255.0 * 255.0)]
         .map(|(which, unit)| sums.iter().map(|sums| sums[which] as f64 / unit).collect());
     Moments { count: at.len() as f64, sum, square }
-}
-
-/// What changed in an image since the sample before, in [-1, 1], `[channel, row, column]`.
-pub fn frame_difference(samples: &Samples, modality: Modality, sample: usize) -> impl Iterator<Item = f32> {
-    let before = samples.previous_frame_bytes(modality, sample);
-    let frames = samples.frame_bytes(modality, sample).iter().zip(before);
-    frames.map(|(now, before)| (f32::from(*now) - f32::from(*before)) / 255.0)
 }
 
 /// Standardised frames of chosen samples, made one at a time; all images have the same size.

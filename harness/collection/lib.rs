@@ -1,16 +1,47 @@
 //! Making the episodes that a dataset lacks, on all cores.
 
-use super::{Dataset, DatasetError};
-use crate::files::FolderLock;
-use crate::progress::Progress;
-use crate::simulation::{Scene, Simulator};
+use harness_dataset::{CompiledModel, Dataset, DatasetError};
+use harness_shared::files::FolderLock;
+use harness_shared::progress::Progress;
+use harness_simulation::{Scene, SimulationError, Simulator, mujoco_version};
+use harness_spec::Simulation;
 use std::ops::ControlFlow;
+use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 /// Time between two looks at whether another process is done with a dataset.
 const PATIENCE: Duration = Duration::from_millis(100);
+
+/// Why a dataset could not be collected.
+#[derive(Debug, thiserror::Error)]
+pub enum CollectionError {
+    #[error(transparent)]
+    Simulation(#[from] SimulationError),
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+}
+
+impl CollectionError {
+    /// Whether this is the caller's own wish to stop.
+    pub fn is_cancelled(&self) -> bool {
+        match self {
+            Self::Simulation(error) => matches!(error, SimulationError::Cancelled { .. }),
+            Self::Dataset(error) => error.is_cancelled(),
+        }
+    }
+}
+
+/// The dataset of a scene under a spec, in `root`; nothing is read or written yet.
+pub fn dataset_of(root: &Path, scene: &Scene, spec: &Simulation) -> Dataset {
+    let model = CompiledModel {
+        layout: scene.layout(),
+        sha256: scene.model_sha256(),
+        mujoco_version: mujoco_version(),
+    };
+    Dataset::new(root, scene.world(), model, spec)
+}
 
 /// Simulates the missing episodes of `dataset` on `threads` threads, each with a simulator and a renderer of
 /// its own, and writes each as it is finished. Returns how many were made.
@@ -25,7 +56,7 @@ pub fn collect(
     scene: &Scene,
     threads: usize,
     progress: &dyn Progress,
-) -> Result<usize, DatasetError> {
+) -> Result<usize, CollectionError> {
     let _lock = lock(dataset, progress)?;
     dataset.describe()?;
     let missing = dataset.to_make(progress);
@@ -82,7 +113,7 @@ struct Work<'a> {
     scene: &'a Scene,
     missing: &'a [u32],
     next: AtomicUsize,
-    failure: Mutex<Option<DatasetError>>,
+    failure: Mutex<Option<CollectionError>>,
     progress: &'a dyn Progress,
 }
 
@@ -98,7 +129,7 @@ impl Work<'_> {
         self.progress.cancelled() || self.failure.lock().is_ok_and(|failure| failure.is_some())
     }
 
-    fn make_episodes(&self) -> Result<(), DatasetError> {
+    fn make_episodes(&self) -> Result<(), CollectionError> {
         let mut simulator = Simulator::new(self.scene, self.dataset.spec())?;
         while let Some(index) = self.missing.get(self.next.fetch_add(1, Ordering::Relaxed)) {
             let episode = simulator.run(*index, &mut || {

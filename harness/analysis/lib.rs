@@ -19,11 +19,11 @@ pub use interval::{Interval, LEVEL, intervals, mean_interval};
 pub use means::{Mean, NETWORK, Of, compare};
 pub use settings::{Difference, Setting};
 
-use crate::registry::{
+use harness_registry::{
     Condition, QueryError, Registry, RunRecord, RunTable, Status, answer, conditions, implies, lazily, table,
 };
-use crate::schema::Table;
-use crate::spec::{Origin, QUICK};
+use harness_spec::{Origin, QUICK};
+use harness_tables::schema::Table;
 use polars::prelude::*;
 use rayon::prelude::*;
 use seen::Seen;
@@ -252,7 +252,7 @@ impl Analysis {
     /// Answers a query over the runs of these experiments that count.
     ///
     /// # Errors
-    /// As those of [`query`](crate::registry::query).
+    /// As those of [`query`](harness_registry::query).
     pub fn query(&self, experiments: &[&str], sql: &str) -> Result<DataFrame, QueryError> {
         answer(sql, &|table| match table {
             Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
@@ -274,7 +274,7 @@ impl Analysis {
     /// Answers a query over these runs alone, whose tables are read for it.
     ///
     /// # Errors
-    /// As those of [`query`](crate::registry::query).
+    /// As those of [`query`](harness_registry::query).
     pub fn query_runs<'a>(
         &self,
         runs: impl IntoIterator<Item = &'a Run>,
