@@ -3,12 +3,12 @@
 use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness_collection::{CollectionError, collect, dataset_of};
 use harness_dataset::{Dataset, DatasetError, FramePlace, Partition, Recording, Samples};
-use harness_learning::Standard;
+use harness_learning::Normalizers;
 use harness_shared::files::UNFINISHED;
 use harness_shared::progress::{Progress, Silent};
 use harness_simulation::{Episode, Scene, SimulationError, Simulator};
 use harness_spec::{
-    Action, Deviation, Division, IMAGE_CHANNELS, Layout, Modality, Scaling, Scalings, Scenario, Setting,
+    Action, Division, IMAGE_CHANNELS, Layout, Modality, Scale, Scaling, Scalings, Scenario, Setting,
     Simulation, Split, World,
 };
 use std::cell::RefCell;
@@ -292,7 +292,7 @@ fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
 }
 
 #[test]
-fn standardised_values_restore_to_what_was_recorded() {
+fn normalized_values_restore_to_what_was_recorded() {
     let samples: Arc<Samples> =
         Arc::new(Collected::new(Scenario::CLUTTERED, 2).dataset.load(FramePlace::Memory, &Silent).unwrap());
     let at = samples.partition(&Split::default()).unwrap().training;
@@ -300,17 +300,17 @@ fn standardised_values_restore_to_what_was_recorded() {
         .iter()
         .map(|&modality| (modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap()))
         .collect();
-    let standard = Standard::fit(&samples, &at, &scalings, Action::Increment);
+    let normalizers = Normalizers::fit(&samples, &at, &scalings, Action::Increment);
     for modality in Modality::BUILT_IN.iter().copied() {
-        let scale = &standard.scales[&modality];
+        let scale = &normalizers.modalities[&modality];
         let (mut values, expected, unit) = if samples.layout()[modality].is_image() {
-            let frames = standard.frames(&samples, &at, &[modality]).unwrap();
+            let frames = normalizers.frames(&samples, &at, &[modality]).unwrap();
             let mut values = vec![0.0; at.len() * FRAME_LEN];
             let each = values.chunks_exact_mut(FRAME_LEN).enumerate();
             each.for_each(|(index, frame)| frames.write(index, frame));
             (values, harness_dataset::physical(&samples, modality, &at), 1.0)
         } else {
-            let table = standard.vectors(&samples, &at, &[modality]).unwrap().unwrap();
+            let table = normalizers.vectors(&samples, &at, &[modality]).unwrap().unwrap();
             let expected: Vec<f32> =
                 at.iter().flat_map(|sample| samples.vector(modality, *sample).iter().copied()).collect();
             let largest = expected.iter().fold(1.0, |largest: f32, value| largest.max(value.abs()));
@@ -318,14 +318,19 @@ fn standardised_values_restore_to_what_was_recorded() {
         };
         let spread = values.iter().map(|value| value * value).sum::<f32>() / values.len() as f32;
         assert!(spread < 1.01, "{modality:?}: the mean square is {spread}");
-        assert!(largest_difference(&values, &expected) > 0.01, "{modality:?} is standardised at all");
-        scale.restore(&mut values);
+        assert!(largest_difference(&values, &expected) > 0.01, "{modality:?} is normalized at all");
+        scale.denormalize(&mut values);
         let error = largest_difference(&values, &expected);
         assert!(error < 1e-5 * unit, "{modality:?} is off by {error}");
     }
-    let mut actions =
-        standard.actions(&samples, &at, Action::Increment).unwrap().flatten_all().unwrap().to_vec1().unwrap();
-    standard.action.restore(&mut actions);
+    let mut actions = normalizers
+        .actions(&samples, &at, Action::Increment)
+        .unwrap()
+        .flatten_all()
+        .unwrap()
+        .to_vec1()
+        .unwrap();
+    normalizers.action.denormalize(&mut actions);
     let expected: Vec<f32> =
         at.iter().flat_map(|sample| samples.action(Action::Increment, *sample).collect::<Vec<_>>()).collect();
     assert_eq!(expected.len(), at.len() * ARM_JOINTS);
@@ -468,30 +473,33 @@ fn a_shared_deviation_pools_the_variances_and_leaves_each_mean() {
     let at: Vec<usize> = (0..11).collect();
     let scaling = |scale, minimum| Scaling { scale, minimum };
     let scalings = Scalings::from([
-        (Modality::CONTACT_FORCE, scaling(Deviation::Shared, Some(-1.0))),
-        (Modality::CONTACT_FORCE_MEAN, scaling(Deviation::PerElement, None)),
+        (Modality::CONTACT_FORCE, scaling(Scale::Shared, Some(-1.0))),
+        (Modality::CONTACT_FORCE_MEAN, scaling(Scale::PerElement, None)),
     ]);
-    let standard = Standard::fit(&samples, &at, &scalings, Action::Increment);
-    let (shared, own) =
-        (&standard.scales[&Modality::CONTACT_FORCE], &standard.scales[&Modality::CONTACT_FORCE_MEAN]);
+    let normalizers = Normalizers::fit(&samples, &at, &scalings, Action::Increment);
+    let (shared, own) = (
+        &normalizers.modalities[&Modality::CONTACT_FORCE],
+        &normalizers.modalities[&Modality::CONTACT_FORCE_MEAN],
+    );
     // 0 to 10 have mean 5 and variance 10; three times as much on the last of 20 links nine times that.
     assert_eq!((shared.mean[0], shared.mean[19]), (5.0, 15.0));
     assert_eq!(shared.mean, own.mean);
-    assert_eq!(shared.deviation, [((19.0 * 10.0 + 90.0) / 20.0_f32).sqrt()]);
-    assert_eq!((own.deviation[0], own.deviation[19]), (10.0_f32.sqrt(), 90.0_f32.sqrt()));
+    assert_eq!(shared.std, [((19.0 * 10.0 + 90.0) / 20.0_f32).sqrt()]);
+    assert_eq!((own.std[0], own.std[19]), (10.0_f32.sqrt(), 90.0_f32.sqrt()));
     // In units of the shared deviation the last link's forces vary three times as much as another's.
-    let table = standard.vectors(&Arc::new(samples), &[0, 10], &[Modality::CONTACT_FORCE]).unwrap().unwrap();
+    let table =
+        normalizers.vectors(&Arc::new(samples), &[0, 10], &[Modality::CONTACT_FORCE]).unwrap().unwrap();
     let table: Vec<Vec<f32>> = table.to_vec2().unwrap();
     let span = |link: usize| table[1][link] - table[0][link];
     assert!((span(19) / span(0) - 3.0).abs() < 1e-6);
     // What would be -2 N on the first link becomes the minimum; on the last -1 + 15 stays.
     let mut predicted: Vec<f32> =
-        (0..JOINTS).map(|link| if link == 0 { -7.0 } else { -1.0 } / shared.deviation[0]).collect();
-    shared.restore(&mut predicted);
+        (0..JOINTS).map(|link| if link == 0 { -7.0 } else { -1.0 } / shared.std[0]).collect();
+    shared.denormalize(&mut predicted);
     assert_eq!(predicted[0], -1.0);
     assert!((predicted[19] - 14.0).abs() < 1e-5, "{}", predicted[19]);
     let mut lost = vec![f32::NAN; JOINTS];
-    shared.restore(&mut lost);
+    shared.denormalize(&mut lost);
     assert!(lost.iter().all(|value| value.is_nan()), "what is not a number is not hidden by the minimum");
 }
 
@@ -504,10 +512,10 @@ fn frames_are_scaled_by_their_pixels_means_and_one_deviation_whatever_the_thread
         let scalings = Scalings::from([(modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap())]);
         let fit = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| Standard::fit(&samples, &at, &scalings, Action::Increment))
+            pool.install(|| Normalizers::fit(&samples, &at, &scalings, Action::Increment))
         };
-        let standard = fit(1);
-        assert_eq!(standard, fit(3));
+        let normalizers = fit(1);
+        assert_eq!(normalizers, fit(3));
         let mut variances = 0.0;
         for pixel in [0, 1, 100, FRAME_LEN - 1] {
             let values: Vec<f64> = at
@@ -520,12 +528,12 @@ fn frames_are_scaled_by_their_pixels_means_and_one_deviation_whatever_the_thread
                 })
                 .collect();
             let mean = values.iter().sum::<f64>() / values.len() as f64;
-            let found = f64::from(standard.scales[&modality].mean[pixel]);
+            let found = f64::from(normalizers.modalities[&modality].mean[pixel]);
             assert!((found - mean).abs() < 1e-6, "{modality} {pixel}: {found}, not {mean}");
             variances += values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64;
         }
         // Each pixel runs through all bytes alike, so all have nearly the same variance.
-        let found = f64::from(standard.scales[&modality].deviation[0]);
+        let found = f64::from(normalizers.modalities[&modality].std[0]);
         assert!((found.powi(2) / (variances / 4.0) - 1.0).abs() < 0.02, "{modality}: {found}");
     }
 }

@@ -7,13 +7,13 @@ use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness_dataset::{FramePlace, Partition, Recording, Samples};
 use harness_kernels::convolution::LANES;
 use harness_kernels::product::{Arithmetic, Unit};
-use harness_learning::Standard;
+use harness_learning::Normalizers;
 use harness_learning::frames::{Averaged, DenseFrames, Frames};
 use harness_learning::network::{Architecture, Observation, Parameters, Targets, scalar};
-use harness_learning::objective::{Draw, Objective, Prediction, View, Weighted};
+use harness_learning::objective::{Draw, NormalizedData, Objective, Prediction, Weighted};
 use harness_learning::ops::{
-    Adam, Dropout, FrameDecoder, Quantity, Stack, TwoLayers, composed, divergence, frame_decoder,
-    frame_encoder, frame_loss, linear, sample, two_layers, vector_losses,
+    Adam, Dropout, FrameDecoder, Quantity, Stack, TwoLayers, composed, frame_decoder, frame_encoder,
+    frame_loss, kl_divergence, linear, sample, two_layers, vector_losses,
 };
 use harness_learning::random::{Random, Stream};
 use harness_learning::state::StateFile;
@@ -159,7 +159,7 @@ fn gradients_of_the_posterior_and_of_the_vectors_losses_are_those_of_finite_diff
     let mut random = random(31);
     let (noise, target) = (normal(&mut random, &[4, 3]), normal(&mut random, &[4, 5]));
     assert_gradients(&[variable(&mut random, &[4, 6])], |args| sample(&args[0], &noise));
-    assert_gradients(&[variable(&mut random, &[4, 6])], |args| divergence(&args[0])? * 2.0);
+    assert_gradients(&[variable(&mut random, &[4, 6])], |args| kl_divergence(&args[0])? * 2.0);
     for loss in Loss::ALL {
         let quantities = [Quantity { width: 2, loss: *loss }, Quantity { width: 3, loss: Loss::Squared }];
         let predicted = variable(&mut random, &[4, 5]);
@@ -521,8 +521,8 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool, arithmetic: Arithmetic)
     for step in 0..3 {
         let posterior = encoder.encode(&observation).unwrap();
         let latent = posterior.sample(twin.get("noise")).unwrap();
-        let divergence = posterior.divergence().unwrap();
-        let mut total = (&divergence * twin.kl_weight).unwrap();
+        let kl = posterior.kl_divergence().unwrap();
+        let mut total = (&kl * twin.kl_weight).unwrap();
         let terms = decoder.losses(&latent, Some(twin.get("action")), &targets).unwrap();
         for term in &terms {
             total = (total + (&term.value * twin.weights[&term.modality]).unwrap()).unwrap();
@@ -547,7 +547,7 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool, arithmetic: Arithmetic)
                     "the predicted frames",
                 );
             }
-            let kl = ("kl".to_owned(), divergence.clone());
+            let kl = ("kl".to_owned(), kl.clone());
             let named = terms.iter().map(|term| (term.modality.name().to_owned(), term.value.clone()));
             for (name, value) in named.chain([kl, ("total".to_owned(), total.clone())]) {
                 let expected = twin.get(&format!("loss.{name}"));
@@ -642,7 +642,7 @@ const OUTPUT: [Modality; 3] = [Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE
 
 /// A small experiment in training.
 struct Bench {
-    view: View,
+    data: NormalizedData,
     partition: Partition,
     training: Training,
     weights: BTreeMap<Modality, f64>,
@@ -657,16 +657,16 @@ impl Bench {
             .iter()
             .map(|&modality| (modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap()))
             .collect();
-        let standard = Standard::fit(&samples, &partition.training, &scalings, Action::Increment);
-        let view = View {
+        let normalizers = Normalizers::fit(&samples, &partition.training, &scalings, Action::Increment);
+        let data = NormalizedData {
             samples: Arc::new(samples),
-            standard: Arc::new(standard),
+            normalizers: Arc::new(normalizers),
             action: Action::Increment,
             device: Device::Cpu,
         };
         let training = Training { batch_size: 8, epochs: 4, patience: None, ..Training::default() };
         let weights = BTreeMap::from([(Modality::CONTACT_FORCE, 2.0)]);
-        Self { view, partition, training, weights, network: network(8, 2) }
+        Self { data, partition, training, weights, network: network(8, 2) }
     }
 
     /// With several convolutions and hidden layers, and an encoder each for frames and vectors.
@@ -714,7 +714,7 @@ impl Bench {
         let mut parameters = Parameters::new();
         let mut random = random(seed);
         let objective = Prediction {
-            view: &self.view,
+            data: &self.data,
             encoder: architecture.encoder(&mut parameters, &mut random, &Device::Cpu)?,
             decoder: architecture.decoder(&mut parameters, &mut random, &Device::Cpu)?,
             input: &INPUT,
@@ -999,7 +999,7 @@ fn early_stopping_keeps_the_best_epoch() {
     assert!(bits(&parameters) == bits(&best_parameters));
 }
 
-/// Has the validation errors that it was given, an epoch each, and a divergence that falls for ever.
+/// Has the validation errors that it was given, an epoch each, and a KL divergence that falls for ever.
 struct Scripted {
     parameter: Tensor,
     /// Proprioception and contact force.
@@ -1084,14 +1084,14 @@ fn checkpoints_bring_back_parameters_and_scales() {
     let (_, trained) = bench.train_undisturbed(7);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("network.safetensors");
-    checkpoint::save(&path, &trained, &bench.view.standard).unwrap();
+    checkpoint::save(&path, &trained, &bench.data.normalizers).unwrap();
     let (_, other) = bench.train_undisturbed(8);
     assert!(bits(&trained) != bits(&other));
-    let standard = checkpoint::load(&path, &other).unwrap();
+    let normalizers = checkpoint::load(&path, &other).unwrap();
     assert!(bits(&trained) == bits(&other));
-    assert_eq!(standard, *bench.view.standard);
+    assert_eq!(normalizers, *bench.data.normalizers);
     // Forces have a minimum, which networks that were saved before it was a setting lack, as angles do.
-    let minimum = |modality| standard.scales[&modality].minimum;
+    let minimum = |modality| normalizers.modalities[&modality].minimum;
     assert_eq!((minimum(Modality::CONTACT_FORCE), minimum(Modality::PROPRIOCEPTION)), (Some(0.0), None));
     let bytes = std::fs::read(&path).unwrap();
     std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
@@ -1100,18 +1100,18 @@ fn checkpoints_bring_back_parameters_and_scales() {
 }
 
 #[test]
-fn standardised_values_have_no_mean_and_one_deviation_and_restore_to_what_they_were() {
+fn normalized_values_have_no_mean_and_one_deviation_and_restore_to_what_they_were() {
     let bench = Bench::new();
     let at = &bench.partition.training;
-    let standard = &bench.view.standard;
-    let table = standard.vectors(&bench.view.samples, at, &[Modality::ARM]).unwrap().unwrap();
+    let normalizers = &bench.data.normalizers;
+    let table = normalizers.vectors(&bench.data.samples, at, &[Modality::ARM]).unwrap().unwrap();
     let mean = table.mean(0).unwrap().to_vec1::<f32>().unwrap();
     let square = table.sqr().unwrap().mean(0).unwrap().to_vec1::<f32>().unwrap();
     assert!(mean.iter().all(|mean| mean.abs() < 1e-4), "{mean:?}");
     assert!(square.iter().all(|square| (square - 1.0).abs() < 1e-3), "{square:?}");
     let mut values = table.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-    standard.scales[&Modality::ARM].restore(&mut values);
-    let physical = at.iter().flat_map(|sample| bench.view.samples.vector(Modality::ARM, *sample).to_vec());
+    normalizers.modalities[&Modality::ARM].denormalize(&mut values);
+    let physical = at.iter().flat_map(|sample| bench.data.samples.vector(Modality::ARM, *sample).to_vec());
     assert!(values.iter().zip(physical).all(|(value, physical)| (value - physical).abs() < 1e-5));
 }
 

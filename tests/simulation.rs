@@ -3,7 +3,8 @@
 use finger::{ARM_JOINTS, BOXES, FRAME_LEN, FRAME_SIDE, JOINTS};
 use harness_metrics::parts::region_of;
 use harness_simulation::{
-    Batch, Course, Episode, LiveSimulation, Portrait, Scene, SimulationError, Simulator, link_forces, replay,
+    Batch, Episode, EpisodePlan, LiveSimulation, Scene, SceneRenderer, SimulationError, Simulator,
+    link_forces, replay,
 };
 use harness_spec::{IMAGE_CHANNELS, Layout, Modality, Scenario, Setting, Simulation, World};
 use mujoco_rs::prelude::*;
@@ -28,9 +29,9 @@ fn live(scenario: Scenario) -> LiveSimulation {
     LiveSimulation::new(Scene::shared(World::paper(scenario)).unwrap(), &short()).unwrap()
 }
 
-fn setpoint(course: &Course, step: usize) -> [f64; ARM_JOINTS] {
+fn setpoint(plan: &EpisodePlan, step: usize) -> [f64; ARM_JOINTS] {
     let mut setpoint = [0.0; ARM_JOINTS];
-    course.setpoint(step, &mut setpoint);
+    plan.setpoint(step, &mut setpoint);
     setpoint
 }
 
@@ -99,9 +100,9 @@ fn an_episode_starts_at_rest_and_the_arm_follows_its_setpoint() {
             episode.vector(Modality::SETPOINT)[..ARM_JOINTS]
         );
         assert_eq!(episode.vector(Modality::SETPOINT)[..ARM_JOINTS], [std::f32::consts::PI, 0.0, 0.0]);
-        let course = Course::draw(&scene, &spec, 1).unwrap();
+        let plan = EpisodePlan::draw(&scene, &spec, 1).unwrap();
         for (sample, row) in episode.vector(Modality::SETPOINT).chunks(ARM_JOINTS).enumerate() {
-            assert_eq!(row, setpoint(&course, sample * STEPS_PER_SAMPLE).map(|value| value as f32));
+            assert_eq!(row, setpoint(&plan, sample * STEPS_PER_SAMPLE).map(|value| value as f32));
         }
         for (arm, setpoint) in episode.vector(Modality::ARM).iter().zip(episode.vector(Modality::SETPOINT)) {
             assert!(
@@ -281,14 +282,14 @@ fn contact_forces_are_those_of_mujocos_touch_sensors() {
     for cone in [MjtCone::mjCONE_PYRAMIDAL, MjtCone::mjCONE_ELLIPTIC] {
         for scenario in Scenario::PAPER {
             let scene = scene_with_touch_sensors(scenario, cone);
-            let course = Course::draw(&scene, &spec, 0).unwrap();
+            let plan = EpisodePlan::draw(&scene, &spec, 0).unwrap();
             let episode = simulate(&scene, &spec, 0);
             let mut data = MjData::new(scene.model());
             data.qpos_mut().copy_from_slice(&replay(&scene, &spec, 0).unwrap()[0]);
             let mut sums = [0.0; JOINTS];
             let mut touched = [0; JOINTS];
             for step in 0..=(episode.samples - 1) * STEPS_PER_SAMPLE {
-                data.ctrl_mut().copy_from_slice(&setpoint(&course, step));
+                data.ctrl_mut().copy_from_slice(&setpoint(&plan, step));
                 data.step();
                 let forces = link_forces(&scene, &data);
                 for link in 0..JOINTS {
@@ -366,7 +367,7 @@ fn boxes_keep_their_clearance_and_leave_the_finger_room() {
             let [low, high] = [0.75, 1.25].map(|part| part * std::f64::consts::PI);
             assert!((low - 1e-9..=high + 1e-9).contains(&bearing), "bearing {bearing}");
         }
-        layouts.push(Course::draw(&scene, &single, episode).unwrap().boxes);
+        layouts.push(EpisodePlan::draw(&scene, &single, episode).unwrap().boxes);
     }
     assert!(layouts.windows(2).all(|pair| pair[0] != pair[1]));
 }
@@ -374,7 +375,7 @@ fn boxes_keep_their_clearance_and_leave_the_finger_room() {
 #[test]
 fn boxes_that_cannot_be_placed_are_an_error() {
     let spec = Simulation::default().with("box_clearance_m", Setting::Number(2.0));
-    let error = Course::draw(&scene(Scenario::CLUTTERED), &spec, 5).unwrap_err().to_string();
+    let error = EpisodePlan::draw(&scene(Scenario::CLUTTERED), &spec, 5).unwrap_err().to_string();
     assert!(error.contains("episode 5") && error.contains("box_clearance_m"), "{error}");
 }
 
@@ -383,7 +384,7 @@ fn a_bent_finger_comes_to_rest_without_swinging() {
     let scene = scene(Scenario::EMPTY);
     let mut data = MjData::new(scene.model());
     let start = replay(&scene, &short(), 0).unwrap().swap_remove(0);
-    let ctrl = setpoint(&Course::draw(&scene, &short(), 0).unwrap(), 0);
+    let ctrl = setpoint(&EpisodePlan::draw(&scene, &short(), 0).unwrap(), 0);
     data.qpos_mut().copy_from_slice(&start);
     data.ctrl_mut().copy_from_slice(&ctrl);
     let id = |kind, name: &str| scene.model().name_to_id(kind, name).unwrap();
@@ -438,9 +439,9 @@ impl Trajectory {
     fn of(scenario: Scenario) -> Self {
         let (scene, spec) = (scene(scenario), short());
         let states = replay(&scene, &spec, 0).unwrap();
-        let course = Course::draw(&scene, &spec, 0).unwrap();
+        let plan = EpisodePlan::draw(&scene, &spec, 0).unwrap();
         let steps = (states.len() - 1) * STEPS_PER_SAMPLE + 1;
-        let controls: Vec<_> = (0..steps).flat_map(|step| setpoint(&course, step)).collect();
+        let controls: Vec<_> = (0..steps).flat_map(|step| setpoint(&plan, step)).collect();
         let trajectory = Self { folder: tempfile::tempdir().unwrap(), states };
         write_floats(&trajectory.file("start"), &trajectory.states[0]);
         write_floats(&trajectory.file("controls"), &controls);
@@ -626,23 +627,23 @@ fn an_episode_can_be_cancelled() {
 }
 
 #[test]
-fn a_portrait_shows_what_the_camera_saw() {
+fn a_rendered_scene_shows_what_the_camera_saw() {
     let (scene, spec) = (scene(Scenario::CLUTTERED), Simulation { actuations_per_episode: 3, ..short() });
     let states = replay(&scene, &spec, 0).unwrap();
     let episode = simulate(&scene, &spec, 0);
     let side = 4 * FRAME_SIDE as u32;
-    let mut portrait = Portrait::new(&scene, side, side).unwrap();
-    let picture = portrait.draw(&states[25]).unwrap();
+    let mut renderer = SceneRenderer::new(&scene, side, side).unwrap();
+    let picture = renderer.render(&states[25]).unwrap();
     assert_eq!(picture.dimensions(), (side, side));
     // Shrunk to the camera's resolution, it differs by shadows and smoother edges alone.
     let small = image::imageops::thumbnail(&picture, FRAME_SIDE as u32, FRAME_SIDE as u32);
     let frame = &episode.image(Modality::VISION)[25 * FRAME_LEN..26 * FRAME_LEN];
     let far = small.as_raw().iter().zip(frame).filter(|(a, b)| a.abs_diff(**b) > 40).count();
     assert!(far < FRAME_LEN / 10, "{far} of {FRAME_LEN} values differ");
-    assert_ne!(portrait.draw(&states[5]).unwrap(), picture);
-    assert!(matches!(portrait.draw(&[0.0; 3]), Err(SimulationError::StateSize { found: 3, .. })));
+    assert_ne!(renderer.render(&states[5]).unwrap(), picture);
+    assert!(matches!(renderer.render(&[0.0; 3]), Err(SimulationError::StateSize { found: 3, .. })));
     for (width, height) in [(0, 64), (64, 10_000)] {
-        let refused = Portrait::new(&scene, width, height).err().unwrap();
+        let refused = SceneRenderer::new(&scene, width, height).err().unwrap();
         assert!(matches!(refused, SimulationError::PictureSize { .. }), "{refused}");
     }
 }
@@ -668,11 +669,11 @@ fn without_a_driver_rendering_is_an_error() {
 fn a_projected_place_is_where_the_picture_shows_it() {
     let scene = scene(Scenario::EMPTY);
     let [width, height] = [400, 300];
-    let whole = Portrait::new(&scene, width, height).unwrap();
-    let near = Portrait::close_up(&scene, width, height, "finger_link_10", 20.0).unwrap();
-    for (mut portrait, middle) in [(whole, None), (near, Some("finger_link_10"))] {
-        let picture = portrait.draw(scene.rest()).unwrap();
-        let at = |geom: &str| portrait.project(portrait.place_of(geom).unwrap());
+    let whole = SceneRenderer::new(&scene, width, height).unwrap();
+    let near = SceneRenderer::close_up(&scene, width, height, "finger_link_10", 20.0).unwrap();
+    for (mut renderer, middle) in [(whole, None), (near, Some("finger_link_10"))] {
+        let picture = renderer.render(scene.rest()).unwrap();
+        let at = |geom: &str| renderer.project(renderer.place_of(geom).unwrap());
         let colour = |geom: &str| {
             let [x, y] = at(geom);
             picture.get_pixel((x * f64::from(width)) as u32, (y * f64::from(height)) as u32).0
@@ -688,6 +689,6 @@ fn a_projected_place_is_where_the_picture_shows_it() {
             assert!((x - 0.5).abs() < 0.01 && y > 0.5 && y < 0.53, "{x} {y}");
         }
     }
-    let unknown = Portrait::close_up(&scene, width, height, "finger_link_20", 20.0).err().unwrap();
+    let unknown = SceneRenderer::close_up(&scene, width, height, "finger_link_20", 20.0).err().unwrap();
     assert!(unknown.to_string().contains("`finger_link_20`"), "{unknown}");
 }

@@ -2,8 +2,8 @@
 //! the same.
 
 use harness_spec::{
-    self as spec, Action, Deviation, Division, Experiment, Fusion, GivenScaling, Layout, Loss, Modality,
-    Network, Origin, Preset, Scaling, Scalings, Scenario, Schedule, Setting, Simulation, Split, SplitCounts,
+    self as spec, Action, Division, Experiment, Fusion, GivenScaling, Layout, Loss, Modality, Network,
+    Origin, Preset, Scale, Scaling, Scalings, Scenario, Schedule, Setting, Simulation, Split, SplitCounts,
     Stop, Task, Training, World,
 };
 use rand::seq::{IndexedRandom, SliceRandom};
@@ -531,8 +531,8 @@ fn one_continuous_run_is_allowed_where_time_or_samples_are_split() {
 #[test]
 fn what_a_spec_says_of_a_scaling_replaces_that_default_alone() {
     let scaling = |addition: &str| load(&format!("{BASE}{addition}")).runs()[0].scaling.clone();
-    let shared = |minimum| Scaling { scale: Deviation::Shared, minimum };
-    let each = Scaling { scale: Deviation::PerElement, minimum: None };
+    let shared = |minimum| Scaling { scale: Scale::Shared, minimum };
+    let each = Scaling { scale: Scale::PerElement, minimum: None };
     let default = [
         (Modality::PROPRIOCEPTION, each),
         (Modality::ARM, each),
@@ -545,7 +545,7 @@ fn what_a_spec_says_of_a_scaling_replaces_that_default_alone() {
     let text = format!("{BASE}vary:\n  scaling.contact_force.scale: [shared, per_element]\n");
     let runs = load(&text).runs();
     assert_eq!(runs[2].variant, "contact_force.scale=per_element");
-    assert_eq!(runs[2].scalings(&Layout::finger())[&Modality::CONTACT_FORCE].scale, Deviation::PerElement);
+    assert_eq!(runs[2].scalings(&Layout::finger())[&Modality::CONTACT_FORCE].scale, Scale::PerElement);
 }
 
 /// A run's spec states the scaling of what it uses, and says nothing where that is how everything was scaled before.
@@ -1093,7 +1093,7 @@ fn random_split(random: &mut impl Rng) -> Split {
 fn random_scaling(modality: Modality, random: &mut impl Rng) -> GivenScaling {
     let minimum = if random.random() { Some(random.random_range(-1.0..1.0)) } else { None };
     let is_image = Layout::finger()[modality].is_image();
-    let scale = if is_image { Deviation::Shared } else { *Deviation::ALL.choose(random).unwrap() };
+    let scale = if is_image { Scale::Shared } else { *Scale::ALL.choose(random).unwrap() };
     GivenScaling {
         scale: random.random::<bool>().then_some(scale),
         minimum: random.random::<bool>().then_some(minimum),
@@ -1239,7 +1239,7 @@ fn names_are_those_of_serde() {
     check(Schedule::ALL);
     check(Stop::ALL);
     check(Division::ALL);
-    check(Deviation::ALL);
+    check(Scale::ALL);
     check(Loss::ALL);
 }
 

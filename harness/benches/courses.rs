@@ -10,7 +10,7 @@
 
 use clap::Parser;
 use harness::files::write_bytes;
-use harness::simulation::{Course, Scene, replay};
+use harness::simulation::{EpisodePlan, Scene, replay};
 use harness::spec::{Simulation, World};
 use std::error::Error;
 use std::path::PathBuf;
@@ -42,11 +42,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let header = [arguments.episodes as usize, samples, steps_per_sample, steps, coordinates, elements];
     let mut bytes: Vec<u8> = header.iter().flat_map(|value| (*value as i64).to_ne_bytes()).collect();
     for episode in 0..arguments.episodes {
-        let course = Course::draw(&scene, &spec, episode)?;
+        let plan = EpisodePlan::draw(&scene, &spec, episode)?;
         let states = replay(&scene, &spec, episode)?;
         let controls = (0..steps).flat_map(|step| {
             let mut setpoint = vec![0.0; elements];
-            course.setpoint(step, &mut setpoint);
+            plan.setpoint(step, &mut setpoint);
             setpoint
         });
         let values = states[0].iter().chain(&states[samples - 1]).copied().chain(controls);

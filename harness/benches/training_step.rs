@@ -112,7 +112,7 @@ fn main() -> candle_core::Result<()> {
         let begin = Instant::now();
         let posterior = encoder.encode(&observation)?;
         let latent = posterior.sample(&noise)?;
-        let mut loss = (posterior.divergence()? * 1e-3)?;
+        let mut loss = (posterior.kl_divergence()? * 1e-3)?;
         for term in decoder.losses(&latent, Some(&action), &targets)? {
             loss = (loss + term.value)?;
         }

@@ -7,7 +7,7 @@ use anyhow::Result;
 use clap::Args;
 use harness::files::write_whole;
 use harness::progress::Progress;
-use harness::simulation::{Portrait, Scene, replay};
+use harness::simulation::{Scene, SceneRenderer, replay};
 use harness::spec::{self, Simulation, World};
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::{Delay, DynamicImage, Frame, ImageFormat};
@@ -74,15 +74,15 @@ impl Render {
         };
         let scene = Scene::new(world)?;
         let states = self.states(&scene, &simulation)?;
-        let mut portrait = Portrait::new(&scene, self.width, self.height)?;
+        let mut renderer = SceneRenderer::new(&scene, self.width, self.height)?;
         match output {
             Output::Picture => {
-                let picture = portrait.draw(&states[0])?;
+                let picture = renderer.render(&states[0])?;
                 write_whole(&self.output, |file| {
                     picture.save_with_format(file, ImageFormat::Png).map_err(std::io::Error::other)
                 })?;
             }
-            Output::Clip => self.clip(&mut portrait, &states, simulation.sample_rate_hz)?,
+            Output::Clip => self.clip(&mut renderer, &states, simulation.sample_rate_hz)?,
         }
         println!("{}", shown(&self.output));
         Ok(ExitCode::from(DONE))
@@ -100,14 +100,14 @@ impl Render {
         Ok(states.split_off(self.sample))
     }
 
-    fn clip(&self, portrait: &mut Portrait, states: &[Vec<f64>], sample_rate_hz: f64) -> Result<()> {
+    fn clip(&self, renderer: &mut SceneRenderer, states: &[Vec<f64>], sample_rate_hz: f64) -> Result<()> {
         let states = &states[..states.len().min(self.samples)];
         let bars = Bars::default();
         bars.begin("drawing", states.len() as u64, "frames");
         let mut frames = Vec::with_capacity(states.len());
         let delay = Delay::from_numer_denom_ms((1000.0 / sample_rate_hz).round() as u32, 1);
         for state in states {
-            let picture = DynamicImage::from(portrait.draw(state)?).into_rgba8();
+            let picture = DynamicImage::from(renderer.render(state)?).into_rgba8();
             frames.push(Frame::from_parts(picture, 0, 0, delay));
             bars.advance(1);
         }

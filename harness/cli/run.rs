@@ -6,7 +6,7 @@ use super::{DONE, FAILED, interrupt, layers, output};
 use anyhow::Result;
 use clap::Args;
 use harness::collection::{collect, dataset_of};
-use harness::experiment::{Laboratory, Planned, Summary, describe, provenance};
+use harness::experiment::{Planned, Runner, Summary, describe, provenance};
 use harness::registry::{Decision, Registry, query_of, quoted};
 use harness::simulation::Scene;
 use harness::spec::{self, Experiment};
@@ -77,7 +77,7 @@ impl Run {
         let experiment = self.spec.load()?;
         let provenance = provenance(threads, super::command_line());
         let bars = Bars::default();
-        let laboratory = Laboratory {
+        let runner = Runner {
             registry,
             threads,
             jobs: self.jobs.into(),
@@ -85,7 +85,7 @@ impl Run {
             provenance: &provenance,
             progress: &bars,
         };
-        let plan = laboratory.plan(&experiment)?;
+        let plan = runner.plan(&experiment)?;
         if self.dry_run {
             print_plan(&plan);
             print_networks(&plan)?;
@@ -93,7 +93,7 @@ impl Run {
         }
         registry.check_writable()?;
         interrupt::install()?;
-        let summary = laboratory.run(&plan)?;
+        let summary = runner.run(&plan)?;
         if let Err(error) = print_results(registry, &experiment, &plan) {
             eprintln!("warning: the results can't be shown: {error}");
         }

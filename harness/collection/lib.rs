@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 /// Time between two looks at whether another process is done with a dataset.
-const PATIENCE: Duration = Duration::from_millis(100);
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Why a dataset could not be collected.
 #[derive(Debug, thiserror::Error)]
@@ -103,7 +103,7 @@ fn lock(dataset: &Dataset, progress: &dyn Progress) -> Result<FolderLock, Datase
         if progress.cancelled() {
             return Err(DatasetError::Cancelled);
         }
-        std::thread::sleep(PATIENCE);
+        std::thread::sleep(POLL_INTERVAL);
     }
 }
 

@@ -4,7 +4,7 @@ use super::ExperimentError;
 use candle_core::Tensor;
 use harness_dataset::{Partition, Samples, frame_difference, physical};
 use harness_learning::network::Decoder;
-use harness_learning::objective::View;
+use harness_learning::objective::NormalizedData;
 use harness_learning::predict::{Predicted, decode};
 use harness_metrics::baselines::{Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
 use harness_metrics::parts;
@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// Strength of the ridge regression's penalty, on standardised inputs and thousands of samples.
+/// Strength of the ridge regression's penalty, on normalized inputs and thousands of samples.
 const RIDGE_ALPHA: f64 = 1.0;
 /// Test transitions that are evaluated at once; bounds the memory that frames take.
 const BATCH: usize = 256;
@@ -36,34 +36,34 @@ pub struct Evaluated {
 }
 
 /// Metrics and predictions of a decoder on the test transitions, given their latent states `[test, latent]`, and
-/// pictures of those in `storyboard`.
+/// pictures of those in `sampled_transitions`.
 pub fn network(
-    view: &View,
+    data: &NormalizedData,
     task: Task,
     decoder: &dyn Decoder,
     output: &[Modality],
     latent: &Tensor,
     test: &[usize],
-    storyboard: &[Story],
+    sampled_transitions: &[SampledTransition],
 ) -> Result<Evaluated, ExperimentError> {
-    let layout = view.samples.layout();
+    let layout = data.samples.layout();
     let evaluation = |modality: &Modality| (*modality, Evaluation::new(&layout[*modality], &layout.regions));
     let mut evaluations: BTreeMap<Modality, Evaluation> = output.iter().map(evaluation).collect();
     let (mut predictions, mut frames) = (Vec::new(), Vec::new());
     let mut failure = None;
-    decode(view, decoder, output, task == Task::Prediction, latent, test, |predicted| {
-        let reference = physical(&view.samples, predicted.modality, &predicted_samples(task, predicted.at));
+    decode(data, decoder, output, task == Task::Prediction, latent, test, |predicted| {
+        let reference = physical(&data.samples, predicted.modality, &predicted_samples(task, predicted.at));
         if let Some(evaluation) = evaluations.get_mut(&predicted.modality) {
             let at = predicted_samples(task, predicted.at);
             let added =
-                add(evaluation, &view.samples, predicted.modality, &at, &reference, &predicted.values);
+                add(evaluation, &data.samples, predicted.modality, &at, &reference, &predicted.values);
             failure = failure.take().or(added.err());
         }
         if layout[predicted.modality].is_image() {
-            frames.extend(frame_rows(&view.samples, task, &predicted, &reference, storyboard));
+            frames.extend(frame_rows(&data.samples, task, &predicted, &reference, sampled_transitions));
         }
         if is_recorded(&layout[predicted.modality]) {
-            predictions.extend(prediction_rows(&view.samples, task, &predicted, &reference));
+            predictions.extend(prediction_rows(&data.samples, task, &predicted, &reference));
         }
     })
     .map_err(harness_learning::LearningError::from)?;
@@ -124,19 +124,19 @@ fn prediction_rows<'a>(
 
 /// A test transition whose pictures are kept.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Story {
+pub struct SampledTransition {
     pub transition: usize,
     /// Mean absolute change of the camera frame from the transition's sample to its next, in [0, 1].
     pub motion: f64,
 }
 
 /// Where the kept transitions stand among all test transitions by their motion: from hardly any to the most.
-const STORYBOARD: [f64; 5] = [0.02, 0.3, 0.6, 0.85, 0.98];
+const MOTION_QUANTILES: [f64; 5] = [0.02, 0.3, 0.6, 0.85, 0.98];
 
 /// The test transitions whose pictures are kept, from the least motion to the most; none without frames.
 ///
 /// The choice depends on the dataset alone, so that the pictures of all networks can be compared.
-pub fn storyboard(samples: &Samples, test: &[usize]) -> Vec<Story> {
+pub fn sample_transitions(samples: &Samples, test: &[usize]) -> Vec<SampledTransition> {
     let Some(camera) = samples.layout().stored_images().next().map(|image| image.name) else {
         return Vec::new();
     };
@@ -146,15 +146,17 @@ pub fn storyboard(samples: &Samples, test: &[usize]) -> Vec<Story> {
     let motion = |transition: usize| {
         let (sum, values) = frame_difference(samples, camera, transition + 1)
             .fold((0.0, 0), |(sum, values), change| (sum + f64::from(change.abs()), values + 1));
-        Story { transition, motion: sum / f64::from(values) }
+        SampledTransition { transition, motion: sum / f64::from(values) }
     };
     let batches = test.par_chunks(BATCH).flat_map_iter(|at| {
         samples.prefetch(camera, at);
         at.iter().map(|&transition| motion(transition))
     });
-    let mut stories: Vec<Story> = batches.collect();
-    stories.sort_by(|a, b| a.motion.total_cmp(&b.motion).then(a.transition.cmp(&b.transition)));
-    STORYBOARD.map(|share| stories[(share * (stories.len() - 1) as f64).round() as usize]).to_vec()
+    let mut transitions: Vec<SampledTransition> = batches.collect();
+    transitions.sort_by(|a, b| a.motion.total_cmp(&b.motion).then(a.transition.cmp(&b.transition)));
+    MOTION_QUANTILES
+        .map(|share| transitions[(share * (transitions.len() - 1) as f64).round() as usize])
+        .to_vec()
 }
 
 fn frame_rows<'a>(
@@ -162,20 +164,20 @@ fn frame_rows<'a>(
     task: Task,
     predicted: &'a Predicted,
     reference: &'a [f32],
-    storyboard: &'a [Story],
+    sampled_transitions: &'a [SampledTransition],
 ) -> impl Iterator<Item = FrameRow> + 'a {
     let definition = &samples.layout()[predicted.modality];
     let width = definition.width();
-    storyboard.iter().filter_map(move |story| {
-        let row = predicted.at.iter().position(|&transition| transition == story.transition)?;
-        let (episode, sample) = samples.place(predicted_samples(task, &[story.transition])[0]);
+    sampled_transitions.iter().filter_map(move |sampled| {
+        let row = predicted.at.iter().position(|&transition| transition == sampled.transition)?;
+        let (episode, sample) = samples.place(predicted_samples(task, &[sampled.transition])[0]);
         let picture = |values: &[f32]| picture(definition, &values[row * width..][..width]);
         Some(FrameRow {
             task,
             modality: predicted.modality,
             episode: episode as u32,
             sample: sample as u32,
-            motion: story.motion,
+            motion: sampled.motion,
             reference: picture(reference),
             predicted: picture(&predicted.values),
         })
@@ -221,7 +223,7 @@ fn label(task: Task, model: &'static str, evaluation: &Evaluation) -> Vec<Metric
 ///
 /// A reconstruction has the training mean alone: persistence would be the answer itself.
 pub fn baselines(
-    view: &View,
+    data: &NormalizedData,
     partition: &Partition,
     task: Task,
     input: &[Modality],
@@ -229,81 +231,81 @@ pub fn baselines(
 ) -> Result<Vec<MetricRow>, ExperimentError> {
     let mut rows = Vec::new();
     for modality in output.iter().copied() {
-        let mean = training_mean(view, partition, task, modality)?;
-        rows.extend(judge(view, partition, task, modality, "training_mean", |at| {
+        let mean = training_mean(data, partition, task, modality)?;
+        rows.extend(judge(data, partition, task, modality, "training_mean", |at| {
             Ok(mean.predict(at.len())?)
         })?);
         if task == Task::Prediction {
-            rows.extend(judge(view, partition, task, modality, "persistence", |at| {
-                Ok(persistence(&view.samples.layout()[modality], &physical(&view.samples, modality, at))
+            rows.extend(judge(data, partition, task, modality, "persistence", |at| {
+                Ok(persistence(&data.samples.layout()[modality], &physical(&data.samples, modality, at))
                     .into_owned())
             })?);
         }
     }
     if task == Task::Prediction {
-        rows.extend(ridge(view, partition, input, output)?);
+        rows.extend(ridge(data, partition, input, output)?);
     }
     Ok(rows)
 }
 
 /// The metrics of `predict` on the test transitions, batch by batch.
 fn judge(
-    view: &View,
+    data: &NormalizedData,
     partition: &Partition,
     task: Task,
     modality: Modality,
     model: &'static str,
     predict: impl Fn(&[usize]) -> Result<Vec<f32>, ExperimentError>,
 ) -> Result<Vec<MetricRow>, ExperimentError> {
-    let layout = view.samples.layout();
+    let layout = data.samples.layout();
     let mut evaluation = Evaluation::new(&layout[modality], &layout.regions);
     for at in partition.test.chunks(BATCH) {
         let samples = predicted_samples(task, at);
-        let reference = physical(&view.samples, modality, &samples);
-        add(&mut evaluation, &view.samples, modality, &samples, &reference, &predict(at)?)?;
+        let reference = physical(&data.samples, modality, &samples);
+        add(&mut evaluation, &data.samples, modality, &samples, &reference, &predict(at)?)?;
     }
     Ok(label(task, model, &evaluation))
 }
 
 fn training_mean(
-    view: &View,
+    data: &NormalizedData,
     partition: &Partition,
     task: Task,
     modality: Modality,
 ) -> Result<TrainingMean, ExperimentError> {
-    let mut mean = TrainingMean::new(view.samples.layout()[modality].width());
+    let mut mean = TrainingMean::new(data.samples.layout()[modality].width());
     for at in partition.training.chunks(BATCH) {
-        mean.add(&physical(&view.samples, modality, &predicted_samples(task, at)))?;
+        mean.add(&physical(&data.samples, modality, &predicted_samples(task, at)))?;
     }
     Ok(mean)
 }
 
 /// Ridge regression from the encoder's input and the action to each vector that is predicted.
 fn ridge(
-    view: &View,
+    data: &NormalizedData,
     partition: &Partition,
     input: &[Modality],
     output: &[Modality],
 ) -> Result<Vec<MetricRow>, ExperimentError> {
-    let layout = view.samples.layout();
+    let layout = data.samples.layout();
     let vectors: Vec<Modality> =
         output.iter().copied().filter(|modality| !layout[*modality].is_image()).collect();
     let widths: usize = vectors.iter().map(|modality| layout[*modality].width()).sum();
     if vectors.is_empty() {
         return Ok(Vec::new());
     }
-    let inputs = ridge_inputs(view, input, &partition.training[..1])?.len();
+    let inputs = ridge_inputs(data, input, &partition.training[..1])?.len();
     let mut sums = RidgeSums::new(inputs, widths);
     for at in partition.training.chunks(BATCH) {
-        sums.add(&ridge_inputs(view, input, at)?, &side_by_side(view, &vectors, at))?;
+        sums.add(&ridge_inputs(data, input, at)?, &side_by_side(data, &vectors, at))?;
     }
     let ridge: Ridge = sums.solve(RIDGE_ALPHA)?;
     let mut rows = Vec::new();
     let mut first = 0;
     for modality in vectors.iter().copied() {
         let width = layout[modality].width();
-        rows.extend(judge(view, partition, Task::Prediction, modality, "ridge", |at| {
-            let predicted = ridge.predict(&ridge_inputs(view, input, at)?)?;
+        rows.extend(judge(data, partition, Task::Prediction, modality, "ridge", |at| {
+            let predicted = ridge.predict(&ridge_inputs(data, input, at)?)?;
             let columns = predicted.chunks_exact(widths).flat_map(|row| &row[first..first + width]);
             Ok(columns.copied().collect())
         })?);
@@ -313,31 +315,35 @@ fn ridge(
 }
 
 /// What is to be predicted from the transitions `at`: the next samples' vectors, side by side.
-fn side_by_side(view: &View, vectors: &[Modality], at: &[usize]) -> Vec<f32> {
+fn side_by_side(data: &NormalizedData, vectors: &[Modality], at: &[usize]) -> Vec<f32> {
     let of = |sample: &usize| {
         let next = sample + 1;
-        vectors.iter().flat_map(move |modality| view.samples.vector(*modality, next).iter().copied())
+        vectors.iter().flat_map(move |modality| data.samples.vector(*modality, next).iter().copied())
     };
     at.iter().flat_map(of).collect()
 }
 
-/// The encoder's input and the action, standardised, with frames as small grey pictures; `[at, inputs]`.
-fn ridge_inputs(view: &View, input: &[Modality], at: &[usize]) -> Result<Vec<f32>, ExperimentError> {
+/// The encoder's input and the action, normalized, with frames as small grey pictures; `[at, inputs]`.
+fn ridge_inputs(
+    data: &NormalizedData,
+    input: &[Modality],
+    at: &[usize],
+) -> Result<Vec<f32>, ExperimentError> {
     let learning =
         |error: candle_core::Error| ExperimentError::from(harness_learning::LearningError::from(error));
     let table = |tensor: Tensor| tensor.to_device(&candle_core::Device::Cpu)?.to_vec2::<f32>();
     let vectors =
-        view.observation(at, input).map_err(learning)?.vector.map(table).transpose().map_err(learning)?;
-    let actions = view.actions(at).and_then(table).map_err(learning)?;
-    let layout = view.samples.layout();
+        data.observation(at, input).map_err(learning)?.vector.map(table).transpose().map_err(learning)?;
+    let actions = data.actions(at).and_then(table).map_err(learning)?;
+    let layout = data.samples.layout();
     let size = |modality: &Modality| Some((*modality, layout[*modality].size()?));
     let frames: Vec<(Modality, [usize; 2])> = input.iter().filter_map(size).collect();
     let rows = at.par_iter().enumerate().map(|(row, &sample)| {
         let mut values = actions[row].clone();
         values.extend(vectors.iter().flat_map(|vectors| &vectors[row]));
         for (modality, size) in &frames {
-            let mut frame = physical(&view.samples, *modality, &[sample]);
-            view.standard.scales[modality].standardise(&mut frame);
+            let mut frame = physical(&data.samples, *modality, &[sample]);
+            data.normalizers.modalities[modality].normalize(&mut frame);
             values.extend(downsample_frame(&frame, *size)?);
         }
         Ok(values)

@@ -1,4 +1,4 @@
-//! The story of an experiment: spec, episodes, dataset, training, metrics, record.
+//! What running an experiment does: spec, episodes, dataset, training, metrics, record.
 
 mod evaluate;
 mod model;
@@ -7,15 +7,15 @@ mod schedule;
 pub use model::{Model, ModelError, Values};
 pub use schedule::Summary;
 
-use evaluate::{Evaluated, Story};
+use evaluate::{Evaluated, SampledTransition};
 use harness_collection::{CollectionError, collect, dataset_of};
 use harness_dataset::{Dataset, DatasetError, FramePlace, Imported, Partition, Samples, frame_bytes};
 use harness_learning::network::{Encoder, Parameters, architecture};
-use harness_learning::objective::{Prediction, Reconstruction, View};
+use harness_learning::objective::{NormalizedData, Prediction, Reconstruction};
 use harness_learning::random::{Random, Stream};
 use harness_learning::state::StateFile;
 use harness_learning::training::{Epoch, Fit};
-use harness_learning::{self as learning, LearningError, Standard, checkpoint, open_device, predict};
+use harness_learning::{self as learning, LearningError, Normalizers, checkpoint, open_device, predict};
 use harness_metrics::MetricsError;
 use harness_registry::{
     Decision, ForceRows, MetricRow, Outcome, Provenance, Registry, RegistryError, RunFolder, RunRecord,
@@ -81,7 +81,7 @@ pub enum ExperimentError {
 }
 
 /// What an experiment needs besides its spec.
-pub struct Laboratory<'a> {
+pub struct Runner<'a> {
     pub registry: &'a Registry,
     /// Threads for collection, and for all trainings together.
     pub threads: usize,
@@ -153,7 +153,7 @@ impl Planned {
     }
 }
 
-impl Laboratory<'_> {
+impl Runner<'_> {
     /// Each run of the experiment with what will happen to it, and why.
     pub fn plan(&self, experiment: &Experiment) -> Result<Vec<Planned>, ExperimentError> {
         open_device(experiment.training.device)?;
@@ -248,30 +248,30 @@ impl Laboratory<'_> {
     }
 
     /// Makes the run's dataset ready for training.
-    fn prepare(&self, planned: &Planned) -> Result<Material, ExperimentError> {
+    fn prepare(&self, planned: &Planned) -> Result<PreparedData, ExperimentError> {
         let begin = Instant::now();
         let Planned { spec, source, .. } = planned;
         let frames = self.frame_place(planned);
         let samples = self.samples(source, frames)?;
         let partition = samples.partition(&spec.split).ok_or(ExperimentError::NoTraining)?;
-        let standard =
-            Standard::fit(&samples, &partition.training, &spec.scalings(samples.layout()), spec.action);
-        let view = View {
+        let normalizers =
+            Normalizers::fit(&samples, &partition.training, &spec.scalings(samples.layout()), spec.action);
+        let data = NormalizedData {
             samples: Arc::new(samples),
-            standard: Arc::new(standard),
+            normalizers: Arc::new(normalizers),
             action: spec.action,
             device: open_device(spec.training.device)?,
         };
         let mut baselines = Vec::new();
         for task in &spec.tasks {
             let output = if *task == Task::Prediction { &spec.output } else { &spec.input };
-            baselines.extend(evaluate::baselines(&view, &partition, *task, &spec.input, output)?);
+            baselines.extend(evaluate::baselines(&data, &partition, *task, &spec.input, output)?);
         }
-        let forces = evaluate::forces(&view.samples);
-        let storyboard = evaluate::storyboard(&view.samples, &partition.test);
+        let forces = evaluate::forces(&data.samples);
+        let sampled_transitions = evaluate::sample_transitions(&data.samples, &partition.test);
         let bytes = Samples::bytes(source.layout(), source.len(), frames);
         let seconds = begin.elapsed().as_secs_f64();
-        Ok(Material { view, partition, baselines, forces, storyboard, bytes, seconds })
+        Ok(PreparedData { data, partition, baselines, forces, sampled_transitions, bytes, seconds })
     }
 }
 
@@ -319,34 +319,34 @@ fn training_bytes(spec: &RunSpec, layout: &Arc<Layout>) -> Result<u64, LearningE
 }
 
 /// A scenario's data, shared by runs that want the same of it.
-struct Material {
-    view: View,
+struct PreparedData {
+    data: NormalizedData,
     partition: Partition,
     baselines: Vec<MetricRow>,
     forces: Vec<ForceRows>,
     /// The test transitions whose pictures are kept.
-    storyboard: Vec<Story>,
+    sampled_transitions: Vec<SampledTransition>,
     /// Memory that the samples take, bytes.
     bytes: u64,
     seconds: f64,
 }
 
 /// One run in training.
-struct Trainee<'a> {
+struct TrainingRun<'a> {
     spec: &'a RunSpec,
     folder: &'a RunFolder,
-    material: &'a Material,
+    prepared: &'a PreparedData,
     progress: &'a dyn Progress,
 }
 
-impl Trainee<'_> {
+impl TrainingRun<'_> {
     fn run(&self) -> Result<Outcome, ExperimentError> {
         let mut outcome = Outcome {
-            timings: Timings { collect: self.material.seconds, ..Timings::default() },
+            timings: Timings { collect: self.prepared.seconds, ..Timings::default() },
             ..Outcome::default()
         };
-        outcome.metrics.extend(self.material.baselines.iter().cloned());
-        outcome.forces = self.material.forces.clone();
+        outcome.metrics.extend(self.prepared.baselines.iter().cloned());
+        outcome.forces = self.prepared.forces.clone();
         let (encoder, parameters) = self.predict(&mut outcome)?;
         outcome.parameters = parameters.values().map(|var| var.elem_count()).sum();
         if self.spec.tasks.contains(&Task::Reconstruction) {
@@ -360,7 +360,7 @@ impl Trainee<'_> {
             task,
             training: &self.spec.training,
             seed: self.spec.seed,
-            partition: &self.material.partition,
+            partition: &self.prepared.partition,
             state,
             progress: self.progress,
         }
@@ -368,19 +368,19 @@ impl Trainee<'_> {
 
     /// Trains encoder and decoder, and evaluates them.
     fn predict(&self, outcome: &mut Outcome) -> Result<(Box<dyn Encoder>, Parameters), ExperimentError> {
-        let Self { spec, material: Material { view, partition, storyboard, .. }, .. } = self;
+        let Self { spec, prepared: PreparedData { data, partition, sampled_transitions, .. }, .. } = self;
         let begin = Instant::now();
         let task = Task::Prediction;
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
-        let architecture = architecture(spec, view.samples.layout(), task);
+        let architecture = architecture(spec, data.samples.layout(), task);
         let objective = Prediction {
-            view,
+            data,
             encoder: architecture
-                .encoder(&mut parameters, &mut random, &view.device)
+                .encoder(&mut parameters, &mut random, &data.device)
                 .map_err(LearningError::from)?,
             decoder: architecture
-                .decoder(&mut parameters, &mut random, &view.device)
+                .decoder(&mut parameters, &mut random, &data.device)
                 .map_err(LearningError::from)?,
             input: &spec.input,
             output: &spec.output,
@@ -392,18 +392,18 @@ impl Trainee<'_> {
         let state = StateFile::at(self.folder.state(task));
         let epochs = self.fit(task, &state).run(&objective, &parameters)?;
         outcome.timings.prediction = begin.elapsed().as_secs_f64();
-        checkpoint::save(&self.folder.checkpoint(task), &parameters, &view.standard)?;
+        checkpoint::save(&self.folder.checkpoint(task), &parameters, &data.normalizers)?;
         let begin = Instant::now();
-        let latent = predict::encode(view, &*objective.encoder, &spec.input, &partition.test);
+        let latent = predict::encode(data, &*objective.encoder, &spec.input, &partition.test);
         let latent = latent.map_err(LearningError::from)?;
         let evaluated = evaluate::network(
-            view,
+            data,
             task,
             &*objective.decoder,
             &spec.output,
             &latent,
             &partition.test,
-            storyboard,
+            sampled_transitions,
         )?;
         add(outcome, task, epochs, evaluated);
         outcome.timings.evaluation += begin.elapsed().as_secs_f64();
@@ -412,20 +412,20 @@ impl Trainee<'_> {
 
     /// Trains a new decoder on the frozen encoder's latent states, and evaluates it.
     fn reconstruct(&self, encoder: &dyn Encoder, outcome: &mut Outcome) -> Result<(), ExperimentError> {
-        let Self { spec, material: Material { view, partition, storyboard, .. }, .. } = self;
+        let Self { spec, prepared: PreparedData { data, partition, sampled_transitions, .. }, .. } = self;
         let begin = Instant::now();
         let task = Task::Reconstruction;
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
-        let everything: Vec<usize> = (0..view.samples.len()).collect();
-        let latent = predict::encode(view, encoder, &spec.input, &everything).map_err(LearningError::from)?;
-        let decoder = architecture(spec, view.samples.layout(), task).decoder(
+        let everything: Vec<usize> = (0..data.samples.len()).collect();
+        let latent = predict::encode(data, encoder, &spec.input, &everything).map_err(LearningError::from)?;
+        let decoder = architecture(spec, data.samples.layout(), task).decoder(
             &mut parameters,
             &mut random,
-            &view.device,
+            &data.device,
         );
         let objective = Reconstruction {
-            view,
+            data,
             latent: &latent,
             decoder: decoder.map_err(LearningError::from)?,
             input: &spec.input,
@@ -433,18 +433,18 @@ impl Trainee<'_> {
         let state = StateFile::at(self.folder.state(task));
         let epochs = self.fit(task, &state).run(&objective, &parameters)?;
         outcome.timings.reconstruction = Some(begin.elapsed().as_secs_f64());
-        checkpoint::save(&self.folder.checkpoint(task), &parameters, &view.standard)?;
+        checkpoint::save(&self.folder.checkpoint(task), &parameters, &data.normalizers)?;
         let begin = Instant::now();
         let test =
             harness_learning::objective::rows(&latent, &partition.test).map_err(LearningError::from)?;
         let evaluated = evaluate::network(
-            view,
+            data,
             task,
             &*objective.decoder,
             &spec.input,
             &test,
             &partition.test,
-            storyboard,
+            sampled_transitions,
         )?;
         add(outcome, task, epochs, evaluated);
         outcome.timings.evaluation += begin.elapsed().as_secs_f64();

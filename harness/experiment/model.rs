@@ -1,7 +1,7 @@
 //! A trained network at work on observations from anywhere, in physical units.
 
 use candle_core::{Device, Tensor};
-use harness_learning::Standard;
+use harness_learning::Normalizers;
 use harness_learning::frames::{DenseFrames, Frames};
 use harness_learning::network::{Decoder, Encoder, Observation, Parameters, architecture};
 use harness_learning::random::{Random, Stream};
@@ -41,7 +41,7 @@ fn names(modalities: &[Modality]) -> String {
 /// A finished run's encoder, the decoder that predicts the next observation, and the one that reconstructs the present.
 pub struct Model {
     record: RunRecord,
-    standard: Standard,
+    normalizers: Normalizers,
     encoder: Box<dyn Encoder>,
     decoder: Box<dyn Decoder>,
     /// `None` where the run trained none.
@@ -66,10 +66,10 @@ impl Model {
         let encoder = encoder.map_err(LearningError::from)?.detached();
         let decoder = architecture.decoder(&mut parameters, &mut random, &Device::Cpu);
         let decoder = decoder.map_err(LearningError::from)?.detached();
-        let standard = load_network(&folder.checkpoint(task), &parameters)?;
+        let normalizers = load_network(&folder.checkpoint(task), &parameters)?;
         let reconstructs = record.spec.tasks.contains(&Task::Reconstruction);
         let reconstruction = reconstructs.then(|| load_reconstruction(&folder, &record)).transpose()?;
-        Ok(Self { record, standard, encoder, decoder, reconstruction })
+        Ok(Self { record, normalizers, encoder, decoder, reconstruction })
     }
 
     /// The run's record, with its spec.
@@ -106,12 +106,12 @@ impl Model {
         let elements = self.record.layout.action().len();
         check("action", batch, elements, &action)?;
         let observation = self.observation(batch, observation)?;
-        self.standard.action.standardise(&mut action);
+        self.normalizers.action.normalize(&mut action);
         let predicted = || -> candle_core::Result<_> {
             let latent = self.encoder.encode(&observation)?.mean()?;
             let action = Tensor::from_vec(action, (batch, elements), &Device::Cpu)?;
             let decoded = self.decoder.decode(&latent, Some(&action))?;
-            predict::restored(&self.standard, &self.record.layout, &self.record.spec.output, decoded)
+            predict::denormalized(&self.normalizers, &self.record.layout, &self.record.spec.output, decoded)
         };
         Ok(predicted().map_err(LearningError::from)?.into_iter().collect())
     }
@@ -132,12 +132,12 @@ impl Model {
         let reconstructed = || -> candle_core::Result<_> {
             let latent = Tensor::from_vec(latent, (batch, spec.latent), &Device::Cpu)?;
             let decoded = decoder.decode(&latent, None)?;
-            predict::restored(&self.standard, &self.record.layout, &spec.input, decoded)
+            predict::denormalized(&self.normalizers, &self.record.layout, &spec.input, decoded)
         };
         Ok(reconstructed().map_err(LearningError::from)?.into_iter().collect())
     }
 
-    /// What the encoder is given, standardised and side by side.
+    /// What the encoder is given, normalized and side by side.
     fn observation(&self, batch: usize, values: &Values) -> Result<Observation, ModelError> {
         let input = &self.record.spec.input;
         let mut vectors = Vec::new();
@@ -152,7 +152,7 @@ impl Model {
             let definition = &self.record.layout[modality];
             check(modality.name(), batch, definition.width(), values)?;
             let mut values = values.clone();
-            self.standard.scales[&modality].standardise(&mut values);
+            self.normalizers.modalities[&modality].normalize(&mut values);
             let list = if definition.is_image() { &mut frames } else { &mut vectors };
             list.push((definition.width(), values));
             side = definition.size().map_or(side, |[side, _]| side);
@@ -172,7 +172,7 @@ impl Model {
 }
 
 /// Loads the parameters of a network that must be there, and returns the scales saved with them.
-fn load_network(path: &Path, parameters: &Parameters) -> Result<Standard, ModelError> {
+fn load_network(path: &Path, parameters: &Parameters) -> Result<Normalizers, ModelError> {
     if !path.exists() {
         return Err(ModelError::NoNetwork(path.to_owned()));
     }

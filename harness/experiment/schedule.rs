@@ -1,6 +1,6 @@
 //! Which run is done when, and by whom: several jobs of this process, or other processes on the same results folder.
 
-use super::{ExperimentError, Laboratory, Material, Planned, Trainee, describe, training_bytes};
+use super::{ExperimentError, Planned, PreparedData, Runner, TrainingRun, describe, training_bytes};
 use harness_registry::{Decision, Outcome, Provenance, Status};
 use harness_shared::memory;
 use harness_spec::{Division, RunSpec};
@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// Time between two looks at whether another process has let go of a run, or another job of its memory.
-const PATIENCE: Duration = Duration::from_millis(500);
+const POLL_INTERVAL: Duration = Duration::from_millis(500);
 
 /// What became of an experiment's runs.
 #[derive(Debug, Default)]
@@ -31,7 +31,7 @@ enum End {
     Held,
 }
 
-impl Laboratory<'_> {
+impl Runner<'_> {
     /// Does every run of a plan that isn't done yet. A run that fails leaves a record that says why, and the others go
     /// on. Runs that other processes work on come last: they are waited for, or done if their holder dies.
     ///
@@ -54,7 +54,7 @@ impl Laboratory<'_> {
             let mut held = Vec::new();
             // One dataset at a time: its samples are in memory once, and the other's are not.
             for runs in by_material(pending) {
-                for (planned, end) in runs.iter().zip(self.shift(&runs)?) {
+                for (planned, end) in runs.iter().zip(self.work_on(&runs)?) {
                     match end {
                         End::Done => summary.done += 1,
                         End::Skipped => summary.skipped += 1,
@@ -71,27 +71,27 @@ impl Laboratory<'_> {
         }
     }
 
-    /// Tries runs that share their material, and says what became of each.
-    fn shift(&self, runs: &[&Planned]) -> Result<Vec<End>, ExperimentError> {
+    /// Tries runs that share their data, and says what became of each.
+    fn work_on(&self, runs: &[&Planned]) -> Result<Vec<End>, ExperimentError> {
         let jobs = self.jobs.clamp(1, runs.len());
         let threads = (self.threads / jobs).max(1);
-        let shift = Shift {
-            laboratory: self,
+        let workers = WorkerPool {
+            runner: self,
             provenance: Provenance { threads, ..self.provenance.clone() },
             runs,
             next: AtomicUsize::new(0),
-            material: Mutex::new(None),
+            prepared: Mutex::new(None),
             promised: Mutex::new(0),
         };
         if jobs == 1 {
-            return Ok(shift.work()?.into_iter().map(|(_, end)| end).collect());
+            return Ok(workers.work()?.into_iter().map(|(_, end)| end).collect());
         }
         let pools = (0..jobs)
             .map(|_| rayon::ThreadPoolBuilder::new().num_threads(threads).build())
             .collect::<Result<Vec<_>, _>>()?;
         let ends: Vec<_> = std::thread::scope(|scope| {
             let workers: Vec<_> =
-                pools.iter().map(|pool| scope.spawn(|| pool.install(|| shift.work()))).collect();
+                pools.iter().map(|pool| scope.spawn(|| pool.install(|| workers.work()))).collect();
             let joined = workers.into_iter().map(|worker| worker.join());
             joined.map(|end| end.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
         });
@@ -111,13 +111,13 @@ impl Laboratory<'_> {
             if self.progress.cancelled() {
                 return Err(ExperimentError::Cancelled);
             }
-            std::thread::sleep(PATIENCE);
+            std::thread::sleep(POLL_INTERVAL);
         }
         Ok(())
     }
 }
 
-/// Runs that share their material together, in the order of the first of each.
+/// Runs that share their data together, in the order of the first of each.
 fn by_material(runs: Vec<&Planned>) -> Vec<Vec<&Planned>> {
     let mut groups: Vec<Vec<&Planned>> = Vec::new();
     for run in runs {
@@ -129,15 +129,15 @@ fn by_material(runs: Vec<&Planned>) -> Vec<Vec<&Planned>> {
     groups
 }
 
-/// What the jobs share that work on runs of the same material.
-struct Shift<'a> {
-    laboratory: &'a Laboratory<'a>,
+/// What the jobs share that work on runs of the same data.
+struct WorkerPool<'a> {
+    runner: &'a Runner<'a>,
     /// With the threads of one job.
     provenance: Provenance,
     runs: &'a [&'a Planned],
     next: AtomicUsize,
     /// Made by the first job that needs it; or why it can't be.
-    material: Mutex<Option<Result<Arc<Material>, String>>>,
+    prepared: Mutex<Option<Result<Arc<PreparedData>, String>>>,
     /// Memory for the trainings that are going on, bytes.
     promised: Mutex<u64>,
 }
@@ -154,14 +154,14 @@ impl Drop for Promise<'_> {
     }
 }
 
-impl Shift<'_> {
+impl WorkerPool<'_> {
     /// Takes one run after the other until none is left.
     fn work(&self) -> Result<Vec<(usize, End)>, ExperimentError> {
         let mut ends = Vec::new();
         loop {
             let index = self.next.fetch_add(1, Ordering::Relaxed);
             let Some(planned) = self.runs.get(index) else { return Ok(ends) };
-            if self.laboratory.progress.cancelled() {
+            if self.runner.progress.cancelled() {
                 return Err(ExperimentError::Cancelled);
             }
             let end = match self.attempt(planned) {
@@ -176,14 +176,14 @@ impl Shift<'_> {
 
     fn attempt(&self, planned: &Planned) -> Result<End, ExperimentError> {
         let Planned { spec, folder, .. } = planned;
-        let registry = self.laboratory.registry;
+        let registry = self.runner.registry;
         let Some(_lock) = registry.claim(folder)? else { return Ok(End::Held) };
         // Another process may have been here since the plan was made.
         match folder.record() {
             Ok(Some(record)) if record.status == Status::Done => match folder.damage(&record) {
                 None => return Ok(End::Skipped),
                 Some(damage) => {
-                    self.laboratory.progress.say(&format!("{}: {damage}; it is done again", folder.id()));
+                    self.runner.progress.say(&format!("{}: {damage}; it is done again", folder.id()));
                 }
             },
             Ok(Some(record))
@@ -207,21 +207,21 @@ impl Shift<'_> {
     }
 
     fn train(&self, planned: &Planned) -> Result<Outcome, ExperimentError> {
-        let material = self.material(planned)?;
-        let _memory = self.promise(&planned.spec, &material)?;
-        let everyone = self.laboratory.progress;
+        let prepared = self.prepared(planned)?;
+        let _memory = self.promise(&planned.spec, &prepared)?;
+        let everyone = self.runner.progress;
         let own = everyone.job(&planned.spec.label());
         let progress = own.as_deref().unwrap_or(everyone);
-        Trainee { spec: &planned.spec, folder: &planned.folder, material: &material, progress }.run()
+        TrainingRun { spec: &planned.spec, folder: &planned.folder, prepared: &prepared, progress }.run()
     }
 
     /// Makes sure that there is memory to train a run, once there is enough beside the other jobs' trainings: where there
     /// is none, the system would end the process, and all runs with it.
-    fn promise(&self, spec: &RunSpec, material: &Material) -> Result<Promise<'_>, ExperimentError> {
-        let needed = training_bytes(spec, material.view.samples.layout())?;
+    fn promise(&self, spec: &RunSpec, prepared: &PreparedData) -> Result<Promise<'_>, ExperimentError> {
+        let needed = training_bytes(spec, prepared.data.samples.layout())?;
         loop {
             let mut promised = self.promised.lock().unwrap_or_else(PoisonError::into_inner);
-            let available = memory::within_reach().saturating_sub(material.bytes).saturating_sub(*promised);
+            let available = memory::within_reach().saturating_sub(prepared.bytes).saturating_sub(*promised);
             if needed <= available {
                 *promised += needed;
                 return Ok(Promise { promised: &self.promised, bytes: needed });
@@ -230,22 +230,22 @@ impl Shift<'_> {
                 return Err(ExperimentError::NetworkMemory { needed, available });
             }
             drop(promised);
-            if self.laboratory.progress.cancelled() {
+            if self.runner.progress.cancelled() {
                 return Err(ExperimentError::Cancelled);
             }
-            std::thread::sleep(PATIENCE);
+            std::thread::sleep(POLL_INTERVAL);
         }
     }
 
     /// What the runs share; the jobs that come while it is made wait.
-    fn material(&self, planned: &Planned) -> Result<Arc<Material>, ExperimentError> {
-        let mut slot = self.material.lock().unwrap_or_else(PoisonError::into_inner);
-        if self.laboratory.progress.cancelled() {
+    fn prepared(&self, planned: &Planned) -> Result<Arc<PreparedData>, ExperimentError> {
+        let mut slot = self.prepared.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.runner.progress.cancelled() {
             return Err(ExperimentError::Cancelled);
         }
         let made = match slot.take() {
             Some(made) => made,
-            None => match self.laboratory.prepare(planned) {
+            None => match self.runner.prepare(planned) {
                 Err(error) if error.is_cancelled() => return Err(error),
                 made => made.map(Arc::new).map_err(|error| describe(&error)),
             },
@@ -256,7 +256,7 @@ impl Shift<'_> {
     /// Reports that a run failed, and returns what was said.
     fn say_failed(&self, planned: &Planned, reason: &str) -> String {
         let failure = format!("{} failed: {reason}", planned.folder.id());
-        self.laboratory.progress.say(&failure);
+        self.runner.progress.say(&failure);
         failure
     }
 }

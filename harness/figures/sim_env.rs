@@ -4,7 +4,7 @@ use super::page::{BLACK, BLUE, COLUMN, GREEN, Page, Point, Stroke, Type, WHITE, 
 use super::task::{data, label};
 use super::text::Face;
 use super::{Drawing, FigureError};
-use harness_simulation::{Portrait, Scene, SimulationError, replay};
+use harness_simulation::{Scene, SceneRenderer, SimulationError, replay};
 use harness_spec::{Scenario, Simulation};
 
 /// An instant at which the finger bends both ways.
@@ -25,13 +25,13 @@ pub fn draw() -> Result<Drawing, FigureError> {
 }
 
 /// A rendered part of the page.
-struct View<'s> {
-    portrait: Portrait<'s>,
+struct SceneView<'s> {
+    renderer: SceneRenderer<'s>,
     corner: Point,
     size: [f64; 2],
 }
 
-impl<'s> View<'s> {
+impl<'s> SceneView<'s> {
     /// Renders the state onto the page, a body in the middle.
     fn draw(
         page: &mut Page,
@@ -41,19 +41,19 @@ impl<'s> View<'s> {
         (body, angle_deg): (&str, f64),
     ) -> Result<Self, FigureError> {
         let [width, height] = size.map(|side| (side * 600.0 / 72.0).round() as u32);
-        let mut portrait = Portrait::close_up(scene, width, height, body, angle_deg)?;
-        page.picture(&portrait.draw(state)?, corner, size, false)?;
-        Ok(Self { portrait, corner, size })
+        let mut renderer = SceneRenderer::close_up(scene, width, height, body, angle_deg)?;
+        page.picture(&renderer.render(state)?, corner, size, false)?;
+        Ok(Self { renderer, corner, size })
     }
 
     /// A place in the world, m, on the page.
     fn at(&self, place: [f64; 3]) -> Point {
-        let [x, y] = self.portrait.project(place);
+        let [x, y] = self.renderer.project(place);
         [self.corner[0] + x * self.size[0], self.corner[1] + y * self.size[1]]
     }
 
     fn geom(&self, name: &str) -> Result<Point, SimulationError> {
-        Ok(self.at(self.portrait.place_of(name)?))
+        Ok(self.at(self.renderer.place_of(name)?))
     }
 }
 
@@ -67,10 +67,10 @@ fn double_arrow(page: &mut Page, points: &[Point], colour: &'static str) {
 }
 
 fn arm(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError> {
-    let view = View::draw(page, scene, state, ([0.0, 0.0], [WIDE, HEIGHT]), ("arm_carriage", 31.0))?;
+    let view = SceneView::draw(page, scene, state, ([0.0, 0.0], [WIDE, HEIGHT]), ("arm_carriage", 31.0))?;
     let name = Type { face: Face::Bold, ..Type::LABEL };
-    let carriage = view.portrait.place_of("arm_carriage")?;
-    let base = view.portrait.place_of("finger_link_00")?;
+    let carriage = view.renderer.place_of("arm_carriage")?;
+    let base = view.renderer.place_of("finger_link_00")?;
 
     // Around the column, on the side of the camera.
     let arc: Vec<Point> = (0..=16)
@@ -110,7 +110,7 @@ fn arm(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError>
 
 fn finger(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError> {
     let place = ([COLUMN - NARROW, 0.0], [NARROW, HEIGHT]);
-    let view = View::draw(page, scene, state, place, ("finger_link_10", 13.0))?;
+    let view = SceneView::draw(page, scene, state, place, ("finger_link_10", 13.0))?;
     let small = Type::SMALL;
     for link in [0, 5, 10, 15, 19] {
         let [x, y] = view.geom(&format!("finger_link_{link:02}"))?;
@@ -121,7 +121,7 @@ fn finger(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureErr
         page.text(&text, [from + 1.5, y + 2.2], small.start());
     }
     // Both ways to bend, seen from the finger's base: along the arm, and across it.
-    let base = view.portrait.place_of("finger_link_00")?;
+    let base = view.renderer.place_of("finger_link_00")?;
     let reach = base[0].hypot(base[1]);
     let along = [base[0] / reach, base[1] / reach];
     let from = view.at(base);

@@ -2,7 +2,7 @@
 
 use super::page::{BLACK, COLUMN, Page, Point, Stroke, Type, WHITE};
 use super::{Drawing, FigureError};
-use harness_simulation::{Portrait, Scene, SimulationError, replay};
+use harness_simulation::{Scene, SceneRenderer, SimulationError, replay};
 use harness_spec::{Scenario, Simulation};
 use polars::prelude::*;
 
@@ -16,13 +16,13 @@ pub fn draw() -> Result<Drawing, FigureError> {
     let scene = Scene::paper(Scenario::CLUTTERED)?;
     let states = replay(&scene, &Simulation::default(), EPISODE)?;
     let state = &states[SAMPLE.min(states.len() - 1)];
-    let mut portrait = Portrait::new(&scene, PICTURE[0], PICTURE[1])?;
-    let picture = portrait.draw(state)?;
+    let mut renderer = SceneRenderer::new(&scene, PICTURE[0], PICTURE[1])?;
+    let picture = renderer.render(state)?;
     let height = COLUMN * f64::from(PICTURE[1]) / f64::from(PICTURE[0]);
     let mut page = Page::new(COLUMN, height, "The soft finger pressed on the ground among movable boxes");
     page.picture(&picture, [0.0, 0.0], [COLUMN, height], false)?;
     let at = |geom: &str| -> Result<Point, SimulationError> {
-        let [x, y] = portrait.project(portrait.place_of(geom)?);
+        let [x, y] = renderer.project(renderer.place_of(geom)?);
         Ok([x * COLUMN, y * height])
     };
     label(&mut page, at("finger_link_10")?, [-40.0, -26.0], "passive soft finger");

@@ -6,51 +6,51 @@ use gemm::Parallelism;
 
 /// How a matrix is read: as it lies, or as its transpose.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum View {
+enum Order {
     Plain,
     Transposed,
 }
 
-/// A row-major matrix operand: `rows x columns` as it lies in memory, before `view` is applied.
+/// A row-major matrix operand: `rows x columns` as it lies in memory, before `order` is applied.
 #[derive(Clone, Copy)]
 pub struct Matrix<'a> {
     pub(super) values: &'a [f32],
     rows: usize,
     columns: usize,
-    view: View,
+    order: Order,
 }
 
 impl<'a> Matrix<'a> {
     /// The matrix as it lies.
     pub fn plain(values: &'a [f32], rows: usize, columns: usize) -> Self {
         assert_eq!(values.len(), rows * columns, "a {rows} x {columns} matrix");
-        Self { values, rows, columns, view: View::Plain }
+        Self { values, rows, columns, order: Order::Plain }
     }
 
     /// Its transpose, without a copy.
     pub fn transposed(values: &'a [f32], rows: usize, columns: usize) -> Self {
-        Self { view: View::Transposed, ..Self::plain(values, rows, columns) }
+        Self { order: Order::Transposed, ..Self::plain(values, rows, columns) }
     }
 
     /// Rows and columns of the view.
     pub(super) fn shape(&self) -> (usize, usize) {
-        match self.view {
-            View::Plain => (self.rows, self.columns),
-            View::Transposed => (self.columns, self.rows),
+        match self.order {
+            Order::Plain => (self.rows, self.columns),
+            Order::Transposed => (self.columns, self.rows),
         }
     }
 
     /// Whether the view's rows lie side by side in memory.
     #[cfg(target_arch = "x86_64")]
     pub(super) fn is_plain(&self) -> bool {
-        self.view == View::Plain
+        self.order == Order::Plain
     }
 
     /// Column stride and row stride of the view.
     fn strides(&self) -> (isize, isize) {
-        match self.view {
-            View::Plain => (1, self.columns as isize),
-            View::Transposed => (self.columns as isize, 1),
+        match self.order {
+            Order::Plain => (1, self.columns as isize),
+            Order::Transposed => (self.columns as isize, 1),
         }
     }
 }

@@ -1,12 +1,12 @@
 //! Batches of frames that are made into network inputs one at a time, where they are needed.
 //!
-//! A batch of 1024 standardised frames takes 50 MB; an op that asks for one frame at a time keeps it in the
+//! A batch of 1024 normalized frames takes 50 MB; an op that asks for one frame at a time keeps it in the
 //! processor's cache instead, and nothing has to be assembled beforehand.
 
 use candle_core::{Device, Result, Tensor};
 use std::sync::Arc;
 
-/// A batch of standardised frames, `[channels, side, side]` each.
+/// A batch of normalized frames, `[channels, side, side]` each.
 pub trait Frames: Send + Sync {
     /// Frames in the batch.
     fn batch(&self) -> usize;

@@ -4,16 +4,16 @@ pub mod checkpoint;
 pub mod frames;
 pub mod memory;
 pub mod network;
+mod normalizer;
 pub mod objective;
 pub mod ops;
 pub mod predict;
 pub mod random;
-mod standard;
 pub mod state;
 pub mod tensors;
 pub mod training;
 
-pub use standard::{Scale, Standard};
+pub use normalizer::{Normalizer, Normalizers};
 
 use harness_shared::files::WriteError;
 use harness_spec::{Device, Task};

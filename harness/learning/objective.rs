@@ -3,47 +3,47 @@
 use super::network::{Decoder, Encoder, Observation, Targets};
 use super::ops::Dropout;
 use super::random::Random;
-use crate::Standard;
+use crate::Normalizers;
 use candle_core::{Device, Result, Tensor};
 use harness_dataset::Samples;
 use harness_spec::{Action, Loss, Modality};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// The name of the divergence among a loss's terms.
+/// The name of the Kullback-Leibler divergence among a loss's terms.
 pub const KL: &str = "kl";
 
 /// A dataset as a network sees it.
 #[derive(Clone)]
-pub struct View {
+pub struct NormalizedData {
     pub samples: Arc<Samples>,
-    pub standard: Arc<Standard>,
+    pub normalizers: Arc<Normalizers>,
     pub action: Action,
     pub device: Device,
 }
 
-impl View {
-    /// The standardised observation of `modalities` at the samples `at`.
+impl NormalizedData {
+    /// The normalized observation of `modalities` at the samples `at`.
     pub fn observation(&self, at: &[usize], modalities: &[Modality]) -> Result<Observation> {
-        let vector = self.standard.vectors(&self.samples, at, modalities).transpose()?;
+        let vector = self.normalizers.vectors(&self.samples, at, modalities).transpose()?;
         Ok(Observation {
             vector: vector.map(|vector| vector.to_device(&self.device)).transpose()?,
-            frames: self.standard.frames(&self.samples, at, modalities),
+            frames: self.normalizers.frames(&self.samples, at, modalities),
         })
     }
 
     /// The same as a decoder's targets: frames one modality at a time.
     fn targets(&self, at: &[usize], modalities: &[Modality]) -> Result<Targets> {
         let frames = modalities.iter().filter_map(|modality| {
-            Some((*modality, self.standard.frames(&self.samples, at, std::slice::from_ref(modality))?))
+            Some((*modality, self.normalizers.frames(&self.samples, at, std::slice::from_ref(modality))?))
         });
         let vector = self.observation(at, modalities)?.vector;
         Ok(Targets { vector, losses: BTreeMap::new(), frames: frames.collect() })
     }
 
-    /// The standardised actions `[batch, elements]` from the samples `at` to the next.
+    /// The normalized actions `[batch, elements]` from the samples `at` to the next.
     pub fn actions(&self, at: &[usize]) -> Result<Tensor> {
-        self.standard.actions(&self.samples, at, self.action)?.to_device(&self.device)
+        self.normalizers.actions(&self.samples, at, self.action)?.to_device(&self.device)
     }
 }
 
@@ -73,7 +73,7 @@ pub trait Objective {
 
 /// The next observation from this one and the action: the losses of its errors plus the weighted divergence.
 pub struct Prediction<'a> {
-    pub view: &'a View,
+    pub data: &'a NormalizedData,
     pub encoder: Box<dyn Encoder>,
     pub decoder: Box<dyn Decoder>,
     pub input: &'a [Modality],
@@ -92,21 +92,21 @@ impl Objective for Prediction<'_> {
             Draw::Sample(random) if self.dropout > 0.0 => Some(Dropout::new(self.dropout, random.seed())),
             _ => None,
         };
-        let observation = self.view.observation(at, self.input)?;
+        let observation = self.data.observation(at, self.input)?;
         let posterior = self.encoder.encode_with_dropout(&observation, dropout)?;
         let latent = match draw {
             Draw::Sample(random) => {
                 let shape = (at.len(), posterior.latent()?);
                 let noise = Tensor::from_vec(random.normal(shape.0 * shape.1), shape, &Device::Cpu)?;
-                posterior.sample(&noise.to_device(&self.view.device)?)?
+                posterior.sample(&noise.to_device(&self.data.device)?)?
             }
             Draw::Mean => posterior.mean()?,
         };
         let next: Vec<usize> = at.iter().map(|sample| sample + 1).collect();
-        let targets = Targets { losses: self.losses.clone(), ..self.view.targets(&next, self.output)? };
-        let action = self.view.actions(at)?;
+        let targets = Targets { losses: self.losses.clone(), ..self.data.targets(&next, self.output)? };
+        let action = self.data.actions(at)?;
         let mut terms = weighted(self.decoder.losses(&latent, Some(&action), &targets)?, self.loss_weights);
-        terms.push(Weighted { name: KL.into(), weight: self.kl_weight, value: posterior.divergence()? });
+        terms.push(Weighted { name: KL.into(), weight: self.kl_weight, value: posterior.kl_divergence()? });
         Ok(terms)
     }
 
@@ -117,7 +117,7 @@ impl Objective for Prediction<'_> {
 
 /// This observation again, from the frozen encoder's latent state: squared errors alone.
 pub struct Reconstruction<'a> {
-    pub view: &'a View,
+    pub data: &'a NormalizedData,
     /// The posterior's mean of every sample, `[samples, latent]`: the encoder is frozen, so it runs once.
     pub latent: &'a Tensor,
     pub decoder: Box<dyn Decoder>,
@@ -126,7 +126,7 @@ pub struct Reconstruction<'a> {
 
 impl Objective for Reconstruction<'_> {
     fn terms(&self, at: &[usize], _draw: Draw) -> Result<Vec<Weighted>> {
-        let targets = self.view.targets(at, self.input)?;
+        let targets = self.data.targets(at, self.input)?;
         let latent = rows(self.latent, at)?;
         Ok(weighted(self.decoder.losses(&latent, None, &targets)?, &BTreeMap::new()))
     }

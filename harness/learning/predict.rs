@@ -1,8 +1,8 @@
 //! Trained networks at work on chosen transitions, in physical units.
 
 use super::network::{Decoded, Decoder, Encoder};
-use super::objective::{View, rows};
-use crate::Standard;
+use super::objective::{NormalizedData, rows};
+use crate::Normalizers;
 use candle_core::{Result, Tensor};
 use harness_spec::{IMAGE_CHANNELS, Layout, Modality};
 
@@ -10,9 +10,14 @@ use harness_spec::{IMAGE_CHANNELS, Layout, Modality};
 const BATCH: usize = 256;
 
 /// The posterior's mean for every transition in `at`, `[at, latent]`.
-pub fn encode(view: &View, encoder: &dyn Encoder, input: &[Modality], at: &[usize]) -> Result<Tensor> {
+pub fn encode(
+    data: &NormalizedData,
+    encoder: &dyn Encoder,
+    input: &[Modality],
+    at: &[usize],
+) -> Result<Tensor> {
     let encoder = encoder.detached();
-    let means = at.chunks(BATCH).map(|at| encoder.encode(&view.observation(at, input)?)?.mean());
+    let means = at.chunks(BATCH).map(|at| encoder.encode(&data.observation(at, input)?)?.mean());
     Tensor::cat(&means.collect::<Result<Vec<_>>>()?, 0)?.contiguous()
 }
 
@@ -27,7 +32,7 @@ pub struct Predicted<'a> {
 /// Decodes the rows of `latent` (one a transition in `at`) and hands each output modality to `each`, batch by
 /// batch and in order. The decoder is told the action if `acting`.
 pub fn decode(
-    view: &View,
+    data: &NormalizedData,
     decoder: &dyn Decoder,
     output: &[Modality],
     acting: bool,
@@ -38,9 +43,9 @@ pub fn decode(
     let decoder = decoder.detached();
     for (index, at) in at.chunks(BATCH).enumerate() {
         let places: Vec<usize> = (index * BATCH..index * BATCH + at.len()).collect();
-        let action = acting.then(|| view.actions(at)).transpose()?;
+        let action = acting.then(|| data.actions(at)).transpose()?;
         let decoded = decoder.decode(&rows(latent, &places)?, action.as_ref())?;
-        for (modality, values) in restored(&view.standard, view.samples.layout(), output, decoded)? {
+        for (modality, values) in denormalized(&data.normalizers, data.samples.layout(), output, decoded)? {
             each(Predicted { modality, at, values });
         }
     }
@@ -48,14 +53,14 @@ pub fn decode(
 }
 
 /// A decoder's output by modality, in physical units: `[batch, width]` each, frames channel by channel.
-pub fn restored(
-    standard: &Standard,
+pub fn denormalized(
+    normalizers: &Normalizers,
     layout: &Layout,
     output: &[Modality],
     Decoded { vector, frames }: Decoded,
 ) -> Result<Vec<(Modality, Vec<f32>)>> {
     let (mut column, mut channel) = (0, 0);
-    let mut restored = Vec::with_capacity(output.len());
+    let mut denormalized = Vec::with_capacity(output.len());
     for modality in output.iter().copied() {
         let definition = &layout[modality];
         let values = if definition.is_image() {
@@ -67,10 +72,10 @@ pub fn restored(
             part(&vector, column - width, width)?
         };
         let mut values = values.flatten_all()?.to_vec1()?;
-        standard.scales[&modality].restore(&mut values);
-        restored.push((modality, values));
+        normalizers.modalities[&modality].denormalize(&mut values);
+        denormalized.push((modality, values));
     }
-    Ok(restored)
+    Ok(denormalized)
 }
 
 /// `len` columns or channels of a decoder's output, from `start` on.

@@ -88,7 +88,7 @@ impl RidgeSums {
         Self { inputs, outputs, gram: vec![0.0; size * size], cross: vec![0.0; outputs * size] }
     }
 
-    /// Adds training samples: standardised inputs `x`, row-major `[samples, inputs]`, and what is to be
+    /// Adds training samples: normalized inputs `x`, row-major `[samples, inputs]`, and what is to be
     /// predicted, `y`, `[samples, outputs]`, in any unit.
     ///
     /// # Errors
@@ -168,7 +168,7 @@ impl Ridge {
         (weights[0], &weights[1..])
     }
 
-    /// Predicts from inputs standardised as in the fit: `[samples, inputs]` to `[samples, outputs]`.
+    /// Predicts from inputs normalized as in the fit: `[samples, inputs]` to `[samples, outputs]`.
     ///
     /// # Errors
     /// `x` is no whole number of rows.

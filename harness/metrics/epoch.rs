@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Mean of every term of the loss over a split, on standardised values and before weighting; `total` is the
+/// Mean of every term of the loss over a split, on normalized values and before weighting; `total` is the
 /// weighted sum.
 pub type Losses = BTreeMap<String, f64>;
 

@@ -5,7 +5,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use harness_figures::FigureError;
 use harness_shared::progress::Progress;
-use harness_simulation::{Portrait, Scene, replay};
+use harness_simulation::{Scene, SceneRenderer, replay};
 use harness_spec::{Scenario, Simulation};
 use image::RgbImage;
 use image::codecs::jpeg::JpegEncoder;
@@ -73,11 +73,11 @@ fn clip(scenario: Scenario, progress: &dyn Progress) -> Result<(Clip, Frames), F
     let (episode, first) = take(scenario);
     let simulation = Simulation::default();
     let scene = Scene::paper(scenario)?;
-    let mut portrait = Portrait::new(&scene, SIZE[0], SIZE[1])?;
+    let mut renderer = SceneRenderer::new(&scene, SIZE[0], SIZE[1])?;
     let states = replay(&scene, &simulation, episode)?;
     let mut frames = Vec::with_capacity(SAMPLES);
     for state in states.iter().skip(first).take(SAMPLES) {
-        frames.push(jpeg(&portrait.draw(state)?)?);
+        frames.push(jpeg(&renderer.render(state)?)?);
         progress.advance(1);
     }
     let still = frames.first().cloned().unwrap_or_default();

@@ -68,7 +68,7 @@ impl Batch {
         })
     }
 
-    /// Takes each simulation to its next sample along its episode's own course.
+    /// Takes each simulation to its next sample along its episode's own plan.
     ///
     /// # Errors
     /// When one diverges.

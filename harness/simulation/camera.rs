@@ -94,14 +94,14 @@ impl Camera {
 }
 
 /// Draws pictures for people: with shadows, smooth edges and round capsules, at any resolution.
-pub struct Portrait<'s> {
+pub struct SceneRenderer<'s> {
     scene: &'s Scene,
     data: MjData<Arc<MjModel>>,
     camera: Camera,
     size: [u32; 2],
 }
 
-impl<'s> Portrait<'s> {
+impl<'s> SceneRenderer<'s> {
     /// # Errors
     /// When a side is 0 or above 4096 pixels, or there is no OpenGL to render with.
     pub fn new(scene: &'s Scene, width: u32, height: u32) -> Result<Self, SimulationError> {
@@ -109,11 +109,11 @@ impl<'s> Portrait<'s> {
         Self::of_model(scene, good_looking(&scene.model, width, height), [width, height])
     }
 
-    /// A portrait from the same place, of a body in the middle and with a field of view of `angle_deg` from top to
+    /// A renderer from the same place, of a body in the middle and with a field of view of `angle_deg` from top to
     /// bottom.
     ///
     /// # Errors
-    /// As [`Portrait::new`], and when the scene has no such body.
+    /// As [`SceneRenderer::new`], and when the scene has no such body.
     pub fn close_up(
         scene: &'s Scene,
         width: u32,
@@ -170,7 +170,7 @@ impl<'s> Portrait<'s> {
     ///
     /// # Errors
     /// When the positions are not as many as the scene has, or OpenGL fails.
-    pub fn draw(&mut self, qpos: &[f64]) -> Result<RgbImage, SimulationError> {
+    pub fn render(&mut self, qpos: &[f64]) -> Result<RgbImage, SimulationError> {
         if qpos.len() != self.data.qpos().len() {
             return Err(SimulationError::StateSize {
                 scene: self.scene.name.clone(),

@@ -2,8 +2,8 @@
 
 use super::SimulationError;
 use super::camera::Camera;
-use super::course::Course;
 use super::physics::{Instant, Physics};
+use super::plan::EpisodePlan;
 use super::scene::Scene;
 use harness_spec::{Episode, IMAGE_CHANNELS, Simulation};
 use std::ops::ControlFlow;
@@ -34,12 +34,12 @@ impl<'s> Simulator<'s> {
         index: u32,
         on_sample: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<Episode, SimulationError> {
-        let course = Course::draw(self.physics.scene, &self.spec, index)?;
+        let plan = EpisodePlan::draw(self.physics.scene, &self.spec, index)?;
         let (scene, cameras) = (self.physics.scene, &mut self.cameras);
         let renderer = cameras.first().map(|camera| camera.renderer_name().to_owned());
-        let mut episode = with_room(scene, &course, self.physics.timing.samples);
+        let mut episode = with_room(scene, &plan, self.physics.timing.samples);
         episode.renderer = renderer.unwrap_or_else(|| "none".into());
-        self.physics.run(&course, &mut |instant, data| {
+        self.physics.run(&plan, &mut |instant, data| {
             record(&mut episode, scene, instant);
             for (camera, recorded) in cameras.iter_mut().zip(&scene.cameras) {
                 episode.images[recorded.position].extend_from_slice(camera.capture(data)?);
@@ -59,18 +59,18 @@ impl<'s> Simulator<'s> {
 /// As [`Simulator::run`], except for rendering and cancelling.
 pub fn replay(scene: &Scene, spec: &Simulation, index: u32) -> Result<Vec<Vec<f64>>, SimulationError> {
     let mut physics = Physics::new(scene, spec)?;
-    let course = Course::draw(scene, spec, index)?;
+    let plan = EpisodePlan::draw(scene, spec, index)?;
     let mut states = Vec::with_capacity(physics.timing.samples);
-    physics.run(&course, &mut |instant, _| {
+    physics.run(&plan, &mut |instant, _| {
         states.push(instant.qpos.to_vec());
         Ok(())
     })?;
     Ok(states)
 }
 
-/// An episode with room for the samples of a course.
-fn with_room(scene: &Scene, course: &Course, samples: usize) -> Episode {
-    let mut episode = Episode::new(scene.layout().clone(), course.episode, samples);
+/// An episode with room for the samples of a plan.
+fn with_room(scene: &Scene, plan: &EpisodePlan, samples: usize) -> Episode {
+    let mut episode = Episode::new(scene.layout().clone(), plan.episode, samples);
     for (values, readings) in episode.vectors.iter_mut().zip(&scene.readings) {
         values.reserve_exact(samples * readings.len());
     }
@@ -78,7 +78,7 @@ fn with_room(scene: &Scene, course: &Course, samples: usize) -> Episode {
         let [rows, columns] = camera.size;
         episode.images[camera.position].reserve_exact(samples * rows * columns * IMAGE_CHANNELS);
     }
-    episode.boxes = course.boxes.clone();
+    episode.boxes = plan.boxes.clone();
     episode
 }
 

@@ -6,22 +6,22 @@
 
 mod batch;
 mod camera;
-mod course;
 mod draft;
 mod episode;
 mod live;
 mod motion;
 mod physics;
 mod placement;
+mod plan;
 mod scene;
 mod sensors;
 
 pub use batch::Batch;
-pub use camera::{Camera, Portrait, prepare_rendering, renderer_name};
-pub use course::Course;
+pub use camera::{Camera, SceneRenderer, prepare_rendering, renderer_name};
 pub use draft::draft_world;
 pub use episode::{Simulator, replay};
 pub use live::LiveSimulation;
+pub use plan::EpisodePlan;
 pub use scene::Scene;
 pub use sensors::link_forces;
 

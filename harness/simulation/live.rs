@@ -1,10 +1,10 @@
 //! One simulation that is stepped from outside, a sample at a time: for control and reinforcement learning.
 
 use super::SimulationError;
-use super::camera::{Camera, Portrait};
-use super::course::Course;
+use super::camera::{Camera, SceneRenderer};
 use super::motion::ranges;
 use super::physics::{Physics, sensed_position};
+use super::plan::EpisodePlan;
 use super::scene::Scene;
 use harness_spec::Pose;
 use harness_spec::{Modality, Simulation};
@@ -14,23 +14,23 @@ use std::collections::BTreeMap;
 
 /// A simulation of a scene whose actuators are told a setpoint at each sample.
 ///
-/// What it senses is what an episode of a dataset records: the course of an episode's own, followed by
+/// What it senses is what an episode of a dataset records: the plan of an episode's own, followed by
 /// [`LiveSimulation::follow`], gives that episode's samples bit by bit.
 pub struct LiveSimulation {
     spec: Simulation,
     physics: Physics<'static>,
-    course: Course,
+    plan: EpisodePlan,
 }
 
 thread_local! {
     /// This thread's cameras: OpenGL contexts belong to the thread that made them, and simulations go from thread to
     /// thread.
     static CAMERAS: RefCell<BTreeMap<(usize, Modality), Camera>> = const { RefCell::new(BTreeMap::new()) };
-    /// The portrait that this thread drew last, with its scenario and size: the next is most likely alike.
-    static PORTRAIT: RefCell<Option<(Picture, Box<Portrait<'static>>)>> = const { RefCell::new(None) };
+    /// The renderer that this thread drew last, with its scenario and size: the next is most likely alike.
+    static RENDERER: RefCell<Option<(Picture, Box<SceneRenderer<'static>>)>> = const { RefCell::new(None) };
 }
 
-/// What a portrait is made for: the scene, and width and height in pixels.
+/// What a renderer is made for: the scene, and width and height in pixels.
 type Picture = (usize, u32, u32);
 
 /// Tells one scene from others as long as the process lives.
@@ -44,8 +44,8 @@ impl LiveSimulation {
     /// # Errors
     /// When the spec's ranges or rates do not suit the scene, the boxes find no place, or the simulation diverges.
     pub fn new(scene: &'static Scene, spec: &Simulation) -> Result<Self, SimulationError> {
-        let (physics, course) = (Physics::new(scene, spec)?, Course::draw(scene, spec, 0)?);
-        let mut live = Self { spec: spec.clone(), physics, course };
+        let (physics, plan) = (Physics::new(scene, spec)?, EpisodePlan::draw(scene, spec, 0)?);
+        let mut live = Self { spec: spec.clone(), physics, plan };
         live.reset(spec.seed, 0)?;
         Ok(live)
     }
@@ -56,8 +56,8 @@ impl LiveSimulation {
     /// When the boxes find no place, or the simulation diverges.
     pub fn reset(&mut self, seed: u64, episode: u32) -> Result<(), SimulationError> {
         self.spec.seed = seed;
-        self.course = Course::draw(self.physics.scene, &self.spec, episode)?;
-        self.physics.start(&self.course);
+        self.plan = EpisodePlan::draw(self.physics.scene, &self.spec, episode)?;
+        self.physics.start(&self.plan);
         self.follow()
     }
 
@@ -86,13 +86,13 @@ impl LiveSimulation {
         })
     }
 
-    /// Goes on to the next sample along the course of the episode itself.
+    /// Goes on to the next sample along the plan of the episode itself.
     ///
     /// # Errors
     /// When the simulation diverges.
     pub fn follow(&mut self) -> Result<(), SimulationError> {
-        let course = &self.course;
-        self.physics.advance(|step, setpoint| course.setpoint(step, setpoint))
+        let plan = &self.plan;
+        self.physics.advance(|step, setpoint| plan.setpoint(step, setpoint))
     }
 
     /// How it is simulated; the seed is that of the latest reset.
@@ -162,15 +162,15 @@ impl LiveSimulation {
     ///
     /// # Errors
     /// When a side is 0 or above 4096 pixels, or there is no OpenGL to render with.
-    pub fn portrait(&self, width: u32, height: u32) -> Result<RgbImage, SimulationError> {
+    pub fn render(&self, width: u32, height: u32) -> Result<RgbImage, SimulationError> {
         let scene = self.physics.scene;
         let kind = (key(scene), width, height);
-        PORTRAIT.with_borrow_mut(|kept| {
-            let portrait = match kept.take() {
-                Some((other, portrait)) if other == kind => portrait,
-                _ => Box::new(Portrait::new(scene, width, height)?),
+        RENDERER.with_borrow_mut(|kept| {
+            let renderer = match kept.take() {
+                Some((other, renderer)) if other == kind => renderer,
+                _ => Box::new(SceneRenderer::new(scene, width, height)?),
             };
-            kept.insert((kind, portrait)).1.draw(&self.physics.instant.qpos)
+            kept.insert((kind, renderer)).1.render(&self.physics.instant.qpos)
         })
     }
 }

@@ -1,10 +1,10 @@
 //! The stepping loop: drives the actuators along their motion and shows each sampled instant to an observer.
 
 use super::SimulationError;
-use super::course::Course;
 use super::motion::{Timing, check_ranges};
+use super::plan::EpisodePlan;
 use super::scene::{Reading, Scene};
-use super::sensors::{MeanForces, divergence, sum_forces};
+use super::sensors::{MeanForces, instability, sum_forces};
 use harness_spec::{Layout, Modality, Simulation};
 use mujoco_rs::prelude::*;
 
@@ -105,10 +105,10 @@ impl<'s> Physics<'s> {
     ///
     /// # Errors
     /// When the simulation diverges, or with what the observer returns.
-    pub fn run(&mut self, course: &Course, observe: &mut Observer<'_, 's>) -> Result<(), SimulationError> {
-        self.start(course);
+    pub fn run(&mut self, plan: &EpisodePlan, observe: &mut Observer<'_, 's>) -> Result<(), SimulationError> {
+        self.start(plan);
         for _ in 0..self.timing.samples {
-            self.advance(|step, setpoint| course.setpoint(step, setpoint))?;
+            self.advance(|step, setpoint| plan.setpoint(step, setpoint))?;
             observe(&self.instant, &mut self.data)?;
         }
         Ok(())
@@ -132,7 +132,7 @@ impl<'s> Physics<'s> {
                 self.instant.qvel.copy_from_slice(self.data.qvel());
             }
             self.data.step();
-            if let Some(what) = divergence(&self.data) {
+            if let Some(what) = instability(&self.data) {
                 let time_s = self.step as f64 * self.timing.step_s;
                 let scene = self.scene.name.clone();
                 return Err(SimulationError::Diverged { scene, episode: self.episode, time_s, what });
@@ -156,11 +156,11 @@ impl<'s> Physics<'s> {
     }
 
     /// Puts what position servos drive at the motion's start and the boxes in their places, all at rest.
-    pub fn start(&mut self, course: &Course) {
-        (self.episode, self.step) = (course.episode, 0);
+    pub fn start(&mut self, plan: &EpisodePlan) {
+        (self.episode, self.step) = (plan.episode, 0);
         self.mean.clear();
         self.data.reset();
-        course.setpoint(0, &mut self.setpoint);
+        plan.setpoint(0, &mut self.setpoint);
         let qpos = self.data.qpos_mut();
         for (driven, value) in self.scene.actuators.iter().zip(&self.setpoint) {
             if let Some(index) = driven.qpos {
@@ -168,7 +168,7 @@ impl<'s> Physics<'s> {
             }
         }
         let boxes = self.scene.placements.iter().flat_map(|placement| &placement.boxes);
-        for (body, pose) in boxes.zip(&course.boxes) {
+        for (body, pose) in boxes.zip(&plan.boxes) {
             qpos[body.qpos..body.qpos + pose.len()].copy_from_slice(pose);
         }
     }

@@ -4,8 +4,8 @@ use super::motion::{Timing, check_ranges};
 use super::{MUJOCO_VERSION, SimulationError, mujoco_version};
 use harness_shared::seal::hex;
 use harness_spec::{
-    Definition, Deviation, Element, Group, Kind, Layout, Modality, ModelFile, Percentage, Scenario,
-    Simulation, Source, World, clearance_setting, matching, range_setting,
+    Definition, Element, Group, Kind, Layout, Modality, ModelFile, Percentage, Scale, Scenario, Simulation,
+    Source, World, clearance_setting, matching, range_setting,
 };
 use mujoco_rs::prelude::*;
 use sha2::{Digest, Sha256};
@@ -650,7 +650,7 @@ impl<'a> Resolver<'a> {
             kind: Kind::Vector { elements },
             difference_of: None,
             groups: Vec::new(),
-            scale: Deviation::PerElement,
+            scale: Scale::PerElement,
             minimum: None,
             percentage: None,
         };

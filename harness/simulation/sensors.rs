@@ -79,7 +79,7 @@ impl MeanForces {
 ///
 /// MuJoCo counts a warning when positions, velocities or accelerations are not finite or huge (and then resets
 /// the state, which must not be taken for data), or when contacts or constraints did not fit its memory.
-pub(super) fn divergence(data: &MjData<&MjModel>) -> Option<String> {
+pub(super) fn instability(data: &MjData<&MjModel>) -> Option<String> {
     data.warning()
         .iter()
         .zip(WARNINGS)
@@ -118,11 +118,11 @@ mod tests {
     fn each_of_mujocos_warnings_is_named() {
         let model = MjModel::from_xml_string("<mujoco/>").unwrap();
         let mut data = MjData::new(&model);
-        assert_eq!(divergence(&data), None);
+        assert_eq!(instability(&data), None);
         for (index, (name, _)) in WARNINGS.into_iter().enumerate() {
             data.reset();
             data.warning_mut()[index].number = 1;
-            assert!(divergence(&data).unwrap().contains(name));
+            assert!(instability(&data).unwrap().contains(name));
         }
     }
 }

@@ -242,7 +242,7 @@ impl RunSpec {
         check_images(&images, &self.network, &self.training).map_err(|fault| fault.message)?;
         let by_element = self.scaling.iter().find(|(modality, scaling)| {
             layout.get(**modality).is_some_and(|definition| definition.is_image())
-                && scaling.scale == super::Deviation::PerElement
+                && scaling.scale == super::Scale::PerElement
         });
         match by_element {
             Some((modality, _)) => {

@@ -23,7 +23,7 @@ pub use episode::{Episode, Pose};
 pub use error::SpecError;
 pub use modality::*;
 pub use parse::read as read_text;
-pub use scaling::{Deviation, GivenScaling, GivenScalings, Scaling, Scalings};
+pub use scaling::{GivenScaling, GivenScalings, Scale, Scaling, Scalings};
 pub use schema::{schema, setting_names};
 pub use types::*;
 pub use world::*;

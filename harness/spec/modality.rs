@@ -1,6 +1,6 @@
 //! Modalities: their names, which specs and tables use, and what a dataset says of each.
 
-use super::scaling::Deviation;
+use super::scaling::Scale;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -208,7 +208,7 @@ pub struct Definition {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub groups: Vec<Group>,
     /// What its values are divided by for a network, where a spec says nothing.
-    pub scale: Deviation,
+    pub scale: Scale,
     /// The least value of a prediction, where a spec says nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub minimum: Option<f64>,

@@ -10,19 +10,19 @@ use std::fmt;
 /// What a modality's values are divided by, each minus its own mean.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum Deviation {
+pub enum Scale {
     /// One standard deviation for all values: errors count as they do in physical units.
     Shared,
     /// Each value's own standard deviation: a value that hardly varies counts as much as any other. Not for frames.
     PerElement,
 }
-names!(Deviation { Shared => "shared", PerElement => "per_element" });
+names!(Scale { Shared => "shared", PerElement => "per_element" });
 
 /// How one modality is scaled and bounded.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scaling {
-    pub scale: Deviation,
+    pub scale: Scale,
     /// The least value of a prediction, in physical units; predictions below it are set to it.
     pub minimum: Option<f64>,
 }
@@ -35,7 +35,7 @@ pub type Scalings = BTreeMap<Modality, Scaling>;
 #[serde(deny_unknown_fields)]
 pub struct GivenScaling {
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub scale: Option<Deviation>,
+    pub scale: Option<Scale>,
     /// `Some(None)` is a `null` that stands in the spec.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "present")]
     pub minimum: Option<Option<f64>>,
@@ -61,14 +61,14 @@ impl GivenScaling {
 impl Scaling {
     /// What a modality had before it was a setting: a vector's elements scaled one by one, and no minimum.
     pub fn plain(is_image: bool) -> Self {
-        let scale = if is_image { Deviation::Shared } else { Deviation::PerElement };
+        let scale = if is_image { Scale::Shared } else { Scale::PerElement };
         Self { scale, minimum: None }
     }
 }
 
 /// A section a modality, each with the keys of [`GivenScaling`].
 pub(super) fn schema(generator: &mut SchemaGenerator) -> Schema {
-    let scale = generator.subschema_for::<Deviation>();
+    let scale = generator.subschema_for::<Scale>();
     let minimum = json_schema!({
         "description": "The least value of a prediction, in physical units; `null` for none.",
         "type": ["number", "null"],

@@ -1,7 +1,7 @@
 //! What the schema cannot say: rules that tie several settings together.
 
 use super::modality::{Modality, is_name};
-use super::scaling::Deviation;
+use super::scaling::Scale;
 use super::schema::unknown;
 use super::types::{
     Device, Division, Experiment, Network, Origin, Precision, Reading, Setting, Simulation, Split, Task,
@@ -451,7 +451,7 @@ fn scaling(experiment: &Experiment) -> Result<(), Fault> {
             );
         }
         let is_image = known.iter().flatten().any(|known| known.size.is_some());
-        if is_image && given.scale == Some(Deviation::PerElement) {
+        if is_image && given.scale == Some(Scale::PerElement) {
             return fault(
                 format!("scaling.{modality}.scale"),
                 format!("'{modality}' is an image, whose values have one deviation for all; use shared"),

@@ -3,7 +3,7 @@
 use super::error::{Problem, SpecError};
 use super::modality::{Modality, NAME, Percentage, Region, is_name};
 use super::parse::{self, Node, shorten};
-use super::scaling::{Deviation, Scaling};
+use super::scaling::{Scale, Scaling};
 use super::schema;
 use super::types::{Scenario, Setting, Simulation};
 use schemars::JsonSchema;
@@ -152,7 +152,7 @@ pub struct Sensing {
     /// nothing is said.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "scale")]
-    pub scale: Option<Deviation>,
+    pub scale: Option<Scale>,
     /// The least value of a prediction; 0 for forces where nothing is said.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "number")]
@@ -265,7 +265,7 @@ fn second() -> f64 {
 
 /// The plain schemas of values that may be left out: that they may is no choice of a file's.
 mod plain {
-    use super::{Deviation, Interval, MAX_IMAGE_SIDE, Percentage, Sector};
+    use super::{Interval, MAX_IMAGE_SIDE, Percentage, Scale, Sector};
     use schemars::{Schema, SchemaGenerator, json_schema};
 
     pub fn globs(_: &mut SchemaGenerator) -> Schema {
@@ -297,7 +297,7 @@ mod plain {
         generator.subschema_for::<Interval>()
     }
     pub fn scale(generator: &mut SchemaGenerator) -> Schema {
-        generator.subschema_for::<Deviation>()
+        generator.subschema_for::<Scale>()
     }
     pub fn percentage(generator: &mut SchemaGenerator) -> Schema {
         generator.subschema_for::<Percentage>()
@@ -587,7 +587,7 @@ impl World {
     pub fn scaling(&self, modality: Modality) -> Option<Scaling> {
         let sensing = self.sensing(modality)?;
         let default = match sensing.source() {
-            Source::NormalForce { .. } => Scaling { scale: Deviation::Shared, minimum: Some(0.0) },
+            Source::NormalForce { .. } => Scaling { scale: Scale::Shared, minimum: Some(0.0) },
             Source::DifferenceOf(of) => Scaling::plain(self.sensing(of)?.camera.is_some()),
             Source::Camera { .. } => Scaling::plain(true),
             _ => Scaling::plain(false),
@@ -740,7 +740,7 @@ fn modality<'a>(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), (
     if is_image && !sensing.groups.is_empty() {
         return Err(("groups", "an image has no groups; 'regions' tell its parts apart".into()));
     }
-    if is_image && sensing.scale == Some(Deviation::PerElement) {
+    if is_image && sensing.scale == Some(Scale::PerElement) {
         return Err(("scale", "the values of an image have one deviation for all; use shared".into()));
     }
     if is_image && sensing.percentage.is_some() {

@@ -190,7 +190,7 @@ fn epoch_values() -> Vec<Column> {
         integer("epoch", "counted from 1"),
         text("split", "train or validation"),
         text("term", "total, kl, or the mean squared error of a modality"),
-        real("value", "1", "mean of the term over the split, on standardised values, before weighting"),
+        real("value", "1", "mean of the term over the split, on normalized values, before weighting"),
         real("seconds", "s", "wall time of the epoch"),
     ]
 }

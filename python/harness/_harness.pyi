@@ -157,7 +157,7 @@ class SimulationBatch:
         """What the simulations sense, by one of `modalities`: a vector `[count, elements]`, float32, or an image
         `[count, rows, columns, 3]`, uint8. Raises KeyError for another modality."""
 
-    def portrait(self, index: int, width: int, height: int) -> NDArray[np.uint8]:
+    def render(self, index: int, width: int, height: int) -> NDArray[np.uint8]:
         """A picture of a simulation in good quality, `[height, width, 3]`, each side 1 to 4096 pixels."""
 
     @property

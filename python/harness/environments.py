@@ -73,7 +73,7 @@ class Environment(dm_env.Environment):
 
     def picture(self, width: int = 480, height: int = 480) -> NDArray[np.uint8]:
         """A picture of the scene, `[height, width, 3]`."""
-        return self._episodes.simulations.portrait(0, width, height)
+        return self._episodes.simulations.render(0, width, height)
 
     def _observation(self) -> dict[str, NDArray[Any]]:
         return {name: values[0] for name, values in self._episodes.observe().items()}

@@ -73,7 +73,7 @@ class SoftFinger(gymnasium.Env[Any, Any]):
     def render(self) -> NDArray[np.uint8] | None:
         if self.render_mode is None:
             return None
-        return self.episodes.simulations.portrait(0, *self.size)
+        return self.episodes.simulations.render(0, *self.size)
 
     def _observation(self) -> Observation:
         return {name: values[0] for name, values in self.episodes.observe().items()}
@@ -137,7 +137,7 @@ class SoftFingerVector(VectorEnv[Any, Any, Any]):
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         if self.render_mode is None:
             return None
-        return tuple(self.episodes.simulations.portrait(index, *self.size) for index in range(self.num_envs))
+        return tuple(self.episodes.simulations.render(index, *self.size) for index in range(self.num_envs))
 
 
 def check_render_mode(render_mode: str | None) -> None:

@@ -4,7 +4,7 @@ use crate::errors::Raise;
 use crate::work::interruptible;
 use harness::analysis::{self, Selection, Setting};
 use harness::cli::progress::Bars;
-use harness::experiment::{ExperimentError, Laboratory, provenance};
+use harness::experiment::{ExperimentError, Runner, provenance};
 use harness::progress::{Progress, Silent};
 use harness::registry::{self, Registry, quoted};
 use harness::spec;
@@ -42,15 +42,9 @@ pub fn run(
     let cancelled = AtomicBool::new(false);
     let shown: Box<dyn Progress> = if progress { Box::new(Bars::default()) } else { Box::new(Silent) };
     let listener = Listener { shown, cancelled: &cancelled };
-    let laboratory = Laboratory {
-        registry: &registry,
-        threads,
-        jobs,
-        memory,
-        provenance: &provenance,
-        progress: &listener,
-    };
-    let work = || laboratory.run(&laboratory.plan(&experiment)?);
+    let runner =
+        Runner { registry: &registry, threads, jobs, memory, provenance: &provenance, progress: &listener };
+    let work = || runner.run(&runner.plan(&experiment)?);
     let summary = interruptible(py, work, || cancelled.store(true, Ordering::Relaxed))?;
     warn(py, &registry)?;
     let summary = summary.map_err(|error: ExperimentError| error.raise())?;

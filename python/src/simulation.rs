@@ -157,7 +157,7 @@ impl SimulationBatch {
         }
     }
 
-    fn portrait<'py>(
+    fn render<'py>(
         &self,
         py: Python<'py>,
         index: usize,
@@ -171,7 +171,7 @@ impl SimulationBatch {
         let held = self.lock()?;
         let simulation = &held.batch.simulations()[index];
         // On this thread, which keeps its OpenGL context for the next picture.
-        let picture = py.detach(|| simulation.portrait(width, height)).map_err(Raise::raise)?;
+        let picture = py.detach(|| simulation.render(width, height)).map_err(Raise::raise)?;
         array(py, picture.into_raw(), &[height as usize, width as usize, IMAGE_CHANNELS])
     }
 

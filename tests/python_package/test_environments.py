@@ -247,7 +247,7 @@ WRONG = {
     "value": (lambda: harness.SimulationBatch("empty").step(np.full((1, 3), np.nan)), ValueError, "finite"),
     "active": (lambda: harness.SimulationBatch("empty").step(np.zeros((1, 3)), [True] * 2), ValueError, "active"),
     "modality": (lambda: harness.SimulationBatch("empty").sense("smell"), KeyError, "smell.*vision"),
-    "picture": (lambda: harness.SimulationBatch("empty").portrait(0, 0, 10), ValueError, "0 x 10"),
+    "picture": (lambda: harness.SimulationBatch("empty").render(0, 0, 10), ValueError, "0 x 10"),
     "task": (lambda: environments.load("empty", "juggle"), ValueError, "juggle.*reach"),
     "task there": (lambda: environments.load("empty", "push"), ValueError, "push.*cluttered"),
     "samples": (lambda: environments.load("empty", "reach", samples=0), ValueError, "samples"),

@@ -236,8 +236,8 @@ impl Posterior {
     }
 
     /// Divergence from the standard normal distribution, nats, averaged over the batch; a scalar.
-    pub fn divergence(&self) -> Result<Tensor> {
-        ops::divergence(&self.0)
+    pub fn kl_divergence(&self) -> Result<Tensor> {
+        ops::kl_divergence(&self.0)
     }
 }
 

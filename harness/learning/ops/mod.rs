@@ -19,7 +19,7 @@ pub use dropout::Dropout;
 pub use frame_encoder::frame_encoder;
 pub use frame_loss::{FrameDecoder, frame_decoder, frame_loss};
 pub use linear::linear;
-pub use posterior::{divergence, sample};
+pub use posterior::{kl_divergence, sample};
 pub use stack::Stack;
 pub use two_layers::{TwoLayers, two_layers};
 pub use vector_losses::{Quantity, composed, vector_losses};

@@ -17,7 +17,7 @@ pub fn sample(posterior: &Tensor, noise: &Tensor) -> Result<Tensor> {
 
 /// Kullback-Leibler divergence from the standard normal distribution, nats, summed over the latent state and averaged
 /// over the batch (Kingma & Welling, 2014, appendix B); a scalar. `posterior` as in [`sample`].
-pub fn divergence(posterior: &Tensor) -> Result<Tensor> {
+pub fn kl_divergence(posterior: &Tensor) -> Result<Tensor> {
     let batch = posterior.dim(0)? as f64;
     if posterior.device().is_cpu() {
         return posterior.contiguous()?.apply_op1(Divergence);

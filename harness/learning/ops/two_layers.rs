@@ -30,7 +30,7 @@ pub fn two_layers(x: &Tensor, layers: TwoLayers, arithmetic: Arithmetic) -> Resu
         return linear(&hidden, weight, bias, false, arithmetic);
     }
     let ((hidden, inputs), outputs) = (hidden_weight.dims2()?, weight.dim(0)?);
-    let sizes = Sizes { inputs, hidden, outputs, part: x.dim(0)?.div_ceil(PARTS), arithmetic };
+    let sizes = LayerSizes { inputs, hidden, outputs, part: x.dim(0)?.div_ceil(PARTS), arithmetic };
     // candle gives an op three arguments at most; the parameters come as one, and so does their gradient.
     let flat = [hidden_weight, hidden_bias, weight, bias].map(Tensor::flatten_all);
     let packed = Tensor::cat(&flat.into_iter().collect::<Result<Vec<_>>>()?, 0)?;
@@ -38,14 +38,14 @@ pub fn two_layers(x: &Tensor, layers: TwoLayers, arithmetic: Arithmetic) -> Resu
 }
 
 struct Op {
-    sizes: Sizes,
+    sizes: LayerSizes,
     /// The hidden layer's output `[batch, hidden]`, kept for the gradients.
     hidden: OnceLock<Buffer>,
 }
 
 /// Sizes of the op's matrices.
 #[derive(Clone, Copy)]
-struct Sizes {
+struct LayerSizes {
     inputs: usize,
     hidden: usize,
     outputs: usize,
@@ -62,7 +62,7 @@ struct Unpacked<T> {
     bias: T,
 }
 
-impl Sizes {
+impl LayerSizes {
     fn unpack(self, packed: &[f32]) -> Unpacked<&[f32]> {
         let (hidden_weight, rest) = packed.split_at(self.hidden * self.inputs);
         let (hidden_bias, rest) = rest.split_at(self.hidden);

@@ -1,9 +1,9 @@
-//! Standardisation with the training set's statistics, and batches of standardised values.
+//! Normalization with the training set's statistics, and batches of normalized values.
 
 use super::frames::Frames;
 use candle_core::{Device, Result, Tensor};
 use harness_dataset::Samples;
-use harness_spec::{Action, Deviation, IMAGE_CHANNELS, Modality, Scalings};
+use harness_spec::{Action, IMAGE_CHANNELS, Modality, Scale, Scalings};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,36 +11,36 @@ use std::sync::Arc;
 /// Frames that are summed up in 32 bits: the squares of so many differences of bytes fit.
 const FRAMES_AT_ONCE: usize = 4096;
 
-/// Mean and deviation of one modality, and the least value that is predicted of it.
+/// Mean and standard deviation of one modality, and the least value that is predicted of it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Scale {
+pub struct Normalizer {
     /// One a value; `[channel, row, column]` for frames.
     pub mean: Vec<f32>,
     /// One a value, or a single one for all; frames have a single one.
-    pub deviation: Vec<f32>,
+    pub std: Vec<f32>,
     /// In physical units.
     pub minimum: Option<f32>,
 }
 
-impl Scale {
-    fn deviation(&self, index: usize) -> f32 {
-        self.deviation[if self.deviation.len() == 1 { 0 } else { index }]
+impl Normalizer {
+    fn std(&self, index: usize) -> f32 {
+        self.std[if self.std.len() == 1 { 0 } else { index }]
     }
 
-    /// To standardised values, in place: `values` `[n, width]` in physical units.
-    pub fn standardise(&self, values: &mut [f32]) {
+    /// To normalized values, in place: `values` `[n, width]` in physical units.
+    pub fn normalize(&self, values: &mut [f32]) {
         for row in values.chunks_exact_mut(self.mean.len()) {
             for (index, (value, mean)) in row.iter_mut().zip(&self.mean).enumerate() {
-                *value = (*value - mean) / self.deviation(index);
+                *value = (*value - mean) / self.std(index);
             }
         }
     }
 
     /// Back to physical units, in place: `values` `[n, width]`; those below the minimum become the minimum.
-    pub fn restore(&self, values: &mut [f32]) {
+    pub fn denormalize(&self, values: &mut [f32]) {
         for row in values.chunks_exact_mut(self.mean.len()) {
             for (index, (value, mean)) in row.iter_mut().zip(&self.mean).enumerate() {
-                *value = *value * self.deviation(index) + mean;
+                *value = *value * self.std(index) + mean;
             }
         }
         // Not `f32::max`, which would make a minimum of what is not a number.
@@ -50,14 +50,14 @@ impl Scale {
     }
 }
 
-/// The scales of every modality that an experiment uses, and of the action.
+/// The normalizers of every modality that an experiment uses, and of the action.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Standard {
-    pub scales: BTreeMap<Modality, Scale>,
-    pub action: Scale,
+pub struct Normalizers {
+    pub modalities: BTreeMap<Modality, Normalizer>,
+    pub action: Normalizer,
 }
 
-/// Running sums for a mean and a deviation, value by value.
+/// Running sums for a mean and a standard deviation, value by value.
 struct Moments {
     count: f64,
     sum: Vec<f64>,
@@ -91,26 +91,26 @@ impl Moments {
         })
     }
 
-    fn scale(&self, deviation: Deviation) -> Scale {
+    fn scale(&self, std: Scale) -> Normalizer {
         let variances = self.variances();
-        let deviation = match deviation {
-            Deviation::PerElement => variances.map(root).collect(),
-            Deviation::Shared => vec![root(variances.sum::<f64>() / self.sum.len() as f64)],
+        let std = match std {
+            Scale::PerElement => variances.map(root).collect(),
+            Scale::Shared => vec![root(variances.sum::<f64>() / self.sum.len() as f64)],
         };
-        Scale { mean: self.means(), deviation, minimum: None }
+        Normalizer { mean: self.means(), std, minimum: None }
     }
 }
 
-/// The square root of a variance; 1 for a value that never changes, which then standardises to zero.
+/// The square root of a variance; 1 for a value that never changes, which then normalizes to zero.
 fn root(variance: f64) -> f32 {
-    let deviation = variance.sqrt() as f32;
-    if deviation > 1e-8 { deviation } else { 1.0 }
+    let std = variance.sqrt() as f32;
+    if std > 1e-8 { std } else { 1.0 }
 }
 
-impl Standard {
+impl Normalizers {
     /// Statistics over `transitions` of the modalities that `scalings` names, and of the action.
     pub fn fit(samples: &Samples, transitions: &[usize], scalings: &Scalings, action: Action) -> Self {
-        let scales = scalings.iter().map(|(&modality, scaling)| {
+        let fitted = scalings.iter().map(|(&modality, scaling)| {
             let definition = &samples.layout()[modality];
             let moments = if definition.is_image() {
                 frame_moments(samples, transitions, modality)
@@ -118,15 +118,15 @@ impl Standard {
                 Moments::of(definition.width(), transitions, |sample| samples.vector(modality, sample))
             };
             let minimum = scaling.minimum.map(|minimum| minimum as f32);
-            (modality, Scale { minimum, ..moments.scale(scaling.scale) })
+            (modality, Normalizer { minimum, ..moments.scale(scaling.scale) })
         });
         let width = samples.layout().action().len();
         let actions =
             Moments::of(width, transitions, |sample| samples.action(action, sample).collect::<Vec<_>>());
-        Self { scales: scales.collect(), action: actions.scale(Deviation::PerElement) }
+        Self { modalities: fitted.collect(), action: actions.scale(Scale::PerElement) }
     }
 
-    /// A vector `[batch, width]` of several modalities side by side, standardised; `None` if there are none.
+    /// A vector `[batch, width]` of several modalities side by side, normalized; `None` if there are none.
     pub fn vectors(
         &self,
         samples: &Samples,
@@ -136,9 +136,9 @@ impl Standard {
         let layout = samples.layout();
         let vectors = modalities.iter().filter(|modality| !layout[**modality].is_image());
         let part = |modality: &Modality| {
-            (layout[*modality].width(), samples.vectors(*modality), &self.scales[modality])
+            (layout[*modality].width(), samples.vectors(*modality), &self.modalities[modality])
         };
-        let parts: Vec<(usize, &[f32], &Scale)> = vectors.map(part).collect();
+        let parts: Vec<(usize, &[f32], &Normalizer)> = vectors.map(part).collect();
         let width: usize = parts.iter().map(|(width, ..)| width).sum();
         if width == 0 {
             return None;
@@ -148,41 +148,38 @@ impl Standard {
             for (width, vectors, scale) in &parts {
                 let first = values.len();
                 values.extend_from_slice(&vectors[sample * width..][..*width]);
-                scale.standardise(&mut values[first..]);
+                scale.normalize(&mut values[first..]);
             }
         }
         Some(Tensor::from_vec(values, (at.len(), width), &Device::Cpu))
     }
 
-    /// The standardised action `[batch, elements]` of the steps from `at` to the next samples.
+    /// The normalized action `[batch, elements]` of the steps from `at` to the next samples.
     pub fn actions(&self, samples: &Samples, at: &[usize], action: Action) -> Result<Tensor> {
         let scale = &self.action;
         let values = at.iter().flat_map(|sample| {
-            let scales = scale.mean.iter().zip(&scale.deviation);
-            samples
-                .action(action, *sample)
-                .zip(scales)
-                .map(|(value, (mean, deviation))| (value - mean) / deviation)
+            let scales = scale.mean.iter().zip(&scale.std);
+            samples.action(action, *sample).zip(scales).map(|(value, (mean, std))| (value - mean) / std)
         });
         Tensor::from_vec(values.collect(), (at.len(), scale.mean.len()), &Device::Cpu)
     }
 
-    /// The frames of several modalities stacked channel-wise, standardised when read; `None` if there are none.
+    /// The frames of several modalities stacked channel-wise, normalized when read; `None` if there are none.
     pub fn frames(
         &self,
         samples: &Arc<Samples>,
         at: &[usize],
         modalities: &[Modality],
     ) -> Option<Arc<dyn Frames>> {
-        let scales: Vec<(Modality, Scale)> = modalities
+        let normalizers: Vec<(Modality, Normalizer)> = modalities
             .iter()
             .filter(|modality| samples.layout()[**modality].is_image())
-            .map(|modality| (*modality, self.scales[modality].clone()))
+            .map(|modality| (*modality, self.modalities[modality].clone()))
             .collect();
-        let (first, _) = scales.first()?;
+        let (first, _) = normalizers.first()?;
         let [side, _] = samples.layout()[*first].size()?;
-        scales.iter().for_each(|(modality, _)| samples.prefetch(*modality, at));
-        Some(Arc::new(SampleFrames { samples: samples.clone(), at: at.to_vec(), side, scales }))
+        normalizers.iter().for_each(|(modality, _)| samples.prefetch(*modality, at));
+        Some(Arc::new(SampleFrames { samples: samples.clone(), at: at.to_vec(), side, normalizers }))
     }
 }
 
@@ -217,12 +214,12 @@ fn frame_moments(samples: &Samples, at: &[usize], modality: Modality) -> Moments
     Moments { count: at.len() as f64, sum, square }
 }
 
-/// Standardised frames of chosen samples, made one at a time; all images have the same size.
+/// Normalized frames of chosen samples, made one at a time; all images have the same size.
 struct SampleFrames {
     samples: Arc<Samples>,
     at: Vec<usize>,
     side: usize,
-    scales: Vec<(Modality, Scale)>,
+    normalizers: Vec<(Modality, Normalizer)>,
 }
 
 impl Frames for SampleFrames {
@@ -231,7 +228,7 @@ impl Frames for SampleFrames {
     }
 
     fn channels(&self) -> usize {
-        self.scales.len() * IMAGE_CHANNELS
+        self.normalizers.len() * IMAGE_CHANNELS
     }
 
     fn side(&self) -> usize {
@@ -241,9 +238,9 @@ impl Frames for SampleFrames {
     fn write(&self, index: usize, frame: &mut [f32]) {
         let sample = self.at[index];
         let len = IMAGE_CHANNELS * self.side * self.side;
-        for ((modality, scale), frame) in self.scales.iter().zip(frame.chunks_exact_mut(len)) {
+        for ((modality, scale), frame) in self.normalizers.iter().zip(frame.chunks_exact_mut(len)) {
             let now = self.samples.frame_bytes(*modality, sample);
-            let factor = 1.0 / scale.deviation[0];
+            let factor = 1.0 / scale.std[0];
             let bytes = 1.0 / 255.0;
             if self.samples.layout()[*modality].difference_of.is_none() {
                 for ((value, now), mean) in frame.iter_mut().zip(now).zip(&scale.mean) {

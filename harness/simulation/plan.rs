@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 
 /// All that decides an episode, given its scene.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Course {
+pub struct EpisodePlan {
     /// The episode's index in the dataset.
     pub episode: u32,
     /// Where each box starts.
@@ -19,8 +19,8 @@ pub struct Course {
     motion: Motion,
 }
 
-impl Course {
-    /// Draws the course of the episode of that index.
+impl EpisodePlan {
+    /// Draws the plan of the episode of that index.
     ///
     /// # Errors
     /// When the spec's rates do not suit the scene's step, or the boxes find no place.
