@@ -4,7 +4,7 @@
 QUICK = --quick
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test python soak lint bench interchange notebooks
+.PHONY: help setup run check test python soak lint bench interchange notebooks
 
 help: ## show this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 8
@@ -14,6 +14,9 @@ setup: ## make .venv with MuJoCo in it; check EGL and Rust
 
 run: setup ## train the network that we recommend, in minutes; `make run QUICK=` at full scale
 	cargo run -- run experiments/multi_to_multi_best.yaml $(QUICK)
+
+check: setup ## verify a small change in under a minute: type-check everything, test the layers that changed
+	@.ci/check
 
 test: ## run every test, the Python package's as well; what fails doesn't keep the rest from being tested
 	@setup/setup.sh --test

@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Output};
 
 /// A script that notes its name and arguments, and ends with a code. Another process writes it: if this one did, a test
 /// that starts a program at the same moment would pass on the open file, and a script that is open can't be run.
@@ -17,10 +17,16 @@ fn stand_in(path: &Path, code: i32) {
 
 /// What is called, in order, and the exit code of a command in a clone where cargo and Python end with these codes.
 fn calls(command: &[&str], cargo: i32, python: i32) -> (Vec<String>, i32) {
+    let (calls, output) = calls_in_clone(command, cargo, python);
+    (calls, output.status.code().unwrap())
+}
+
+/// The same with what the command printed.
+fn calls_in_clone(command: &[&str], cargo: i32, python: i32) -> (Vec<String>, Output) {
     let (root, folder) = (Path::new(env!("CARGO_MANIFEST_DIR")), tempfile::tempdir().unwrap());
     let path = |name: &str| folder.path().join(name);
     fs::create_dir(path(".ci")).unwrap();
-    for file in ["Makefile", ".ci/run"] {
+    for file in ["Makefile", ".ci/run", ".ci/check"] {
         fs::copy(root.join(file), path(file)).unwrap();
     }
     stand_in(&path("setup/setup.sh"), 0);
@@ -38,7 +44,7 @@ fn calls(command: &[&str], cargo: i32, python: i32) -> (Vec<String>, i32) {
         .output()
         .unwrap();
     let calls = fs::read_to_string(path("calls")).unwrap().lines().map(str::to_owned).collect();
-    (calls, output.status.code().unwrap())
+    (calls, output)
 }
 
 #[test]
@@ -63,4 +69,29 @@ fn what_every_change_must_pass_is_tested_also_where_formatting_is_wrong() {
     }
     assert_ne!(code, 0);
     assert_eq!(self::calls(&[".ci/run"], 0, 0).1, 0);
+}
+
+#[test]
+fn a_small_change_is_verified_by_the_tests_of_its_layers() {
+    let script = r#"
+        git init --quiet && mkdir -p harness/spec harness/learning harness/report
+        printf '[[test]]\nname = "spec"\n' >harness/spec/Cargo.toml
+        printf '[[test]]\nname = "learning"\n' >harness/learning/Cargo.toml
+        echo a >harness/learning/a.rs && git add .
+        git -c user.name=a -c user.email=a@b commit --quiet --message a
+        case "$1" in
+            tested) echo b >harness/spec/b.rs && echo b >>harness/learning/a.rs ;;
+            whole) echo b >harness/report/b.rs ;;
+        esac
+        make check
+    "#;
+    let check = |change: &str| calls_in_clone(&["bash", "-c", script, "bash", change], 0, 0);
+    let (calls, _) = check("nothing");
+    assert_eq!(calls, ["setup.sh ", "cargo check --all-targets"]);
+    let (calls, _) = check("tested");
+    assert_eq!(calls[2..], ["cargo test --test learning --test spec"]);
+    let (calls, output) = check("whole");
+    assert_eq!(calls.len(), 2);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains("only type-checked: report;"), "{said}");
 }
