@@ -15,7 +15,7 @@ setup: ## make .venv with MuJoCo in it; check EGL and Rust
 run: setup ## train the network that we recommend, in minutes; `make run QUICK=` at full scale
 	cargo run -- run experiments/multi_to_multi_best.yaml $(QUICK)
 
-check: setup ## verify a small change in under a minute: type-check everything, test the layers that changed
+check: setup ## verify a small change in about a minute: type-check everything, test the layers that changed
 	@.ci/check
 
 test: ## run every test, the Python package's as well; what fails doesn't keep the rest from being tested

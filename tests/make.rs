@@ -74,24 +74,19 @@ fn what_every_change_must_pass_is_tested_also_where_formatting_is_wrong() {
 #[test]
 fn a_small_change_is_verified_by_the_tests_of_its_layers() {
     let script = r#"
-        git init --quiet && mkdir -p harness/spec harness/learning harness/report
-        printf '[[test]]\nname = "spec"\n' >harness/spec/Cargo.toml
-        printf '[[test]]\nname = "learning"\n' >harness/learning/Cargo.toml
-        echo a >harness/learning/a.rs && git add .
+        git init --quiet && mkdir -p harness/{spec,kernels,learning,report,experiment} tests
+        for layer in spec kernels learning; do printf '[[test]]\nname = "%s"\n' $layer >harness/$layer/Cargo.toml; done
+        touch tests/report.rs harness/learning/a.rs && git add .
         git -c user.name=a -c user.email=a@b commit --quiet --message a
-        case "$1" in
-            tested) echo b >harness/spec/b.rs && echo b >>harness/learning/a.rs ;;
-            whole) echo b >harness/report/b.rs ;;
-        esac
+        for file in $1; do echo b >>harness/$file; done
         make check
     "#;
-    let check = |change: &str| calls_in_clone(&["bash", "-c", script, "bash", change], 0, 0);
-    let (calls, _) = check("nothing");
-    assert_eq!(calls, ["setup.sh ", "cargo check --all-targets"]);
-    let (calls, _) = check("tested");
-    assert_eq!(calls[2..], ["cargo test --test learning --test spec"]);
-    let (calls, output) = check("whole");
-    assert_eq!(calls.len(), 2);
+    let check = |changed: &str| calls_in_clone(&["bash", "-c", script, "bash", changed], 0, 0);
+    assert_eq!(check("").0, ["setup.sh ", "cargo check --all-targets"]);
+    assert_eq!(check("spec/new.rs learning/a.rs").0[2..], ["cargo test --test learning --test spec"]);
+    assert_eq!(check("kernels/amx.rs").0[2..], ["cargo test --test kernels --test learning"]);
+    let (calls, output) = check("report/page.js experiment/lib.rs");
+    assert_eq!(calls[2..], ["cargo test --test all -- report::"]);
     let said = String::from_utf8_lossy(&output.stdout);
-    assert!(said.contains("only type-checked: report;"), "{said}");
+    assert!(said.contains("only type-checked: experiment"), "{said}");
 }
