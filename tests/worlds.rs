@@ -2,10 +2,14 @@
 
 use crate::common::{finish, fresh, harness, succeed};
 use harness::collection::dataset_of;
+use harness::experiment::{Runner, provenance};
+use harness::progress::Progress;
+use harness::registry::Registry;
 use harness::simulation::Scene;
 use harness::spec::{self, Modality, World};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 
 const EMPTY: &str = include_str!("../models/empty.yaml");
 const EMPTY_XML: &str = include_str!("../models/empty.xml");
@@ -162,31 +166,6 @@ fn names_of_worlds_are_those_of_files_and_no_others() {
 }
 
 /// What an experiment has read does not change with the file.
-#[test]
-fn a_world_file_that_changes_under_a_running_experiment_changes_the_next_one_alone() {
-    let folder = tempfile::tempdir().unwrap();
-    let write = |clearance: &str| {
-        let text = EMPTY.replace("model: empty.xml", "model: own.xml").replace("range: [0, 1.5]", clearance);
-        fs::write(folder.path().join("own.yaml"), text).unwrap();
-    };
-    fs::write(folder.path().join("own.xml"), EMPTY_XML).unwrap();
-    write("range: [0, 1.5]");
-    let text = "name: a\nscenarios: own.yaml\ninput: arm\noutput: arm\nlatent: 1\nnetwork: {preset: single_to_multi}\n";
-    let load = || {
-        let path = folder.path().join("spec.yaml");
-        spec::parse_spec(path.to_str().unwrap(), text, &[], false).unwrap()
-    };
-    let dataset = |experiment: &spec::Experiment| {
-        let scene = Scene::new(experiment.world(&experiment.scenarios[0]).unwrap()).unwrap();
-        dataset_of(Path::new("datasets"), &scene, &experiment.simulation).name().to_owned()
-    };
-    let before = load();
-    let name = dataset(&before);
-    write("range: [0, 1.0]");
-    assert_eq!(dataset(&before), name);
-    assert_ne!(dataset(&load()), name);
-}
-
 /// A pendulum whose parts lie in three files: the bob is a mesh.
 const PENDULUM: &str = r#"<mujoco model="pendulum">
   <include file="parts/bob.xml"/>
@@ -255,6 +234,66 @@ fn another_file_counts_however_its_name_is_written() {
     let first = sha256();
     write("bob.obj", &MESH.replace("-0.5", "-0.6"));
     assert_ne!(sha256(), first);
+}
+
+/// Edits a file when the collection begins.
+struct Editing {
+    file: PathBuf,
+    text: String,
+    said: Mutex<Vec<String>>,
+}
+
+impl Progress for Editing {
+    fn begin(&self, stage: &str, _total: u64, _unit: &str) {
+        if stage.starts_with("collecting") {
+            fs::write(&self.file, &self.text).unwrap();
+        }
+    }
+    fn advance(&self, _steps: u64) {}
+    fn note(&self, _text: &str) {}
+    fn say(&self, text: &str) {
+        self.said.lock().unwrap().push(text.to_owned());
+    }
+    fn end(&self) {}
+}
+
+#[test]
+fn a_world_that_changes_under_a_running_experiment_is_named_and_has_no_effect() {
+    let edits = [
+        ("twelve.yaml", "range: [0, 1.5]", "range: [0, 1.0]"),
+        ("twelve.xml", "model=\"twelve\"", "model=\"dozen\""),
+    ];
+    for (file, old, new) in edits {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["twelve.xml", "twelve.yaml"] {
+            fs::copy(root().join("models").join(name), folder.path().join(name)).unwrap();
+        }
+        let spec_file = write_spec(folder.path(), "twelve.yaml", "[proprioception]", "[proprioception]");
+        let experiment = spec::load(&spec_file, &[], false).unwrap();
+        let (path, registry) = (folder.path().join(file), Registry::new(folder.path().join("results")));
+        let text = fs::read_to_string(&path).unwrap();
+        let editing = Editing { text: text.replacen(old, new, 1), file: path, said: Mutex::default() };
+        assert_ne!(editing.text, text, "{file}");
+        let provenance = provenance(1, "harness run".into());
+        let runner = Runner {
+            registry: &registry,
+            threads: 1,
+            jobs: 1,
+            memory: None,
+            provenance: &provenance,
+            progress: &editing,
+        };
+        let plan = runner.plan(&experiment).unwrap();
+        let datasets: Vec<_> = plan.iter().map(|planned| planned.folder.id().to_owned()).collect();
+        let summary = runner.run(&plan).unwrap();
+        assert_eq!((summary.done, summary.failed.len()), (2, 0));
+        let said = editing.said.lock().unwrap().clone();
+        let about: Vec<_> = said.iter().filter(|text| text.contains("has changed since")).collect();
+        assert!(about.len() == 1 && about[0].contains("twelve.yaml"), "{said:?}");
+        let again = runner.plan(&spec::load(&spec_file, &[], false).unwrap()).unwrap();
+        let again: Vec<_> = again.iter().map(|planned| planned.folder.id().to_owned()).collect();
+        assert_ne!(again, datasets, "{file}: the changed world has runs of its own");
+    }
 }
 
 /// A small experiment in a folder, over every modality that is named.

@@ -25,7 +25,7 @@ use harness_shared::files::free_bytes;
 use harness_shared::memory;
 use harness_shared::progress::Progress;
 use harness_simulation::{Scene, SimulationError, mujoco_version};
-use harness_spec::{Experiment, Layout, Origin, RunSpec, Simulation, Task};
+use harness_spec::{Experiment, Layout, Origin, RunSpec, Simulation, Task, World};
 use rayon::prelude::*;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -126,6 +126,14 @@ impl Source {
         }
     }
 
+    /// A world whose files have changed since it was read.
+    fn changed_world(&self) -> Option<&World> {
+        match self {
+            Self::Simulated { scene, .. } if scene.has_changed() => Some(scene.world()),
+            _ => None,
+        }
+    }
+
     /// What its samples hold.
     fn layout(&self) -> &Arc<Layout> {
         match self {
@@ -142,7 +150,7 @@ impl Planned {
     }
 
     /// Whether two runs learn from the same data in the same form on the same device.
-    fn shares_material(&self, other: &Planned) -> bool {
+    fn shares_data(&self, other: &Planned) -> bool {
         fn key(planned: &Planned) -> impl PartialEq {
             let spec = &planned.spec;
             let data = (&spec.scenario, &spec.simulation, &spec.split);

@@ -4,6 +4,7 @@ use super::{ExperimentError, Planned, PreparedData, Runner, TrainingRun, describ
 use harness_registry::{Decision, Outcome, Provenance, Status};
 use harness_shared::memory;
 use harness_spec::{Division, RunSpec};
+use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -50,10 +51,11 @@ impl Runner<'_> {
                  anything new",
             );
         }
+        let mut changed = BTreeSet::new();
         loop {
             let mut held = Vec::new();
             // One dataset at a time: its samples are in memory once, and the other's are not.
-            for runs in by_material(pending) {
+            for runs in by_data(pending) {
                 for (planned, end) in runs.iter().zip(self.work_on(&runs)?) {
                     match end {
                         End::Done => summary.done += 1,
@@ -62,12 +64,25 @@ impl Runner<'_> {
                         End::Held => held.push(*planned),
                     }
                 }
+                self.say_if_changed(runs[0], &mut changed);
             }
             if held.is_empty() {
                 return Ok(summary);
             }
             self.wait(&held)?;
             pending = held;
+        }
+    }
+
+    /// Says, once, that the files of a run's world have changed since the plan was made.
+    fn say_if_changed(&self, run: &Planned, said: &mut BTreeSet<String>) {
+        let Some(world) = run.source.changed_world() else { return };
+        let label = world.label();
+        if said.insert(label.to_owned()) {
+            self.progress.say(&format!(
+                "{label}, its model, or a file of the model has changed since this command began; its runs are of the world \
+                 as it was then, and the same command makes those of the world as it is now"
+            ));
         }
     }
 
@@ -118,10 +133,10 @@ impl Runner<'_> {
 }
 
 /// Runs that share their data together, in the order of the first of each.
-fn by_material(runs: Vec<&Planned>) -> Vec<Vec<&Planned>> {
+fn by_data(runs: Vec<&Planned>) -> Vec<Vec<&Planned>> {
     let mut groups: Vec<Vec<&Planned>> = Vec::new();
     for run in runs {
-        match groups.iter_mut().rev().find(|group| group[0].shares_material(run)) {
+        match groups.iter_mut().rev().find(|group| group[0].shares_data(run)) {
             Some(group) => group.push(run),
             None => groups.push(vec![run]),
         }

@@ -166,6 +166,17 @@ impl Scene {
         }
     }
 
+    /// Whether the world's files have changed since it was compiled so that its datasets would be others: the world file,
+    /// the model, or what the model includes. A built-in world has no files.
+    pub fn has_changed(&self) -> bool {
+        let now = match self.world.read_again() {
+            None => return false,
+            Some(world) => world.ok().and_then(|world| Self::new(world).ok()),
+        };
+        let identity = |scene: &Self| (scene.world.identity(), scene.model_sha256.clone());
+        now.is_none_or(|now| identity(&now) != identity(self))
+    }
+
     /// The built-in world of one of the paper's scenarios.
     ///
     /// # Errors

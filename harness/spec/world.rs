@@ -485,6 +485,11 @@ impl World {
         Self::parse(&label, Some(folder), name, &parse::read(path)?).map(Arc::new)
     }
 
+    /// The world as its file is now; `None` of a built-in world.
+    pub fn read_again(&self) -> Option<Result<Arc<World>, SpecError>> {
+        self.folder.as_ref().map(|_| Self::load(Path::new(&self.label)))
+    }
+
     /// The world of a file's text: `label` is what messages call the file, `folder` is where the path of its model starts.
     ///
     /// # Errors
