@@ -625,8 +625,8 @@ fn bad_questions_and_names_are_refused() {
         ),
         (&["query", "selct 1"], "the query can't be answered: sql parser error: "),
         (
-            &["query", "select nope from runs"],
-            "the query can't be answered: there is no column 'nope'; there are experiment, run, ",
+            &["query", "select nonsense from runs"],
+            "the query can't be answered: there is no column 'nonsense'; there are experiment, run, ",
         ),
         (
             &["query", "select * from nope"],
