@@ -1,9 +1,12 @@
-//! Intervals over seeds against a printed table and simulated draws.
+//! Intervals over datasets and seeds, against printed tables and simulated draws whose truth is known.
 
-use harness_analysis::{Interval, mean_interval};
+use harness_analysis::{Interval, LEVEL, holm, mean_interval, p_value, replicates, replicates_needed};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+
+const TRUTH: f64 = 0.3;
+const TABLES: usize = 10_000;
 
 fn assert_close(a: f64, b: f64) {
     assert!((a - b).abs() < 1e-12 * b.abs().max(1.0), "{a} is not {b}");
@@ -59,4 +62,117 @@ fn an_interval_covers_the_mean_as_often_as_its_level_says() {
     // The standard deviation of this share is 0.0015.
     let share = covered.count() as f64 / 20_000.0;
     assert!((share - 0.95).abs() < 0.006, "{share}");
+}
+
+// --- several datasets ---
+
+fn normal(random: &mut ChaCha8Rng) -> f64 {
+    random.sample(rand_distr::StandardNormal)
+}
+
+/// How often the interval of what `values` draws covers the truth.
+fn coverage(mut values: impl FnMut(&mut ChaCha8Rng) -> Vec<f64>) -> f64 {
+    let mut random = ChaCha8Rng::seed_from_u64(14);
+    let covers = |_: &usize| {
+        let (low, high) = mean_interval(&values(&mut random), LEVEL).unwrap().bounds.unwrap();
+        low <= TRUTH && TRUTH <= high
+    };
+    (0..TABLES).filter(covers).count() as f64 / TABLES as f64
+}
+
+/// A table of values by dataset: the truth, a deviation of each dataset, and one of each seed.
+fn table(random: &mut ChaCha8Rng, seeds: &[u64], of_datasets: f64, of_seeds: f64) -> Vec<(u64, f64)> {
+    let dataset = |(dataset, seeds): (usize, &u64)| {
+        let middle = TRUTH + of_datasets * normal(random);
+        (0..*seeds).map(|_| (dataset as u64, middle + of_seeds * normal(random))).collect::<Vec<_>>()
+    };
+    seeds.iter().enumerate().flat_map(dataset).collect()
+}
+
+#[track_caller]
+fn assert_covers(coverage: f64, what: &str) {
+    assert!((0.93..=0.97).contains(&coverage), "{what}: {coverage}");
+}
+
+#[test]
+fn intervals_over_the_seeds_of_one_dataset_keep_their_level() {
+    for seeds in [2, 3, 5] {
+        let coverage = coverage(|random| replicates(table(random, &[seeds], 0.0, 0.1)));
+        assert_covers(coverage, &format!("{seeds} seeds"));
+    }
+}
+
+#[test]
+fn intervals_over_datasets_and_seeds_keep_their_level_whatever_the_variances_are() {
+    // The last one lacks a run.
+    for seeds in [&[2, 2][..], &[3, 3], &[2, 2, 2], &[3; 5], &[3, 3, 2]] {
+        for ratio in [0.0, 0.5, 1.0, 3.0] {
+            let coverage = coverage(|random| replicates(table(random, seeds, ratio * 0.1, 0.1)));
+            assert_covers(coverage, &format!("{seeds:?} seeds, ratio {ratio}"));
+        }
+    }
+    // Were all values taken for independent, the intervals would be far too short.
+    let pooled = coverage(|random| {
+        let table = table(random, &[3, 3, 3], 0.1, 0.1);
+        table.into_iter().map(|(_, value)| value).collect()
+    });
+    assert!(pooled < 0.85, "{pooled}");
+}
+
+#[test]
+fn intervals_of_differences_within_datasets_keep_their_level() {
+    // Both networks share what a dataset does to them; how much one gains over the other differs by dataset as well.
+    for gain in [0.0, 0.05, 0.2] {
+        let coverage = coverage(|random| {
+            let without = table(random, &[2, 2, 2], 1.0, 0.1);
+            let gains = table(random, &[2, 2, 2], gain, 0.0);
+            let with: Vec<f64> = (without.iter().zip(&gains))
+                .map(|((_, a), (_, gain))| a + gain + 0.1 * normal(random))
+                .collect();
+            replicates(without.iter().zip(with).map(|((dataset, a), b)| (*dataset, b - a)))
+        });
+        assert_covers(coverage, &format!("gains with a deviation of {gain}"));
+    }
+}
+
+#[test]
+fn several_datasets_count_by_their_means_and_one_by_its_seeds() {
+    assert_eq!(replicates([(0, 1.0), (0, 3.0), (7, 5.0)]), [2.0, 5.0]);
+    assert_eq!(replicates([(7, 1.0), (7, 3.0)]), [1.0, 3.0]);
+    assert_eq!(replicates([]), [0.0; 0]);
+}
+
+#[test]
+fn a_p_value_is_below_5_percent_where_the_interval_excludes_the_bound() {
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    for _ in 0..1000 {
+        let values: Vec<f64> = (0..3).map(|_| 1.0 + normal(&mut random)).collect();
+        let (low, high) = mean_interval(&values, LEVEL).unwrap().bounds.unwrap();
+        let p = p_value(&values, 0.0).unwrap();
+        assert_eq!(p < 1.0 - LEVEL, low > 0.0 || high < 0.0, "{values:?}: {p}");
+    }
+    // scipy.stats.ttest_1samp([1, 2, 4], 0).pvalue
+    assert!((p_value(&[1.0, 2.0, 4.0], 0.0).unwrap() - 0.118_083).abs() < 1e-5);
+    assert_eq!(p_value(&[1.0], 0.0), None);
+    assert_eq!((p_value(&[1.0, 1.0], 0.0), p_value(&[1.0, 1.0], 1.0)), (Some(0.0), Some(1.0)));
+}
+
+#[test]
+fn corrected_p_values_are_holm_s() {
+    // By hand: 0.01 times 4, 0.02 times 3, 0.03 times 2, and no less than the one before.
+    let corrected = holm(&[0.03, 0.01, 0.9, 0.02]);
+    let expected = [0.06, 0.04, 0.9, 0.06];
+    assert!(corrected.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{corrected:?}");
+    assert_eq!(holm(&[0.8, 0.7]), [1.0, 1.0]);
+    assert!(holm(&[]).is_empty());
+}
+
+#[test]
+fn as_many_values_as_are_planned_exclude_the_bound_if_their_spread_stays() {
+    let values = [0.5, 1.5, 1.0];
+    let count = replicates_needed(&values, 0.5, LEVEL, 100).unwrap();
+    // Deviation 0.5 and distance 0.5: t(n - 1) must be below the root of n, which is so from 7 on (2.447 and 2.646).
+    assert_eq!(count, 7);
+    assert_eq!(replicates_needed(&values, 0.999, LEVEL, 100), None);
+    assert_eq!(replicates_needed(&[1.0], 0.0, LEVEL, 100), None);
 }

@@ -5,19 +5,21 @@
 //!
 //! - **A run counts** when it is done, has the settings that are asked for, and was made by the newest revision of the
 //!   method that there is among those.
-//! - **Runs form a group** when nothing but their seed differs: neither in their spec nor in their dataset.
+//! - **Runs form a group** when nothing but their seed and that of their dataset differs.
 //!   In what the groups of an experiment differ besides scenario, latent size and `variant` is either shown
 //!   ([`Analysis::settings`]) or refused with the settings' names ([`Analysis::check_uniform`]).
-//! - **A group's values** are its seeds'; [`intervals`] makes a mean and an interval of them.
+//! - **A group's values** are those of its datasets and seeds; [`replicates`] says which of them an interval is made of.
 
 mod interval;
 mod means;
 mod seen;
 mod settings;
+mod view;
 
-pub use interval::{Interval, LEVEL, intervals, mean_interval};
+pub use interval::{Interval, LEVEL, holm, intervals, mean_interval, p_value, replicates, replicates_needed};
 pub use means::{Mean, NETWORK, Of, compare};
 pub use settings::{Difference, Setting};
+pub use view::View;
 
 use harness_registry::{
     Condition, QueryError, Registry, RunRecord, RunTable, Status, answer, conditions, implies, lazily, table,
@@ -211,7 +213,7 @@ impl Analysis {
         }
     }
 
-    /// Checks that the runs of an experiment differ in nothing but scenario, latent size, seed and, if `by_variant`,
+    /// Checks that the runs of an experiment differ in nothing but scenario, latent size, seeds and, if `by_variant`,
     /// what their variants name.
     ///
     /// # Errors
@@ -227,6 +229,22 @@ impl Analysis {
         }
         let choice = of.most(&differences, experiment);
         Err(Mixed { experiment: experiment.to_owned(), differences, choice })
+    }
+
+    /// Checks that runs that stand for one experiment differ in nothing but scenario, latent size and seeds.
+    ///
+    /// # Errors
+    /// When they do, with the settings in which they differ.
+    pub fn check_alike(&self, runs: &[&Run]) -> Result<(), Mixed> {
+        let all: Vec<&Settings> = runs.iter().map(|run| run.settings.as_ref()).collect();
+        let differences = settings::differences(&all);
+        match runs.first().map(|run| run.record.experiment.clone()) {
+            Some(experiment) if !differences.is_empty() => {
+                let choice = self.experiments[&experiment].most(&differences, &experiment);
+                Err(Mixed { experiment, differences, choice })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// A run's settings in which runs of its experiment differ and which neither its scenario, latent size nor variant
@@ -296,25 +314,41 @@ impl Analysis {
 
     /// A table of an experiment's runs; if the expected queries see all that `sql` sees, with the rows that they see.
     fn table(&self, table: Table, experiment: &str, sql: &str) -> Result<LazyFrame, QueryError> {
+        if self.expected.sees(sql, table) {
+            let seen = self.seen(table, experiment)?;
+            let schema = seen.schema.clone();
+            return Ok(lazily(seen, schema)?);
+        }
+        let rows = self.run_table(table, experiment)?;
+        let schema = rows.schema()?;
+        Ok(lazily(rows.only(conditions(sql, table)), schema)?)
+    }
+
+    fn run_table(&self, table: Table, experiment: &str) -> Result<RunTable, QueryError> {
+        let runs = self.runs(experiment).iter().map(|run| &run.record);
+        Ok(RunTable::new(&self.registry, table, experiment, runs)?)
+    }
+
+    /// What the expected queries see of a table of an experiment's runs.
+    fn seen(&self, table: Table, experiment: &str) -> Result<Seen, QueryError> {
         let mut tables = self.tables.lock().unwrap_or_else(PoisonError::into_inner);
         let key = (table, experiment.to_owned());
-        let is_expected = self.expected.sees(sql, table);
-        let seen = match tables.get(&key) {
-            Some(seen) if is_expected => seen.clone(),
-            _ => {
-                let runs = self.runs(experiment).iter().map(|run| &run.record);
-                let rows = RunTable::new(&self.registry, table, experiment, runs)?;
-                let schema = rows.schema()?;
-                if !is_expected {
-                    return Ok(lazily(rows.only(conditions(sql, table)), schema)?);
-                }
-                let rows = rows.only(self.expected.rows.get(&table).cloned().unwrap_or_default());
-                let seen = Seen::new(table, rows, schema, &self.expected);
-                tables.entry(key).or_insert(seen).clone()
-            }
-        };
-        let schema = seen.schema.clone();
-        Ok(lazily(seen, schema)?)
+        if let Some(seen) = tables.get(&key) {
+            return Ok(seen.clone());
+        }
+        let rows = self.run_table(table, experiment)?;
+        let schema = rows.schema()?;
+        let mut conditions = self.expected.rows.get(&table).cloned().unwrap_or_default();
+        // Queries ask for runs that stand for other experiments by the names of those.
+        if self.runs(experiment).iter().any(|run| run.record.spec.role().is_some()) {
+            let without_name = |mut condition: Condition| {
+                condition.remove("experiment");
+                condition
+            };
+            conditions = conditions.into_iter().map(without_name).collect();
+        }
+        let seen = Seen::new(table, rows.only(conditions), schema, &self.expected);
+        Ok(tables.entry(key).or_insert(seen).clone())
     }
 }
 

@@ -1,11 +1,11 @@
 //! Metrics as means over seeds.
 
-use super::{Analysis, AnalysisError, Interval, LEVEL, Run, Selection, mean_interval};
+use super::{Analysis, AnalysisError, Interval, LEVEL, Run, Selection, mean_interval, replicates};
 use harness_registry::{QueryError, Registry, rows};
 use harness_spec::{Modality, Origin, Task};
 use polars::prelude::{Column, DataFrame, PolarsResult};
 use serde::Deserialize;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// The network among the models; the others are baselines.
 pub const NETWORK: &str = "network";
@@ -15,7 +15,7 @@ pub const NETWORK: &str = "network";
 pub struct Mean {
     pub of: Of,
     pub unit: String,
-    /// Each seed's value; a baseline has a single one, since it has no seed.
+    /// Each seed's value on each dataset; a baseline has one a dataset, since it has no seed.
     pub values: Vec<f64>,
     pub interval: Interval,
 }
@@ -112,7 +112,7 @@ impl Analysis {
         let name = |run: &Run| (run.record.experiment.clone(), run.record.run.clone());
         let places: HashMap<(String, String), usize> =
             runs.iter().enumerate().map(|(place, (run, _))| (name(run), place)).collect();
-        let mut found: BTreeMap<Of, (String, BTreeMap<usize, f64>)> = BTreeMap::new();
+        let mut found: BTreeMap<Of, (String, BTreeMap<usize, (u64, f64)>)> = BTreeMap::new();
         for row in rows::<Row>(&mut answer)? {
             let Some(&place) = places.get(&(row.experiment, row.run)) else { continue };
             let (run, settings) = &runs[place];
@@ -129,14 +129,16 @@ impl Analysis {
                 model: row.model,
             };
             let (_, values) = found.entry(of).or_insert_with(|| (row.unit, BTreeMap::new()));
-            values.insert(place, row.value);
+            values.insert(place, (spec.dataset_seed(), row.value));
         }
-        let mean = |(of, (unit, values)): (Of, (String, BTreeMap<usize, f64>))| {
-            let mut values: Vec<f64> = values.into_values().collect();
+        let mean = |(of, (unit, values)): (Of, (String, BTreeMap<usize, (u64, f64)>))| {
+            let mut values: Vec<(u64, f64)> = values.into_values().collect();
             if of.latent.is_none() {
-                values.truncate(1);
+                let mut datasets = BTreeSet::new();
+                values.retain(|(dataset, _)| datasets.insert(*dataset));
             }
-            Some(Mean { of, unit, interval: mean_interval(&values, LEVEL)?, values })
+            let interval = mean_interval(&replicates(values.iter().copied()), LEVEL)?;
+            Some(Mean { of, unit, interval, values: values.into_iter().map(|(_, value)| value).collect() })
         };
         Ok(found.into_iter().filter_map(mean).collect())
     }

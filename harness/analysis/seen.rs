@@ -3,10 +3,11 @@
 use super::{Expected, tables_of, words};
 use harness_registry::{RunTable, asked_columns};
 use harness_tables::schema::Table;
+use harness_tables::stacked;
 use polars::prelude::*;
 use std::any::Any;
-use std::collections::BTreeSet;
-use std::sync::{Mutex, PoisonError};
+use std::collections::{BTreeSet, HashMap};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// A table of an experiment's runs, with the rows that expected queries see. It is read once, when the first of them asks.
 #[derive(Clone)]
@@ -16,6 +17,8 @@ pub(super) struct Seen {
     /// The columns that are read besides those that a query asks for: others will.
     columns: Arc<Vec<String>>,
     read: Arc<Mutex<DataFrame>>,
+    /// Which of the rows are each run's: the first, and how many.
+    places: Arc<OnceLock<HashMap<String, (usize, usize)>>>,
 }
 
 impl Seen {
@@ -25,8 +28,44 @@ impl Seen {
         let words: BTreeSet<&str> = queries.flat_map(|sql| words(sql)).collect();
         let named = schema.iter_names().map(PlSmallStr::to_string).filter(|name| words.contains(&**name));
         let columns = Arc::new(named.collect());
-        Self { rows: Arc::new(rows), schema, columns, read: Arc::default() }
+        Self { rows: Arc::new(rows), schema, columns, read: Arc::default(), places: Arc::default() }
     }
+
+    /// These columns, and those that other queries will ask for, of all rows.
+    fn with(&self, columns: &[String]) -> PolarsResult<DataFrame> {
+        let mut read = self.read.lock().unwrap_or_else(PoisonError::into_inner);
+        if columns.iter().any(|column| read.column(column).is_err()) {
+            let before = read.get_column_names_owned().into_iter().map(|name| name.to_string());
+            let all: BTreeSet<String> =
+                before.chain(self.columns.iter().cloned()).chain(columns.iter().cloned()).collect();
+            *read = self.rows.read(&all.into_iter().collect::<Vec<_>>(), None)?;
+            read.rechunk_mut_par();
+        }
+        Ok(read.clone())
+    }
+
+    /// These columns of the rows of some runs.
+    pub fn rows_of(&self, runs: &[String], columns: &[String]) -> PolarsResult<DataFrame> {
+        let needed: Vec<String> = columns.iter().cloned().chain(["run".to_owned()]).collect();
+        let all = self.with(&needed)?;
+        let names = all.column("run")?.str()?;
+        let places = self.places.get_or_init(|| places_of(names.iter().flatten()));
+        let all = all.select(columns)?;
+        let of_run = |run: &String| places.get(run).map(|&(first, rows)| all.slice(first as i64, rows));
+        Ok(stacked(runs.iter().filter_map(of_run).collect())?.unwrap_or_else(|| all.clear()))
+    }
+}
+
+/// Where the rows of each run are, which stand together.
+fn places_of<'a>(names: impl Iterator<Item = &'a str>) -> HashMap<String, (usize, usize)> {
+    let mut places: HashMap<String, (usize, usize)> = HashMap::new();
+    for (row, name) in names.enumerate() {
+        match places.get_mut(name) {
+            Some((_, rows)) => *rows += 1,
+            None => drop(places.insert(name.to_owned(), (row, 1))),
+        }
+    }
+    places
 }
 
 impl AnonymousScan for Seen {
@@ -35,16 +74,8 @@ impl AnonymousScan for Seen {
     }
 
     fn scan(&self, asked: AnonymousScanArgs) -> PolarsResult<DataFrame> {
-        let mut read = self.read.lock().unwrap_or_else(PoisonError::into_inner);
         let columns = asked_columns(&asked);
-        if columns.iter().any(|column| read.column(column).is_err()) {
-            let before = read.get_column_names_owned().into_iter().map(|name| name.to_string());
-            let all: BTreeSet<String> =
-                before.chain(self.columns.iter().cloned()).chain(columns.iter().cloned()).collect();
-            *read = self.rows.read(&all.into_iter().collect::<Vec<_>>(), None)?;
-            read.rechunk_mut_par();
-        }
-        let rows = read.select(columns)?;
+        let rows = self.with(&columns)?.select(columns)?;
         Ok(asked.n_rows.map_or(rows.clone(), |count| rows.head(Some(count))))
     }
 

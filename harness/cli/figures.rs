@@ -49,9 +49,10 @@ impl Figures {
         let experiments = Experiments {
             single_to_multi: self.single.unwrap_or(paper.single_to_multi),
             multi_to_multi: self.multi.unwrap_or(paper.multi_to_multi),
+            readings: paper.readings,
         };
-        let selection =
-            Selection { experiments: experiments.names().to_vec(), settings: self.settings, simulated: true };
+        let names = experiments.names().into_iter().chain([experiments.readings.clone()]).collect();
+        let selection = Selection { experiments: names, settings: self.settings, simulated: true };
         let analysis = Analysis::new(registry, &selection)?;
         for note in analysis.notes() {
             eprintln!("{note}");

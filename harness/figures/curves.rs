@@ -3,7 +3,7 @@
 use super::FigureError;
 use super::axes::{Look, Panel, Scale, colour_of, legend, look_of, remark, words_of};
 use super::page::{GREY, Page, Stroke};
-use super::source::{Runs, integers, reals, texts};
+use super::source::{Runs, integers, replicated, texts};
 use harness_analysis::{Interval, NETWORK, intervals};
 use harness_metrics::{Direction, Metric};
 use harness_spec::{Modality, Scenario, Task};
@@ -45,13 +45,14 @@ impl Curves<'_> {
         let (task, modality, metric) = (self.task, self.modality, self.metric.name());
         let baseline = self.baseline.map_or(NETWORK, |(name, _)| name);
         let rows = self.runs.query(&format!(
-            "select scenario, direction, model, latent, value from metrics where task = '{task}' \
+            "select scenario, direction, model, latent, dataset_seed, value \
+             from metrics join runs using (experiment, run, scenario, latent) where task = '{task}' \
              and modality = '{modality}' and metric = '{metric}' and direction is not null and index is null \
              and model in ('{NETWORK}', '{baseline}')"
         ))?;
         let (scenarios, directions) = (texts(&rows, "scenario")?, texts(&rows, "direction")?);
         let (models, latents) = (texts(&rows, "model")?, integers(&rows, "latent")?);
-        let values = reals(&rows, "value")?;
+        let values = replicated(&rows)?;
         let of = |scenario: Scenario, direction: Direction, model: &str| {
             let is_of = |row: &usize| {
                 scenarios[*row] == scenario.name()
@@ -64,14 +65,15 @@ impl Curves<'_> {
         for scenario in Scenario::PAPER {
             for direction in Direction::FINGER {
                 let network = of(scenario, direction, NETWORK).into_iter();
-                let network = intervals(network.map(|row| (latents[row] as usize, values[row])));
+                let network =
+                    intervals(network.map(|row| (latents[row] as usize, values[row].0, values[row].1)));
                 let network: Vec<_> = network.into_iter().collect();
                 if network.is_empty() {
                     continue;
                 }
                 // A baseline has no seed and no latent size: every run repeats its value, and the first one's stands.
                 let baseline = self.baseline.and_then(|(name, _)| {
-                    let mean = values[*of(scenario, direction, name).first()?]?;
+                    let mean = values[*of(scenario, direction, name).first()?].1?;
                     Some(Interval { mean, bounds: None })
                 });
                 curves.push(Curve { scenario, direction, network, baseline });

@@ -2,7 +2,7 @@
 
 use super::axes::remark;
 use super::page::{COLUMN, GREY, Page, Stroke, Type};
-use super::source::{Runs, Source, Study, integers, reals};
+use super::source::{Runs, Source, Study, integers, reals, replicated};
 use super::{Drawing, FigureError};
 use harness_analysis::{Interval, intervals};
 use harness_spec::IMAGE_CHANNELS;
@@ -215,10 +215,14 @@ fn change(bytes: Option<&[u8]>) -> Result<Vec<f32>, FigureError> {
 /// Squared error of the frame difference relative to no change, by latent size.
 fn errors(runs: &Runs, scenario: &str) -> Result<BTreeMap<i64, Interval>, FigureError> {
     let rows = runs.query(&format!(
-        "select latent, value from metrics where scenario = '{scenario}' and task = 'prediction' \
+        "select latent, dataset_seed, value from metrics join runs using (experiment, run, scenario, latent) \
+         where scenario = '{scenario}' and task = 'prediction' \
          and modality = 'frame_difference' and model = 'network' and metric = 'relative_error'"
     ))?;
-    Ok(intervals(integers(&rows, "latent")?.into_iter().zip(reals(&rows, "value")?)))
+    let latents = integers(&rows, "latent")?;
+    Ok(intervals(
+        latents.into_iter().zip(replicated(&rows)?).map(|(latent, (seed, value))| (latent, seed, value)),
+    ))
 }
 
 fn colour(change: f32) -> Rgb<u8> {

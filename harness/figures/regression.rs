@@ -2,7 +2,7 @@
 
 use super::axes::{Look, Panel, Scale, legend, remark, words_of};
 use super::page::{COLUMN, GREEN, GREY, Mark, Page, Stroke, Type, WINE};
-use super::source::{Runs, Source, Study, integers, reals};
+use super::source::{Runs, Source, Study, integers, reals, replicated};
 use super::{Drawing, FigureError};
 use harness_analysis::{Interval, intervals};
 use harness_metrics::Direction;
@@ -122,13 +122,14 @@ fn predictions(runs: &Runs, modality: Modality, panel: &str) -> Result<Predictio
         tips[1]
     );
     let rows = runs.query(&format!(
-        "select latent, index, value from metrics where {place} and metric = 'r2' and model = 'network'"
+        "select latent, index, dataset_seed, value from metrics join runs using (experiment, run, scenario, latent) \
+         where {place} and metric = 'r2' and model = 'network'"
     ))?;
     let direction = |index: i64| Direction::FINGER[usize::from(index as usize == tips[1])];
     let key = |latent: i64, index: i64| (latent as usize, direction(index));
     let (latents, links) = (integers(&rows, "latent")?, integers(&rows, "index")?);
-    let r2 =
-        intervals((0..rows.height()).map(|row| key(latents[row], links[row])).zip(reals(&rows, "value")?));
+    let values = replicated(&rows)?.into_iter().enumerate();
+    let r2 = intervals(values.map(|(row, (seed, value))| (key(latents[row], links[row]), seed, value)));
 
     let rows = runs.query_first_seeds(&format!(
         "select latent, index, episode, sample, reference, predicted from predictions \

@@ -4,6 +4,7 @@ use super::FigureError;
 use harness_analysis::{Analysis, Run};
 use harness_spec::{Layout, QUICK};
 use polars::prelude::*;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// The paper's experiments; each has a spec of its name in `experiments/`.
@@ -39,13 +40,19 @@ impl Study {
 pub struct Experiments {
     pub single_to_multi: String,
     pub multi_to_multi: String,
+    /// That with the readings of the paper, which stands for both.
+    pub readings: String,
 }
 
 impl Experiments {
     /// Those of the paper; with `quick`, as `harness run … --quick` makes them.
     pub fn of_the_paper(quick: bool) -> Self {
-        let name = |study: Study| format!("{}{}", study.name(), if quick { QUICK } else { "" });
-        Self { single_to_multi: name(Study::SingleToMulti), multi_to_multi: name(Study::MultiToMulti) }
+        let name = |name: &str| format!("{name}{}", if quick { QUICK } else { "" });
+        Self {
+            single_to_multi: name(Study::SingleToMulti.name()),
+            multi_to_multi: name(Study::MultiToMulti.name()),
+            readings: name("readings"),
+        }
     }
 
     /// The experiment of a study.
@@ -56,7 +63,7 @@ impl Experiments {
         }
     }
 
-    /// Both names.
+    /// The names of the two studies.
     pub fn names(&self) -> [String; 2] {
         Study::BOTH.map(|study| self.of(study).to_owned())
     }
@@ -78,7 +85,7 @@ pub struct Runs<'a> {
 }
 
 impl<'a> Source<'a> {
-    /// The analysis must have the runs on simulated data of both experiments, and no others of them.
+    /// The analysis must have the runs on simulated data of the experiments that are drawn, and no others of them.
     pub fn new(analysis: &'a Analysis, experiments: Experiments) -> Self {
         Self { analysis, experiments }
     }
@@ -90,17 +97,44 @@ impl<'a> Source<'a> {
     /// names the settings in which they differ.
     pub fn runs(&self, study: Study) -> Result<Runs<'a>, FigureError> {
         let experiment = self.experiments.of(study).to_owned();
+        let command = self.command(&experiment);
         let analysis = self.analysis;
-        let command = match experiment.strip_suffix(QUICK) {
-            Some(name) => analysis.command(name, true),
-            None => analysis.command(&experiment, false),
-        };
         let all = analysis.runs(&experiment);
         if all.is_empty() {
-            return Err(FigureError::NoRuns { experiment, root: analysis.root().to_owned(), command });
+            return Err(self.no_runs(&experiment));
         }
         analysis.check_uniform(&experiment, false)?;
         Ok(Runs { analysis, experiment, all, command })
+    }
+
+    /// The rows of a query over the runs of all readings of the paper.
+    ///
+    /// # Errors
+    /// When there are none, or runs of one reading differ in settings.
+    pub fn query_readings(&self, sql: &str) -> Result<DataFrame, FigureError> {
+        let experiment = &self.experiments.readings;
+        let runs = self.analysis.runs(experiment);
+        let mut readings: BTreeMap<_, Vec<&Run>> = BTreeMap::new();
+        for run in runs {
+            let spec = &run.record.spec;
+            readings.entry((spec.reading(), spec.role())).or_default().push(run);
+        }
+        readings.values().try_for_each(|runs| self.analysis.check_alike(runs))?;
+        let rows = self.analysis.query(&[experiment], sql)?;
+        if rows.height() == 0 { Err(self.no_runs(experiment)) } else { Ok(rows) }
+    }
+
+    fn no_runs(&self, experiment: &str) -> FigureError {
+        let (root, command) = (self.analysis.root().to_owned(), self.command(experiment));
+        FigureError::NoRuns { experiment: experiment.to_owned(), root, command }
+    }
+
+    /// The command that makes an experiment's runs.
+    fn command(&self, experiment: &str) -> String {
+        match experiment.strip_suffix(QUICK) {
+            Some(name) => self.analysis.command(name, true),
+            None => self.analysis.command(experiment, false),
+        }
     }
 }
 
@@ -168,4 +202,10 @@ pub fn integers(table: &DataFrame, column: &str) -> Result<Vec<i64>, FigureError
 pub fn reals(table: &DataFrame, column: &str) -> Result<Vec<Option<f64>>, FigureError> {
     let values = table.column(column)?.cast(&DataType::Float64)?;
     Ok(values.f64()?.iter().collect())
+}
+
+/// The columns `dataset_seed` and `value`: each value with the seed of its dataset.
+pub fn replicated(table: &DataFrame) -> Result<Vec<(u64, Option<f64>)>, FigureError> {
+    let seeds = integers(table, "dataset_seed")?.into_iter().map(|seed| seed as u64);
+    Ok(seeds.zip(reals(table, "value")?).collect())
 }

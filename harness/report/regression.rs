@@ -54,6 +54,7 @@ struct Sample {
 struct Score {
     #[serde(flatten)]
     of: Of,
+    dataset_seed: u64,
     value: Option<f64>,
 }
 
@@ -74,11 +75,12 @@ fn of_study(runs: &Runs, study: Study) -> Result<Vec<Cloud>, FigureError> {
          and index in ({flexion}, {abduction})"
     );
     let mut answer = runs.query(&format!(
-        "select modality, scenario, latent, index, value from metrics \
+        "select modality, scenario, latent, index, dataset_seed, value \
+         from metrics join runs using (experiment, run, scenario, latent) \
          where {place} and metric = 'r2' and model = 'network'"
     ))?;
     let scores = rows::<Score>(&mut answer)?;
-    let r2 = intervals(scores.into_iter().map(|score| (score.of, score.value)));
+    let r2 = intervals(scores.into_iter().map(|score| (score.of, score.dataset_seed, score.value)));
 
     let mut answer = runs.query_first_seeds(&format!(
         "select modality, scenario, latent, index, seed, episode, sample, reference, predicted from predictions \
