@@ -78,9 +78,9 @@ fn all_nine_are_drawn_from_tables_alone() {
     let names: BTreeSet<String> =
         fs::read_dir(&*DRAWN).unwrap().map(|file| file.unwrap().file_name().into_string().unwrap()).collect();
     let ending = |figure: &Figure| ["csv", "png", "svg"].map(|ending| format!("{}.{ending}", figure.name()));
-    assert_eq!(names, Figure::ALL.iter().flat_map(ending).collect());
+    assert_eq!(names, Figure::OF_THE_PAPER.iter().flat_map(ending).collect());
     assert_eq!(names.len(), 9 * 3);
-    for figure in Figure::ALL {
+    for figure in Figure::OF_THE_PAPER {
         let picture = image::load_from_memory(&read(&DRAWN, figure, "png")).unwrap().into_rgb8();
         // 8.5 cm at 600 pixels an inch.
         assert_eq!(picture.width(), 2008, "{}", figure.name());
@@ -92,7 +92,7 @@ fn all_nine_are_drawn_from_tables_alone() {
 
 #[test]
 fn every_svg_is_whole_self_contained_and_within_its_page() {
-    for figure in Figure::ALL {
+    for figure in Figure::OF_THE_PAPER {
         let svg = svg(figure);
         let document = roxmltree::Document::parse(&svg).unwrap();
         // No font and no file is needed to show it.
@@ -115,7 +115,7 @@ fn every_svg_is_whole_self_contained_and_within_its_page() {
 fn the_same_tables_give_the_same_bytes() {
     let again = fresh("figures_again");
     succeed(&RESULTS, &["figures", "--out", again.to_str().unwrap(), "--threads", "1"]);
-    for figure in Figure::ALL {
+    for figure in Figure::OF_THE_PAPER {
         for ending in ["svg", "png", "csv"] {
             assert!(
                 read(&DRAWN, figure, ending) == read(&again, figure, ending),

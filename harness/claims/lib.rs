@@ -1,17 +1,24 @@
 //! The paper's statements, tested on the tables: a claim is a query, a condition, and what they stand for.
 
 mod file;
+mod plan;
+mod readings;
 
 pub use file::load;
+pub use plan::{More, Plan, Step, plan};
+pub use readings::{Matrix, Readings, Row as MatrixRow};
 
-use harness_analysis::{Analysis, AnalysisError, Interval, LEVEL, Mixed, Selection, Setting, mean_interval};
+use harness_analysis::{
+    Analysis, AnalysisError, Interval, LEVEL, Mixed, Run, Selection, Setting, View, holm, mean_interval,
+    p_value, replicates,
+};
 use harness_registry::{Registry, rows};
 use harness_spec::{Origin, QUICK, Scenario, SpecError};
 use polars::prelude::DataFrame;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 use serde_yaml::Spanned;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 /// A statement of the paper, and how to test it.
@@ -30,10 +37,16 @@ pub struct Claim {
     pub scenarios: Vec<Scenario>,
     /// The experiments whose tables the queries read.
     pub experiments: Vec<String>,
+    /// The latent sizes that the queries write as `{experiment}`; `{experiment.runs}` is their number.
+    #[serde(default)]
+    pub latent: Sizes,
     pub requires: Option<Requirement>,
     query: Spanned<String>,
     pub condition: Condition,
 }
+
+/// Latent sizes by experiment.
+pub type Sizes = BTreeMap<String, BTreeSet<usize>>;
 
 /// What must hold for a claim to be testable, as that the networks which it compares learned something; measured for the
 /// claim's scenarios, on the tables of its experiments.
@@ -70,20 +83,25 @@ impl Claim {
 
     /// The query, over the tables of the experiments or, if `quick`, of their quick runs.
     pub fn sql(&self, quick: bool) -> String {
-        self.over_tables(&self.query.value, quick)
+        self.complete(&self.query.value, &self.latent, quick)
     }
 
     /// The query of what the claim requires, over the same tables.
     pub fn required_sql(&self, quick: bool) -> Option<String> {
-        self.requires.as_ref().map(|requirement| self.over_tables(&requirement.query.value, quick))
+        let requirement = self.requires.as_ref()?;
+        Some(self.complete(&requirement.query.value, &self.latent, quick))
     }
 
-    fn over_tables(&self, query: &str, quick: bool) -> String {
+    /// A query with these latent sizes, and with the names that the experiments have in tables.
+    fn complete(&self, query: &str, sizes: &Sizes, quick: bool) -> String {
         let mut sql = query.to_owned();
-        if quick {
-            for name in &self.experiments {
-                sql = sql.replace(&format!("'{name}'"), &format!("'{name}{QUICK}'"));
-            }
+        for (name, sizes) in sizes {
+            let listed: Vec<String> = sizes.iter().map(usize::to_string).collect();
+            sql = sql.replace(&format!("{{{name}}}"), &format!("({})", listed.join(", ")));
+            sql = sql.replace(&format!("{{{name}.runs}}"), &sizes.len().to_string());
+        }
+        for name in self.experiments.iter().filter(|_| quick) {
+            sql = sql.replace(&format!("'{name}'"), &format!("'{name}{QUICK}'"));
         }
         sql
     }
@@ -98,6 +116,11 @@ pub enum Condition {
 }
 
 impl Condition {
+    pub fn bound(self) -> f64 {
+        let (Self::Above(bound) | Self::Below(bound)) = self;
+        bound
+    }
+
     pub fn satisfied_by(self, value: f64) -> bool {
         match self {
             Self::Above(bound) => value > bound,
@@ -158,13 +181,27 @@ pub enum ClaimsError {
 pub struct Measured {
     /// What there is a value for: each seed or, where the dataset alone decides, each of its episodes.
     pub each: Each,
-    pub values: BTreeMap<i64, f64>,
+    /// By the dataset's seed, and by seed or episode.
+    pub values: BTreeMap<(u64, i64), f64>,
 }
 
 impl Measured {
-    /// The mean over seeds or episodes with its interval; `None` without data.
+    /// The mean over datasets and seeds, or over episodes, with its interval; `None` without data.
     pub fn interval(&self) -> Option<Interval> {
-        mean_interval(&self.values.values().copied().collect::<Vec<_>>(), LEVEL)
+        mean_interval(&self.replicates(), LEVEL)
+    }
+
+    /// What the interval is made of. Episodes do not depend on each other, whatever dataset they are of.
+    pub fn replicates(&self) -> Vec<f64> {
+        match self.each {
+            Each::Seed => replicates(self.values.iter().map(|((dataset, _), value)| (*dataset, *value))),
+            Each::Episode => self.values.values().copied().collect(),
+        }
+    }
+
+    /// The datasets that there are values for, by their seeds.
+    pub fn datasets(&self) -> BTreeSet<u64> {
+        self.values.keys().map(|(dataset, _)| *dataset).collect()
     }
 }
 
@@ -246,6 +283,13 @@ impl Judgement<'_> {
         }
     }
 
+    /// The probability of such a mean, or one farther from the condition's bound, if the bound were the true one; `None`
+    /// where nothing is tested.
+    pub fn p_value(&self) -> Option<f64> {
+        let is_tested = matches!(self.verdict(), Verdict::Holds | Verdict::DoesNotHold | Verdict::Undecided);
+        p_value(&self.measured.replicates(), self.claim.condition.bound()).filter(|_| is_tested)
+    }
+
     /// What the claim requires and these runs don't meet, in words: what was measured, its value and the condition.
     pub fn unmet(&self) -> Option<String> {
         let Requirement { measured, condition, .. } = self.claim.requires.as_ref()?;
@@ -258,6 +302,13 @@ impl Judgement<'_> {
             }
         }
     }
+}
+
+/// The judgements' p-values, corrected for the number of those that are tested (Holm).
+pub fn corrected<'a, 'b: 'a>(judgements: impl IntoIterator<Item = &'a Judgement<'b>>) -> Vec<Option<f64>> {
+    let p_values: Vec<Option<f64>> = judgements.into_iter().map(Judgement::p_value).collect();
+    let mut corrected = holm(&p_values.iter().copied().flatten().collect::<Vec<_>>()).into_iter();
+    p_values.into_iter().map(|p| p.and_then(|_| corrected.next())).collect()
 }
 
 /// The claims called `wanted`, in the order of the file; all of them where none is.
@@ -310,29 +361,76 @@ pub fn judge<'a>(
     claim: &'a Claim,
     quick: bool,
 ) -> Result<Vec<Judgement<'a>>, ClaimsError> {
-    let experiments = claim.experiments(quick);
-    let requirement = claim.requires.as_ref().map(|requirement| &requirement.query);
     // Variants are different settings, which queries may tell apart by their column.
-    let by_variant =
-        [&claim.query].into_iter().chain(requirement).all(|query| query.value.contains("variant"));
-    let checked = experiments.iter().filter_map(|name| analysis.check_uniform(name, by_variant).err());
-    let mixed: Vec<Mixed> = checked.collect();
-    let usable = if mixed.is_empty() { experiments.as_slice() } else { &[] };
-    let measure = |query: &Spanned<String>| {
-        let sql = claim.over_tables(&query.value, quick);
-        claim.measure(analysis, usable, &sql).map_err(|problem| ClaimsError::Query {
-            id: claim.id().to_owned(),
-            line: query.defined.line(),
-            problem,
-        })
-    };
-    let measured = measure(&claim.query)?;
-    let mut required = requirement.map(measure).transpose()?.into_iter().flatten();
-    let judgement = |(scenario, measured)| {
-        let required = required.next().map(|(_, measured)| measured);
-        Judgement { claim, scenario, measured, required, mixed: mixed.clone() }
-    };
-    Ok(measured.into_iter().map(judgement).collect())
+    let mut queries =
+        [&claim.query].into_iter().chain(claim.requires.as_ref().map(|requires| &requires.query));
+    let by_variant = queries.all(|query| query.value.contains("variant"));
+    let experiments = claim.experiments(quick).into_iter().map(|name| {
+        let checked = analysis.check_uniform(&name, by_variant);
+        let runs = analysis.runs(&name).iter().collect();
+        (name, runs, checked)
+    });
+    Evidence::of(analysis, experiments.collect()).judge(claim, &claim.latent, quick)
+}
+
+/// The runs by which a claim is judged.
+struct Evidence<'a> {
+    analysis: &'a Analysis,
+    /// By the experiment's name in queries.
+    runs: Vec<(String, Vec<&'a Run>)>,
+    mixed: Vec<Mixed>,
+}
+
+impl<'a> Evidence<'a> {
+    /// These runs, if all of them can be put together, with the names that queries know their experiments by.
+    fn of(analysis: &'a Analysis, experiments: Vec<(String, Vec<&'a Run>, Result<(), Mixed>)>) -> Self {
+        let mixed: Vec<Mixed> =
+            experiments.iter().filter_map(|(.., checked)| checked.clone().err()).collect();
+        let usable = |runs| if mixed.is_empty() { runs } else { Vec::new() };
+        let runs = experiments.into_iter().map(|(name, runs, _)| (name, usable(runs))).collect();
+        Self { analysis, runs, mixed }
+    }
+
+    fn judge<'c>(
+        &self,
+        claim: &'c Claim,
+        sizes: &Sizes,
+        quick: bool,
+    ) -> Result<Vec<Judgement<'c>>, ClaimsError> {
+        let views = self.by_dataset();
+        let measure = |query: &Spanned<String>| {
+            let sql = claim.complete(&query.value, sizes, quick);
+            claim.measure(&views, &sql).map_err(|problem| ClaimsError::Query {
+                id: claim.id().to_owned(),
+                line: query.defined.line(),
+                problem,
+            })
+        };
+        let measured = measure(&claim.query)?;
+        let required = claim.requires.as_ref().map(|requires| measure(&requires.query)).transpose()?;
+        let mut required = required.into_iter().flatten();
+        let judgement = |(scenario, measured)| {
+            let required = required.next().map(|(_, measured)| measured);
+            Judgement { claim, scenario, measured, required, mixed: self.mixed.clone() }
+        };
+        Ok(measured.into_iter().map(judgement).collect())
+    }
+
+    /// The runs of each dataset by themselves, by its seed: a comparison is made within a dataset.
+    fn by_dataset(&self) -> Vec<(u64, View<'a>)> {
+        let seed_of = |run: &Run| run.record.spec.dataset_seed();
+        let mut seeds: BTreeSet<u64> =
+            self.runs.iter().flat_map(|(_, runs)| runs).map(|run| seed_of(run)).collect();
+        if seeds.is_empty() {
+            seeds.insert(0);
+        }
+        let view = |seed: u64| {
+            let own = |runs: &Vec<&'a Run>| runs.iter().copied().filter(|run| seed_of(run) == seed).collect();
+            let runs = self.runs.iter().map(|(name, runs)| (name.clone(), own(runs))).collect();
+            (seed, self.analysis.view(runs))
+        };
+        seeds.into_iter().map(view).collect()
+    }
 }
 
 /// A row of a query's answer.
@@ -345,35 +443,33 @@ struct Row {
 }
 
 impl Claim {
-    /// What a query finds for each of the claim's scenarios in turn, or for both together.
-    fn measure(
-        &self,
-        analysis: &Analysis,
-        experiments: &[String],
-        sql: &str,
-    ) -> Result<Vec<(Option<Scenario>, Measured)>, String> {
-        let experiments: Vec<&str> = experiments.iter().map(String::as_str).collect();
-        let mut answer = analysis.query(&experiments, sql).map_err(|error| error.to_string())?;
-        let each = self.check_columns(&answer)?;
-        let rows: Vec<Row> = rows(&mut answer).map_err(|error| error.to_string())?;
+    /// What a query finds for each of the claim's scenarios in turn, or for both together, on each dataset.
+    fn measure(&self, views: &[(u64, View)], sql: &str) -> Result<Vec<(Option<Scenario>, Measured)>, String> {
         let scenarios: Vec<Option<Scenario>> = match self.scenarios.as_slice() {
             [] => vec![None],
             scenarios => scenarios.iter().copied().map(Some).collect(),
         };
-        let measured = scenarios.into_iter().map(|scenario| {
-            let mut values = BTreeMap::new();
-            for row in rows.iter().filter(|row| row.scenario == scenario.map(Origin::from)) {
-                // A value that is not defined counts as not measured.
-                if row.value.is_some_and(|value| values.insert(row.seed, value).is_some()) {
-                    let (name, seed) = (each.name(), row.seed);
-                    return Err(format!(
-                        "it gives {name} {seed} several values; group by scenario and {name}"
-                    ));
+        let empty = |scenario| (scenario, Measured { each: Each::Seed, values: BTreeMap::new() });
+        let mut found: Vec<_> = scenarios.into_iter().map(empty).collect();
+        for (dataset, view) in views {
+            let mut answer = view.query(sql).map_err(|error| error.to_string())?;
+            let each = self.check_columns(&answer)?;
+            let rows: Vec<Row> = rows(&mut answer).map_err(|error| error.to_string())?;
+            for (scenario, measured) in &mut found {
+                measured.each = each;
+                for row in rows.iter().filter(|row| row.scenario == scenario.map(Origin::from)) {
+                    // A value that is not defined counts as not measured.
+                    let key = (*dataset, row.seed);
+                    if row.value.is_some_and(|value| measured.values.insert(key, value).is_some()) {
+                        let (name, seed) = (each.name(), row.seed);
+                        return Err(format!(
+                            "it gives {name} {seed} several values; group by scenario and {name}"
+                        ));
+                    }
                 }
             }
-            Ok((scenario, Measured { each, values }))
-        });
-        measured.collect()
+        }
+        Ok(found)
     }
 
     /// What the answer has a row for, if its columns are those of a claim.

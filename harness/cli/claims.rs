@@ -2,16 +2,19 @@
 
 use super::DONE;
 use super::table::{shown, wrapped};
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::Args;
-use harness::analysis::{Analysis, Interval, Mixed, Setting};
-use harness::claims::{self, Judgement, Measured, Requirement, Verdict};
+use harness::analysis::{Analysis, Interval, LEVEL, Mixed, Setting};
+use harness::claims::{
+    self, Claim, Judgement, Matrix, MatrixRow, Measured, Plan, Readings, Requirement, Step, Verdict,
+    corrected,
+};
 use harness::numbers::rounded;
 use harness::registry::{self, Registry};
-use harness::spec::Scenario;
+use harness::spec::{self, Experiment, Reading, Scenario};
 use polars::prelude::{Column, DataFrame};
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 #[derive(Args)]
@@ -28,6 +31,12 @@ pub struct Claims {
     /// Only runs with this setting, as training.epochs=200
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
+    /// Judge under every reading of a spec, by its runs, and say which choices change a verdict
+    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "experiments/readings.yaml")]
+    readings: Option<PathBuf>,
+    /// Say how many more datasets or seeds would decide the undecided claims, and the commands that make them
+    #[arg(long, conflicts_with_all = ["readings", "output"])]
+    plan: bool,
     /// Write the verdicts to a file instead: .parquet, .csv or .json
     #[arg(long, short, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -37,14 +46,21 @@ impl Claims {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let all = claims::load(&self.file)?;
         let chosen = claims::choose(&all, &self.chosen)?;
+        if let Some(path) = &self.readings {
+            return self.execute_readings(registry, path, &chosen);
+        }
         let runs = claims::runs(registry, &chosen, &self.settings, self.quick)?;
         let mut judgements = Vec::new();
         for claim in chosen {
             judgements.extend(claims::judge(&runs, claim, self.quick)?);
         }
         if let Some(path) = self.output {
-            registry::save(&mut frame(&judgements)?, &path)?;
+            registry::save(&mut frame(&judgements.iter().collect::<Vec<_>>())?, &path)?;
             println!("{} verdicts in {}", judgements.len(), shown(&path));
+            return Ok(ExitCode::from(DONE));
+        }
+        if self.plan {
+            print_plan(&claims::plan(&runs, &judgements, self.quick));
             return Ok(ExitCode::from(DONE));
         }
         print(&judgements);
@@ -54,27 +70,165 @@ impl Claims {
         print_summary(&runs, &judgements, self.quick);
         Ok(ExitCode::from(DONE))
     }
+
+    fn execute_readings(&self, registry: &Registry, path: &Path, chosen: &[&Claim]) -> Result<ExitCode> {
+        let spec = spec::load(path, &[], self.quick)?;
+        if spec.readings.is_empty() {
+            bail!("{} has no readings; name a spec that has, as experiments/readings.yaml", shown(path));
+        }
+        let matrix = Readings::new(registry, &spec, chosen, &self.settings)?.judge(chosen)?;
+        if matrix.rows.is_empty() {
+            let quick = if self.quick { " --quick" } else { "" };
+            let path = path.display();
+            bail!(
+                "there are no runs of {}; make them with `{}`",
+                spec.name,
+                registry.command(&format!("run {path}{quick}"))
+            );
+        }
+        if let Some(path) = &self.output {
+            let judgements: Vec<&Judgement> = matrix.rows.iter().flat_map(|row| &row.judgements).collect();
+            let mut table = frame(&judgements)?;
+            let readings = matrix.readings.iter().cycle().take(judgements.len()).copied();
+            table.insert_column(0, Column::new("reading".into(), readings.collect::<Vec<_>>()))?;
+            registry::save(&mut table, path)?;
+            println!("{} verdicts in {}", judgements.len(), shown(path));
+            return Ok(ExitCode::from(DONE));
+        }
+        print_matrix(&spec, &matrix);
+        Ok(ExitCode::from(DONE))
+    }
+}
+
+/// A verdict in one character.
+fn symbol(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Holds => "+",
+        Verdict::DoesNotHold => "-",
+        Verdict::Undecided | Verdict::OneSeed { .. } | Verdict::Mixed => "?",
+        Verdict::NotTestable => "x",
+        Verdict::NoData => ".",
+    }
+}
+
+/// Claims by readings, what the signs and numbers mean, and the choices that change verdicts.
+fn print_matrix(spec: &Experiment, matrix: &Matrix) {
+    let named = |row: &MatrixRow| {
+        let scenario = row.scenario.map_or("", Scenario::name);
+        format!("{} {scenario}", row.claim.id()).trim_end().to_owned()
+    };
+    let width = matrix.rows.iter().map(|row| named(row).len()).max().unwrap_or_default();
+    let line = |name: &str, cells: Vec<String>| {
+        let cells: String = cells.iter().map(|cell| format!("{cell:>2}")).collect();
+        println!("{name:width$} {cells}");
+    };
+    line("", (0..matrix.readings.len()).map(|place| place.to_string()).collect());
+    for row in &matrix.rows {
+        line(&named(row), row.judgements.iter().map(|one| symbol(one.verdict()).to_owned()).collect());
+    }
+    println!("\n+ holds, - does not hold, ? undecided, x not testable, . no data\n\n0 base");
+    for (place, reading) in spec.readings.iter().enumerate() {
+        let Reading { name, choice, base, instead, .. } = reading;
+        println!("{} {name}: {choice}: {instead}; in the base: {base}", place + 1);
+    }
+    println!("\nChoices that change a verdict:");
+    let mut changed = 0;
+    for row in &matrix.rows {
+        let value = |judgement: &Judgement| judgement.interval().map_or("no value".into(), |i| i.to_string());
+        let mut changes = row.changes().peekable();
+        if changes.peek().is_none() {
+            continue;
+        }
+        changed += 1;
+        println!("{}: base {}, {}", named(row), row.base().verdict(), value(row.base()));
+        for (place, judgement) in changes {
+            let Reading { choice, instead, .. } = &spec.readings[place - 1];
+            println!("  {choice}: {instead}: {}, {}", judgement.verdict(), value(judgement));
+        }
+    }
+    println!(
+        "{} of {} verdicts are the same under every reading; {} claims need runs that the readings do not have",
+        matrix.rows.len() - changed,
+        matrix.rows.len(),
+        matrix.left_out.len()
+    );
+    matrix.notes.iter().for_each(|note| println!("{note}"));
+}
+
+fn print_plan(plan: &Plan) {
+    let listed = |claims: &[(&Claim, Option<Scenario>)]| {
+        let name = |(claim, scenario): &(&Claim, Option<Scenario>)| {
+            format!("{} {}", claim.id(), scenario.map_or("both", Scenario::name))
+        };
+        claims.iter().map(name).collect::<Vec<_>>().join(", ")
+    };
+    for step in &plan.steps {
+        let Step { more, there, count, runs, seconds, .. } = step;
+        let purpose = if *there == 1 { "give an interval to" } else { "decide" };
+        println!(
+            "{count} more {}, {runs} runs, about {}, would {purpose} {}:",
+            more.name(),
+            duration(*seconds),
+            listed(&step.decides)
+        );
+        step.commands.iter().for_each(|command| println!("  {command}"));
+    }
+    let most = Plan::MOST;
+    for (claims, why) in [
+        (&plan.out_of_reach, format!("{most} datasets or seeds would not decide")),
+        (&plan.by_episode, "a dataset of more episodes may decide".to_owned()),
+    ] {
+        if !claims.is_empty() {
+            println!("{why}: {}", listed(claims));
+        }
+    }
+    if plan.steps.is_empty() && plan.out_of_reach.is_empty() && plan.by_episode.is_empty() {
+        println!("no claim that was measured is undecided");
+    } else {
+        println!("if means and spreads stay as they are, and runs take as long as those that there are");
+    }
+}
+
+/// `40 s`, `12 min`, `3.5 h`.
+fn duration(seconds: f64) -> String {
+    match seconds {
+        ..90.0 => format!("{seconds:.0} s"),
+        ..5400.0 => format!("{:.0} min", seconds / 60.0),
+        _ => format!("{:.1} h", seconds / 3600.0),
+    }
 }
 
 fn print(judgements: &[Judgement]) {
-    let rows = judgements.chunk_by(|a, b| a.claim.id() == b.claim.id()).map(|judgements| {
-        let claim = judgements[0].claim;
+    let all: Vec<(&Judgement, Option<f64>)> = judgements.iter().zip(corrected(judgements)).collect();
+    let rows = all.chunk_by(|(a, _), (b, _)| a.claim.id() == b.claim.id()).map(|judgements| {
+        let claim = judgements[0].0.claim;
         // A line a scenario.
-        let lines =
-            |of: &dyn Fn(&Judgement) -> String| judgements.iter().map(of).collect::<Vec<_>>().join("\n");
+        let lines = |of: &dyn Fn(&Judgement) -> String| {
+            judgements.iter().map(|(judgement, _)| of(judgement)).collect::<Vec<_>>().join("\n")
+        };
+        let verdict = |(judgement, corrected): &(&Judgement, Option<f64>)| {
+            let mark = if stands(judgement, *corrected) { "" } else { " *" };
+            format!("{}{mark}", judgement.verdict())
+        };
         [
             format!("{} ({})\n{}", claim.paper, claim.section, claim.id()),
             claim.measured.clone(),
             lines(&|judgement| scenario(judgement).to_owned()),
             lines(&|judgement| judgement.interval().map_or("-".into(), |interval| interval.to_string())),
             claim.condition.to_string(),
-            lines(&|judgement| judgement.verdict().to_string()),
+            judgements.iter().map(verdict).collect::<Vec<_>>().join("\n"),
         ]
     });
     println!(
         "{}",
         wrapped(["claim", "measured", "scenario", "value", "condition", "verdict"], rows.collect())
     );
+}
+
+/// Whether a verdict is not one that the correction for the number of claims makes undecided.
+fn stands(judgement: &Judgement, corrected: Option<f64>) -> bool {
+    let is_decided = matches!(judgement.verdict(), Verdict::Holds | Verdict::DoesNotHold);
+    !is_decided || corrected.is_some_and(|p| p < 1.0 - LEVEL)
 }
 
 fn scenario(judgement: &Judgement) -> &'static str {
@@ -100,8 +254,13 @@ fn print_details(judgements: &[Judgement], quick: bool) {
 
 fn print_values(of: &str, measured: &Measured) {
     let each = measured.each.name();
+    let several = measured.datasets().len() > 1;
+    let place = |(dataset, n): &(u64, i64)| match several {
+        true => format!("dataset {dataset} {each} {n}"),
+        false => format!("{each} {n}"),
+    };
     let values: Vec<String> =
-        measured.values.iter().map(|(n, value)| format!("{each} {n}: {}", rounded(*value))).collect();
+        measured.values.iter().map(|(at, value)| format!("{}: {}", place(at), rounded(*value))).collect();
     if !values.is_empty() {
         println!("{of}: {}", values.join(", "));
     }
@@ -112,10 +271,16 @@ fn print_summary(runs: &Analysis, judgements: &[Judgement], quick: bool) {
     let (holds, fails) = (count(|v| *v == Verdict::Holds), count(|v| *v == Verdict::DoesNotHold));
     let untestable = count(|verdict| *verdict == Verdict::NotTestable);
     println!(
-        "{holds} hold, {fails} do not hold, {} undecided, {untestable} not testable; intervals are 95 % over seeds \
-         (forces: episodes)",
+        "{holds} hold, {fails} do not hold, {} undecided, {untestable} not testable; intervals are 95 % over \
+         datasets, of one dataset over seeds (forces: episodes)",
         judgements.len() - holds - fails - untestable,
     );
+    let corrected = corrected(judgements);
+    let unsure = judgements.iter().zip(&corrected).filter(|(judgement, p)| !stands(judgement, **p)).count();
+    if unsure > 0 {
+        let tests = corrected.iter().flatten().count();
+        println!("* {unsure} of these verdicts are undecided after Holm's correction for {tests} tests");
+    }
     print_unmet(judgements);
     let mixed: BTreeSet<String> =
         judgements.iter().flat_map(|judgement| &judgement.mixed).map(Mixed::to_string).collect();
@@ -144,12 +309,12 @@ fn print_unmet(judgements: &[Judgement]) {
 }
 
 /// The verdicts as a table for other programs.
-fn frame(judgements: &[Judgement]) -> Result<DataFrame> {
+fn frame(judgements: &[&Judgement]) -> Result<DataFrame> {
     let text = |name: &str, of: &dyn Fn(&Judgement) -> Option<String>| {
-        Column::new(name.into(), judgements.iter().map(of).collect::<Vec<_>>())
+        Column::new(name.into(), judgements.iter().map(|judgement| of(judgement)).collect::<Vec<_>>())
     };
     let numbers = |name: &str, of: &dyn Fn(&Judgement) -> Option<Interval>| {
-        let intervals: Vec<Option<Interval>> = judgements.iter().map(of).collect();
+        let intervals: Vec<Option<Interval>> = judgements.iter().map(|judgement| of(judgement)).collect();
         let column = |end: &str, of: fn(Interval) -> Option<f64>| {
             let values: Vec<Option<f64>> = intervals.iter().map(|interval| interval.and_then(of)).collect();
             Column::new(format!("{name}{end}").into(), values)
@@ -164,6 +329,7 @@ fn frame(judgements: &[Judgement]) -> Result<DataFrame> {
         text(name, &|judgement| judgement.claim.requires.as_ref().map(of))
     };
     let counts = judgements.iter().map(|judgement| judgement.measured.values.len() as i64);
+    let datasets = judgements.iter().map(|judgement| judgement.measured.datasets().len() as i64);
     let mut columns = vec![
         text("claim", &|judgement| Some(judgement.claim.id().to_owned())),
         text("paper", &|judgement| Some(judgement.claim.paper.clone())),
@@ -171,6 +337,7 @@ fn frame(judgements: &[Judgement]) -> Result<DataFrame> {
         text("measured", &|judgement| Some(judgement.claim.measured.clone())),
         text("scenario", &|judgement| judgement.scenario.map(|scenario| scenario.name().to_owned())),
         text("each", &|judgement| Some(judgement.measured.each.name().to_owned())),
+        Column::new("datasets".into(), datasets.collect::<Vec<_>>()),
         Column::new("values".into(), counts.collect::<Vec<_>>()),
     ];
     columns.extend(numbers("", &|judgement| judgement.interval()));
@@ -178,6 +345,9 @@ fn frame(judgements: &[Judgement]) -> Result<DataFrame> {
     columns.push(requirement("requires", &|requirement| requirement.measured.clone()));
     columns.extend(numbers("required_", &|judgement| judgement.required.as_ref()?.interval()));
     columns.push(requirement("required_condition", &|requirement| requirement.condition.to_string()));
+    let p_values: Vec<Option<f64>> = judgements.iter().map(|judgement| judgement.p_value()).collect();
+    columns.push(Column::new("p".into(), p_values));
+    columns.push(Column::new("p_holm".into(), corrected(judgements.iter().copied())));
     columns.push(text("verdict", &|judgement| Some(judgement.verdict().to_string())));
     Ok(DataFrame::new(judgements.len(), columns)?)
 }

@@ -93,11 +93,14 @@ enum Command {
   harness claims
   harness claims vision_improves_force            its query, and the value of every seed
   harness claims --quick                          by the results of `harness run … --quick`
+  harness claims --plan                           how many more seeds or datasets would decide, and the commands
+  harness claims --readings                       claims by readings of the paper, and the choices that decide
   harness claims --output verdicts.csv
 
-A claim holds where the whole 95 % interval over seeds satisfies its condition, does not hold where the whole \
+A claim holds where the whole 95 % interval satisfies its condition, does not hold where the whole \
 interval violates it, and is undecided otherwise, or with a single seed. It is not testable where what it requires \
-does not hold, as that the networks which it compares learned something.")]
+does not hold, as that the networks which it compares learned something. Intervals are over datasets or, where there \
+is one dataset, over its seeds.")]
     Claims(claims::Claims),
     /// Print runs side by side: mean and interval over seeds, the best of a row marked
     #[command(after_help = "Examples:
@@ -164,6 +167,7 @@ const FIGURES_HELP: &str = "Examples:
   harness figures prediction_results regression --out paper/figures
   harness figures --quick
   harness figures propriovision_to_vision --multi multi_to_multi_best
+  harness figures readings                        what vision adds under each reading of the paper
   harness figures --results results/reference
 
 Width: 8.5 cm, a journal's column. Letters are outlines, so no font is needed to show them.

@@ -1,4 +1,4 @@
-//! The paper's figures, drawn from the tables of finished runs.
+//! The paper's figures, and one about it, drawn from the tables of finished runs.
 //!
 //! One file a figure; each makes a [`Drawing`]: a [`page::Page`] and the numbers on it. The scenes are rendered by
 //! `simulation`, the diagrams are read off the networks that `learning` builds, everything else comes from
@@ -13,6 +13,7 @@ pub mod page;
 mod prediction_results;
 mod predictive_arch;
 mod propriovision_to_vision;
+mod readings;
 mod reconstruction_performance;
 mod regression;
 mod sim_env;
@@ -65,7 +66,7 @@ impl FigureError {
     }
 }
 
-/// A figure of the paper.
+/// A figure of the paper, or about it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Figure {
     Task,
@@ -77,6 +78,8 @@ pub enum Figure {
     PropriovisionToVision,
     ReconstructionPerformance,
     Regression,
+    /// What no figure of the paper shows: what depends on how it is read.
+    Readings,
 }
 
 /// A figure and the numbers that it shows.
@@ -86,8 +89,22 @@ pub struct Drawing {
 }
 
 impl Figure {
-    /// In the paper's order.
-    pub const ALL: [Figure; 9] = [
+    /// Those of the paper in its order, and the one about it.
+    pub const ALL: [Figure; 10] = [
+        Figure::Task,
+        Figure::PredictiveArch,
+        Figure::InformationLossArch,
+        Figure::SimEnv,
+        Figure::ForcesDataset,
+        Figure::PredictionResults,
+        Figure::PropriovisionToVision,
+        Figure::ReconstructionPerformance,
+        Figure::Regression,
+        Figure::Readings,
+    ];
+
+    /// The paper's figures, in its order.
+    pub const OF_THE_PAPER: [Figure; 9] = [
         Figure::Task,
         Figure::PredictiveArch,
         Figure::InformationLossArch,
@@ -111,6 +128,7 @@ impl Figure {
             Figure::PropriovisionToVision => "propriovision_to_vision",
             Figure::ReconstructionPerformance => "reconstruction_performance",
             Figure::Regression => "regression",
+            Figure::Readings => "readings",
         }
     }
 
@@ -128,6 +146,7 @@ impl Figure {
                 "reconstruction errors over latent size, single- and multi-modal"
             }
             Figure::Regression => "prediction over reference at the fingertip",
+            Figure::Readings => "what vision adds under each reading of the paper",
         }
     }
 
@@ -151,6 +170,7 @@ impl Figure {
             Figure::PropriovisionToVision => propriovision_to_vision::draw(source),
             Figure::ReconstructionPerformance => reconstruction_performance::draw(source),
             Figure::Regression => regression::draw(source),
+            Figure::Readings => readings::draw(source),
         }
     }
 }

@@ -21,8 +21,8 @@ pub struct Drawn {
 /// # Errors
 /// When one can't be drawn though its runs are there.
 pub fn draw(source: &Source, progress: &dyn Progress) -> Result<Vec<Drawn>, FigureError> {
-    progress.begin("drawing", Figure::ALL.len() as u64, "figures");
-    let drawn = Figure::ALL.into_iter().map(|figure| {
+    progress.begin("drawing", Figure::OF_THE_PAPER.len() as u64, "figures");
+    let drawn = Figure::OF_THE_PAPER.into_iter().map(|figure| {
         let draw = || figure.draw(source).map(|drawing| drawing.page.svg());
         let svg = if figure.shows_runs() { draw() } else { rendered(figure, draw) };
         let svg = part(svg)?;

@@ -62,7 +62,7 @@ struct Words {
     unmet: Option<String>,
     /// What there is a value for, seed or episode, and the values.
     each: &'static str,
-    values: Vec<(i64, String)>,
+    values: Vec<(String, String)>,
     /// `None` without data.
     strip: Option<Strip>,
 }
@@ -141,6 +141,11 @@ impl Words {
     fn new(judgement: &Judgement) -> Self {
         let verdict = judgement.verdict();
         let values = judgement.measured.values.iter();
+        let several = judgement.measured.datasets().len() > 1;
+        let place = |(dataset, n): &(u64, i64)| match several {
+            true => format!("{n} of dataset {dataset}"),
+            false => n.to_string(),
+        };
         Self {
             scenario: judgement.scenario.map_or("both", Scenario::name),
             value: judgement.interval().map_or_else(|| "no value".into(), |interval| interval.to_string()),
@@ -155,7 +160,7 @@ impl Words {
             },
             unmet: judgement.unmet().filter(|_| verdict == Verdict::NotTestable),
             each: judgement.measured.each.name(),
-            values: values.map(|(each, value)| (*each, rounded(*value))).collect(),
+            values: values.map(|(at, value)| (place(at), rounded(*value))).collect(),
             strip: Strip::of(judgement),
         }
     }

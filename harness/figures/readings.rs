@@ -1,0 +1,165 @@
+//! What vision adds under each reading of the paper: a specification curve.
+
+use super::axes::{Look, Panel, Scale, colour_of, remark};
+use super::page::{BLACK, COLUMN, GREY, Mark, PALE, Page, Stroke, Type};
+use super::source::{Source, Study, integers, reals, texts};
+use super::{Drawing, FigureError};
+use harness_analysis::{Interval, LEVEL, mean_interval, replicates};
+use harness_spec::{Modality, Reading, Scenario};
+use polars::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+
+const LEFT: f64 = 56.0;
+const WIDTH: f64 = 86.0;
+const BETWEEN: f64 = 12.0;
+const HEIGHT: f64 = 62.0;
+/// Of a row of the matrix below a panel.
+const ROW: f64 = 7.6;
+
+/// What a panel shows, by its letter.
+const QUANTITIES: [(Modality, &str); 2] =
+    [(Modality::CONTACT_FORCE, "gain in R2, force"), (Modality::PROPRIOCEPTION, "gain in R2, angles")];
+
+/// What vision adds under one reading.
+struct Gain {
+    modality: Modality,
+    scenario: Scenario,
+    reading: String,
+    datasets: usize,
+    value: Interval,
+}
+
+pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
+    let gains = gains(source)?;
+    let readings = readings(&gains);
+    let matrix = ROW * readings.len() as f64;
+    let block = HEIGHT + matrix + 34.0;
+    let mut page = Page::new(COLUMN, 2.0 * block + 18.0, "Gain by vision under each reading of the paper");
+    for (row, (modality, label)) in QUANTITIES.into_iter().enumerate() {
+        let of_row: Vec<&Gain> = gains.iter().filter(|gain| gain.modality == modality).collect();
+        let ends = |of: fn(f64, f64) -> f64, end: fn(&Interval) -> f64| {
+            of_row.iter().map(|gain| within(&of_row, end(&gain.value))).fold(0.0, of)
+        };
+        let (low, high) = (ends(f64::min, Interval::low), ends(f64::max, Interval::high));
+        for (column, scenario) in Scenario::PAPER.into_iter().enumerate() {
+            let left = LEFT + column as f64 * (WIDTH + BETWEEN);
+            let panel = Panel { left, top: 16.0 + row as f64 * block, width: WIDTH, height: HEIGHT };
+            let scale = Scale::linear(low, high, 5, panel.upwards());
+            panel.left_axis(&mut page, &scale, (column == 0).then_some(label));
+            panel.heading(&mut page, ["a", "b", "c", "d"][2 * row + column], scenario.name());
+            let zero = scale.at(0.0);
+            page.line([panel.left, zero], [panel.right(), zero], Stroke::new(BLACK, 0.7));
+            let mut own: Vec<&Gain> =
+                of_row.iter().copied().filter(|gain| gain.scenario == scenario).collect();
+            own.sort_by(|a, b| a.value.mean.total_cmp(&b.value.mean));
+            let slots = panel.slots(own.len());
+            for (gain, x) in own.iter().zip(&slots) {
+                let decided = gain.value.bounds.is_some_and(|(low, high)| low > 0.0 || high < 0.0);
+                let look =
+                    Look { colour: colour_of(scenario), mark: Mark::Disc, hollow: !decided, dashed: false };
+                look.point(&mut page, *x, &scale, &gain.value);
+            }
+            choices(&mut page, &panel, &readings, &own, &slots, column == 0);
+        }
+    }
+    let datasets: BTreeSet<usize> = gains.iter().map(|gain| gain.datasets).collect();
+    let counts: Vec<String> = datasets.iter().map(usize::to_string).collect();
+    let bars = match datasets.last() {
+        Some(1) | None => "bars: 95 % intervals over the seeds of one dataset".to_owned(),
+        _ => format!("bars: 95 % intervals over {} datasets", counts.join(" or ")),
+    };
+    let bottom = 2.0 * block + 12.0;
+    remark(&mut page, &format!("{bars}; filled: not around 0"), [COLUMN / 2.0, bottom]);
+    Ok(Drawing { page, data: data(&gains)? })
+}
+
+/// A value within the range that an axis reaches: every mean, and intervals that are not far wider than the means.
+fn within(gains: &[&Gain], value: f64) -> f64 {
+    let means = || gains.iter().map(|gain| gain.value.mean);
+    let (low, high) = (means().fold(0.0, f64::min), means().fold(0.0, f64::max));
+    let margin = 0.75 * (high - low).max(0.02);
+    value.clamp(low - margin, high + margin)
+}
+
+/// The matrix below a panel: a row for each reading, with a dot below its point.
+fn choices(page: &mut Page, panel: &Panel, readings: &[String], gains: &[&Gain], slots: &[f64], named: bool) {
+    for (row, reading) in readings.iter().enumerate() {
+        let y = panel.bottom() + 7.0 + ROW * row as f64;
+        if row % 2 == 0 {
+            page.rectangle([panel.left, y - ROW / 2.0], [panel.width, ROW], 0.0, PALE, None);
+        }
+        if named {
+            let name = reading.replace('_', " ");
+            page.text(&name, [panel.left - 3.0, y + 2.1], Type::SMALL.end());
+        }
+        for (gain, x) in gains.iter().zip(slots) {
+            let is_own = gain.reading == *reading;
+            let (radius, colour) = if is_own { (2.0, BLACK) } else { (0.7, GREY) };
+            page.mark(Mark::Disc, [*x, y], radius, colour, false);
+        }
+    }
+}
+
+/// The readings, the base first.
+fn readings(gains: &[Gain]) -> Vec<String> {
+    let names: BTreeSet<&String> = gains.iter().map(|gain| &gain.reading).collect();
+    let (base, others): (Vec<&String>, Vec<&String>) =
+        names.into_iter().partition(|name| *name == Reading::BASE);
+    base.into_iter().chain(others).cloned().collect()
+}
+
+/// The R2 with vision minus that without, of the best latent size of each, on the same dataset with the same seed.
+fn gains(source: &Source) -> Result<Vec<Gain>, FigureError> {
+    let [single, multi] = [Study::SingleToMulti, Study::MultiToMulti].map(Study::name);
+    let rows = source.query_readings(&format!(
+        "with best as (
+           select reading, role, dataset_seed, metrics.scenario as scenario, metrics.seed as seed, modality,
+                  max(value) as r2
+           from metrics join runs on metrics.run = runs.run
+           where task = 'prediction' and model = 'network' and metric = 'r2' and direction is null and index is null
+             and modality in ('contact_force', 'proprioception')
+           group by reading, role, dataset_seed, metrics.scenario, metrics.seed, modality
+         )
+         select reading, scenario, dataset_seed, seed, modality,
+                max(case when role = '{multi}' then r2 end) - max(case when role = '{single}' then r2 end) as gain
+         from best
+         group by reading, scenario, dataset_seed, seed, modality
+         having count(r2) = 2
+         order by modality, scenario, reading, dataset_seed, seed"
+    ))?;
+    let (names, scenarios, modalities) =
+        (texts(&rows, "reading")?, texts(&rows, "scenario")?, texts(&rows, "modality")?);
+    let (datasets, values) = (integers(&rows, "dataset_seed")?, reals(&rows, "gain")?);
+    let mut gains = Vec::new();
+    for (modality, _) in QUANTITIES {
+        for scenario in Scenario::PAPER {
+            let mut by_reading: BTreeMap<&str, Vec<(u64, f64)>> = BTreeMap::new();
+            for row in 0..rows.height() {
+                if modalities[row] == modality.name() && scenarios[row] == scenario.name() {
+                    let value = values[row].map(|value| (datasets[row] as u64, value));
+                    by_reading.entry(&names[row]).or_default().extend(value);
+                }
+            }
+            for (reading, values) in by_reading {
+                let datasets = values.iter().map(|(dataset, _)| dataset).collect::<BTreeSet<_>>().len();
+                let Some(value) = mean_interval(&replicates(values), LEVEL) else { continue };
+                gains.push(Gain { modality, scenario, reading: reading.to_owned(), datasets, value });
+            }
+        }
+    }
+    Ok(gains)
+}
+
+fn data(gains: &[Gain]) -> Result<DataFrame, FigureError> {
+    let bounds = |end: fn((f64, f64)) -> f64| gains.iter().map(move |gain| gain.value.bounds.map(end));
+    Ok(df!(
+        "modality" => gains.iter().map(|gain| gain.modality.name()).collect::<Vec<_>>(),
+        "metric" => vec!["r2"; gains.len()],
+        "scenario" => gains.iter().map(|gain| gain.scenario.name()).collect::<Vec<_>>(),
+        "reading" => gains.iter().map(|gain| gain.reading.as_str()).collect::<Vec<_>>(),
+        "datasets" => gains.iter().map(|gain| gain.datasets as u32).collect::<Vec<_>>(),
+        "mean" => gains.iter().map(|gain| gain.value.mean).collect::<Vec<_>>(),
+        "low" => bounds(|(low, _)| low).collect::<Vec<_>>(),
+        "high" => bounds(|(_, high)| high).collect::<Vec<_>>(),
+    )?)
+}
