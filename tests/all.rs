@@ -20,6 +20,7 @@ mod numbers;
 mod publish;
 mod reference;
 mod report;
+mod reproduction;
 mod sql;
 mod suggestions;
 mod tables;
