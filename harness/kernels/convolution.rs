@@ -238,19 +238,7 @@ impl Images {
 
     /// Adds a bias to each channel, then cuts negative values where `relu` says so.
     pub fn add_bias(&mut self, bias: &[f32], relu: bool) {
-        let floor = if relu { 0.0 } else { f32::NEG_INFINITY };
-        let side = self.side;
-        simd(
-            #[inline(always)]
-            || {
-                for (index, row) in self.rows_mut().enumerate() {
-                    let bias = bias[index / side];
-                    for value in row.as_flattened_mut() {
-                        *value = (*value + bias).max(floor);
-                    }
-                }
-            },
-        );
+        simd(AddBias { images: self, bias, floor: if relu { 0.0 } else { f32::NEG_INFINITY } });
     }
 
     /// Sets values to zero where those of `output`, a ReLU's output of the same size, are zero: the gradient before
@@ -270,24 +258,8 @@ impl Images {
     /// Replaces values by `scale * (value - target)`, where `scale` has a factor an image; returns the sum of the
     /// squared differences of the first `images` images.
     pub fn become_errors(&mut self, target: &Images, images: usize, scale: f32) -> f64 {
-        let scales: [f32; LANES] = std::array::from_fn(|lane| if lane < images { scale } else { 0.0 });
-        let mut sum = [0.0f64; LANES];
-        simd(
-            #[inline(always)]
-            || {
-                for (row, target) in self.rows_mut().zip(target.rows()) {
-                    let mut squares = [0.0f32; LANES];
-                    for (values, target) in row.iter_mut().zip(target) {
-                        for lane in 0..LANES {
-                            let error = values[lane] - target[lane];
-                            squares[lane] += error * error;
-                            values[lane] = error * scales[lane];
-                        }
-                    }
-                    (0..LANES).for_each(|lane| sum[lane] += f64::from(squares[lane]));
-                }
-            },
-        );
+        let scales = std::array::from_fn(|lane| if lane < images { scale } else { 0.0 });
+        let sum = simd(BecomeErrors { images: self, target, scales });
         sum[..images].iter().sum()
     }
 
@@ -326,6 +298,64 @@ impl Images {
     fn row(&self, channel: usize, row: usize, column: usize) -> &[[f32; LANES]] {
         let start = self.at(channel, row);
         &self.values[start + column..start + self.columns]
+    }
+}
+
+// Structs where closures would do: the shim by which a closure that could be called again is called once is sometimes
+// not inlined, and then compiled for the plainest processor.
+
+struct AddBias<'a> {
+    images: &'a mut Images,
+    bias: &'a [f32],
+    floor: f32,
+}
+
+impl WithSimd for AddBias<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _simd: S) {
+        let Images { side, columns, .. } = *self.images;
+        let channels = self.images.values.chunks_exact_mut((side + 2) * columns);
+        for (channel, bias) in channels.zip(self.bias) {
+            for row in 1..=side {
+                for value in channel[row * columns + 1..][..side].as_flattened_mut() {
+                    *value = (*value + bias).max(self.floor);
+                }
+            }
+        }
+    }
+}
+
+struct BecomeErrors<'a> {
+    images: &'a mut Images,
+    target: &'a Images,
+    scales: [f32; LANES],
+}
+
+impl WithSimd for BecomeErrors<'_> {
+    type Output = [f64; LANES];
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _simd: S) -> [f64; LANES] {
+        let Images { channels, side, .. } = *self.images;
+        let mut sum = [0.0f64; LANES];
+        for line in 0..channels * side {
+            let start = self.images.at(line / side, line % side + 1) + 1;
+            let mut squares = [0.0f32; LANES];
+            for place in start..start + side {
+                let (values, target) = (&mut self.images.values[place], &self.target.values[place]);
+                for lane in 0..LANES {
+                    let error = values[lane] - target[lane];
+                    squares[lane] += error * error;
+                    values[lane] = error * self.scales[lane];
+                }
+            }
+            for lane in 0..LANES {
+                sum[lane] += f64::from(squares[lane]);
+            }
+        }
+        sum
     }
 }
 
