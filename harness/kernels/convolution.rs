@@ -204,11 +204,11 @@ impl Images {
     /// Takes images that lie one after the other, each `[channel, row, column]`; those past the last are zero.
     pub fn set(&mut self, images: &[f32]) {
         let (side, len) = (self.side, self.image_len());
+        let mut lines = [[0.0; LANES]; LANES];
         for (index, row) in self.rows_mut().enumerate() {
             // Blocks of a few columns read whole cache lines of every image once.
             for (block, columns) in row.chunks_mut(LANES).enumerate() {
                 let first = index * side + block * LANES;
-                let mut lines = [[0.0; LANES]; LANES];
                 for (line, image) in lines.iter_mut().zip(images.chunks_exact(len)) {
                     line[..columns.len()].copy_from_slice(&image[first..first + columns.len()]);
                 }
@@ -222,10 +222,10 @@ impl Images {
     /// The reverse of [`Images::set`]: writes as many images as there is room for.
     pub fn write(&self, images: &mut [f32]) {
         let (side, len) = (self.side, self.image_len());
+        let mut lines = [[0.0; LANES]; LANES];
         for (index, row) in self.rows().enumerate() {
             for (block, columns) in row.chunks(LANES).enumerate() {
                 let first = index * side + block * LANES;
-                let mut lines = [[0.0; LANES]; LANES];
                 for (column, values) in columns.iter().enumerate() {
                     (0..LANES).for_each(|lane| lines[lane][column] = values[lane]);
                 }

@@ -178,7 +178,8 @@ pub fn exp(x: f32) -> f32 {
 
 /// The sum of all values.
 pub fn sum(values: &[f32]) -> f32 {
-    const LANES: usize = 16;
+    // As many sums as four of the widest vectors hold: each waits for its last addition.
+    const LANES: usize = 64;
     let mut lanes = [0.0f32; LANES];
     simd(
         #[inline(always)]
