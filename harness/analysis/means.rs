@@ -94,6 +94,9 @@ struct Row {
     unit: String,
 }
 
+/// The unit of a mean, and by the place of their runs the dataset's seed and the value.
+type Values = (String, BTreeMap<usize, (u64, f64)>);
+
 impl Analysis {
     /// The metrics over all joints, links or pixels of all runs that count, as means over the seeds of each group.
     ///
@@ -112,7 +115,7 @@ impl Analysis {
         let name = |run: &Run| (run.record.experiment.clone(), run.record.run.clone());
         let places: HashMap<(String, String), usize> =
             runs.iter().enumerate().map(|(place, (run, _))| (name(run), place)).collect();
-        let mut found: BTreeMap<Of, (String, BTreeMap<usize, (u64, f64)>)> = BTreeMap::new();
+        let mut found: BTreeMap<Of, Values> = BTreeMap::new();
         for row in rows::<Row>(&mut answer)? {
             let Some(&place) = places.get(&(row.experiment, row.run)) else { continue };
             let (run, settings) = &runs[place];
@@ -131,7 +134,7 @@ impl Analysis {
             let (_, values) = found.entry(of).or_insert_with(|| (row.unit, BTreeMap::new()));
             values.insert(place, (spec.dataset_seed(), row.value));
         }
-        let mean = |(of, (unit, values)): (Of, (String, BTreeMap<usize, (u64, f64)>))| {
+        let mean = |(of, (unit, values)): (Of, Values)| {
             let mut values: Vec<(u64, f64)> = values.into_values().collect();
             if of.latent.is_none() {
                 let mut datasets = BTreeSet::new();
