@@ -33,6 +33,7 @@ fn write_records(results: &Path) {
 }
 
 /// What a command prints that must succeed, and the processor time it takes, s.
+#[allow(clippy::zombie_processes, reason = "wait4 waits for the child, and tells what it took")]
 fn measure(results: &Path, arguments: &[&str]) -> (String, f64) {
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_harness"));
     command.current_dir(env!("CARGO_MANIFEST_DIR")).arg("--results").arg(results).args(arguments);
