@@ -315,7 +315,8 @@ impl Analysis {
     /// A table of an experiment's runs; if the expected queries see all that `sql` sees, with the rows that they see.
     fn table(&self, table: Table, experiment: &str, sql: &str) -> Result<LazyFrame, QueryError> {
         if self.expected.sees(sql, table) {
-            let seen = self.seen(table, experiment)?;
+            let seen = self.seen(table, experiment)?.only(conditions(sql, table));
+            seen.read()?;
             let schema = seen.schema.clone();
             return Ok(lazily(seen, schema)?);
         }

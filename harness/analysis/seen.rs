@@ -1,7 +1,7 @@
 //! What the queries that are expected see of a table.
 
 use super::{Expected, tables_of, words};
-use harness_registry::{RunTable, asked_columns};
+use harness_registry::{Condition, RunTable, Terms, asked_columns};
 use harness_tables::schema::Table;
 use harness_tables::stacked;
 use polars::prelude::*;
@@ -17,6 +17,10 @@ pub(super) struct Seen {
     /// The columns that are read besides those that a query asks for: others will.
     columns: Arc<Vec<String>>,
     read: Arc<Mutex<DataFrame>>,
+    /// Where the terms of the queries' conditions hold.
+    terms: Arc<Mutex<Terms>>,
+    /// What the query asks of the rows that reads them.
+    conditions: Arc<BTreeSet<Condition>>,
     /// Which of the rows are each run's: the first, and how many.
     places: Arc<OnceLock<HashMap<String, (usize, usize)>>>,
 }
@@ -28,7 +32,30 @@ impl Seen {
         let words: BTreeSet<&str> = queries.flat_map(|sql| words(sql)).collect();
         let named = schema.iter_names().map(PlSmallStr::to_string).filter(|name| words.contains(&**name));
         let columns = Arc::new(named.collect());
-        Self { rows: Arc::new(rows), schema, columns, read: Arc::default(), places: Arc::default() }
+        Self {
+            rows: Arc::new(rows),
+            schema,
+            columns,
+            read: Arc::default(),
+            terms: Arc::default(),
+            conditions: Arc::default(),
+            places: Arc::default(),
+        }
+    }
+
+    /// Reads what expected queries ask for, unless it was read before. A query that is being answered would do so too, but
+    /// in Polars' threads: one that waits there for its columns may begin another part of the query, which waits for the
+    /// same table.
+    ///
+    /// # Errors
+    /// When a file can't be read.
+    pub fn read(&self) -> PolarsResult<()> {
+        self.with(&self.columns).map(drop)
+    }
+
+    /// The same with fewer rows: those that meet any of some conditions.
+    pub fn only(self, conditions: BTreeSet<Condition>) -> Self {
+        Self { conditions: Arc::new(conditions), ..self }
     }
 
     /// These columns, and those that other queries will ask for, of all rows.
@@ -75,7 +102,14 @@ impl AnonymousScan for Seen {
 
     fn scan(&self, asked: AnonymousScanArgs) -> PolarsResult<DataFrame> {
         let columns = asked_columns(&asked);
-        let rows = self.with(&columns)?.select(columns)?;
+        let conditions = self.conditions.iter().flat_map(|condition| condition.keys().cloned());
+        let needed: Vec<String> = columns.iter().cloned().chain(conditions).collect();
+        let all = self.with(&needed)?;
+        let mut terms = self.terms.lock().unwrap_or_else(PoisonError::into_inner);
+        let wanted = terms.wanted(&all, &self.conditions)?;
+        drop(terms);
+        let rows = all.select(columns)?;
+        let rows = wanted.map_or(Ok(rows.clone()), |wanted| rows.filter(&wanted))?;
         Ok(asked.n_rows.map_or(rows.clone(), |count| rows.head(Some(count))))
     }
 

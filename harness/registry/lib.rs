@@ -28,7 +28,7 @@ pub use query::{QueryError, answer, query, query_of, rows, save, table};
 pub use record::{
     FileRecord, ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings,
 };
-pub use rows::{Condition, conditions, implies};
+pub use rows::{Condition, Terms, conditions, implies};
 pub use verify::{Finding, Report};
 
 use commands::command_in;

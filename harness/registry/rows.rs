@@ -138,22 +138,44 @@ pub fn implies(narrow: &Condition, wide: &Condition) -> bool {
 
 /// The rows that meet any of some conditions.
 pub(super) fn kept(rows: DataFrame, conditions: &BTreeSet<Condition>) -> PolarsResult<DataFrame> {
-    if conditions.is_empty() || conditions.iter().any(BTreeMap::is_empty) {
-        return Ok(rows);
+    match Terms::default().wanted(&rows, conditions)? {
+        Some(wanted) => rows.filter(&wanted),
+        None => Ok(rows),
     }
-    // Conditions share most of their terms; each is evaluated once.
-    let mut terms: BTreeMap<(&String, &BTreeSet<String>), BooleanChunked> = BTreeMap::new();
-    for term in conditions.iter().flatten() {
-        if let Entry::Vacant(entry) = terms.entry(term) {
-            entry.insert(holds(rows.column(term.0)?, term.1)?);
+}
+
+/// Where the terms of conditions hold in some rows. Conditions share most of their terms; each is evaluated once.
+#[derive(Default)]
+pub struct Terms(BTreeMap<(String, BTreeSet<String>), BooleanChunked>);
+
+impl Terms {
+    /// Which of the rows meet any of some conditions; `None` if all do without a look at them. Every call is about the
+    /// same rows.
+    ///
+    /// # Errors
+    /// When a condition names a column that the rows lack, or that isn't one of texts.
+    pub fn wanted(
+        &mut self,
+        rows: &DataFrame,
+        conditions: &BTreeSet<Condition>,
+    ) -> PolarsResult<Option<BooleanChunked>> {
+        if conditions.is_empty() || conditions.iter().any(BTreeMap::is_empty) {
+            return Ok(None);
         }
+        let mut wanted = BooleanChunked::full("wanted".into(), false, rows.height());
+        for condition in conditions {
+            let mut all = BooleanChunked::full("wanted".into(), true, rows.height());
+            for (column, texts) in condition {
+                let holds = match self.0.entry((column.clone(), texts.clone())) {
+                    Entry::Occupied(known) => known.into_mut(),
+                    Entry::Vacant(entry) => entry.insert(holds(rows.column(column)?, texts)?),
+                };
+                all = all & holds.clone();
+            }
+            wanted = wanted | all;
+        }
+        Ok(Some(wanted))
     }
-    let none = BooleanChunked::full("wanted".into(), false, rows.height());
-    let all = |condition: &Condition| {
-        condition.iter().map(|term| terms[&term].clone()).reduce(|all, term| all & term)
-    };
-    let wanted = conditions.iter().filter_map(all).fold(none, |any, all| any | all);
-    rows.filter(&wanted)
 }
 
 /// Where a column holds one of some texts, or null where there are none.
