@@ -19,7 +19,7 @@ use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
 /// Far more than any refusal takes on a busy machine, and far less than a hang.
-const SOON: Duration = Duration::from_secs(5);
+const SOON: Duration = Duration::from_secs(60);
 
 static TABLE: LazyLock<Vec<u8>> = LazyLock::new(a_table);
 static SMOKE_TEXT: LazyLock<String> = LazyLock::new(|| read(SMOKE));
