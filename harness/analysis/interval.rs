@@ -51,17 +51,10 @@ impl fmt::Display for Interval {
 /// `level` isn't between 0 and 1.
 pub fn mean_interval(values: &[f64], level: f64) -> Option<Interval> {
     assert!(level > 0.0 && level < 1.0, "the level of an interval is between 0 and 1, not {level}");
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let count = sorted.len() as f64;
-    let degrees = count - 1.0;
-    if sorted.is_empty() {
-        return None;
-    }
-    let mean = sorted.iter().sum::<f64>() / count;
-    let bounds = StudentsT::new(0.0, 1.0, degrees).ok().map(|student| {
-        let squares: f64 = sorted.iter().map(|value| (value - mean).powi(2)).sum();
-        let half = student.inverse_cdf(0.5 + level / 2.0) * (squares / degrees / count).sqrt();
+    let (mean, error) = mean_and_error(values)?;
+    let student = StudentsT::new(0.0, 1.0, values.len() as f64 - 1.0).ok();
+    let bounds = student.zip(error).map(|(student, error)| {
+        let half = student.inverse_cdf(0.5 + level / 2.0) * error;
         (mean - half, mean + half)
     });
     Some(Interval { mean, bounds })
@@ -92,7 +85,7 @@ pub fn replicates(values: impl IntoIterator<Item = (u64, f64)>) -> Vec<f64> {
 /// two-sided, by Student's t. `None` for fewer than two values.
 pub fn p_value(values: &[f64], bound: f64) -> Option<f64> {
     let (mean, error) = mean_and_error(values)?;
-    let distance = (mean - bound).abs();
+    let (error, distance) = (error?, (mean - bound).abs());
     if error == 0.0 {
         return Some(if distance > 0.0 { 0.0 } else { 1.0 });
     }
@@ -118,7 +111,7 @@ pub fn holm(p_values: &[f64]) -> Vec<f64> {
 /// with these; `None` if more than `most`, or if there are fewer than two values.
 pub fn replicates_needed(values: &[f64], bound: f64, level: f64, most: usize) -> Option<usize> {
     let (mean, error) = mean_and_error(values)?;
-    let spread = error * (values.len() as f64).sqrt();
+    let spread = error? * (values.len() as f64).sqrt();
     let excludes = |count: &usize| {
         let student = StudentsT::new(0.0, 1.0, *count as f64 - 1.0).ok();
         student.is_some_and(|student| {
@@ -128,12 +121,15 @@ pub fn replicates_needed(values: &[f64], bound: f64, level: f64, most: usize) ->
     (2..=most).find(excludes)
 }
 
-/// The mean and its standard error; `None` for fewer than two values.
-fn mean_and_error(values: &[f64]) -> Option<(f64, f64)> {
-    let count = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / count;
-    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-    (values.len() > 1).then(|| (mean, (squares / (count - 1.0) / count).sqrt()))
+/// The mean and its standard error, which a single value has none of; `None` without values.
+fn mean_and_error(values: &[f64]) -> Option<(f64, Option<f64>)> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let count = sorted.len() as f64;
+    let mean = sorted.iter().sum::<f64>() / count;
+    let squares: f64 = sorted.iter().map(|value| (value - mean).powi(2)).sum();
+    let error = (sorted.len() > 1).then(|| (squares / (count - 1.0) / count).sqrt());
+    (!sorted.is_empty()).then_some((mean, error))
 }
 
 /// Means over datasets and seeds: values with the same key become one interval, in the order of the keys. A value comes
