@@ -14,12 +14,12 @@ mod interval;
 mod means;
 mod seen;
 mod settings;
-mod view;
+mod subset;
 
 pub use interval::{Interval, LEVEL, holm, intervals, mean_interval, p_value, replicates, replicates_needed};
 pub use means::{Mean, NETWORK, Of, compare};
 pub use settings::{Difference, Setting};
-pub use view::View;
+pub use subset::Subset;
 
 use harness_registry::{
     Condition, QueryError, Registry, RunRecord, RunTable, Status, answer, conditions, implies, lazily, table,
@@ -93,6 +93,10 @@ pub struct Run {
 impl Run {
     pub fn folder(&self) -> &Path {
         &self.folder
+    }
+
+    fn recorded(&self) -> (PathBuf, RunRecord) {
+        (self.folder.clone(), self.record.clone())
     }
 }
 
@@ -272,20 +276,30 @@ impl Analysis {
     /// # Errors
     /// As those of [`query`](harness_registry::query).
     pub fn query(&self, experiments: &[&str], sql: &str) -> Result<DataFrame, QueryError> {
-        answer(sql, &|table| match table {
+        let own = || experiments.iter().copied().filter(|name| self.experiments.contains_key(*name));
+        let rows = |of| own().map(|name| self.table(of, name, sql)).collect();
+        let recorded = || own().flat_map(|name| self.runs(name)).map(Run::recorded).collect();
+        self.answer(sql, rows, recorded)
+    }
+
+    /// Answers a query: `rows` gives the parts of a table that each run writes, `recorded` the runs that the other tables
+    /// are about.
+    fn answer(
+        &self,
+        sql: &str,
+        rows: impl Fn(Table) -> Result<Vec<LazyFrame>, QueryError> + Sync,
+        recorded: impl Fn() -> Vec<(PathBuf, RunRecord)> + Sync,
+    ) -> Result<DataFrame, QueryError> {
+        answer(sql, &|of| match of {
             Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
-                let parts = experiments.iter().filter(|name| self.experiments.contains_key(**name));
-                let parts = parts.map(|name| self.table(table, name, sql));
-                let mut parts = parts.collect::<Result<Vec<_>, _>>()?;
+                let mut parts = rows(of)?;
                 match parts.len() {
-                    0 => self.table_of(table, std::iter::empty(), sql),
+                    0 => table(&self.registry, of, &[], sql),
                     1 => Ok(parts.remove(0)),
                     _ => Ok(concat(parts, UnionArgs::default())?),
                 }
             }
-            Table::Runs | Table::Episodes => {
-                self.table_of(table, experiments.iter().flat_map(|name| self.runs(name)), sql)
-            }
+            Table::Runs | Table::Episodes => table(&self.registry, of, &recorded(), sql),
         })
     }
 
@@ -298,25 +312,15 @@ impl Analysis {
         runs: impl IntoIterator<Item = &'a Run>,
         sql: &str,
     ) -> Result<DataFrame, QueryError> {
-        let runs: Vec<&Run> = runs.into_iter().collect();
-        answer(sql, &|table| self.table_of(table, runs.iter().copied(), sql))
-    }
-
-    fn table_of<'a>(
-        &self,
-        of: Table,
-        runs: impl Iterator<Item = &'a Run>,
-        sql: &str,
-    ) -> Result<LazyFrame, QueryError> {
-        let recorded: Vec<_> = runs.map(|run| (run.folder.clone(), run.record.clone())).collect();
-        table(&self.registry, of, &recorded, sql)
+        let recorded: Vec<_> = runs.into_iter().map(Run::recorded).collect();
+        answer(sql, &|of| table(&self.registry, of, &recorded, sql))
     }
 
     /// A table of an experiment's runs; if the expected queries see all that `sql` sees, with the rows that they see.
     fn table(&self, table: Table, experiment: &str, sql: &str) -> Result<LazyFrame, QueryError> {
         if self.expected.sees(sql, table) {
             let seen = self.seen(table, experiment)?.only(conditions(sql, table));
-            seen.read()?;
+            seen.read(sql, &[])?;
             let schema = seen.schema.clone();
             return Ok(lazily(seen, schema)?);
         }

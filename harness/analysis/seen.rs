@@ -1,7 +1,7 @@
 //! What the queries that are expected see of a table.
 
 use super::{Expected, tables_of, words};
-use harness_registry::{Condition, RunTable, Terms, asked_columns};
+use harness_registry::{Condition, RunTable, Terms, asked_columns, asked_rows};
 use harness_tables::schema::Table;
 use harness_tables::stacked;
 use polars::prelude::*;
@@ -43,14 +43,17 @@ impl Seen {
         }
     }
 
-    /// Reads what expected queries ask for, unless it was read before. A query that is being answered would do so too, but
-    /// in Polars' threads: one that waits there for its columns may begin another part of the query, which waits for the
-    /// same table.
+    /// Reads what `sql` and the expected queries ask for and these columns, unless they were read before.
+    ///
+    /// Otherwise [`Seen::scan`] would read them, in one of Polars' threads. While such a thread waits for files, it may
+    /// begin another scan of the same table, which then waits for the first one for ever.
     ///
     /// # Errors
     /// When a file can't be read.
-    pub fn read(&self) -> PolarsResult<()> {
-        self.with(&self.columns).map(drop)
+    pub fn read(&self, sql: &str, columns: &[&str]) -> PolarsResult<()> {
+        let asked = words(sql).chain(columns.iter().copied()).filter(|name| self.schema.contains(name));
+        let asked: Vec<String> = asked.map(str::to_owned).chain(self.columns.iter().cloned()).collect();
+        self.with(&asked).map(drop)
     }
 
     /// The same with fewer rows: those that meet any of some conditions.
@@ -110,7 +113,7 @@ impl AnonymousScan for Seen {
         drop(terms);
         let rows = all.select(columns)?;
         let rows = wanted.map_or(Ok(rows.clone()), |wanted| rows.filter(&wanted))?;
-        Ok(asked.n_rows.map_or(rows.clone(), |count| rows.head(Some(count))))
+        Ok(asked_rows(rows, &asked))
     }
 
     fn allows_projection_pushdown(&self) -> bool {

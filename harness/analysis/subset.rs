@@ -2,7 +2,7 @@
 
 use super::seen::Seen;
 use super::{Analysis, Run};
-use harness_registry::{QueryError, answer, asked_columns, lazily, table};
+use harness_registry::{QueryError, RunRecord, asked_columns, asked_rows, lazily};
 use harness_tables::schema::Table;
 use polars::prelude::*;
 use std::any::Any;
@@ -11,7 +11,7 @@ use std::any::Any;
 const EXPERIMENT: &str = "experiment";
 
 /// Runs of an analysis, by the names of the experiments that queries ask for.
-pub struct View<'a> {
+pub struct Subset<'a> {
     analysis: &'a Analysis,
     runs: Vec<(String, Vec<&'a Run>)>,
 }
@@ -19,12 +19,12 @@ pub struct View<'a> {
 impl Analysis {
     /// These runs, which queries find under the name beside them, whatever their own experiment is. Queries must be
     /// expected ([`Analysis::expect`]).
-    pub fn view<'a>(&'a self, runs: Vec<(String, Vec<&'a Run>)>) -> View<'a> {
-        View { analysis: self, runs }
+    pub fn subset<'a>(&'a self, runs: Vec<(String, Vec<&'a Run>)>) -> Subset<'a> {
+        Subset { analysis: self, runs }
     }
 }
 
-impl View<'_> {
+impl Subset<'_> {
     /// Answers a query over these runs.
     ///
     /// # Errors
@@ -34,28 +34,16 @@ impl View<'_> {
             let names: Vec<&str> = self.runs.iter().map(|(name, _)| name.as_str()).collect();
             return self.analysis.query(&names, sql);
         }
-        answer(sql, &|of| match of {
-            Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
-                let mut parts = self.parts(of)?;
-                match parts.len() {
-                    0 => table(&self.analysis.registry, of, &[], sql),
-                    1 => Ok(parts.remove(0)),
-                    _ => Ok(concat(parts, UnionArgs::default())?),
-                }
-            }
-            Table::Runs | Table::Episodes => {
-                let named = |name: &str, run: &Run| {
-                    let mut record = run.record.clone();
-                    record.experiment = name.to_owned();
-                    (run.folder.clone(), record)
-                };
-                let of_name = |(name, runs): &(String, Vec<&Run>)| {
-                    runs.iter().map(|run| named(name, run)).collect::<Vec<_>>()
-                };
-                let recorded: Vec<_> = self.runs.iter().flat_map(of_name).collect();
-                table(&self.analysis.registry, of, &recorded, sql)
-            }
-        })
+        let recorded = || {
+            let named = |(name, runs): &(String, Vec<&Run>)| {
+                let recorded = runs.iter().map(|run| run.recorded());
+                let renamed = recorded
+                    .map(|(folder, record)| (folder, RunRecord { experiment: name.clone(), ..record }));
+                renamed.collect::<Vec<_>>()
+            };
+            self.runs.iter().flat_map(named).collect()
+        };
+        self.analysis.answer(sql, |of| self.rows(of, sql), recorded)
     }
 
     /// Whether these are all runs of their experiments, under their own names.
@@ -67,14 +55,15 @@ impl View<'_> {
     }
 
     /// The runs' rows of a table, by experiment and name.
-    fn parts(&self, of: Table) -> Result<Vec<LazyFrame>, QueryError> {
+    fn rows(&self, of: Table, sql: &str) -> Result<Vec<LazyFrame>, QueryError> {
         let mut parts = Vec::new();
         for (name, runs) in &self.runs {
             for runs in runs.chunk_by(|a, b| a.record.experiment == b.record.experiment) {
                 let seen = self.analysis.seen(of, &runs[0].record.experiment)?;
+                seen.read(sql, &["run"])?;
                 let schema = seen.schema.clone();
                 let runs = runs.iter().map(|run| run.record.run.clone()).collect();
-                parts.push(lazily(Part { seen, runs, name: name.clone() }, schema)?);
+                parts.push(lazily(RunRows { seen, runs, name: name.clone() }, schema)?);
             }
         }
         Ok(parts)
@@ -82,13 +71,13 @@ impl View<'_> {
 }
 
 /// The rows of some runs of an experiment, which is called by another name.
-struct Part {
+struct RunRows {
     seen: Seen,
     runs: Vec<String>,
     name: String,
 }
 
-impl AnonymousScan for Part {
+impl AnonymousScan for RunRows {
     fn as_any(&self) -> &dyn Any {
         self
     }
@@ -99,7 +88,7 @@ impl AnonymousScan for Part {
             let name = Scalar::new(DataType::String, AnyValue::StringOwned(self.name.as_str().into()));
             rows.with_column(Column::new_scalar(EXPERIMENT.into(), name, rows.height()))?;
         }
-        Ok(asked.n_rows.map_or(rows.clone(), |count| rows.head(Some(count))))
+        Ok(asked_rows(rows, &asked))
     }
 
     fn allows_projection_pushdown(&self) -> bool {

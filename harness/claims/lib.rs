@@ -9,7 +9,7 @@ pub use plan::{More, Plan, Step, plan};
 pub use readings::{Matrix, Readings, Row as MatrixRow};
 
 use harness_analysis::{
-    Analysis, AnalysisError, Interval, LEVEL, Mixed, Run, Selection, Setting, View, holm, mean_interval,
+    Analysis, AnalysisError, Interval, LEVEL, Mixed, Run, Selection, Setting, Subset, holm, mean_interval,
     p_value, replicates,
 };
 use harness_registry::{Registry, rows};
@@ -90,6 +90,11 @@ impl Claim {
     pub fn required_sql(&self, quick: bool) -> Option<String> {
         let requirement = self.requires.as_ref()?;
         Some(self.complete(&requirement.query.value, &self.latent, quick))
+    }
+
+    /// The claim's query and that of its requirement, as the file has them.
+    fn queries(&self) -> impl Iterator<Item = &Spanned<String>> {
+        std::iter::once(&self.query).chain(self.requires.as_ref().map(|requirement| &requirement.query))
     }
 
     /// A query with these latent sizes, and with the names that the experiments have in tables.
@@ -347,8 +352,10 @@ pub fn selection(claims: &[&Claim], settings: &[Setting], quick: bool) -> Select
 
 /// Says which columns the claims' queries will ask for.
 pub fn expect(analysis: Analysis, claims: &[&Claim], quick: bool) -> Analysis {
-    let required = claims.iter().filter_map(|claim| claim.required_sql(quick));
-    let queries: Vec<String> = claims.iter().map(|claim| claim.sql(quick)).chain(required).collect();
+    let of = |claim: &&Claim| {
+        claim.queries().map(|query| claim.complete(&query.value, &claim.latent, quick)).collect::<Vec<_>>()
+    };
+    let queries: Vec<String> = claims.iter().flat_map(of).collect();
     analysis.expect(queries.iter().map(String::as_str))
 }
 
@@ -362,9 +369,7 @@ pub fn judge<'a>(
     quick: bool,
 ) -> Result<Vec<Judgement<'a>>, ClaimsError> {
     // Variants are different settings, which queries may tell apart by their column.
-    let mut queries =
-        [&claim.query].into_iter().chain(claim.requires.as_ref().map(|requires| &requires.query));
-    let by_variant = queries.all(|query| query.value.contains("variant"));
+    let by_variant = claim.queries().all(|query| query.value.contains("variant"));
     let experiments = claim.experiments(quick).into_iter().map(|name| {
         let checked = analysis.check_uniform(&name, by_variant);
         let runs = analysis.runs(&name).iter().collect();
@@ -397,10 +402,10 @@ impl<'a> Evidence<'a> {
         sizes: &Sizes,
         quick: bool,
     ) -> Result<Vec<Judgement<'c>>, ClaimsError> {
-        let views = self.by_dataset();
+        let datasets = self.by_dataset();
         let measure = |query: &Spanned<String>| {
             let sql = claim.complete(&query.value, sizes, quick);
-            claim.measure(&views, &sql).map_err(|problem| ClaimsError::Query {
+            claim.measure(&datasets, &sql).map_err(|problem| ClaimsError::Query {
                 id: claim.id().to_owned(),
                 line: query.defined.line(),
                 problem,
@@ -417,19 +422,19 @@ impl<'a> Evidence<'a> {
     }
 
     /// The runs of each dataset by themselves, by its seed: a comparison is made within a dataset.
-    fn by_dataset(&self) -> Vec<(u64, View<'a>)> {
+    fn by_dataset(&self) -> Vec<(u64, Subset<'a>)> {
         let seed_of = |run: &Run| run.record.spec.dataset_seed();
         let mut seeds: BTreeSet<u64> =
             self.runs.iter().flat_map(|(_, runs)| runs).map(|run| seed_of(run)).collect();
         if seeds.is_empty() {
             seeds.insert(0);
         }
-        let view = |seed: u64| {
+        let of_dataset = |seed: u64| {
             let own = |runs: &Vec<&'a Run>| runs.iter().copied().filter(|run| seed_of(run) == seed).collect();
             let runs = self.runs.iter().map(|(name, runs)| (name.clone(), own(runs))).collect();
-            (seed, self.analysis.view(runs))
+            (seed, self.analysis.subset(runs))
         };
-        seeds.into_iter().map(view).collect()
+        seeds.into_iter().map(of_dataset).collect()
     }
 }
 
@@ -444,15 +449,19 @@ struct Row {
 
 impl Claim {
     /// What a query finds for each of the claim's scenarios in turn, or for both together, on each dataset.
-    fn measure(&self, views: &[(u64, View)], sql: &str) -> Result<Vec<(Option<Scenario>, Measured)>, String> {
+    fn measure(
+        &self,
+        datasets: &[(u64, Subset)],
+        sql: &str,
+    ) -> Result<Vec<(Option<Scenario>, Measured)>, String> {
         let scenarios: Vec<Option<Scenario>> = match self.scenarios.as_slice() {
             [] => vec![None],
             scenarios => scenarios.iter().copied().map(Some).collect(),
         };
         let empty = |scenario| (scenario, Measured { each: Each::Seed, values: BTreeMap::new() });
         let mut found: Vec<_> = scenarios.into_iter().map(empty).collect();
-        for (dataset, view) in views {
-            let mut answer = view.query(sql).map_err(|error| error.to_string())?;
+        for (dataset, runs) in datasets {
+            let mut answer = runs.query(sql).map_err(|error| error.to_string())?;
             let each = self.check_columns(&answer)?;
             let rows: Vec<Row> = rows(&mut answer).map_err(|error| error.to_string())?;
             for (scenario, measured) in &mut found {

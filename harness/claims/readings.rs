@@ -1,7 +1,7 @@
 //! Claims under several readings of the paper: which of them change a verdict.
 
 use super::{Claim, ClaimsError, Evidence, Judgement, Sizes, Verdict};
-use harness_analysis::{Analysis, AnalysisError, Selection, Setting};
+use harness_analysis::{Analysis, AnalysisError, Run, Selection, Setting};
 use harness_registry::Registry;
 use harness_spec::{Experiment, Reading, Scenario};
 use std::collections::BTreeSet;
@@ -66,9 +66,7 @@ impl<'a> Readings<'a> {
         for reading in readings.names() {
             for claim in claims {
                 let sizes = readings.sizes(claim, reading);
-                let required = claim.requires.as_ref().map(|requirement| &requirement.query.value);
-                let own = [&claim.query.value].into_iter().chain(required);
-                queries.extend(own.map(|query| claim.complete(query, &sizes, false)));
+                queries.extend(claim.queries().map(|query| claim.complete(&query.value, &sizes, false)));
             }
         }
         readings.analysis = readings.analysis.expect(queries.iter().map(String::as_str));
@@ -115,7 +113,7 @@ impl<'a> Readings<'a> {
     }
 
     /// The runs that stand for an experiment under a reading.
-    fn runs(&self, reading: &str, role: &str) -> impl Iterator<Item = &harness_analysis::Run> {
+    fn runs(&self, reading: &str, role: &str) -> impl Iterator<Item = &Run> {
         self.analysis.runs(&self.spec.name).iter().filter(move |run| {
             let spec = &run.record.spec;
             spec.reading() == Some(reading) && spec.role() == Some(role)

@@ -393,6 +393,14 @@ pub fn asked_columns(asked: &AnonymousScanArgs) -> Vec<String> {
     }
 }
 
+/// Of these rows as many as a query asks for.
+pub fn asked_rows(rows: DataFrame, asked: &AnonymousScanArgs) -> DataFrame {
+    match asked.n_rows {
+        Some(count) => rows.head(Some(count)),
+        None => rows,
+    }
+}
+
 /// A table that is read when Polars computes an answer.
 pub fn lazily(table: impl AnonymousScan + 'static, schema: SchemaRef) -> PolarsResult<LazyFrame> {
     LazyFrame::anonymous_scan(

@@ -21,7 +21,7 @@ mod sql;
 mod verify;
 
 pub use commands::quoted;
-pub use compact::{RunTable, asked_columns, lazily};
+pub use compact::{RunTable, asked_columns, asked_rows, lazily};
 pub use provenance::{Provenance, Versions, peak_memory_bytes};
 pub use publish::Published;
 pub use query::{QueryError, answer, query, query_of, rows, save, table};
