@@ -6,9 +6,6 @@ use harness_registry::quoted;
 use harness_spec::{Origin, Scenario};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The most datasets or seeds that are planned.
-const MOST: usize = 100;
-
 /// What there may be more of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum More {
@@ -17,11 +14,13 @@ pub enum More {
 }
 
 impl More {
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Datasets => "datasets",
-            Self::Seeds => "seeds",
-        }
+    /// `1 more seed`, `2 more datasets`.
+    pub fn counted(self, count: usize) -> String {
+        let one = match self {
+            Self::Datasets => "dataset",
+            Self::Seeds => "seed",
+        };
+        format!("{count} more {one}{}", if count == 1 { "" } else { "s" })
     }
 }
 
@@ -53,7 +52,7 @@ pub struct Plan<'a> {
 
 impl Plan<'_> {
     /// The most datasets or seeds that a step has.
-    pub const MOST: usize = MOST;
+    pub const MOST: usize = 100;
 }
 
 /// Plans for those of these judgements that are undecided.
@@ -79,23 +78,24 @@ pub fn plan<'a>(analysis: &Analysis, judgements: &[Judgement<'a>], quick: bool) 
     plan
 }
 
-/// What would decide a judgement; `None` if more than [`MOST`] datasets or seeds.
+/// What would decide a judgement; `None` if more than [`Plan::MOST`] datasets or seeds.
 fn step<'a>(analysis: &Analysis, judgement: &Judgement, quick: bool) -> Option<Step<'a>> {
     let replicates = judgement.measured.replicates();
     let there = replicates.len();
     let needed = match there {
         // A single value says nothing about the spread: with two there is an interval.
         1 => 2,
-        _ => replicates_needed(&replicates, judgement.claim.condition.bound(), LEVEL, MOST)?.max(there + 1),
+        _ => replicates_needed(&replicates, judgement.claim.condition.bound(), LEVEL, Plan::MOST)?
+            .max(there + 1),
     };
     let count = needed - there;
     let more = if judgement.measured.datasets().len() > 1 { More::Datasets } else { More::Seeds };
     let (mut runs, mut seconds, mut commands) = (0, 0.0, Vec::new());
-    for name in &judgement.claim.experiments {
-        let experiment = &judgement.claim.experiments(quick)[commands.len()];
+    let claim = judgement.claim;
+    for (name, experiment) in claim.experiments.iter().zip(claim.experiments(quick)) {
         let own =
             |run: &&Run| judgement.scenario.is_none_or(|of| run.record.spec.scenario == Origin::from(of));
-        let own: Vec<&Run> = analysis.runs(experiment).iter().filter(own).collect();
+        let own: Vec<&Run> = analysis.runs(&experiment).iter().filter(own).collect();
         let an_addition = one_more(&own, more);
         runs += count * an_addition.0;
         seconds += count as f64 * an_addition.1;

@@ -9,7 +9,7 @@ use harness::claims::{
     self, Claim, Judgement, Matrix, MatrixRow, Measured, Plan, Readings, Requirement, Step, Verdict,
     corrected,
 };
-use harness::numbers::rounded;
+use harness::numbers::{duration, rounded};
 use harness::registry::{self, Registry};
 use harness::spec::{self, Experiment, Reading, Scenario};
 use polars::prelude::{Column, DataFrame};
@@ -55,9 +55,7 @@ impl Claims {
             judgements.extend(claims::judge(&runs, claim, self.quick)?);
         }
         if let Some(path) = self.output {
-            registry::save(&mut frame(&judgements.iter().collect::<Vec<_>>())?, &path)?;
-            println!("{} verdicts in {}", judgements.len(), shown(&path));
-            return Ok(ExitCode::from(DONE));
+            return write(frame(&judgements.iter().collect::<Vec<_>>())?, &path);
         }
         if self.plan {
             print_plan(&claims::plan(&runs, &judgements, self.quick));
@@ -91,13 +89,18 @@ impl Claims {
             let mut table = frame(&judgements)?;
             let readings = matrix.readings.iter().cycle().take(judgements.len()).copied();
             table.insert_column(0, Column::new("reading".into(), readings.collect::<Vec<_>>()))?;
-            registry::save(&mut table, path)?;
-            println!("{} verdicts in {}", judgements.len(), shown(path));
-            return Ok(ExitCode::from(DONE));
+            return write(table, path);
         }
         print_matrix(&spec, &matrix);
         Ok(ExitCode::from(DONE))
     }
+}
+
+/// Writes a table with a row for each verdict.
+fn write(mut verdicts: DataFrame, path: &Path) -> Result<ExitCode> {
+    registry::save(&mut verdicts, path)?;
+    println!("{} verdicts in {}", verdicts.height(), shown(path));
+    Ok(ExitCode::from(DONE))
 }
 
 /// A verdict in one character.
@@ -166,8 +169,8 @@ fn print_plan(plan: &Plan) {
         let Step { more, there, count, runs, seconds, .. } = step;
         let purpose = if *there == 1 { "give an interval to" } else { "decide" };
         println!(
-            "{count} more {}, {runs} runs, about {}, would {purpose} {}:",
-            more.name(),
+            "{}, {runs} runs, about {}, would {purpose} {}:",
+            more.counted(*count),
             duration(*seconds),
             listed(&step.decides)
         );
@@ -186,15 +189,6 @@ fn print_plan(plan: &Plan) {
         println!("no claim that was measured is undecided");
     } else {
         println!("if means and spreads stay as they are, and runs take as long as those that there are");
-    }
-}
-
-/// `40 s`, `12 min`, `3.5 h`.
-fn duration(seconds: f64) -> String {
-    match seconds {
-        ..90.0 => format!("{seconds:.0} s"),
-        ..5400.0 => format!("{:.0} min", seconds / 60.0),
-        _ => format!("{:.1} h", seconds / 3600.0),
     }
 }
 
