@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use std::arch::asm;
 use std::arch::x86_64::*;
 use std::cell::RefCell;
+use std::marker::PhantomData;
 use std::sync::OnceLock;
 
 /// Lines (rows of the left matrix, columns of the right one) that one call of the kernel covers on each side.
@@ -59,7 +60,9 @@ fn allowed_by_linux() -> bool {
 pub fn product<const PARTS: usize>(a: Matrix, b: Matrix, out: &mut [f32], into: Accumulate, threads: usize) {
     const { assert!(PARTS == 1 || PARTS == 3) };
     assert!(available(), "the tile unit was asked for where there is none");
-    let ((m, depth), (_, n)) = (a.shape(), b.shape());
+    let ((m, depth), (rows, n)) = (a.shape(), b.shape());
+    assert_eq!(depth, rows, "the depth of a {m} x {depth} matrix times a {rows} x {n} one");
+    assert_eq!(out.len(), m * n, "the length of a {m} x {n} product");
     if m == 0 || n == 0 {
         return;
     }
@@ -397,7 +400,9 @@ struct Pair<'a> {
 }
 
 /// This thread's tile registers, configured as eight tiles of 16 x 64 bytes until dropped.
-struct Tiles(());
+///
+/// It stays on its thread: another one's registers are not configured.
+struct Tiles(PhantomData<*const ()>);
 
 #[repr(C, align(64))]
 struct Configuration {
@@ -418,7 +423,7 @@ impl Tiles {
         configuration.rows[..8].fill(TILE as u8);
         // SAFETY: the configuration is 64 bytes of the layout that palette 1 asks for (Intel SDM, LDTILECFG).
         unsafe { asm!("ldtilecfg [{}]", in(reg) &configuration, options(nostack, readonly)) };
-        Self(())
+        Self(PhantomData)
     }
 
     /// `out[place..] (+)= a b` for two packed strips.

@@ -1,7 +1,7 @@
 //! Cameras: small frames for the networks, large pictures for people.
 
 use super::SimulationError;
-use super::scene::{Scene, SceneCamera};
+use super::scene::{Scene, SceneCamera, prepare};
 use image::RgbImage;
 use mujoco_rs::prelude::*;
 use mujoco_rs::renderer::MjRenderer;
@@ -29,8 +29,9 @@ pub unsafe fn prepare_rendering() {
 /// Which OpenGL renderer answers, for example "llvmpipe (LLVM 15.0.6, 256 bits)".
 ///
 /// # Errors
-/// When there is no OpenGL to render with.
+/// When there is no OpenGL to render with, or MuJoCo's library is of another version.
 pub fn renderer_name() -> Result<String, SimulationError> {
+    prepare()?;
     let model = MjModel::from_xml_string("<mujoco/>").expect("an empty model compiles");
     let _renderer = open_renderer(&model, 1, 1)?;
     Ok(current_renderer_name())

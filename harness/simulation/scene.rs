@@ -852,7 +852,7 @@ fn require_mujoco_version() -> Result<(), SimulationError> {
 /// errors, so neither the console nor a `MUJOCO_LOG.TXT` in the working folder needs them.
 fn silence_mujoco_warnings() {
     static SILENCED: Once = Once::new();
-    // SAFETY: every use of MuJoCo in this program starts with a scene, and `Once` holds back other threads.
+    // SAFETY: no thread is in MuJoCo: each calls `prepare` before it uses MuJoCo, and `Once` holds back the others.
     SILENCED.call_once(|| unsafe { set_log_handler(print_fatal) });
 }
 
