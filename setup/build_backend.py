@@ -17,7 +17,6 @@ from maturin import (  # noqa: F401  (hooks that need nothing)
 )
 
 ROOT = Path(__file__).resolve().parent.parent
-LIBRARY = "libmujoco.so.3.17.0"
 
 
 def link_mujoco() -> None:
@@ -25,12 +24,13 @@ def link_mujoco() -> None:
     if not (folder / "libmujoco.so").exists():
         wheel = importlib.util.find_spec("mujoco")
         if wheel is None or wheel.origin is None:
-            raise SystemExit("mujoco==3.17.0 is not installed in the build environment; build with isolation, or install it")
+            raise SystemExit("mujoco is not installed in the build environment; build with isolation, or install it")
+        library = next(Path(wheel.origin).parent.glob("libmujoco.so.*"))
         folder = ROOT / "target" / "mujoco"
         folder.mkdir(parents=True, exist_ok=True)
-        for name in ("libmujoco.so", LIBRARY):
+        for name in ("libmujoco.so", library.name):
             (folder / name).unlink(missing_ok=True)
-            (folder / name).symlink_to(Path(wheel.origin).parent / LIBRARY)
+            (folder / name).symlink_to(library)
     os.environ["MUJOCO_DYNAMIC_LINK_DIR"] = str(folder)
 
 
