@@ -101,6 +101,22 @@ fn a_single_run_of_a_sweep_can_be_queried() {
 }
 
 #[test]
+fn each_reading_and_role_keeps_the_forces_of_one_run_a_dataset() {
+    let (results, copy) = (fresh("published-readings-from"), fresh("published-readings"));
+    let readings = "\nroles:\n  smoke: {}\nreadings:\n  - {name: narrow, choice: the width, base: wide, instead: narrow, \
+                    paper: none, settings: {network.hidden: [8]}}\n";
+    let folder = tempfile::tempdir().unwrap();
+    let spec = folder.path().join("readings.yaml");
+    std::fs::write(&spec, std::fs::read_to_string(SMOKE).unwrap() + readings).unwrap();
+    let overrides = ["name=readings", "scenarios=[empty]", "tasks=[prediction]", "seeds=[0,1]"];
+    succeed(&results, &[&["run", spec.to_str().unwrap()][..], &overrides].concat());
+    succeed(&results, &["publish", "readings", "--to", copy.to_str().unwrap()]);
+    let forces = "select variant, count(distinct run) as runs from forces group by variant order by variant";
+    let of_one_run_each = "variant,runs\n\"reading=base,role=smoke\",1\n\"reading=narrow,role=smoke\",1\n";
+    assert_eq!(csv(&copy, forces), of_one_run_each);
+}
+
+#[test]
 fn publishing_again_changes_nothing() {
     let copy = fresh("published-twice");
     publish(&copy);

@@ -22,8 +22,9 @@ impl Registry {
     /// are about single samples. Networks stay behind.
     ///
     /// Kept are all epochs and metrics; the predictions of the last two joints and links, and the pictures, of each
-    /// cell's lowest seed; and the forces of one run a dataset; but of a sweep's runs no more than epochs and metrics. A
-    /// run of the same cell and seed that was published before is replaced.
+    /// cell's lowest seed; and the forces of one run a dataset. Of a sweep's runs no more than epochs and metrics are kept;
+    /// if the sweep is one of readings, each reading and role keeps the forces of one run a dataset as well. A run of the
+    /// same cell and seed that was published before is replaced.
     ///
     /// # Errors
     /// When `to` is this registry, or a file can't be read or written; what is there already stays whole.
@@ -89,17 +90,22 @@ fn remove_same(published: &[(PathBuf, RunRecord)], record: &RunRecord) -> Result
 struct Shown {
     /// The lowest seed of each cell of an experiment.
     seeds: BTreeMap<(String, String), u64>,
-    /// A run of each dataset.
-    datasets: BTreeMap<(String, String), String>,
+    /// The run that the forces of a dataset are kept of.
+    forces: BTreeMap<ForcesOf, String>,
 }
 
 impl Shown {
     fn of<'a>(records: impl Iterator<Item = &'a RunRecord>) -> Self {
-        let mut shown = Self { seeds: BTreeMap::new(), datasets: BTreeMap::new() };
-        for record in records.filter(|record| record.spec.variant.is_empty()) {
-            let lowest = shown.seeds.entry(cell(record)).or_insert(record.spec.seed);
-            *lowest = record.spec.seed.min(*lowest);
-            shown.datasets.entry(dataset(record)).or_insert_with(|| record.run.clone());
+        let mut shown = Self { seeds: BTreeMap::new(), forces: BTreeMap::new() };
+        for record in records {
+            let is_plain = record.spec.variant.is_empty();
+            if is_plain {
+                let lowest = shown.seeds.entry(cell(record)).or_insert(record.spec.seed);
+                *lowest = record.spec.seed.min(*lowest);
+            }
+            if is_plain || record.spec.reading().is_some() {
+                shown.forces.entry(forces_of(record)).or_insert_with(|| record.run.clone());
+            }
         }
         shown
     }
@@ -117,7 +123,7 @@ impl Shown {
                 rows.lazy().filter(is_last.reduce(Expr::or).unwrap_or(lit(false))).collect()
             }
             Table::Frames if is_lowest_seed => Ok(rows),
-            Table::Forces if self.datasets.get(&dataset(record)) == Some(&record.run) => Ok(rows),
+            Table::Forces if self.forces.get(&forces_of(record)) == Some(&record.run) => Ok(rows),
             Table::Predictions | Table::Frames | Table::Forces => Ok(rows.clear()),
             _ => Ok(rows),
         }
@@ -128,6 +134,10 @@ fn cell(record: &RunRecord) -> (String, String) {
     (record.experiment.clone(), record.spec.cell())
 }
 
-fn dataset(record: &RunRecord) -> (String, String) {
-    (record.experiment.clone(), record.dataset.clone())
+/// An experiment, a dataset, and the reading and the role of the runs on it.
+type ForcesOf = (String, String, Option<String>, Option<String>);
+
+fn forces_of(record: &RunRecord) -> ForcesOf {
+    let [reading, role] = [record.spec.reading(), record.spec.role()].map(|name| name.map(str::to_owned));
+    (record.experiment.clone(), record.dataset.clone(), reading, role)
 }
