@@ -4,7 +4,7 @@
 QUICK = --quick
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run check test python soak lint bench interchange notebooks
+.PHONY: help setup run check test python soak lint bench interchange notebooks cluster
 
 help: ## show this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 8
@@ -13,7 +13,7 @@ setup: ## make .venv with MuJoCo in it; check EGL and Rust
 	@setup/setup.sh
 
 run: setup ## train the network that we recommend, in minutes; `make run QUICK=` at full scale
-	cargo run -- run experiments/multi_to_multi_best.yaml $(QUICK)
+	cargo run --release -- run experiments/multi_to_multi_best.yaml $(QUICK)
 
 check: setup ## verify a small change in about a minute: type-check everything, test the layers that changed
 	@.ci/check
@@ -27,7 +27,8 @@ test: ## run every test, the Python package's as well; what fails doesn't keep t
 
 python: ## build the Python package into .venv and test it
 	@setup/setup.sh --python
-	PATH="$(CURDIR)/.venv/bin:$$PATH" .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps .
+	PATH="$(CURDIR)/.venv/bin:$$PATH" MATURIN_PEP517_ARGS="--profile dev" .venv/bin/python -m pip install \
+		--quiet --disable-pip-version-check --no-build-isolation --no-deps .
 	.venv/bin/python -m pytest --quiet tests/python_package
 
 soak: ## kill a run and a collection at many moments and compare what comes out; attack every reader (an hour)
@@ -42,17 +43,23 @@ lint: setup ## check formatting, and clippy without warnings
 
 bench: ## compare speed with PyTorch, Python's mujoco, PyBullet and the raw limits (half an hour on an idle machine)
 	@setup/setup.sh --bench
-	cargo build --bins --examples
+	cargo build --release --bins --examples
 	.venv-bench/bin/python harness/benches/compare.py --output results/reference/benchmarks.parquet
 
 interchange: ## open exported data with LeRobot and Rerun, and import it again (minutes; 6 GB of packages, once)
 	@setup/setup.sh --interchange
 	cargo build --bin harness
-	.venv-interchange/bin/python -m pip install --quiet --no-deps .
+	MATURIN_PEP517_ARGS="--profile dev" .venv-interchange/bin/python -m pip install --quiet --no-deps .
 	.venv-interchange/bin/python -m pytest tests/interchange
+
+cluster: ## divide an experiment on a Slurm of four nodes on this machine, and disturb it (minutes; needs root)
+	@setup/setup.sh --cluster
+	cargo build --bin harness
+	.venv/bin/python -m pytest tests/slurm
 
 notebooks: ## run the notebooks from top to bottom, in place (minutes; 5 GB of packages, once)
 	@setup/setup.sh --notebooks
-	.venv-notebooks/bin/python -m pip install --quiet --disable-pip-version-check --no-deps .
+	MATURIN_PEP517_ARGS="--profile dev" .venv-notebooks/bin/python -m pip install --quiet --disable-pip-version-check \
+		--no-deps .
 	.venv-notebooks/bin/python -m nbconvert --to notebook --execute --inplace --ExecutePreprocessor.record_timing=False \
 		python/notebooks/*.ipynb

@@ -18,13 +18,14 @@ mod subset;
 
 pub use interval::{Interval, LEVEL, holm, intervals, mean_interval, p_value, replicates, replicates_needed};
 pub use means::{Mean, NETWORK, Of, compare};
-pub use settings::{Difference, Setting};
+pub use settings::{Difference, Setting, differing};
 pub use subset::Subset;
 
 use harness_registry::{
-    Condition, QueryError, Registry, RunRecord, RunTable, Status, answer, conditions, implies, lazily, table,
+    Condition, QueryError, Registry, RunRecord, RunTable, Status, answer, conditions, implies, table,
 };
 use harness_spec::{Origin, QUICK};
+use harness_tables::lazily;
 use harness_tables::schema::Table;
 use polars::prelude::*;
 use rayon::prelude::*;

@@ -1,9 +1,9 @@
 //! What the queries that are expected see of a table.
 
 use super::{Expected, tables_of, words};
-use harness_registry::{Condition, RunTable, Terms, asked_columns, asked_rows};
+use harness_registry::{Condition, RunTable, Terms};
 use harness_tables::schema::Table;
-use harness_tables::stacked;
+use harness_tables::{asked_columns, asked_rows, stacked};
 use polars::prelude::*;
 use std::any::Any;
 use std::collections::{BTreeSet, HashMap};

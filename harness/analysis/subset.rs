@@ -2,8 +2,9 @@
 
 use super::seen::Seen;
 use super::{Analysis, Run};
-use harness_registry::{QueryError, RunRecord, asked_columns, asked_rows, lazily};
+use harness_registry::{QueryError, RunRecord};
 use harness_tables::schema::Table;
+use harness_tables::{asked_columns, asked_rows, lazily};
 use polars::prelude::*;
 use std::any::Any;
 

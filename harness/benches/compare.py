@@ -34,7 +34,7 @@ import report
 
 BENCHES = Path(__file__).parent
 ROOT = BENCHES.parents[1]
-TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "debug"
+TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release"
 MODELS = ROOT / "models"
 SAMPLES_PER_EPISODE = 1000
 CORES = report.cores()

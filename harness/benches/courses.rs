@@ -1,7 +1,7 @@
 //! Writes the courses of a dataset's first episodes, so that every contender in the collection benchmark simulates
 //! the very same ones.
 //!
-//!     cargo run --example courses -- --scenario cluttered --episodes 6 --output courses.bin
+//!     cargo run --release --example courses -- --scenario cluttered --episodes 6 --output courses.bin
 //!
 //! Courses are those of the default settings. The file is in the machine's byte order: six i64 (episodes, samples,
 //! steps a sample, steps, position coordinates, controls), then for each episode f64: the first positions

@@ -1,6 +1,6 @@
 //! Fills a results folder with runs that look like trained ones, to measure how commands cope with many of them.
 //!
-//!     cargo run --example many_runs -- --results /tmp/many --seeds 250
+//!     cargo run --release --example many_runs -- --results /tmp/many --seeds 250
 //!
 //! The runs are those of `single_to_multi` and `multi_to_multi` with as many seeds as asked for, 12 runs a seed. Their
 //! records, specs, losses, metrics, forces and pictures have the size of real ones, and the same arguments give the

@@ -1,6 +1,6 @@
 """Times in PyTorch the matrix products that the example `products` lists: the floor as PyTorch has it.
 
-    target/debug/examples/products --steps 1 | python harness/benches/products.py --steps 20
+    target/release/examples/products --steps 1 | python harness/benches/products.py --steps 20
 
 A convolution's products, one a frame in the list, are one product over the whole batch here, as PyTorch would call
 it. Prints JSON; the times are wall-clock seconds.

@@ -1,7 +1,7 @@
 //! The matrix products of one training step and nothing else, timed: the floor under training_step.rs.
 //!
-//!     cargo run --example products -- --channels 16 --latent 64 --steps 10  # the paper's
-//!     cargo run --example products -- --latent 4  # vectors alone
+//!     cargo run --release --example products -- --channels 16 --latent 64 --steps 10  # the paper's
+//!     cargo run --release --example products -- --latent 4  # vectors alone
 //!
 //! Only the paper's networks are supported: at most one convolution, and one hidden layer. Each layer's product forward, and those of its gradients: for the weights, and for the input where that is not
 //! data. They run through the gemm crate with the features that the harness uses. The convolutions' products go

@@ -1,8 +1,8 @@
 //! One training step of a network on random data, timed; the twin of training_step.py.
 //!
-//!     cargo run --example training_step -- --channels 16 --latent 64 --steps 20  # the paper's
-//!     cargo run --example training_step -- --channels 8 16 32 32 --fusion late --hidden 256  # the deep one
-//!     cargo run --example training_step -- --latent 4  # vectors alone
+//!     cargo run --release --example training_step -- --channels 16 --latent 64 --steps 20  # the paper's
+//!     cargo run --release --example training_step -- --channels 8 16 32 32 --fusion late --hidden 256  # the deep one
+//!     cargo run --release --example training_step -- --latent 4  # vectors alone
 //!
 //! Prints one line of JSON: median, least and greatest seconds a step.
 

@@ -16,7 +16,7 @@ use super::{Registry, RegistryError};
 use harness_shared::files::FolderLock;
 use harness_shared::seal::hex;
 use harness_tables::schema::{Column, Table};
-use harness_tables::{Stamp, TableFile, stacked, write_table};
+use harness_tables::{Stamp, TableFile, asked_columns, stacked, write_table};
 use polars::prelude::*;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -146,20 +146,6 @@ impl RunTable {
     /// The table with those rows alone that meet any of these conditions.
     pub fn only(self, conditions: BTreeSet<Condition>) -> Self {
         Self { conditions: Arc::new(conditions), ..self }
-    }
-
-    /// Whether there are enough runs to keep their rows together.
-    pub fn is_compactable(&self) -> bool {
-        self.files.iter().filter(|file| file.is_small).count() >= FEWEST_RUNS
-    }
-
-    /// The runs' own files, each of which is as its record lists it.
-    pub fn checked_files(&self) -> Result<Vec<PathBuf>, RegistryError> {
-        let check = |file: &RunFile| {
-            let path = self.path(&file.run);
-            file.listed.read(&path).map(|_| path)
-        };
-        self.files.par_iter().map(check).collect()
     }
 
     /// What the files hold, by columns.
@@ -383,30 +369,6 @@ impl AnonymousScan for RunTable {
     fn allows_projection_pushdown(&self) -> bool {
         true
     }
-}
-
-/// The columns that a query asks a table for.
-pub fn asked_columns(asked: &AnonymousScanArgs) -> Vec<String> {
-    match &asked.with_columns {
-        Some(names) => names.iter().map(PlSmallStr::to_string).collect(),
-        None => asked.schema.iter_names().map(PlSmallStr::to_string).collect(),
-    }
-}
-
-/// Of these rows as many as a query asks for.
-pub fn asked_rows(rows: DataFrame, asked: &AnonymousScanArgs) -> DataFrame {
-    match asked.n_rows {
-        Some(count) => rows.head(Some(count)),
-        None => rows,
-    }
-}
-
-/// A table that is read when Polars computes an answer.
-pub fn lazily(table: impl AnonymousScan + 'static, schema: SchemaRef) -> PolarsResult<LazyFrame> {
-    LazyFrame::anonymous_scan(
-        Arc::new(table),
-        ScanArgsAnonymous { schema: Some(schema), name: "RUNS", ..ScanArgsAnonymous::default() },
-    )
 }
 
 impl RunFile {

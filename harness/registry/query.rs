@@ -1,6 +1,6 @@
 //! SQL over the tables of a results folder.
 
-use super::compact::{RunTable, lazily};
+use super::compact::RunTable;
 use super::folders::Recorded;
 use super::record::{RunRecord, runs_table};
 use super::rows::conditions;
@@ -9,7 +9,7 @@ use harness_dataset::layout_of;
 use harness_shared::files::{WriteError, write_whole};
 use harness_spec::Layout;
 use harness_tables::schema::{Column, Table, sample_columns};
-use harness_tables::{TableError, data_type, scan};
+use harness_tables::{TableError, data_type, lazily, scan};
 use polars::prelude::*;
 use serde::de::DeserializeOwned;
 use std::fs::File;
@@ -123,26 +123,19 @@ pub fn table(
     }
 }
 
-/// One of the tables that each run writes; `None` without runs. Where an experiment has many, their rows are kept together.
+/// One of the tables that each run writes; `None` without runs.
 fn run_table(
     registry: &Registry,
     table: Table,
     runs: &[&RunRecord],
     sql: &str,
 ) -> Result<Option<LazyFrame>, QueryError> {
-    let columns = table.columns();
-    let (mut frames, mut files) = (Vec::new(), Vec::new());
+    let mut frames = Vec::new();
     for runs in runs.chunk_by(|a, b| a.experiment == b.experiment) {
         let rows = RunTable::new(registry, table, &runs[0].experiment, runs.iter().copied())?;
-        if rows.is_compactable() {
-            frames.extend(scan(&std::mem::take(&mut files), &columns)?);
-            let schema = rows.schema()?;
-            frames.push(lazily(rows.only(conditions(sql, table)), schema)?);
-        } else {
-            files.extend(rows.checked_files()?);
-        }
+        let schema = rows.schema()?;
+        frames.push(lazily(rows.only(conditions(sql, table)), schema)?);
     }
-    frames.extend(scan(&files, &columns)?);
     if frames.len() < 2 {
         return Ok(frames.pop());
     }

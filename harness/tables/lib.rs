@@ -1,6 +1,9 @@
 //! Parquet tables: written whole, stamped with what made them, with units in their metadata.
 
+mod lazy;
 pub mod schema;
+
+pub use lazy::{asked_columns, asked_rows, lazily, scan};
 
 use harness_shared::files::WriteError;
 use harness_shared::seal;
@@ -140,20 +143,4 @@ pub fn read_table(path: &Path, columns: Option<Vec<String>>) -> Result<DataFrame
 
 fn unreadable(path: &Path, error: impl std::fmt::Display) -> TableError {
     TableError::Read { path: path.to_owned(), reason: error.to_string() }
-}
-
-/// The tables at `paths` one after the other, lazily and cut down to `columns`; `None` if there are none.
-///
-/// Polars reads the files only later and knows nothing of seals: the caller has compared them.
-pub fn scan(paths: &[PathBuf], columns: &[Column]) -> PolarsResult<Option<LazyFrame>> {
-    if paths.is_empty() {
-        return Ok(None);
-    }
-    let wanted: Vec<Expr> = columns.iter().map(|column| col(column.name.as_str())).collect();
-    let paths = paths.iter().map(|path| PlRefPath::try_from_path(path)).collect::<PolarsResult<_>>()?;
-    // The paths are names of files, whatever characters are in them: no patterns, and no values of Hive's partitions,
-    // as which a run's `kl_weight=0` would be read.
-    let hive_options = HiveOptions { enabled: Some(false), ..HiveOptions::default() };
-    let options = ScanArgsParquet { glob: false, hive_options, ..ScanArgsParquet::default() };
-    Ok(Some(LazyFrame::scan_parquet_files(paths, options)?.select(wanted)))
 }

@@ -1,0 +1,90 @@
+//! Tables that are read when Polars computes an answer, and of which it reads the columns that a query asks for.
+
+use super::schema::Column;
+use super::stacked;
+use polars::prelude::*;
+use rayon::prelude::*;
+use std::any::Any;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+/// The columns that a query asks a table for.
+pub fn asked_columns(asked: &AnonymousScanArgs) -> Vec<String> {
+    match &asked.with_columns {
+        Some(names) => names.iter().map(PlSmallStr::to_string).collect(),
+        None => asked.schema.iter_names().map(PlSmallStr::to_string).collect(),
+    }
+}
+
+/// Of these rows as many as a query asks for.
+pub fn asked_rows(rows: DataFrame, asked: &AnonymousScanArgs) -> DataFrame {
+    match asked.n_rows {
+        Some(count) => rows.head(Some(count)),
+        None => rows,
+    }
+}
+
+/// A table that is read when Polars computes an answer.
+pub fn lazily(table: impl AnonymousScan + 'static, schema: SchemaRef) -> PolarsResult<LazyFrame> {
+    LazyFrame::anonymous_scan(
+        Arc::new(table),
+        ScanArgsAnonymous { schema: Some(schema), name: "TABLE", ..ScanArgsAnonymous::default() },
+    )
+}
+
+/// The tables at `paths` one after the other, lazily and cut down to `columns`; `None` if there are none.
+///
+/// The files are read without their seals: the caller has compared them.
+pub fn scan(paths: &[PathBuf], columns: &[Column]) -> PolarsResult<Option<LazyFrame>> {
+    let Some(first) = paths.first() else { return Ok(None) };
+    let names: Vec<String> = columns.iter().map(|column| column.name.clone()).collect();
+    let schema = read(first, &names, Some(0))?.schema().clone();
+    lazily(Files(paths.to_vec()), schema).map(Some)
+}
+
+/// Parquet files that have the same columns.
+struct Files(Vec<PathBuf>);
+
+impl AnonymousScan for Files {
+    fn as_any(&self) -> &dyn Any {
+        self
+    }
+
+    fn scan(&self, asked: AnonymousScanArgs) -> PolarsResult<DataFrame> {
+        let columns = asked_columns(&asked);
+        let parts = match asked.n_rows {
+            // Only as many files as the rows take.
+            Some(mut left) => {
+                let mut parts = Vec::new();
+                for path in &self.0 {
+                    let part = read(path, &columns, Some(left))?;
+                    left -= part.height();
+                    parts.push(part);
+                    if left == 0 {
+                        break;
+                    }
+                }
+                parts
+            }
+            None => self.0.par_iter().map(|path| read(path, &columns, None)).collect::<PolarsResult<_>>()?,
+        };
+        Ok(stacked(parts)?.unwrap_or_default())
+    }
+
+    // Polars filters what it gets. To scans of this kind it would hand its filter in a form that not every filter has.
+    fn allows_predicate_pushdown(&self) -> bool {
+        false
+    }
+
+    fn allows_projection_pushdown(&self) -> bool {
+        true
+    }
+}
+
+/// These columns of a file, in this order: all rows, or the first ones.
+fn read(path: &Path, columns: &[String], limit: Option<usize>) -> PolarsResult<DataFrame> {
+    let reader = ParquetReader::new(File::open(path)?).with_columns(Some(columns.to_vec()));
+    // Files are read side by side; more threads for each would only compete.
+    let reader = reader.read_parallel(ParallelStrategy::None);
+    reader.with_slice(limit.map(|rows| (0, rows))).finish()?.select(columns)
+}
