@@ -275,14 +275,7 @@ fn a_world_that_changes_under_a_running_experiment_is_named_and_has_no_effect() 
         let editing = Editing { text: text.replacen(old, new, 1), file: path, said: Mutex::default() };
         assert_ne!(editing.text, text, "{file}");
         let provenance = provenance(1, "harness run".into());
-        let runner = Runner {
-            registry: &registry,
-            threads: 1,
-            jobs: 1,
-            memory: None,
-            provenance: &provenance,
-            progress: &editing,
-        };
+        let runner = Runner::new(&registry, 1, &provenance, &editing);
         let plan = runner.plan(&experiment).unwrap();
         let datasets: Vec<_> = plan.iter().map(|planned| planned.folder.id().to_owned()).collect();
         let summary = runner.run(&plan).unwrap();

@@ -5,9 +5,10 @@ use super::table::{print, shown};
 use super::{DONE, FAILED, interrupt, layers, output};
 use anyhow::Result;
 use clap::Args;
-use harness::collection::{collect, dataset_of};
+use harness::collection::{collect, collect_share, dataset_of};
 use harness::experiment::{Planned, Runner, Summary, describe, provenance};
 use harness::registry::{Decision, Registry, query_of, quoted};
+use harness::shard::Shard;
 use harness::simulation::Scene;
 use harness::spec::{self, Experiment};
 use std::collections::BTreeSet;
@@ -30,8 +31,15 @@ pub struct Spec {
 }
 
 impl Spec {
-    fn load(&self) -> Result<Experiment> {
+    pub fn load(&self) -> Result<Experiment> {
         Ok(spec::load(&self.path, &self.overrides, self.quick)?)
+    }
+
+    /// The arguments that say the same again.
+    pub fn words(&self) -> Vec<String> {
+        let path = self.path.to_string_lossy().into_owned();
+        let quick = self.quick.then(|| "--quick".to_owned());
+        std::iter::once(path).chain(self.overrides.iter().cloned()).chain(quick).collect()
     }
 }
 
@@ -51,7 +59,24 @@ pub struct Run {
     #[arg(long, value_name = "GB", value_parser = gigabytes)]
     memory: Option<u64>,
     #[command(flatten)]
+    share: Share,
+    /// Leave runs that other processes work on, instead of waiting for them
+    #[arg(long)]
+    no_wait: bool,
+    /// End after the first run that fails
+    #[arg(long)]
+    fail_fast: bool,
+    #[command(flatten)]
     gone: Gone,
+}
+
+/// What this process does of the work.
+#[derive(Args)]
+pub struct Share {
+    /// Do only a share of the work, the I-th of N: N processes, each with its own I, divide it among them. They may run on
+    /// several machines, if the results folder is on a shared file system
+    #[arg(long, value_name = "I/N")]
+    shard: Option<Shard>,
 }
 
 /// Options of earlier versions.
@@ -78,14 +103,18 @@ impl Run {
         let provenance = provenance(threads, super::command_line());
         let bars = Bars::default();
         let runner = Runner {
-            registry,
-            threads,
             jobs: self.jobs.into(),
+            shard: self.share.shard,
+            waits: !self.no_wait,
+            fails_fast: self.fail_fast,
             memory: self.memory,
-            provenance: &provenance,
-            progress: &bars,
+            ..Runner::new(registry, threads, &provenance, &bars)
         };
-        let plan = runner.plan(&experiment)?;
+        let mut plan = runner.plan(&experiment)?;
+        if let Some(shard) = self.share.shard {
+            let mut index = 0..;
+            plan.retain(|_| index.next().is_some_and(|index| shard.contains(index)));
+        }
         if self.dry_run {
             print_plan(&plan);
             print_networks(&plan)?;
@@ -108,6 +137,8 @@ pub struct Collect {
     #[command(flatten)]
     spec: Spec,
     #[command(flatten)]
+    share: Share,
+    #[command(flatten)]
     gone: Gone,
 }
 
@@ -117,15 +148,22 @@ impl Collect {
         registry.check_writable()?;
         interrupt::install()?;
         let (mut failed, bars) = (false, Bars::default());
-        for origin in &experiment.scenarios {
-            let Some(world) = experiment.world(origin) else {
-                println!("{origin}: imported, so nothing is collected");
-                continue;
-            };
+        for origin in experiment.scenarios.iter().filter(|origin| experiment.world(origin).is_none()) {
+            println!("{origin}: imported, so nothing is collected");
+        }
+        // The episodes of all datasets are divided, one dataset after the other.
+        let mut first = 0;
+        for (world, simulation) in experiment.simulated() {
             let scene = Scene::new(world)?;
-            scene.check(&experiment.simulation)?;
-            let dataset = dataset_of(&registry.datasets(), &scene, &experiment.simulation);
-            match collect(&dataset, &scene, threads, &bars) {
+            scene.check(&simulation)?;
+            let dataset = dataset_of(&registry.datasets(), &scene, &simulation);
+            let own = first..first + simulation.episodes as usize;
+            first = own.end;
+            let made = match self.share.shard {
+                Some(shard) => collect_share(&dataset, &scene, shard, own.start, threads, &bars),
+                None => collect(&dataset, &scene, threads, &bars),
+            };
+            match made {
                 Ok(episodes) => println!(
                     "{}: {episodes} episodes made, {} samples in all",
                     shown(dataset.folder()),
@@ -205,10 +243,16 @@ fn print_results(registry: &Registry, experiment: &Experiment, plan: &[Planned])
 }
 
 fn print_summary(registry: &Registry, experiment: &Experiment, summary: &Summary) {
-    let Summary { done, skipped, failed } = summary;
+    let Summary { done, skipped, failed, held, left } = summary;
     let failed = failed.len();
     let why = if failed > 0 { format!(", `{}` says why", registry.command("ls")) } else { String::new() };
     println!("{done} done, {skipped} done before, {failed} failed{why}");
+    if *held > 0 {
+        println!("{held} left to the processes that work on them");
+    }
+    if *left > 0 {
+        println!("{left} not tried, because of --fail-fast; the same command goes on from here");
+    }
     let root = registry.root();
     println!("runs      {}", shown(&root.join("runs").join(&experiment.name)));
     println!("datasets  {}", shown(&registry.datasets()));

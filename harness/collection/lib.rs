@@ -1,8 +1,9 @@
 //! Making the episodes that a dataset lacks, on all cores.
 
 use harness_dataset::{CompiledModel, Dataset, DatasetError};
-use harness_shared::files::FolderLock;
+use harness_shared::files::{FolderLock, LockError};
 use harness_shared::progress::Progress;
+use harness_shared::shard::Shard;
 use harness_simulation::{Scene, SimulationError, Simulator, mujoco_version};
 use harness_spec::Simulation;
 use std::ops::ControlFlow;
@@ -46,7 +47,7 @@ pub fn dataset_of(root: &Path, scene: &Scene, spec: &Simulation) -> Dataset {
 /// Simulates the missing episodes of `dataset` on `threads` threads, each with a simulator and a renderer of
 /// its own, and writes each as it is finished. Returns how many were made.
 ///
-/// Another process that collects the same dataset is waited for.
+/// Other processes that collect the same dataset are waited for.
 ///
 /// # Errors
 /// When an episode diverges or can't be written, or the caller cancels: the others in progress stop at their next
@@ -57,9 +58,39 @@ pub fn collect(
     threads: usize,
     progress: &dyn Progress,
 ) -> Result<usize, CollectionError> {
-    let _lock = lock(dataset, progress)?;
+    let _lock = lock(dataset, FolderLock::attempt, progress)?;
     dataset.describe()?;
-    let missing = dataset.to_make(progress);
+    make(dataset, scene, &dataset.to_make(progress), threads, progress)
+}
+
+/// As [`collect`], but only a share of the episodes, the first of which is at the index `first` of the list that the shares
+/// are of. Other processes make the other shares at the same time.
+///
+/// # Errors
+/// As those of [`collect`].
+pub fn collect_share(
+    dataset: &Dataset,
+    scene: &Scene,
+    shard: Shard,
+    first: usize,
+    threads: usize,
+    progress: &dyn Progress,
+) -> Result<usize, CollectionError> {
+    let _lock = lock(dataset, FolderLock::attempt_shared, progress)?;
+    dataset.describe()?;
+    let mut missing = dataset.to_make(progress);
+    missing.retain(|episode| shard.contains(first + *episode as usize));
+    make(dataset, scene, &missing, threads, progress)
+}
+
+/// Makes these episodes of a dataset, whose folder the caller has locked.
+fn make(
+    dataset: &Dataset,
+    scene: &Scene,
+    missing: &[u32],
+    threads: usize,
+    progress: &dyn Progress,
+) -> Result<usize, CollectionError> {
     if missing.is_empty() {
         return Ok(0);
     }
@@ -68,7 +99,7 @@ pub fn collect(
     let work = Work {
         dataset,
         scene,
-        missing: &missing,
+        missing,
         next: AtomicUsize::new(0),
         failure: Mutex::new(None),
         progress,
@@ -89,15 +120,23 @@ pub fn collect(
     }
 }
 
-/// Locks the dataset's folder as soon as it is free.
-fn lock(dataset: &Dataset, progress: &dyn Progress) -> Result<FolderLock, DatasetError> {
+/// Locks the dataset's folder as soon as `attempt` succeeds.
+fn lock(
+    dataset: &Dataset,
+    attempt: fn(&Path) -> Result<Option<FolderLock>, LockError>,
+    progress: &dyn Progress,
+) -> Result<FolderLock, DatasetError> {
     let mut said = false;
     loop {
-        if let Some(lock) = FolderLock::attempt(dataset.folder())? {
+        if let Some(lock) = attempt(dataset.folder())? {
             return Ok(lock);
         }
-        if let Some(holder) = FolderLock::holder(dataset.folder()).filter(|_| !said) {
-            progress.say(&format!("waiting for {holder}, which collects {}", dataset.name()));
+        if !said {
+            let holder = FolderLock::holder(dataset.folder());
+            let holder = holder.map_or("other processes, which collect shares of".into(), |holder| {
+                format!("{holder}, which collects")
+            });
+            progress.say(&format!("waiting for {holder} {}", dataset.name()));
             said = true;
         }
         if progress.cancelled() {

@@ -8,7 +8,7 @@ pub use model::{Model, ModelError, Values};
 pub use schedule::Summary;
 
 use evaluate::{Evaluated, SampledTransition};
-use harness_collection::{CollectionError, collect, dataset_of};
+use harness_collection::{CollectionError, collect, collect_share, dataset_of};
 use harness_dataset::{Dataset, DatasetError, FramePlace, Imported, Partition, Samples, frame_bytes};
 use harness_learning::network::{Encoder, Parameters, architecture};
 use harness_learning::objective::{NormalizedData, Prediction, Reconstruction};
@@ -24,6 +24,7 @@ use harness_registry::{
 use harness_shared::files::free_bytes;
 use harness_shared::memory;
 use harness_shared::progress::Progress;
+use harness_shared::shard::Shard;
 use harness_simulation::{Scene, SimulationError, mujoco_version};
 use harness_spec::{Experiment, Layout, Origin, RunSpec, Simulation, Task, World};
 use rayon::prelude::*;
@@ -87,6 +88,12 @@ pub struct Runner<'a> {
     pub threads: usize,
     /// Runs that are trained side by side, each with its share of the threads; 1 trains them in the caller's pool.
     pub jobs: usize,
+    /// Of datasets that lack episodes, this process makes its share before it waits for the others.
+    pub shard: Option<Shard>,
+    /// Whether runs that other processes work on are waited for.
+    pub waits: bool,
+    /// Whether the first run that fails ends the work.
+    pub fails_fast: bool,
     /// Frames that take more memory than this, bytes, are kept on disk; `None` is an eighth of what is within reach.
     pub memory: Option<u64>,
     pub provenance: &'a Provenance,
@@ -161,7 +168,27 @@ impl Planned {
     }
 }
 
-impl Runner<'_> {
+impl<'a> Runner<'a> {
+    /// A runner that trains one run at a time, waits for other processes, and goes on after a run that fails.
+    pub fn new(
+        registry: &'a Registry,
+        threads: usize,
+        provenance: &'a Provenance,
+        progress: &'a dyn Progress,
+    ) -> Self {
+        Self {
+            registry,
+            threads,
+            jobs: 1,
+            shard: None,
+            waits: true,
+            fails_fast: false,
+            memory: None,
+            provenance,
+            progress,
+        }
+    }
+
     /// Each run of the experiment with what will happen to it, and why.
     pub fn plan(&self, experiment: &Experiment) -> Result<Vec<Planned>, ExperimentError> {
         open_device(experiment.training.device)?;
@@ -226,6 +253,9 @@ impl Runner<'_> {
         self.check_room(source, frames)?;
         match source {
             Source::Simulated { scene, dataset } => {
+                if let Some(shard) = self.shard {
+                    collect_share(dataset, scene, shard, 0, self.threads, self.progress)?;
+                }
                 collect(dataset, scene, self.threads, self.progress)?;
                 Ok(dataset.load(frames, self.progress)?)
             }

@@ -5,7 +5,7 @@ use harness_registry::{Decision, Outcome, Provenance, Status};
 use harness_shared::memory;
 use harness_spec::{Division, RunSpec};
 use std::collections::BTreeSet;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -20,6 +20,10 @@ pub struct Summary {
     pub skipped: usize,
     /// Which run failed, and why; each was reported when it did, and is in its record if that could be written.
     pub failed: Vec<String>,
+    /// Runs that were not waited for, since other processes work on them.
+    pub held: usize,
+    /// Runs that were left because one had failed.
+    pub left: usize,
 }
 
 /// What became of one run.
@@ -30,11 +34,14 @@ enum End {
     Failed(String),
     /// Another process is at it.
     Held,
+    /// Nobody tried, because another run had failed.
+    Left,
 }
 
 impl Runner<'_> {
     /// Does every run of a plan that isn't done yet. A run that fails leaves a record that says why, and the others go
-    /// on. Runs that other processes work on come last: they are waited for, or done if their holder dies.
+    /// on, unless the runner fails fast. Runs that other processes work on come last: unless the runner does not wait, they
+    /// are waited for, or done if their holder dies.
     ///
     /// # Errors
     /// When the caller cancels, or no threads can be started.
@@ -56,17 +63,24 @@ impl Runner<'_> {
             let mut held = Vec::new();
             // One dataset at a time: its samples are in memory once, and the other's are not.
             for runs in by_data(pending) {
+                if self.fails_fast && !summary.failed.is_empty() {
+                    summary.left += runs.len();
+                    continue;
+                }
                 for (planned, end) in runs.iter().zip(self.work_on(&runs)?) {
                     match end {
                         End::Done => summary.done += 1,
                         End::Skipped => summary.skipped += 1,
                         End::Failed(failure) => summary.failed.push(failure),
                         End::Held => held.push(*planned),
+                        End::Left => summary.left += 1,
                     }
                 }
                 self.say_if_changed(runs[0], &mut changed);
             }
-            if held.is_empty() {
+            let is_over = !self.waits || self.fails_fast && !summary.failed.is_empty();
+            if held.is_empty() || is_over {
+                summary.held = held.len();
                 return Ok(summary);
             }
             self.wait(&held)?;
@@ -97,6 +111,7 @@ impl Runner<'_> {
             next: AtomicUsize::new(0),
             prepared: Mutex::new(None),
             promised: Mutex::new(0),
+            failed: AtomicBool::new(false),
         };
         if jobs == 1 {
             return Ok(workers.work()?.into_iter().map(|(_, end)| end).collect());
@@ -155,6 +170,8 @@ struct WorkerPool<'a> {
     prepared: Mutex<Option<Result<Arc<PreparedData>, String>>>,
     /// Memory for the trainings that are going on, bytes.
     promised: Mutex<u64>,
+    /// Whether a run failed.
+    failed: AtomicBool,
 }
 
 /// Memory for one training, until this is dropped.
@@ -179,8 +196,13 @@ impl WorkerPool<'_> {
             if self.runner.progress.cancelled() {
                 return Err(ExperimentError::Cancelled);
             }
+            if self.runner.fails_fast && self.failed.load(Ordering::Relaxed) {
+                ends.push((index, End::Left));
+                continue;
+            }
             let end = match self.attempt(planned) {
                 Err(error) if !error.is_cancelled() => {
+                    self.failed.store(true, Ordering::Relaxed);
                     End::Failed(self.say_failed(planned, &describe(&error)))
                 }
                 end => end?,

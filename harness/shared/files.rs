@@ -90,7 +90,26 @@ impl FolderLock {
         Ok(lock)
     }
 
-    /// Who holds a folder's lock, as `process 4711 on host`; `None` if nobody does. Writes nothing.
+    /// Locks a folder together with others that ask for a share of it; `None` if one process has it alone. Files that others
+    /// have not finished stay.
+    ///
+    /// # Errors
+    /// When the folder can't be made or its lock can't be opened.
+    pub fn attempt_shared(folder: &Path) -> Result<Option<Self>, LockError> {
+        let path = folder.join(LOCK);
+        let attempt = || {
+            std::fs::create_dir_all(folder)?;
+            let file = OpenOptions::new().create(true).write(true).truncate(false).open(&path)?;
+            match file.try_lock_shared() {
+                Ok(()) => Ok(Some(Self { _file: file })),
+                Err(std::fs::TryLockError::WouldBlock) => Ok(None),
+                Err(std::fs::TryLockError::Error(error)) => Err(error),
+            }
+        };
+        attempt().map_err(|source| LockError { path: path.clone(), source })
+    }
+
+    /// Who holds a folder's lock alone, for example `process 4711 on host`; `None` if nobody does. Writes nothing.
     pub fn holder(folder: &Path) -> Option<String> {
         let path = folder.join(LOCK);
         match File::open(&path).ok()?.try_lock_shared() {

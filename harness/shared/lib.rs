@@ -6,3 +6,4 @@ pub mod memory;
 pub mod numbers;
 pub mod progress;
 pub mod seal;
+pub mod shard;

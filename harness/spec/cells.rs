@@ -63,6 +63,20 @@ impl Experiment {
         runs
     }
 
+    /// The world and the simulation of each dataset that the runs need, without those that are imported.
+    pub fn simulated(&self) -> Vec<(Arc<World>, Simulation)> {
+        let mut found: Vec<(Origin, Simulation)> = Vec::new();
+        for run in self.runs() {
+            if let Some(simulation) = run.simulation
+                && !found.contains(&(run.scenario.clone(), simulation.clone()))
+            {
+                found.push((run.scenario, simulation));
+            }
+        }
+        let with_world = |(origin, simulation): (Origin, Simulation)| Some((self.world(&origin)?, simulation));
+        found.into_iter().filter_map(with_world).collect()
+    }
+
     /// The experiment with each combination of what it varies, and what the combination is called.
     fn variants(&self) -> Vec<(String, Experiment)> {
         let tree = serde_json::to_value(self).expect("an experiment is plain data");

@@ -42,8 +42,7 @@ pub fn run(
     let cancelled = AtomicBool::new(false);
     let shown: Box<dyn Progress> = if progress { Box::new(Bars::default()) } else { Box::new(Silent) };
     let listener = Listener { shown, cancelled: &cancelled };
-    let runner =
-        Runner { registry: &registry, threads, jobs, memory, provenance: &provenance, progress: &listener };
+    let runner = Runner { jobs, memory, ..Runner::new(&registry, threads, &provenance, &listener) };
     let work = || runner.run(&runner.plan(&experiment)?);
     let summary = interruptible(py, work, || cancelled.store(true, Ordering::Relaxed))?;
     warn(py, &registry)?;
