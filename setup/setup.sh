@@ -7,13 +7,14 @@
 #   setup/setup.sh --python  and what building and testing the Python package needs
 #   setup/setup.sh --bench   and .venv-bench, with what the benchmarks compare with
 #   setup/setup.sh --interchange   and .venv-interchange, with LeRobot and Rerun
+#   setup/setup.sh --cluster  and Slurm, with what its tests need
 #   setup/setup.sh --notebooks     and .venv-notebooks, with Stable-Baselines3 and Jupyter
 set -eu
 cd "$(dirname "$0")/.."
 
 # Wheels of everything in requirements.txt exist for these versions; the first is preferred.
 pythons='3.11 3.12'
-mujoco_library=libmujoco.so.3.17.0
+mujoco_library=libmujoco.so.$(sed -n 's/^mujoco==//p' setup/requirements.in)
 
 say() { echo "setup: $*" >&2; }
 
@@ -117,6 +118,15 @@ check_browser() {
             'apt-get install chromium chromium-driver'
 }
 
+# A Slurm cluster on this machine, for its own tests.
+check_slurm() {
+    packages='slurmctld slurmd slurm-client munge'
+    command -v sbatch >/dev/null && return
+    # shellcheck disable=SC2086 # a list of packages
+    if can_install; then apt_install $packages || true; fi
+    command -v sbatch >/dev/null || fail "Slurm is missing; install it as root: apt-get install $packages"
+}
+
 check_rust
 make_venv .venv
 install_packages .venv requirements.txt
@@ -125,6 +135,10 @@ case ${1-} in
 --test)
     install_packages .venv requirements-test.txt
     check_browser
+    ;;
+--cluster)
+    install_packages .venv requirements-python.txt
+    check_slurm
     ;;
 --python) install_packages .venv requirements-python.txt ;;
 --bench)

@@ -1,0 +1,244 @@
+//! Slurm: batch scripts that a person can read and edit, and the commands that hand them in and ask for them.
+
+use harness::registry::quoted;
+use serde::{Deserialize, Serialize};
+use std::fmt::Write;
+use std::path::Path;
+use std::process::Command;
+
+/// Why Slurm did not do what it was asked for.
+#[derive(Debug, thiserror::Error)]
+pub enum SlurmError {
+    #[error(
+        "{program} is not installed here, so this is no machine of a Slurm cluster; without Slurm, start the shares \
+         yourself: `harness run SPEC --shard I/N --no-wait`"
+    )]
+    Missing { program: String },
+    #[error("{program} failed: {said}")]
+    Refused { program: String, said: String },
+    #[error("{program} can't be started: {source}")]
+    Start {
+        program: String,
+        #[source]
+        source: std::io::Error,
+    },
+}
+
+/// What a task asks the cluster for.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Resources {
+    /// Tasks of the array that divides the work.
+    pub tasks: u32,
+    /// Tasks that run at a time; all that fit, if not set.
+    pub throttle: Option<u32>,
+    /// Processors of a task.
+    pub cpus: u32,
+    /// Memory of a task as Slurm takes it, for example 8G.
+    pub memory: Option<String>,
+    /// Time limit of a task as Slurm takes it, for example 04:00:00.
+    pub time: Option<String>,
+    /// The partition; the cluster's default, if not set.
+    pub partition: Option<String>,
+    /// Further options of sbatch, for example `--account=lab`.
+    pub options: Vec<String>,
+    /// Shell commands before the harness starts, for example `module load mesa`.
+    pub setup: Vec<String>,
+}
+
+impl Default for Resources {
+    fn default() -> Self {
+        Self {
+            tasks: 8,
+            throttle: None,
+            cpus: 4,
+            memory: None,
+            time: None,
+            partition: None,
+            options: Vec::new(),
+            setup: Vec::new(),
+        }
+    }
+}
+
+/// One of the jobs that an experiment is made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Step {
+    /// The datasets' missing episodes, by an array.
+    Collect,
+    /// The runs, by an array.
+    Train,
+    /// What is left if a task was lost, by one task.
+    Finish,
+}
+
+impl Step {
+    pub const ALL: [Self; 3] = [Self::Collect, Self::Train, Self::Finish];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Collect => "collect",
+            Self::Train => "train",
+            Self::Finish => "finish",
+        }
+    }
+
+    fn purpose(self) -> &'static str {
+        match self {
+            Self::Collect => "simulates the episodes that the datasets lack, divided among the tasks",
+            Self::Train => "trains the runs that are not done yet, divided among the tasks",
+            Self::Finish => "does what is left, in case that a task was lost",
+        }
+    }
+}
+
+/// What the scripts of an experiment have in common.
+pub struct Job<'a> {
+    pub experiment: &'a str,
+    /// The folder of the scripts and logs, absolute.
+    pub folder: &'a Path,
+    /// Where the command was typed: paths in it are relative to this folder.
+    pub workdir: &'a Path,
+    /// The harness's own program, absolute.
+    pub program: &'a Path,
+    /// The results folder.
+    pub results: &'a Path,
+    /// Spec, changed settings and `--quick`, as they were typed.
+    pub words: &'a [String],
+    pub resources: &'a Resources,
+}
+
+impl Job<'_> {
+    /// The batch script of a step, whose array has so many tasks.
+    pub fn script(&self, step: Step, tasks: u32) -> String {
+        let Resources { throttle, cpus, memory, time, partition, options, setup, .. } = self.resources;
+        let mut head = vec![format!("--job-name=harness-{}-{}", self.experiment, step.name())];
+        let mut log = step.name().to_owned();
+        if step != Step::Finish {
+            let throttle = throttle.map(|most| format!("%{most}")).unwrap_or_default();
+            head.push(format!("--array=1-{tasks}{throttle}"));
+            log += "-%a";
+        }
+        head.push(format!("--cpus-per-task={cpus}"));
+        head.extend(memory.iter().map(|memory| format!("--mem={memory}")));
+        head.extend(time.iter().map(|time| format!("--time={time}")));
+        head.extend(partition.iter().map(|partition| format!("--partition={partition}")));
+        head.push(format!("--output={}", self.folder.join(log + ".log").display()));
+        head.extend(["--open-mode=append", "--requeue", "--signal=B:TERM@120"].map(str::to_owned));
+        head.extend(options.iter().cloned());
+
+        let mut script = format!("#!/bin/bash\n# {}: {}.\n", self.experiment, step.purpose());
+        script += "# `harness submit` wrote this script. Edit it as you like, and hand it in by `sbatch`.\n";
+        for option in head {
+            let _ = writeln!(script, "#SBATCH {option}");
+        }
+        let word = |path: &Path| quoted([&*path.to_string_lossy()]);
+        let _ = writeln!(script, "\ncd {} || exit", word(self.workdir));
+        for line in setup {
+            let _ = writeln!(script, "{line}");
+        }
+        let (command, options) = match step {
+            Step::Collect => ("collect", " --shard \"$SLURM_ARRAY_TASK_ID/$tasks\""),
+            Step::Train => ("run", " --shard \"$SLURM_ARRAY_TASK_ID/$tasks\" --no-wait"),
+            Step::Finish => ("run", ""),
+        };
+        if step != Step::Finish {
+            let _ = writeln!(script, "tasks={tasks}");
+        }
+        let words = quoted(self.words.iter().map(String::as_str));
+        let _ = write!(
+            script,
+            r#"
+echo "task ${{SLURM_ARRAY_TASK_ID:-1}} begins on $(hostname), start $((${{SLURM_RESTART_COUNT:-0}} + 1))"
+{program} --results {results} --threads {cpus} \
+    {command} {words}{options} &
+harness=$!
+
+# Slurm sends SIGTERM two minutes before the time limit. The harness then saves the training's state and ends with code 143.
+trap 'kill -TERM "$harness" 2>/dev/null' TERM
+wait "$harness"; code=$?
+while kill -0 "$harness" 2>/dev/null; do wait "$harness"; code=$?; done
+echo "task ${{SLURM_ARRAY_TASK_ID:-1}} ends with code $code"
+
+# A task that a signal ended goes back into the queue and resumes: always after SIGTERM, up to three times after another
+# signal. A task that was cancelled is not running any more, and stays cancelled.
+state=$(scontrol show job "$SLURM_JOB_ID" --oneliner | grep -o 'JobState=[A-Z_]*')
+if [ "$state" = JobState=RUNNING ] && [ "$code" -gt 128 ] &&
+    {{ [ "$code" -eq 143 ] || [ "${{SLURM_RESTART_COUNT:-0}}" -lt 3 ]; }}; then
+    scontrol requeue "$SLURM_JOB_ID"
+fi
+exit "$code"
+"#,
+            program = word(self.program),
+            results = word(self.results),
+        );
+        script
+    }
+}
+
+/// Hands a script in, to begin once the job `after` has ended, however it ended. Returns the job's number.
+pub fn submit(script: &Path, after: Option<u64>) -> Result<u64, SlurmError> {
+    let mut arguments = vec!["--parsable".to_owned()];
+    arguments.extend(after.map(|job| format!("--dependency=afterany:{job}")));
+    let mut command = Command::new("sbatch");
+    let said = answer(command.args(arguments).arg(script))?;
+    // `--parsable` prints `number` or `number;cluster`.
+    let number = said.trim().split(';').next().and_then(|number| number.parse().ok());
+    number.ok_or_else(|| SlurmError::Refused { program: "sbatch".into(), said: said.trim().to_owned() })
+}
+
+/// Cancels jobs.
+pub fn cancel(jobs: &[u64]) -> Result<(), SlurmError> {
+    answer(Command::new("scancel").args(jobs.iter().map(u64::to_string))).map(drop)
+}
+
+/// A task that Slurm knows.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Task {
+    pub job: u64,
+    /// The task's index in its array; `None` for a job without one.
+    pub index: Option<u32>,
+    /// For example RUNNING or PENDING.
+    pub state: String,
+    pub host: String,
+    /// Time since it began, as Slurm prints it.
+    pub elapsed: String,
+    /// Why it waits.
+    pub reason: String,
+}
+
+/// This user's tasks that wait or run.
+pub fn tasks() -> Result<Vec<Task>, SlurmError> {
+    let format = "%F|%K|%T|%N|%M|%r";
+    let said = answer(Command::new("squeue").args(["--me", "--noheader", "--array", "--format", format]))?;
+    Ok(said.lines().filter_map(task).collect())
+}
+
+fn task(line: &str) -> Option<Task> {
+    let parts: Vec<&str> = line.split('|').map(str::trim).collect();
+    let [job, index, state, host, elapsed, reason] = parts[..] else { return None };
+    let reason = if reason == "None" { "" } else { reason };
+    Some(Task {
+        job: job.parse().ok()?,
+        index: index.parse().ok(),
+        state: state.to_owned(),
+        host: host.to_owned(),
+        elapsed: elapsed.to_owned(),
+        reason: reason.to_owned(),
+    })
+}
+
+/// What a command of Slurm printed.
+fn answer(command: &mut Command) -> Result<String, SlurmError> {
+    let program = command.get_program().to_string_lossy().into_owned();
+    let output = command.output().map_err(|source| match source.kind() {
+        std::io::ErrorKind::NotFound => SlurmError::Missing { program: program.clone() },
+        _ => SlurmError::Start { program: program.clone(), source },
+    })?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr).trim().replace('\n', "; ");
+        return Err(SlurmError::Refused { program, said });
+    }
+    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+}

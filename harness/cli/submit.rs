@@ -1,0 +1,297 @@
+//! `harness submit`, `harness cancel` and `harness ls --jobs`: experiments as jobs of a Slurm cluster.
+//!
+//! ```text
+//! results/jobs/<experiment>-<time>/   job.json, collect.sh, train.sh, finish.sh, and a log of each task
+//! ```
+
+use super::run::Spec;
+use super::slurm::{self, Job, Resources, SlurmError, Step, Task};
+use super::table::{shown, wrapped};
+use super::{DONE, interrupt};
+use anyhow::{Result, bail};
+use clap::Args;
+use harness::experiment::{Runner, provenance};
+use harness::files::{write_bytes, write_whole};
+use harness::progress::Silent;
+use harness::registry::{Decision, Registry};
+use serde::{Deserialize, Serialize};
+use serde_yaml::{MessageFormatter, UserMessageFormatter};
+use std::collections::BTreeMap;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+/// The folder of all jobs, in the results folder.
+const FOLDER: &str = "jobs";
+/// A job's description in its folder.
+const DESCRIPTION: &str = "job.json";
+
+/// Arguments that can't be submitted.
+#[derive(Debug, thiserror::Error)]
+pub enum SubmitError {
+    #[error("{place}: {reason}")]
+    Config { place: String, reason: String },
+    #[error("nothing to submit: every run of {0} is done")]
+    AllDone(String),
+    #[error("no job of '{name}'; jobs: {}", if known.is_empty() { "none" } else { known })]
+    NoJob { name: String, known: String },
+}
+
+#[derive(Args)]
+pub struct Submit {
+    #[command(flatten)]
+    spec: Spec,
+    /// Tasks that divide the runs [default: 8, or as many as there are runs]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    tasks: Option<u32>,
+    /// Tasks that run at a time [default: all that the cluster has room for]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    throttle: Option<u32>,
+    /// Processors of a task [default: 4]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    cpus: Option<u32>,
+    /// Memory of a task, for example 8G
+    #[arg(long, value_name = "SIZE")]
+    memory: Option<String>,
+    /// Time limit of a task, for example 04:00:00; a task that reaches it is saved and queued again
+    #[arg(long, value_name = "TIME")]
+    time: Option<String>,
+    /// Partition of the cluster
+    #[arg(long, value_name = "NAME")]
+    partition: Option<String>,
+    /// Another option of sbatch, for example --sbatch=--account=lab; may be given several times
+    #[arg(long = "sbatch", value_name = "OPTION")]
+    options: Vec<String>,
+    /// YAML file with these settings (tasks, throttle, cpus, memory, time, partition, options, setup); flags replace them
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Print the scripts, and hand in nothing
+    #[arg(long)]
+    dry_run: bool,
+}
+
+impl Submit {
+    pub fn execute(self, registry: &Registry, threads: usize) -> Result<ExitCode> {
+        let experiment = self.spec.load()?;
+        let provenance = provenance(threads, super::command_line());
+        let plan = Runner::new(registry, threads, &provenance, &Silent).plan(&experiment)?;
+        let to_do = plan.iter().filter(|planned| planned.decision != Decision::Skip).count();
+        if to_do == 0 {
+            bail!(SubmitError::AllDone(experiment.name));
+        }
+        let resources = self.resources()?;
+        let episodes: usize = experiment.simulated().iter().map(|(_, of)| of.episodes as usize).sum();
+        // An array index beyond the work would be a task that does nothing.
+        let tasks = |items: usize| resources.tasks.min(u32::try_from(items).unwrap_or(u32::MAX)).max(1);
+        let time = jiff::Timestamp::now().strftime("%Y%m%dT%H%M%SZ");
+        let name = format!("{}-{time}", experiment.name);
+        let folder = std::path::absolute(registry.root().join(FOLDER).join(&name))?;
+        let job = Job {
+            experiment: &experiment.name,
+            folder: &folder,
+            workdir: &std::env::current_dir()?,
+            program: &std::env::current_exe()?,
+            results: &std::path::absolute(registry.root())?,
+            words: &self.spec.words(),
+            resources: &resources,
+        };
+        let steps = Step::ALL.into_iter().filter(|step| *step != Step::Collect || episodes > 0);
+        let scripts: Vec<(Step, String)> = steps
+            .map(|step| match step {
+                Step::Collect => (step, job.script(step, tasks(episodes))),
+                Step::Train => (step, job.script(step, tasks(plan.len()))),
+                Step::Finish => (step, job.script(step, 1)),
+            })
+            .collect();
+        if self.dry_run {
+            for (step, script) in &scripts {
+                println!("==> {} <==\n{script}", folder.join(format!("{}.sh", step.name())).display());
+            }
+            return Ok(ExitCode::from(DONE));
+        }
+        registry.check_writable()?;
+        interrupt::install()?;
+        let mut record = Record { experiment: experiment.name.clone(), steps: Vec::new() };
+        for (step, script) in &scripts {
+            let path = folder.join(format!("{}.sh", step.name()));
+            write_whole(&path, |file| {
+                std::fs::write(file, script)?;
+                std::fs::set_permissions(file, std::fs::Permissions::from_mode(0o755))
+            })?;
+            let after = record.steps.last().map(|(_, number)| *number);
+            match slurm::submit(&path, after) {
+                Ok(number) => record.steps.push((*step, number)),
+                Err(error) => {
+                    // Half of the work is not handed in: what was is taken back.
+                    let numbers: Vec<u64> = record.steps.iter().map(|(_, number)| *number).collect();
+                    if !numbers.is_empty() {
+                        let _ = slurm::cancel(&numbers);
+                    }
+                    let _ = std::fs::remove_dir_all(&folder);
+                    return Err(error.into());
+                }
+            }
+            write_bytes(&folder.join(DESCRIPTION), serde_json::to_string_pretty(&record)?.as_bytes())?;
+        }
+        let jobs = record.steps.iter().map(|(step, number)| format!("{} {number}", step.name()));
+        println!("{to_do} runs of {} submitted: {}", experiment.name, jobs.collect::<Vec<_>>().join(", "));
+        println!("scripts and logs  {}", shown(&folder));
+        println!("progress          {}", registry.command("ls --jobs"));
+        println!("cancel            {}", registry.command(&format!("cancel {name}")));
+        Ok(ExitCode::from(DONE))
+    }
+
+    /// The settings of the configuration file with the flags in their place.
+    fn resources(&self) -> Result<Resources> {
+        let mut resources = match &self.config {
+            None => Resources::default(),
+            Some(path) => {
+                let text = harness::spec::read_text(path)?;
+                serde_yaml::from_str(&text).map_err(|error| {
+                    let at = error.location().map(|at| format!(":{}:{}", at.line(), at.column()));
+                    let place = format!("{}{}", path.display(), at.unwrap_or_default());
+                    let reason = UserMessageFormatter.format_message(error.without_snippet()).into_owned();
+                    SubmitError::Config { place, reason }
+                })?
+            }
+        };
+        fn replace<T: Clone>(setting: &mut T, flag: &Option<T>) {
+            if let Some(value) = flag {
+                *setting = value.clone();
+            }
+        }
+        replace(&mut resources.tasks, &self.tasks);
+        replace(&mut resources.cpus, &self.cpus);
+        resources.throttle = self.throttle.or(resources.throttle);
+        for (setting, flag) in [
+            (&mut resources.memory, &self.memory),
+            (&mut resources.time, &self.time),
+            (&mut resources.partition, &self.partition),
+        ] {
+            *setting = flag.clone().or(setting.take());
+        }
+        resources.options.extend(self.options.iter().cloned());
+        Ok(resources)
+    }
+}
+
+/// What a folder of jobs says of itself.
+#[derive(Debug, Serialize, Deserialize)]
+struct Record {
+    experiment: String,
+    /// Slurm's number of each step.
+    steps: Vec<(Step, u64)>,
+}
+
+/// All jobs that were submitted from this results folder, by the names of their folders.
+fn records(registry: &Registry) -> BTreeMap<String, (PathBuf, Record)> {
+    let folders = std::fs::read_dir(registry.root().join(FOLDER)).into_iter().flatten().flatten();
+    let read = |entry: std::fs::DirEntry| {
+        let folder = entry.path();
+        let record = std::fs::read(folder.join(DESCRIPTION)).ok()?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        Some((name, (folder, serde_json::from_slice(&record).ok()?)))
+    };
+    folders.filter_map(read).collect()
+}
+
+#[derive(Args)]
+pub struct Cancel {
+    /// The job's folder name, as `harness ls --jobs` lists it, or the name of an experiment
+    job: String,
+}
+
+impl Cancel {
+    pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        let all = records(registry);
+        let chosen: Vec<_> = all
+            .iter()
+            .filter(|(name, (_, record))| **name == self.job || record.experiment == self.job)
+            .collect();
+        if chosen.is_empty() {
+            let known = all.into_keys().collect::<Vec<_>>().join(", ");
+            bail!(SubmitError::NoJob { name: self.job, known });
+        }
+        let known: Vec<u64> = slurm::tasks()?.into_iter().map(|task| task.job).collect();
+        for (name, (_, record)) in chosen {
+            let numbers: Vec<u64> = record.steps.iter().map(|(_, number)| *number).collect();
+            let waiting: Vec<u64> =
+                numbers.into_iter().rev().filter(|number| known.contains(number)).collect();
+            if waiting.is_empty() {
+                println!("{name} has ended before");
+                continue;
+            }
+            slurm::cancel(&waiting)?;
+            println!("{name} is cancelled; what its tasks have done is kept");
+        }
+        Ok(ExitCode::from(DONE))
+    }
+}
+
+/// Prints the tasks of all jobs: where they are, what they do, and why they wait or failed.
+pub fn list(registry: &Registry) -> Result<ExitCode> {
+    let (known, all) = (slurm::tasks()?, records(registry));
+    let mut rows = Vec::new();
+    for (name, (folder, record)) in &all {
+        for (step, number) in &record.steps {
+            let mut logs = logs(folder, *step);
+            for task in known.iter().filter(|task| task.job == *number) {
+                let said = logs.remove(&task.index).unwrap_or_default();
+                rows.push(row(name, *step, task, &said));
+            }
+            for (index, said) in logs {
+                let ended = Task {
+                    job: *number,
+                    index,
+                    state: "ended".into(),
+                    host: String::new(),
+                    elapsed: String::new(),
+                    reason: String::new(),
+                };
+                rows.push(row(name, *step, &ended, &said));
+            }
+        }
+    }
+    if rows.is_empty() {
+        println!("no jobs; `harness submit SPEC` makes some");
+    } else {
+        println!("{}", wrapped(["job", "step", "state", "host", "time", "last said, or why it waits"], rows));
+    }
+    Ok(ExitCode::from(DONE))
+}
+
+fn row(name: &str, step: Step, task: &Task, said: &str) -> [String; 6] {
+    let index = task.index.map(|index| format!(" {index}")).unwrap_or_default();
+    let why = if task.reason.is_empty() || task.state == "RUNNING" { said } else { &task.reason };
+    [
+        name.to_owned(),
+        format!("{}{index}", step.name()),
+        task.state.to_lowercase(),
+        task.host.clone(),
+        task.elapsed.clone(),
+        why.to_owned(),
+    ]
+}
+
+/// The last line of the log of each task of a step, by the task's index.
+fn logs(folder: &Path, step: Step) -> BTreeMap<Option<u32>, String> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let read = |entry: std::fs::DirEntry| {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let rest = name.strip_prefix(step.name())?.strip_suffix(".log")?;
+        let index = match rest.strip_prefix('-') {
+            Some(index) => Some(index.parse().ok()?),
+            None => None,
+        };
+        let text = std::fs::read(entry.path()).ok()?;
+        let text = String::from_utf8_lossy(&text);
+        let last = text.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or_default();
+        Some((index, last.to_owned()))
+    };
+    entries.filter_map(read).collect()
+}
+
+/// Whether an error is the user's.
+pub fn is_usage(error: &anyhow::Error) -> bool {
+    error.is::<SubmitError>() || matches!(error.downcast_ref(), Some(SlurmError::Missing { .. }))
+}

@@ -1,0 +1,246 @@
+//! Work that several processes divide, and its submission to Slurm, for which scripts stand in here. `make cluster` uses a
+//! real one.
+
+use crate::common::{Answer, SMOKE, finish, fresh, harness, succeed};
+use std::collections::BTreeMap;
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::process::Command;
+
+const FOUR_RUNS: [&str; 3] = ["seeds=[0,1]", "tasks=[prediction]", "training.epochs=1"];
+
+/// The metrics of all runs, as CSV.
+fn metrics(results: &Path) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("metrics.csv");
+    let sql = "select * from metrics order by run, task, model, modality, metric, index, direction";
+    succeed(results, &["query", sql, "--output", path.to_str().unwrap()]);
+    fs::read_to_string(path).unwrap()
+}
+
+/// How many runs a process did.
+fn done(said: &str) -> usize {
+    let line = said.lines().find(|line| line.contains(" done before, ")).unwrap();
+    line.split(' ').next().unwrap().parse().unwrap()
+}
+
+#[test]
+fn shards_do_each_run_once_and_give_the_same_tables() {
+    let (whole, shared) = (fresh("shards-whole"), fresh("shards-shared"));
+    succeed(&whole, &[&["run", SMOKE][..], &FOUR_RUNS].concat());
+    let said: Vec<String> = std::thread::scope(|scope| {
+        let share = |number: usize| {
+            let (shard, shared) = (format!("{number}/3"), &shared);
+            scope.spawn(move || {
+                succeed(shared, &[&["run", SMOKE, "--shard", &shard, "--no-wait"][..], &FOUR_RUNS].concat())
+            })
+        };
+        let shares: Vec<_> = (1..=3).map(share).collect();
+        shares.into_iter().map(|share| share.join().unwrap()).collect()
+    });
+    assert_eq!(said.iter().map(|said| done(said)).collect::<Vec<_>>(), [2, 1, 1]);
+    assert_eq!(metrics(&shared), metrics(&whole));
+    let again = succeed(&shared, &[&["run", SMOKE][..], &FOUR_RUNS].concat());
+    assert!(again.contains("0 done, 4 done before, 0 failed"), "{again}");
+}
+
+/// The bytes of a dataset's episodes, by the file's name.
+fn episodes(results: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for dataset in fs::read_dir(results.join("datasets")).unwrap() {
+        for file in fs::read_dir(dataset.unwrap().path()).unwrap() {
+            let path = file.unwrap().path();
+            let name = path.strip_prefix(results).unwrap().display().to_string();
+            if !name.contains(".unfinished") {
+                found.insert(name, fs::read(path).unwrap());
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn shards_collect_the_same_datasets_with_those_that_vary() {
+    let (whole, shared) = (fresh("shards-collected"), fresh("shards-collected-shared"));
+    let varied = "vary={simulation.seed: [0, 1]}";
+    succeed(&whole, &["collect", SMOKE, varied]);
+    assert_eq!(fs::read_dir(whole.join("datasets")).unwrap().count(), 4);
+    // Each share has 16 / 3 episodes, whatever datasets they belong to.
+    for (shard, made) in [("1/3", 6), ("2/3", 5), ("3/3", 5)] {
+        let said = succeed(&shared, &["collect", SMOKE, varied, "--shard", shard]);
+        let count = |line: &str| line.split(": ").last().unwrap().split(' ').next().unwrap().parse::<usize>();
+        let counts: usize = said.lines().map(|line| count(line).unwrap()).sum();
+        assert_eq!(counts, made, "{said}");
+    }
+    assert!(episodes(&shared) == episodes(&whole));
+}
+
+#[test]
+fn what_is_no_shard_is_refused_in_one_line() {
+    for shard in ["9/8", "0/3", "3", "1/0", "-1/2", "1/1000000", "a/b"] {
+        let answer = finish(&mut harness(Path::new("nowhere"), &["run", SMOKE, "--shard", shard]));
+        assert_eq!(answer.code, 2, "{shard}");
+        let said = answer.stderr.lines().next().unwrap();
+        assert!(said.contains("a shard is I/N, with I from 1 to N"), "{said}");
+    }
+}
+
+#[test]
+fn failing_fast_leaves_the_other_runs() {
+    let results = fresh("fail-fast");
+    let mut command = harness(&results, &["run", SMOKE, "--fail-fast"]);
+    // Without a display driver no frame can be rendered.
+    command.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nowhere");
+    let answer = finish(&mut command);
+    assert_eq!(answer.code, 1);
+    assert!(answer.stdout.contains("0 done, 0 done before, 1 failed"), "{}", answer.stdout);
+    assert!(answer.stdout.contains("1 not tried, because of --fail-fast"), "{}", answer.stdout);
+}
+
+/// Puts an executable script into a folder.
+fn script(folder: &Path, name: &str, text: &str) {
+    let path = folder.join(name);
+    fs::write(&path, format!("#!/bin/sh\n{text}\n")).unwrap();
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
+}
+
+/// A folder of programs with a Slurm that numbers jobs from 101 on, and notes what it is asked for in `calls`.
+fn slurm() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let calls = folder.path().join("calls");
+    let count = format!("echo \"$0 $*\" >>{0}; grep -c sbatch {0}", calls.display());
+    script(folder.path(), "sbatch", &format!("n=$({count}); echo $((100 + n))"));
+    script(folder.path(), "scancel", &count);
+    script(folder.path(), "squeue", "echo '102|1|RUNNING|node7|1:23|None'; echo '102|2|PENDING|||Resources'");
+    folder
+}
+
+fn with_slurm(slurm: &Path, results: &Path, arguments: &[&str]) -> Answer {
+    let path = format!("{}:{}", slurm.display(), std::env::var("PATH").unwrap());
+    finish(harness(results, arguments).env("PATH", path))
+}
+
+#[test]
+fn a_submission_is_three_jobs_that_wait_for_each_other() {
+    let (results, slurm) = (fresh("submitted"), slurm());
+    let answer = with_slurm(slurm.path(), &results, &["submit", SMOKE, "--tasks", "2", "seeds=[0,1]"]);
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    assert!(
+        answer.stdout.starts_with("4 runs of smoke submitted: collect 101, train 102, finish 103\n"),
+        "{}",
+        answer.stdout
+    );
+    let calls = fs::read_to_string(slurm.path().join("calls")).unwrap();
+    let calls: Vec<&str> = calls.lines().collect();
+    assert!(calls[0].ends_with("/collect.sh") && !calls[0].contains("--dependency"), "{calls:?}");
+    assert!(calls[1].contains("--dependency=afterany:101") && calls[1].ends_with("/train.sh"), "{calls:?}");
+    assert!(calls[2].contains("--dependency=afterany:102") && calls[2].ends_with("/finish.sh"), "{calls:?}");
+
+    let folder = fs::read_dir(results.join("jobs")).unwrap().next().unwrap().unwrap().path();
+    fs::write(folder.join("train-1.log"), "task 1 begins\nsmoke: 3/8 epochs\n").unwrap();
+    fs::write(folder.join("collect-1.log"), "task 1 ends with code 0\n").unwrap();
+    let listed = with_slurm(slurm.path(), &results, &["ls", "--jobs"]).stdout;
+    for part in ["running", "node7", "1:23", "3/8 epochs", "pending", "Resources", "ended", "ends with code 0"] {
+        assert!(listed.contains(part), "{part}: {listed}");
+    }
+    let cancelled = with_slurm(slurm.path(), &results, &["cancel", "smoke"]);
+    assert!(cancelled.stdout.contains("is cancelled; what its tasks have done is kept"), "{}", cancelled.stdout);
+    let calls = fs::read_to_string(slurm.path().join("calls")).unwrap();
+    assert!(calls.lines().last().unwrap().ends_with("scancel 102"), "{calls}");
+    let unknown = with_slurm(slurm.path(), &results, &["cancel", "other"]);
+    assert_eq!(unknown.code, 2);
+    assert!(unknown.stderr.starts_with("error: no job of 'other'; jobs: smoke-"), "{}", unknown.stderr);
+}
+
+/// Slurm's scripts, by the name of the step.
+fn scripts(results: &Path, arguments: &[&str]) -> BTreeMap<String, String> {
+    let said = succeed(results, &[&["submit", SMOKE, "--dry-run"][..], arguments].concat());
+    let parts = said.split("==> ").skip(1).map(|part| {
+        let (path, script) = part.split_once(" <==\n").unwrap();
+        let step = Path::new(path).file_stem().unwrap().to_string_lossy().into_owned();
+        (step, script.to_owned())
+    });
+    parts.collect()
+}
+
+#[test]
+fn scripts_say_what_was_asked_for_and_are_bash() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("cluster.yaml");
+    fs::write(&config, "tasks: 6\ncpus: 2\npartition: gpu\nsetup: ['module load mesa']\n").unwrap();
+    let config = config.to_str().unwrap();
+    let flags = ["--config", config, "--partition", "cpu", "--time", "01:00:00", "--throttle", "3"];
+    let more = ["--memory", "8G", "--sbatch=--account=lab", "seeds=[0,1,2]"];
+    let results = fresh("scripts with spaces");
+    let scripts = scripts(&results, &[&flags[..], &more].concat());
+    assert_eq!(scripts.keys().collect::<Vec<_>>(), ["collect", "finish", "train"]);
+    let train = &scripts["train"];
+    for part in [
+        "#SBATCH --job-name=harness-smoke-train\n",
+        "#SBATCH --array=1-6%3\n",
+        "#SBATCH --cpus-per-task=2\n",
+        "#SBATCH --mem=8G\n",
+        "#SBATCH --time=01:00:00\n",
+        "#SBATCH --partition=cpu\n",
+        "#SBATCH --account=lab\n",
+        "\nmodule load mesa\n",
+        "tasks=6\n",
+        "run experiments/smoke.yaml 'seeds=[0,1,2]' --shard \"$SLURM_ARRAY_TASK_ID/$tasks\" --no-wait &\n",
+    ] {
+        assert!(train.contains(part), "{part}: {train}");
+    }
+    assert!(scripts["collect"].contains("#SBATCH --array=1-6%3\n"), "{}", scripts["collect"]);
+    assert!(!scripts["finish"].contains("--array"), "{}", scripts["finish"]);
+    for script in scripts.values() {
+        let path = folder.path().join("script.sh");
+        fs::write(&path, script).unwrap();
+        assert!(Command::new("bash").arg("-n").arg(&path).status().unwrap().success());
+    }
+    assert!(!results.join("jobs").exists());
+}
+
+/// A script's task, as Slurm starts it.
+#[test]
+fn a_script_does_its_task_and_says_how_it_ended() {
+    let results = fresh("scripted");
+    let train = &scripts(&results, &["scenarios=[empty]", "training.epochs=1", "--tasks", "1"])["train"];
+    let folder = tempfile::tempdir().unwrap();
+    script(folder.path(), "scontrol", "echo 'JobId=7 JobState=RUNNING'");
+    let path = folder.path().join("train.sh");
+    fs::write(&path, train).unwrap();
+    let programs = format!("{}:{}", folder.path().display(), std::env::var("PATH").unwrap());
+    let output = Command::new("bash")
+        .arg(&path)
+        .env("PATH", programs)
+        .envs([("SLURM_ARRAY_TASK_ID", "1"), ("SLURM_JOB_ID", "7")])
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    assert!(said.contains("task 1 begins on ") && said.contains("1 done, 0 done before, 0 failed"), "{said}");
+    assert!(said.trim_end().ends_with("task 1 ends with code 0"), "{said}");
+}
+
+#[test]
+fn what_cannot_be_submitted_is_refused_in_one_line_and_leaves_nothing() {
+    let results = fresh("unsubmitted");
+    let missing = finish(harness(&results, &["submit", SMOKE]).env("PATH", "/nowhere"));
+    assert_eq!(missing.code, 2);
+    assert!(missing.stderr.contains("sbatch is not installed here"), "{}", missing.stderr);
+    let refusing = tempfile::tempdir().unwrap();
+    script(refusing.path(), "sbatch", "echo 'sbatch: error: invalid partition specified: moon' >&2; exit 1");
+    let refused = with_slurm(refusing.path(), &results, &["submit", SMOKE, "--partition", "moon"]);
+    assert_eq!(refused.code, 1);
+    assert_eq!(
+        refused.stderr.lines().last().unwrap(),
+        "error: sbatch failed: sbatch: error: invalid partition specified: moon"
+    );
+    assert!(fs::read_dir(results.join("jobs")).unwrap().next().is_none());
+    let config = refusing.path().join("cluster.yaml");
+    fs::write(&config, "tasks: 8\npartitions: gpu\n").unwrap();
+    let unknown = finish(&mut harness(&results, &["submit", SMOKE, "--config", config.to_str().unwrap()]));
+    assert_eq!(unknown.code, 2);
+    assert!(unknown.stderr.contains("cluster.yaml:2:1: "), "{}", unknown.stderr);
+    assert!(unknown.stderr.contains("partitions"), "{}", unknown.stderr);
+}
