@@ -35,6 +35,20 @@ pub(super) fn of(record: &RunRecord) -> Settings {
     settings
 }
 
+/// What differs between two runs, with the value of each: settings, dataset, code, versions and machine.
+pub fn differing(a: &RunRecord, b: &RunRecord) -> Vec<(String, String, String)> {
+    let all = |record: &RunRecord| {
+        let mut all = of(record);
+        collect("", &serde_json::to_value(&record.provenance).unwrap_or_default(), &mut all);
+        all.remove("command");
+        all
+    };
+    let (a, b) = (all(a), all(b));
+    let keys: BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+    let values = keys.into_iter().map(|key| (key.clone(), value(&a, key).to_owned(), value(&b, key).to_owned()));
+    values.filter(|(_, a, b)| a != b).collect()
+}
+
 /// Adds every value of a tree that is no object, under its dotted key.
 fn collect(key: &str, value: &Value, settings: &mut Settings) {
     match value {

@@ -1,7 +1,7 @@
 //! `harness query`, `ls`, `show` and `schema`.
 
-use super::DONE;
 use super::layers;
+use super::{DONE, submit};
 use super::table::{print, shown};
 use anyhow::Result;
 use clap::Args;
@@ -38,13 +38,47 @@ impl Query {
     }
 }
 
-/// Prints every run with how it went.
-pub fn list(registry: &Registry) -> Result<ExitCode> {
-    let sql = "select experiment, run, status, started, \
-               collect_seconds + prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds \
-               as seconds, reason from runs order by experiment, run";
-    print(&registry::query(registry, sql)?);
-    Ok(ExitCode::from(DONE))
+#[derive(Args)]
+pub struct List {
+    /// Only the runs of these experiments
+    #[arg(value_name = "EXPERIMENT")]
+    experiments: Vec<String>,
+    /// Only runs with this status
+    #[arg(long, value_name = "STATUS", value_parser = ["done", "failed", "running", "interrupted"])]
+    status: Option<String>,
+    /// Order by a column; the longest or latest come last
+    #[arg(long, value_name = "COLUMN", value_parser = ["run", "started", "seconds", "status"], default_value = "run")]
+    sort: String,
+    /// List the tasks of submitted jobs instead: where they are, and why they wait or failed
+    #[arg(long, conflicts_with_all = ["experiments", "status", "sort"])]
+    jobs: bool,
+}
+
+impl List {
+    /// Prints the runs with how they went, or the tasks of jobs.
+    pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        if self.jobs {
+            return submit::list(registry);
+        }
+        let text = |text: &String| format!("'{}'", text.replace('\'', "''"));
+        let mut conditions = Vec::new();
+        if !self.experiments.is_empty() {
+            let names: Vec<String> = self.experiments.iter().map(text).collect();
+            conditions.push(format!("experiment in ({})", names.join(", ")));
+        }
+        conditions.extend(self.status.iter().map(|status| format!("status = {}", text(status))));
+        let chosen = if conditions.is_empty() { "true".to_owned() } else { conditions.join(" and ") };
+        let order = if self.sort == "run" { String::new() } else { format!("{}, ", self.sort) };
+        let seconds = "collect_seconds + prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds";
+        print(&registry::query(
+            registry,
+            &format!(
+                "select experiment, run, status, started, {seconds} as seconds, reason from runs where {chosen} \
+                 order by {order}experiment, run"
+            ),
+        )?);
+        Ok(ExitCode::from(DONE))
+    }
 }
 
 #[derive(Args)]

@@ -6,6 +6,7 @@ mod output;
 
 mod claims;
 mod compare;
+mod diff;
 mod doctor;
 mod figures;
 mod inspect;
@@ -13,10 +14,13 @@ mod interrupt;
 mod layers;
 pub mod progress;
 mod publish;
+mod removal;
 mod render;
 mod report;
 mod run;
 mod sheet;
+mod slurm;
+mod submit;
 mod table;
 mod verify;
 mod world;
@@ -77,6 +81,14 @@ enum Command {
         after_help = "Example:\n  harness collect experiments/multi_to_multi.yaml scenarios=[cluttered]"
     )]
     Collect(run::Collect),
+    /// Hand an experiment to a Slurm cluster: datasets first, then the runs, divided among tasks
+    #[command(after_help = SUBMIT_HELP)]
+    Submit(submit::Submit),
+    /// Cancel a job that was submitted; what its tasks have done is kept
+    #[command(after_help = "Examples:
+  harness cancel multi_to_multi                     every job of an experiment
+  harness cancel multi_to_multi-20261122T093000Z    one job, as `harness ls --jobs` lists it")]
+    Cancel(submit::Cancel),
     /// Check a spec and list the runs it stands for
     #[command(after_help = "Example:\n  harness validate experiments/smoke.yaml training.epochs=3")]
     Validate(run::Validate),
@@ -113,10 +125,30 @@ Metrics are over all joints, links or pixels, on the test episodes; `harness que
 stands half of the 95 % interval of the mean over seeds (Student's t). LaTeX needs \\usepackage{booktabs}.")]
     Compare(compare::Compare),
     /// List all runs
-    Ls,
+    Ls(inspect::List),
     /// Show one run: its spec, its networks' layers, provenance, times and metrics
     #[command(after_help = "Example:\n  harness show cluttered-z64-seed0")]
     Show(inspect::Show),
+    /// Show in what two runs differ: settings, code, versions, machine, and metrics side by side
+    #[command(after_help = "Example:\n  harness diff smoke/cluttered-z4-seed0 smoke/cluttered-z8-seed0")]
+    Diff(diff::Diff),
+    /// Remove runs, after asking
+    #[command(after_help = "Examples:
+  harness rm smoke                                  every run of an experiment
+  harness rm smoke/cluttered-z4-seed0-1a2b3c4d      one run
+  harness rm smoke/cluttered --yes                  all whose name begins so, without asking")]
+    Rm(removal::Remove),
+    /// Find what is no longer needed, and remove it after asking
+    #[command(after_help = "Examples:
+  harness gc                                        list all of it with sizes, and ask
+  harness gc --only quick --only failed --yes
+
+superseded: runs of which there is a later one with the same settings, on another dataset or by another revision of \
+the method. failed: runs that failed. quick: runs of `harness run --quick`. unused: simulated datasets that no remaining \
+run uses. Imported datasets always stay.")]
+    Gc(removal::Collect),
+    /// Show the space that each experiment and each dataset takes
+    Du,
     /// Print the JSON schema of experiment specs, for editors, or the columns of the tables
     Schema(inspect::Schema),
     /// List the worlds, check a world file, or write a first one for an MJCF model
@@ -173,6 +205,17 @@ const FIGURES_HELP: &str = "Examples:
 Width: 8.5 cm, a journal's column. Letters are outlines, so no font is needed to show them.
 Runs: those of experiments/single_to_multi.yaml and multi_to_multi.yaml; what is missing is named.
 Runs of one experiment that differ in settings are not put together: --where chooses among them.";
+
+const SUBMIT_HELP: &str = "Examples:
+  harness submit experiments/multi_to_multi.yaml --tasks 16 --cpus 4 --memory 8G --time 04:00:00
+  harness submit experiments/multi_to_multi.yaml --partition cpu --throttle 8 --sbatch=--account=lab
+  harness submit experiments/multi_to_multi.yaml --config cluster.yaml --dry-run
+  harness ls --jobs
+  harness cancel multi_to_multi
+
+Hands in up to three jobs with sbatch: an array that simulates the missing episodes, an array that divides the runs, and \
+one task that does what is left, should a task be lost. A task that reaches its time limit or is preempted saves its \
+state, is queued again and resumes. The results folder must be on a file system that all nodes share, with working locks.";
 
 const REPORT_HELP: &str = "Examples:
   harness report
@@ -250,8 +293,14 @@ fn execute(command: Command, registry: &Registry, threads: usize) -> anyhow::Res
         Command::Query(query) => query.execute(registry),
         Command::Claims(claims) => claims.execute(registry),
         Command::Compare(compare) => compare.execute(registry),
-        Command::Ls => inspect::list(registry),
+        Command::Submit(submit) => submit.execute(registry, threads),
+        Command::Cancel(cancel) => cancel.execute(registry),
+        Command::Ls(list) => list.execute(registry),
         Command::Show(show) => show.execute(registry),
+        Command::Diff(diff) => diff.execute(registry),
+        Command::Rm(remove) => remove.execute(registry),
+        Command::Gc(collect) => collect.execute(registry),
+        Command::Du => removal::usage(registry),
         Command::Schema(schema) => schema.execute(),
         Command::Render(render) => render.execute(),
         Command::Figures(figures) => figures.execute(registry),
@@ -267,9 +316,10 @@ impl Command {
     /// Whether the command answers from results, which must be there.
     fn reads_results(&self) -> bool {
         match self {
-            Self::Query(_) | Self::Claims(_) | Self::Compare(_) | Self::Ls | Self::Show(_) => true,
-            Self::Figures(_) | Self::Report(_) | Self::Publish(_) | Self::Verify => true,
-            Self::Run(_) | Self::Collect(_) | Self::Validate(_) => false,
+            Self::Query(_) | Self::Claims(_) | Self::Compare(_) | Self::Ls(_) | Self::Show(_) => true,
+            Self::Figures(_) | Self::Report(_) | Self::Publish(_) | Self::Verify | Self::Diff(_) => true,
+            Self::Rm(_) | Self::Gc(_) | Self::Du => true,
+            Self::Run(_) | Self::Collect(_) | Self::Validate(_) | Self::Submit(_) | Self::Cancel(_) => false,
             Self::Schema(_) | Self::World(_) | Self::Render(_) | Self::Doctor => false,
         }
     }
@@ -311,6 +361,7 @@ fn is_usage(error: &anyhow::Error) -> bool {
             error.downcast_ref(),
             Some(QueryError::Sql(_) | QueryError::Refused(_) | QueryError::Format(_))
         )
+        || submit::is_usage(error)
         || error.is::<world::WorldError>()
         || matches!(
             error.downcast_ref(),

@@ -38,7 +38,7 @@ impl Publish {
         for left_out in to.left_out() {
             eprintln!("warning: {left_out}");
         }
-        println!("{runs} runs, {:.1} MB in {}", bytes as f64 / 1e6, self.to.display());
+        println!("{runs} runs, {} in {}", harness::numbers::bytes(bytes), self.to.display());
         Ok(ExitCode::from(DONE))
     }
 }

@@ -33,7 +33,7 @@ impl Report {
         let claims = claims::load(&self.claims)?;
         let page = report::page(registry, &claims, &self.settings, self.quick, &Bars::default())?;
         write_bytes(&self.out, page.as_bytes())?;
-        println!("{}, {:.1} MB", shown(&self.out), page.len() as f64 / 1e6);
+        println!("{}, {}", shown(&self.out), harness::numbers::bytes(page.len() as u64));
         Ok(ExitCode::from(DONE))
     }
 }

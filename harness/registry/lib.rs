@@ -16,15 +16,17 @@ mod provenance;
 mod publish;
 mod query;
 mod record;
+mod removal;
 mod rows;
 mod sql;
 mod verify;
 
 pub use commands::quoted;
-pub use compact::{RunTable, asked_columns, asked_rows, lazily};
+pub use compact::RunTable;
 pub use provenance::{Provenance, Versions, peak_memory_bytes};
 pub use publish::Published;
 pub use query::{QueryError, answer, query, query_of, rows, save, table};
+pub use removal::{Garbage, Removable, Usage};
 pub use record::{
     FileRecord, ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings,
 };

@@ -1,0 +1,206 @@
+//! What takes space in the results folder, and what of it can be removed.
+
+use super::folders::{folders, sorted};
+use super::record::RunRecord;
+use super::{Registry, RegistryError, Status};
+use harness_dataset::Dataset;
+use harness_shared::files::{FolderLock, UNFINISHED};
+use harness_spec::QUICK;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// Why a run or a dataset can be removed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Garbage {
+    /// A later run of the same experiment has the same settings, but another dataset or revision of the method.
+    Superseded,
+    /// The run failed.
+    Failed,
+    /// A run of `harness run --quick`.
+    Quick,
+    /// A simulated dataset that no run uses.
+    Unused,
+}
+
+impl Garbage {
+    /// Every reason.
+    pub const ALL: [Self; 4] = [Self::Superseded, Self::Failed, Self::Quick, Self::Unused];
+
+    /// The reason in one word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Superseded => "superseded",
+            Self::Failed => "failed",
+            Self::Quick => "quick",
+            Self::Unused => "unused",
+        }
+    }
+}
+
+/// A folder that can be removed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Removable {
+    /// The folder.
+    pub path: PathBuf,
+    /// `experiment/run`, or a dataset's name.
+    pub name: String,
+    /// Size of all its files, bytes.
+    pub bytes: u64,
+}
+
+/// The space that a folder takes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Usage {
+    /// `runs`, `datasets`, or another folder of the results.
+    pub kind: String,
+    /// The experiment's or the dataset's name.
+    pub name: String,
+    /// Folders of single runs in it.
+    pub runs: usize,
+    /// Size of all files, bytes.
+    pub bytes: u64,
+    /// Size of the trained networks among them, bytes.
+    pub network_bytes: u64,
+}
+
+impl Registry {
+    /// The space that each experiment, each dataset and each other folder takes, the largest first.
+    pub fn usage(&self) -> Vec<Usage> {
+        let mut usage = Vec::new();
+        for folder in folders(&self.root) {
+            let kind = name(&folder);
+            let parts = if kind == "runs" || kind == "datasets" { folders(&folder) } else { vec![folder] };
+            usage.extend(parts.iter().map(|part| {
+                let mut usage =
+                    Usage { kind: kind.clone(), name: name(part), runs: 0, bytes: 0, network_bytes: 0 };
+                if kind == "runs" {
+                    usage.runs = folders(part).len();
+                }
+                for (path, bytes) in files(part) {
+                    usage.bytes += bytes;
+                    if path.extension().is_some_and(|ending| ending == "safetensors") {
+                        usage.network_bytes += bytes;
+                    }
+                }
+                usage
+            }));
+        }
+        usage.sort_by_key(|usage| std::cmp::Reverse(usage.bytes));
+        usage
+    }
+
+    /// The runs of these reasons, and, if asked for, the datasets that no other run uses. Each comes once.
+    pub fn garbage(&self, wanted: &[Garbage]) -> Vec<(Garbage, Removable)> {
+        let recorded = self.recorded();
+        let superseded = superseded(recorded.iter().map(|(_, record)| record));
+        let mut found = Vec::new();
+        let mut used = BTreeSet::new();
+        for (folder, record) in &recorded {
+            let reasons = [
+                (Garbage::Superseded, superseded.contains(&record.name())),
+                (Garbage::Failed, record.status == Status::Failed),
+                (Garbage::Quick, record.experiment.ends_with(QUICK)),
+            ];
+            let applies = |(reason, applies): &(Garbage, bool)| *applies && wanted.contains(reason);
+            match reasons.into_iter().find(applies) {
+                Some((reason, _)) => found.push((reason, removable(folder, record.name()))),
+                None => drop(used.insert(record.dataset.clone())),
+            }
+        }
+        if wanted.contains(&Garbage::Unused) {
+            let is_unused = |folder: &PathBuf| {
+                Dataset::at(folder).is_ok() && !used.contains(&name(folder))
+            };
+            let unused = folders(&self.datasets()).into_iter().filter(is_unused);
+            found.extend(unused.map(|folder| (Garbage::Unused, removable(&folder, name(&folder)))));
+        }
+        found
+    }
+
+    /// The runs whose id, `experiment/id` or experiment is `wanted`, or begins with it up to a `-` or `/`.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn matching(&self, wanted: &str) -> Result<Vec<Removable>, RegistryError> {
+        let recorded = self.recorded();
+        let is_match = |record: &RunRecord| {
+            record.experiment == wanted || record.run.starts_with(wanted) || record.name().starts_with(wanted)
+        };
+        let mut matching = recorded.iter().filter(|(_, record)| is_match(record)).peekable();
+        if matching.peek().is_none() {
+            // It names the nearest run.
+            self.find(wanted)?;
+        }
+        Ok(matching.map(|(folder, record)| removable(folder, record.name())).collect())
+    }
+
+    /// Removes a run's or a dataset's folder, unless a process works there: then nothing changes, and who it is comes back.
+    ///
+    /// The folder is renamed first, so that an interruption leaves no part of it under its name; what is left then is removed
+    /// the next time.
+    ///
+    /// # Errors
+    /// When it can't be locked, renamed or removed.
+    pub fn remove(&self, item: &Removable) -> Result<Option<String>, RegistryError> {
+        let failed = |path: &Path| {
+            let path = path.to_owned();
+            move |error: std::io::Error| RegistryError::File { path, reason: error.to_string() }
+        };
+        let Some(lock) = FolderLock::attempt(&item.path)? else {
+            let holder = FolderLock::holder(&item.path);
+            return Ok(Some(holder.unwrap_or_else(|| "another process".into())));
+        };
+        let removed = self.root.join(format!("{UNFINISHED}removal-{}", std::process::id()));
+        std::fs::rename(&item.path, &removed).map_err(failed(&item.path))?;
+        drop(lock);
+        std::fs::remove_dir_all(&removed).map_err(failed(&removed))?;
+        if let Some(experiment) = item.path.parent() {
+            // Fails unless it is empty.
+            let _ = std::fs::remove_dir(experiment);
+        }
+        for left in sorted(&self.root).iter().filter(|path| name(path).starts_with(UNFINISHED)) {
+            let _ = std::fs::remove_dir_all(left);
+        }
+        Ok(None)
+    }
+}
+
+/// The names of done runs of which there is a later one with the same settings.
+fn superseded<'a>(records: impl Iterator<Item = &'a RunRecord>) -> BTreeSet<String> {
+    let mut latest: BTreeMap<(&str, &str), &RunRecord> = BTreeMap::new();
+    let mut superseded = BTreeSet::new();
+    for record in records.filter(|record| record.status == Status::Done) {
+        let key = (record.experiment.as_str(), record.spec_hash.as_str());
+        let older = match latest.get(&key) {
+            Some(other) if other.started > record.started => record,
+            _ => match latest.insert(key, record) {
+                Some(other) => other,
+                None => continue,
+            },
+        };
+        superseded.insert(older.name());
+    }
+    superseded
+}
+
+fn removable(folder: &Path, name: String) -> Removable {
+    Removable { path: folder.to_owned(), name, bytes: files(folder).into_iter().map(|(_, bytes)| bytes).sum() }
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// All files below a folder with their sizes, bytes. Links are not followed.
+fn files(folder: &Path) -> Vec<(PathBuf, u64)> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let Ok(about) = entry.metadata() else { continue };
+        if about.is_dir() {
+            found.extend(files(&entry.path()));
+        } else {
+            found.push((entry.path(), about.len()));
+        }
+    }
+    found
+}
