@@ -1,8 +1,8 @@
-//! What the compiler has to be told: candle's version.
+//! Sets the environment variable `CANDLE_VERSION` for the compiler.
 
 const LOCK: &str = "../../Cargo.lock";
 
-/// The version of candle in the lock file, for the stamps of the tables.
+/// Returns candle's version from the lock file. It is recorded with the results.
 fn candle_version() -> Option<String> {
     let lock = std::fs::read_to_string(LOCK).ok()?;
     let (_, after) = lock.split_once("name = \"candle-core\"\nversion = \"")?;

@@ -1,4 +1,4 @@
-//! Networks, their own candle ops, and their training. Knows tensors and datasets, not MuJoCo.
+//! Networks, their custom candle ops, and their training. This crate knows tensors and datasets, but not MuJoCo.
 
 pub mod checkpoint;
 pub mod frames;
@@ -20,26 +20,26 @@ use harness_spec::{Device, Task};
 use std::path::PathBuf;
 use training::Losses;
 
-/// The version of candle that this was built with.
+/// The version of candle that this crate was built with.
 pub const CANDLE_VERSION: &str = env!("CANDLE_VERSION");
 
-/// Keeps candle from starting threads of its own beside rayon's: they wait for work without sleeping, and what is left
-/// to them is short. A value of `CANDLE_NUM_THREADS` that the user set is kept.
+/// Prevents candle from starting its own threads beside rayon's. candle's threads spin while they wait, and only short
+/// operations are left to them. A value of `CANDLE_NUM_THREADS` that the user has set is kept.
 ///
 /// # Safety
-/// To be called before any other thread exists: the environment belongs to the whole process.
+/// Call this function before any other thread exists, because it changes the environment of the whole process.
 pub unsafe fn prepare_threads() {
     const THREADS: &str = "CANDLE_NUM_THREADS";
     if std::env::var_os(THREADS).is_none() {
-        // SAFETY: the caller vouches that this thread is the only one.
+        // SAFETY: the caller guarantees that no other thread exists.
         unsafe { std::env::set_var(THREADS, "1") };
     }
 }
 
-/// The device that a training asks for.
+/// Opens the device that a training asks for.
 ///
 /// # Errors
-/// When this harness was built without it, or this machine lacks it.
+/// When this program was built without support for the device, or this machine has no such device.
 pub fn open_device(device: Device) -> Result<candle_core::Device, LearningError> {
     if device == Device::Cpu {
         return Ok(candle_core::Device::Cpu);
@@ -53,27 +53,50 @@ pub fn open_device(device: Device) -> Result<candle_core::Device, LearningError>
         .map_err(|error| LearningError::Device { device, reason: first_line(&error) })
 }
 
-/// Why a training ended early.
+/// An error that ends a training, or the loading of a trained network.
 #[derive(Debug, thiserror::Error)]
 pub enum LearningError {
+    /// A loss became infinite or NaN.
     #[error(
         "the loss of the {task:?} was no longer finite in epoch {epoch} ({losses:?}); \
          try a smaller training.learning_rate"
     )]
-    NotFinite { task: Task, epoch: usize, losses: Losses },
-    #[error("the training was cancelled; the same command goes on from the last saved state")]
+    NotFinite {
+        /// What was being trained.
+        task: Task,
+        /// The epoch, counted from 1.
+        epoch: usize,
+        /// The mean training losses of the epoch.
+        losses: Losses,
+    },
+    /// The caller cancelled the training.
+    #[error("the training was cancelled; the same command continues from the last saved state")]
     Cancelled,
+    /// A state or a checkpoint is damaged, or does not fit the network.
     #[error("{} is damaged ({reason}); delete it and run the same command again", path.display())]
-    Damaged { path: PathBuf, reason: String },
+    Damaged {
+        /// The damaged file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A file can't be written.
     #[error(transparent)]
     Write(#[from] WriteError),
+    /// The device of the training can't be used.
     #[error("training.device: {device} can't be used: {reason}")]
-    Device { device: Device, reason: String },
+    Device {
+        /// The device that the spec asks for.
+        device: Device,
+        /// Why it can't be used.
+        reason: String,
+    },
+    /// A tensor operation failed.
     #[error("candle: {}", first_line(.0))]
     Candle(#[from] candle_core::Error),
 }
 
-/// candle's errors carry a backtrace below their first line where one was asked for.
+/// Returns the first line of an error. candle appends a backtrace below it if backtraces are enabled.
 fn first_line(error: &candle_core::Error) -> String {
     error.to_string().lines().next().unwrap_or_default().to_owned()
 }

@@ -1,4 +1,4 @@
-//! What is minimised: the terms of a loss for a batch of transitions.
+//! Training objectives: the loss terms of a batch of transitions.
 
 use super::network::{Decoder, Encoder, Observation, Targets};
 use super::ops::Dropout;
@@ -10,20 +10,24 @@ use harness_spec::{Action, Loss, Modality};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// The name of the Kullback-Leibler divergence among a loss's terms.
+/// The name of the Kullback-Leibler divergence among the terms of a loss.
 pub const KL: &str = "kl";
 
-/// A dataset as a network sees it.
+/// A dataset, normalized for a network.
 #[derive(Clone)]
 pub struct NormalizedData {
+    /// The samples, in physical units.
     pub samples: Arc<Samples>,
+    /// Means and standard deviations of the modalities and of the action.
     pub normalizers: Arc<Normalizers>,
+    /// Which quantity is used as the action.
     pub action: Action,
+    /// The device on which tensors are created.
     pub device: Device,
 }
 
 impl NormalizedData {
-    /// The normalized observation of `modalities` at the samples `at`.
+    /// Returns the normalized observation of `modalities` at the samples `at`.
     pub fn observation(&self, at: &[usize], modalities: &[Modality]) -> Result<Observation> {
         let vector = self.normalizers.vectors(&self.samples, at, modalities).transpose()?;
         Ok(Observation {
@@ -32,7 +36,8 @@ impl NormalizedData {
         })
     }
 
-    /// The same as a decoder's targets: frames one modality at a time.
+    /// Returns the same values as a decoder's targets: the vectors side by side, and the frames of each modality
+    /// separately.
     fn targets(&self, at: &[usize], modalities: &[Modality]) -> Result<Targets> {
         let frames = modalities.iter().filter_map(|modality| {
             Some((*modality, self.normalizers.frames(&self.samples, at, std::slice::from_ref(modality))?))
@@ -41,7 +46,7 @@ impl NormalizedData {
         Ok(Targets { vector, losses: BTreeMap::new(), frames: frames.collect() })
     }
 
-    /// The normalized actions `[batch, elements]` from the samples `at` to the next.
+    /// Returns the normalized actions, `[batch, elements]`, between each sample in `at` and the next one.
     pub fn actions(&self, at: &[usize]) -> Result<Tensor> {
         self.normalizers.actions(&self.samples, at, self.action)?.to_device(&self.device)
     }
@@ -49,40 +54,51 @@ impl NormalizedData {
 
 /// A named term of a loss and its weight.
 pub struct Weighted {
+    /// Name of the output modality, or [`KL`].
     pub name: String,
+    /// Factor of the term in the total loss.
     pub weight: f64,
+    /// The term before weighting, a scalar.
     pub value: Tensor,
 }
 
 /// How latent states are drawn.
 pub enum Draw<'a> {
-    /// From the posterior, with this source of noise and of what dropout leaves out: training.
+    /// From the posterior, for training. The generator supplies the noise and the seed of the dropout.
     Sample(&'a mut Random),
-    /// The posterior's mean: validation and test.
+    /// The posterior's mean, for validation and test.
     Mean,
 }
 
-/// Something to minimise over transitions.
+/// A loss over transitions, which training minimizes.
 pub trait Objective {
-    /// The loss's terms over the transitions that start at the samples `at`.
+    /// Returns the terms of the loss over the transitions that start at the samples `at`.
     fn terms(&self, at: &[usize], draw: Draw) -> Result<Vec<Weighted>>;
 
-    /// The same objective over parameters that no gradient is computed for.
+    /// Returns the same objective over detached parameters, so that no gradients are computed.
     fn detached(&self) -> Box<dyn Objective + '_>;
 }
 
-/// The next observation from this one and the action: the losses of its errors plus the weighted divergence.
+/// Predicts the next observation from the present one and the action. The terms are the loss of each output modality
+/// and the weighted KL divergence.
 pub struct Prediction<'a> {
+    /// The dataset.
     pub data: &'a NormalizedData,
+    /// Maps an observation to a posterior.
     pub encoder: Box<dyn Encoder>,
+    /// Maps a latent state and an action to the next observation.
     pub decoder: Box<dyn Decoder>,
+    /// Modalities of the encoder's input.
     pub input: &'a [Modality],
+    /// Modalities that the decoder predicts.
     pub output: &'a [Modality],
+    /// Weight of the KL divergence.
     pub kl_weight: f64,
-    /// What the errors of vectors cost; squared where nothing is said.
+    /// Loss of each vector modality. Modalities that are not listed use the squared error.
     pub losses: &'a BTreeMap<Modality, Loss>,
+    /// Weight of each modality's loss; 1 for modalities that are not listed.
     pub loss_weights: &'a BTreeMap<Modality, f64>,
-    /// Share of what the convolution makes of the frames that a training step leaves out.
+    /// Probability with which a training step sets a value of the last convolution's output to zero.
     pub dropout: f64,
 }
 
@@ -115,12 +131,16 @@ impl Objective for Prediction<'_> {
     }
 }
 
-/// This observation again, from the frozen encoder's latent state: squared errors alone.
+/// Reconstructs the present observation from the latent state of a frozen encoder. The terms are the squared error of
+/// each input modality.
 pub struct Reconstruction<'a> {
+    /// The dataset.
     pub data: &'a NormalizedData,
-    /// The posterior's mean of every sample, `[samples, latent]`: the encoder is frozen, so it runs once.
+    /// The posterior's mean of every sample, `[samples, latent]`. It is computed once, because the encoder is frozen.
     pub latent: &'a Tensor,
+    /// Maps a latent state to the present observation.
     pub decoder: Box<dyn Decoder>,
+    /// Modalities of the encoder's input, which are reconstructed.
     pub input: &'a [Modality],
 }
 
@@ -136,7 +156,7 @@ impl Objective for Reconstruction<'_> {
     }
 }
 
-/// The rows `at` of a matrix.
+/// Returns the rows `at` of a matrix.
 pub fn rows(matrix: &Tensor, at: &[usize]) -> Result<Tensor> {
     let at = at.iter().map(|row| *row as u32).collect::<Vec<_>>();
     matrix.index_select(&Tensor::new(at, matrix.device())?, 0)

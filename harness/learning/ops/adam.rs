@@ -1,5 +1,5 @@
-//! Adam as one pass over a parameter and its moments, in place. Weight decay and clipping are part of that pass; for
-//! clipping alone the gradients are read once more, before it.
+//! Adam as one pass over a parameter and its moments, in place. The pass includes weight decay and the scaling of
+//! clipped gradients. Clipping reads the gradients once more before, to compute their norm.
 
 use super::{slice, with_values};
 use candle_core::backprop::GradStore;
@@ -13,7 +13,7 @@ const EPSILON: f64 = 1e-8;
 
 /// Adam (Kingma & Ba, 2015, algorithm 1) with its usual constants, over a fixed list of parameters.
 ///
-/// With weight decay it is AdamW (Loshchilov & Hutter, 2019).
+/// With weight decay, it is AdamW (Loshchilov & Hutter, 2019).
 pub struct Adam {
     learning_rate: f64,
     weight_decay: f64,
@@ -27,16 +27,16 @@ struct Slot {
     moments: Moments,
 }
 
-/// Running means of a parameter's gradient and of its square.
+/// Running means of a parameter's gradient and of the gradient's square.
 enum Moments {
-    /// Written in place.
+    /// Updated in place.
     Cpu { mean: Vec<f32>, square: Vec<f32> },
-    /// Made anew at each step by candle's tensor operations.
+    /// Replaced in each step by candle's tensor operations.
     Device { mean: Tensor, square: Tensor },
 }
 
 impl Adam {
-    /// For `parameters`, with moments at zero, without weight decay and clipping.
+    /// Creates an optimizer for `parameters`, with zero moments, no weight decay and no clipping.
     pub fn new(parameters: Vec<Var>, learning_rate: f64) -> Result<Self> {
         let slots = parameters.into_iter().map(|parameter| {
             let zeros = parameter.zeros_like()?;
@@ -47,33 +47,36 @@ impl Adam {
         Ok(Self { learning_rate, weight_decay: 0.0, clip_norm: None, steps: 0, slots })
     }
 
-    /// Takes `weight_decay` times the learning rate of each weight away at every step; matrices and kernels are weights,
-    /// vectors are biases.
+    /// Sets the weight decay. Each step subtracts `weight_decay` times the learning rate times the weight. Only
+    /// parameters of rank 2 or more decay, because vectors are biases.
     pub fn with_weight_decay(self, weight_decay: f64) -> Self {
         Self { weight_decay, ..self }
     }
 
-    /// Scales the gradient of all parameters together down to this Euclidean norm where it is longer.
+    /// Sets the largest Euclidean norm of the gradient of all parameters together. A longer gradient is scaled down to
+    /// it.
     pub fn with_clip_norm(self, clip_norm: Option<f64>) -> Self {
         Self { clip_norm, ..self }
     }
 
-    /// Of the steps from now on.
+    /// Sets the learning rate of the following steps.
     pub fn set_learning_rate(&mut self, learning_rate: f64) {
         self.learning_rate = learning_rate;
     }
 
-    /// Steps taken so far.
+    /// Returns the number of steps taken so far.
     pub fn steps(&self) -> u64 {
         self.steps
     }
 
-    /// The two moments (mean, square) of every parameter, shaped like it and in the order of the parameters.
+    /// Returns the two moments (mean, mean square) of every parameter. They have its shape, and the order of the
+    /// parameters.
     pub fn moments(&self) -> Result<Vec<(Tensor, Tensor)>> {
         self.slots.iter().map(|slot| slot.moments.tensors(&slot.parameter)).collect()
     }
 
-    /// Goes on where another Adam stopped: after its steps, with its moments in the order of the parameters.
+    /// Continues after another optimizer: sets the number of its steps, and its moments in the order of the parameters.
+    /// Fails if a moment's shape differs from that of its parameter.
     pub fn restore(&mut self, steps: u64, moments: &[(Tensor, Tensor)]) -> Result<()> {
         if moments.len() != self.slots.len() {
             candle_core::bail!("{} pairs of moments for {} parameters", moments.len(), self.slots.len());
@@ -88,7 +91,7 @@ impl Adam {
         Ok(())
     }
 
-    /// One step down `gradients`; parameters without a gradient stay as they are.
+    /// Takes one step. Parameters without a gradient do not change.
     pub fn step(&mut self, gradients: &GradStore) -> Result<()> {
         self.steps += 1;
         let correction = |beta: f64| (1.0 / (1.0 - beta.powf(self.steps as f64))) as f32;
@@ -112,7 +115,7 @@ impl Adam {
         Ok(())
     }
 
-    /// What clipping multiplies the gradients by.
+    /// Returns the factor by which clipping scales the gradients.
     fn gradient_scale(&self, gradients: &GradStore) -> Result<f64> {
         let Some(clip_norm) = self.clip_norm else { return Ok(1.0) };
         let found = self.slots.iter().filter_map(|slot| gradients.get(&slot.parameter));
@@ -166,7 +169,7 @@ impl Moments {
 
 struct AdamOp<'a> {
     step: AdamStep,
-    /// candle gives an op only shared access to itself; nobody else holds the lock.
+    /// candle gives an op only shared access to itself. No other code takes this lock.
     moments: Mutex<(&'a mut [f32], &'a mut [f32])>,
 }
 

@@ -1,29 +1,30 @@
-//! Dropout (Srivastava et al., 2014, JMLR 15): a training step that leaves values out keeps a network from knowing
-//! its training samples by heart.
+//! Dropout (Srivastava et al., 2014, JMLR 15): each training step sets random values to zero, which reduces
+//! overfitting.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Which values one training step leaves out.
+/// Decides which values one training step sets to zero.
 #[derive(Debug, Clone, Copy)]
 pub struct Dropout {
-    /// Of 65536 values, how many are left out on average.
+    /// Of 65,536 values, the number that is set to zero on average.
     left_out: u16,
     seed: u64,
 }
 
 impl Dropout {
-    /// Leaves each value out with probability `share` in [0, 1), to a 65536th; which ones is decided by `seed`.
+    /// Sets each value to zero with probability `share`, which is in [0, 1) and rounded down to a multiple of 1/65536.
+    /// `seed` determines which values these are.
     pub fn new(share: f64, seed: u64) -> Self {
         Self { left_out: (share * 65536.0) as u16, seed }
     }
 
-    /// What the remaining values are multiplied with, so that a sum over all keeps its mean.
+    /// Returns the factor of the other values. It keeps the mean of a sum over all values.
     pub fn scale(&self) -> f32 {
         (1.0 / (1.0 - f64::from(self.left_out) / 65536.0)) as f32
     }
 
-    /// Leaves values of one sample of the batch out, and raises the others.
+    /// Sets some values of sample `sample` of the batch to zero, and scales the others.
     pub fn apply(&self, sample: usize, values: &mut [f32]) {
         let (scale, mut random) = (self.scale(), ChaCha8Rng::seed_from_u64(self.seed));
         random.set_stream(sample as u64);

@@ -5,7 +5,8 @@ use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
 use harness_kernels as kernels;
 use harness_kernels::product::{Accumulate, Matrix, product};
 
-/// `x wᵀ + b`, then ReLU if `relu`: `x` `[batch, in]`, `w` `[out, in]`, `b` `[out]`, result `[batch, out]`.
+/// Returns `x wᵀ + b`, `[batch, out]`, with a ReLU if `relu`. `x` is `[batch, in]`, `w` is `[out, in]` and `b` is
+/// `[out]`.
 pub fn linear(x: &Tensor, w: &Tensor, b: &Tensor, relu: bool, arithmetic: Arithmetic) -> Result<Tensor> {
     if x.device().is_cpu() {
         return x.contiguous()?.apply_op3(&w.contiguous()?, b, Linear { arithmetic, relu });
@@ -66,7 +67,7 @@ impl CustomOp3 for Linear {
 }
 
 impl Linear {
-    /// Gradients of the arguments, given that of `x wᵀ + b`.
+    /// Returns the gradients of `x`, `w` and `b`, given the gradient of `x wᵀ + b`.
     fn gradients(
         &self,
         x: &Tensor,

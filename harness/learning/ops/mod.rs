@@ -1,8 +1,9 @@
-//! The network's own candle ops.
+//! The networks' custom candle ops.
 //!
-//! candle's convolution gradients copy and its element-wise chains allocate; each op here does forward and
-//! backward in as few passes over memory as the arithmetic allows. On a device other than the CPU the same
-//! functions compose candle's own tensor operations, whose gradients candle knows.
+//! candle's convolution gradients copy their operands, and its chains of element-wise operations allocate every
+//! intermediate result. Each op here computes its forward and backward pass in as few passes over memory as possible.
+//! On devices other than the CPU, the same functions are composed of candle's tensor operations, for which candle
+//! computes the gradients.
 
 mod adam;
 mod dropout;
@@ -30,7 +31,7 @@ use candle_core::{CpuStorage, Layout, Result, Storage, Tensor};
 use harness_kernels::product::{self, Unit};
 use harness_spec::Precision;
 
-/// How a network's products are computed: `tiles` allows the processor's tile unit, if it has one.
+/// Returns how a network's matrix products are computed. `tiles` allows the processor's tile unit (AMX), if it has one.
 pub fn arithmetic(tiles: bool, precision: Precision) -> Arithmetic {
     Arithmetic {
         unit: if tiles { Unit::best() } else { Unit::Vectors },
@@ -41,7 +42,7 @@ pub fn arithmetic(tiles: bool, precision: Precision) -> Arithmetic {
     }
 }
 
-/// The values of a contiguous f32 tensor in CPU memory.
+/// Returns the values of a contiguous f32 tensor in CPU memory.
 fn slice<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
     let (start, end) = layout
         .contiguous_offsets()
@@ -49,7 +50,7 @@ fn slice<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
     Ok(&storage.as_slice::<f32>()?[start..end])
 }
 
-/// Gives `read` the values of a contiguous f32 CPU tensor.
+/// Calls `read` with the values of an f32 tensor. Fails if the tensor is not in CPU memory.
 fn with_values<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> Result<T>) -> Result<T> {
     let tensor = tensor.contiguous()?;
     let (storage, layout) = tensor.storage_and_layout();
@@ -59,12 +60,12 @@ fn with_values<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> Result<T>) -> Re
     }
 }
 
-/// A CPU tensor around `values`.
+/// Creates a CPU tensor of `values`.
 fn tensor(values: Vec<f32>, shape: impl Into<candle_core::Shape>) -> Result<Tensor> {
     Tensor::from_vec(values, shape.into(), &candle_core::Device::Cpu)
 }
 
-/// Threads that a matrix product may use: those of the pool that the caller runs in.
+/// Returns the number of threads that a matrix product may use: those of the caller's rayon pool.
 fn threads() -> usize {
     rayon::current_num_threads()
 }

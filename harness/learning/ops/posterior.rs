@@ -1,12 +1,13 @@
-//! Drawing from a posterior, and its divergence from the prior, as one op each.
+//! Sampling from a posterior, and its divergence from the prior, as one op each.
 
 use super::{slice, tensor, with_values};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
 use harness_kernels::{self as kernels, exp, simd};
 
-/// `mean + exp(log_variance / 2) * noise` (Kingma & Welling, 2014, equation 10).
+/// Draws latent states: `mean + exp(log_variance / 2) * noise` (Kingma & Welling, 2014, equation 10).
 ///
-/// `posterior` is `[batch, 2 * latent]`, means beside log-variances; `noise` and the result are `[batch, latent]`.
+/// `posterior` is `[batch, 2 * latent]`, the means followed by the log-variances. `noise` and the result are
+/// `[batch, latent]`.
 pub fn sample(posterior: &Tensor, noise: &Tensor) -> Result<Tensor> {
     if posterior.device().is_cpu() {
         return posterior.contiguous()?.apply_op1(Sample { noise: noise.contiguous()? });
@@ -15,8 +16,9 @@ pub fn sample(posterior: &Tensor, noise: &Tensor) -> Result<Tensor> {
     mean + ((log_variance * 0.5)?.exp()? * noise)?
 }
 
-/// Kullback-Leibler divergence from the standard normal distribution, nats, summed over the latent state and averaged
-/// over the batch (Kingma & Welling, 2014, appendix B); a scalar. `posterior` as in [`sample`].
+/// Returns the Kullback-Leibler divergence from the standard normal distribution (Kingma & Welling, 2014, appendix B).
+/// It is summed over the latent state and averaged over the batch. The result is a scalar, in nats. `posterior` is as
+/// in [`sample`].
 pub fn kl_divergence(posterior: &Tensor) -> Result<Tensor> {
     let batch = posterior.dim(0)? as f64;
     if posterior.device().is_cpu() {
@@ -27,7 +29,7 @@ pub fn kl_divergence(posterior: &Tensor) -> Result<Tensor> {
     terms.sum_all()? * (0.5 / batch)
 }
 
-/// Means and log-variances.
+/// Splits a posterior into means and log-variances.
 fn halves(posterior: &Tensor) -> Result<(Tensor, Tensor)> {
     let latent = posterior.dim(1)? / 2;
     Ok((posterior.narrow(1, 0, latent)?, posterior.narrow(1, latent, latent)?))
@@ -81,7 +83,7 @@ impl CustomOp1 for Sample {
                     for (grads, ((posterior, drawn), grad)) in grads.chunks_exact_mut(width).zip(rows) {
                         let (grad_mean, grad_log_variance) = grads.split_at_mut(latent);
                         grad_mean.copy_from_slice(grad);
-                        // exp(log_variance / 2) * noise is what was drawn, less the mean.
+                        // `drawn - mean` is `exp(log_variance / 2) * noise`.
                         for (((of, drawn), mean), grad) in
                             grad_log_variance.iter_mut().zip(drawn).zip(posterior).zip(grad)
                         {

@@ -1,14 +1,15 @@
-//! Chained convolutions over a batch of images: what the encoder's and the decoder's way through frames share.
+//! A chain of convolutions over a batch of images, which the encoder applies, and the decoder applies transposed.
 
 use harness_kernels::convolution::{Convolution, Images, Kernel, KernelSums, LANES};
 use harness_kernels::{self as kernels, PARTS};
 
-/// Convolutions from an image's own size down, each 4 x 4 with a stride of 2, the first one first.
+/// Convolutions of 4 x 4 with a stride of 2. The first one reads the frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Stack(Vec<Convolution>);
 
 impl Stack {
-    /// The convolutions from `frame_channels` channels of `side` pixels to each of `channels` in turn.
+    /// Creates the convolutions for frames with `frame_channels` channels and a side of `side` pixels. `channels` are
+    /// the output channels of each convolution.
     pub fn new(frame_channels: usize, side: usize, channels: &[usize]) -> Self {
         let mut fine = (frame_channels, side);
         let layers = channels.iter().map(|&coarse_channels| {
@@ -19,7 +20,7 @@ impl Stack {
         Self(layers.collect())
     }
 
-    /// The same stack for frames with another number of channels.
+    /// Returns the same stack for frames with another number of channels.
     pub fn with_frame_channels(&self, channels: usize) -> Self {
         let mut layers = self.0.clone();
         if let Some(first) = layers.first_mut() {
@@ -28,28 +29,30 @@ impl Stack {
         Self(layers)
     }
 
-    /// The convolutions, the first one first.
+    /// Returns the convolutions. The first one reads the frame.
     pub fn layers(&self) -> &[Convolution] {
         &self.0
     }
 
-    /// Values of an image before the first convolution.
+    /// Returns the number of values of an image before the first convolution.
     pub fn fine_len(&self) -> usize {
         self.0[0].fine_len()
     }
 
-    /// Values of an image after the last one.
+    /// Returns the number of values of an image after the last convolution.
     pub fn coarse_len(&self) -> usize {
         self.0[self.0.len() - 1].coarse_len()
     }
 
-    /// One image set a level: before the first convolution, between each two, after the last.
+    /// Creates buffers for the images at all levels: before the first convolution, between each two, and after the
+    /// last.
     pub(super) fn levels(&self) -> Vec<Images> {
         let first = self.0.first().map(Convolution::fine);
         first.into_iter().chain(self.0.iter().map(Convolution::coarse)).collect()
     }
 
-    /// Divides packed parameters into each layer's kernel and the bias of `side`, and what is left.
+    /// Splits packed parameters into each layer's kernel and bias, and returns the remaining values too. `side` says
+    /// whether the biases belong to an encoder or a decoder.
     pub(super) fn unpack<'a>(&self, side: Side, mut packed: &'a [f32]) -> (Vec<Layer<'a>>, &'a [f32]) {
         let layers = self.0.iter().map(|sizes| {
             let (kernel, rest) = packed.split_at(sizes.kernel_len());
@@ -62,12 +65,12 @@ impl Stack {
     }
 }
 
-/// Which way the convolutions are gone.
+/// The direction in which the convolutions are applied.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Side {
-    /// From fine to coarse: a bias is added to the coarse image.
+    /// From fine to coarse. The bias is added to the coarse image.
     Encoder,
-    /// From coarse to fine: a bias is added to the fine image.
+    /// From coarse to fine. The bias is added to the fine image.
     Decoder,
 }
 
@@ -88,18 +91,20 @@ pub(super) struct Layer<'a> {
     pub bias: &'a [f32],
 }
 
-/// Images in a part of a batch of so many: whole groups, so that a part depends on the batch alone.
+/// Returns the number of images in a part of a batch. A part has whole groups of [`LANES`] images, and its size depends
+/// on the batch alone.
 pub(super) fn part_len(batch: usize) -> usize {
     batch.div_ceil(PARTS).next_multiple_of(LANES)
 }
 
-/// What a part of the batch adds to the gradients of a stack's kernels and biases.
+/// Sums of the gradients of a stack's kernels and biases over one part of the batch.
 pub(super) struct StackSums {
     kernels: Vec<KernelSums>,
     biases: Vec<Vec<f32>>,
 }
 
 impl StackSums {
+    /// Creates sums of zero.
     pub fn new(stack: &Stack, side: Side) -> Self {
         Self {
             kernels: stack.0.iter().map(|sizes| KernelSums::new(*sizes)).collect(),
@@ -107,8 +112,8 @@ impl StackSums {
         }
     }
 
-    /// Adds what layer `index` contributes: the gradient of its kernel between two levels, and of its bias by the
-    /// gradient on the side where that is added.
+    /// Adds the gradients of layer `index`. One of `fine` and `coarse` is the layer's input, and the other one is the
+    /// gradient of its output. `biased` is the gradient of the image that the bias was added to.
     pub fn add(
         &mut self,
         index: usize,
@@ -121,14 +126,14 @@ impl StackSums {
         biased.add_channel_sums(&mut self.biases[index]);
     }
 
-    /// The gradients, packed as the parameters are.
+    /// Returns the gradients in the order of the packed parameters.
     pub fn packed(&self) -> Vec<f32> {
         let layers = self.kernels.iter().zip(&self.biases);
         layers.flat_map(|(kernel, bias)| kernel.total().into_iter().chain(bias.iter().copied())).collect()
     }
 }
 
-/// Adds up the packed gradients of parts, in their order.
+/// Sums the packed gradients of the parts, in their order.
 pub(super) fn sum_packed(parts: Vec<Vec<f32>>) -> Vec<f32> {
     let len = parts.first().map_or(0, Vec::len);
     kernels::sum_in_order(parts, len)

@@ -1,7 +1,8 @@
 //! Two fully connected layers with a ReLU between them, as one op.
 //!
-//! For vectors alone a network is this twice over, and a step takes a millisecond or two: what counts is how often
-//! threads meet and memory is passed. Here each thread takes rows of the batch through both layers.
+//! A network for vectors alone consists of two such pairs, and a training step takes a few milliseconds. Most of that
+//! time goes to synchronizing threads and to passes over memory. Each thread therefore takes its rows of the batch
+//! through both layers.
 
 use super::{Arithmetic, linear, slice, tensor, with_values};
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
@@ -10,19 +11,23 @@ use harness_kernels::{self as kernels, Buffer};
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
-/// Parts of the batch: a fixed number, so that gradients are always summed in the same order. Each part sums the
-/// weights' gradients by itself, so more of them cost more than they gain on a batch of a thousand.
+/// Number of parts that the batch is divided into. It is fixed, so that gradients are always summed in the same order.
+/// Each part sums the weights' gradients on its own, so with a batch of a thousand more parts cost more than they gain.
 const PARTS: usize = 4;
 
-/// Weights and biases of both layers: `[hidden, in]`, `[hidden]`, `[out, hidden]`, `[out]`.
+/// Weights and biases of both layers.
 pub struct TwoLayers<'a> {
+    /// Weight of the hidden layer, `[hidden, in]`.
     pub hidden_weight: &'a Tensor,
+    /// Bias of the hidden layer, `[hidden]`.
     pub hidden_bias: &'a Tensor,
+    /// Weight of the output layer, `[out, hidden]`.
     pub weight: &'a Tensor,
+    /// Bias of the output layer, `[out]`.
     pub bias: &'a Tensor,
 }
 
-/// `relu(x hidden_weightᵀ + hidden_bias) weightᵀ + bias`: `x` `[batch, in]`, result `[batch, out]`.
+/// Returns `relu(x hidden_weightᵀ + hidden_bias) weightᵀ + bias`, `[batch, out]`, for `x` `[batch, in]`.
 pub fn two_layers(x: &Tensor, layers: TwoLayers, arithmetic: Arithmetic) -> Result<Tensor> {
     let TwoLayers { hidden_weight, hidden_bias, weight, bias } = layers;
     if !x.device().is_cpu() {
@@ -31,7 +36,7 @@ pub fn two_layers(x: &Tensor, layers: TwoLayers, arithmetic: Arithmetic) -> Resu
     }
     let ((hidden, inputs), outputs) = (hidden_weight.dims2()?, weight.dim(0)?);
     let sizes = LayerSizes { inputs, hidden, outputs, part: x.dim(0)?.div_ceil(PARTS), arithmetic };
-    // candle gives an op three arguments at most; the parameters come as one, and so does their gradient.
+    // candle gives an op at most three arguments, so all parameters are passed as one tensor and get one gradient.
     let flat = [hidden_weight, hidden_bias, weight, bias].map(Tensor::flatten_all);
     let packed = Tensor::cat(&flat.into_iter().collect::<Result<Vec<_>>>()?, 0)?;
     x.contiguous()?.apply_op2(&packed, Op { sizes, hidden: OnceLock::new() })
@@ -39,7 +44,7 @@ pub fn two_layers(x: &Tensor, layers: TwoLayers, arithmetic: Arithmetic) -> Resu
 
 struct Op {
     sizes: LayerSizes,
-    /// The hidden layer's output `[batch, hidden]`, kept for the gradients.
+    /// The hidden layer's output, `[batch, hidden]`, kept for the backward pass.
     hidden: OnceLock<Buffer>,
 }
 
@@ -49,7 +54,7 @@ struct LayerSizes {
     inputs: usize,
     hidden: usize,
     outputs: usize,
-    /// Rows of a part.
+    /// Rows in a part of the batch.
     part: usize,
     arithmetic: Arithmetic,
 }
@@ -87,8 +92,9 @@ impl LayerSizes {
         kernels::add_bias(y, bias, false);
     }
 
-    /// Gradients for rows `x` with the hidden layer's output `hidden`, given those of the result; that of `x` goes to
-    /// `grad_x` where one is wanted.
+    /// Returns the gradient of the packed parameters for the rows `x`. `hidden` is the hidden layer's output for them,
+    /// and `grad` is the gradient of their result. The gradient of `x` is written to `grad_x`, unless `grad_x` is
+    /// empty.
     fn backward(
         self,
         x: &[f32],
@@ -132,7 +138,7 @@ impl LayerSizes {
         [part.hidden_weight, part.hidden_bias, part.weight, part.bias].concat()
     }
 
-    /// A product on this thread alone.
+    /// Computes a matrix product on the calling thread.
     fn multiply(self, a: Matrix, b: Matrix, out: &mut [f32]) {
         product(a, b, out, Accumulate::Overwrite, self.arithmetic, 1);
     }
@@ -176,7 +182,7 @@ impl CustomOp2 for Op {
             let parameters = sizes.unpack(packed);
             with_values(x, |x| {
                 with_values(grad, |grad| {
-                    // One piece a part, empty where no gradient of `x` is wanted.
+                    // One slice for each part. The slices are empty if no gradient of `x` is needed.
                     let mut pieces: Vec<&mut [f32]> = grad_x.chunks_mut(sizes.part * inputs).collect();
                     pieces.resize_with(x.len().div_ceil(sizes.part * inputs), Default::default);
                     let parts = x

@@ -1,19 +1,21 @@
-//! The mean losses of several quantities that lie side by side, as one op.
+//! The mean losses of several quantities whose columns lie side by side, as one op.
 
 use super::{slice, tensor, with_values};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
 use harness_kernels as kernels;
 use harness_spec::Loss;
 
-/// A quantity's columns, and what its errors cost.
+/// The number of columns of a quantity, and its loss.
 #[derive(Debug, Clone, Copy)]
 pub struct Quantity {
+    /// Number of columns.
     pub width: usize,
+    /// Loss of each value's error.
     pub loss: Loss,
 }
 
-/// For each of the `quantities`, which divide the columns of `predicted` and `target` `[batch, width]`, the mean loss over
-/// its columns and the batch; `[quantities]`.
+/// Returns the mean loss of each quantity over its columns and the batch, `[quantities]`. The `quantities` divide the
+/// columns of `predicted` and `target`, both `[batch, width]`, from left to right.
 pub fn vector_losses(predicted: &Tensor, target: &Tensor, quantities: &[Quantity]) -> Result<Tensor> {
     if predicted.device().is_cpu() {
         let op = VectorLosses { target: target.contiguous()?, quantities: quantities.to_vec() };
@@ -28,7 +30,7 @@ pub fn vector_losses(predicted: &Tensor, target: &Tensor, quantities: &[Quantity
     Tensor::stack(&means.collect::<Result<Vec<_>>>()?, 0)
 }
 
-/// The loss of each error by candle's operations.
+/// Computes the loss of each error with candle's operations.
 pub fn composed(loss: Loss, errors: &Tensor) -> Result<Tensor> {
     match loss {
         Loss::Squared => errors.sqr(),
@@ -41,6 +43,8 @@ pub fn composed(loss: Loss, errors: &Tensor) -> Result<Tensor> {
     }
 }
 
+/// The loss of one error. The Huber loss is twice the usual one, so that it equals the squared error up to an error of
+/// 1.
 fn value(loss: Loss, error: f64) -> f64 {
     match loss {
         Loss::Squared => error * error,
@@ -50,7 +54,7 @@ fn value(loss: Loss, error: f64) -> f64 {
     }
 }
 
-/// The derivative of [`value`]; 0 where there is none.
+/// The derivative of [`value`]; 0 where it does not exist.
 fn slope(loss: Loss, error: f32) -> f32 {
     match loss {
         Loss::Squared => 2.0 * error,
@@ -66,7 +70,7 @@ struct VectorLosses {
 }
 
 impl VectorLosses {
-    /// The loss of each column.
+    /// Returns the loss of each column.
     fn columns(&self) -> impl Iterator<Item = Loss> {
         self.quantities.iter().flat_map(|quantity| std::iter::repeat_n(quantity.loss, quantity.width))
     }
