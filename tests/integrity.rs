@@ -220,7 +220,7 @@ fn a_training_whose_state_is_damaged_begins_anew_and_comes_to_the_same_end() {
     let answer = finish(&mut harness(&results, &one));
     assert_eq!(answer.code, 0, "{}", answer.stderr);
     assert!(answer.stderr.contains("prediction.state.safetensors is damaged (epochs: "), "{}", answer.stderr);
-    assert!(answer.stderr.contains("its training begins anew"), "{}", answer.stderr);
+    assert!(answer.stderr.contains("its training starts again"), "{}", answer.stderr);
     for name in ["prediction.safetensors", "reconstruction.safetensors"] {
         assert!(
             std::fs::read(run.join(name)).unwrap()

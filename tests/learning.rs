@@ -978,7 +978,7 @@ fn a_damaged_state_is_named_and_not_used() {
             let said = listener.0.into_inner().unwrap();
             let [said] = said.as_slice() else { panic!("part {part}: {said:?}") };
             assert!(said.starts_with(&format!("{} is damaged (", path.display())), "{said}");
-            assert!(said.ends_with("its training begins anew"), "{said}");
+            assert!(said.ends_with("its training starts again"), "{said}");
         }
     }
 }

@@ -1,28 +1,28 @@
-//! Batches of frames that are made into network inputs one at a time, where they are needed.
+//! Batches of frames that are computed one frame at a time, when they are needed.
 //!
-//! A batch of 1024 normalized frames takes 50 MB; an op that asks for one frame at a time keeps it in the
-//! processor's cache instead, and nothing has to be assembled beforehand.
+//! A batch of 1024 normalized frames takes 50 MB. An op that asks for one frame at a time keeps it in the processor's
+//! cache, and no batch has to be assembled before.
 
 use candle_core::{Device, Result, Tensor};
 use std::sync::Arc;
 
 /// A batch of normalized frames, `[channels, side, side]` each.
 pub trait Frames: Send + Sync {
-    /// Frames in the batch.
+    /// Returns the number of frames in the batch.
     fn batch(&self) -> usize;
-    /// Channels of a frame.
+    /// Returns the number of channels of a frame.
     fn channels(&self) -> usize;
-    /// Side of a frame, pixels.
+    /// Returns the side of a frame in pixels.
     fn side(&self) -> usize;
-    /// Writes frame `index`, `[channels, side, side]`.
+    /// Writes frame `index`, `[channels, side, side]`, to `frame`.
     fn write(&self, index: usize, frame: &mut [f32]);
 
-    /// Values of a frame.
+    /// Returns the number of values of a frame.
     fn frame_len(&self) -> usize {
         self.channels() * self.side() * self.side()
     }
 
-    /// The whole batch as a tensor `[batch, channels, side, side]`.
+    /// Returns the whole batch as a tensor `[batch, channels, side, side]`.
     fn tensor(&self, device: &Device) -> Result<Tensor> {
         let mut values = vec![0.0; self.batch() * self.frame_len()];
         for (index, frame) in values.chunks_exact_mut(self.frame_len()).enumerate() {
@@ -32,7 +32,7 @@ pub trait Frames: Send + Sync {
     }
 }
 
-/// Frames that already lie in memory as `f32`, `[batch, channels, side, side]`.
+/// Frames that are in memory as `f32`, `[batch, channels, side, side]`.
 pub struct DenseFrames {
     values: Vec<f32>,
     channels: usize,
@@ -40,7 +40,7 @@ pub struct DenseFrames {
 }
 
 impl DenseFrames {
-    /// From a tensor `[batch, channels, side, side]`.
+    /// Copies the values of a tensor `[batch, channels, side, side]`.
     pub fn new(frames: &Tensor) -> Result<Self> {
         let (_, channels, side, _) = frames.dims4()?;
         Ok(Self { values: frames.flatten_all()?.to_vec1()?, channels, side })
@@ -62,15 +62,16 @@ impl Frames for DenseFrames {
     }
 }
 
-/// Frames of which squares of pixels are averaged.
+/// Frames that are averaged over squares of pixels.
 pub struct Averaged {
     frames: Arc<dyn Frames>,
-    /// Side of a square, pixels.
+    /// Side of a square in pixels.
     by: usize,
 }
 
 impl Averaged {
-    /// `frames` averaged over squares of `by` pixels, which must divide their side; themselves where `by` is 1.
+    /// Averages `frames` over squares with a side of `by` pixels, which must divide the frames' side. Returns `frames`
+    /// if `by` is 1.
     pub fn over(frames: Arc<dyn Frames>, by: usize) -> Arc<dyn Frames> {
         if by == 1 { frames } else { Arc::new(Self { frames, by }) }
     }

@@ -1,4 +1,4 @@
-//! The state of a training on disk: enough to go on as if it had never stopped.
+//! The state of a training on disk. A training that is resumed from it gives the same result as one without a break.
 
 use super::LearningError;
 use super::network::Parameters;
@@ -14,28 +14,29 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// A state is saved after an epoch when the last save took less than this share of the time since.
+/// The state is saved after an epoch if the last save took less than this share of the time since then.
 const SAVE_SHARE: f64 = 0.02;
-/// Keys of the epochs so far, and of the optimiser's step, in the file's note.
+/// Keys in the file's note: the epochs so far, and the number of the optimizer's steps.
 const EPOCHS: &str = "epochs";
 const STEPS: &str = "steps";
 
-/// How far a training is.
+/// The progress of a training.
 #[derive(Default)]
 pub struct State {
+    /// Losses of the epochs so far, in order.
     pub epochs: Vec<Epoch>,
     /// The parameters of the epoch with the lowest validation loss.
     best: BTreeMap<String, Tensor>,
 }
 
 impl State {
-    /// The epoch, counted from 1, with the lowest validation loss; 0 before the first.
+    /// Returns the epoch with the lowest validation loss, counted from 1; 0 before the first epoch.
     pub fn best_epoch(&self) -> usize {
         self.best_epoch_of(TOTAL)
     }
 
-    /// The last epoch, counted from 1, that brought some output modality's validation error to its lowest value so far; 0
-    /// before the first.
+    /// Returns the last epoch, counted from 1, in which the validation error of some output modality reached a new
+    /// minimum; 0 before the first epoch.
     pub fn last_improvement(&self) -> usize {
         let terms = self.epochs.first().map(|epoch| epoch.validation.keys()).into_iter().flatten();
         let outputs = terms.filter(|term| ![TOTAL, KL].contains(&term.as_str()));
@@ -65,46 +66,48 @@ impl State {
     }
 }
 
-/// Deep copies of parameters, which are otherwise changed in place.
+/// Returns deep copies of the parameters, because training changes the parameters in place.
 pub fn copies(parameters: &Parameters) -> CandleResult<BTreeMap<String, Tensor>> {
     parameters.iter().map(|(name, var)| Ok((name.clone(), var.as_tensor().detach().copy()?))).collect()
 }
 
-/// Where a training's state is kept.
+/// The file in which a training's state is saved.
 ///
-/// How often it is saved follows from how long that takes: what is lost at most when a training is killed is an epoch,
-/// or fifty times what a save takes if that is longer. A training that is cancelled loses no whole epoch.
+/// The time between saves follows from the duration of a save. A killed training loses at most one epoch, or fifty
+/// times the duration of a save if that is longer. A cancelled training loses no complete epoch.
 pub struct StateFile {
     path: Option<PathBuf>,
-    /// Time between two saves, from the end of the last.
+    /// Least time from the end of one save to the next save.
     interval: Cell<Duration>,
+    /// Whether the caller has set `interval`.
     fixed: bool,
+    /// End of the last save.
     saved: Cell<Instant>,
-    /// What the file would hold had the last epoch been saved, where it was not.
+    /// Contents of the last epoch's state, if that was not saved.
     kept: RefCell<Option<TensorFile>>,
 }
 
 impl StateFile {
-    /// In a file.
+    /// Saves the state in the file `path`.
     pub fn at(path: PathBuf) -> Self {
         Self { path: Some(path), ..Self::none() }
     }
 
-    /// Nowhere: the training can't be resumed.
+    /// Saves nothing, so the training can't be resumed.
     pub fn none() -> Self {
         let (interval, saved) = (Cell::default(), Cell::new(Instant::now()));
         Self { path: None, interval, fixed: false, saved, kept: RefCell::default() }
     }
 
-    /// Saved this often, however long it takes.
+    /// Saves the state at this interval, however long a save takes.
     pub fn every(self, interval: Duration) -> Self {
         Self { interval: Cell::new(interval), fixed: true, ..self }
     }
 
     /// Loads the state of an unfinished training into `parameters` and `adam`, if there is one.
     ///
-    /// A state that is not as it was written is left alone and said so: the training begins anew, which costs time
-    /// and nothing else, since it comes to the same end.
+    /// A damaged state is reported and ignored. The training then starts again, which costs time but gives the same
+    /// result.
     pub fn resume(
         &self,
         parameters: &Parameters,
@@ -114,7 +117,7 @@ impl StateFile {
         let Some(path) = self.path.as_ref().filter(|path| path.exists()) else { return Ok(None) };
         let saved = match TensorFile::read(path).and_then(|file| Saved::find(path, &file, parameters)) {
             Err(LearningError::Damaged { path, reason }) => {
-                progress.say(&format!("{} is damaged ({reason}); its training begins anew", path.display()));
+                progress.say(&format!("{} is damaged ({reason}); its training starts again", path.display()));
                 return Ok(None);
             }
             saved => saved?,
@@ -126,7 +129,7 @@ impl StateFile {
         Ok(Some(saved.state))
     }
 
-    /// Saves the state if the last save is long enough ago, and otherwise keeps it in memory.
+    /// Saves the state if the time between saves has passed. Otherwise keeps it in memory.
     pub fn save_now_and_then(
         &self,
         state: &State,
@@ -140,7 +143,7 @@ impl StateFile {
         if self.saved.get().elapsed() >= self.interval.get() { self.save_kept() } else { Ok(()) }
     }
 
-    /// Saves the state of the last epoch unless it is saved already.
+    /// Saves the state of the last epoch, unless it has been saved already.
     pub fn save_kept(&self) -> Result<(), LearningError> {
         let (Some(path), Some(kept)) = (&self.path, self.kept.take()) else { return Ok(()) };
         let begin = Instant::now();
@@ -153,9 +156,9 @@ impl StateFile {
     }
 }
 
-/// What a state's file holds, with the shapes that the training expects.
+/// Contents of a state file. All tensors have the shapes that the training expects.
 struct Saved {
-    /// In the order of the parameters, as the moments are.
+    /// In the order of the parameters, like the moments.
     parameters: Vec<Tensor>,
     /// Mean and mean square of each parameter's gradient.
     moments: Vec<(Tensor, Tensor)>,
@@ -181,7 +184,7 @@ impl Saved {
     }
 }
 
-/// What a state's file is to hold; nothing of it changes with the parameters.
+/// Returns the contents of a state file. Its tensors are copies, so later steps do not change them.
 fn contents(state: &State, parameters: &Parameters, adam: &Adam) -> CandleResult<TensorFile> {
     let mut tensors = HashMap::new();
     for ((name, parameter), (mean, square)) in copies(parameters)?.into_iter().zip(adam.moments()?) {

@@ -1,4 +1,4 @@
-//! From a latent state, and an action, to an observation.
+//! Decoders: from a latent state and an action to an observation.
 
 use super::layers::{Builder, FrameOutput, Perceptron};
 use super::{Architecture, Decoded, Decoder, LayerSummary, Targets, Term};
@@ -6,7 +6,7 @@ use crate::ops::{Quantity, Stack, frame_decoder, frame_loss, vector_losses};
 use candle_core::{Result, Tensor};
 use harness_spec::{Fusion, Modality};
 
-/// The decoder that an architecture describes.
+/// Builds the decoder that an architecture describes.
 pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Result<Box<dyn Decoder>> {
     let vector = architecture.vector_width(&architecture.output);
     let (channels, side) = architecture.images(&architecture.output);
@@ -44,29 +44,30 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
     }))
 }
 
-/// The vectors that are predicted, side by side, with their widths.
+/// Returns the vectors that are predicted, side by side, with their widths.
 fn vectors_of(architecture: &Architecture) -> Vec<(Modality, usize)> {
     let vectors = architecture.output.iter().filter(|modality| !architecture.is_image(**modality));
     vectors.map(|modality| (*modality, architecture.layout[*modality].width())).collect()
 }
 
-/// Hidden layers, shared by vectors and frames or one series each, then the vectors and the frames.
+/// Hidden layers, which vectors and frames share or have separately, and the output layers of both.
 struct PerceptronDecoder {
-    /// The vectors that are predicted, side by side, with their widths.
+    /// The predicted vectors with their widths. They lie side by side.
     vectors_of: Vec<(Modality, usize)>,
     /// Hidden layers that vectors and frames share.
     shared: Option<Perceptron>,
-    /// To the vectors, from what is shared or from the latent state.
+    /// Layers that predict the vectors from the shared layers' output, or from the latent state and the action.
     vectors: Option<Perceptron>,
-    /// Hidden layers of the frames alone.
+    /// Hidden layers for the frames alone.
     frame_hidden: Option<Perceptron>,
     frames: Option<FrameOutput>,
 }
 
-/// What the last layers are given.
+/// Inputs of the layers that vectors and frames do not share.
 struct Hidden {
-    /// For the vectors, all but the last of whose layers may still follow.
+    /// Input of the vectors' layers.
     vectors: Tensor,
+    /// Input of the frames' fully connected output layer.
     frames: Tensor,
 }
 

@@ -1,4 +1,4 @@
-//! From an observation to a posterior.
+//! Encoders: from an observation to a posterior.
 
 use super::layers::{Builder, Dense, FrameInput, Norm, Perceptron, numbered};
 use super::{Architecture, Encoder, LayerSummary, Observation, Posterior};
@@ -8,7 +8,7 @@ use candle_core::{Result, Tensor};
 use harness_spec::Fusion;
 use std::sync::Arc;
 
-/// The encoder that an architecture describes.
+/// Builds the encoder that an architecture describes.
 pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Result<Box<dyn Encoder>> {
     let vector = architecture.vector_width(&architecture.input);
     let (channels, _) = architecture.images(&architecture.input);
@@ -19,7 +19,7 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
     })
 }
 
-/// Convolutions of frames with `channels` channels, and the weight of the fully connected layer behind them.
+/// Builds the convolutions for frames with `channels` channels, and the weight of the fully connected layer after them.
 fn frame_input(
     architecture: &Architecture,
     channels: usize,
@@ -36,7 +36,7 @@ fn frame_input(
     Ok(FrameInput { stack, average, convolutions, weight, arithmetic: architecture.arithmetic })
 }
 
-/// Appends all hidden layers but the first, and the posterior's layer.
+/// Appends all hidden layers except the first, and the layer of the posterior.
 fn to_posterior(
     mut layers: Perceptron,
     architecture: &Architecture,
@@ -52,11 +52,11 @@ fn to_posterior(
     Ok(layers.then("posterior", last))
 }
 
-/// What an observation lacks is a mistake of the caller.
+/// Returns the part of an observation. Fails if the caller did not supply it.
 fn given<T>(part: &Option<T>) -> Result<&T> {
     match part {
         Some(part) => Ok(part),
-        None => candle_core::bail!("the observation lacks what the encoder is given"),
+        None => candle_core::bail!("the observation lacks a part that the encoder needs"),
     }
 }
 
@@ -66,7 +66,7 @@ struct VectorEncoder(Perceptron);
 impl VectorEncoder {
     fn new(architecture: &Architecture, vector: usize, builder: &mut Builder) -> Result<Self> {
         let hidden = &architecture.network.hidden;
-        // The first layer's two names are those that it has beside frames.
+        // The parameters have the same names as those of the first layer in an encoder with frames.
         let first = Dense {
             weight: builder.uniform("hidden_vector.weight", &[hidden[0], vector], vector)?,
             bias: builder.uniform("hidden.bias", &[hidden[0]], vector)?,
@@ -90,15 +90,15 @@ impl Encoder for VectorEncoder {
     }
 }
 
-/// Frames and vectors meet in the first fully connected layer.
+/// Joins frames and vectors in the first fully connected layer.
 struct EarlyEncoder {
     frames: FrameInput,
-    /// The first layer's weights for the vectors, where there are any. Frames and vectors are two blocks of one layer,
-    /// each initialised by its own fan-in. By their joint one, a few joint angles would begin unheard among thousands of
-    /// pixels' values.
+    /// Weight of the first layer for the vectors, if there are any. Frames and vectors are two blocks of one layer, and
+    /// each is initialized by its own fan-in. With a joint fan-in, a few joint angles would initially have little
+    /// weight next to thousands of image values.
     vector: Option<Tensor>,
     bias: Tensor,
-    /// The other hidden layers and the posterior's.
+    /// The other hidden layers and the layer of the posterior.
     rest: Perceptron,
 }
 
@@ -157,7 +157,7 @@ impl Encoder for EarlyEncoder {
     }
 }
 
-/// An encoder each for frames and vectors; their outputs are normalized, and one more layer joins them.
+/// Encodes frames and vectors separately, normalizes both results, and joins them in one more layer.
 struct LateEncoder {
     vector: Option<(Perceptron, Norm)>,
     frames: Option<LateFrames>,
@@ -166,6 +166,7 @@ struct LateEncoder {
     arithmetic: Arithmetic,
 }
 
+/// The layers for frames in a [`LateEncoder`].
 struct LateFrames {
     input: FrameInput,
     bias: Tensor,

@@ -1,4 +1,4 @@
-//! The layers that encoders and decoders are made of.
+//! The layers of encoders and decoders.
 
 use super::{LayerSummary, Parameters};
 use crate::frames::{Averaged, Frames};
@@ -7,22 +7,24 @@ use crate::random::Random;
 use candle_core::{DType, Device, Result, Tensor, Var};
 use std::sync::Arc;
 
-/// Added to the variance that layer normalization divides by.
+/// Added to the variance in layer normalization, so that the divisor is not zero.
 const NORM_EPSILON: f32 = 1e-5;
 
-/// Makes a network's parameters.
+/// Creates a network's parameters.
 pub struct Builder<'a> {
+    /// What is created for each parameter.
     pub made: Made<'a>,
-    /// What names begin with: `encoder` or `decoder`.
+    /// First part of the parameters' names: `encoder` or `decoder`.
     pub prefix: &'static str,
+    /// How matrix products are computed.
     pub arithmetic: Arithmetic,
 }
 
-/// What is made of each parameter.
+/// What is created for each parameter.
 pub enum Made<'a> {
-    /// A variable that joins `parameters`.
+    /// A variable, which is added to `parameters`.
     Variables { parameters: &'a mut Parameters, random: &'a mut Random, device: &'a Device },
-    /// A tensor of its shape that takes no memory, for who wants to know the layers alone.
+    /// A tensor of the same shape that takes no memory, for listing the layers.
     Shapes,
 }
 
@@ -43,12 +45,12 @@ impl Builder<'_> {
         Ok(tensor)
     }
 
-    /// A parameter, uniform in ±1/√`fan_in`: PyTorch's default for linear and convolutional layers.
+    /// Creates a parameter with values uniform in ±1/√`fan_in`, PyTorch's default for linear and convolutional layers.
     pub fn uniform(&mut self, name: &str, shape: &[usize], fan_in: usize) -> Result<Tensor> {
         self.insert(name, shape, |random, len| random.uniform(len, 1.0 / (fan_in as f32).sqrt()))
     }
 
-    /// A fully connected layer.
+    /// Creates a fully connected layer.
     pub fn dense(&mut self, name: &str, inputs: usize, outputs: usize) -> Result<Dense> {
         Ok(Dense {
             weight: self.uniform(&format!("{name}.weight"), &[outputs, inputs], inputs)?,
@@ -56,8 +58,8 @@ impl Builder<'_> {
         })
     }
 
-    /// Fully connected layers of the given widths, the first of which is that of the input, called `name`, `name2`, and
-    /// so on.
+    /// Creates fully connected layers named `name`, `name2`, and so on. `widths` are the widths of the input and of
+    /// each layer.
     pub fn perceptron(&mut self, name: &str, widths: &[usize]) -> Result<Perceptron> {
         let layers = widths.windows(2).enumerate().map(|(index, pair)| {
             let name = numbered(name, index);
@@ -66,7 +68,7 @@ impl Builder<'_> {
         Ok(Perceptron { layers: layers.collect::<Result<_>>()?, arithmetic: self.arithmetic })
     }
 
-    /// A layer normalization.
+    /// Creates a layer normalization.
     pub fn norm(&mut self, name: &str, width: usize) -> Result<Norm> {
         Ok(Norm {
             weight: self.insert(&format!("{name}.weight"), &[width], |_, len| vec![1.0; len])?,
@@ -74,7 +76,7 @@ impl Builder<'_> {
         })
     }
 
-    /// Convolutions of an encoder, called `conv`, `conv2`, and so on.
+    /// Creates the convolutions of an encoder, named `conv`, `conv2`, and so on.
     pub fn convolutions(&mut self, stack: &Stack) -> Result<Vec<Dense>> {
         let layers = stack.layers().iter().enumerate().map(|(index, sizes)| {
             let (coarse, fine) = (sizes.coarse_channels, sizes.fine_channels);
@@ -83,10 +85,11 @@ impl Builder<'_> {
         layers.collect()
     }
 
-    /// Transposed convolutions of a decoder, the one next to the frame first, called as the encoder's.
+    /// Creates the transposed convolutions of a decoder, named like those of the encoder. The first one produces the
+    /// frame.
     pub fn transposed_convolutions(&mut self, stack: &Stack) -> Result<Vec<Dense>> {
         let layers = stack.layers().iter().enumerate().map(|(index, sizes)| {
-            // A transposed convolution's fan-in, as PyTorch counts it, is taken over its output channels.
+            // PyTorch computes the fan-in of a transposed convolution from its output channels.
             let (coarse, fine) = (sizes.coarse_channels, sizes.fine_channels);
             self.convolution(index, [coarse, fine], fine, fine)
         });
@@ -108,27 +111,31 @@ impl Builder<'_> {
     }
 }
 
-/// `name`, `name2`, `name3`, and so on.
+/// Returns `name`, `name2`, `name3`, and so on, for `index` 0, 1, 2.
 pub fn numbered(name: &str, index: usize) -> String {
     if index == 0 { name.to_owned() } else { format!("{name}{}", index + 1) }
 }
 
 /// Weight and bias of a fully connected layer or of a convolution.
 pub struct Dense {
+    /// `[outputs, inputs]`, or `[channels, channels before, 4, 4]` for a convolution.
     pub weight: Tensor,
+    /// `[outputs]`, or one value a channel of the convolution's output.
     pub bias: Tensor,
 }
 
 impl Dense {
+    /// Returns the same layer without gradients.
     pub fn detached(&self) -> Self {
         Self { weight: self.weight.detach(), bias: self.bias.detach() }
     }
 
-    /// `x weightᵀ + bias`, then ReLU if `relu`.
+    /// Returns `x weightᵀ + bias`, with a ReLU if `relu`.
     pub fn forward(&self, x: &Tensor, relu: bool, arithmetic: Arithmetic) -> Result<Tensor> {
         linear(x, &self.weight, &self.bias, relu, arithmetic)
     }
 
+    /// Summarizes a fully connected layer.
     pub fn summary(&self, name: &str) -> Result<LayerSummary> {
         Ok(LayerSummary {
             name: name.to_owned(),
@@ -145,12 +152,13 @@ pub struct Perceptron {
 }
 
 impl Perceptron {
+    /// Returns the same layers without gradients.
     pub fn detached(&self) -> Self {
         let layers = self.layers.iter().map(|(name, layer)| (name.clone(), layer.detached()));
         Self { layers: layers.collect(), arithmetic: self.arithmetic }
     }
 
-    /// No layers yet.
+    /// Returns a perceptron without layers.
     pub fn empty(arithmetic: Arithmetic) -> Self {
         Self { layers: Vec::new(), arithmetic }
     }
@@ -161,7 +169,7 @@ impl Perceptron {
         self
     }
 
-    /// The last layer's output, with a ReLU if `relu`.
+    /// Returns the last layer's output, with a ReLU if `relu`.
     pub fn forward(&self, x: &Tensor, relu: bool) -> Result<Tensor> {
         if let ([(_, hidden), (_, last)], false) = (self.layers.as_slice(), relu) {
             let layers = TwoLayers {
@@ -179,40 +187,45 @@ impl Perceptron {
         Ok(x)
     }
 
+    /// Summarizes each layer.
     pub fn summary(&self) -> Result<Vec<LayerSummary>> {
         self.layers.iter().map(|(name, layer)| layer.summary(name)).collect()
     }
 }
 
-/// Layer normalization (Ba, Kiros & Hinton, 2016): each row to mean 0 and variance 1, then a factor and a bias a column.
+/// Layer normalization (Ba, Kiros & Hinton, 2016). Each row is normalized to mean 0 and variance 1. Each column is then
+/// multiplied by its weight, and its bias is added.
 pub struct Norm {
     weight: Tensor,
     bias: Tensor,
 }
 
 impl Norm {
+    /// Returns the same layer without gradients.
     pub fn detached(&self) -> Self {
         Self { weight: self.weight.detach(), bias: self.bias.detach() }
     }
 
+    /// Returns the normalized rows of `x` `[batch, width]`.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        // The other form in candle-nn has no gradient.
+        // candle-nn's other layer normalization has no gradient.
         candle_nn::ops::layer_norm_slow(x, &self.weight, &self.bias, NORM_EPSILON)
     }
 
+    /// Summarizes the layer.
     pub fn summary(&self, name: &str) -> Result<LayerSummary> {
         let width = self.weight.dim(0)?;
         Ok(LayerSummary { name: name.to_owned(), output: vec![width], parameters: 2 * width })
     }
 }
 
-/// The parameters of convolutions, one after the other.
+/// Concatenates the parameters of convolutions and `last`, flattened.
 fn pack<'a>(convolutions: impl Iterator<Item = &'a Dense>, last: Option<&Tensor>) -> Result<Tensor> {
     let tensors = convolutions.flat_map(|layer| [&layer.weight, &layer.bias]).chain(last);
     Tensor::cat(&tensors.map(Tensor::flatten_all).collect::<Result<Vec<_>>>()?, 0)
 }
 
-/// Names of the convolutions, their output and their parameters, by the side that `coarse` says.
+/// Summarizes convolutions. If `coarse`, their output is the coarse image, otherwise the fine image.
 fn convolution_summaries(stack: &Stack, layers: &[Dense], coarse: bool) -> Vec<LayerSummary> {
     let of = stack.layers().iter().zip(layers).enumerate().map(|(index, (sizes, layer))| LayerSummary {
         name: numbered("conv", index),
@@ -226,18 +239,22 @@ fn convolution_summaries(stack: &Stack, layers: &[Dense], coarse: bool) -> Vec<L
     of.collect()
 }
 
-/// Convolutions of frames, and the product of the fully connected layer behind them.
+/// Convolutions of frames, and the weight of the fully connected layer after them.
 pub struct FrameInput {
+    /// Sizes of the convolutions.
     pub stack: Stack,
-    /// Frames are averaged over squares of so many pixels first.
+    /// Frames are first averaged over squares with this side in pixels.
     pub average: usize,
+    /// Kernels and biases of the convolutions.
     pub convolutions: Vec<Dense>,
-    /// `[outputs, values of the last convolution]`.
+    /// Weight of the fully connected layer, `[outputs, values of the last convolution]`.
     pub weight: Tensor,
+    /// How matrix products are computed.
     pub arithmetic: Arithmetic,
 }
 
 impl FrameInput {
+    /// Returns the same layers without gradients.
     pub fn detached(&self) -> Self {
         Self {
             stack: self.stack.clone(),
@@ -248,28 +265,33 @@ impl FrameInput {
         }
     }
 
-    /// The product, without a bias: `[batch, outputs]`.
+    /// Returns the output of the fully connected layer without its bias, `[batch, outputs]`.
     pub fn forward(&self, frames: &Arc<dyn Frames>, dropout: Option<Dropout>) -> Result<Tensor> {
         let frames = Averaged::over(frames.clone(), self.average);
         let packed = pack(self.convolutions.iter(), None)?;
         frame_encoder(frames, &self.stack, &packed, &self.weight, self.arithmetic, dropout)
     }
 
+    /// Summarizes the convolutions.
     pub fn summary(&self) -> Vec<LayerSummary> {
         convolution_summaries(&self.stack, &self.convolutions, true)
     }
 }
 
-/// A fully connected layer and transposed convolutions to frames.
+/// A fully connected layer and transposed convolutions, which produce frames.
 pub struct FrameOutput {
+    /// Sizes of the convolutions.
     pub stack: Stack,
-    /// Those of the stack, in its order: the last one is applied first.
+    /// Kernels and biases in the stack's order. The last one is applied first.
     pub convolutions: Vec<Dense>,
+    /// The fully connected layer.
     pub dense: Dense,
+    /// How matrix products are computed.
     pub arithmetic: Arithmetic,
 }
 
 impl FrameOutput {
+    /// Returns the same layers without gradients.
     pub fn detached(&self) -> Self {
         Self {
             stack: self.stack.clone(),
@@ -279,7 +301,7 @@ impl FrameOutput {
         }
     }
 
-    /// The way from the hidden layer to `channels` channels of the frames, from `first` on.
+    /// Returns the parameters that produce `channels` channels of the frames, starting at channel `first`.
     pub fn decoder(&self, first: usize, channels: usize) -> Result<FrameDecoder> {
         let (frame, others) = self.convolutions.split_first().expect("a stack has a convolution");
         let frame = Dense {
@@ -291,6 +313,7 @@ impl FrameOutput {
         Ok(FrameDecoder { stack, weight: self.dense.weight.clone(), packed, arithmetic: self.arithmetic })
     }
 
+    /// Summarizes the layers in the order in which they are applied.
     pub fn summary(&self) -> Result<Vec<LayerSummary>> {
         let mut layers = vec![self.dense.summary("frame")?];
         layers.extend(convolution_summaries(&self.stack, &self.convolutions, false).into_iter().rev());

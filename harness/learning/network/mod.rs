@@ -1,9 +1,8 @@
 //! The conditional variational auto-encoder: encoder, posterior, decoder.
 //!
-//! Source: the paper's learning architecture (sections II and IV-A). The encoder maps an observation to a
-//! diagonal Gaussian over the latent state; the decoder maps a latent state and an action to the next
-//! observation. [`Architecture`] says of which layers they are made; whoever trains or uses them knows the traits
-//! [`Encoder`] and [`Decoder`] alone.
+//! Source: sections II and IV-A of the paper. The encoder maps an observation to a diagonal Gaussian distribution over
+//! the latent state. The decoder maps a latent state and an action to the next observation. [`Architecture`] describes
+//! their layers. Training and prediction use only the traits [`Encoder`] and [`Decoder`].
 
 mod decoder;
 mod encoder;
@@ -18,27 +17,29 @@ use layers::{Builder, Made};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Named parameters, in the order of their names.
+/// Parameters by name, sorted by name.
 pub type Parameters = BTreeMap<String, Var>;
 
-/// What decides a network's parameters, and how it is computed.
+/// Everything that determines a network's parameters and how it is computed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Architecture {
-    /// What the encoder is given.
+    /// Modalities of the encoder's input.
     pub input: Vec<Modality>,
-    /// What the decoder predicts.
+    /// Modalities that the decoder predicts.
     pub output: Vec<Modality>,
-    /// What is known of both.
+    /// Definitions of the modalities and of the action.
     pub layout: Arc<Layout>,
+    /// Size of the latent state.
     pub latent: usize,
-    /// Width of the condition; 0 for a decoder without one.
+    /// Width of the action that the decoder gets; 0 for a decoder without an action.
     pub action: usize,
-    /// Layers and their widths.
+    /// The kinds of layers and their widths.
     pub network: Network,
+    /// How matrix products are computed.
     pub arithmetic: Arithmetic,
 }
 
-/// The network that a run trains for a task on a dataset of this layout.
+/// Returns the network that a run trains for `task` on a dataset with this layout.
 pub fn architecture(spec: &RunSpec, layout: &Arc<Layout>, task: Task) -> Architecture {
     let (output, action) = match task {
         Task::Prediction => (&spec.output, layout.action().len()),
@@ -56,7 +57,7 @@ pub fn architecture(spec: &RunSpec, layout: &Arc<Layout>, task: Task) -> Archite
 }
 
 impl Architecture {
-    /// A new encoder; its parameters join `parameters` as `encoder.…`.
+    /// Creates an encoder. Its parameters are added to `parameters`, under names that begin with `encoder.`.
     pub fn encoder(
         &self,
         parameters: &mut Parameters,
@@ -66,7 +67,7 @@ impl Architecture {
         encoder::build(self, &mut self.builder("encoder", Made::Variables { parameters, random, device }))
     }
 
-    /// A new decoder; its parameters join `parameters` as `decoder.…`.
+    /// Creates a decoder. Its parameters are added to `parameters`, under names that begin with `decoder.`.
     pub fn decoder(
         &self,
         parameters: &mut Parameters,
@@ -76,7 +77,7 @@ impl Architecture {
         decoder::build(self, &mut self.builder("decoder", Made::Variables { parameters, random, device }))
     }
 
-    /// All layers of the encoder and of the decoder, in the order in which they are applied. No parameter is made.
+    /// Lists all layers of the encoder and the decoder in the order in which they are applied. Creates no parameters.
     pub fn summary(&self) -> Result<Summary> {
         Ok(Summary {
             encoder: encoder::build(self, &mut self.builder("encoder", Made::Shapes))?.layers()?,
@@ -98,68 +99,72 @@ impl Architecture {
         self.layout[modality].is_image()
     }
 
-    /// Values of all vectors among `modalities`.
+    /// Returns the total width of all vectors among `modalities`.
     fn vector_width(&self, modalities: &[Modality]) -> usize {
         let vectors = modalities.iter().filter(|modality| !self.is_image(**modality));
         vectors.map(|modality| self.layout[*modality].width()).sum()
     }
 
-    /// Channels of all images among `modalities`, and the side that they share; 0 where there are none.
+    /// Returns the number of channels of all images among `modalities`, and their common side in pixels. Both are 0 if
+    /// there are no images.
     fn images(&self, modalities: &[Modality]) -> (usize, usize) {
         let images = modalities.iter().filter_map(|modality| self.layout[*modality].size());
         images.fold((0, 0), |(channels, _), [side, _]| (channels + IMAGE_CHANNELS, side))
     }
 }
 
-/// From an observation to a posterior over the latent state.
+/// Maps an observation to a posterior over the latent state.
 pub trait Encoder: Send + Sync {
-    /// The posterior of a batch, where `dropout` leaves out some of what the convolutions make of the frames.
+    /// Returns the posterior of a batch. `dropout` is applied to the output of the convolutions.
     fn encode_with_dropout(&self, observation: &Observation, dropout: Option<Dropout>) -> Result<Posterior>;
 
-    /// The posterior of a batch.
+    /// Returns the posterior of a batch, without dropout.
     fn encode(&self, observation: &Observation) -> Result<Posterior> {
         self.encode_with_dropout(observation, None)
     }
 
-    /// The same encoder over the same parameters, for which no gradients are computed.
+    /// Returns the same encoder over the same parameters, for which no gradients are computed.
     fn detached(&self) -> Box<dyn Encoder>;
 
-    /// Its layers, in the order in which they are applied.
+    /// Returns the layers in the order in which they are applied.
     fn layers(&self) -> Result<Vec<LayerSummary>>;
 }
 
-/// From a latent state, and an action where it has one, to an observation.
+/// Maps a latent state, and an action if the decoder has one, to an observation.
 pub trait Decoder: Send + Sync {
-    /// The normalized observation, without gradients for frames.
+    /// Returns the normalized observation. On the CPU its frames have no gradient.
     fn decode(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Decoded>;
 
-    /// The mean loss of every output modality against `targets`, on normalized values.
+    /// Returns the mean loss of every output modality against `targets`, on normalized values.
     fn losses(&self, latent: &Tensor, action: Option<&Tensor>, targets: &Targets) -> Result<Vec<Term>>;
 
-    /// The same decoder over the same parameters, for which no gradients are computed.
+    /// Returns the same decoder over the same parameters, for which no gradients are computed.
     fn detached(&self) -> Box<dyn Decoder>;
 
-    /// Its layers, in the order in which they are applied.
+    /// Returns the layers in the order in which they are applied.
     fn layers(&self) -> Result<Vec<LayerSummary>>;
 }
 
-/// A layer as people want to know it.
+/// A layer's name, output shape and size, for display.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LayerSummary {
-    /// As its parameters are called, without what all of an encoder's or a decoder's have before it.
+    /// Name of the layer's parameters, without the part that all of an encoder's or a decoder's parameters have in
+    /// common.
     pub name: String,
     /// Shape of one sample's output: `[width]` or `[channels, rows, columns]`.
     pub output: Vec<usize>,
-    /// Parameters, weights and biases together.
+    /// Number of weights and biases.
     pub parameters: usize,
 }
 
 /// The layers of a network.
 #[derive(Debug, Clone, PartialEq, Eq)]
+/// Layers of the encoder, in the order in which they are applied.
 pub struct Summary {
     pub encoder: Vec<LayerSummary>,
+    /// Layers of the decoder, in the order in which they are applied.
     pub decoder: Vec<LayerSummary>,
-    /// Values of one sample's input and output.
+    /// Number of values in one sample's input and output.
     observed: usize,
 }
 
@@ -168,80 +173,86 @@ impl Summary {
         self.encoder.iter().chain(&self.decoder)
     }
 
-    /// Values that are trained, of the encoder and the decoder.
+    /// Returns the number of trained values in the encoder and the decoder.
     pub fn parameters(&self) -> usize {
         self.layers().map(|layer| layer.parameters).sum()
     }
 
-    /// Values that all layers together make of one sample, what goes in and comes out included.
+    /// Returns the number of values that all layers produce for one sample, including the input and output.
     pub fn activations(&self) -> usize {
         self.observed + self.layers().map(|layer| layer.output.iter().product::<usize>()).sum::<usize>()
     }
 }
 
-/// What a decoder makes of a batch, normalized.
+/// A decoder's output for a batch, normalized.
 pub struct Decoded {
-    /// Vectors side by side `[batch, width]`.
+    /// Vectors side by side, `[batch, width]`.
     pub vector: Option<Tensor>,
-    /// Frames stacked by channel `[batch, channels, side, side]`.
+    /// Frames stacked by channel, `[batch, channels, side, side]`.
     pub frames: Option<Tensor>,
 }
 
-/// One named term of a loss: the mean loss of a modality, a scalar.
+/// The loss of one output modality.
 pub struct Term {
+    /// The output modality.
     pub modality: Modality,
+    /// Mean loss over the batch, a scalar.
     pub value: Tensor,
 }
 
-/// What a decoder should have predicted, normalized: the vectors side by side, and the frames of each frame modality on
-/// their own, all in the order of the output.
+/// The normalized observation that a decoder should predict. All modalities have the order of the output.
 pub struct Targets {
+    /// Vectors side by side, `[batch, width]`.
     pub vector: Option<Tensor>,
-    /// What the errors of the vectors' modalities cost; squared where nothing is said. Those of frames are squared.
+    /// Loss of each vector modality. Modalities that are not listed, and all frames, use the squared error.
     pub losses: BTreeMap<Modality, Loss>,
+    /// The frames of each image modality.
     pub frames: Vec<(Modality, Arc<dyn Frames>)>,
 }
 
-/// An observation of a batch, normalized: vectors side by side `[batch, width]`, frames stacked by channel.
+/// A normalized observation of a batch.
 #[derive(Clone)]
 pub struct Observation {
+    /// Vectors side by side, `[batch, width]`; `None` if there are none.
     pub vector: Option<Tensor>,
+    /// Frames stacked by channel; `None` if there are none.
     pub frames: Option<Arc<dyn Frames>>,
 }
 
-/// A diagonal Gaussian over the latent state: means beside log-variances, `[batch, 2 * latent]`.
+/// A diagonal Gaussian distribution over the latent state: the means followed by the log-variances,
+/// `[batch, 2 * latent]`.
 pub struct Posterior(Tensor);
 
 impl Posterior {
-    /// Size of the latent state.
+    /// Returns the size of the latent state.
     pub fn latent(&self) -> Result<usize> {
         Ok(self.0.dim(1)? / 2)
     }
 
-    /// `[batch, latent]`.
+    /// Returns the means, `[batch, latent]`.
     pub fn mean(&self) -> Result<Tensor> {
         let latent = self.latent()?;
         self.0.narrow(1, 0, latent)?.contiguous()
     }
 
-    /// `[batch, latent]`.
+    /// Returns the log-variances, `[batch, latent]`.
     pub fn log_variance(&self) -> Result<Tensor> {
         let latent = self.latent()?;
         self.0.narrow(1, latent, latent)?.contiguous()
     }
 
-    /// Latent states `[batch, latent]` for standard normal `noise` of that shape.
+    /// Draws latent states, `[batch, latent]`. `noise` is standard normal and has the same shape.
     pub fn sample(&self, noise: &Tensor) -> Result<Tensor> {
         ops::sample(&self.0, noise)
     }
 
-    /// Divergence from the standard normal distribution, nats, averaged over the batch; a scalar.
+    /// Returns the divergence from the standard normal distribution in nats, averaged over the batch; a scalar.
     pub fn kl_divergence(&self) -> Result<Tensor> {
         ops::kl_divergence(&self.0)
     }
 }
 
-/// The value of a scalar tensor.
+/// Returns the value of a scalar tensor.
 pub fn scalar(tensor: &Tensor) -> Result<f64> {
     tensor.to_dtype(DType::F64)?.to_scalar()
 }

@@ -1,9 +1,9 @@
-//! The frames' way into the encoder: chained convolutions, each with a ReLU, and the product of the first fully
-//! connected layer, as one op.
+//! The encoder's path for frames as one op: chained convolutions, each with a ReLU, and the matrix product of the first
+//! fully connected layer.
 //!
-//! Sixteen images pass all layers while they are in cache; only the last layer's activations are kept, and the backward
-//! pass computes the others once more, which costs less than writing and reading them. The frames are data, so no
-//! gradient is computed for them.
+//! Sixteen images pass through all layers while they are in cache. Only the activations of the last layer are kept. The
+//! backward pass computes the others again, which is faster than writing and reading them. No gradient is computed for
+//! the frames, because they are data.
 
 use super::stack::{Layer, Side, Stack, StackSums, part_len, sum_packed};
 use super::{Arithmetic, Dropout, slice, tensor, threads, with_values};
@@ -15,11 +15,12 @@ use harness_kernels::{self as kernels, Buffer};
 use rayon::prelude::*;
 use std::sync::{Arc, OnceLock};
 
-/// What the stack makes of `frames`, flattened channel by channel, times `weightᵀ`; result `[batch, outputs]`.
+/// Returns the product of the last layer's activations, flattened channel by channel, and `weightᵀ`:
+/// `[batch, outputs]`.
 ///
-/// `packed` holds each convolution's kernel `[channels, channels before, 4, 4]` and bias `[channels]`, one after the
-/// other; `weight` is `[outputs, values of the last layer]`. A ReLU follows each convolution. With `dropout`, that leaves
-/// values out before the product.
+/// `packed` holds the kernel `[channels, channels before, 4, 4]` and the bias `[channels]` of each convolution, one
+/// after the other. `weight` is `[outputs, values of the last layer]`. A ReLU follows each convolution. `dropout` is
+/// applied before the product.
 pub fn frame_encoder(
     frames: Arc<dyn Frames>,
     stack: &Stack,
@@ -58,11 +59,11 @@ struct FrameEncoder {
     stack: Stack,
     arithmetic: Arithmetic,
     dropout: Option<Dropout>,
-    /// What the last layer makes of the frames `[batch, values]`, without what is left out; kept for the gradients.
+    /// Activations of the last layer after dropout, `[batch, values]`, kept for the backward pass.
     active: OnceLock<Buffer>,
 }
 
-/// What a thread needs for sixteen images.
+/// A thread's buffers for sixteen images.
 struct Workspace {
     frames: Vec<f32>,
     levels: Vec<Images>,
@@ -73,7 +74,7 @@ impl Workspace {
         Self { frames: kernels::scratch(LANES * stack.fine_len()), levels: stack.levels() }
     }
 
-    /// Takes the frames from `first` on, as many as are left of sixteen.
+    /// Loads sixteen frames, or as many as are left, starting at index `first`.
     fn load(&mut self, frames: &dyn Frames, first: usize) {
         let images = (frames.batch() - first).min(LANES);
         let values = &mut self.frames[..images * frames.frame_len()];
@@ -83,7 +84,7 @@ impl Workspace {
         self.levels[0].set(values);
     }
 
-    /// Goes through the given layers, the first one first.
+    /// Applies the given layers, starting with the first one.
     fn forward(&mut self, layers: &[Layer]) {
         for (index, layer) in layers.iter().enumerate() {
             let (fine, coarse) = self.levels.split_at_mut(index + 1);
@@ -94,6 +95,7 @@ impl Workspace {
 }
 
 impl FrameEncoder {
+    /// Returns the activations of the last layer after dropout, `[batch, values]`.
     fn activate(&self, packed: &[f32]) -> Buffer {
         let (layers, _) = self.stack.unpack(Side::Encoder, packed);
         let (batch, len) = (self.frames.batch(), self.stack.coarse_len());
@@ -117,7 +119,7 @@ impl FrameEncoder {
         active
     }
 
-    /// The gradient of the packed parameters, given that of what the last layer makes.
+    /// Returns the gradient of the packed parameters, given the gradient of the last layer's activations.
     fn gradient(&self, packed: &[f32], active: &[f32], grad_active: &[f32]) -> Vec<f32> {
         let (layers, _) = self.stack.unpack(Side::Encoder, packed);
         let (last, len) = (layers.len(), self.stack.coarse_len());
@@ -150,7 +152,8 @@ impl FrameEncoder {
         );
         let mut gradient = sum_packed(parts.collect());
         if let Some(dropout) = self.dropout {
-            // What was left out is zero like what the ReLU cut, and passes no gradient; the rest was raised.
+            // A value that dropout set to zero passes no gradient, like a value that the ReLU cut. The other values
+            // were scaled, and their gradients are scaled likewise.
             gradient.iter_mut().for_each(|grad| *grad *= dropout.scale());
         }
         gradient

@@ -1,9 +1,9 @@
-//! The decoder's way to frames: a fully connected layer with a ReLU, chained transposed convolutions with a ReLU between
-//! each two, and the mean squared error, as one op.
+//! The decoder's path to frames as one op: a fully connected layer with a ReLU, chained transposed convolutions with a
+//! ReLU between each two, and the mean squared error.
 //!
-//! Sixteen predicted frames and all gradients on their way exist at a time, in cache. Since a loss is a scalar, its
-//! gradients are known up to a factor as soon as it is, and are computed in the forward pass, where they take the place
-//! of the fully connected layer's output.
+//! Each thread holds only sixteen predicted frames and their gradients at a time, in cache. The loss is a scalar, so
+//! its gradients are known up to a factor as soon as it is computed. They are therefore computed in the forward pass,
+//! and overwrite the output of the fully connected layer.
 
 use super::stack::{Layer, Side, Stack, StackSums, part_len, sum_packed};
 use super::{Arithmetic, slice, tensor, threads, with_values};
@@ -17,18 +17,19 @@ use std::sync::{Arc, Mutex};
 
 /// The parameters between the decoder's hidden layer and a frame.
 pub struct FrameDecoder {
-    /// Of the convolutions that are transposed; the last one of the stack comes first.
+    /// The convolutions. They are applied transposed, so the last one of the stack comes first.
     pub stack: Stack,
-    /// Of the fully connected layer: `[values of the stack's last layer, hidden]`.
+    /// Weight of the fully connected layer, `[values of the stack's last layer, hidden]`.
     pub weight: Tensor,
-    /// Each convolution's kernel `[channels, channels before, 4, 4]` and the bias of its transpose `[channels before]`, in
-    /// the stack's order, and last the bias of the fully connected layer.
+    /// The kernel `[channels, channels before, 4, 4]` of each convolution and the bias `[channels before]` of its
+    /// transpose, in the stack's order. The bias of the fully connected layer follows them.
     pub packed: Tensor,
+    /// How matrix products are computed.
     pub arithmetic: Arithmetic,
 }
 
 impl FrameDecoder {
-    /// `hidden weightᵀ` `[batch, values of the stack's last layer]`, without the bias.
+    /// Returns `hidden weightᵀ`, `[batch, values of the stack's last layer]`, without the bias.
     fn coarse(&self, hidden: &[f32], weight: &[f32]) -> Result<Buffer> {
         let (outputs, inputs) = self.weight.dims2()?;
         let batch = hidden.len() / inputs;
@@ -39,7 +40,7 @@ impl FrameDecoder {
         Ok(coarse)
     }
 
-    /// The same as [`frame_decoder`] from candle's operations.
+    /// Computes the same as [`frame_decoder`] with candle's operations.
     fn compose(&self, hidden: &Tensor) -> Result<Tensor> {
         let layers = self.stack.layers();
         let mut parameters = Vec::new();
@@ -64,8 +65,8 @@ impl FrameDecoder {
     }
 }
 
-/// Mean squared error between the frames that `decoder` makes of `hidden` `[batch, hidden]` and `target`, over all
-/// values of the batch; a scalar.
+/// Decodes frames from `hidden` `[batch, hidden]`, and returns their mean squared error against `target` over all
+/// values of the batch, a scalar.
 pub fn frame_loss(hidden: &Tensor, decoder: FrameDecoder, target: Arc<dyn Frames>) -> Result<Tensor> {
     if !hidden.device().is_cpu() {
         let predicted = decoder.compose(hidden)?;
@@ -77,8 +78,8 @@ pub fn frame_loss(hidden: &Tensor, decoder: FrameDecoder, target: Arc<dyn Frames
     hidden.contiguous()?.apply_op3(&weight, &packed, op)
 }
 
-/// The frames that `decoder` makes of `hidden` `[batch, hidden]`: `[batch, frame channels, side, side]`, without
-/// gradients.
+/// Decodes frames from `hidden` `[batch, hidden]`, and returns `[batch, frame channels, side, side]`. On the CPU the
+/// result has no gradient.
 pub fn frame_decoder(hidden: &Tensor, decoder: &FrameDecoder) -> Result<Tensor> {
     if !hidden.device().is_cpu() {
         return decoder.compose(hidden);
@@ -103,8 +104,8 @@ pub fn frame_decoder(hidden: &Tensor, decoder: &FrameDecoder) -> Result<Tensor> 
     tensor(frames, (batch, first.fine_channels, first.side, first.side))
 }
 
-/// Fills the levels from the last to the first, given the fully connected layer's output without its bias and ReLU,
-/// which are added to it.
+/// Computes the images at all levels, from the last level to the first. `coarse` is the output of the fully connected
+/// layer, to which its bias and the ReLU are applied in place.
 fn forward(layers: &[Layer], bias: &[f32], coarse: &mut [f32], levels: &mut [Images]) {
     kernels::add_bias_to_rows(coarse, bias, true);
     levels[layers.len()].set(coarse);
@@ -118,30 +119,32 @@ fn forward(layers: &[Layer], bias: &[f32], coarse: &mut [f32], levels: &mut [Ima
 struct FrameLoss {
     decoder: FrameDecoder,
     target: Arc<dyn Frames>,
+    /// Whether any argument needs a gradient.
     trained: bool,
+    /// Computed by the forward pass, and taken by the backward pass.
     gradients: Mutex<Option<Gradients>>,
 }
 
-/// Of the arguments, for a loss whose own gradient is one.
+/// Gradients of the arguments, for a loss whose own gradient is 1.
 struct Gradients {
     hidden: Vec<f32>,
     weight: Vec<f32>,
     packed: Vec<f32>,
 }
 
-/// What one part of the batch adds to the sums.
+/// Contribution of one part of the batch to the sums.
 struct Part {
     squared_error: f64,
-    /// Gradient of the packed parameters; empty where none is wanted.
+    /// Gradient of the packed parameters; empty if no gradient is needed.
     packed: Vec<f32>,
 }
 
-/// What a thread needs for sixteen images.
+/// A thread's buffers for sixteen images.
 struct Workspace {
     frames: Vec<f32>,
     target: Images,
     levels: Vec<Images>,
-    /// Gradients of the levels before the first convolution's.
+    /// Gradients of all levels except the first one, whose values are replaced by their gradient.
     gradients: Vec<Images>,
 }
 
@@ -156,8 +159,8 @@ impl FrameLoss {
         }
     }
 
-    /// One part of the batch, from image `first` on. Replaces `coarse`, the fully connected layer's output without bias
-    /// and ReLU, by the gradient with regard to it where gradients are wanted.
+    /// Computes the part of the batch that starts at image `first`. `coarse` is the output of the fully connected
+    /// layer, without bias and ReLU. If gradients are needed, the gradient of that output replaces it.
     fn part(
         &self,
         workspace: &mut Workspace,
@@ -197,7 +200,8 @@ impl FrameLoss {
         Part { squared_error, packed }
     }
 
-    /// The gradients, given that of the fully connected layer's output before the ReLU.
+    /// Returns the gradients of all arguments, given the gradient of the fully connected layer's output before the
+    /// ReLU.
     fn gradients(&self, hidden: &[f32], weight: &[f32], grad: &[f32], parts: Vec<Part>) -> Result<Gradients> {
         let ((outputs, inputs), batch) = (self.decoder.weight.dims2()?, self.target.batch());
         let arithmetic = self.decoder.arithmetic;
