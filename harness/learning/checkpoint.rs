@@ -1,4 +1,4 @@
-//! Trained networks as safetensors files: parameters by name, and the normalizers that they were trained with.
+//! Trained networks as safetensors files: the parameters by name, and the normalizers of the training.
 
 use super::LearningError;
 use super::network::Parameters;
@@ -10,7 +10,7 @@ use serde_json::Map;
 use std::collections::HashMap;
 use std::path::Path;
 
-/// Writes `parameters` and `normalizers`, sealed, whole or not at all.
+/// Writes `parameters` and `normalizers` to a sealed file. A failed write leaves no partial file.
 pub fn save(path: &Path, parameters: &Parameters, normalizers: &Normalizers) -> Result<(), LearningError> {
     let mut tensors: HashMap<String, Tensor> =
         parameters.iter().map(|(name, var)| (name.clone(), var.as_tensor().clone())).collect();
@@ -29,11 +29,11 @@ fn vector(values: &[f32]) -> CandleResult<Tensor> {
     Tensor::from_slice(values, values.len(), &Device::Cpu)
 }
 
-/// Sets `parameters` from a file that [`save`] wrote, and returns its normalizers.
+/// Sets `parameters` from a file that [`save`] has written, and returns its normalizers.
 ///
 /// # Errors
-/// When the file is not as it was written, or lacks a parameter or has it in another shape; it is named, and the
-/// parameters are left as they were.
+/// When the file is damaged, or a parameter is missing or has another shape. The error names the file. The parameters
+/// do not change in that case.
 pub fn load(path: &Path, parameters: &Parameters) -> Result<Normalizers, LearningError> {
     let damaged = |reason: String| LearningError::Damaged { path: path.to_owned(), reason };
     let file = TensorFile::read(path)?;
@@ -51,6 +51,6 @@ pub fn load(path: &Path, parameters: &Parameters) -> Result<Normalizers, Learnin
     let names = file.tensors.keys().filter_map(|key| key.strip_prefix("scale.")?.strip_suffix(".mean"));
     let modalities = names.filter(|name| *name != "action").filter_map(Modality::new);
     let modalities = modalities.filter_map(|modality| Some((modality, normalizer(modality.name())?)));
-    let action = normalizer("action").ok_or_else(|| damaged("no scale of the action".into()))?;
+    let action = normalizer("action").ok_or_else(|| damaged("it has no scale of the action".into()))?;
     Ok(Normalizers { modalities: modalities.collect(), action })
 }

@@ -1,18 +1,19 @@
-//! How much memory a training takes.
+//! An estimate of the memory that a training takes.
 
-/// Copies of every parameter at most: itself, its gradient and that gradient's sum, two moments, the best epoch's, those
-/// of the state that is kept and of the one that is being made or written (parameters, moments, best), and what the
-/// large products pack. With 34 million parameters, a convolutional network's training was measured to take 19.
+/// Upper bound on the copies of each parameter: the parameter, its gradient and the sum of its gradients, two moments,
+/// the best epoch's value, the kept state and the state that is being made or written (parameter, moments and best
+/// value each), and what large products pack. Training a convolutional network with 34 million parameters was measured
+/// to take 19 copies.
 const COPIES: usize = 24;
-/// The same for what each layer makes of a sample: values, gradients, and what the products pack of both.
+/// Upper bound on the copies of each layer's output: values, gradients, and what the products pack of both.
 const ACTIVATION_COPIES: usize = 4;
 
-/// Memory that training a network takes at most, bytes: a generous estimate.
+/// Returns an upper estimate of the memory that training a network takes, in bytes.
 ///
 /// # Arguments
-/// * `parameters` how many values are trained
-/// * `activations` how many values all layers together make of one sample, what goes in and comes out included
-/// * `batch` samples a step
+/// * `parameters`: number of trained values
+/// * `activations`: number of values that all layers produce for one sample, including the network's input and output
+/// * `batch`: number of samples in a step
 pub fn training_bytes(parameters: usize, activations: usize, batch: usize) -> u64 {
     let values = (COPIES as u64).saturating_mul(parameters as u64).saturating_add(
         (ACTIVATION_COPIES as u64).saturating_mul(activations as u64).saturating_mul(batch as u64),

@@ -8,17 +8,17 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Frames that are summed up in 32 bits: the squares of so many differences of bytes fit.
+/// Number of frames that are summed in 32 bits. The sum of this many squared differences of bytes fits in an `i32`.
 const FRAMES_AT_ONCE: usize = 4096;
 
-/// Mean and standard deviation of one modality, and the least value that is predicted of it.
+/// Mean and standard deviation of one modality, and the minimum of its predictions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Normalizer {
-    /// One a value; `[channel, row, column]` for frames.
+    /// One mean for each value, in physical units; `[channel, row, column]` for frames.
     pub mean: Vec<f32>,
-    /// One a value, or a single one for all; frames have a single one.
+    /// One standard deviation for each value, or a single one for all values. Frames have a single one.
     pub std: Vec<f32>,
-    /// In physical units.
+    /// Predictions below this value are set to it, in physical units.
     pub minimum: Option<f32>,
 }
 
@@ -27,7 +27,7 @@ impl Normalizer {
         self.std[if self.std.len() == 1 { 0 } else { index }]
     }
 
-    /// To normalized values, in place: `values` `[n, width]` in physical units.
+    /// Normalizes `values` `[n, width]`, which are in physical units, in place.
     pub fn normalize(&self, values: &mut [f32]) {
         for row in values.chunks_exact_mut(self.mean.len()) {
             for (index, (value, mean)) in row.iter_mut().zip(&self.mean).enumerate() {
@@ -36,14 +36,15 @@ impl Normalizer {
         }
     }
 
-    /// Back to physical units, in place: `values` `[n, width]`; those below the minimum become the minimum.
+    /// Converts normalized `values` `[n, width]` to physical units in place. Values below the minimum are set to the
+    /// minimum.
     pub fn denormalize(&self, values: &mut [f32]) {
         for row in values.chunks_exact_mut(self.mean.len()) {
             for (index, (value, mean)) in row.iter_mut().zip(&self.mean).enumerate() {
                 *value = *value * self.std(index) + mean;
             }
         }
-        // Not `f32::max`, which would make a minimum of what is not a number.
+        // `f32::max` would replace NaN with the minimum.
         if let Some(minimum) = self.minimum {
             values.iter_mut().filter(|value| **value < minimum).for_each(|value| *value = minimum);
         }
@@ -53,11 +54,13 @@ impl Normalizer {
 /// The normalizers of every modality that an experiment uses, and of the action.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Normalizers {
+    /// Normalizer of each modality.
     pub modalities: BTreeMap<Modality, Normalizer>,
+    /// Normalizer of the action, with one value for each element.
     pub action: Normalizer,
 }
 
-/// Running sums for a mean and a standard deviation, value by value.
+/// Running sums for means and standard deviations, one for each value.
 struct Moments {
     count: f64,
     sum: Vec<f64>,
@@ -65,7 +68,7 @@ struct Moments {
 }
 
 impl Moments {
-    /// Those of `width` values at each of `samples`.
+    /// Sums `width` values over the given `samples`.
     fn of<V: AsRef<[f32]>>(width: usize, samples: &[usize], values: impl Fn(usize) -> V) -> Self {
         let mut moments =
             Self { count: samples.len() as f64, sum: vec![0.0; width], square: vec![0.0; width] };
@@ -101,14 +104,14 @@ impl Moments {
     }
 }
 
-/// The square root of a variance; 1 for a value that never changes, which then normalizes to zero.
+/// Returns the square root of a variance. Returns 1 for a value that never changes, which is then normalized to zero.
 fn root(variance: f64) -> f32 {
     let std = variance.sqrt() as f32;
     if std > 1e-8 { std } else { 1.0 }
 }
 
 impl Normalizers {
-    /// Statistics over `transitions` of the modalities that `scalings` names, and of the action.
+    /// Computes the statistics of the modalities in `scalings`, and of the action, over `transitions`.
     pub fn fit(samples: &Samples, transitions: &[usize], scalings: &Scalings, action: Action) -> Self {
         let fitted = scalings.iter().map(|(&modality, scaling)| {
             let definition = &samples.layout()[modality];
@@ -126,7 +129,8 @@ impl Normalizers {
         Self { modalities: fitted.collect(), action: actions.scale(Scale::PerElement) }
     }
 
-    /// A vector `[batch, width]` of several modalities side by side, normalized; `None` if there are none.
+    /// Returns the normalized vectors of several modalities side by side, `[batch, width]`. Returns `None` if there are
+    /// none.
     pub fn vectors(
         &self,
         samples: &Samples,
@@ -154,7 +158,7 @@ impl Normalizers {
         Some(Tensor::from_vec(values, (at.len(), width), &Device::Cpu))
     }
 
-    /// The normalized action `[batch, elements]` of the steps from `at` to the next samples.
+    /// Returns the normalized actions, `[batch, elements]`, of the steps from the samples `at` to the next ones.
     pub fn actions(&self, samples: &Samples, at: &[usize], action: Action) -> Result<Tensor> {
         let scale = &self.action;
         let values = at.iter().flat_map(|sample| {
@@ -164,7 +168,8 @@ impl Normalizers {
         Tensor::from_vec(values.collect(), (at.len(), scale.mean.len()), &Device::Cpu)
     }
 
-    /// The frames of several modalities stacked channel-wise, normalized when read; `None` if there are none.
+    /// Returns the frames of several modalities stacked by channel. They are normalized when they are read. Returns
+    /// `None` if there are none.
     pub fn frames(
         &self,
         samples: &Arc<Samples>,
@@ -183,7 +188,8 @@ impl Normalizers {
     }
 }
 
-/// Those of a modality of frames. Bytes are summed as whole numbers, so neither threads nor order make a difference.
+/// Returns the sums of a frame modality. Bytes are summed as integers, so the result does not depend on threads or
+/// order.
 fn frame_moments(samples: &Samples, at: &[usize], modality: Modality) -> Moments {
     let definition = &samples.layout()[modality];
     let (width, is_difference) = (definition.width(), definition.difference_of.is_some());
@@ -214,7 +220,7 @@ fn frame_moments(samples: &Samples, at: &[usize], modality: Modality) -> Moments
     Moments { count: at.len() as f64, sum, square }
 }
 
-/// Normalized frames of chosen samples, made one at a time; all images have the same size.
+/// Normalized frames of chosen samples, computed one at a time. All images have the same size.
 struct SampleFrames {
     samples: Arc<Samples>,
     at: Vec<usize>,

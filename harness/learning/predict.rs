@@ -1,4 +1,4 @@
-//! Trained networks at work on chosen transitions, in physical units.
+//! Applies trained networks to chosen transitions, with results in physical units.
 
 use super::network::{Decoded, Decoder, Encoder};
 use super::objective::{NormalizedData, rows};
@@ -6,10 +6,10 @@ use crate::Normalizers;
 use candle_core::{Result, Tensor};
 use harness_spec::{IMAGE_CHANNELS, Layout, Modality};
 
-/// Transitions decoded at once; bounds the memory that frames take.
+/// Number of transitions that are decoded at once. It limits the memory for frames.
 const BATCH: usize = 256;
 
-/// The posterior's mean for every transition in `at`, `[at, latent]`.
+/// Returns the posterior's mean of every transition in `at`, `[transitions, latent]`.
 pub fn encode(
     data: &NormalizedData,
     encoder: &dyn Encoder,
@@ -21,16 +21,18 @@ pub fn encode(
     Tensor::cat(&means.collect::<Result<Vec<_>>>()?, 0)?.contiguous()
 }
 
-/// One output modality of a batch: `[batch, width]` in physical units, frames channel by channel.
+/// The predictions of one output modality for a batch.
 pub struct Predicted<'a> {
+    /// The output modality.
     pub modality: Modality,
-    /// The transitions that are predicted.
+    /// The predicted transitions, given by their first samples.
     pub at: &'a [usize],
+    /// Predicted values in physical units, `[batch, width]`; frames channel by channel.
     pub values: Vec<f32>,
 }
 
-/// Decodes the rows of `latent` (one a transition in `at`) and hands each output modality to `each`, batch by
-/// batch and in order. The decoder is told the action if `acting`.
+/// Decodes the rows of `latent`, one for each transition in `at`. Calls `each` with every output modality of every
+/// batch, in order. The decoder gets the action if `acting`.
 pub fn decode(
     data: &NormalizedData,
     decoder: &dyn Decoder,
@@ -52,7 +54,8 @@ pub fn decode(
     Ok(())
 }
 
-/// A decoder's output by modality, in physical units: `[batch, width]` each, frames channel by channel.
+/// Converts a decoder's output to physical units. Returns the values of each modality in `output`, `[batch, width]`;
+/// frames channel by channel.
 pub fn denormalized(
     normalizers: &Normalizers,
     layout: &Layout,
@@ -78,10 +81,10 @@ pub fn denormalized(
     Ok(denormalized)
 }
 
-/// `len` columns or channels of a decoder's output, from `start` on.
+/// Returns `len` columns or channels of a decoder's output, starting at `start`.
 fn part(output: &Option<Tensor>, start: usize, len: usize) -> Result<Tensor> {
     match output {
         Some(output) => output.narrow(1, start, len)?.contiguous(),
-        None => candle_core::bail!("the decoder lacks an output that its experiment names"),
+        None => candle_core::bail!("the decoder has no output for a modality of its experiment's output"),
     }
 }

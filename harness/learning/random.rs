@@ -1,4 +1,4 @@
-//! The random numbers of a run. candle's CPU generator can't be seeded, so none of its own are used.
+//! The random numbers of a run. candle's own CPU generator is not used, because it can't be seeded.
 
 use harness_spec::Task;
 use rand::seq::SliceRandom;
@@ -6,19 +6,25 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, Uniform};
 
-/// Independent streams of one run's seed.
+/// Independent random streams of a run's seed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stream {
-    /// Initial parameters of what a task trains.
+    /// Initial parameters of the networks that a task trains.
     Parameters(Task),
-    /// Order of the samples, latent noise and dropout of one epoch, counted from 0.
-    Epoch { task: Task, index: usize },
+    /// Order of the samples, latent noise and dropout of one epoch.
+    Epoch {
+        /// What is trained.
+        task: Task,
+        /// The epoch, counted from 0.
+        index: usize,
+    },
 }
 
-/// A generator for one purpose of a run: results depend on the seed alone, not on what was drawn before.
+/// A generator for one purpose of a run. Its numbers depend only on the seed and the stream.
 pub struct Random(ChaCha8Rng);
 
 impl Random {
+    /// Creates the generator of `stream` for a run with this `seed`.
     pub fn new(seed: u64, stream: Stream) -> Self {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
         let (task, number) = match stream {
@@ -33,12 +39,12 @@ impl Random {
         Self(generator)
     }
 
-    /// `len` draws from the standard normal distribution.
+    /// Draws `len` values from the standard normal distribution.
     pub fn normal(&mut self, len: usize) -> Vec<f32> {
         StandardNormal.sample_iter(&mut self.0).take(len).collect()
     }
 
-    /// `len` draws, uniform in `[-bound, bound]`.
+    /// Draws `len` values from the uniform distribution on `[-bound, bound]`.
     pub fn uniform(&mut self, len: usize, bound: f32) -> Vec<f32> {
         match Uniform::new_inclusive(-bound, bound) {
             Ok(uniform) => uniform.sample_iter(&mut self.0).take(len).collect(),
@@ -46,12 +52,12 @@ impl Random {
         }
     }
 
-    /// A seed for a generator of its own.
+    /// Draws a seed for another generator.
     pub fn seed(&mut self) -> u64 {
         self.0.next_u64()
     }
 
-    /// `values` in a random order.
+    /// Shuffles `values`.
     pub fn shuffle<T>(&mut self, values: &mut [T]) {
         values.shuffle(&mut self.0);
     }

@@ -1,6 +1,6 @@
-//! Sealed safetensors files: tensors by name, and a note of one's own in the metadata.
+//! Sealed safetensors files, which hold named tensors and a note in their metadata.
 //!
-//! Any reader of safetensors opens them; the note is JSON, under the metadata's key `harness`.
+//! Any reader of safetensors can open them. The note is JSON, under the key `harness` of the metadata.
 
 use super::LearningError;
 use candle_core::safetensors::Load;
@@ -14,15 +14,17 @@ use std::path::Path;
 /// Key of the note in a file's metadata.
 const NOTE: &str = "harness";
 
-/// What such a file holds.
+/// Contents of a file.
 #[derive(Debug)]
 pub struct TensorFile {
+    /// Tensors by name.
     pub tensors: HashMap<String, Tensor>,
+    /// Additional JSON values by key.
     pub note: Map<String, Value>,
 }
 
 impl TensorFile {
-    /// Writes the file, sealed, whole or not at all.
+    /// Writes the file with a seal. A failed write leaves no partial file.
     pub fn write(&self, path: &Path) -> Result<(), LearningError> {
         let mut note = self.note.clone();
         note.insert(seal::KEY.into(), seal::BLANK.into());
@@ -32,17 +34,17 @@ impl TensorFile {
         Ok(seal::write(path, bytes)?)
     }
 
-    /// Reads a file that [`TensorFile::write`] wrote.
+    /// Reads a file that [`TensorFile::write`] has written.
     ///
     /// # Errors
-    /// When it can't be read or is not as it was written; it is named.
+    /// When the file can't be read, or its content has changed since it was written. The error names the file.
     pub fn read(path: &Path) -> Result<Self, LearningError> {
         let damaged = |reason: String| LearningError::Damaged { path: path.to_owned(), reason };
         let bytes = seal::read(path).map_err(|error| damaged(error.to_string()))?;
         Self::parse(&bytes).map_err(damaged)
     }
 
-    /// What the bytes of a file hold, whoever wrote them; the seal is not looked at.
+    /// Parses the bytes of a file from any writer, without checking a seal.
     pub fn parse(bytes: &[u8]) -> Result<Self, String> {
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(|error| error.to_string())?;
         let note =
@@ -51,7 +53,7 @@ impl TensorFile {
         let views = SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?;
         let mut tensors = HashMap::new();
         for (name, view) in views.iter() {
-            // candle makes room for a type that it can't compute with, too.
+            // candle would also load types that it can't compute with.
             if !matches!(view.dtype(), Dtype::U8 | Dtype::U32 | Dtype::I64 | Dtype::F32 | Dtype::F64) {
                 return Err(format!("'{name}' holds {:?}", view.dtype()));
             }
@@ -60,7 +62,7 @@ impl TensorFile {
         Ok(Self { tensors, note })
     }
 
-    /// The tensor `name`, which must have the shape and the type of `like`, on the device of `like`.
+    /// Returns the tensor `name` on the device of `like`. It must have the shape and type of `like`.
     pub fn like(&self, name: &str, like: &Tensor) -> Result<Tensor, String> {
         let tensor = self.tensors.get(name).ok_or_else(|| format!("it has no tensor '{name}'"))?;
         if tensor.shape() != like.shape() || tensor.dtype() != like.dtype() {

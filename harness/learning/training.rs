@@ -1,4 +1,4 @@
-//! The training loop: epochs of Adam steps, validation, early stopping, and a state to go on from.
+//! The training loop: epochs of Adam steps, validation, early stopping, and saved states.
 
 use super::LearningError;
 use super::network::{Parameters, scalar};
@@ -15,13 +15,14 @@ use std::time::Instant;
 
 pub use harness_metrics::epoch::{Epoch, Losses, TOTAL};
 
-/// The learning rate of a training's step, counted from 0 over all epochs of `epoch_steps` steps each. It depends on
-/// nothing else, so that a resumed training goes on as it would have.
+/// Returns the learning rate of a training step. Steps are counted from 0 over all epochs, and an epoch has
+/// `epoch_steps` of them. The rate depends on nothing else, so a resumed training takes the same steps as one without a
+/// break.
 pub fn learning_rate(training: &Training, epoch_steps: usize, step: u64) -> f64 {
     let (step, epoch_steps) = (step as f64, epoch_steps as f64);
     let (warmup, end) = (training.warmup_epochs * epoch_steps, training.epochs as f64 * epoch_steps);
     let share = if step < warmup {
-        // From 0 itself, the first step would change nothing.
+        // With a rate of 0, the first step would change nothing.
         ((step + 1.0) / warmup).min(1.0)
     } else {
         match training.schedule {
@@ -32,23 +33,28 @@ pub fn learning_rate(training: &Training, epoch_steps: usize, step: u64) -> f64 
     training.learning_rate * share
 }
 
-/// A training to its end.
+/// The settings, data and surroundings of one training.
 pub struct Fit<'a> {
+    /// What is trained.
     pub task: Task,
+    /// Settings of the training.
     pub training: &'a Training,
+    /// Seed of the order of the samples, the latent noise and the dropout.
     pub seed: u64,
+    /// Samples for training and validation.
     pub partition: &'a Partition,
-    /// Where to save the state on the way, and to look for one to go on from.
+    /// Where the state is saved. A state that exists there is resumed.
     pub state: &'a StateFile,
+    /// Is told of the progress, and can cancel the training.
     pub progress: &'a dyn Progress,
 }
 
 impl Fit<'_> {
-    /// Trains `parameters` on `objective`; they end as those of the best validation epoch, or of the last
-    /// where early stopping is off.
+    /// Trains `parameters` on `objective`, and returns the losses of all epochs. With early stopping, the parameters
+    /// are then those of the best validation epoch, and otherwise those of the last epoch.
     ///
     /// # Errors
-    /// When a loss is no longer finite, the state can't be saved or read, or the caller cancels.
+    /// When a loss is not finite, the state can't be saved or read, or the caller cancels.
     pub fn run(
         &self,
         objective: &dyn Objective,
@@ -77,7 +83,7 @@ impl Fit<'_> {
             self.progress.advance(1);
             self.state.save_now_and_then(&state, parameters, &adam)?;
         }
-        // What comes after this training may be interrupted too.
+        // The work after this training may be interrupted too.
         self.state.save_kept()?;
         if self.training.patience.is_some() {
             state.restore_best(parameters)?;
@@ -144,11 +150,11 @@ impl Fit<'_> {
     }
 }
 
-/// The weighted sum of the terms, a scalar.
+/// Returns the weighted sum of the terms, a scalar.
 fn total(terms: &[Weighted]) -> CandleResult<Tensor> {
     let mut total: Option<Tensor> = None;
     for term in terms {
-        // Multiplying by one would cost the gradient a pass for nothing.
+        // A multiplication by 1 would only add work to the backward pass.
         let value = if term.weight == 1.0 { term.value.clone() } else { (&term.value * term.weight)? };
         total = Some(match total {
             Some(total) => (total + value)?,
@@ -158,7 +164,7 @@ fn total(terms: &[Weighted]) -> CandleResult<Tensor> {
     total.ok_or_else(|| candle_core::Error::Msg("a loss without terms".into()))
 }
 
-/// Sums of a loss's terms over batches, each weighted by its samples.
+/// Sums of a loss's terms over batches, weighted by the number of samples in each batch.
 #[derive(Default)]
 struct Sums {
     samples: f64,
@@ -180,7 +186,7 @@ impl Sums {
     }
 }
 
-/// The last epoch's losses, beside the lowest validation loss so far.
+/// Describes the last epoch's losses and the lowest validation loss so far.
 fn describe(state: &State) -> String {
     let Some(last) = state.epochs.last() else { return String::new() };
     let of = |losses: &Losses| losses.get(TOTAL).copied().unwrap_or(f64::NAN);
