@@ -1,30 +1,34 @@
-//! Adam, element by element, and the sum of squares that a gradient's norm is made of.
+//! Adam, element by element, and the sum of squares for a gradient's norm.
 
 use crate::simd;
 use rayon::prelude::*;
 
-/// Values that one thread takes at a time; fixed, so that sums are always taken in the same order.
+/// Number of values that one thread processes at a time. It is fixed, so that sums always have the same order.
 const PART: usize = 1 << 16;
 
-/// What one step of Adam multiplies by (Kingma & Ba, 2015, algorithm 1; with decay Loshchilov & Hutter, 2019,
+/// The factors of one step of Adam (Kingma & Ba, 2015, algorithm 1; with weight decay Loshchilov & Hutter, 2019,
 /// algorithm 2).
 #[derive(Debug, Clone, Copy)]
 pub struct AdamStep {
-    /// Of the gradient, before anything else; below 1 where it is clipped.
+    /// Factor of the gradient; below 1 if the gradient is clipped.
     pub gradient_scale: f32,
-    /// Share of the parameter that weight decay leaves.
+    /// Share of the parameter that remains after weight decay.
     pub kept: f32,
+    /// Learning rate.
     pub learning_rate: f32,
+    /// Decay rate of the gradient's running mean.
     pub beta_mean: f32,
+    /// Decay rate of the running mean of the gradient's square.
     pub beta_square: f32,
+    /// Added to the root of the mean square, so that the divisor is not zero.
     pub epsilon: f32,
-    /// `1 / (1 - beta_mean^t)`.
+    /// Bias correction of the mean, `1 / (1 - beta_mean^t)`.
     pub mean_correction: f32,
-    /// `1 / (1 - beta_square^t)`.
+    /// Bias correction of the mean square, `1 / (1 - beta_square^t)`.
     pub square_correction: f32,
 }
 
-/// One step of Adam over a parameter and its two moments, in place.
+/// Takes one step of Adam over a parameter and its two moments, in place.
 pub fn adam(step: AdamStep, parameter: &mut [f32], grad: &[f32], mean: &mut [f32], square: &mut [f32]) {
     if parameter.len() <= PART {
         return adam_part(step, parameter, grad, mean, square);
@@ -52,7 +56,7 @@ fn adam_part(step: AdamStep, parameter: &mut [f32], grad: &[f32], mean: &mut [f3
     );
 }
 
-/// The sum of the squares of `values`, in an order that depends on their number alone.
+/// Returns the sum of the squares of `values`. The order of the additions depends only on the number of values.
 pub fn sum_of_squares(values: &[f32]) -> f64 {
     let parts: Vec<f64> = values.par_chunks(PART).map(sum_of_squares_of_part).collect();
     parts.into_iter().sum()

@@ -1,13 +1,13 @@
-//! Matrix products on the tile unit of newer x86 processors (Intel AMX), for f32 matrices.
+//! Matrix products of f32 matrices on the tile unit of newer x86 processors (Intel AMX).
 //!
-//! The unit multiplies bf16 tiles and sums in f32, at many times the rate of the vector units. A f32 has 24
-//! significant bits and a bf16 has 8, so a f32 is cut, without a remainder, into three bf16 parts of falling size:
-//! `a = a0 + a1 + a2`. Of the nine products of parts, the six with `i + j <= 2` are taken; what is left out is
-//! below 2^-23 of `|a| |b|`, the size of a f32's own rounding (the idea is that of Henry, Tang and Heinecke,
-//! "Leveraging the bfloat16 artificial intelligence datatype for higher-precision computations", 2019). One part
-//! alone, rounded, makes a bf16 product.
+//! The unit multiplies bf16 tiles and sums in f32, many times as fast as the vector units. An f32 has 24 significant
+//! bits and a bf16 has 8. So an f32 is split exactly into three bf16 parts of decreasing size: `a = a0 + a1 + a2`. Of
+//! the nine products of parts, the six with `i + j <= 2` are computed. The other three sum to less than 2^-23 of
+//! `|a| |b|`, which is the size of an f32's own rounding error. The idea is from Henry, Tang and Heinecke, "Leveraging
+//! the bfloat16 artificial intelligence datatype for higher-precision computations", 2019. A single rounded part gives
+//! a bf16 product.
 //!
-//! Every element of the destination is summed in the same order whatever the number of threads.
+//! Every element of the destination is summed in the same order for any number of threads.
 
 use crate::product::{Accumulate, Matrix};
 use rayon::prelude::*;
@@ -17,18 +17,19 @@ use std::cell::RefCell;
 use std::marker::PhantomData;
 use std::sync::OnceLock;
 
-/// Lines (rows of the left matrix, columns of the right one) that one call of the kernel covers on each side.
+/// Number of lines (rows of the left matrix, columns of the right one) that one call of the kernel processes on each
+/// side.
 const STRIP: usize = 2 * TILE;
-/// Lines of a tile.
+/// Number of lines of a tile.
 const TILE: usize = 16;
-/// Terms of the inner sum that one tile holds.
+/// Number of terms of the inner sum in one tile.
 const STEP: usize = 32;
-/// Lines of the packed side that all strips of the other side meet.
+/// Most lines of the packed side that all strips of the other side are multiplied with.
 const PACKED_LINES: usize = 1024;
-/// Bytes that the packed side may take: most of a core's second-level cache.
+/// Most bytes of the packed side: most of a core's second-level cache.
 const PACKED_BYTES: usize = 3 << 19;
 
-/// Whether this processor has the unit, and the operating system lets this process use it.
+/// Whether this processor has the tile unit, and the operating system lets this process use it.
 pub fn available() -> bool {
     static AVAILABLE: OnceLock<bool> = OnceLock::new();
     *AVAILABLE.get_or_init(|| {
@@ -42,12 +43,13 @@ pub fn available() -> bool {
     })
 }
 
-/// Asks Linux for the tiles' registers (arch/x86/include/uapi/asm/prctl.h); the answer holds for all threads.
+/// Asks Linux for permission to use the tile registers (arch/x86/include/uapi/asm/prctl.h). The permission holds for
+/// all threads.
 #[cfg(target_os = "linux")]
 fn allowed_by_linux() -> bool {
     const ARCH_REQ_XCOMP_PERM: libc::c_int = 0x1023;
     const XFEATURE_XTILEDATA: libc::c_int = 18;
-    // SAFETY: a system call that takes two numbers and touches no memory of ours.
+    // SAFETY: this system call takes two numbers and does not access the process's memory.
     unsafe { libc::syscall(libc::SYS_arch_prctl, ARCH_REQ_XCOMP_PERM, XFEATURE_XTILEDATA) == 0 }
 }
 
@@ -56,7 +58,8 @@ fn allowed_by_linux() -> bool {
     false
 }
 
-/// `out (+)= a b` with `PARTS` bf16 parts a value, 3 or 1, `threads` wide. Needs [`available`].
+/// Computes `out = a b`, or `out += a b`, with `PARTS` bf16 parts for each value (1 or 3), on `threads` threads. Panics
+/// unless [`available`].
 pub fn product<const PARTS: usize>(a: Matrix, b: Matrix, out: &mut [f32], into: Accumulate, threads: usize) {
     const { assert!(PARTS == 1 || PARTS == 3) };
     assert!(available(), "the tile unit was asked for where there is none");
@@ -78,7 +81,7 @@ pub fn product<const PARTS: usize>(a: Matrix, b: Matrix, out: &mut [f32], into: 
     let share = strips.div_ceil(threads.max(1));
     let work = |thread: usize| {
         let strips = (thread * share).min(strips)..((thread + 1) * share).min(strips);
-        // SAFETY: the unit is there, and threads write to strips of their own.
+        // SAFETY: `available` was checked, and each thread writes only to its own strips.
         unsafe { multiply_strips::<PARTS>(left, right, strips, destination, into) }
     };
     if threads <= 1 || strips == 1 {
@@ -88,13 +91,13 @@ pub fn product<const PARTS: usize>(a: Matrix, b: Matrix, out: &mut [f32], into: 
     (0..threads).into_par_iter().for_each(work);
 }
 
-/// One side of a product: `lines` lines of `depth` values.
+/// One side of a product: `lines` lines with `depth` values each.
 #[derive(Clone, Copy)]
 struct Operand<'a> {
     values: &'a [f32],
     lines: usize,
     depth: usize,
-    /// Whether a line's values lie side by side; else the lines' values at one depth do.
+    /// Whether the values of a line are adjacent in memory. Otherwise the values of all lines at one depth are.
     line_major: bool,
     side: Side,
 }
@@ -119,7 +122,7 @@ impl<'a> Operand<'a> {
     }
 }
 
-/// The matrix `m x n` that a product is written to, shared between threads that write to different places.
+/// The `m` x `n` matrix that a product is written to. Threads share it and write to different places.
 #[derive(Clone, Copy)]
 struct Destination {
     first: *mut f32,
@@ -127,12 +130,12 @@ struct Destination {
     n: usize,
 }
 
-// SAFETY: each thread writes to strips of its own, see `product`.
+// SAFETY: each thread writes only to its own strips, see `product`.
 unsafe impl Send for Destination {}
 // SAFETY: as above.
 unsafe impl Sync for Destination {}
 
-/// A row of a tile: 64 bytes, where the unit reads fastest.
+/// A row of a tile. It is aligned to 64 bytes, which the unit reads fastest.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 struct Row([u32; TILE]);
@@ -154,19 +157,19 @@ impl Row {
 }
 
 thread_local! {
-    /// Room for packed operands, kept from one product to the next.
+    /// Memory for packed operands, kept from one product to the next.
     static ROOM: RefCell<[Vec<Row>; 2]> = const { RefCell::new([Vec::new(), Vec::new()]) };
 }
 
-/// Rows of packed tiles that one strip of `steps` steps takes.
+/// Returns the number of rows in the packed tiles of one strip of `steps` steps.
 const fn strip_rows<const PARTS: usize>(steps: usize) -> usize {
     steps * PARTS * 2 * TILE
 }
 
-/// Multiplies the given strips of the longer side with all of the other side.
+/// Multiplies the given strips of the longer side with the whole other side.
 ///
-/// The shorter side is packed once a block, as much of it as a core's cache holds; each strip of the longer one is
-/// packed just before it meets it.
+/// The shorter side is packed in blocks that fit in a core's cache. Each strip of the longer side is packed just before
+/// it is multiplied with a block.
 ///
 /// # Safety
 /// The unit must be [`available`], and no other thread may write to these strips of `out`.
@@ -189,7 +192,7 @@ unsafe fn multiply_strips<const PARTS: usize>(
         };
         grow(packed_rows, block_lines / STRIP * strip_rows::<PARTS>(block_depth / STEP));
         grow(streamed_rows, strip_rows::<PARTS>(block_depth / STEP));
-        // SAFETY: the caller vouches for the unit, and for its strips of the destination.
+        // SAFETY: the caller guarantees that the unit is available and that no other thread writes to these strips.
         unsafe {
             let tiles = Tiles::configure();
             for first_line in (0..packed.lines).step_by(block_lines) {
@@ -222,11 +225,11 @@ unsafe fn multiply_strips<const PARTS: usize>(
     });
 }
 
-/// Packs `depth` values of the strip of lines from `line` on into tiles: step by step, and in each step part by
-/// part the two tiles. Lines and values past the end are zeros.
+/// Packs `depth` values of the strip that begins at `line` into tiles. The order is by step, then by part, then by the
+/// two tiles of a part. Lines and values past the end are zeros.
 #[target_feature(enable = "avx512f,avx512bw,avx512bf16")]
 fn pack<const PARTS: usize>(from: Operand, line: usize, first_depth: usize, depth: usize, rows: &mut [Row]) {
-    // Pairs come as rows of lines, or as lines of pairs, as they lie in memory.
+    // Depending on the matrix's order, pairs are read as rows of lines or as lines of pairs.
     let turned = from.line_major != (from.side == Side::Left);
     for (step, rows) in rows.chunks_exact_mut(strip_rows::<PARTS>(1)).take(depth.div_ceil(STEP)).enumerate() {
         let at = first_depth + step * STEP;
@@ -250,12 +253,12 @@ fn pack<const PARTS: usize>(from: Operand, line: usize, first_depth: usize, dept
     }
 }
 
-/// The lowest `count` bits.
+/// Returns a mask of the lowest `count` bits.
 fn mask(count: usize) -> __mmask16 {
     ((1u32 << count) - 1) as __mmask16
 }
 
-/// Writes, for each line, the parts of up to 32 values that lie side by side: a row of pairs in each part's tile.
+/// Writes the parts of up to 32 adjacent values for each line, as a row of pairs in each part's tile.
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw,avx512bf16")]
 fn pack_lines<const PARTS: usize>(
@@ -266,10 +269,10 @@ fn pack_lines<const PARTS: usize>(
     depth: usize,
     tiles: &mut [Row],
 ) {
-    /// Values between what is read and what is fetched ahead: two steps.
+    /// Number of values between the current position and the prefetched position: two steps.
     const AHEAD: usize = 2 * STEP;
     let masks = (mask(depth.min(16)), mask(depth.saturating_sub(16)));
-    // Word j of the result: the upper half of value j of two vectors together.
+    // Word j of the result is the upper half of value j of both vectors together.
     let upper_halves = _mm512_set_epi16(
         63, 61, 59, 57, 55, 53, 51, 49, 47, 45, 43, 41, 39, 37, 35, 33, 31, 29, 27, 25, 23, 21, 19, 17, 15,
         13, 11, 9, 7, 5, 3, 1,
@@ -279,13 +282,13 @@ fn pack_lines<const PARTS: usize>(
         let values = from.values[start..start + depth].as_ptr();
         _mm_prefetch::<_MM_HINT_T0>(values.wrapping_add(AHEAD).cast());
         _mm_prefetch::<_MM_HINT_T0>(values.wrapping_add(AHEAD + 16).cast());
-        // SAFETY: the masks leave out what lies past `depth`; a masked load does not touch it.
+        // SAFETY: the masks exclude values past `depth`, and a masked load does not access excluded values.
         let (mut low, mut high) = unsafe {
             (_mm512_maskz_loadu_ps(masks.0, values), _mm512_maskz_loadu_ps(masks.1, values.wrapping_add(16)))
         };
         if PARTS == 1 {
             let rounded = _mm512_cvtne2ps_pbh(high, low);
-            // SAFETY: both are 512 bits without meaning of their own.
+            // SAFETY: both types are 512 bits that may have any value.
             tiles[row].store(unsafe { std::mem::transmute::<__m512bh, __m512i>(rounded) });
             continue;
         }
@@ -297,8 +300,7 @@ fn pack_lines<const PARTS: usize>(
     }
 }
 
-/// Writes, for each pair of up to 32 depths, the parts of the values of lines that lie side by side: a row of lines
-/// in each part's tile.
+/// Writes the parts of adjacent lines' values for each pair of up to 32 depths, as a row of lines in each part's tile.
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw,avx512bf16")]
 fn pack_depths<const PARTS: usize>(
@@ -317,7 +319,7 @@ fn pack_depths<const PARTS: usize>(
         let start = depth_at * from.lines + line;
         let values = from.values[start..start + lines].as_ptr();
         _mm_prefetch::<_MM_HINT_T0>(values.wrapping_add(STEP * from.lines).cast());
-        // SAFETY: the slice holds the `lines` values that the mask lets through.
+        // SAFETY: the slice holds the `lines` values that the mask includes.
         unsafe { _mm512_maskz_loadu_ps(lines_there, values) }
     };
     for pair in 0..depth.div_ceil(2) {
@@ -334,10 +336,10 @@ fn pack_depths<const PARTS: usize>(
     }
 }
 
-/// The bits of a f32 that a bf16 has.
+/// The bits of an f32 that a bf16 keeps.
 const UPPER_HALF: i32 = 0xffff_0000_u32 as i32;
 
-/// What is left of values when their bf16 part is taken off: exact.
+/// Returns the exact remainder of values after their bf16 part is subtracted.
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn rest(values: __m512) -> __m512 {
@@ -345,16 +347,16 @@ fn rest(values: __m512) -> __m512 {
     _mm512_sub_ps(values, _mm512_castsi512_ps(part))
 }
 
-/// Values rounded to the nearest bf16.
+/// Returns the values rounded to the nearest bf16.
 #[inline]
 #[target_feature(enable = "avx512f,avx512bf16")]
 fn rounded(values: __m512) -> __m512 {
-    // SAFETY: both are 256 bits without meaning of their own.
+    // SAFETY: both types are 256 bits that may have any value.
     let halves = unsafe { std::mem::transmute::<__m256bh, __m256i>(_mm512_cvtneps_pbh(values)) };
     _mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_cvtepu16_epi32(halves)))
 }
 
-/// Transposes a tile: 16 x 16 numbers of 32 bits.
+/// Transposes a tile of 16 x 16 numbers with 32 bits each.
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn transpose(tile: &mut [Row; TILE]) {
@@ -390,18 +392,18 @@ fn transpose(tile: &mut [Row; TILE]) {
     tile.iter_mut().zip(columns).for_each(|(row, column)| row.store(column));
 }
 
-/// Two packed strips to be multiplied.
+/// Two packed strips that are multiplied.
 #[derive(Clone, Copy)]
 struct Pair<'a> {
     left: &'a [Row],
     right: &'a [Row],
-    /// The one of them that lies in the second-level cache and is fetched ahead.
+    /// The strip that lies in the second-level cache and is prefetched.
     packed: &'a [Row],
 }
 
-/// This thread's tile registers, configured as eight tiles of 16 x 64 bytes until dropped.
+/// The tile registers of the calling thread, configured as eight tiles of 16 x 64 bytes until this value is dropped.
 ///
-/// It stays on its thread: another one's registers are not configured.
+/// It stays on its thread, because the registers of another thread are not configured.
 struct Tiles(PhantomData<*const ()>);
 
 #[repr(C, align(64))]
@@ -421,15 +423,15 @@ impl Tiles {
             Configuration { palette: 1, start_row: 0, reserved: [0; 14], row_bytes: [0; 16], rows: [0; 16] };
         configuration.row_bytes[..8].fill(64);
         configuration.rows[..8].fill(TILE as u8);
-        // SAFETY: the configuration is 64 bytes of the layout that palette 1 asks for (Intel SDM, LDTILECFG).
+        // SAFETY: the configuration has 64 bytes in the layout of palette 1 (Intel SDM, LDTILECFG).
         unsafe { asm!("ldtilecfg [{}]", in(reg) &configuration, options(nostack, readonly)) };
         Self(PhantomData)
     }
 
-    /// `out[place..] (+)= a b` for two packed strips.
+    /// Computes `out[place..] = a b`, or `out[place..] += a b`, for two packed strips.
     ///
     /// # Safety
-    /// No other thread may touch the 32 x 32 values from `place` (row, column) on.
+    /// No other thread may access the 32 x 32 values that begin at `place` (row, column).
     unsafe fn multiply<const PARTS: usize>(
         &self,
         pair: Pair,
@@ -439,7 +441,7 @@ impl Tiles {
     ) {
         let (row, column) = place;
         let (rows, columns) = ((out.m - row).min(STRIP), (out.n - column).min(STRIP));
-        // SAFETY: the caller vouches for the place, and rows and columns end with the matrix.
+        // SAFETY: the caller guarantees the place, and rows and columns are limited to the matrix.
         unsafe {
             let first = out.first.add(row * out.n + column);
             if into == Accumulate::Overwrite && rows == STRIP && columns == STRIP {
@@ -458,10 +460,10 @@ impl Tiles {
         }
     }
 
-    /// `out = a b` for two packed strips, 32 x 32 values with `stride` values from row to row.
+    /// Computes `out = a b` for two packed strips: 32 x 32 values, with `stride` values from row to row.
     ///
-    /// The smallest products are added first. With three parts the order (a0 b2, a0 b1, a1 b1, a1 b0, a2 b0, a0 b0)
-    /// changes one side at a time, so that 14 tiles are loaded for 24 products of tiles.
+    /// The smallest products are added first. With three parts, the order (a0 b2, a0 b1, a1 b1, a1 b0, a2 b0, a0 b0)
+    /// changes one side at a time. So 14 tiles are loaded for 24 products of tiles.
     unsafe fn kernel<const PARTS: usize>(&self, pair: Pair, out: *mut f32, stride: usize) {
         let Pair { left: a, right: b, packed } = pair;
         /// Loads the two tiles of a part of one side.
@@ -487,8 +489,8 @@ impl Tiles {
                 )
             };
         }
-        /// Adds the four products of the tiles that are loaded, and fetches a kilobyte of the next step of the
-        /// packed side, which comes from the second-level cache.
+        /// Adds the four products of the loaded tiles, and prefetches a kilobyte of the packed side's next step from
+        /// the second-level cache.
         macro_rules! multiply {
             ($ahead:literal) => {
                 concat!(
@@ -543,7 +545,8 @@ impl Tiles {
             };
         }
         debug_assert_eq!(a.len(), b.len());
-        // SAFETY: the strips are read from their first row to their last, and the caller vouches for `out`.
+        // SAFETY: the strips are read from their first row to their last, and the caller guarantees that `out` is
+        // valid.
         unsafe {
             if PARTS == 1 {
                 run!(load!(a, 0), load!(b, 0), multiply!(0),);
@@ -570,7 +573,7 @@ impl Tiles {
 
 impl Drop for Tiles {
     fn drop(&mut self) {
-        // SAFETY: the unit is there; tiles in their initial state are not saved at context switches.
+        // SAFETY: the unit is available. Tiles in their initial state are not saved at context switches.
         unsafe { asm!("tilerelease", options(nostack, nomem)) };
     }
 }

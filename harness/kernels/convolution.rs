@@ -1,76 +1,80 @@
-//! 4 x 4 convolutions of stride 2 with a padding of one pixel, their transposes, and the gradients of their kernels.
+//! 4 x 4 convolutions with a stride of 2 and a padding of one pixel, their transposes, and the gradients of their
+//! kernels.
 //!
-//! Sixteen images are computed side by side: a vector holds the same pixel of all of them. So every sum is one
-//! multiplication and addition a vector whatever the image's size, no pixel has to be moved within a vector, and layers
-//! chain to any depth. Sixteen images with all their layers fit in a core's second-level cache.
+//! Sixteen images are processed at once: a vector holds the same pixel of all of them. Every term of a sum is then one
+//! multiplication and addition of vectors for any image size, no pixel moves within a vector, and layers can be chained
+//! to any depth. Sixteen images with all their layers fit in a core's second-level cache.
 
-// Sums that are indexed by constants stay in registers; behind an iterator they would not.
+// Sums that are indexed by constants stay in registers. With iterators they would not.
 #![allow(clippy::needless_range_loop)]
 
 use crate::simd;
 use pulp::{Simd, WithSimd};
 use std::sync::Mutex;
 
-/// Images side by side.
+/// Number of images that are processed at once.
 pub const LANES: usize = 16;
-/// Side of the kernel, pixels.
+/// Side of the kernel in pixels.
 const KERNEL: usize = 4;
-/// Step of the convolution, pixels.
+/// Stride of the convolution in pixels.
 const STRIDE: usize = 2;
-/// Weights of one pair of channels.
+/// Number of weights for one pair of channels.
 pub const TAPS: usize = KERNEL * KERNEL;
-/// Coarse places of a row that rows have room for as a group; as many are computed at once at most.
+/// Rows have room for whole groups of this many coarse places. At most this many are computed at once.
 const PLACES: usize = 4;
-/// Channels that are computed at once.
+/// Number of channels that are computed at once.
 const BLOCK: usize = 4;
-/// Images sets that wait for their next use at most: those of a deep network's training step on some threads.
+/// Most sets of images that are kept for reuse: enough for a deep network's training step on several threads.
 const MAX_IDLE: usize = 256;
 
 /// Sizes of a convolution.
 ///
-/// The fine side has `fine_channels` x `side` x `side` values, the coarse side `coarse_channels` x `side / 2` x
-/// `side / 2`. The convolution leads from fine to coarse, its transpose back. The kernel is `[coarse, fine, 4, 4]`,
-/// which is both PyTorch's `Conv2d` layout and its `ConvTranspose2d` layout for the opposite direction.
+/// The fine image has `fine_channels` x `side` x `side` values, and the coarse image `coarse_channels` x `side / 2` x
+/// `side / 2`. The convolution computes the coarse image from the fine one, and its transpose computes the fine image
+/// from the coarse one. The kernel is `[coarse, fine, 4, 4]`. This is the layout of PyTorch's `Conv2d`, and that of its
+/// `ConvTranspose2d` for the opposite direction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Convolution {
+    /// Channels of the fine image.
     pub fine_channels: usize,
+    /// Channels of the coarse image.
     pub coarse_channels: usize,
-    /// Of the fine image, pixels; even.
+    /// Side of the fine image in pixels, an even number.
     pub side: usize,
 }
 
 impl Convolution {
-    /// Side of the coarse image, pixels.
+    /// Returns the side of the coarse image in pixels.
     pub fn coarse_side(&self) -> usize {
         self.side / STRIDE
     }
 
-    /// Values of a fine image.
+    /// Returns the number of values of a fine image.
     pub fn fine_len(&self) -> usize {
         self.fine_channels * self.side * self.side
     }
 
-    /// Values of a coarse image.
+    /// Returns the number of values of a coarse image.
     pub fn coarse_len(&self) -> usize {
         self.coarse_channels * self.coarse_side() * self.coarse_side()
     }
 
-    /// Values of the kernel.
+    /// Returns the number of values of the kernel.
     pub fn kernel_len(&self) -> usize {
         self.coarse_channels * self.fine_channels * TAPS
     }
 
-    /// Images of the fine side, to be set.
+    /// Returns buffers for sixteen fine images, whose values are not set.
     pub fn fine(&self) -> Images {
         Images::new(self.fine_channels, self.side)
     }
 
-    /// Images of the coarse side, to be set.
+    /// Returns buffers for sixteen coarse images, whose values are not set.
     pub fn coarse(&self) -> Images {
         Images::new(self.coarse_channels, self.coarse_side())
     }
 
-    /// `coarse`: the convolution of `fine`, without a bias.
+    /// Writes the convolution of `fine` to `coarse`, without a bias. `kernel` comes from [`Convolution::convolving`].
     pub fn convolve(&self, fine: &Images, kernel: &Kernel, coarse: &mut Images) {
         self.check(
             fine,
@@ -81,7 +85,8 @@ impl Convolution {
         simd(Convolve { sizes: *self, fine, kernel: &kernel.0, coarse });
     }
 
-    /// `fine`: the transposed convolution of `coarse`, without a bias.
+    /// Writes the transposed convolution of `coarse` to `fine`, without a bias. `kernel` comes from
+    /// [`Convolution::spreading`].
     pub fn spread(&self, coarse: &Images, kernel: &Kernel, fine: &mut Images) {
         self.check(
             fine,
@@ -92,7 +97,7 @@ impl Convolution {
         simd(Spread { sizes: *self, coarse, kernel: &kernel.0, fine });
     }
 
-    /// The weights `[coarse, fine, 4, 4]` as [`Convolution::convolve`] reads them.
+    /// Packs the weights `[coarse, fine, 4, 4]` for [`Convolution::convolve`].
     pub fn convolving(&self, weights: &[f32]) -> Kernel {
         let weight = |coarse: usize, fine: usize, tap: usize| {
             weights[(coarse * self.fine_channels + fine) * TAPS + tap]
@@ -107,7 +112,7 @@ impl Convolution {
         Kernel(packed)
     }
 
-    /// The weights `[coarse, fine, 4, 4]` as [`Convolution::spread`] reads them.
+    /// Packs the weights `[coarse, fine, 4, 4]` for [`Convolution::spread`].
     pub fn spreading(&self, weights: &[f32]) -> Kernel {
         let weight = |coarse: usize, fine: usize, tap: usize| {
             weights[(coarse * self.fine_channels + fine) * TAPS + tap]
@@ -128,7 +133,7 @@ impl Convolution {
         Kernel(packed)
     }
 
-    /// Adds to `sums` what `fine` and the gradient `coarse` of its convolution give for the kernel's gradient.
+    /// Adds the gradient of the kernel to `sums`, given `fine` and the gradient `coarse` of its convolution.
     pub fn add_kernel_gradient(&self, fine: &Images, coarse: &Images, sums: &mut KernelSums) {
         self.check(fine, sums.0.len(), self.kernel_len(), coarse);
         simd(AddKernelGradient { sizes: *self, fine, coarse, sums: &mut sums.0 });
@@ -145,25 +150,25 @@ impl Convolution {
     }
 }
 
-/// What `of` gives for each channel of the block that begins with channel `first`; 0 past the last channel.
+/// Returns `of` each channel in the block that begins with channel `first`. Channels past the last one get 0.
 fn block(first: usize, channels: usize, of: impl Fn(usize) -> f32) -> [f32; BLOCK] {
     std::array::from_fn(|index| if first + index < channels { of(first + index) } else { 0.0 })
 }
 
-/// A convolution's weights, block by block of the channels that are computed at once.
+/// A convolution's weights, in blocks of channels that are computed at once.
 pub struct Kernel(Vec<[f32; BLOCK]>);
 
-/// Sixteen images `[channel, row, column, image]` with a border of zeros.
+/// Sixteen images, `[channel, row, column, image]`, with a border of zeros.
 pub struct Images {
     values: Vec<[f32; LANES]>,
     channels: usize,
     side: usize,
-    /// Columns of a row with its border and room to read whole groups of places from it.
+    /// Columns of a row, including its border and the room for reading whole groups of places.
     columns: usize,
 }
 
-/// Images that wait for their next use, by channels and side. Their borders are zero. Fresh memory would be cleared by
-/// the allocator or the system first.
+/// Images that can be reused. Their borders are zero. Without reuse, the allocator or the system would clear new
+/// memory.
 static IDLE: Mutex<Vec<Idle>> = Mutex::new(Vec::new());
 
 struct Idle {
@@ -184,7 +189,7 @@ impl Drop for Images {
 }
 
 impl Images {
-    /// Images whose values the caller sets before it reads any.
+    /// Returns images of arbitrary values. The caller must set them before reading them.
     pub fn new(channels: usize, side: usize) -> Self {
         let columns = side.next_multiple_of(STRIDE * PLACES) + 2;
         let mut idle = IDLE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
@@ -196,17 +201,18 @@ impl Images {
         Self { values, channels, side, columns }
     }
 
-    /// Values of one image.
+    /// Returns the number of values of one image.
     pub fn image_len(&self) -> usize {
         self.channels * self.side * self.side
     }
 
-    /// Takes images that lie one after the other, each `[channel, row, column]`; those past the last are zero.
+    /// Copies images that are stored one after the other, each `[channel, row, column]`. If there are fewer than
+    /// sixteen, the remaining ones are zero.
     pub fn set(&mut self, images: &[f32]) {
         let (side, len) = (self.side, self.image_len());
         let mut lines = [[0.0; LANES]; LANES];
         for (index, row) in self.rows_mut().enumerate() {
-            // Blocks of a few columns read whole cache lines of every image once.
+            // Blocks of a few columns read each cache line of every image once.
             for (block, columns) in row.chunks_mut(LANES).enumerate() {
                 let first = index * side + block * LANES;
                 for (line, image) in lines.iter_mut().zip(images.chunks_exact(len)) {
@@ -219,7 +225,7 @@ impl Images {
         }
     }
 
-    /// The reverse of [`Images::set`]: writes as many images as there is room for.
+    /// Writes the images one after the other, each `[channel, row, column]`, as many as fit in `images`.
     pub fn write(&self, images: &mut [f32]) {
         let (side, len) = (self.side, self.image_len());
         let mut lines = [[0.0; LANES]; LANES];
@@ -236,13 +242,13 @@ impl Images {
         }
     }
 
-    /// Adds a bias to each channel, then cuts negative values where `relu` says so.
+    /// Adds a bias to each channel. If `relu`, negative sums become zero.
     pub fn add_bias(&mut self, bias: &[f32], relu: bool) {
         simd(AddBias { images: self, bias, floor: if relu { 0.0 } else { f32::NEG_INFINITY } });
     }
 
-    /// Sets values to zero where those of `output`, a ReLU's output of the same size, are zero: the gradient before
-    /// the ReLU, given the one after it.
+    /// Sets values to zero where `output`, a ReLU's output of the same size, is zero. This turns the gradient of the
+    /// output into that of the input.
     pub fn mask(&mut self, output: &Images) {
         simd(
             #[inline(always)]
@@ -255,8 +261,8 @@ impl Images {
         );
     }
 
-    /// Replaces values by `scale * (value - target)`, where `scale` has a factor an image; returns the sum of the
-    /// squared differences of the first `images` images.
+    /// Replaces each value by `scale * (value - target)` in the first `images` images, and by zero in the others.
+    /// Returns the sum of the squared differences in the first `images` images.
     pub fn become_errors(&mut self, target: &Images, images: usize, scale: f32) -> f64 {
         let scales = std::array::from_fn(|lane| if lane < images { scale } else { 0.0 });
         let sum = simd(BecomeErrors { images: self, target, scales });
@@ -265,12 +271,12 @@ impl Images {
 
     /// Adds the sum of each channel over all images to `sums` `[channels]`.
     pub fn add_channel_sums(&self, sums: &mut [f32]) {
-        // The border adds zeros.
+        // The border adds only zeros.
         let channels = self.values.chunks_exact((self.side + 2) * self.columns);
         sums.iter_mut().zip(channels).for_each(|(sum, channel)| *sum += super::sum(channel.as_flattened()));
     }
 
-    /// The rows without their borders, through all channels.
+    /// Returns the rows of all channels without their borders.
     fn rows(&self) -> impl Iterator<Item = &[[f32; LANES]]> {
         let (side, columns) = (self.side, self.columns);
         let channels = self.values.chunks_exact((side + 2) * columns);
@@ -287,13 +293,13 @@ impl Images {
         })
     }
 
-    /// Place of a row's first column, borders counted.
+    /// Returns the index of a row's first column, where rows and columns include the border.
     #[inline(always)]
     fn at(&self, channel: usize, row: usize) -> usize {
         (channel * (self.side + 2) + row) * self.columns
     }
 
-    /// A row from `column` on, borders counted.
+    /// Returns a row from `column` on, where rows and columns include the border.
     #[inline(always)]
     fn row(&self, channel: usize, row: usize, column: usize) -> &[[f32; LANES]] {
         let start = self.at(channel, row);
@@ -301,8 +307,8 @@ impl Images {
     }
 }
 
-// Structs where closures would do: the shim by which a closure that could be called again is called once is sometimes
-// not inlined, and then compiled for the plainest processor.
+// These are structs instead of closures. A closure that can be called repeatedly is called through a shim, which the
+// compiler sometimes does not inline and then compiles for the oldest supported processor.
 
 struct AddBias<'a> {
     images: &'a mut Images,
@@ -359,25 +365,25 @@ impl WithSimd for BecomeErrors<'_> {
     }
 }
 
-/// Sums of a kernel's gradient `[coarse, fine, 4, 4]`, kept for each image lane to the end.
+/// Sums of a kernel's gradient `[coarse, fine, 4, 4]`, separate for each image until the end.
 pub struct KernelSums(Vec<[f32; LANES]>);
 
 impl KernelSums {
-    /// Zeros.
+    /// Returns sums of zero.
     pub fn new(sizes: Convolution) -> Self {
         Self(vec![[0.0; LANES]; sizes.kernel_len()])
     }
 
-    /// The gradient.
+    /// Returns the gradient, summed over the images.
     pub fn total(&self) -> Vec<f32> {
         self.0.iter().map(|lanes| lanes.iter().sum()).collect()
     }
 }
 
-/// Vector `part` of a place.
+/// Returns vector `part` of a place.
 ///
-/// Here and below, SIMD values stay out of closures that the standard library calls: those are compiled for the
-/// plainest processor, and would pass them through memory.
+/// Here and below, closures that the standard library calls contain no SIMD values. Such closures are compiled for the
+/// oldest supported processor, and would pass these values through memory.
 #[inline(always)]
 fn vector<S: Simd>(place: &[f32; LANES], part: usize) -> S::f32s {
     S::as_simd_f32s(place).0[part]
@@ -388,7 +394,7 @@ fn vector_mut<S: Simd>(place: &mut [f32; LANES], part: usize) -> &mut S::f32s {
     &mut S::as_mut_simd_f32s(place).0[part]
 }
 
-/// The first `N` places of a row.
+/// Returns the first `N` places of a row.
 #[inline(always)]
 fn places<const N: usize>(row: &[[f32; LANES]]) -> &[[f32; LANES]; N] {
     match row.first_chunk() {
@@ -409,7 +415,7 @@ impl WithSimd for Convolve<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        // As many places as the registers hold the sums of, and the columns that those see.
+        // The number of places whose sums fit in the registers, and the number of columns that these places read.
         if S::F32_LANES == LANES { self.run::<S, 4, 10>(simd) } else { self.run::<S, 2, 6>(simd) }
     }
 }
@@ -425,7 +431,7 @@ impl Convolve<'_> {
                 for (block, kernel) in blocks.clone().enumerate() {
                     for part in 0..LANES / S::F32_LANES {
                         let mut sums = [[simd.splat_f32s(0.0); N]; BLOCK];
-                        // One row of the kernels of a fine channel after the other.
+                        // Each step takes one row of the kernels of a fine channel.
                         for (index, weights) in kernel.as_chunks::<KERNEL>().0.iter().enumerate() {
                             let (fine_channel, tap_row) = (index / KERNEL, index % KERNEL);
                             let seen: &[_; SEEN] =
@@ -455,9 +461,10 @@ impl Convolve<'_> {
     }
 }
 
-/// A fine row or column of even index `2 u` is reached by the kernel's places 1 (from coarse index `u`) and 3 (from
-/// `u - 1`), one of odd index `2 u + 1` by 0 (from `u + 1`) and 2 (from `u`). For each parity: the kernel's place, and
-/// the coarse index's offset plus one, which counts the border.
+/// The rows or columns of the kernel that contribute to a fine row or column, for each parity. An even index `2 u` gets
+/// contributions from kernel index 1 (coarse index `u`) and 3 (`u - 1`). An odd index `2 u + 1` gets them from 0
+/// (`u + 1`) and 2 (`u`). Each entry has the kernel index and the offset of the coarse index plus one, because of the
+/// border.
 const REACHED_BY: [[(usize, usize); 2]; 2] = [[(1, 1), (3, 0)], [(0, 2), (2, 1)]];
 
 /// Parities of a fine row and a fine column.
@@ -475,7 +482,7 @@ impl WithSimd for Spread<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        // As many places as the registers hold the sums of, and the columns that those see.
+        // The number of places whose sums fit in the registers, and the number of columns that these places read.
         if S::F32_LANES == LANES { self.run::<S, 4, 6>(simd) } else { self.run::<S, 2, 4>(simd) }
     }
 }
@@ -502,7 +509,7 @@ impl Spread<'_> {
         }
     }
 
-    /// The fine rows of parity `ODD_ROW` and columns of parity `ODD_COLUMN` that lie beside a group of coarse places.
+    /// Computes the fine rows of parity `ODD_ROW` and columns of parity `ODD_COLUMN` next to a group of coarse places.
     #[inline(always)]
     fn parity<S: Simd, const N: usize, const SEEN: usize, const ODD_ROW: usize, const ODD_COLUMN: usize>(
         &mut self,
@@ -555,7 +562,7 @@ impl WithSimd for AddKernelGradient<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        // As many places as the registers hold the sums of, and the columns that those see.
+        // The number of places whose sums fit in the registers, and the number of columns that these places read.
         if S::F32_LANES == LANES { self.run::<S, 4, 10>(simd) } else { self.run::<S, 2, 6>(simd) }
     }
 }
@@ -573,7 +580,8 @@ impl AddKernelGradient<'_> {
                         let mut block = [[simd.splat_f32s(0.0); KERNEL]; BLOCK];
                         for row in 0..side {
                             let seen = fine.row(fine_channel, STRIDE * row + tap_row, 0);
-                            // Channels past the last repeat it, and are not added. Places past the last are zero.
+                            // Channels past the last one repeat it and are not added. Places past the last one are
+                            // zero.
                             let grad = |channel: usize| {
                                 let channel = first_channel + channel.min(channels - 1);
                                 coarse.row(channel, row + 1, 1).chunks_exact(N)

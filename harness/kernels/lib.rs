@@ -1,7 +1,7 @@
-//! The arithmetic under the network's own ops, on plain slices. Row-major matrices throughout.
+//! The arithmetic of the networks' custom ops, on plain slices. All matrices are row-major.
 //!
-//! Every reduction runs over a fixed number of parts in a fixed order, so that results depend neither on the
-//! number of threads nor on how work happens to be scheduled.
+//! Every reduction has a fixed number of parts and a fixed order. Results therefore depend neither on the number of
+//! threads nor on their scheduling.
 
 pub mod adam;
 #[cfg(target_arch = "x86_64")]
@@ -14,35 +14,36 @@ use rayon::prelude::*;
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, OnceLock};
 
-/// Parts that a reduction over a batch is cut into; fixed, so that sums are always taken in the same order.
+/// Number of parts that a reduction over a batch is divided into. It is fixed, so that sums always have the same order.
 pub const PARTS: usize = 16;
-/// Values from which on a pass is worth several threads.
+/// Number of values from which on a pass uses several threads.
 const PARALLEL_LEN: usize = 1 << 18;
 
-/// Runs `op` compiled for the widest vectors that the processor has.
+/// Runs `op`, compiled for the widest vectors that the processor has.
 pub fn simd<Op: WithSimd>(op: Op) -> Op::Output {
     static ARCH: OnceLock<Arch> = OnceLock::new();
     ARCH.get_or_init(Arch::new).dispatch(op)
 }
 
-/// A vector of `len` values that the caller writes before reading any.
+/// Returns a vector of `len` values. The caller must write each value before reading it.
 pub fn scratch(len: usize) -> Vec<f32> {
-    // Zeroed memory comes from the allocator without a pass over it.
+    // The allocator gets zeroed memory from the system without a pass over it.
     vec![0.0; len]
 }
 
-/// A large vector for the time of an op, whose memory the next one of the same length takes over.
+/// A large vector for the duration of an op. The next buffer of the same length reuses its memory.
 ///
-/// Its values are whatever they were: the holder writes each before it reads it. Fresh memory would be cleared by
-/// the allocator or the system first, hundreds of megabytes in every training step.
+/// A new buffer has arbitrary values, so each must be written before it is read. Without reuse, the allocator or the
+/// system would clear hundreds of megabytes in every training step.
 pub struct Buffer(Vec<f32>);
 
-/// Buffers that wait for their next use.
+/// Buffers that can be reused.
 static IDLE: Mutex<Vec<Vec<f32>>> = Mutex::new(Vec::new());
-/// Buffers that wait at most: those of a training step.
+/// Most buffers that are kept for reuse: as many as a training step needs.
 const MAX_IDLE: usize = 4;
 
 impl Buffer {
+    /// Returns a buffer of `len` arbitrary values.
     pub fn new(len: usize) -> Self {
         let mut idle = IDLE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         let found = idle.iter().position(|values| values.len() == len);
@@ -74,12 +75,12 @@ impl DerefMut for Buffer {
     }
 }
 
-/// Adds `bias` `[width]` to every row of `rows` `[n, width]`, then cuts negative values where `relu` says so.
+/// Adds `bias` `[width]` to every row of `rows` `[n, width]`. If `relu`, negative sums become zero.
 pub fn add_bias(rows: &mut [f32], bias: &[f32], relu: bool) {
     for_each_part(rows, bias.len(), |_, part| add_bias_to_rows(part, bias, relu));
 }
 
-/// The same on this thread alone.
+/// Does the same as [`add_bias`] on the calling thread.
 pub fn add_bias_to_rows(rows: &mut [f32], bias: &[f32], relu: bool) {
     let floor = if relu { 0.0 } else { f32::NEG_INFINITY };
     simd(
@@ -94,7 +95,8 @@ pub fn add_bias_to_rows(rows: &mut [f32], bias: &[f32], relu: bool) {
     );
 }
 
-/// Calls `work` with the place and the values of parts of `rows` `[n, width]`, in parallel if there are many.
+/// Calls `work` with the index of the first value and the values of each part of `rows` `[n, width]`. Many values are
+/// processed in parallel.
 fn for_each_part(rows: &mut [f32], width: usize, work: impl Fn(usize, &mut [f32]) + Sync) {
     if rows.len() < PARALLEL_LEN {
         return work(0, rows);
@@ -103,7 +105,7 @@ fn for_each_part(rows: &mut [f32], width: usize, work: impl Fn(usize, &mut [f32]
     rows.par_chunks_mut(part).enumerate().for_each(|(index, rows)| work(index * part, rows));
 }
 
-/// Cuts `grad` to zero where a ReLU's `output` is zero: the gradient before it, given the one after it.
+/// Sets `grad` to zero where a ReLU's `output` is zero. This turns the gradient of the output into that of the input.
 pub fn mask(grad: &mut [f32], output: &[f32]) {
     for_each_part(grad, 1, |first, grad| {
         let output = &output[first..];
@@ -118,7 +120,7 @@ pub fn mask(grad: &mut [f32], output: &[f32]) {
     });
 }
 
-/// Sums of the columns of `rows` `[n, width]`.
+/// Returns the sums of the columns of `rows` `[n, width]`.
 pub fn column_sums(rows: &[f32], width: usize) -> Vec<f32> {
     let part = rows.len().div_ceil(PARTS).next_multiple_of(width).max(width);
     let sum_rows = |part: &[f32]| {
@@ -134,7 +136,7 @@ pub fn column_sums(rows: &[f32], width: usize) -> Vec<f32> {
     sum_in_order(sums, width)
 }
 
-/// `sum += values`.
+/// Adds `values` to `sum`, element by element.
 pub fn add_to(sum: &mut [f32], values: &[f32]) {
     simd(
         #[inline(always)]
@@ -146,7 +148,7 @@ pub fn add_to(sum: &mut [f32], values: &[f32]) {
     );
 }
 
-/// The sum of equally long vectors, from the first to the last.
+/// Returns the sum of vectors of length `len`, added from the first to the last.
 pub fn sum_in_order(parts: Vec<Vec<f32>>, len: usize) -> Vec<f32> {
     parts
         .into_iter()
@@ -157,16 +159,17 @@ pub fn sum_in_order(parts: Vec<Vec<f32>>, len: usize) -> Vec<f32> {
         .unwrap_or_else(|| vec![0.0; len])
 }
 
-/// `e^x`, to two units in the last place, in arithmetic that vectorises; libm's is a call for each value.
+/// Returns `e^x`, exact to two units in the last place. Unlike libm's function, which is called for each value, it can
+/// be vectorized.
 ///
-/// By `x = n ln 2 + r`, a polynomial for `e^r` (the coefficients of Cephes' expf, Moshier 1992), and `n` put into the
-/// exponent. Below -87 and above 88 the result stays at the ends of f32's normal range.
+/// It computes `x = n ln 2 + r`, a polynomial for `e^r` (the coefficients of Cephes' expf, Moshier 1992), and adds `n`
+/// to the exponent. Arguments are clamped to -87 and 88, so the result is always a normal f32.
 #[inline(always)]
 pub fn exp(x: f32) -> f32 {
     const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
     const COEFFICIENTS: [f32; 6] =
         [1.987_569_1e-4, 1.398_2e-3, 8.333_452e-3, 4.166_579_6e-2, 1.666_666_5e-1, 0.5];
-    /// Adding it rounds to a whole number.
+    /// Adding and subtracting this number rounds to an integer.
     const ROUND: f32 = 12_582_912.0;
     let x = x.clamp(-87.0, 88.0);
     let n = (x * std::f32::consts::LOG2_E + ROUND) - ROUND;
@@ -176,9 +179,9 @@ pub fn exp(x: f32) -> f32 {
     (polynomial * r * r + r + 1.0) * f32::from_bits(exponent)
 }
 
-/// The sum of all values.
+/// Returns the sum of all values.
 pub fn sum(values: &[f32]) -> f32 {
-    // As many sums as four of the widest vectors hold: each waits for its last addition.
+    // Each sum waits for its last addition. Four of the widest vectors of sums keep the processor busy.
     const LANES: usize = 64;
     let mut lanes = [0.0f32; LANES];
     simd(

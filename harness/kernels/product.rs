@@ -4,14 +4,14 @@
 use crate::amx;
 use gemm::Parallelism;
 
-/// How a matrix is read: as it lies, or as its transpose.
+/// Whether a matrix is read as it is stored, or as its transpose.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Order {
     Plain,
     Transposed,
 }
 
-/// A row-major matrix operand: `rows x columns` as it lies in memory, before `order` is applied.
+/// A row-major matrix operand, stored as `rows` x `columns`. `order` says whether it is transposed.
 #[derive(Clone, Copy)]
 pub struct Matrix<'a> {
     pub(super) values: &'a [f32],
@@ -21,18 +21,18 @@ pub struct Matrix<'a> {
 }
 
 impl<'a> Matrix<'a> {
-    /// The matrix as it lies.
+    /// Returns a view of the matrix as it is stored.
     pub fn plain(values: &'a [f32], rows: usize, columns: usize) -> Self {
         assert_eq!(values.len(), rows * columns, "a {rows} x {columns} matrix");
         Self { values, rows, columns, order: Order::Plain }
     }
 
-    /// Its transpose, without a copy.
+    /// Returns a view of the transpose of the matrix stored as `rows` x `columns`, without a copy.
     pub fn transposed(values: &'a [f32], rows: usize, columns: usize) -> Self {
         Self { order: Order::Transposed, ..Self::plain(values, rows, columns) }
     }
 
-    /// Rows and columns of the view.
+    /// Returns the number of rows and columns of the view.
     pub(super) fn shape(&self) -> (usize, usize) {
         match self.order {
             Order::Plain => (self.rows, self.columns),
@@ -40,13 +40,13 @@ impl<'a> Matrix<'a> {
         }
     }
 
-    /// Whether the view's rows lie side by side in memory.
+    /// Whether the values of the view's rows are adjacent in memory.
     #[cfg(target_arch = "x86_64")]
     pub(super) fn is_plain(&self) -> bool {
         self.order == Order::Plain
     }
 
-    /// Column stride and row stride of the view.
+    /// Returns the column stride and the row stride of the view.
     fn strides(&self) -> (isize, isize) {
         match self.order {
             Order::Plain => (1, self.columns as isize),
@@ -55,24 +55,26 @@ impl<'a> Matrix<'a> {
     }
 }
 
-/// Whether a product replaces what its destination holds or is added to it.
+/// Whether a product replaces the values of its destination or is added to them.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Accumulate {
+    /// Replaces the values.
     Overwrite,
+    /// Adds to the values.
     Add,
 }
 
-/// What computes a product.
+/// The unit of the processor that computes a product.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unit {
-    /// The processor's tile unit ([`amx`]).
+    /// The tile unit (see the module `amx`).
     Tiles,
-    /// Its vector units, by the gemm crate, which is candle's own matrix product too.
+    /// The vector units, through the gemm crate, which candle uses too.
     Vectors,
 }
 
 impl Unit {
-    /// The fastest that this processor has.
+    /// Returns the fastest unit that this processor has.
     pub fn best() -> Self {
         #[cfg(target_arch = "x86_64")]
         if amx::available() {
@@ -85,29 +87,31 @@ impl Unit {
 /// How the operands of a product are rounded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Precision {
-    /// Not at all.
+    /// They are not rounded.
     F32,
-    /// To the 8 significant bits of bf16; the result stays f32.
+    /// They are rounded to bf16, which has 8 significant bits. The result remains f32.
     Bf16,
 }
 
 /// How products are computed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Arithmetic {
+    /// The unit that computes them.
     pub unit: Unit,
+    /// How the operands are rounded.
     pub precision: Precision,
 }
 
 impl Arithmetic {
-    /// The processor's best unit, in single precision.
+    /// Returns the processor's best unit, in single precision.
     pub fn best() -> Self {
         Self { unit: Unit::best(), precision: Precision::F32 }
     }
 }
 
-/// `out (+)= a b`, `threads` wide.
+/// Computes `out = a b`, or `out += a b` if `into` is [`Accumulate::Add`], on `threads` threads.
 ///
-/// With [`Precision::Bf16`] the operands are rounded to bf16 before they are multiplied; sums are f32 always.
+/// With [`Precision::Bf16`], the operands are rounded to bf16 before they are multiplied. Sums are always f32.
 pub fn product(
     a: Matrix,
     b: Matrix,
@@ -136,8 +140,8 @@ fn by_gemm(a: Matrix, b: Matrix, out: &mut [f32], into: Accumulate, threads: usi
     let ((m, k), (_, n)) = (a.shape(), b.shape());
     let ((a_columns, a_rows), (b_columns, b_rows)) = (a.strides(), b.strides());
     let parallelism = if threads > 1 { Parallelism::Rayon(threads) } else { Parallelism::None };
-    // SAFETY: the lengths of all three slices were checked against the sizes that the strides span, and `out`
-    // is borrowed mutably, so it overlaps neither operand.
+    // SAFETY: the lengths of all three slices were compared with the sizes that the strides cover. `out` is borrowed
+    // mutably, so it overlaps neither operand.
     unsafe {
         gemm::gemm(
             m,
@@ -163,7 +167,7 @@ fn by_gemm(a: Matrix, b: Matrix, out: &mut [f32], into: Accumulate, threads: usi
     }
 }
 
-/// Values rounded to the nearest bf16, ties to even.
+/// Returns the values rounded to the nearest bf16, with ties to even.
 fn rounded(values: &[f32]) -> Vec<f32> {
     values.iter().map(|value| half::bf16::from_f32(*value).to_f32()).collect()
 }

@@ -1,4 +1,4 @@
-//! Products, convolutions and reductions: as exact as they should be, and the same bits at any number of threads.
+//! Products, convolutions and reductions are precise, and give the same bits with any number of threads.
 
 use harness_kernels::adam::sum_of_squares;
 use harness_kernels::convolution::{Convolution, Images, KernelSums, LANES};
@@ -23,7 +23,7 @@ impl Normals {
 
 #[test]
 fn convolving_spreading_and_the_kernels_gradient_are_one_bilinear_form() {
-    // Sizes that no group of places or channels divides, and the networks' own.
+    // Sizes that are not multiples of the groups of places or channels, and sizes of the networks.
     for (fine_channels, coarse_channels, side) in [(2, 1, 2), (2, 3, 6), (3, 9, 20), (32, 32, 8), (6, 16, 64)]
     {
         let sizes = Convolution { fine_channels, coarse_channels, side };
@@ -53,7 +53,7 @@ fn convolving_spreading_and_the_kernels_gradient_are_one_bilinear_form() {
     }
 }
 
-/// The largest error of a product on `unit`, relative to the sum of the terms' absolute values.
+/// Returns the largest error of a product on `unit`, relative to the sum of the terms' absolute values.
 fn product_error(
     unit: Unit,
     precision: Precision,
