@@ -1,4 +1,4 @@
-//! Predictions that need no network: what any trained model has to beat.
+//! Baselines: predictions without a network, which a trained network should beat.
 
 use super::COLUMNS_AT_ONCE;
 use super::error::{MetricsError, check_finite, check_samples, rows};
@@ -6,16 +6,17 @@ use harness_spec::{Definition, IMAGE_CHANNELS};
 use rayon::prelude::*;
 use std::borrow::Cow;
 
-/// Rows and columns that [`downsample_frame`] makes at most.
+/// Largest number of rows and columns that [`downsample_frame`] returns.
 pub const GREY_SIDE: usize = 16;
 
-/// Rows that ridge regression turns to f64 at a time; a batch of frames takes 25 MB so.
+/// Number of rows that ridge regression converts to f64 at a time. That many frames take 25 MB.
 const CHUNK_ROWS: usize = 256;
 
-/// Predicts that the next observation equals this one, `now`; of a difference, that nothing changes.
+/// Predicts that the next observation equals the present one, `now`. For a difference, predicts that nothing changes.
 ///
-/// `now` is row-major `[samples, width]`, the modality that is predicted as it was sensed at the sample itself.
-/// The picture stays as it is, so its difference is zero; repeating the last one would say that motion goes on.
+/// `now` is row-major `[samples, width]` and holds the predicted modality at the samples themselves. A difference is
+/// predicted as zero, because the image stays the same. Repeating the last difference would mean that the motion
+/// continues.
 pub fn persistence<'a>(definition: &Definition, now: &'a [f32]) -> Cow<'a, [f32]> {
     match definition.difference_of {
         Some(_) => Cow::Owned(vec![0.0; now.len()]),
@@ -23,7 +24,7 @@ pub fn persistence<'a>(definition: &Definition, now: &'a [f32]) -> Cow<'a, [f32]
     }
 }
 
-/// Predicts the mean of the training samples, column by column.
+/// Predicts the mean of the training samples for each column.
 #[derive(Debug, Clone)]
 pub struct TrainingMean {
     sums: Vec<f64>,
@@ -31,7 +32,7 @@ pub struct TrainingMean {
 }
 
 impl TrainingMean {
-    /// A mean of rows of `width` values.
+    /// Creates a mean of rows with `width` values.
     pub fn new(width: usize) -> Self {
         Self { sums: vec![0.0; width], samples: 0 }
     }
@@ -39,13 +40,13 @@ impl TrainingMean {
     /// Adds training samples, row-major `[samples, width]`.
     ///
     /// # Errors
-    /// The values are no whole number of rows, or not finite; nothing is added then.
+    /// When the values are not a whole number of rows, or not finite. Nothing is added in that case.
     pub fn add(&mut self, values: &[f32]) -> Result<(), MetricsError> {
         let width = self.sums.len();
         let samples = rows("the training mean's batch", values, width)?;
         check_finite("the training mean's batch", values, width)?;
         self.samples += samples.len();
-        // Each column adds up its own values in their order, whichever thread does it.
+        // Each column adds its values in their order, so the result does not depend on the threads.
         self.sums.par_chunks_mut(COLUMNS_AT_ONCE).enumerate().for_each(|(chunk, sums)| {
             for sample in samples.clone() {
                 let values = &sample[chunk * COLUMNS_AT_ONCE..];
@@ -55,10 +56,10 @@ impl TrainingMean {
         Ok(())
     }
 
-    /// The mean, once for each of `samples`: row-major `[samples, width]`.
+    /// Returns the mean once for each of `samples`, row-major `[samples, width]`.
     ///
     /// # Errors
-    /// No training sample was added.
+    /// When no training sample was added.
     pub fn predict(&self, samples: usize) -> Result<Vec<f32>, MetricsError> {
         if self.samples == 0 {
             return Err(MetricsError::NoSamples { what: "the training mean" });
@@ -68,31 +69,31 @@ impl TrainingMean {
     }
 }
 
-/// Training samples of a ridge regression, reduced to its normal equations: memory doesn't grow with them.
+/// The normal equations of a ridge regression, summed over training samples. Memory does not grow with their number.
 ///
-/// A column of ones before the inputs carries the intercept.
+/// A column of ones before the inputs represents the intercept.
 #[derive(Debug, Clone)]
 pub struct RidgeSums {
     inputs: usize,
     outputs: usize,
-    /// [1 X]ᵀ [1 X], row-major `[inputs + 1, inputs + 1]`
+    /// `[1 X]ᵀ [1 X]`, row-major `[inputs + 1, inputs + 1]`.
     gram: Vec<f64>,
-    /// Yᵀ [1 X], row-major `[outputs, inputs + 1]`
+    /// `Yᵀ [1 X]`, row-major `[outputs, inputs + 1]`.
     cross: Vec<f64>,
 }
 
 impl RidgeSums {
-    /// No samples yet, of `inputs` and `outputs` values each.
+    /// Creates sums without samples. A sample has `inputs` and `outputs` values.
     pub fn new(inputs: usize, outputs: usize) -> Self {
         let size = inputs + 1;
         Self { inputs, outputs, gram: vec![0.0; size * size], cross: vec![0.0; outputs * size] }
     }
 
-    /// Adds training samples: normalized inputs `x`, row-major `[samples, inputs]`, and what is to be
-    /// predicted, `y`, `[samples, outputs]`, in any unit.
+    /// Adds training samples. `x` are the normalized inputs, row-major `[samples, inputs]`. `y` are the values to
+    /// predict, `[samples, outputs]`, in any unit.
     ///
     /// # Errors
-    /// The shapes don't match, or a value isn't finite; nothing is added then.
+    /// When the shapes don't match, or a value isn't finite. Nothing is added in that case.
     pub fn add(&mut self, x: &[f32], y: &[f32]) -> Result<(), MetricsError> {
         let samples = rows("ridge regression's x", x, self.inputs)?.len();
         let targets = rows("ridge regression's y", y, self.outputs)?.len();
@@ -110,12 +111,12 @@ impl RidgeSums {
         Ok(())
     }
 
-    /// Minimises `‖y - x w - b‖² + alpha ‖w‖²` over the samples, the intercept b unpenalised, as
-    /// scikit-learn's `Ridge(alpha)` does.
+    /// Minimizes `‖y - x w - b‖² + alpha ‖w‖²` over the samples, like scikit-learn's `Ridge(alpha)`. The intercept `b`
+    /// is not penalized.
     ///
     /// # Errors
-    /// `alpha` is negative or not finite, no sample was added, or the inputs are linearly dependent and
-    /// `alpha` is too small to settle which of them counts.
+    /// When `alpha` is negative or not finite, no sample was added, or the inputs are linearly dependent and `alpha` is
+    /// too small to make the solution unique.
     pub fn solve(&self, alpha: f64) -> Result<Ridge, MetricsError> {
         if !(alpha.is_finite() && alpha >= 0.0) {
             return Err(MetricsError::Alpha(alpha));
@@ -138,12 +139,13 @@ impl RidgeSums {
 pub struct Ridge {
     inputs: usize,
     outputs: usize,
-    /// Row-major `[outputs, inputs + 1]`: of each output the intercept, then the coefficients.
+    /// Row-major `[outputs, inputs + 1]`: the intercept and then the coefficients of each output.
     weights: Vec<f64>,
 }
 
 impl Ridge {
-    /// Fits samples that fit in memory: `x`, row-major `[samples, inputs]`, to `y`, `[samples, outputs]`.
+    /// Fits a regression from `x`, row-major `[samples, inputs]`, to `y`, `[samples, outputs]`. All samples are in
+    /// memory.
     ///
     /// # Errors
     /// Those of [`RidgeSums::add`] and [`RidgeSums::solve`].
@@ -159,19 +161,19 @@ impl Ridge {
         sums.solve(alpha)
     }
 
-    /// The intercept and the coefficients of one output.
+    /// Returns the intercept and the coefficients of one output.
     ///
     /// # Panics
-    /// There is no such output.
+    /// When there is no such output.
     pub fn weights(&self, output: usize) -> (f64, &[f64]) {
         let weights = &self.weights[output * (self.inputs + 1)..][..self.inputs + 1];
         (weights[0], &weights[1..])
     }
 
-    /// Predicts from inputs normalized as in the fit: `[samples, inputs]` to `[samples, outputs]`.
+    /// Predicts `[samples, outputs]` from inputs `[samples, inputs]` that are normalized as in the fit.
     ///
     /// # Errors
-    /// `x` is no whole number of rows.
+    /// When `x` is not a whole number of rows.
     pub fn predict(&self, x: &[f32]) -> Result<Vec<f32>, MetricsError> {
         let samples = rows("ridge regression's x", x, self.inputs)?.len();
         let size = self.inputs + 1;
@@ -186,13 +188,13 @@ impl Ridge {
     }
 }
 
-/// Grey picture of an image, or of a difference of two, of 16 x 16 values at most, as inputs of ridge regression.
+/// Reduces an image, or a difference of two images, to at most 16 x 16 gray values, as inputs of ridge regression.
 ///
-/// `frame` is `[channel, row, column]` of `size`, rows and columns; each value of the result is the mean of a block of
-/// pixels and their three channels, in the frame's own unit.
+/// `frame` is `[channel, row, column]`, and `size` is its number of rows and columns. Each value of the result is the
+/// mean over a block of pixels and their three channels, in the frame's unit.
 ///
 /// # Errors
-/// `frame` is not one frame long.
+/// When the length of `frame` is not that of one frame.
 pub fn downsample_frame(frame: &[f32], size: [usize; 2]) -> Result<Vec<f32>, MetricsError> {
     let [rows, columns] = size;
     let width = rows * columns * IMAGE_CHANNELS;
@@ -213,7 +215,7 @@ pub fn downsample_frame(frame: &[f32], size: [usize; 2]) -> Result<Vec<f32>, Met
     Ok(grey.into_iter().map(|(sum, count)| sum / count as f32).collect())
 }
 
-/// `[samples, inputs]` in f64, with a column of ones before the first.
+/// Returns `[samples, inputs]` in f64, with a column of ones before the first column.
 fn with_ones(x: &[f32], inputs: usize) -> Vec<f64> {
     x.chunks_exact(inputs)
         .flat_map(|row| [1.0].into_iter().chain(row.iter().map(|&v| f64::from(v))))
@@ -270,8 +272,8 @@ fn add_product(sum: &mut [f64], left: Matrix, right: Matrix) {
     }
 }
 
-/// Replaces a symmetric positive definite matrix `[size, size]` by its Cholesky factor L, and Lᵀ above the
-/// diagonal. `Err` names the first column that depends on those before it, to rounding.
+/// Replaces a symmetric positive definite matrix `[size, size]` by its Cholesky factor L, and Lᵀ above the diagonal.
+/// Returns an error with the first column that depends on the columns before it, within rounding.
 fn cholesky(matrix: &mut [f64], size: usize) -> Result<(), usize> {
     for j in 0..size {
         let (above, below) = matrix.split_at_mut(j * size);
@@ -293,7 +295,7 @@ fn cholesky(matrix: &mut [f64], size: usize) -> Result<(), usize> {
     Ok(())
 }
 
-/// Solves `L Lᵀ w = b` in place, with both factors in `factor` as [`cholesky`] leaves them.
+/// Solves `L Lᵀ w = b` in place. `factor` has both factors as [`cholesky`] stores them.
 fn solve_factored(factor: &[f64], b: &mut [f64]) {
     let size = b.len();
     for i in 0..size {

@@ -1,31 +1,72 @@
 use thiserror::Error;
 
-/// Why values can't be compared or a baseline can't be fitted.
+/// Why values can't be compared, or a baseline can't be fitted.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum MetricsError {
+    /// Values are not a whole number of rows.
     #[error(
         "{what} has {values} values, not a whole number of rows of {width}; give a row-major [samples, {width}] matrix"
     )]
-    Shape { what: &'static str, values: usize, width: usize },
+    Shape {
+        /// Name of the matrix.
+        what: &'static str,
+        /// Number of its values.
+        values: usize,
+        /// Number of values that a row must have.
+        width: usize,
+    },
+    /// Two matrices have different numbers of samples.
     #[error(
         "{first} has {first_samples} samples and {second} has {second_samples}; both must cover the same samples"
     )]
-    Samples { first: &'static str, first_samples: usize, second: &'static str, second_samples: usize },
+    Samples {
+        /// Name of the first matrix.
+        first: &'static str,
+        /// Number of its samples.
+        first_samples: usize,
+        /// Name of the second matrix.
+        second: &'static str,
+        /// Number of its samples.
+        second_samples: usize,
+    },
+    /// A value is infinite or NaN.
     #[error(
-        "{what} is {value} at row {row}, column {column} of the batch; only finite values can be scored, so check the training for divergence"
+        "{what} is {value} at row {row}, column {column} of the batch; only finite values can be scored, so check the \
+         training for divergence"
     )]
-    NotFinite { what: &'static str, value: f32, row: usize, column: usize },
+    NotFinite {
+        /// Name of the matrix.
+        what: &'static str,
+        /// The value.
+        value: f32,
+        /// Its row in the batch, counted from 0.
+        row: usize,
+        /// Its column, counted from 0.
+        column: usize,
+    },
+    /// A baseline has no training samples.
     #[error("{what} has no training samples; add at least one")]
-    NoSamples { what: &'static str },
+    NoSamples {
+        /// The baseline.
+        what: &'static str,
+    },
+    /// The penalty of a ridge regression is negative or not finite.
     #[error("ridge regression's alpha is {0}; it must be finite and not negative")]
     Alpha(f64),
+    /// The inputs of a ridge regression are linearly dependent.
     #[error(
-        "ridge regression's inputs are linearly dependent at column {column} and alpha is {alpha}; raise alpha or drop that column"
+        "ridge regression's inputs are linearly dependent at column {column} and alpha is {alpha}; raise alpha or drop \
+         that column"
     )]
-    Singular { column: usize, alpha: f64 },
+    Singular {
+        /// The first input that depends on those before it, counted from 0.
+        column: usize,
+        /// The penalty, which is too small.
+        alpha: f64,
+    },
 }
 
-/// Rows of a row-major `[samples, width]` matrix called `what`.
+/// Returns the rows of a row-major matrix `[samples, width]`. Errors call it `what`.
 pub(super) fn rows<'a, T>(
     what: &'static str,
     values: &'a [T],
@@ -37,7 +78,7 @@ pub(super) fn rows<'a, T>(
     Ok(values.chunks_exact(width))
 }
 
-/// Refuses a NaN or an infinity in a matrix of `width` columns called `what`.
+/// Returns an error if a matrix of `width` columns has a value that isn't finite. Errors call it `what`.
 pub(super) fn check_finite(what: &'static str, values: &[f32], width: usize) -> Result<(), MetricsError> {
     match values.iter().position(|value| !value.is_finite()) {
         None => Ok(()),
@@ -47,7 +88,7 @@ pub(super) fn check_finite(what: &'static str, values: &[f32], width: usize) -> 
     }
 }
 
-/// Refuses two matrices with different numbers of samples.
+/// Returns an error if two matrices have different numbers of samples.
 pub(super) fn check_samples(
     first: (&'static str, usize),
     second: (&'static str, usize),

@@ -1,9 +1,10 @@
-//! How good a prediction is: metrics in physical units, and the simple baselines they are read against.
+//! The quality of a prediction: metrics in physical units, and simple baselines to compare them with.
 //!
-//! [`series`] has the formulas, [`Evaluation`] applies those that suit a modality to its joints, links or
-//! pixels, [`parts`] tells which pixels show the robot's parts, [`baselines`] predicts without a network,
-//! [`contact`] sums up forces, [`epoch`] is what training logs. Everything accumulates batch by batch in f64, so a test set of frames need not fit in
-//! memory.
+//! [`series`] has the formulas. [`Evaluation`] applies those that suit a modality to its joints, links or pixels.
+//! [`parts`] finds the pixels that show parts of the robot. [`baselines`] predicts without a network. [`contact`]
+//! summarizes forces. [`epoch`] is what training logs.
+//!
+//! Everything accumulates batch by batch in f64, so a test set of frames need not fit in memory.
 
 pub mod baselines;
 pub mod contact;
@@ -22,66 +23,71 @@ use std::slice::from_ref;
 
 const RELATIVE_ERROR: &str = "relative_error";
 
-/// Columns that a thread adds up at a time.
+/// Number of columns that a thread sums at a time.
 const COLUMNS_AT_ONCE: usize = 1024;
 
-/// A group of elements, by its name in the tables.
+/// The name of a group of elements in the tables.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Direction(&'static str);
 
 impl Direction {
-    /// The finger's joints 0, 2, 4, …, and the links that they carry.
+    /// The finger's joints 0, 2, 4, …, and the links that they move.
     pub const FLEXION_EXTENSION: Self = Self("fe");
     /// The finger's joints 1, 3, 5, …
     pub const ADDUCTION_ABDUCTION: Self = Self("aa");
-    /// Those of the finger, which the paper's figures tell apart.
+    /// The groups of the finger, which the paper's figures distinguish.
     pub const FINGER: [Self; 2] = [Self::FLEXION_EXTENSION, Self::ADDUCTION_ABDUCTION];
 
-    /// The group of that name.
+    /// Returns the group with this name.
     pub fn new(name: &str) -> Self {
         Self(intern(name))
     }
 
-    /// The name in tables: of the finger, the paper's subscripts.
+    /// Returns the name in tables. For the finger it is the paper's subscript.
     pub fn name(self) -> &'static str {
         self.0
     }
 
-    /// The elements of a modality that belong to it.
+    /// Returns the indices of a modality's elements that belong to the group.
     pub fn elements(self, definition: &Definition) -> &[usize] {
         definition.groups.iter().find(|group| group.name == self.0).map_or(&[], |group| &group.elements)
     }
 }
 
-/// What is measured; the formulas stand in [`series`].
+/// A metric. Its formula is in [`series`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Metric {
+    /// Symmetric mean absolute percentage error, in %.
     Smape,
+    /// Weighted mean absolute percentage error, in %.
     Wmape,
+    /// Coefficient of determination.
     R2,
+    /// Root mean squared error, in the unit of the values.
     Rmse,
+    /// Mean absolute error, in the unit of the values.
     Mae,
-    /// Squared error relative to that of a trivial prediction; 1 is no better than it, 0 is perfect.
-    /// `frame_difference` is compared with no change, `vision` with each pixel's own mean over the test
-    /// samples, the best still picture there is.
+    /// Squared error relative to that of a trivial prediction: 0 is perfect, and 1 is no better than the trivial
+    /// prediction. An image difference is compared with no change. Other images are compared with the mean of each
+    /// pixel over the test samples, which is the best constant image.
     RelativeError,
-    /// The same over the pixels that show a region before or after the change, by the metric's whole name.
+    /// The same over the pixels that show a region before or after the change. It holds the whole name of the metric.
     RelativeErrorOf(&'static str),
 }
 
 impl Metric {
-    /// Those that no region has of its own.
+    /// The metrics that do not belong to a region.
     pub const GENERAL: [Metric; 6] = {
         use Metric::*;
         [Smape, Wmape, R2, Rmse, Mae, RelativeError]
     };
 
-    /// The error of a region, relative to that of a trivial prediction.
+    /// Returns the relative error of the region with this name.
     pub fn of_region(region: &str) -> Self {
         Self::RelativeErrorOf(intern(&format!("{RELATIVE_ERROR}_{region}")))
     }
 
-    /// The metric of that name; `None` where there is none.
+    /// Returns the metric with this name, if there is one.
     pub fn named(name: &str) -> Option<Self> {
         let general = Self::GENERAL.into_iter().find(|metric| metric.name() == name);
         general.or_else(|| {
@@ -90,7 +96,7 @@ impl Metric {
         })
     }
 
-    /// The metrics that a modality is judged by, where images have these regions.
+    /// Returns the metrics of a modality, if images have these regions.
     pub fn of(definition: &Definition, regions: &[Region]) -> Vec<Metric> {
         use Metric::*;
         if !definition.is_image() {
@@ -100,13 +106,13 @@ impl Metric {
             });
             return percentage.into_iter().chain([R2, Rmse, Mae]).collect();
         }
-        // The region of a pixel is that of a change.
+        // Regions are found where the image changes.
         let regions = if definition.difference_of.is_some() { regions } else { &[] };
         let of_regions = regions.iter().map(|region| Self::of_region(&region.name));
         [RelativeError].into_iter().chain(of_regions).chain([Rmse, Mae]).collect()
     }
 
-    /// The name in tables.
+    /// Returns the name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Metric::Smape => "smape",
@@ -120,35 +126,37 @@ impl Metric {
     }
 }
 
-/// One number of the metrics table.
+/// One row of the metrics table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Row {
+    /// The modality that is predicted.
     pub modality: Modality,
-    /// Of the one joint or link, or of all those pooled; `None` where no direction applies or both are pooled.
+    /// Group of the joint or link, or of all that are pooled; `None` if there is no group or all groups are pooled.
     pub direction: Option<Direction>,
-    /// The joint or link, counted from 0 at the base; `None` where several are pooled.
+    /// Index of the joint or link, counted from 0 at the base; `None` if several are pooled.
     pub index: Option<u32>,
+    /// The metric.
     pub metric: Metric,
-    /// `None` where the metric isn't defined.
+    /// The value of the metric; `None` if it isn't defined.
     pub value: Option<f64>,
-    /// Unit of the value: "%", "1" (none), or the measured quantity's.
+    /// Unit of the value: "%", "1" for no unit, or the unit of the modality.
     pub unit: String,
 }
 
 /// Compares predictions of one modality with the reference, batch by batch.
 ///
-/// Values are in physical units: rad, m, N; frames as intensities in [0, 1] and their differences in [-1, 1].
+/// Values are in physical units: rad, m, N. Images are intensities in [0, 1], and their differences are in [-1, 1].
 #[derive(Debug, Clone)]
 pub struct Evaluation {
     definition: Definition,
     metrics: Vec<Metric>,
     columns: Vec<Series>,
-    /// Of the pixels that show each region.
+    /// Sums over the pixels that show each region.
     regions: Vec<Series>,
 }
 
 impl Evaluation {
-    /// Of a modality, in whose images these regions are told apart.
+    /// Creates an evaluation of a modality. `regions` are the regions of its images.
     pub fn new(definition: &Definition, regions: &[Region]) -> Self {
         Self {
             definition: definition.clone(),
@@ -158,10 +166,11 @@ impl Evaluation {
         }
     }
 
-    /// Adds a batch: `reference` and `predicted`, each row-major `[samples, width of the modality]`.
+    /// Adds a batch. `reference` and `predicted` are row-major `[samples, width of the modality]`.
     ///
     /// # Errors
-    /// The shapes differ or are no whole number of rows, or a value isn't finite; nothing is added then.
+    /// When the shapes differ or are not a whole number of rows, or a value isn't finite. Nothing is added in that
+    /// case.
     pub fn add(&mut self, reference: &[f32], predicted: &[f32]) -> Result<(), MetricsError> {
         let width = self.columns.len();
         let references = rows("the reference", reference, width)?;
@@ -169,7 +178,7 @@ impl Evaluation {
         check_samples(("the reference", references.len()), ("the prediction", predictions.len()))?;
         check_finite("the reference", reference, width)?;
         check_finite("the prediction", predicted, width)?;
-        // Each column adds up its own values in their order, whichever thread does it.
+        // Each column adds its values in their order, so the result does not depend on the threads.
         self.columns.par_chunks_mut(COLUMNS_AT_ONCE).enumerate().for_each(|(chunk, columns)| {
             let first = chunk * COLUMNS_AT_ONCE;
             for (reference, predicted) in references.clone().zip(predictions.clone()) {
@@ -180,10 +189,10 @@ impl Evaluation {
         Ok(())
     }
 
-    /// Adds a batch of frames, with the region that each pixel shows, by its index: `[samples, pixels]`.
+    /// Adds a batch of frames. `parts` has the index of the region that each pixel shows, `[samples, pixels]`.
     ///
     /// # Errors
-    /// As [`Evaluation::add`], or `parts` has another number of samples.
+    /// Those of [`Evaluation::add`], and when `parts` has another number of samples.
     pub fn add_with_regions(
         &mut self,
         reference: &[f32],
@@ -196,7 +205,7 @@ impl Evaluation {
         self.add(reference, predicted)?;
         let frames = reference.chunks_exact(width).zip(predicted.chunks_exact(width));
         for ((reference, predicted), parts) in frames.zip(parts) {
-            // Every channel has the same pixels.
+            // All channels have the same pixels.
             for ((&r, &p), part) in reference.iter().zip(predicted).zip(parts.iter().cycle()) {
                 if let Some(region) = part {
                     self.regions[usize::from(*region)].add(r, p);
@@ -206,10 +215,10 @@ impl Evaluation {
         Ok(())
     }
 
-    /// The metrics so far: overall first, then by group, then by element.
+    /// Returns the metrics of all batches so far: of all elements first, then of each group, then of each element.
     ///
-    /// Elements of different units are never pooled; images are only pooled. Pooled values add the sums of their series,
-    /// see [`series`].
+    /// Elements of different units are not pooled. Images have only pooled values. A pooled value is computed from the
+    /// added sums of its series, see [`series`].
     pub fn rows(&self) -> Vec<Row> {
         let groups = self.groups();
         let rows = groups.iter().flat_map(|group| {
@@ -240,7 +249,7 @@ impl Evaluation {
         }
     }
 
-    /// A metric over `series`, pooled; `None` where it isn't defined.
+    /// Returns a metric of `series`, pooled; `None` if it isn't defined.
     fn value(&self, metric: Metric, series: &[Series]) -> Option<f64> {
         match metric {
             Metric::Smape => series::smape(series),
@@ -283,14 +292,14 @@ impl Evaluation {
     }
 }
 
-/// Series that make one number together.
+/// Series whose metrics are computed together.
 struct Group {
     direction: Option<Direction>,
     index: Option<u32>,
     series: Vec<Series>,
 }
 
-/// The metrics of one modality over samples that fit in memory; see [`Evaluation`] for shapes, units, errors.
+/// Returns the metrics of one modality over samples in memory. [`Evaluation`] describes shapes, units and errors.
 pub fn evaluate(
     definition: &Definition,
     reference: &[f32],

@@ -1,12 +1,12 @@
-//! The metrics' formulas, as functions of running sums.
+//! The formulas of the metrics, as functions of running sums.
 //!
-//! r is a reference value, p its prediction, n the number of pairs. Each function takes one series, or
-//! several that are pooled: their sums are added before the formula is applied. Every value is `None`
-//! where the formula would divide by zero, so none is ever infinite.
+//! r is a reference value, p its prediction, and n the number of pairs. Each function takes one series or several.
+//! Several series are pooled: their sums are added before the formula is applied. The result is `None` where the
+//! formula would divide by zero, so it is never infinite.
 
 /// Sums over the pairs (r, p) of one joint, link or pixel value, in f64.
 ///
-/// Collect it from an iterator of pairs, or add them one at a time when they don't fit in memory.
+/// Pairs can be collected from an iterator, or added one at a time if they don't fit in memory.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Series {
     count: f64,
@@ -33,7 +33,7 @@ impl Series {
         self.symmetric_error += if magnitude > 0.0 { error / magnitude } else { 0.0 };
         self.absolute_reference += r.abs();
         self.squared_reference += r * r;
-        // Welford's update: exact zero for a constant reference, which `r2` relies on.
+        // Welford's update gives exactly zero for a constant reference, which `r2` requires.
         let from_old_mean = r - self.reference_mean;
         self.reference_mean += from_old_mean / self.count;
         self.squared_deviation += from_old_mean * (r - self.reference_mean);
@@ -51,23 +51,25 @@ impl FromIterator<(f32, f32)> for Series {
 
 /// Symmetric mean absolute percentage error, in % from 0 to 100: `100/n Σ |r - p| / (|r| + |p|)`.
 ///
-/// The paper's form, without the factor 2 of others. A pair of zeros counts as no error. `None` without pairs.
+/// This is the paper's form, without the factor 2 that other forms have. A pair of zeros has no error. Returns `None`
+/// without pairs.
 pub fn smape(series: &[Series]) -> Option<f64> {
     ratio(sum(series, |s| s.symmetric_error), sum(series, |s| s.count)).map(|value| 100.0 * value)
 }
 
 /// Weighted mean absolute percentage error, in %, unbounded above: `100 Σ |r - p| / Σ |r|`.
 ///
-/// The paper's form. `None` where every reference is zero, such as the force on a link that is never touched.
+/// This is the paper's form. Returns `None` if every reference is zero, such as the force on a link that is never
+/// touched.
 pub fn wmape(series: &[Series]) -> Option<f64> {
     ratio(sum(series, |s| s.absolute_error), sum(series, |s| s.absolute_reference)).map(|value| 100.0 * value)
 }
 
 /// Coefficient of determination, at most 1, without unit: `1 - Σ (r - p)² / Σ (r - mean of r)²`.
 ///
-/// Each series keeps its own mean; series with a constant reference are left out. Pooled this is scikit-learn's
-/// `r2_score(multioutput="variance_weighted")`: a link that is hardly ever touched weighs little.
-/// `None` where every reference is constant.
+/// Each series has its own mean. Series with a constant reference are left out. With several series this is
+/// scikit-learn's `r2_score(multioutput="variance_weighted")`, in which a link that is rarely touched has little
+/// weight. Returns `None` if every reference is constant.
 pub fn r2(series: &[Series]) -> Option<f64> {
     let varying = series.iter().filter(|s| s.squared_deviation > 0.0);
     let (error, deviation) = varying
@@ -75,26 +77,27 @@ pub fn r2(series: &[Series]) -> Option<f64> {
     ratio(error, deviation).map(|unexplained| 1.0 - unexplained)
 }
 
-/// Root mean squared error, in the values' unit: `sqrt(1/n Σ (r - p)²)`. `None` without pairs.
+/// Root mean squared error, in the values' unit: `sqrt(1/n Σ (r - p)²)`. Returns `None` without pairs.
 pub fn rmse(series: &[Series]) -> Option<f64> {
     ratio(sum(series, |s| s.squared_error), sum(series, |s| s.count)).map(f64::sqrt)
 }
 
-/// Mean absolute error, in the values' unit: `1/n Σ |r - p|`. `None` without pairs.
+/// Mean absolute error, in the values' unit: `1/n Σ |r - p|`. Returns `None` without pairs.
 pub fn mae(series: &[Series]) -> Option<f64> {
     ratio(sum(series, |s| s.absolute_error), sum(series, |s| s.count))
 }
 
 /// Squared error relative to predicting zero everywhere, without unit: `Σ (r - p)² / Σ r²`.
 ///
-/// `None` where every reference is zero.
+/// Returns `None` if every reference is zero.
 pub fn error_relative_to_zero(series: &[Series]) -> Option<f64> {
     ratio(sum(series, |s| s.squared_error), sum(series, |s| s.squared_reference))
 }
 
-/// Squared error relative to predicting each series' own mean, without unit: `Σ (r - p)² / Σ (r - mean of r)²`.
+/// Squared error relative to predicting the mean of each series, without unit: `Σ (r - p)² / Σ (r - mean of r)²`.
 ///
-/// Unlike `1 - r2` it keeps the errors of series whose reference is constant. `None` where all are.
+/// Unlike `1 - r2`, it includes the errors of series with a constant reference. Returns `None` if every reference is
+/// constant.
 pub fn error_relative_to_mean(series: &[Series]) -> Option<f64> {
     ratio(sum(series, |s| s.squared_error), sum(series, |s| s.squared_deviation))
 }
