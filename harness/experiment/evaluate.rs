@@ -1,4 +1,4 @@
-//! A trained network, and the baselines, on the test transitions.
+//! Evaluates a trained network and the baselines on the test transitions.
 
 use super::ExperimentError;
 use candle_core::Tensor;
@@ -15,12 +15,12 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// Strength of the ridge regression's penalty, on normalized inputs and thousands of samples.
+/// Factor of the ridge regression's penalty, for normalized inputs and thousands of samples.
 const RIDGE_ALPHA: f64 = 1.0;
-/// Test transitions that are evaluated at once; bounds the memory that frames take.
+/// Number of test transitions that are evaluated at once. It limits the memory for frames.
 const BATCH: usize = 256;
 
-/// The samples that a task predicts from the transitions `at`.
+/// Returns the samples that a task predicts from the transitions `at`.
 fn predicted_samples(task: Task, at: &[usize]) -> Vec<usize> {
     match task {
         Task::Prediction => at.iter().map(|sample| sample + 1).collect(),
@@ -28,15 +28,18 @@ fn predicted_samples(task: Task, at: &[usize]) -> Vec<usize> {
     }
 }
 
-/// What a decoder made of the test transitions.
+/// The results of a decoder on the test transitions.
 pub struct Evaluated {
+    /// Rows of the metrics table.
     pub metrics: Vec<MetricRow>,
+    /// Rows of the predictions table.
     pub predictions: Vec<PredictionRow>,
+    /// Rows of the frames table.
     pub frames: Vec<FrameRow>,
 }
 
-/// Metrics and predictions of a decoder on the test transitions, given their latent states `[test, latent]`, and
-/// pictures of those in `sampled_transitions`.
+/// Evaluates a decoder on the test transitions, given their latent states `[test, latent]`. Returns metrics,
+/// predictions, and the images of the `sampled_transitions`.
 pub fn network(
     data: &NormalizedData,
     task: Task,
@@ -74,7 +77,7 @@ pub fn network(
     Ok(Evaluated { metrics, predictions, frames })
 }
 
-/// Adds the predictions of `modality` at the samples `at` to its evaluation.
+/// Adds the predictions of `modality` at the samples `at` to an evaluation.
 fn add(
     evaluation: &mut Evaluation,
     samples: &Samples,
@@ -95,8 +98,8 @@ fn add(
     evaluation.add_with_regions(reference, predicted, &regions)
 }
 
-/// Whether every single prediction is kept: those of images would take too much room, and values of different units don't
-/// stand in one column.
+/// Whether every prediction of a modality is stored. Images would take too much space, and values of different units
+/// can't share a column.
 fn is_recorded(definition: &Definition) -> bool {
     !definition.is_image() && definition.unit().is_some()
 }
@@ -122,20 +125,21 @@ fn prediction_rows<'a>(
     })
 }
 
-/// A test transition whose pictures are kept.
+/// A test transition whose images are stored.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SampledTransition {
+    /// The transition, given by its first sample.
     pub transition: usize,
-    /// Mean absolute change of the camera frame from the transition's sample to its next, in [0, 1].
+    /// Mean absolute change of the camera image from this sample to the next, in [0, 1].
     pub motion: f64,
 }
 
-/// Where the kept transitions stand among all test transitions by their motion: from hardly any to the most.
+/// Quantiles of the test transitions' motion at which the stored transitions are chosen.
 const MOTION_QUANTILES: [f64; 5] = [0.02, 0.3, 0.6, 0.85, 0.98];
 
-/// The test transitions whose pictures are kept, from the least motion to the most; none without frames.
+/// Returns the test transitions whose images are stored, from the least to the most motion; none without frames.
 ///
-/// The choice depends on the dataset alone, so that the pictures of all networks can be compared.
+/// The choice depends only on the dataset, so the images of all networks can be compared.
 pub fn sample_transitions(samples: &Samples, test: &[usize]) -> Vec<SampledTransition> {
     let Some(camera) = samples.layout().stored_images().next().map(|image| image.name) else {
         return Vec::new();
@@ -184,8 +188,8 @@ fn frame_rows<'a>(
     })
 }
 
-/// A frame `[channel, row, column]` as bytes `[row, column, channel]`: an intensity in [0, 1] times 255, a difference
-/// in [-1, 1] times 127 around 128, so that no change is kept exactly.
+/// Converts a frame `[channel, row, column]` to bytes `[row, column, channel]`. An intensity in [0, 1] is multiplied by
+/// 255. A difference in [-1, 1] is multiplied by 127 and added to 128, so that no change is represented exactly.
 fn picture(definition: &Definition, values: &[f32]) -> Vec<u8> {
     let byte = |value: f32| match definition.difference_of {
         Some(_) => (128.0 + 127.0 * value).round().clamp(1.0, 255.0) as u8,
@@ -197,8 +201,7 @@ fn picture(definition: &Definition, values: &[f32]) -> Vec<u8> {
         .collect()
 }
 
-/// How the forces that the dataset holds are distributed, link by link: over the whole of it, and in each of its
-/// episodes.
+/// Returns the distribution of the forces on each link, over the whole dataset and in each of its episodes.
 pub fn forces(samples: &Samples) -> Vec<ForceRows> {
     let of = |definition: &Definition, episode, range: Range<usize>| {
         let (modality, width) = (definition.name, definition.width());
@@ -218,10 +221,10 @@ fn label(task: Task, model: &'static str, evaluation: &Evaluation) -> Vec<Metric
     evaluation.rows().into_iter().map(|row| MetricRow { task, model, row }).collect()
 }
 
-/// Metrics of every baseline on the same test transitions: persistence, the training mean and, for vectors,
-/// ridge regression on the encoder's input and the action.
+/// Evaluates all baselines on the same test transitions: persistence, the training mean and, for vectors, ridge
+/// regression on the encoder's input and the action.
 ///
-/// A reconstruction has the training mean alone: persistence would be the answer itself.
+/// A reconstruction has only the training mean, because persistence would be its target.
 pub fn baselines(
     data: &NormalizedData,
     partition: &Partition,
@@ -248,7 +251,7 @@ pub fn baselines(
     Ok(rows)
 }
 
-/// The metrics of `predict` on the test transitions, batch by batch.
+/// Evaluates `predict` on the test transitions, batch by batch.
 fn judge(
     data: &NormalizedData,
     partition: &Partition,
@@ -280,7 +283,7 @@ fn training_mean(
     Ok(mean)
 }
 
-/// Ridge regression from the encoder's input and the action to each vector that is predicted.
+/// Evaluates a ridge regression from the encoder's input and the action to each predicted vector.
 fn ridge(
     data: &NormalizedData,
     partition: &Partition,
@@ -314,7 +317,7 @@ fn ridge(
     Ok(rows)
 }
 
-/// What is to be predicted from the transitions `at`: the next samples' vectors, side by side.
+/// Returns the targets of the transitions `at`: the next samples' vectors, side by side.
 fn side_by_side(data: &NormalizedData, vectors: &[Modality], at: &[usize]) -> Vec<f32> {
     let of = |sample: &usize| {
         let next = sample + 1;
@@ -323,7 +326,8 @@ fn side_by_side(data: &NormalizedData, vectors: &[Modality], at: &[usize]) -> Ve
     at.iter().flat_map(of).collect()
 }
 
-/// The encoder's input and the action, normalized, with frames as small grey pictures; `[at, inputs]`.
+/// Returns the normalized inputs of ridge regression, `[at, inputs]`: the action, the encoder's vectors, and its frames
+/// reduced to small gray images.
 fn ridge_inputs(
     data: &NormalizedData,
     input: &[Modality],

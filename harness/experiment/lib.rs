@@ -1,4 +1,4 @@
-//! What running an experiment does: spec, episodes, dataset, training, metrics, record.
+//! Runs experiments: from a spec to episodes, a dataset, training, metrics and a record.
 
 mod evaluate;
 mod model;
@@ -35,89 +35,136 @@ use std::time::Instant;
 /// Why a run failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ExperimentError {
+    /// The world can't be simulated.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
+    /// The dataset can't be read or written.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
+    /// The episodes can't be collected.
     #[error(transparent)]
     Collection(#[from] CollectionError),
+    /// The training failed.
     #[error(transparent)]
     Learning(#[from] LearningError),
+    /// The evaluation failed.
     #[error(transparent)]
     Metrics(#[from] MetricsError),
+    /// The results folder can't be read or written.
     #[error(transparent)]
     Registry(#[from] RegistryError),
+    /// The dataset does not fit the spec.
     #[error("{problem} (dataset {dataset})")]
-    Unsuitable { dataset: String, problem: String },
+    Unsuitable {
+        /// Name of the dataset.
+        dataset: String,
+        /// What does not fit.
+        problem: String,
+    },
+    /// The split leaves no training samples.
     #[error(
-        "the split leaves nothing for training; give the experiment more or longer episodes, or the split smaller \
-         shares or, by time, a smaller gap_seconds"
+        "the split leaves nothing for training; raise simulation.episodes or simulation.actuations_per_episode, or \
+         lower split.validation, split.test or, in a split by time, split.gap_seconds"
     )]
     NoTraining,
+    /// The dataset does not fit in memory.
     #[error(
         "the dataset {dataset} takes {:.1} GB of memory and only {:.1} GB are free; free some, or lower \
          simulation.episodes or simulation.actuations_per_episode",
         *needed as f64 / 1e9, *available as f64 / 1e9
     )]
-    Memory { dataset: String, needed: u64, available: u64 },
+    Memory {
+        /// Name of the dataset.
+        dataset: String,
+        /// Memory that it needs, bytes.
+        needed: u64,
+        /// Memory that is available, bytes.
+        available: u64,
+    },
+    /// The frames of the dataset do not fit on the disk.
     #[error(
         "the frames of the dataset {dataset} take {:.1} GB of disk while it is used, and only {:.1} GB are free in {}; \
          make room, or lower simulation.episodes or simulation.actuations_per_episode",
         *needed as f64 / 1e9, *available as f64 / 1e9, folder.display()
     )]
-    Disk { dataset: String, needed: u64, available: u64, folder: PathBuf },
+    Disk {
+        /// Name of the dataset.
+        dataset: String,
+        /// Disk space that the frames need, bytes.
+        needed: u64,
+        /// Disk space that is available, bytes.
+        available: u64,
+        /// The folder on that disk.
+        folder: PathBuf,
+    },
+    /// The training does not fit in memory.
     #[error(
         "the network takes up to {:.1} GB of memory to train and only {:.1} GB are free; free some, or lower \
          network.hidden, network.channels or training.batch_size",
         *needed as f64 / 1e9, *available as f64 / 1e9
     )]
-    NetworkMemory { needed: u64, available: u64 },
-    /// What all runs of a scenario need could not be made; the first of them tried.
+    NetworkMemory {
+        /// Memory that the training needs, bytes.
+        needed: u64,
+        /// Memory that is available, bytes.
+        available: u64,
+    },
+    /// The data that several runs share could not be prepared. The first of these runs tried it.
     #[error("{0}")]
     Preparation(String),
+    /// The threads of a job can't be started.
     #[error("no threads can be started: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
-    #[error("the experiment was cancelled; the same command goes on from here")]
+    /// The caller cancelled the experiment.
+    #[error("the experiment was cancelled; the same command continues from here")]
     Cancelled,
 }
 
-/// What an experiment needs besides its spec.
+/// What an experiment needs in addition to its spec.
 pub struct Runner<'a> {
+    /// The results folder.
     pub registry: &'a Registry,
-    /// Threads for collection, and for all trainings together.
+    /// Number of threads for collection, and for all trainings together.
     pub threads: usize,
-    /// Runs that are trained side by side, each with its share of the threads; 1 trains them in the caller's pool.
+    /// Number of runs that are trained at the same time. Each gets its share of the threads. With 1, runs are trained
+    /// in the caller's pool.
     pub jobs: usize,
-    /// Of datasets that lack episodes, this process makes its share before it waits for the others.
+    /// The share of a dataset's missing episodes that this process simulates before it waits for the others.
     pub shard: Option<Shard>,
-    /// Whether runs that other processes work on are waited for.
+    /// Whether to wait for runs that other processes are working on.
     pub waits: bool,
-    /// Whether the first run that fails ends the work.
+    /// Whether to stop after the first run that fails.
     pub fails_fast: bool,
-    /// Frames that take more memory than this, bytes, are kept on disk; `None` is an eighth of what is within reach.
+    /// Frames that take more memory than this, in bytes, are stored on disk. `None` means an eighth of the available
+    /// memory.
     pub memory: Option<u64>,
+    /// The program, machine and command that are recorded with each run.
     pub provenance: &'a Provenance,
+    /// Is told of the progress, and can cancel the experiment.
     pub progress: &'a dyn Progress,
 }
 
-/// One run of an experiment's plan.
+/// One run in the plan of an experiment.
 pub struct Planned {
+    /// The run's settings.
     pub spec: RunSpec,
+    /// The folder of its results.
     pub folder: RunFolder,
+    /// Whether to run, resume or skip it, and why.
     pub decision: Decision,
-    /// How far the run was when it was planned.
+    /// The record that the run had when it was planned.
     record: Option<RunRecord>,
     source: Arc<Source>,
 }
 
-/// Where a scenario's samples come from.
+/// The origin of a scenario's samples.
 enum Source {
     Simulated { scene: Box<Scene>, dataset: Dataset },
     Imported(Imported),
 }
 
 impl Source {
-    /// The dataset's name.
+    /// Returns the dataset's name.
     fn name(&self) -> &str {
         match self {
             Self::Simulated { dataset, .. } => dataset.name(),
@@ -125,7 +172,7 @@ impl Source {
         }
     }
 
-    /// Samples of the whole dataset.
+    /// Returns the number of samples in the whole dataset.
     fn len(&self) -> usize {
         match self {
             Self::Simulated { dataset, .. } => dataset.len(),
@@ -133,7 +180,7 @@ impl Source {
         }
     }
 
-    /// A world whose files have changed since it was read.
+    /// Returns the world if its files have changed since it was read.
     fn changed_world(&self) -> Option<&World> {
         match self {
             Self::Simulated { scene, .. } if scene.has_changed() => Some(scene.world()),
@@ -141,7 +188,7 @@ impl Source {
         }
     }
 
-    /// What its samples hold.
+    /// Returns the layout of the samples.
     fn layout(&self) -> &Arc<Layout> {
         match self {
             Self::Simulated { dataset, .. } => dataset.layout(),
@@ -151,12 +198,12 @@ impl Source {
 }
 
 impl Planned {
-    /// What the samples of its dataset hold.
+    /// Returns the layout of the dataset's samples.
     pub fn layout(&self) -> &Arc<Layout> {
         self.source.layout()
     }
 
-    /// Whether two runs learn from the same data in the same form on the same device.
+    /// Whether two runs train on the same data, in the same form and on the same device.
     fn shares_data(&self, other: &Planned) -> bool {
         fn key(planned: &Planned) -> impl PartialEq {
             let spec = &planned.spec;
@@ -169,7 +216,7 @@ impl Planned {
 }
 
 impl<'a> Runner<'a> {
-    /// A runner that trains one run at a time, waits for other processes, and goes on after a run that fails.
+    /// Returns a runner that trains one run at a time, waits for other processes, and continues after a run that fails.
     pub fn new(
         registry: &'a Registry,
         threads: usize,
@@ -189,7 +236,7 @@ impl<'a> Runner<'a> {
         }
     }
 
-    /// Each run of the experiment with what will happen to it, and why.
+    /// Returns each run of the experiment, with a decision whether to run, resume or skip it.
     pub fn plan(&self, experiment: &Experiment) -> Result<Vec<Planned>, ExperimentError> {
         open_device(experiment.training.device)?;
         let mut sources: Vec<(Origin, Option<Simulation>, Arc<Source>)> = Vec::new();
@@ -239,7 +286,7 @@ impl<'a> Runner<'a> {
         Ok(source)
     }
 
-    /// Where a run's frames are kept.
+    /// Returns where a run's frames are stored.
     fn frame_place(&self, Planned { spec, source, .. }: &Planned) -> FramePlace {
         let layout = source.layout();
         match spec.modalities().iter().any(|modality| layout[*modality].is_image()) {
@@ -248,7 +295,7 @@ impl<'a> Runner<'a> {
         }
     }
 
-    /// The samples of a run's dataset, of which what is missing is collected first.
+    /// Returns the samples of a run's dataset. Missing episodes are collected first.
     fn samples(&self, source: &Source, frames: FramePlace) -> Result<Samples, ExperimentError> {
         self.check_room(source, frames)?;
         match source {
@@ -263,7 +310,7 @@ impl<'a> Runner<'a> {
         }
     }
 
-    /// Refuses a dataset that has no room, and says so of frames that are kept on disk.
+    /// Returns an error if there is no space for a dataset. Reports it if frames are stored on disk.
     fn check_room(&self, source: &Source, frames: FramePlace) -> Result<(), ExperimentError> {
         let dataset = source.name().to_owned();
         let (needed, available) =
@@ -279,13 +326,13 @@ impl<'a> Runner<'a> {
             return Err(ExperimentError::Disk { dataset, needed, available, folder });
         }
         self.progress.say(&format!(
-            "the frames of {dataset}, {:.1} GB, are kept in a temporary file beside it; --memory can keep them in memory",
+            "the frames of {dataset}, {:.1} GB, are in a temporary file next to it; --memory can keep them in memory",
             needed as f64 / 1e9
         ));
         Ok(())
     }
 
-    /// Makes the run's dataset ready for training.
+    /// Prepares the run's dataset for training.
     fn prepare(&self, planned: &Planned) -> Result<PreparedData, ExperimentError> {
         let begin = Instant::now();
         let Planned { spec, source, .. } = planned;
@@ -314,7 +361,7 @@ impl<'a> Runner<'a> {
 }
 
 impl ExperimentError {
-    /// Whether this is the caller's own wish to stop.
+    /// Whether the caller cancelled the work.
     pub fn is_cancelled(&self) -> bool {
         match self {
             Self::Cancelled | Self::Learning(LearningError::Cancelled) => true,
@@ -325,13 +372,13 @@ impl ExperimentError {
     }
 }
 
-/// What stands behind a command, with the versions of what simulates and learns.
+/// Returns the provenance of a command, with the versions of MuJoCo and candle.
 pub fn provenance(threads: usize, command: String) -> Provenance {
     let versions = Versions { mujoco: mujoco_version(), candle: learning::CANDLE_VERSION };
     Provenance::gather(versions, threads, command)
 }
 
-/// An error and its causes, in one line.
+/// Returns an error and its causes in one line.
 pub fn describe(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
@@ -345,7 +392,7 @@ pub fn describe(error: &dyn std::error::Error) -> String {
     text
 }
 
-/// Memory that training a run's networks takes, one after the other, bytes: a generous estimate.
+/// Returns an upper estimate of the memory that training a run's networks one after the other takes, in bytes.
 fn training_bytes(spec: &RunSpec, layout: &Arc<Layout>) -> Result<u64, LearningError> {
     let bytes = |task: &Task| {
         let summary = architecture(spec, layout, *task).summary()?;
@@ -356,20 +403,20 @@ fn training_bytes(spec: &RunSpec, layout: &Arc<Layout>) -> Result<u64, LearningE
     Ok(bytes.map_err(LearningError::from)?.into_iter().max().unwrap_or_default())
 }
 
-/// A scenario's data, shared by runs that want the same of it.
+/// A scenario's data, shared by runs that use them in the same form.
 struct PreparedData {
     data: NormalizedData,
     partition: Partition,
     baselines: Vec<MetricRow>,
     forces: Vec<ForceRows>,
-    /// The test transitions whose pictures are kept.
+    /// The test transitions whose images are stored.
     sampled_transitions: Vec<SampledTransition>,
-    /// Memory that the samples take, bytes.
+    /// Memory of the samples, bytes.
     bytes: u64,
     seconds: f64,
 }
 
-/// One run in training.
+/// One run that is being trained.
 struct TrainingRun<'a> {
     spec: &'a RunSpec,
     folder: &'a RunFolder,
@@ -404,7 +451,7 @@ impl TrainingRun<'_> {
         }
     }
 
-    /// Trains encoder and decoder, and evaluates them.
+    /// Trains and evaluates the encoder and the decoder.
     fn predict(&self, outcome: &mut Outcome) -> Result<(Box<dyn Encoder>, Parameters), ExperimentError> {
         let Self { spec, prepared: PreparedData { data, partition, sampled_transitions, .. }, .. } = self;
         let begin = Instant::now();
@@ -448,7 +495,7 @@ impl TrainingRun<'_> {
         Ok((objective.encoder, parameters))
     }
 
-    /// Trains a new decoder on the frozen encoder's latent states, and evaluates it.
+    /// Trains and evaluates a new decoder on the latent states of the frozen encoder.
     fn reconstruct(&self, encoder: &dyn Encoder, outcome: &mut Outcome) -> Result<(), ExperimentError> {
         let Self { spec, prepared: PreparedData { data, partition, sampled_transitions, .. }, .. } = self;
         let begin = Instant::now();
@@ -490,7 +537,7 @@ impl TrainingRun<'_> {
     }
 }
 
-/// Adds what the training and the evaluation of one task gave.
+/// Adds the results of one task's training and evaluation.
 fn add(outcome: &mut Outcome, task: Task, epochs: Vec<Epoch>, evaluated: Evaluated) {
     outcome.epochs.extend(epochs.into_iter().map(|epoch| (task, epoch)));
     outcome.metrics.extend(evaluated.metrics);

@@ -1,4 +1,4 @@
-//! A trained network at work on observations from anywhere, in physical units.
+//! A trained network, applied to observations from any source, in physical units.
 
 use candle_core::{Device, Tensor};
 use harness_learning::Normalizers;
@@ -12,47 +12,85 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// A batch by modality, `[batch, width]` in physical units; frames channel by channel, those of `vision` in [0, 1].
+/// The values of a batch by modality, `[batch, width]` in physical units. Frames are stored channel by channel, and
+/// those of `vision` are in [0, 1].
 pub type Values = BTreeMap<Modality, Vec<f32>>;
 
-/// Why a trained network can't be used as asked.
+/// Why a trained network can't be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
+    /// The run can't be found, or its record can't be read.
     #[error(transparent)]
     Registry(#[from] RegistryError),
+    /// The network can't be loaded or applied.
     #[error(transparent)]
     Learning(#[from] LearningError),
-    #[error("{run} is {}, not done; the command that made it goes on with it", status.name())]
-    Unfinished { run: String, status: Status },
-    #[error("there is no network at {}; published results leave networks out, so do the run again", .0.display())]
+    /// The run is not done.
+    #[error("{run} is {}, not done; run the command that made it again to continue", status.name())]
+    Unfinished {
+        /// Id of the run.
+        run: String,
+        /// Its status.
+        status: Status,
+    },
+    /// The run has no checkpoint at this path.
+    #[error("there is no network at {}; published results have no networks, so train the run again", .0.display())]
     NoNetwork(PathBuf),
-    #[error("{run} trained no reconstruction; its spec's tasks are {}", .tasks.iter().map(|task| task.name()).collect::<Vec<_>>().join(", "))]
-    NoReconstruction { run: String, tasks: Vec<Task> },
-    #[error("the observation lacks '{modality}'; the encoder of {run} is given {}", names(given))]
-    Lacks { run: String, modality: Modality, given: Vec<Modality> },
+    /// The run has no network for reconstruction.
+    #[error(
+        "{run} trained no reconstruction; its spec's tasks are {}",
+        .tasks.iter().map(|task| task.name()).collect::<Vec<_>>().join(", ")
+    )]
+    NoReconstruction {
+        /// Id of the run.
+        run: String,
+        /// The tasks that it trained.
+        tasks: Vec<Task>,
+    },
+    /// An observation lacks a modality of the encoder's input.
+    #[error("the observation lacks '{modality}'; the encoder of {run} needs {}", names(given))]
+    Lacks {
+        /// Id of the run.
+        run: String,
+        /// The missing modality.
+        modality: Modality,
+        /// All modalities of the encoder's input.
+        given: Vec<Modality>,
+    },
+    /// A modality, an action or a latent state has the wrong number of values.
     #[error("'{name}' has {found} values for a batch of {batch}, which must be {batch} times {width}")]
-    Shape { name: &'static str, batch: usize, width: usize, found: usize },
+    Shape {
+        /// Name of the modality, `action` or `latent`.
+        name: &'static str,
+        /// Number of observations in the batch.
+        batch: usize,
+        /// Number of values of one observation.
+        width: usize,
+        /// Number of values that were given.
+        found: usize,
+    },
 }
 
 fn names(modalities: &[Modality]) -> String {
     modalities.iter().map(|modality| modality.name()).collect::<Vec<_>>().join(", ")
 }
 
-/// A finished run's encoder, the decoder that predicts the next observation, and the one that reconstructs the present.
+/// A finished run's encoder, the decoder that predicts the next observation, and the decoder that reconstructs the
+/// present one.
 pub struct Model {
     record: RunRecord,
     normalizers: Normalizers,
     encoder: Box<dyn Encoder>,
     decoder: Box<dyn Decoder>,
-    /// `None` where the run trained none.
+    /// `None` if the run trained no reconstruction.
     reconstruction: Option<Box<dyn Decoder>>,
 }
 
 impl Model {
-    /// Loads the one run whose id, or `experiment/id`, begins with `wanted`; it works on the CPU.
+    /// Loads the run whose id, or `experiment/id`, begins with `wanted`. The network runs on the CPU.
     ///
     /// # Errors
-    /// When there is no such run or several, it isn't done, or its network is not there or damaged.
+    /// When no run or several runs match, the run isn't done, or its network is missing or damaged.
     pub fn load(registry: &Registry, wanted: &str) -> Result<Self, ModelError> {
         let (folder, record) = registry.find(wanted)?;
         if record.status != Status::Done {
@@ -72,16 +110,16 @@ impl Model {
         Ok(Self { record, normalizers, encoder, decoder, reconstruction })
     }
 
-    /// The run's record, with its spec.
+    /// Returns the run's record, which includes its spec.
     pub fn record(&self) -> &RunRecord {
         &self.record
     }
 
-    /// Mean and log-variance of the posterior for `batch` observations, `[batch, latent]` each. What the encoder is not
-    /// given is ignored.
+    /// Returns the mean and the log-variance of the posterior for `batch` observations, `[batch, latent]` each.
+    /// Modalities that the encoder does not use are ignored.
     ///
     /// # Errors
-    /// When a modality that the encoder is given lacks, or has another number of values.
+    /// When a modality of the encoder's input is missing, or has the wrong number of values.
     pub fn encode(&self, batch: usize, observation: &Values) -> Result<(Vec<f32>, Vec<f32>), ModelError> {
         let observation = self.observation(batch, observation)?;
         let posterior = || -> candle_core::Result<_> {
@@ -92,11 +130,11 @@ impl Model {
         Ok(posterior().map_err(LearningError::from)?)
     }
 
-    /// The next observations, from the posterior's mean and `action` `[batch, elements]` in the form and units that the run's
-    /// spec says.
+    /// Predicts the next observations from the posterior's mean and `action` `[batch, elements]`, in the form and the
+    /// units that the run's spec defines.
     ///
     /// # Errors
-    /// As [`Model::encode`].
+    /// Those of [`Model::encode`], and when `action` has the wrong number of values.
     pub fn predict(
         &self,
         batch: usize,
@@ -116,10 +154,10 @@ impl Model {
         Ok(predicted().map_err(LearningError::from)?.into_iter().collect())
     }
 
-    /// The observations that latent states `[batch, latent]` hold, by the encoder's own modalities.
+    /// Decodes the observations in latent states `[batch, latent]`, with the modalities of the encoder's input.
     ///
     /// # Errors
-    /// When the run trained no reconstruction, or `latent` has another number of values.
+    /// When the run trained no reconstruction, or `latent` has the wrong number of values.
     pub fn reconstruct(&self, batch: usize, latent: Vec<f32>) -> Result<Values, ModelError> {
         let spec = &self.record.spec;
         let Some(decoder) = &self.reconstruction else {
@@ -137,7 +175,7 @@ impl Model {
         Ok(reconstructed().map_err(LearningError::from)?.into_iter().collect())
     }
 
-    /// What the encoder is given, normalized and side by side.
+    /// Returns the encoder's input, normalized, with vectors side by side and frames stacked by channel.
     fn observation(&self, batch: usize, values: &Values) -> Result<Observation, ModelError> {
         let input = &self.record.spec.input;
         let mut vectors = Vec::new();
@@ -171,7 +209,7 @@ impl Model {
     }
 }
 
-/// Loads the parameters of a network that must be there, and returns the scales saved with them.
+/// Loads the parameters of a network and returns its normalizers. Fails if there is no file at `path`.
 fn load_network(path: &Path, parameters: &Parameters) -> Result<Normalizers, ModelError> {
     if !path.exists() {
         return Err(ModelError::NoNetwork(path.to_owned()));
@@ -190,7 +228,7 @@ fn load_reconstruction(folder: &RunFolder, record: &RunRecord) -> Result<Box<dyn
     Ok(decoder)
 }
 
-/// Whether `values` are those of a batch.
+/// Returns an error unless `values` has `batch` times `width` values.
 fn check(name: &'static str, batch: usize, width: usize, values: &[f32]) -> Result<(), ModelError> {
     if values.len() == batch * width {
         return Ok(());
@@ -198,7 +236,7 @@ fn check(name: &'static str, batch: usize, width: usize, values: &[f32]) -> Resu
     Err(ModelError::Shape { name, batch, width, found: values.len() })
 }
 
-/// Several `[batch, width]` as one, `[batch, all widths]`; `None` of none.
+/// Joins several `[batch, width]` into one `[batch, all widths]`; `None` without parts.
 fn side_by_side(batch: usize, parts: &[(usize, Vec<f32>)]) -> candle_core::Result<Option<Tensor>> {
     if parts.is_empty() {
         return Ok(None);

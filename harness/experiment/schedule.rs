@@ -1,4 +1,5 @@
-//! Which run is done when, and by whom: several jobs of this process, or other processes on the same results folder.
+//! Schedules the runs of a plan: over several jobs of this process, and beside other processes that use the same
+//! results folder.
 
 use super::{ExperimentError, Planned, PreparedData, Runner, TrainingRun, describe, training_bytes};
 use harness_registry::{Decision, Outcome, Provenance, Status};
@@ -9,16 +10,18 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// Time between two looks at whether another process has let go of a run, or another job of its memory.
+/// Time between two checks whether another process has released a run, or another job its memory.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
 
-/// What became of an experiment's runs.
+/// The outcome of an experiment's runs.
 #[derive(Debug, Default)]
 pub struct Summary {
+    /// Number of runs that this call finished.
     pub done: usize,
-    /// Done before, or by another process.
+    /// Number of runs that were done before, or by another process.
     pub skipped: usize,
-    /// Which run failed, and why; each was reported when it did, and is in its record if that could be written.
+    /// The failed runs, each with its reason. Each failure was reported when it happened, and is in the run's record if
+    /// that could be written.
     pub failed: Vec<String>,
     /// Runs that were not waited for, since other processes work on them.
     pub held: usize,
@@ -26,22 +29,22 @@ pub struct Summary {
     pub left: usize,
 }
 
-/// What became of one run.
+/// The outcome of one run.
 enum End {
     Done,
     Skipped,
-    /// Which run it was, and why.
+    /// The run failed. Holds its id and the reason.
     Failed(String),
-    /// Another process is at it.
+    /// Another process is working on the run.
     Held,
     /// Nobody tried, because another run had failed.
     Left,
 }
 
 impl Runner<'_> {
-    /// Does every run of a plan that isn't done yet. A run that fails leaves a record that says why, and the others go
-    /// on, unless the runner fails fast. Runs that other processes work on come last: unless the runner does not wait, they
-    /// are waited for, or done if their holder dies.
+    /// Performs every run of a plan that isn't done yet. A run that fails leaves a record with the reason, and the
+    /// others continue, unless the runner fails fast. Runs that other processes are working on come last: if the runner
+    /// waits, this call waits for them, and performs them if the other process dies.
     ///
     /// # Errors
     /// When the caller cancels, or no threads can be started.
@@ -50,18 +53,18 @@ impl Runner<'_> {
         let (skipped, mut pending): (Vec<&Planned>, Vec<&Planned>) =
             plan.iter().partition(|planned| planned.decision == Decision::Skip);
         summary.skipped = skipped.len();
-        // Whoever finished them may have been killed before it came to this.
+        // The process that finished them may have been killed before it removed their states.
         skipped.iter().for_each(|planned| planned.folder.remove_states());
         if pending.iter().any(|planned| planned.spec.split.by == Division::Sample) {
             self.progress.say(
-                "split.by is sample: test samples have neighbours in training, so errors come out smaller than on \
-                 anything new",
+                "split.by is sample: test samples have neighbours in the training data, so the errors are smaller \
+                 than on new data",
             );
         }
         let mut changed = BTreeSet::new();
         loop {
             let mut held = Vec::new();
-            // One dataset at a time: its samples are in memory once, and the other's are not.
+            // One dataset is processed at a time, so that only its samples are in memory.
             for runs in by_data(pending) {
                 if self.fails_fast && !summary.failed.is_empty() {
                     summary.left += runs.len();
@@ -88,19 +91,19 @@ impl Runner<'_> {
         }
     }
 
-    /// Says, once, that the files of a run's world have changed since the plan was made.
+    /// Reports, once for each world, that its files have changed since the plan was made.
     fn say_if_changed(&self, run: &Planned, said: &mut BTreeSet<String>) {
         let Some(world) = run.source.changed_world() else { return };
         let label = world.label();
         if said.insert(label.to_owned()) {
             self.progress.say(&format!(
-                "{label}, its model, or a file of the model has changed since this command began; its runs are of the world \
-                 as it was then, and the same command makes those of the world as it is now"
+                "{label}, its model, or a file of the model has changed since this command began; its runs use the old \
+                 version, and running the same command again makes those of the new version"
             ));
         }
     }
 
-    /// Tries runs that share their data, and says what became of each.
+    /// Tries to perform runs that share their data, and returns the outcome of each.
     fn work_on(&self, runs: &[&Planned]) -> Result<Vec<End>, ExperimentError> {
         let jobs = self.jobs.clamp(1, runs.len());
         let threads = (self.threads / jobs).max(1);
@@ -131,7 +134,7 @@ impl Runner<'_> {
         Ok(ends.into_iter().map(|(_, end)| end).collect())
     }
 
-    /// Waits until one of the runs is nobody's any more.
+    /// Waits until another process has released one of the runs.
     fn wait(&self, held: &[&Planned]) -> Result<(), ExperimentError> {
         let holder = |planned: &&Planned| self.registry.holder(&planned.folder);
         for (planned, holder) in held.iter().filter_map(|planned| Some((planned, holder(planned)?))) {
@@ -147,7 +150,7 @@ impl Runner<'_> {
     }
 }
 
-/// Runs that share their data together, in the order of the first of each.
+/// Groups runs that share their data. The groups have the order of their first runs.
 fn by_data(runs: Vec<&Planned>) -> Vec<Vec<&Planned>> {
     let mut groups: Vec<Vec<&Planned>> = Vec::new();
     for run in runs {
@@ -159,22 +162,23 @@ fn by_data(runs: Vec<&Planned>) -> Vec<Vec<&Planned>> {
     groups
 }
 
-/// What the jobs share that work on runs of the same data.
+/// The state that is shared by the jobs that work on runs of the same data.
 struct WorkerPool<'a> {
     runner: &'a Runner<'a>,
-    /// With the threads of one job.
+    /// Has the number of threads of one job.
     provenance: Provenance,
     runs: &'a [&'a Planned],
+    /// Index of the next run.
     next: AtomicUsize,
-    /// Made by the first job that needs it; or why it can't be.
+    /// The prepared data, or why they can't be prepared. The first job that needs them prepares them.
     prepared: Mutex<Option<Result<Arc<PreparedData>, String>>>,
-    /// Memory for the trainings that are going on, bytes.
+    /// Memory that is reserved for the current trainings, bytes.
     promised: Mutex<u64>,
     /// Whether a run failed.
     failed: AtomicBool,
 }
 
-/// Memory for one training, until this is dropped.
+/// Reserves memory for one training until it is dropped.
 struct Promise<'a> {
     promised: &'a Mutex<u64>,
     bytes: u64,
@@ -187,7 +191,7 @@ impl Drop for Promise<'_> {
 }
 
 impl WorkerPool<'_> {
-    /// Takes one run after the other until none is left.
+    /// Takes runs one after the other until none is left.
     fn work(&self) -> Result<Vec<(usize, End)>, ExperimentError> {
         let mut ends = Vec::new();
         loop {
@@ -215,12 +219,12 @@ impl WorkerPool<'_> {
         let Planned { spec, folder, .. } = planned;
         let registry = self.runner.registry;
         let Some(_lock) = registry.claim(folder)? else { return Ok(End::Held) };
-        // Another process may have been here since the plan was made.
+        // Another process may have worked on the run since the plan was made.
         match folder.record() {
             Ok(Some(record)) if record.status == Status::Done => match folder.damage(&record) {
                 None => return Ok(End::Skipped),
                 Some(damage) => {
-                    self.runner.progress.say(&format!("{}: {damage}; it is done again", folder.id()));
+                    self.runner.progress.say(&format!("{}: {damage}; the run starts again", folder.id()));
                 }
             },
             Ok(Some(record))
@@ -238,7 +242,7 @@ impl WorkerPool<'_> {
             && !error.is_cancelled()
             && let Err(second) = registry.fail(folder, record, &describe(error))
         {
-            self.say_failed(planned, &format!("{}, and so did its record", describe(&second)));
+            self.say_failed(planned, &format!("its record can't be written: {}", describe(&second)));
         }
         end.map(|()| End::Done)
     }
@@ -252,8 +256,8 @@ impl WorkerPool<'_> {
         TrainingRun { spec: &planned.spec, folder: &planned.folder, prepared: &prepared, progress }.run()
     }
 
-    /// Makes sure that there is memory to train a run, once there is enough beside the other jobs' trainings: where there
-    /// is none, the system would end the process, and all runs with it.
+    /// Reserves memory to train a run. Waits while other jobs' trainings use it. Without this check, the system would
+    /// kill the process and all of its runs when memory runs out.
     fn promise(&self, spec: &RunSpec, prepared: &PreparedData) -> Result<Promise<'_>, ExperimentError> {
         let needed = training_bytes(spec, prepared.data.samples.layout())?;
         loop {
@@ -274,7 +278,7 @@ impl WorkerPool<'_> {
         }
     }
 
-    /// What the runs share; the jobs that come while it is made wait.
+    /// Returns the data that the runs share. Other jobs wait while the data are being prepared.
     fn prepared(&self, planned: &Planned) -> Result<Arc<PreparedData>, ExperimentError> {
         let mut slot = self.prepared.lock().unwrap_or_else(PoisonError::into_inner);
         if self.runner.progress.cancelled() {
@@ -290,7 +294,7 @@ impl WorkerPool<'_> {
         slot.insert(made).clone().map_err(ExperimentError::Preparation)
     }
 
-    /// Reports that a run failed, and returns what was said.
+    /// Reports that a run failed, and returns the message.
     fn say_failed(&self, planned: &Planned, reason: &str) -> String {
         let failure = format!("{} failed: {reason}", planned.folder.id());
         self.runner.progress.say(&failure);
