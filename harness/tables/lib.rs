@@ -1,4 +1,4 @@
-//! Parquet tables: written whole, stamped with what made them, with units in their metadata.
+//! Parquet tables. They are written completely or not at all, with units and provenance in their metadata.
 
 mod lazy;
 pub mod schema;
@@ -13,24 +13,32 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-/// Key of the columns' units and meanings in a file's metadata, as JSON.
+/// Key in a file's metadata of the columns' units and meanings, as JSON.
 pub const COLUMNS_KEY: &str = "harness.columns";
 
-/// What made a table, by key; written into the file's metadata.
+/// The provenance of a table by key. It is written to the file's metadata.
 pub type Stamp = BTreeMap<String, String>;
 
 /// Why a table could not be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
+    /// The file can't be read, or its content is damaged.
     #[error("{} can't be read ({reason})", path.display())]
-    Read { path: PathBuf, reason: String },
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The file can't be written.
     #[error(transparent)]
     Write(#[from] WriteError),
+    /// The table can't be made.
     #[error("a table could not be made: {0}")]
     Polars(#[from] PolarsError),
 }
 
-/// How Polars holds what a column is.
+/// Returns the Polars type of a kind of column.
 pub fn data_type(kind: Kind) -> DataType {
     match kind {
         Kind::Text => DataType::String,
@@ -41,7 +49,7 @@ pub fn data_type(kind: Kind) -> DataType {
     }
 }
 
-/// Writes a table whose columns are those of `columns`, in their order, and seals its file.
+/// Writes a table to a sealed file. The table must have the columns `columns`, in this order.
 pub fn write_table(
     path: &Path,
     mut table: DataFrame,
@@ -62,40 +70,43 @@ pub fn write_table(
     let mut bytes = Vec::new();
     ParquetWriter::new(&mut bytes)
         .with_key_value_metadata(Some(KeyValueMetadata::from_static(metadata)))
-        // Tables are written from threads of their own; more threads for each would only compete.
+        // Several threads write tables at the same time, so more threads for each table would only compete.
         .set_parallel(false)
         .finish(&mut table)?;
     Ok(seal::write(path, bytes)?)
 }
 
-/// What a file's metadata say, without the table itself.
+/// The metadata of a file, without its rows.
 pub struct Footer {
+    /// Number of rows.
     pub rows: usize,
+    /// Provenance of the table.
     pub stamp: Stamp,
 }
 
-/// A table's file in memory, whose seal holds: what Polars decodes is what was written, bit by bit. Its decoder
-/// trusts the file's numbers and ends the process at some that were changed.
+/// The file of a table in memory, whose seal is valid. So Polars decodes exactly the bytes that were written. This
+/// matters because its decoder trusts the file's numbers, and some wrong numbers make it abort the process.
 pub struct TableFile {
     path: PathBuf,
     bytes: Vec<u8>,
 }
 
 impl TableFile {
-    /// Reads a file that [`write_table`] wrote.
+    /// Reads a file that [`write_table`] has written.
     ///
     /// # Errors
-    /// When it is not there, or not as it was written.
+    /// When the file is missing, or its content has changed since it was written.
     pub fn open(path: &Path) -> Result<Self, TableError> {
         Self::new(path, std::fs::read(path).map_err(|error| unreadable(path, error))?)
     }
 
-    /// The same for bytes that are said to be those of `path`.
+    /// Checks the seal of `bytes`, which were read from `path`.
     pub fn new(path: &Path, bytes: Vec<u8>) -> Result<Self, TableError> {
         seal::check(&bytes).map_err(|error| unreadable(path, error))?;
         Ok(Self { path: path.to_owned(), bytes })
     }
 
+    /// Returns the number of rows and the provenance.
     pub fn footer(&self) -> Result<Footer, TableError> {
         let mut reader = ParquetReader::new(Cursor::new(&self.bytes));
         let metadata = reader.get_metadata().map_err(|error| unreadable(&self.path, error))?;
@@ -107,13 +118,13 @@ impl TableFile {
         Ok(Footer { rows: metadata.num_rows, stamp: stamp.collect() })
     }
 
-    /// The table, all of its columns or those named.
+    /// Decodes the given columns, or all columns.
     pub fn table(&self, columns: Option<Vec<String>>) -> Result<DataFrame, TableError> {
         let reader = ParquetReader::new(Cursor::new(&self.bytes)).with_columns(columns);
         reader.finish().map_err(|error| unreadable(&self.path, error))
     }
 
-    /// These columns of the table, in this order, by the calling thread alone.
+    /// Decodes the given columns in this order, using only the calling thread.
     pub fn read_serially(&self, columns: &[String]) -> Result<DataFrame, TableError> {
         let reader = ParquetReader::new(Cursor::new(&self.bytes)).with_columns(Some(columns.to_vec()));
         let rows = reader.read_parallel(ParallelStrategy::None).finish();
@@ -121,7 +132,7 @@ impl TableFile {
     }
 }
 
-/// Parts of a table as one; `None` if there are none.
+/// Concatenates the parts of a table; `None` without parts.
 pub fn stacked(parts: Vec<DataFrame>) -> PolarsResult<Option<DataFrame>> {
     let mut parts = parts.into_iter();
     let Some(mut whole) = parts.next() else { return Ok(None) };
@@ -131,12 +142,12 @@ pub fn stacked(parts: Vec<DataFrame>) -> PolarsResult<Option<DataFrame>> {
     Ok(Some(whole))
 }
 
-/// Reads a file's footer.
+/// Reads the footer of a file.
 pub fn read_footer(path: &Path) -> Result<Footer, TableError> {
     TableFile::open(path)?.footer()
 }
 
-/// Reads a table, all of its columns or those named.
+/// Reads the given columns of a table, or all columns.
 pub fn read_table(path: &Path, columns: Option<Vec<String>>) -> Result<DataFrame, TableError> {
     TableFile::open(path)?.table(columns)
 }

@@ -1,5 +1,4 @@
-//! The columns of every table, with units and meanings: the writers, the queries, the documents and
-//! `harness schema` all read them here.
+//! The columns of every table, with units and meanings. Writers, queries, documents and `harness schema` use this list.
 
 use harness_spec::{Layout, Modality};
 use serde::Serialize;
@@ -8,44 +7,53 @@ use std::borrow::Cow;
 /// One column of a table.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Column {
+    /// Name of the column.
     pub name: String,
+    /// Type of the values.
     pub kind: Kind,
-    /// SI unit; "1" for a count or a ratio, empty where there is none.
+    /// SI unit; "1" for a count or a ratio, empty if there is no unit.
     pub unit: Cow<'static, str>,
+    /// Description for people.
     pub meaning: String,
 }
 
-/// What a column holds.
+/// The type of a column's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
+    /// UTF-8 text.
     Text,
+    /// Whole number, 64 bits.
     Integer,
+    /// Floating-point number, 64 bits.
     Real,
+    /// True or false.
     Flag,
+    /// Binary data.
     Bytes,
 }
 
 /// The tables that can be queried.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Table {
-    /// One row a run, whether it succeeded or not.
+    /// One row for each run, whether it succeeded or not.
     Runs,
-    /// One row an epoch and loss term.
+    /// One row for each epoch, split and loss term.
     Epochs,
-    /// One row a metric.
+    /// One row for each metric.
     Metrics,
-    /// One row a test sample and joint or link.
+    /// One row for each test sample and joint or link.
     Predictions,
-    /// One row a link and force, over the whole dataset or one episode.
+    /// One row for each link and force, over the whole dataset or one episode.
     Forces,
-    /// One row a picture of a few test samples.
+    /// One row for each image of a few test samples.
     Frames,
-    /// One row a recorded sample, without the frames.
+    /// One row for each recorded sample, without the images.
     Episodes,
 }
 
 impl Table {
+    /// All tables.
     pub const ALL: [Table; 7] = [
         Table::Runs,
         Table::Epochs,
@@ -56,7 +64,7 @@ impl Table {
         Table::Episodes,
     ];
 
-    /// The table's name in queries.
+    /// Returns the table's name in queries.
     pub fn name(self) -> &'static str {
         match self {
             Table::Runs => "runs",
@@ -69,27 +77,27 @@ impl Table {
         }
     }
 
-    /// The name of the file that holds a run's rows.
+    /// Returns the name of the file that holds a run's rows.
     pub fn file_name(self) -> String {
         format!("{}.parquet", self.name())
     }
 
-    /// What a row is.
+    /// Returns a description of the rows.
     pub fn meaning(self) -> &'static str {
         match self {
-            Table::Runs => "one row a run, whether it succeeded or not",
-            Table::Epochs => "one row an epoch, split and loss term",
-            Table::Metrics => "one row a metric of a run or of a baseline on the same test samples",
-            Table::Predictions => "one row a test sample and joint or link",
+            Table::Runs => "one row for each run, whether it succeeded or not",
+            Table::Epochs => "one row for each epoch, split and loss term",
+            Table::Metrics => "one row for each metric of a run, or of a baseline on the same test samples",
+            Table::Predictions => "one row for each test sample and joint or link",
             Table::Forces => {
-                "one row a link and force: its distribution over the run's whole dataset, or one episode of it"
+                "one row for each link and force: its distribution over the run's dataset, or over one of its episodes"
             }
-            Table::Frames => "one row a picture: what the network made of a few fixed test samples",
-            Table::Episodes => "one row a recorded sample; the files hold the frames besides",
+            Table::Frames => "one row for each image: what the network predicts for a few fixed test samples",
+            Table::Episodes => "one row for each recorded sample; the files have the images too",
         }
     }
 
-    /// The table's columns, in order.
+    /// Returns the table's columns, in order.
     pub fn columns(self) -> Vec<Column> {
         match self {
             Table::Runs => [run_key(), run_details()].concat(),
@@ -119,20 +127,17 @@ fn real(name: &str, unit: &'static str, meaning: &str) -> Column {
     column(name, Kind::Real, unit, meaning)
 }
 
-/// What tells one run from another; the first columns of every table of runs.
+/// Returns the columns that identify a run. They are the first columns of every table of runs.
 fn run_key() -> Vec<Column> {
     vec![
         text("experiment", "name of the experiment"),
         text("run", "run id: scenario, latent size, seed and the first digits of the spec's hash"),
-        text("scenario", "empty, cluttered, the name of a world file, or that of an imported dataset"),
+        text("scenario", "empty, cluttered, the name of a world file, or the name of an imported dataset"),
         text("input", "modalities given to the encoder, joined by +"),
         text("output", "modalities predicted, joined by +"),
-        text("architecture", "the preset that the network starts from: single_to_multi or multi_to_multi"),
+        text("architecture", "the preset of the network: single_to_multi or multi_to_multi"),
         integer("latent", "size of the latent state"),
-        text(
-            "variant",
-            "settings that the experiment varies, as kl_weight=0.001; empty where it varies none",
-        ),
+        text("variant", "settings that the experiment varies, as kl_weight=0.001; empty if it varies none"),
         integer("seed", "seed of the run"),
     ]
 }
@@ -141,19 +146,19 @@ fn run_details() -> Vec<Column> {
     vec![
         text("status", "running, done or failed"),
         text("reason", "why a run failed; null otherwise"),
-        text("spec_hash", "hash of everything that decides the run"),
+        text("spec_hash", "hash of everything that determines the run"),
         text(
             "group_hash",
-            "hash of everything that decides the run but its seed: runs that have the same are seeds of one group",
+            "hash of everything that determines the run except its seed; runs with the same hash form a group",
         ),
         text("dataset", "the dataset's folder"),
-        integer("dataset_seed", "seed of the dataset; null where it was imported"),
-        text("reading", "the reading of the paper; null where the experiment has none"),
-        text("role", "the experiment that the run stands for; null where it stands for its own"),
+        integer("dataset_seed", "seed of the dataset; null if it was imported"),
+        text("reading", "the reading of the paper; null if the experiment has none"),
+        text("role", "the experiment that the run counts for; null if it is the run's own"),
         text(
             "split",
-            "what is divided into training, validation and test: episode, time, or sample, by which test samples have \
-             neighbours in training, and errors are too small",
+            "what is divided into training, validation and test: episode, time, or sample. With sample, test samples \
+             have neighbours in training, and errors are too small",
         ),
         text("started", "start, UTC"),
         real("collect_seconds", "s", "wall time spent on collecting and loading the dataset"),
@@ -167,12 +172,12 @@ fn run_details() -> Vec<Column> {
             "largest memory of the process up to the end of the run",
         ),
         integer("parameters", "trained parameters of the prediction"),
-        text("git_commit", "commit of the source tree; null outside one"),
+        text("git_commit", "commit of the source tree; null outside of a repository"),
         column(
             "git_dirty",
             Kind::Flag,
             "",
-            "whether the source tree had uncommitted changes; null outside one",
+            "whether the source tree had uncommitted changes; null outside of a repository",
         ),
         text("harness_version", "version of this program"),
         text("mujoco_version", "version of MuJoCo"),
@@ -180,7 +185,7 @@ fn run_details() -> Vec<Column> {
         text("host", "name of the machine"),
         text("processor", "the machine's processor"),
         integer("threads", "threads used"),
-        text("command", "the command line, cut down to this run"),
+        text("command", "the command line, reduced to this run"),
     ]
 }
 
@@ -202,15 +207,16 @@ fn metric_values() -> Vec<Column> {
         text("modality", "what is predicted"),
         text(
             "direction",
-            "group of elements, as fe (flexion/extension) and aa (adduction/abduction) of the finger; null where none or all",
+            "group of elements, such as the finger's fe (flexion/extension) and aa (adduction/abduction); null if none \
+             or all",
         ),
         integer("index", "element: joint or link, 0 at the base; null for an aggregate"),
         text(
             "metric",
             "smape, wmape, r2, rmse, mae, relative_error; relative_error_arm, relative_error_finger and those of other \
-             regions: of the pixels that show the region before or after the change",
+             regions: over the pixels that show the region before or after the change",
         ),
-        real("value", "", "the metric; null where it is not defined"),
+        real("value", "", "the metric; null if it is not defined"),
         text("unit", "unit of the value"),
     ]
 }
@@ -218,22 +224,22 @@ fn metric_values() -> Vec<Column> {
 fn prediction_values() -> Vec<Column> {
     vec![
         text("task", "prediction or reconstruction"),
-        text("modality", "a vector whose elements have one unit, as proprioception"),
+        text("modality", "a vector whose elements have one unit, such as proprioception"),
         integer("episode", "episode of the dataset"),
-        integer("sample", "the instant that is predicted, counted from 0 within its episode"),
+        integer("sample", "the predicted sample, counted from 0 within its episode"),
         integer("index", "element: joint or link, 0 at the base"),
-        real("reference", "", "the simulation's value, in the modality's unit"),
-        real("predicted", "", "the network's value, likewise"),
+        real("reference", "", "the simulated value, in the modality's unit"),
+        real("predicted", "", "the predicted value, in the modality's unit"),
     ]
 }
 
 fn force_values() -> Vec<Column> {
     let mut columns = vec![
-        text("modality", "a vector of forces, as contact_force"),
+        text("modality", "a vector of forces, such as contact_force"),
         integer("episode", "episode of the dataset; null for the whole dataset"),
         integer("index", "link, 0 at the base"),
         integer("samples", "samples of the episode or dataset"),
-        integer("contacts", "samples in which the link is touched: its force is above 0"),
+        integer("contacts", "samples in which the link is touched, so that its force is above 0"),
         real("mean", "N", "mean force over all samples, touched or not"),
     ];
     columns.extend(harness_metrics::contact::QUANTILES.iter().map(|(name, share)| {
@@ -247,27 +253,27 @@ fn force_values() -> Vec<Column> {
 fn frame_values() -> Vec<Column> {
     let picture = |name: &str, whose: &str| {
         let meaning = format!(
-            "{whose} picture, rows x columns x 3 bytes: rows from the top, pixels from the left, RGB; of an image the \
-             intensity times 255, of a difference 128 plus the difference times 127"
+            "{whose} image, rows x columns x 3 bytes: rows from the top, pixels from the left, RGB. An image has its \
+             intensity times 255, and a difference has 128 plus the difference times 127"
         );
         column(name, Kind::Bytes, "", &meaning)
     };
     vec![
         text("task", "prediction or reconstruction"),
-        text("modality", "an image, as vision or frame_difference"),
+        text("modality", "an image, such as vision or frame_difference"),
         integer("episode", "episode of the dataset"),
-        integer("sample", "the instant that is pictured, counted from 0 within its episode"),
-        real("motion", "1", "mean absolute change of the camera frame that the transition brings, in [0, 1]"),
-        picture("reference", "the simulation's"),
-        picture("predicted", "the network's"),
+        integer("sample", "the sample of the image, counted from 0 within its episode"),
+        real("motion", "1", "mean absolute change of the camera image during the transition, in [0, 1]"),
+        picture("reference", "the simulated"),
+        picture("predicted", "the predicted"),
     ]
 }
 
-/// The scalar columns of an episode file, in order; the images' columns follow them there.
+/// Returns the scalar columns of an episode file, in order. The columns of the images follow them in the file.
 pub fn sample_columns(layout: &Layout) -> Vec<Column> {
     let mut columns = vec![
         text("dataset", "the dataset's folder"),
-        text("scenario", "empty, cluttered, the name of a world file, or that of an imported dataset"),
+        text("scenario", "empty, cluttered, the name of a world file, or the name of an imported dataset"),
         integer("episode", "episode of the dataset"),
         integer("sample", "counted from 0 within the episode"),
         real("time", "s", "time since the episode's start"),
@@ -283,7 +289,7 @@ pub fn sample_columns(layout: &Layout) -> Vec<Column> {
     columns
 }
 
-/// The columns of an episode file that hold images.
+/// Returns the columns of an episode file that hold images.
 pub fn image_columns(layout: &Layout) -> Vec<Column> {
     let of = |(name, [rows, columns]): (Modality, [usize; 2])| {
         let meaning =

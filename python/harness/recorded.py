@@ -37,7 +37,7 @@ class Column:
 
 KEY_COLUMNS = (
     Column("dataset", "text", "", "the dataset's folder"),
-    Column("scenario", "text", "", "empty, cluttered, the name of a world file, or that of an imported dataset"),
+    Column("scenario", "text", "", "empty, cluttered, the name of a world file, or the name of an imported dataset"),
     Column("episode", "integer", "1", "episode of the dataset"),
     Column("sample", "integer", "1", "counted from 0 within the episode"),
     Column("time", "real", "s", "time since the episode's start"),
