@@ -211,7 +211,7 @@ fn a_damaged_episode_is_made_again_and_said_so() {
     let answer = finish(&mut harness(&results, &[&ONE[..], &["seeds=[1]"]].concat()));
     assert_eq!(answer.code, 0, "{}", answer.stderr);
     let said = predicate::str::contains("episode_00002.parquet is damaged")
-        .and(predicate::str::contains("made again"));
+        .and(predicate::str::contains("collected again"));
     assert!(said.eval(&answer.stderr), "{}", answer.stderr);
     assert!(std::fs::read(&episode).unwrap() == whole);
 }

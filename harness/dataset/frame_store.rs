@@ -1,4 +1,5 @@
-//! The frames of a dataset: in memory, or where they would not fit, in a file that the system reads as they are needed.
+//! The frames of a dataset. They are in memory or, if they do not fit there, in a file that the system reads when
+//! needed.
 
 use harness_shared::memory;
 use harness_spec::{IMAGE_CHANNELS, Layout};
@@ -9,43 +10,45 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// The share of the memory within reach that frames may take before they go to disk. It is small because training takes
-/// memory too, and the system keeps as much of the file in what is free as fits.
+/// Frames that take more than the available memory divided by this number are stored on disk. The limit is low because
+/// training takes memory too, and because the system caches as much of the file as fits in free memory.
 const MEMORY_SHARE: u64 = 8;
-/// Frames that are laid out by channel at once, on their way to disk.
+/// Number of frames that are converted to channel order at once before they are written to disk.
 const FRAMES_AT_ONCE: usize = 256;
-/// Frames that are read from disk before their pages are given back, so that they don't count as this process's memory.
-/// The system maps 64 KiB around each, half a gigabyte of these at most.
+/// Number of frames that are read from disk before their pages are released, so that they don't count as this process's
+/// memory. The system maps 64 KiB around each frame, which is at most half a gigabyte for this number.
 const FRAMES_HELD: usize = 8192;
 
-/// Where a dataset's frames are kept while it is in memory.
+/// Where the frames of a loaded dataset are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FramePlace {
-    /// They aren't loaded.
+    /// The frames aren't loaded.
     Nowhere,
+    /// In memory.
     Memory,
     /// In a temporary file in the dataset's folder.
     Disk,
 }
 
 impl FramePlace {
-    /// Memory if the frames of so many samples take `limit` bytes at most, by default an eighth of what is within reach.
+    /// Returns `Memory` if the frames of this number of samples take at most `limit` bytes, and else `Disk`. The
+    /// default limit is an eighth of the available memory.
     pub fn for_samples(layout: &Layout, samples: usize, limit: Option<u64>) -> Self {
         let limit = limit.unwrap_or_else(|| memory::within_reach() / MEMORY_SHARE);
         if frame_bytes(layout, samples) <= limit { Self::Memory } else { Self::Disk }
     }
 }
 
-/// What the images of so many samples take, bytes.
+/// Returns the number of bytes that the images of this number of samples take.
 pub fn frame_bytes(layout: &Layout, samples: usize) -> u64 {
     let a_sample: usize = layout.stored_images().map(|image| image.width()).sum();
     (samples as u64).saturating_mul(a_sample as u64)
 }
 
-/// Frames of one camera one after the other, `[frame, channel, row, column]`.
+/// The frames of one camera, one after the other, `[frame, channel, row, column]`.
 #[derive(Debug)]
 pub(super) struct FrameStore {
-    /// Bytes of a frame.
+    /// Number of bytes of a frame.
     len: usize,
     kept: Kept,
 }
@@ -57,7 +60,7 @@ enum Kept {
 }
 
 impl FrameStore {
-    /// Room for `samples` frames of `len` bytes; on disk, in `folder`.
+    /// Creates a store for `samples` frames of `len` bytes. On disk, its file is created in `folder`.
     pub fn new(place: FramePlace, len: usize, samples: usize, folder: &Path) -> io::Result<Self> {
         let kept = match place {
             FramePlace::Nowhere => Kept::Memory(Vec::new()),
@@ -67,7 +70,7 @@ impl FrameStore {
         Ok(Self { len, kept })
     }
 
-    /// Appends frames as cameras and files have them, `[frame, row, column, channel]`.
+    /// Appends frames in the order of cameras and files, `[frame, row, column, channel]`.
     pub fn push(&mut self, pixels: &[u8]) -> io::Result<()> {
         let len = self.len;
         match &mut self.kept {
@@ -89,7 +92,7 @@ impl FrameStore {
         Ok(())
     }
 
-    /// All frames.
+    /// Returns all frames.
     pub fn bytes(&self) -> &[u8] {
         match &self.kept {
             Kept::Memory(frames) => frames,
@@ -97,12 +100,12 @@ impl FrameStore {
         }
     }
 
-    /// One frame.
+    /// Returns one frame.
     pub fn frame(&self, index: usize) -> &[u8] {
         &self.bytes()[index * self.len..][..self.len]
     }
 
-    /// Says that these frames, and the one before each, are about to be read.
+    /// Announces that these frames, and the one before each of them, are about to be read.
     pub fn prefetch(&self, frames: &[usize]) {
         if let Kept::Disk(file) = &self.kept {
             file.prefetch(frames);
@@ -110,7 +113,7 @@ impl FrameStore {
     }
 }
 
-/// Lays frames of `len` bytes out channel by channel.
+/// Converts frames of `len` bytes from pixel order to channel order.
 fn lay_out(len: usize, pixels: &[u8], planes: &mut [u8]) {
     let frames = planes.par_chunks_exact_mut(len).zip(pixels.par_chunks_exact(len));
     frames.for_each(|(planes, pixels)| {
@@ -121,15 +124,15 @@ fn lay_out(len: usize, pixels: &[u8], planes: &mut [u8]) {
     });
 }
 
-/// A file that has no name, so nobody else can open it, and that is gone with the process.
+/// A file without a name. No other process can open it, and it is deleted when this process ends.
 #[derive(Debug)]
 struct FrameFile {
     file: File,
-    /// Bytes of a frame.
+    /// Number of bytes of a frame.
     len: usize,
-    /// Of what was written before the last call of [`FrameFile::map_again`]; `None` before the first.
+    /// The contents at the last call of [`FrameFile::map_again`]; `None` before the first call.
     map: Option<Mmap>,
-    /// Frames that were asked for since pages were given back.
+    /// Number of frames that were prefetched since pages were last released.
     held: AtomicUsize,
 }
 
@@ -143,9 +146,9 @@ impl FrameFile {
         self.file.write_all(bytes)
     }
 
-    /// Makes all that was written readable.
+    /// Makes all written frames readable.
     fn map_again(&mut self) -> io::Result<()> {
-        // SAFETY: the file has no name and its handle is not given away, so only `append` changes it, at its end.
+        // SAFETY: the file has no name and its handle stays in this struct. So only `append` changes it, at its end.
         self.map = Some(unsafe { Mmap::map(&self.file) }?);
         Ok(())
     }
@@ -154,17 +157,18 @@ impl FrameFile {
         self.map.as_deref().unwrap_or_default()
     }
 
-    /// Has the system fetch frames, each with the one before it, side by side; without it each is waited for.
+    /// Asks the system to read several frames at once, each with the frame before it. Otherwise the reader would wait
+    /// for each frame.
     fn prefetch(&self, frames: &[usize]) {
         let Some(map) = &self.map else { return };
         if self.held.fetch_add(frames.len(), Ordering::Relaxed) > FRAMES_HELD {
             self.held.store(0, Ordering::Relaxed);
-            // SAFETY: the pages of a file are read from it again when they are touched again.
+            // SAFETY: released pages of a file are read again from the file when they are accessed.
             let _ = unsafe { map.unchecked_advise(UncheckedAdvice::DontNeed) };
         }
         for frame in frames {
             let before = frame.saturating_sub(1) * self.len;
-            // Advice alone, which may be refused.
+            // The system may refuse this advice, which does no harm.
             let _ = map.advise_range(Advice::WillNeed, before, (frame + 1) * self.len - before);
         }
     }

@@ -1,4 +1,4 @@
-//! Datasets that were recorded elsewhere and imported: read like those that are simulated here, and never made.
+//! Imported datasets, which were recorded elsewhere. They are read like simulated datasets, but can't be collected.
 
 use super::store::{Description, episode_file, push_all, read_episode};
 use super::{DatasetError, FramePlace, Recording, Samples};
@@ -8,7 +8,7 @@ use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// An imported dataset that is on disk.
+/// An imported dataset on disk.
 #[derive(Debug, Clone)]
 pub struct Imported {
     folder: PathBuf,
@@ -17,12 +17,12 @@ pub struct Imported {
     content: Content,
 }
 
-/// What `dataset.json` says of an imported dataset's content, of which its name holds the hash.
+/// The description of an imported dataset in `dataset.json`. The dataset's name contains its hash.
 #[derive(Debug, Clone, Deserialize)]
 pub(super) struct Content {
     sample_rate_hz: f64,
-    /// What its episodes hold besides the setpoint, which every one has; names alone where the finger's layout tells the
-    /// rest, as in datasets that were imported before layouts.
+    /// The modalities of the episodes, in addition to the setpoint, which every episode has. Datasets that were
+    /// imported before layouts existed have only these names, and the finger's layout defines the rest.
     modalities: Vec<Modality>,
     #[serde(default)]
     layout: Option<Layout>,
@@ -35,7 +35,7 @@ struct ImportedEpisode {
 }
 
 impl Content {
-    /// What its samples hold.
+    /// Returns the layout of the samples.
     pub fn layout(&self) -> Arc<Layout> {
         if let Some(layout) = &self.layout {
             return Arc::new(layout.clone());
@@ -43,19 +43,19 @@ impl Content {
         let mut layout = Layout::clone(&Layout::finger());
         let held = |modality: Modality| modality == Modality::SETPOINT || self.modalities.contains(&modality);
         layout.modalities.retain(|definition| held(definition.difference_of.unwrap_or(definition.name)));
-        // A real camera's colours do not tell the robot's parts.
+        // The colors of a real camera's images do not identify the robot's parts.
         layout.regions.clear();
         Arc::new(layout)
     }
 
-    /// Samples of each episode.
+    /// Returns the number of samples of each episode.
     pub fn samples(&self) -> Vec<usize> {
         self.episodes.iter().map(|episode| episode.samples as usize).collect()
     }
 }
 
 impl Imported {
-    /// The imported dataset of that name in `root`.
+    /// Opens the imported dataset `name` in the folder `root`.
     ///
     /// # Errors
     /// When there is none, or its description is damaged.
@@ -71,31 +71,32 @@ impl Imported {
         Ok(Self { folder, name: name.to_owned(), layout: content.layout(), content })
     }
 
-    /// The folder's name.
+    /// Returns the name of the dataset's folder.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Samples recorded a second, Hz.
+    /// Returns the sample rate, Hz.
     pub fn sample_rate_hz(&self) -> f64 {
         self.content.sample_rate_hz
     }
 
-    /// Samples of the whole dataset.
+    /// Returns the number of samples in the whole dataset.
     pub fn len(&self) -> usize {
         self.content.samples().iter().sum()
     }
 
+    /// Whether the dataset has no samples.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// What its samples hold.
+    /// Returns the layout of the samples.
     pub fn layout(&self) -> &Arc<Layout> {
         &self.layout
     }
 
-    /// Refuses a run that wants modalities which it does not hold.
+    /// Returns an error if the dataset lacks a modality that the run uses.
     pub fn check(&self, spec: &RunSpec) -> Result<(), DatasetError> {
         let missing = spec.modalities().into_iter().find(|modality| self.layout.get(*modality).is_none());
         let Some(modality) = missing else { return Ok(()) };
@@ -103,11 +104,10 @@ impl Imported {
         Err(DatasetError::Lacks { dataset: self.name.clone(), modality, held: held.join(", ") })
     }
 
-    /// Reads the whole dataset into memory, and its frames to their place.
+    /// Reads the whole dataset into memory. The frames are stored where `frames` says.
     ///
     /// # Errors
-    /// When an episode is missing, its file is not as it was written, frames can't be written to disk, or the caller
-    /// cancels.
+    /// When an episode is missing or damaged, frames can't be written to disk, or the caller cancels.
     pub fn load(&self, frames: FramePlace, progress: &dyn Progress) -> Result<Samples, DatasetError> {
         let recording = Recording { sample_rate_hz: self.content.sample_rate_hz, seed: 0 };
         let mut samples = Samples::new(recording, self.layout.clone(), self.len(), frames, &self.folder)?;

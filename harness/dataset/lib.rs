@@ -1,4 +1,5 @@
-//! Datasets: made once, found by what decides their content, and read by every experiment that needs them.
+//! Datasets on disk and in memory. Whatever determines a dataset's content also determines its name, so all experiments
+//! that need the dataset find it.
 
 mod frame_store;
 mod imported;
@@ -20,34 +21,64 @@ use std::path::PathBuf;
 /// Why a dataset could not be made or read.
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
+    /// A file can't be written.
     #[error(transparent)]
     Write(#[from] WriteError),
+    /// A table can't be read or written.
     #[error(transparent)]
     Table(#[from] TableError),
+    /// A file of the dataset is damaged or missing.
     #[error("{} is damaged: {problem}", path.display())]
-    Damaged { path: PathBuf, problem: String },
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The dataset's folder can't be locked.
     #[error(transparent)]
     Lock(#[from] LockError),
+    /// No imported dataset has this name.
     #[error(
         "there is no imported dataset {name} in {}; import it with `harness import MAPPING.yaml` of the \
-         Python package, or name one that is there",
+         Python package, or name a dataset that is there",
         root.display()
     )]
-    NotImported { name: String, root: PathBuf },
-    #[error("the dataset {dataset} holds no {modality}, which the experiment asks for; it holds {held}")]
-    Lacks { dataset: String, modality: Modality, held: String },
+    NotImported {
+        /// The name in the spec.
+        name: String,
+        /// The folder of all datasets.
+        root: PathBuf,
+    },
+    /// The dataset lacks a modality that a spec uses.
+    #[error("the dataset {dataset} holds no {modality}, which the experiment needs; it holds {held}")]
+    Lacks {
+        /// Name of the dataset.
+        dataset: String,
+        /// The missing modality.
+        modality: Modality,
+        /// The modalities of the dataset, separated by commas.
+        held: String,
+    },
+    /// Frames can't be stored on disk.
     #[error(
-        "the dataset's frames can't be kept in {}: {source}; make room there, or let them stay in memory \
+        "the dataset's frames can't be kept in {}: {source}; free disk space there, or keep them in memory \
          (`harness run --memory GB`)",
         folder.display()
     )]
-    Frames { folder: PathBuf, source: std::io::Error },
-    #[error("the collection was cancelled; the same command goes on from the episodes that are there")]
+    Frames {
+        /// The dataset's folder.
+        folder: PathBuf,
+        /// The error of the file system.
+        source: std::io::Error,
+    },
+    /// The caller cancelled the collection or the loading.
+    #[error("the collection was cancelled; the same command continues with the missing episodes")]
     Cancelled,
 }
 
 impl DatasetError {
-    /// Whether this is the caller's own wish to stop.
+    /// Whether the caller cancelled the work.
     pub fn is_cancelled(&self) -> bool {
         matches!(self, Self::Cancelled)
     }

@@ -1,4 +1,4 @@
-//! A dataset in memory, and what a network sees of it.
+//! A dataset in memory, and its values as a network uses them.
 
 use super::DatasetError;
 use super::frame_store::{FramePlace, FrameStore, frame_bytes};
@@ -12,33 +12,33 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// What holds for all samples of a dataset.
+/// Properties that all samples of a dataset share.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Recording {
-    /// Samples recorded a second, Hz.
+    /// Sample rate, Hz.
     pub sample_rate_hz: f64,
-    /// Seed of a simulation; 0 of what was imported.
+    /// Seed of the simulation; 0 for an imported dataset.
     pub seed: u64,
 }
 
-/// All samples of a dataset, episode after episode.
+/// All samples of a dataset. The samples of an episode follow those of the previous one.
 #[derive(Debug)]
 pub struct Samples {
     recording: Recording,
-    /// Where each episode's samples lie, in the order of the episodes.
+    /// The range of each episode's samples, in the order of the episodes.
     episodes: Vec<Range<usize>>,
     layout: Arc<Layout>,
-    /// For each of the layout's modalities that is a vector its values, `[sample, element]`.
+    /// Values of each vector, `[sample, element]`, by the modality's position in the layout. Images have none.
     vectors: Vec<Vec<f32>>,
-    /// For each of the layout's modalities that is a stored image its frames, `[sample, channel, row, column]`; empty where
-    /// none were asked for.
+    /// Frames of each stored image, `[sample, channel, row, column]`, by the modality's position in the layout. They
+    /// are empty if no frames were loaded.
     images: Vec<Option<FrameStore>>,
-    /// Of the dataset, which may hold its frames.
+    /// The dataset's folder, which may contain the frames.
     folder: PathBuf,
 }
 
 impl Samples {
-    /// Memory that so many samples take, bytes, with their frames in their place.
+    /// Returns the memory that this number of samples takes, in bytes, if the frames are stored where `frames` says.
     pub fn bytes(layout: &Layout, samples: usize, frames: FramePlace) -> u64 {
         let vectors = layout.modalities.iter().filter(|definition| !definition.is_image());
         let numbers: usize = vectors.map(Definition::width).sum();
@@ -46,10 +46,11 @@ impl Samples {
         numbers.saturating_add(if frames == FramePlace::Memory { frame_bytes(layout, samples) } else { 0 })
     }
 
-    /// An empty dataset with room for `samples`, whose frames have their place; `folder` is that of the dataset.
+    /// Creates an empty dataset with space for `samples`, whose frames are stored where `frames` says. `folder` is the
+    /// dataset's folder.
     ///
     /// # Errors
-    /// When the frames' place is the disk, and no file can be made there.
+    /// When frames are stored on disk, and no file can be created there.
     pub fn new(
         recording: Recording,
         layout: Arc<Layout>,
@@ -96,39 +97,41 @@ impl Samples {
         Ok(())
     }
 
-    /// What a sample holds.
+    /// Returns the layout of the samples.
     pub fn layout(&self) -> &Arc<Layout> {
         &self.layout
     }
 
-    /// Samples in all.
+    /// Returns the number of samples.
     pub fn len(&self) -> usize {
         self.episodes.last().map_or(0, |episode| episode.end)
     }
 
-    /// Whether its frames were loaded.
+    /// Whether frames were loaded.
     pub fn has_frames(&self) -> bool {
         self.images.iter().flatten().any(|frames| !frames.bytes().is_empty())
     }
 
+    /// Whether there are no samples.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
+    /// Returns the range of each episode's samples, in the order of the episodes.
     pub fn episodes(&self) -> &[Range<usize>] {
         &self.episodes
     }
 
-    /// The episode that `sample` belongs to, and its place there.
+    /// Returns the index of the episode that contains `sample`, and the sample's index in that episode.
     pub fn place(&self, sample: usize) -> (usize, usize) {
         let episode = self.episodes.partition_point(|range| range.end <= sample);
         (episode, sample - self.episodes[episode].start)
     }
 
-    /// A vector modality of all samples, in physical units, `[samples, width]`.
+    /// Returns a vector modality of all samples in physical units, `[samples, width]`.
     ///
     /// # Panics
-    /// The layout holds none of that name.
+    /// When the layout has no such modality.
     pub fn vectors(&self, modality: Modality) -> &[f32] {
         &self.vectors[self.position(modality)]
     }
@@ -138,56 +141,58 @@ impl Samples {
         position.unwrap_or_else(|| panic!("the dataset's layout holds no {modality}"))
     }
 
-    /// A vector modality of one sample, in physical units.
+    /// Returns a vector modality of one sample in physical units, `[width]`.
     pub fn vector(&self, modality: Modality, sample: usize) -> &[f32] {
         let width = self.layout[modality].width();
         &self.vectors(modality)[sample * width..][..width]
     }
 
-    /// What the actuators are commanded at all samples, `[samples, elements of the action]`.
+    /// Returns the commands to the actuators at all samples, `[samples, elements of the action]`.
     pub fn setpoints(&self) -> &[f32] {
         self.vectors(Modality::SETPOINT)
     }
 
-    /// The frames of an image modality, or of the one that it is the difference of.
+    /// Returns the frames of an image modality. For a difference, these are the frames of the image that it is computed
+    /// from.
     fn frames(&self, modality: Modality) -> &FrameStore {
         let stored = self.layout[modality].difference_of.unwrap_or(modality);
         let frames = self.images[self.position(stored)].as_ref();
         frames.unwrap_or_else(|| panic!("{modality} is no image"))
     }
 
-    /// An image of all samples, `[samples, channel, row, column]`, or that which it is the difference of; empty if none
-    /// were loaded.
+    /// Returns an image of all samples, `[samples, channel, row, column]`. For a difference, this is the image that it
+    /// is computed from. It is empty if no frames were loaded.
     ///
     /// # Panics
-    /// The layout holds no image of that name.
+    /// When the layout has no such image.
     pub fn image(&self, modality: Modality) -> &[u8] {
         self.frames(modality).bytes()
     }
 
-    /// An image of one sample as bytes, `[channel, row, column]`; of a difference, the later one.
+    /// Returns an image of one sample as bytes, `[channel, row, column]`. For a difference, this is the later image.
     pub fn frame_bytes(&self, modality: Modality, sample: usize) -> &[u8] {
         self.frames(modality).frame(sample)
     }
 
-    /// Says that the frames of these samples, and of those before them, are about to be read. It changes nothing but the
-    /// time that frames on disk take, and the memory: those that were read long ago are let go.
+    /// Announces that the frames of these samples, and of the samples before them, are about to be read. For frames on
+    /// disk this saves time, and it releases the memory of frames that were read long ago. It has no other effect.
     pub fn prefetch(&self, modality: Modality, samples: &[usize]) {
         self.frames(modality).prefetch(samples);
     }
 
-    /// The image before `sample` in its episode; at the start, the image itself, since nothing moved before.
+    /// Returns the image before `sample` in its episode. For the first sample it is the sample's own image, because
+    /// nothing moved before.
     pub fn previous_frame_bytes(&self, modality: Modality, sample: usize) -> &[u8] {
         self.frame_bytes(modality, self.previous(sample))
     }
 
-    /// The sample before in the same episode; the sample itself at the start.
+    /// Returns the sample before this one in its episode. For the first sample, returns the sample itself.
     fn previous(&self, sample: usize) -> usize {
         let (_, place) = self.place(sample);
         if place == 0 { sample } else { sample - 1 }
     }
 
-    /// What the decoder is told about the step from `sample` to the next.
+    /// Returns the action between `sample` and the next one, in physical units.
     pub fn action(&self, action: Action, sample: usize) -> impl Iterator<Item = f32> {
         let width = self.layout.action().len();
         let steps = &self.setpoints()[sample * width..][..2 * width];
@@ -197,7 +202,7 @@ impl Samples {
         })
     }
 
-    /// The transitions for training, for validation and for the test; `None` where one of them would have none.
+    /// Splits the transitions into training, validation and test; `None` if one of them would be empty.
     pub fn partition(&self, split: &Split) -> Option<Partition> {
         match split.by {
             Division::Episode => self.partition_by_episode(split),
@@ -206,10 +211,10 @@ impl Samples {
         }
     }
 
-    /// The last episodes are for the test, those before for validation, the rest for training.
+    /// The last episodes are for the test, those before them for validation, and the rest for training.
     ///
-    /// Episodes are independent and alike, so their order carries nothing; a split of them keeps neighbours of a
-    /// test sample out of training.
+    /// Episodes are independent and have the same distribution, so their order does not matter. Splitting by episode
+    /// keeps the neighbours of a test sample out of the training data.
     fn partition_by_episode(&self, split: &Split) -> Option<Partition> {
         let counts = split.counts(self.episodes.len())?;
         let all = |episodes: &[Range<usize>]| episodes.iter().flat_map(transitions).collect();
@@ -218,8 +223,8 @@ impl Samples {
         Some(Partition { training: all(training), validation: all(validation), test: all(test) })
     }
 
-    /// The last part of each episode is for the test, the one before for validation, the first for training; a gap
-    /// lies between each two.
+    /// In each episode, the last part is for the test, the part before it for validation, and the first part for
+    /// training. A gap separates the parts.
     fn partition_by_time(&self, split: &Split) -> Option<Partition> {
         let mut parts = [(); 3].map(|()| Vec::new());
         for episode in &self.episodes {
@@ -232,7 +237,8 @@ impl Samples {
         Some(Partition { training, validation, test })
     }
 
-    /// Transitions are drawn at random, by the dataset's seed: all runs on it share one split.
+    /// Transitions are drawn at random. The seed is that of the dataset, so all runs on the dataset have the same
+    /// split.
     fn partition_by_sample(&self, split: &Split) -> Option<Partition> {
         let mut drawn: Vec<usize> = self.episodes.iter().flat_map(transitions).collect();
         let counts = split.counts(drawn.len())?;
@@ -249,20 +255,24 @@ impl Samples {
     }
 }
 
-/// The samples in a range whose next sample lies there too.
+/// Returns the samples in a range whose next sample is in the range too.
 fn transitions(samples: &Range<usize>) -> Range<usize> {
     samples.start..samples.end.saturating_sub(1)
 }
 
-/// Transitions by split: each is a sample whose next sample belongs to the same episode.
+/// Transitions by split. A transition is given by its first sample, whose next sample belongs to the same episode.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Partition {
+    /// Transitions for training.
     pub training: Vec<usize>,
+    /// Transitions for validation.
     pub validation: Vec<usize>,
+    /// Transitions for the test.
     pub test: Vec<usize>,
 }
 
-/// The values of `modality` at the samples `at`, in physical units, `[at, width]`, frames channel by channel.
+/// Returns the values of `modality` at the samples `at` in physical units, `[samples, width]`. Images are stored
+/// channel by channel, with intensities in [0, 1] or differences in [-1, 1].
 pub fn physical(samples: &Samples, modality: Modality, at: &[usize]) -> Vec<f32> {
     let definition = &samples.layout()[modality];
     let width = definition.width();
@@ -284,7 +294,7 @@ pub fn physical(samples: &Samples, modality: Modality, at: &[usize]) -> Vec<f32>
     values
 }
 
-/// What changed in an image since the sample before, in [-1, 1], `[channel, row, column]`.
+/// Returns the change of an image since the previous sample, in [-1, 1], `[channel, row, column]`.
 pub fn frame_difference(samples: &Samples, modality: Modality, sample: usize) -> impl Iterator<Item = f32> {
     let before = samples.previous_frame_bytes(modality, sample);
     let frames = samples.frame_bytes(modality, sample).iter().zip(before);

@@ -1,4 +1,4 @@
-//! Episodes on disk: one Parquet file each, in a folder named after what decides their content.
+//! Simulated datasets on disk. Each episode is a Parquet file, in a folder whose name is determined by the content.
 
 use super::imported::Content;
 use super::{DatasetError, FramePlace, Recording, Samples};
@@ -16,10 +16,10 @@ use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Raised whenever the same spec would be recorded differently than before.
+/// Version of the recordings. It is raised whenever the same spec would give other recordings than before.
 const FORMAT: u32 = 2;
 
-/// One dataset's place on disk.
+/// A simulated dataset on disk.
 #[derive(Debug, Clone)]
 pub struct Dataset {
     folder: PathBuf,
@@ -30,17 +30,19 @@ pub struct Dataset {
     description: serde_json::Value,
 }
 
-/// What decides a dataset's content beside its world and spec.
+/// The compiled model of a world, which determines a dataset's content together with its world and spec.
 #[derive(Debug, Clone, Copy)]
 pub struct CompiledModel<'a> {
-    /// What a sample holds.
+    /// Layout of the samples.
     pub layout: &'a Arc<Layout>,
+    /// SHA-256 of the model, in hexadecimal.
     pub sha256: &'a str,
+    /// Version of the MuJoCo library.
     pub mujoco_version: &'a str,
 }
 
 impl Dataset {
-    /// The dataset of a world, whose model was compiled, under a spec, in `root`; nothing is read or written yet.
+    /// Returns the dataset of a world, its compiled model and a spec, in the folder `root`. Reads and writes nothing.
     pub fn new(root: &Path, world: &World, model: CompiledModel, spec: &Simulation) -> Self {
         let scenario = world.scenario();
         let spec = world.complete(spec);
@@ -59,53 +61,56 @@ impl Dataset {
         Self { folder: root.join(&name), name, scenario, spec, layout, description }
     }
 
-    /// The dataset that a folder holds, with as many episodes as it was collected for last.
+    /// Returns the dataset in a folder, with the number of episodes in its description.
     ///
     /// # Errors
-    /// When the folder has no description, or one of another dataset or of another format.
+    /// When the folder has no description, or its description is of another dataset or has another format.
     pub fn at(folder: &Path) -> Result<Self, DatasetError> {
         let path = folder.join(Description::FILE);
         let damaged = |problem: &str| DatasetError::Damaged { path: path.clone(), problem: problem.into() };
         let description = Description::read(folder).map_err(|problem| damaged(&problem))?;
         if !description.is_current() {
-            return Err(damaged("it is of another format; collect it again"));
+            return Err(damaged("it has another format; collect the dataset again"));
         }
         let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let (scenario, spec) = description
             .simulated(&name)
-            .ok_or_else(|| damaged("it does not describe the folder that it lies in"))?;
+            .ok_or_else(|| damaged("it does not describe the dataset of its folder"))?;
         let layout = description.layout().map_err(|problem| damaged(&problem))?;
         Ok(Self { folder: folder.to_owned(), name, scenario, spec, layout, description: description.0 })
     }
 
-    /// The scenario that was simulated.
+    /// Returns the simulated scenario.
     pub fn scenario(&self) -> Scenario {
         self.scenario
     }
 
-    /// The folder's name: the scenario and the hash of what decides the content.
+    /// Returns the name of the folder: the scenario and the hash of what determines the content.
     pub fn name(&self) -> &str {
         &self.name
     }
 
+    /// Returns the dataset's folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// Samples of the whole dataset.
+    /// Returns the number of samples in the whole dataset.
     pub fn len(&self) -> usize {
         self.spec.episodes as usize * self.spec.samples_per_episode()
     }
 
+    /// Whether the dataset has no samples.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
+    /// Returns the settings of the simulation.
     pub fn spec(&self) -> &Simulation {
         &self.spec
     }
 
-    /// What its samples hold.
+    /// Returns the layout of the samples.
     pub fn layout(&self) -> &Arc<Layout> {
         &self.layout
     }
@@ -114,12 +119,12 @@ impl Dataset {
         self.folder.join(episode_file(index))
     }
 
-    /// Episodes that are not there, or whose file is not as it was written.
+    /// Returns the indices of the episodes that are missing or damaged.
     pub fn missing(&self) -> Vec<u32> {
         self.to_make(&Silent)
     }
 
-    /// The same, and says of each damaged file that it is made again.
+    /// Returns the indices of the episodes that are missing or damaged, and reports each damaged one.
     pub fn to_make(&self, progress: &dyn Progress) -> Vec<u32> {
         let faults = (0..self.spec.episodes).into_par_iter().filter_map(|index| {
             let fault = self.open(index).err()?;
@@ -127,23 +132,23 @@ impl Dataset {
         });
         let faults: Vec<(u32, Option<DatasetError>)> = faults.collect();
         for fault in faults.iter().filter_map(|(_, fault)| fault.as_ref()) {
-            progress.say(&format!("{fault}; it is made again"));
+            progress.say(&format!("{fault}; the episode is collected again"));
         }
         faults.into_iter().map(|(index, _)| index).collect()
     }
 
-    /// Opens an episode's file, which must be as it was written and hold that episode of this dataset.
+    /// Opens the file of an episode. Fails if it is damaged, or is not this episode of this dataset.
     fn open(&self, index: u32) -> Result<TableFile, DatasetError> {
         open_episode(&self.episode_path(index), &self.name, index, self.spec.samples_per_episode())
     }
 
-    /// Writes what the dataset is, for people.
+    /// Writes the dataset's description to its folder.
     pub fn describe(&self) -> Result<(), DatasetError> {
         let text = format!("{:#}\n", self.description);
         Ok(write_bytes(&self.folder.join(Description::FILE), text.as_bytes())?)
     }
 
-    /// Writes one episode.
+    /// Writes one episode to its file.
     pub fn save(&self, episode: &Episode) -> Result<(), DatasetError> {
         let stamp = Stamp::from([
             ("dataset".into(), self.name.clone()),
@@ -187,11 +192,10 @@ impl Dataset {
         DataFrame::new(samples, columns)
     }
 
-    /// Reads the whole dataset into memory, and its frames to their place.
+    /// Reads the whole dataset into memory. The frames are stored where `frames` says.
     ///
     /// # Errors
-    /// When an episode is missing, its file is not as it was written, frames can't be written to disk, or the caller
-    /// cancels.
+    /// When an episode is missing or damaged, frames can't be written to disk, or the caller cancels.
     pub fn load(&self, frames: FramePlace, progress: &dyn Progress) -> Result<Samples, DatasetError> {
         let Simulation { sample_rate_hz, seed, .. } = self.spec;
         let recording = Recording { sample_rate_hz, seed };
@@ -203,19 +207,20 @@ impl Dataset {
         Ok(samples)
     }
 
-    /// Reads one episode, with or without its frames; its whole file is compared with its seal either way.
+    /// Reads one episode, with or without its frames. The whole file is compared with its seal in both cases.
     pub fn read(&self, index: u32, frames: bool) -> Result<Episode, DatasetError> {
         let (path, samples) = (self.episode_path(index), self.spec.samples_per_episode());
         read_episode(&path, &self.name, index, samples, frames, &self.layout)
     }
 }
 
-/// The name of an episode's file.
+/// Returns the name of an episode's file.
 pub(super) fn episode_file(index: u32) -> String {
     format!("episode_{index:05}.parquet")
 }
 
-/// Appends episodes in their order, as many read side by side as there are threads: that many are in memory at a time.
+/// Appends episodes in order. As many episodes as there are threads are read at the same time, so only these are in
+/// memory.
 pub(super) fn push_all(
     samples: &mut Samples,
     episodes: u32,
@@ -238,7 +243,7 @@ pub(super) fn push_all(
     Ok(())
 }
 
-/// Reads the file of episode `index` of the dataset named `dataset`, which must hold `samples` samples of that layout.
+/// Reads the file of episode `index` of the dataset `dataset`. It must have `samples` samples of this layout.
 pub(super) fn read_episode(
     path: &Path,
     dataset: &str,
@@ -273,26 +278,26 @@ pub(super) fn read_episode(
     Ok(episode)
 }
 
-/// A simulated dataset's name: its scenario and the hash of what decides its content.
+/// Returns a simulated dataset's name: its scenario and the hash of what determines its content.
 fn identify(scenario: Scenario, description: &serde_json::Value) -> String {
     let mut identity = description.clone();
-    // Whether an episode exists does not change what is in it: longer datasets extend shorter ones.
+    // The number of episodes does not change their contents, so a longer dataset extends a shorter one.
     identity["simulation"]["episodes"].take();
-    // It follows from the rest.
+    // The layout follows from the rest of the description.
     if let Some(fields) = identity.as_object_mut() {
         fields.remove("layout");
     }
     named_by_hash(scenario.name(), identity)
 }
 
-/// `name` and the first digits of the hash of `identity`, in which the order of keys does not matter.
+/// Returns `name` followed by the first digits of the hash of `identity`. The order of keys does not matter.
 fn named_by_hash(name: &str, mut identity: serde_json::Value) -> String {
     identity.sort_all_objects();
     let hash = hex(&Sha256::digest(identity.to_string()));
     format!("{name}-{}", &hash[..16])
 }
 
-/// What `dataset.json` says.
+/// The contents of `dataset.json`.
 pub(super) struct Description(serde_json::Value);
 
 impl Description {
@@ -303,20 +308,20 @@ impl Description {
         serde_json::from_slice(&bytes).map(Self).map_err(|error| error.to_string())
     }
 
-    /// Whether this version of the program reads and writes such datasets.
+    /// Whether this version of the program reads and writes the dataset's format.
     pub fn is_current(&self) -> bool {
         self.0["format"] == FORMAT
     }
 
-    /// What is simulated and how, if this describes the dataset of that name: a name is a hash of all of it but the
-    /// number of episodes.
+    /// Returns the scenario and the settings of a simulated dataset; `None` if this does not describe the dataset
+    /// `name`. The name is a hash of everything except the number of episodes.
     pub fn simulated(&self, name: &str) -> Option<(Scenario, Simulation)> {
         let scenario = Scenario::new(self.0["scenario"].as_str()?)?;
         let simulation = serde_json::from_value(self.0["simulation"].clone()).ok()?;
         (identify(scenario, &self.0) == name).then_some((scenario, simulation))
     }
 
-    /// What its samples hold; that of the finger where it does not say, as before it was said.
+    /// Returns the layout of the samples. Descriptions from before layouts existed have the layout of the finger.
     pub fn layout(&self) -> Result<Arc<Layout>, String> {
         match self.0.get("layout") {
             Some(layout) => {
@@ -327,7 +332,8 @@ impl Description {
         }
     }
 
-    /// What was imported, if this describes the imported dataset of that name, which ends in a hash of it.
+    /// Returns the description of an imported dataset; `None` if this does not describe the dataset `name`. The name
+    /// ends in a hash of the content.
     pub fn imported(&self, name: &str) -> Option<Content> {
         let content = self.0.get("imported")?;
         let identity = json!({ "format": FORMAT, "imported": content });
@@ -337,10 +343,10 @@ impl Description {
     }
 }
 
-/// What the samples of the dataset in a folder hold, simulated or imported.
+/// Returns the layout of the samples of the dataset in a folder. The dataset can be simulated or imported.
 ///
 /// # Errors
-/// When its description can't be read.
+/// When the description can't be read.
 pub fn layout_of(folder: &Path) -> Result<Arc<Layout>, DatasetError> {
     let described = || {
         let description = Description::read(folder)?;
@@ -353,7 +359,7 @@ pub fn layout_of(folder: &Path) -> Result<Arc<Layout>, DatasetError> {
     described().map_err(|problem| DatasetError::Damaged { path: folder.join(Description::FILE), problem })
 }
 
-/// Opens the file of episode `index` of the dataset named `dataset`, which must hold `samples` samples.
+/// Opens the file of episode `index` of the dataset `dataset`. It must have `samples` samples.
 pub(super) fn open_episode(
     path: &Path,
     dataset: &str,
@@ -376,7 +382,7 @@ pub(super) fn open_episode(
     Ok(file)
 }
 
-/// The columns of a vector side by side again, `[samples, elements]`.
+/// Joins the columns of a vector, `[samples, elements]`.
 fn interleave(table: &DataFrame, definition: &Definition) -> PolarsResult<Vec<f32>> {
     let width = definition.width();
     let mut values = vec![0.0; table.height() * width];

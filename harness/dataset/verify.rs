@@ -1,4 +1,4 @@
-//! What is wrong with a dataset's folder.
+//! Checks the files of a dataset's folder.
 
 use super::DatasetError;
 use super::store::{Description, episode_file, open_episode};
@@ -9,36 +9,36 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// What a dataset's folder holds, and what is wrong with it.
+/// The contents of a dataset's folder, and what is wrong with it.
 #[derive(Debug, Default)]
 pub struct Inspection {
-    /// Recorded elsewhere: what is missing or damaged can't be made again here.
+    /// Whether the dataset was imported. If so, missing and damaged files can't be collected here.
     pub imported: bool,
-    /// Written in another format; nothing is known about its files, and no run uses them.
+    /// Whether the dataset has another format. If so, its files are not checked, and no run uses them.
     pub outdated: bool,
-    /// Why its description can't be used: it is damaged, missing, or that of a dataset of another name. Episodes are
-    /// compared with their seals alone then.
+    /// Why the description can't be used: it is missing, damaged, or describes another dataset. In that case, episodes
+    /// are compared only with their seals.
     pub undescribed: Option<String>,
-    /// Episodes that are what they should be, by index.
+    /// Undamaged episodes, by index.
     pub whole: BTreeMap<u32, PathBuf>,
-    /// Episodes that its description speaks of.
+    /// Number of episodes in the description.
     pub promised: u32,
-    /// Those of them that are not there.
+    /// Indices of the episodes that are missing.
     pub missing: Vec<u32>,
-    /// Episodes that are not as they were written, and what is wrong with each.
+    /// Damaged episodes, each with the problem.
     pub damaged: Vec<(PathBuf, String)>,
-    /// Files that don't belong there.
+    /// Files that don't belong in the folder.
     pub unknown: Vec<PathBuf>,
 }
 
-/// How many samples a dataset's episodes have.
+/// The number of samples in a dataset's episodes.
 enum Lengths {
     Simulated(Simulation),
     Imported(Vec<usize>),
 }
 
 impl Lengths {
-    /// What the description of the dataset of that name promises; `None` if it is another's.
+    /// Returns the lengths in a description; `None` if it describes another dataset than `name`.
     fn of(description: &Description, name: &str) -> Option<Self> {
         let imported = || description.imported(name).map(|content| Self::Imported(content.samples()));
         description.simulated(name).map(|(_, simulation)| Self::Simulated(simulation)).or_else(imported)
@@ -51,18 +51,18 @@ impl Lengths {
         }
     }
 
-    /// Samples of an episode; `None` where there can be no such episode.
+    /// Returns the number of samples in an episode; `None` if there can be no such episode.
     fn samples(&self, index: u32) -> Option<usize> {
         match self {
-            // A longer dataset was collected before a shorter one was asked for.
+            // The index is not limited, because a longer dataset may have been collected before a shorter one.
             Self::Simulated(simulation) => Some(simulation.samples_per_episode()),
             Self::Imported(samples) => samples.get(index as usize).copied(),
         }
     }
 }
 
-/// Compares every file in a dataset's folder with its seal, and all of them with the dataset's description;
-/// calls `advance` at each.
+/// Compares every file in a dataset's folder with its seal and with the dataset's description. Calls `advance` for each
+/// file.
 pub fn inspect(folder: &Path, advance: &(dyn Fn() + Sync)) -> Inspection {
     let mut found = Inspection::default();
     let name = folder.file_name().unwrap_or_default().to_string_lossy();
@@ -101,14 +101,15 @@ pub fn inspect(folder: &Path, advance: &(dyn Fn() + Sync)) -> Inspection {
     found
 }
 
-/// What a file in a dataset's folder is.
+/// The kind of a file in a dataset's folder.
 enum Checked {
-    /// The episode of that index.
+    /// The undamaged episode with this index.
     Whole(u32),
-    /// The same, and what is wrong with it.
+    /// A damaged episode, with its index and the problem.
     Damaged(u32, String),
     /// The description, or a lock.
     Known,
+    /// Any other file.
     Unknown,
 }
 
@@ -132,13 +133,13 @@ fn check(path: &Path, dataset: &str, lengths: Option<&Lengths>) -> Checked {
     }
 }
 
-/// The index in an episode's file name, `episode_00012.parquet`.
+/// Returns the index in an episode's file name, `episode_00012.parquet`.
 fn episode_index(name: &str) -> Option<u32> {
     let index = name.strip_prefix("episode_")?.strip_suffix(".parquet")?.parse().ok()?;
     (name == episode_file(index)).then_some(index)
 }
 
-/// Whether a file is what processes lock to keep out of each other's way; it holds nothing.
+/// Whether a file is an empty file that processes lock, so that only one of them writes to a folder.
 pub fn is_lock(name: &str) -> bool {
     name.starts_with(UNFINISHED) && name.ends_with("lock")
 }
