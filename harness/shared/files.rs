@@ -1,4 +1,4 @@
-//! Files that are either whole or not there, and folders that one process at a time works in.
+//! Files that are written completely or not at all, and folders in which one process writes at a time.
 
 use std::fs::{File, OpenOptions, Permissions};
 use std::io::{self, Write};
@@ -6,23 +6,26 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use sysinfo::Disks;
 
-/// How the name of a file begins that is not whole yet.
+/// Prefix of the name of a file that is not complete yet.
 pub const UNFINISHED: &str = ".unfinished-";
-/// The file of a folder that whoever works there locks. It stays when the work is over, and says who was last.
+/// The file of a folder that a process locks while it works there. It is not deleted afterwards, and names the last
+/// process.
 pub const LOCK: &str = ".unfinished-lock";
 
-/// A file that could not be written.
+/// A file could not be written.
 #[derive(Debug, thiserror::Error)]
 #[error("can't write {}: {source}", path.display())]
 pub struct WriteError {
+    /// The file.
     pub path: PathBuf,
     #[source]
+    /// The error of the file system.
     pub source: io::Error,
 }
 
-/// Lets `write` fill a file of a temporary name beside `path`, flushes it to disk and gives it its name.
+/// Calls `write` with a temporary file next to `path`, flushes it to disk and renames it to `path`.
 ///
-/// Whoever looks at `path` sees the old file, the new file or none, never a part of one.
+/// A reader of `path` sees the old file, the new file or no file, but never an incomplete file.
 pub fn write_whole(path: &Path, write: impl FnOnce(&Path) -> io::Result<()>) -> Result<(), WriteError> {
     let attempt = || {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -34,7 +37,7 @@ pub fn write_whole(path: &Path, write: impl FnOnce(&Path) -> io::Result<()>) -> 
             .into_temp_path();
         let permissions = std::fs::metadata(&temporary)?.permissions();
         write(&temporary)?;
-        // A writer that makes the file anew may make it readable to this user alone.
+        // A writer that creates the file again may restrict its permissions to this user.
         std::fs::set_permissions(&temporary, permissions)?;
         std::fs::File::open(&temporary)?.sync_all()?;
         temporary.persist(path).map_err(|error| error.error)
@@ -42,33 +45,35 @@ pub fn write_whole(path: &Path, write: impl FnOnce(&Path) -> io::Result<()>) -> 
     attempt().map_err(|source| WriteError { path: path.to_owned(), source })
 }
 
-/// Writes `bytes` as a whole file.
+/// Writes `bytes` to a file, completely or not at all.
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), WriteError> {
     write_whole(path, |file| std::fs::write(file, bytes))
 }
 
-/// A folder that can't be locked.
+/// A folder can't be locked.
 #[derive(Debug, thiserror::Error)]
 #[error("can't lock {}: {source}", path.display())]
 pub struct LockError {
+    /// The lock file of the folder.
     pub path: PathBuf,
     #[source]
+    /// The error of the file system.
     pub source: io::Error,
 }
 
-/// A folder in which only its holder writes, until this is dropped.
+/// A lock on a folder. Only its holder writes to the folder, until this value is dropped.
 ///
-/// It is an advisory lock (flock), which the system lets go of when its holder dies, however it dies. Between machines
-/// it holds on NFS 4, where the server frees a dead client's locks after its lease (about 90 s), and on file systems
-/// that support flock across nodes; Lustre must be mounted with `flock`, not `localflock`.
+/// It is an advisory lock (flock). The system releases it when the holder's process ends for any reason. Between
+/// machines it works on NFS 4, where the server releases a dead client's locks after its lease (about 90 s), and on
+/// file systems that support flock across nodes. Lustre must be mounted with `flock`, not `localflock`.
 #[derive(Debug)]
 pub struct FolderLock {
     _file: File,
 }
 
 impl FolderLock {
-    /// Locks a folder, which is made if need be, and removes what killed processes left unfinished in it; `None` if
-    /// it is locked already, by this process or another.
+    /// Locks a folder, and removes the unfinished files of killed processes. Creates the folder if it does not exist.
+    /// Returns `None` if this or another process has locked it already.
     pub fn attempt(folder: &Path) -> Result<Option<Self>, LockError> {
         let path = folder.join(LOCK);
         let attempt = || {
@@ -79,7 +84,7 @@ impl FolderLock {
                 Err(std::fs::TryLockError::WouldBlock) => return Ok(None),
                 Err(std::fs::TryLockError::Error(error)) => return Err(error),
             }
-            // On a full disk the name is missing, and the lock holds all the same.
+            // On a full disk the name can't be written, but the lock is valid.
             let _ = file.set_len(0).and_then(|()| file.write_all(this_process().as_bytes()));
             Ok(Some(Self { _file: file }))
         };
@@ -90,8 +95,8 @@ impl FolderLock {
         Ok(lock)
     }
 
-    /// Locks a folder together with others that ask for a share of it; `None` if one process has it alone. Files that others
-    /// have not finished stay.
+    /// Locks a folder together with other processes that share it. Returns `None` if one process has locked it alone.
+    /// Unfinished files of other processes stay.
     ///
     /// # Errors
     /// When the folder can't be made or its lock can't be opened.
@@ -109,7 +114,8 @@ impl FolderLock {
         attempt().map_err(|source| LockError { path: path.clone(), source })
     }
 
-    /// Who holds a folder's lock alone, for example `process 4711 on host`; `None` if nobody does. Writes nothing.
+    /// Returns the process that has locked a folder alone, such as `process 4711 on host`; `None` if there is none. Writes
+    /// nothing.
     pub fn holder(folder: &Path) -> Option<String> {
         let path = folder.join(LOCK);
         match File::open(&path).ok()?.try_lock_shared() {
@@ -127,18 +133,19 @@ fn this_process() -> String {
     format!("process {} on {host}", std::process::id())
 }
 
-/// Removes the unfinished files of a folder, whose lock the caller holds.
+/// Removes the unfinished files of a folder. The caller must hold its lock.
 fn remove_unfinished(folder: &Path) {
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
         let name = entry.file_name();
         if name != LOCK && name.to_string_lossy().starts_with(UNFINISHED) {
-            // One that stays takes room and does no other harm.
+            // A file that can't be removed only takes disk space.
             let _ = std::fs::remove_file(entry.path());
         }
     }
 }
 
-/// Room on the disk that holds `path`: the one whose mount point is the longest part of it.
+/// Returns the free space, in bytes, of the disk that holds `path`. This is the disk whose mount point is the longest
+/// prefix of the path.
 pub fn free_bytes(path: &Path) -> Option<u64> {
     let path = std::path::absolute(path).ok()?;
     let disks = Disks::new_with_refreshed_list();

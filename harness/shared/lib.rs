@@ -1,5 +1,5 @@
-//! What every layer may use: files that are whole or absent and folders with one writer, digests inside files, the
-//! memory there is, progress, and numbers as people write them.
+//! Basics for all other crates: complete files and locked folders, seals, available memory, progress, and numbers as
+//! text.
 
 pub mod files;
 pub mod memory;

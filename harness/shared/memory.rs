@@ -1,12 +1,12 @@
-//! How much memory there is to use.
+//! The memory that is available to this process.
 
 use sysinfo::{Pid, ProcessRefreshKind, ProcessesToUpdate, System};
 
-/// Memory that this process may have in all, bytes: what it has, and what the machine has free. Less if its control group
-/// (a container, a Slurm job) leaves it less, or its address space has a limit (`ulimit -v`). Caches, which the system
-/// gives up on demand, count as free.
+/// Returns the memory that this process may use in total, in bytes: the memory that it already has, and the memory that
+/// the machine has free. The second part is smaller if the control group (a container, a Slurm job) or a limit of the
+/// address space (`ulimit -v`) leaves less. Caches, which the system releases on demand, count as free.
 ///
-/// What it has counts because it can be used again: the allocator gives nothing back.
+/// The memory that the process already has counts, because the allocator reuses it and returns none to the system.
 pub fn within_reach() -> u64 {
     let mut system = System::new();
     system.refresh_memory();
@@ -20,10 +20,10 @@ pub fn within_reach() -> u64 {
     process.memory().saturating_add(free.min(in_group.unwrap_or(u64::MAX)).min(addresses))
 }
 
-/// The limit of this process's address space, bytes.
+/// Returns the limit of this process's address space, in bytes.
 fn address_space() -> u64 {
     let mut limit = libc::rlimit { rlim_cur: libc::RLIM_INFINITY, rlim_max: libc::RLIM_INFINITY };
-    // SAFETY: fills in a structure of ours. Where it fails, no limit is known.
+    // SAFETY: `getrlimit` only writes to `limit`. If it fails, `limit` stays infinite.
     unsafe { libc::getrlimit(libc::RLIMIT_AS, &mut limit) };
     limit.rlim_cur
 }

@@ -1,6 +1,6 @@
-//! How numbers are written for people.
+//! Formats numbers for people.
 
-/// A number to four significant digits.
+/// Formats a number with four significant digits.
 pub fn rounded(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return value.to_string();
@@ -13,7 +13,7 @@ pub fn rounded(value: f64) -> String {
     format!("{value:.decimals$}")
 }
 
-/// A time as a person would say it: `0.8 s`, `44 min`, `5.2 h`.
+/// Formats a duration with a suitable unit: `0.8 s`, `44 min`, `5.2 h`.
 pub fn duration(seconds: f64) -> String {
     match seconds {
         s if s < 9.95 => format!("{s:.1} s"),

@@ -1,22 +1,22 @@
-//! How long work tells its caller how far it is. The library reports; only the command line draws.
+//! Progress of long work. The library only reports it, and the command line displays it.
 
-/// Receives the progress of one command. Calls may come from several threads.
+/// Receives the progress of one command. Several threads may call it.
 pub trait Progress: Sync {
-    /// A stage of `total` steps begins; `unit` names one step ("samples", "epochs").
+    /// A stage of `total` steps begins. `unit` names the steps, such as "samples" or "epochs".
     fn begin(&self, stage: &str, total: u64, unit: &str);
-    /// `steps` more are done.
+    /// `steps` more steps are done.
     fn advance(&self, steps: u64);
-    /// `steps` of the stage were done before it began: by the process that it goes on from.
+    /// `steps` of the stage were done before it began, by an earlier process.
     fn resume(&self, steps: u64) {
         self.advance(steps);
     }
-    /// A short note on the current stage, such as the latest losses; the next one replaces it.
+    /// Shows a short note on the current stage, such as the latest losses. It replaces the previous note.
     fn note(&self, text: &str);
-    /// Something that a person should read even when the stage is long over.
+    /// Shows a message that stays visible after the stage has ended.
     fn say(&self, text: &str);
-    /// The stage is over.
+    /// The current stage ends.
     fn end(&self);
-    /// Where one of several jobs that go on side by side reports to, under its name; `None`: here as well.
+    /// Returns the progress of one of several simultaneous jobs, by its name. With `None`, the job reports here.
     fn job(&self, _name: &str) -> Option<Box<dyn Progress + '_>> {
         None
     }
@@ -26,7 +26,7 @@ pub trait Progress: Sync {
     }
 }
 
-/// Reports to nobody.
+/// Ignores all reports.
 pub struct Silent;
 
 impl Progress for Silent {
