@@ -303,6 +303,7 @@ pub(super) struct Description(serde_json::Value);
 impl Description {
     pub const FILE: &str = "dataset.json";
 
+    /// Reads the description in a dataset's folder. The error says why it can't be read.
     pub fn read(folder: &Path) -> Result<Self, String> {
         let bytes = std::fs::read(folder.join(Self::FILE)).map_err(|error| error.to_string())?;
         serde_json::from_slice(&bytes).map(Self).map_err(|error| error.to_string())

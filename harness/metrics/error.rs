@@ -1,3 +1,5 @@
+//! The errors of metrics and baselines.
+
 use thiserror::Error;
 
 /// Why values can't be compared, or a baseline can't be fitted.

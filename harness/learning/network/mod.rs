@@ -159,8 +159,8 @@ pub struct LayerSummary {
 
 /// The layers of a network.
 #[derive(Debug, Clone, PartialEq, Eq)]
-/// Layers of the encoder, in the order in which they are applied.
 pub struct Summary {
+    /// Layers of the encoder, in the order in which they are applied.
     pub encoder: Vec<LayerSummary>,
     /// Layers of the decoder, in the order in which they are applied.
     pub decoder: Vec<LayerSummary>,

@@ -86,8 +86,11 @@ impl Side {
 /// A convolution's sizes and parameters.
 pub(super) struct Layer<'a> {
     pub sizes: Convolution,
+    /// The kernel, packed for the convolution.
     pub convolving: Kernel,
+    /// The kernel, packed for the transposed convolution.
     pub spreading: Kernel,
+    /// One value for each channel of the image that the bias is added to.
     pub bias: &'a [f32],
 }
 
