@@ -1,19 +1,19 @@
-"""Collects samples with Python's `mujoco`, doing the harness's work, to set beside the harness's own rate.
+"""Collects samples with Python's `mujoco`, as the harness does, for comparison with the harness's rate.
 
     python harness/benches/collect.py --scenario cluttered --courses courses.bin
     python harness/benches/collect.py --scenario cluttered --courses courses.bin --samples-per-episode 100 --untuned
 
-A sample is 100 steps of the checked-in scene under the commanded motion, then the finger's angles, the arm, the
-setpoint, each link's normal contact force at the instant and its mean over the steps, and a 64 x 64 frame.
-Samples stay in memory; the harness writes them to disk besides. `courses.bin` is what the example `courses` wrote:
-the same episodes as the harness's own, which the last positions have to show, bit by bit.
+For each sample, the checked-in scene takes 100 steps with the commanded motion. The sample has the finger's angles,
+the arm, the setpoint, each link's normal contact force at that time and its mean over the steps, and a frame of 64 x 64
+pixels. Samples stay in memory, whereas the harness also writes them to disk. The example `courses` writes
+`courses.bin`. The episodes are the harness's own: the last positions must be the same, bit by bit.
 
-Tuned (the default) is as fast as plain Python was found to get: the scene's visual quality and sleeping,
-llvmpipe without threads of its own, one process a core, preallocated arrays. `--untuned` is what one writes
-first: MuJoCo's default visual quality, no sleeping, one process. `--no-sleep` is tuned, but for sleeping. Needs
-mujoco and numpy, and EGL.
+By default the program is tuned, which is the fastest that plain Python was found to be: the scene's visual quality and
+sleeping, llvmpipe without its own threads, one process per core, and preallocated arrays. `--untuned` is a first
+version: MuJoCo's default visual quality, no sleeping, and one process. `--no-sleep` is tuned, but without sleeping.
+Needs mujoco, numpy and EGL.
 
-Prints JSON. The time runs from when every process has its model and renderer until the last one is done.
+Prints JSON. The time runs from when all processes have their model and renderer until the last one is done.
 Run it on an otherwise idle machine.
 """
 
@@ -32,12 +32,12 @@ FRAME_SIDE = 64
 
 @dataclasses.dataclass
 class Episode:
-    """What one episode recorded; one row a sample."""
+    """The recording of one episode, with one row for each sample."""
 
     proprioception: np.ndarray  # [n, 20] rad
     arm: np.ndarray  # [n, 3] rad, m, m
     setpoint: np.ndarray  # [n, 3] rad, m, m
-    contact_force: np.ndarray  # [n, 20] N, at the instant
+    contact_force: np.ndarray  # [n, 20] N, at the sample
     contact_force_mean: np.ndarray  # [n, 20] N, over the steps since the previous sample
     vision: np.ndarray  # [n, 64, 64, 3] u8
 
@@ -51,7 +51,7 @@ class Episode:
 
 
 class Collector:
-    """One scene with its state and renderer, in the process that made it."""
+    """One scene with its state and renderer, used by the process that created it."""
 
     def __init__(self, options: argparse.Namespace):
         import mujoco  # here, so that the environment is set before the library chooses its OpenGL
@@ -77,8 +77,8 @@ class Collector:
     def episode(self, course: courses.Course) -> np.ndarray:
         """Simulates one episode from rest.
 
-        A step computes the forces and poses of the instant it starts from, then moves the positions on; so a
-        sample takes its positions before a step, and forces and frame after it.
+        A step first computes the forces and poses for the present positions, and then changes the positions. So a
+        sample takes its positions before a step, and its forces and frame after it.
         """
         data, step, link_forces = self.data, self.mujoco.mj_step, self.link_forces
         steps_per_sample = course.steps_per_sample
@@ -112,15 +112,15 @@ class Collector:
         if any(warning.number for warning in data.warning):
             raise RuntimeError(f"the simulation of episode {course.index} diverged: see MUJOCO_LOG.TXT")
         if self.is_harness_model and course.end is not None and not np.array_equal(last, course.end):
-            raise RuntimeError(f"episode {course.index} did not end where its course says: another MuJoCo?")
+            raise RuntimeError(f"episode {course.index} ended elsewhere than its course; is MuJoCo the same version?")
         return recorded.contact_force_mean
 
     def link_forces(self) -> list[tuple[int, float]]:
-        """Link and normal force (N) of each of the finger's contacts.
+        """Returns the link and the normal force (N) of each of the finger's contacts.
 
-        With elliptic cones, as in these scenes, the first of a contact's constraint rows is its normal force
-        (with pyramidal ones it would be the sum of all its rows). For a few contacts a loop over plain lists
-        is quicker than NumPy's fancy indexing.
+        These scenes use elliptic cones, with which the first constraint row of a contact is its normal force. (With
+        pyramidal cones it would be the sum of all rows.) For a few contacts, a loop over plain lists is faster than
+        NumPy's fancy indexing.
         """
         contact, rows = self.data.contact, self.data.efc_force
         link_of_geom = self.link_of_geom
@@ -145,7 +145,7 @@ def arguments() -> argparse.Namespace:
     )
     courses.add_arguments(parser)
     tuning = parser.add_mutually_exclusive_group()
-    tuning.add_argument("--untuned", dest="tuned", action="store_false", help="in one process")
+    tuning.add_argument("--untuned", dest="tuned", action="store_false", help="a first version, in one process")
     tuning.add_argument("--no-sleep", dest="sleep", action="store_false")
     options = parser.parse_args()
     if not options.tuned:

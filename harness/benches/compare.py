@@ -1,20 +1,21 @@
-"""Runs the harness and its peers in turn on this machine and prints one table of ratios.
+"""Runs the harness and other programs in turn on this machine, and prints one table of ratios.
 
     make bench                                                       everything, as published
     .venv-bench/bin/python harness/benches/compare.py --only collection --rounds 1 --episodes 4
     .venv-bench/bin/python harness/benches/compare.py --only training --match deep
 
-`make bench` also installs and builds what this needs. Rounds alternate between the contenders, and each figure is the
-median over the rounds, so that a drift of the machine's speed favours none of them. A ratio above 1 means that the
-harness is faster; "at least" is what the project has set itself. Run it on an otherwise idle machine.
+`make bench` also installs and builds what this program needs. In each round, the contenders run one after the other.
+Each number is the median over the rounds, so a change of the machine's speed favours none of them. A ratio above 1
+means that the harness is faster. The column "at least" is the project's own target. Run this program on an otherwise
+idle machine.
 
-Training: one step of the paper's networks beside PyTorch (training_step.py) and beside its matrix products alone,
-through gemm (the example `products`) and PyTorch (products.py); one step of a deep network, with the processor's tile
-unit and without, beside PyTorch in both of its memory formats.
+Training compares one step of the paper's networks with PyTorch (training_step.py), and with the step's matrix products
+alone, computed by gemm (the example `products`) and by PyTorch (products.py). It also compares one step of a deep
+network, with and without the processor's tile unit, with PyTorch in both of its memory formats.
 
-Collection: the whole command `harness collect`, with its start and writing to disk, beside Python's `mujoco`
-(collect.py), PyBullet (pybullet_collect.py), and MuJoCo's own functions called from C without recording
-(raw_limit.c), whose start is not counted. All simulate the same episodes.
+Collection compares the whole command `harness collect`, including its start and writing to disk, with Python's `mujoco`
+(collect.py), PyBullet (pybullet_collect.py), and MuJoCo's functions called from C without recording (raw_limit.c). The
+start of these programs is not counted. All simulate the same episodes.
 """
 
 import argparse
@@ -42,7 +43,7 @@ CORES = report.cores()
 # The convolutions of multi_to_multi_best.yaml.
 DEEP = ("--channels", 8, 16, 32, 32, "--fusion", "late", "--hidden", 256, "--latent", 64)
 DEEP_STEPS = 8
-UNTUNED_SAMPLES = 100  # at about 20 a second
+UNTUNED_SAMPLES = 100  # at about 20 samples per second
 PYBULLET_SAMPLES = 300  # of each episode
 
 
@@ -50,13 +51,13 @@ PYBULLET_SAMPLES = 300  # of each episode
 class Contender:
     name: str
     measure: Callable[[], float]
-    # How many times as fast the harness is to be; None where that is only reported.
+    # Smallest ratio that the project aims for; None if the ratio is only reported.
     target: float | None = None
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Contenders at the same work; the first is the harness."""
+    """Contenders that do the same work. The first one is the harness."""
 
     name: str
     unit: str  # "s" for a time, "1/s" for a rate
@@ -64,7 +65,7 @@ class Comparison:
 
 
 def run(*command, **options) -> str:
-    """What a command prints; if it fails, the reason ends this program."""
+    """Returns the output of a command. If it fails, this program ends with the reason."""
     command = [str(part) for part in command]
     done = subprocess.run(command, capture_output=True, check=False, text=True, **options)
     if done.returncode:
@@ -73,7 +74,7 @@ def run(*command, **options) -> str:
 
 
 def last_json(*command, **options) -> dict:
-    """The JSON of the last line that a command prints."""
+    """Returns the JSON in the last line of a command's output."""
     return json.loads(run(*command, **options).strip().splitlines()[-1])
 
 
@@ -90,13 +91,13 @@ def example(name: str, *arguments) -> dict:
 
 @dataclass(frozen=True)
 class PaperNetwork:
-    """One of the paper's two networks, and how many times as fast as PyTorch the harness is to train it."""
+    """One of the paper's two networks, and the smallest ratios that the project aims for."""
 
     name: str
     options: tuple
-    # As in its experiment.
+    # The sizes in its experiment.
     latents: tuple[int, ...]
-    # Timed steps a round: some seconds each.
+    # Timed steps in a round, which take a few seconds.
     steps: int
     eager_target: float
     compiled_target: float | None = None
@@ -152,7 +153,7 @@ def paper_step(network: PaperNetwork, latent: int) -> Comparison:
 
 
 def deep_step(name: str, target: float, *options) -> Comparison:
-    """The target holds for whichever of PyTorch's memory formats is the faster."""
+    """The target is the same for both memory formats of PyTorch, so it also applies to the faster one."""
     work = (*DEEP, "--steps", DEEP_STEPS)
     formats = {"contiguous": "contiguous", "channels last": "channels_last"}
     return Comparison(
@@ -177,7 +178,7 @@ def collection(episodes: int, folder: Path) -> list[Comparison]:
 
 
 def compile_raw_limit() -> Path:
-    """The C program, linked to the library that the harness uses."""
+    """Compiles the C program, linked to the library that the harness uses."""
     library = ROOT / ".venv" / "mujoco"
     include = (library / "libmujoco.so").resolve().parent / "include"
     program = TARGET / "examples" / "raw_limit"
@@ -187,12 +188,12 @@ def compile_raw_limit() -> Path:
 
 
 def without_sleeping(folder: Path) -> Path:
-    """A folder with the cluttered model, in which boxes at rest are simulated too."""
+    """Returns a folder with the cluttered model, changed so that boxes at rest are simulated too."""
     text = (MODELS / "cluttered.xml").read_text()
     changed = text.replace('sleep="enable"', 'sleep="disable"')
     if changed == text:
         raise SystemExit(
-            "models/cluttered.xml has no sleep flag any more: change without_sleeping in compare.py"
+            "models/cluttered.xml has no sleep flag; change without_sleeping in compare.py"
         )
     models = folder / "without_sleeping"
     models.mkdir()
@@ -209,7 +210,7 @@ def collection_of(scenario: str, episodes: int, folder: Path, raw_limit: Path) -
         return lambda: python("collect.py", *work, "--processes", CORES, *options)["samples_per_second"]
 
     def raw(*options):
-        """With `--no-rendering`, mj_step alone."""
+        """Runs the C program. With `--no-rendering`, it only calls mj_step."""
         return lambda: last_json(raw_limit, MODELS / f"{scenario}.xml", file, CORES, *options)
 
     def rendering():
@@ -245,7 +246,7 @@ def collection_of(scenario: str, episodes: int, folder: Path, raw_limit: Path) -
 
 
 def harness_collection(scenario: str, episodes: int, *options) -> float:
-    """Samples a second of the whole command: start, simulation, rendering and writing to disk."""
+    """Returns samples per second of the whole command: start, simulation, rendering and writing to disk."""
     with tempfile.TemporaryDirectory() as results:
         settings = (f"scenarios=[{scenario}]", f"simulation.episodes={episodes}")
         spec = ROOT / "experiments" / "multi_to_multi.yaml"
@@ -258,7 +259,7 @@ def harness_collection(scenario: str, episodes: int, *options) -> float:
 
 
 def compare(comparison: Comparison, rounds: int) -> list[report.Measurement]:
-    """Measures every contender once a round, in turn."""
+    """Measures every contender once in each round, one after the other."""
     values = {contender.name: [] for contender in comparison.contenders}
     for number in range(1, rounds + 1):
         for contender in comparison.contenders:
@@ -299,16 +300,16 @@ def arguments() -> argparse.Namespace:
         "--episodes",
         type=int,
         default=max(3 * CORES, 6),
-        help=f"of a scenario, {SAMPLES_PER_EPISODE} samples each",
+        help=f"episodes of a scenario, with {SAMPLES_PER_EPISODE} samples each",
     )
     parser.add_argument("--only", choices=("training", "collection"))
-    parser.add_argument("--match", default="", metavar="TEXT", help="only comparisons whose name contains TEXT")
-    parser.add_argument("--output", type=Path, help="a Parquet file for the measurements")
-    parser.add_argument("--markdown", type=Path, help="a file for the printed table")
+    parser.add_argument("--match", default="", metavar="TEXT", help="run only comparisons whose name contains TEXT")
+    parser.add_argument("--output", type=Path, help="Parquet file to which the measurements are written")
+    parser.add_argument("--markdown", type=Path, help="file to which the printed table is written")
     options = parser.parse_args()
     if options.rounds < 1:
         parser.error("--rounds must be 1 or more")
-    # As a spec has.
+    # A spec requires this too.
     if options.episodes < 3:
         parser.error("--episodes must be 3 or more")
     return options
@@ -318,7 +319,7 @@ def main() -> None:
     options = arguments()
     load, *_ = os.getloadavg()
     if load > 0.5:
-        note(f"warning: the machine is not idle (load average {load:.1f}), so the ratios will not hold")
+        note(f"warning: the machine is not idle (load average {load:.1f}), so the ratios are not reliable")
     measurements = []
     with tempfile.TemporaryDirectory() as folder:
         comparisons = []

@@ -1,6 +1,6 @@
-"""The courses of episodes, which the example `courses` writes, and processes that share them out.
+"""Reads the courses of episodes that the example `courses` writes, and divides them among processes.
 
-For collect.py and pybullet_collect.py, so that both simulate what the harness does, and are timed alike.
+collect.py and pybullet_collect.py use it, so that both simulate the harness's episodes and are timed in the same way.
 """
 
 import argparse
@@ -12,23 +12,23 @@ from pathlib import Path
 
 import numpy as np
 
-START_TIMEOUT = 120  # s, for every process to open its model and renderer
+START_TIMEOUT = 120  # s, until every process has opened its model and renderer
 
 
 @dataclasses.dataclass
 class Course:
-    """What is commanded in one episode."""
+    """The commands of one episode."""
 
     index: int
     start: np.ndarray  # [coordinates], MuJoCo's positions at the first sample
-    end: np.ndarray | None  # the same at the last sample; None where the episode is cut short
+    end: np.ndarray | None  # the same at the last sample; None if the episode is cut short
     controls: np.ndarray  # [steps, 3], rotation (rad), lift and extension (m) during each step
     samples: int
     steps_per_sample: int
 
 
 def read_courses(path: Path, samples: int | None) -> list[Course]:
-    """The courses in a file, each cut to `samples` samples; courses.rs says how they are laid out."""
+    """Returns the courses in a file, each cut to `samples` samples. courses.rs describes the file."""
     episodes, recorded, steps_per_sample, steps, coordinates, controls = np.fromfile(
         path, np.int64, 6
     ).tolist()
@@ -51,9 +51,9 @@ def read_courses(path: Path, samples: int | None) -> list[Course]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenario", choices=["empty", "cluttered"], default="empty")
-    parser.add_argument("--courses", type=Path, required=True, help="what the example `courses` wrote")
-    parser.add_argument("--episodes", type=int, help="the first so many; all, if not given")
-    parser.add_argument("--samples-per-episode", type=int, help="the first so many; all, if not given")
+    parser.add_argument("--courses", type=Path, required=True, help="the file that the example `courses` wrote")
+    parser.add_argument("--episodes", type=int, help="number of episodes, from the first one on; default: all")
+    parser.add_argument("--samples-per-episode", type=int, help="number of samples, from the first on; default: all")
     parser.add_argument("--processes", type=int, default=2)
 
 
@@ -78,8 +78,8 @@ def _work(make_collector, options, next_episode, ready, results) -> None:
 def collect(make_collector, options: argparse.Namespace) -> None:
     """Times all episodes, and prints JSON.
 
-    `make_collector(options)` is called once a process. What it makes has `episode(course)`, which returns the
-    mean contact forces `[samples, 20]` of the episode. The time runs from when every process is ready until the
+    Each process calls `make_collector(options)` once. The collector has a method `episode(course)`, which returns the
+    mean contact forces of the episode, `[samples, 20]`. The time runs from when all processes are ready until the
     last one is done.
     """
     context = multiprocessing.get_context("spawn")

@@ -1,12 +1,12 @@
-//! Writes the courses of a dataset's first episodes, so that every contender in the collection benchmark simulates
-//! the very same ones.
+//! Writes the courses of a dataset's first episodes. All programs in the collection benchmark then simulate the same
+//! episodes.
 //!
 //!     cargo run --release --example courses -- --scenario cluttered --episodes 6 --output courses.bin
 //!
-//! Courses are those of the default settings. The file is in the machine's byte order: six i64 (episodes, samples,
-//! steps a sample, steps, position coordinates, controls), then for each episode f64: the first positions
-//! `[coordinates]`, the positions at the last sample `[coordinates]`, and the controls `[steps, controls]`.
-//! The last positions let a reader show that it simulated the same.
+//! The courses have the default settings. The file is in the machine's byte order. It begins with six i64: episodes,
+//! samples, steps per sample, steps, position coordinates, controls. For each episode, f64 values follow: the first
+//! positions `[coordinates]`, the positions at the last sample `[coordinates]`, and the controls `[steps, controls]`.
+//! With the last positions, a reader can check that it simulated the same course.
 
 use clap::Parser;
 use harness::files::write_bytes;
@@ -20,11 +20,13 @@ struct Arguments {
     /// empty or cluttered
     #[arg(long, default_value = "empty")]
     scenario: String,
+    /// Number of episodes
     #[arg(long, default_value_t = 6)]
     episodes: u32,
-    /// Commanded arm moves an episode, 10 samples each
+    /// Commanded motions of the arm in an episode, 10 samples each
     #[arg(long, default_value_t = 100)]
     actuations: u32,
+    /// The file to write
     #[arg(long)]
     output: PathBuf,
 }

@@ -1,10 +1,10 @@
-//! Fills a results folder with runs that look like trained ones, to measure how commands cope with many of them.
+//! Fills a results folder with runs that look like trained ones, to measure how commands perform with many runs.
 //!
-//!     cargo run --release --example many_runs -- --results /tmp/many --seeds 250
+//!     cargo run --release --example many_runs -- --results many --seeds 250
 //!
-//! The runs are those of `single_to_multi` and `multi_to_multi` with as many seeds as asked for, 12 runs a seed. Their
-//! records, specs, losses, metrics, forces and pictures have the size of real ones, and the same arguments give the
-//! same numbers. There are fewer test samples than real ones have, networks are empty files, and there is no dataset.
+//! The runs are those of `single_to_multi` and `multi_to_multi` with `--seeds` seeds, 12 runs for each seed. Their
+//! records, specs, losses, metrics, forces and images have the size of real ones. The same arguments give the same
+//! numbers. There are fewer test samples than in real runs, networks are empty files, and there is no dataset.
 
 use clap::Parser;
 use harness::collection::dataset_of;
@@ -24,16 +24,16 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
-/// Test samples whose predictions are kept, over four test episodes; a real run has 4,000.
+/// Number of test samples whose predictions are stored, over four test episodes. A real run has 4,000.
 const SAMPLES: usize = 80;
 const EPISODES: u32 = 4;
 
 #[derive(Parser)]
 struct Arguments {
-    /// The results folder, which may hold other runs
+    /// The results folder, which may contain other runs
     #[arg(long)]
     results: PathBuf,
-    /// Seeds of each cell; a seed makes 12 runs
+    /// Seeds of each cell; each seed makes 12 runs
     #[arg(long, default_value_t = 250)]
     seeds: u64,
     /// Epochs of each training
@@ -66,7 +66,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The name of each scenario's dataset, which isn't collected.
+/// Returns the name of each scenario's dataset, which isn't collected.
 fn datasets(
     registry: &Registry,
     experiment: &Experiment,
@@ -86,7 +86,7 @@ fn write(
     by: &Provenance,
 ) -> Result<(), Box<dyn Error>> {
     let folder = registry.run(experiment, spec, dataset);
-    let _lock = registry.claim(&folder)?.ok_or("another process works on it")?;
+    let _lock = registry.claim(&folder)?.ok_or("another process is working on it")?;
     let record = registry.begin(&folder, spec, &Layout::finger(), by)?;
     for task in &spec.tasks {
         std::fs::write(folder.checkpoint(*task), "made up")?;
@@ -116,7 +116,7 @@ fn outcome(spec: &RunSpec) -> Result<Outcome, Box<dyn Error>> {
     Ok(outcome)
 }
 
-/// Losses that fall towards a floor.
+/// Returns losses that fall towards a lower bound.
 fn losses(epoch: usize, output: &[Modality], random: &mut ChaCha8Rng) -> Epoch {
     let mut split = || {
         let mut losses: Losses = output
@@ -132,7 +132,7 @@ fn losses(epoch: usize, output: &[Modality], random: &mut ChaCha8Rng) -> Epoch {
     Epoch { epoch, train: split(), validation: split(), seconds: 0.15 }
 }
 
-/// The metrics of a network and the baselines, and the network's predictions, of made-up samples.
+/// Adds the metrics of a network and the baselines, and the network's predictions, for invented samples.
 fn judge(
     task: Task,
     modality: Modality,
@@ -154,7 +154,7 @@ fn judge(
     };
     let rows = evaluate(definition, &reference, &predicted)?;
     for (place, &model) in models.iter().enumerate() {
-        // The same samples judge all models, each a little worse than the one before.
+        // All models have the same samples, and each model has slightly worse values than the previous one.
         let worse = |row: &Row| Row {
             value: row.value.map(|value| value * (1.0 + 0.1 * place as f64)),
             ..row.clone()
@@ -186,7 +186,7 @@ fn judge(
     Ok(())
 }
 
-/// The forces of a dataset, the same for all runs of a scenario: of the whole and of its episodes.
+/// Returns the forces of a dataset and of its episodes. They are the same for all runs of a scenario.
 fn forces(spec: &RunSpec) -> Vec<ForceRows> {
     let mut random = ChaCha8Rng::seed_from_u64(u64::from(spec.scenario.name() == "empty"));
     let episodes = spec.simulation.as_ref().map_or(0, |simulation| simulation.episodes);

@@ -1,9 +1,9 @@
-"""Times in PyTorch the matrix products that the example `products` lists: the floor as PyTorch has it.
+"""Times in PyTorch the matrix products that the example `products` lists, for comparison with a training step.
 
     target/release/examples/products --steps 1 | python harness/benches/products.py --steps 20
 
-A convolution's products, one a frame in the list, are one product over the whole batch here, as PyTorch would call
-it. Prints JSON; the times are wall-clock seconds.
+The list has one product of a convolution for each frame. Here these are one product over the whole batch, as in
+PyTorch. Prints JSON, with times in wall-clock seconds.
 """
 
 import argparse
@@ -18,10 +18,10 @@ WARM_UP_STEPS = 2
 
 
 def operands(product: dict) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Both factors, as they lie in memory, and the result."""
+    """Returns both factors, as they are stored in memory, and the result."""
     rows, inner, columns = product["rows"], product["inner"], product["columns"]
     frames = max(product["frames"], 1)
-    # Each frame adds to the side that is its positions: the inner one where a weight gradient sums over them.
+    # Each frame adds positions. A weight gradient sums over the positions, so they are its inner side.
     if product["name"].endswith("weight gradient"):
         inner *= frames
     else:

@@ -1,20 +1,21 @@
-//! The matrix products of one training step and nothing else, timed: the floor under training_step.rs.
+//! Times only the matrix products of one training step, computed by gemm, for comparison with training_step.rs.
 //!
-//!     cargo run --release --example products -- --channels 16 --latent 64 --steps 10  # the paper's
-//!     cargo run --release --example products -- --latent 4  # vectors alone
+//!     cargo run --release --example products -- --channels 16 --latent 64 --steps 10  # the paper's network
+//!     cargo run --release --example products -- --latent 4  # a network for vectors
 //!
-//! Only the paper's networks are supported: at most one convolution, and one hidden layer. Each layer's product forward, and those of its gradients: for the weights, and for the input where that is not
-//! data. They run through the gemm crate with the features that the harness uses. The convolutions' products go
-//! frame by frame, each thread over patches that stay in its cache, as cheap as they can be had.
+//! Only the paper's networks are supported: at most one convolution, and one hidden layer. The products of a layer are
+//! the forward product, that of the gradient of the weights and, unless the input is data, that of the gradient of the
+//! input. They run through the gemm crate with the features that the harness uses. The products of convolutions run
+//! frame by frame, and each thread multiplies patches that stay in its cache, which is the fastest way.
 //!
-//! Prints one line of JSON: median, least and greatest seconds for all products, and the list, which products.py
-//! times in PyTorch.
+//! Prints one line of JSON with the median, the least and the greatest number of seconds for all products, and the list
+//! of products, which products.py times in PyTorch.
 
 use clap::Parser;
 use gemm::Parallelism;
 use harness::spec::IMAGE_CHANNELS;
 
-/// Sizes of the finger: joints, elements of the action, side of an image.
+/// Sizes of the finger: number of joints, number of the action's elements, side of an image in pixels.
 const JOINTS: usize = 20;
 const ARM_JOINTS: usize = 3;
 const FRAME_SIDE: usize = 64;
@@ -27,29 +28,33 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 #[derive(Parser)]
 struct Arguments {
-    /// Channels of the convolution; without any, a network for vectors alone.
+    /// Output channels of the convolution; without any, the network is for vectors alone.
     #[arg(long, num_args = 0..)]
     channels: Vec<usize>,
+    /// Width of the hidden layer.
     #[arg(long, default_value_t = 256)]
     hidden: usize,
+    /// Size of the latent state.
     #[arg(long, default_value_t = 64)]
     latent: usize,
+    /// Number of samples in a step.
     #[arg(long, default_value_t = 1024)]
     batch: usize,
+    /// Number of timed steps.
     #[arg(long, default_value_t = 20)]
     steps: usize,
 }
 
-/// `[rows, inner]` times `[inner, columns]`, `frames` times.
+/// The product of `[rows, inner]` and `[inner, columns]`.
 #[derive(Clone, Serialize)]
 struct Product {
     name: String,
     rows: usize,
     inner: usize,
     columns: usize,
-    /// Whether the factors lie in memory as their transposes.
+    /// Whether each factor is stored as its transpose.
     transposed: [bool; 2],
-    /// 0 for a product over the whole batch, otherwise as many products, one a frame.
+    /// 0 for one product over the whole batch. Otherwise the number of products, one for each frame.
     frames: usize,
 }
 
@@ -63,7 +68,7 @@ impl Product {
     }
 }
 
-/// A fully connected layer's products; a layer on data needs no gradient for its input.
+/// Returns the products of a fully connected layer. A layer that reads data needs no gradient of its input.
 fn layer(name: &str, batch: usize, inputs: usize, outputs: usize, on_data: bool) -> Vec<Product> {
     let mut products = vec![
         Product::new(format!("{name}, forward"), [batch, inputs, outputs], [false, true]),
@@ -79,7 +84,7 @@ fn layer(name: &str, batch: usize, inputs: usize, outputs: usize, on_data: bool)
     products
 }
 
-/// All products of a step.
+/// Returns all products of a step.
 fn products(arguments: &Arguments) -> Vec<Product> {
     let Arguments { latent, hidden, batch, .. } = *arguments;
     let positions = (FRAME_SIDE / 2) * (FRAME_SIDE / 2);
@@ -104,7 +109,7 @@ fn products(arguments: &Arguments) -> Vec<Product> {
     list
 }
 
-/// One product's factors and result.
+/// The factors and the result of one product.
 struct Operands {
     product: Product,
     left: Vec<f32>,
@@ -114,7 +119,7 @@ struct Operands {
 
 impl Operands {
     fn new(product: Product) -> Self {
-        // Small values, so that no result is denormal or infinite.
+        // Values are small, so that no result is denormal or infinite.
         let filled = |len: usize| (0..len).map(|i| (i % 17) as f32 / 17.0 - 0.5).collect::<Vec<f32>>();
         Self {
             left: filled(product.rows * product.inner),
@@ -137,13 +142,13 @@ impl Operands {
 
     fn multiply(&mut self, parallelism: Parallelism) {
         let Product { rows, inner, columns, transposed, .. } = self.product;
-        // Column stride and row stride of a row-major matrix of that width, or of its transpose.
+        // Returns the column stride and the row stride of a row-major matrix of this size, or of its transpose.
         let strides = |width: usize, height: usize, transposed: bool| {
             if transposed { (height as isize, 1) } else { (1, width as isize) }
         };
         let (left_columns, left_rows) = strides(inner, rows, transposed[0]);
         let (right_columns, right_rows) = strides(columns, inner, transposed[1]);
-        // SAFETY: `new` made each matrix as large as its shape, which the strides span, and none overlap.
+        // SAFETY: `new` created each matrix with the size of its shape, which the strides cover, and none overlap.
         unsafe {
             gemm::gemm(
                 rows,
@@ -186,7 +191,7 @@ fn main() {
         operands.iter_mut().for_each(|operands| operands.run(threads));
         seconds.push(begin.elapsed().as_secs_f64());
     }
-    // The first two warm up caches and the allocator.
+    // The first two steps warm up caches and the allocator.
     let mut seconds = seconds.split_off(2);
     seconds.sort_by(f64::total_cmp);
     println!(

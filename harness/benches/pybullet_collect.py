@@ -1,21 +1,22 @@
-"""Collects samples with PyBullet, the way SoMo simulates a soft finger, to set beside the harness's own rate.
+"""Collects samples with PyBullet, as SoMo simulates a soft finger, for comparison with the harness's rate.
 
     python harness/benches/pybullet_collect.py --scenario empty --courses courses.bin --samples-per-episode 100
 
-The same finger, arm, ground, boxes and camera, at 1 kHz along the same commanded motions: `courses.bin` is what
-the example `courses` wrote. At each step the torques of the joints' springs are computed in Python from the angles
-read, as SoMo does, and the normal forces of the finger's contacts are read; once a sample the angles, the arm, the
-forces and a frame of 64 x 64 by PyBullet's TinyRenderer (its CPU renderer) are recorded, in memory.
+It simulates the same finger, arm, ground, boxes and camera at 1 kHz, with the same commanded motions. The example
+`courses` writes these motions to `courses.bin`. At each step, the torques of the joints' springs are computed in
+Python from the angles, as in SoMo, and the normal forces of the finger's contacts are read. For each sample, the
+angles, the arm, the forces and a frame of 64 x 64 pixels are recorded in memory. The frame is rendered by PyBullet's
+TinyRenderer (its CPU renderer).
 
-What differs from the harness's simulation:
-- Bullet's articulated bodies and sequential impulses, instead of MuJoCo's; contacts are hard, and its multi-body has
-  no joint armature: DAMPING and INERTIA below keep the explicit springs stable.
-- All joints' angles and torques pass in one call each, which is faster than SoMo's one call a joint.
-- The arm is driven by PyBullet's position control with ample force, which follows without the harness's 7 ms of lag.
-- No joint limits, and no collision with the arm's column.
-- Shadows are off, as in the harness's frames; boxes may sleep.
+Differences from the harness's simulation:
+- It uses Bullet's articulated bodies and sequential impulses instead of MuJoCo's. Contacts are hard, and the multi-body
+  has no joint armature. DAMPING and INERTIA below keep the explicit springs stable.
+- The angles and torques of all joints pass in one call each, which is faster than SoMo's one call per joint.
+- PyBullet's position control drives the arm with a large force, and follows without the harness's lag of 7 ms.
+- There are no joint limits, and no collisions with the arm's column.
+- Shadows are off, as in the harness's frames. Boxes may sleep.
 
-Needs pybullet and numpy. Prints JSON. The time runs from when every process is ready until the last one is done.
+Needs pybullet and numpy. Prints JSON. The time runs from when all processes are ready until the last one is done.
 Run it on an otherwise idle machine.
 """
 
@@ -37,7 +38,7 @@ BOX_HALF_SIZE, BOX_MASS = (0.12, 0.12, 0.15), 1.0  # m, kg
 FINGER_FRICTION, BOX_FRICTION = 0.8, 0.5
 CAMERA_POSITION, CAMERA_TARGET, CAMERA_FOVY = (-3.8, -2.55, 3.55), (-0.79, 0.44, 0.0), 34  # m, m, degrees
 TIMESTEP = 1e-3  # s
-# Instead of the harness's 3 N m s/rad and its joints' armature of 1e-3 kg m2: see above.
+# These replace the harness's 3 N m s/rad and its joints' armature of 1e-3 kg m2, see above.
 DAMPING = 0.5  # N m s/rad
 INERTIA = 1e-3  # kg m2, of each link about each of its axes
 ARM_FORCE = 1e5  # N or N m, at most
@@ -46,7 +47,7 @@ GROUND_RGBA = (0.85, 0.85, 0.82, 1)
 
 
 def robot_urdf() -> str:
-    """Arm and finger: joints 0 to 2 are the arm's, those that follow the finger's, base to tip."""
+    """Returns the URDF. Joints 0 to 2 belong to the arm, the following ones to the finger, from base to tip."""
 
     def link(name, mass, inertia, centre, shape, rgb, collides):
         geometry = f'<origin xyz="{centre}"/><geometry>{shape}</geometry>'
@@ -87,7 +88,7 @@ def robot_urdf() -> str:
 
 
 class Collector:
-    """One scene, in the process that made it."""
+    """One scene, used by the process that created it."""
 
     def __init__(self, options: argparse.Namespace):
         import pybullet
@@ -114,7 +115,7 @@ class Collector:
         self.arm, self.finger = list(range(ARM)), list(range(ARM, ARM + JOINTS))
         for joint in self.finger:
             bullet.changeDynamics(self.robot, joint, lateralFriction=FINGER_FRICTION)
-        # By default a motor holds each joint; without it the joints are free for the springs.
+        # By default a motor holds each joint. Without force it leaves the joints to the springs.
         bullet.setJointMotorControlArray(
             self.robot, self.finger, bullet.VELOCITY_CONTROL, forces=[0.0] * JOINTS
         )
@@ -130,7 +131,7 @@ class Collector:
             seen = bullet.createVisualShape(
                 bullet.GEOM_BOX, halfExtents=BOX_HALF_SIZE, rgbaColor=BOX_RGBA[index % 2]
             )
-            # The finger's contacts multiply the two frictions, as those with the ground do.
+            # A contact multiplies the frictions of the finger and the box, like those of the finger and the ground.
             box = bullet.createMultiBody(BOX_MASS, shape, seen)
             bullet.changeDynamics(
                 box,
@@ -142,7 +143,7 @@ class Collector:
         return boxes
 
     def start(self, course: courses.Course) -> None:
-        """Puts the arm at the motion's start, the finger straight and the boxes in their places, at rest."""
+        """Moves the arm to the start, straightens the finger, and puts the boxes in their places, at rest."""
         for joint, value in zip(self.arm + self.finger, course.start):
             self.bullet.resetJointState(self.robot, joint, value)
         poses = course.start[ARM + JOINTS :].reshape(-1, 7)
@@ -194,7 +195,7 @@ class Collector:
         return contact_force_mean
 
     def frame(self) -> np.ndarray:
-        """What the camera sees now, [64, 64, 3] u8."""
+        """Returns the present camera image, [64, 64, 3] u8."""
         bullet = self.bullet
         _, _, pixels, _, _ = bullet.getCameraImage(
             FRAME_SIDE,

@@ -1,4 +1,4 @@
-"""The benchmarks' results: what a measurement is, on which machine, as a table to read and as Parquet."""
+"""The results of the benchmarks: measurements and the machine, as a Markdown table and as Parquet."""
 
 import datetime
 import importlib.metadata
@@ -14,7 +14,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Measurement:
-    """One contender at one piece of work."""
+    """The speed of one contender in one comparison."""
 
     name: str
     contender: str
@@ -29,7 +29,7 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Machine:
-    """Where and with what the measurements were made."""
+    """The machine and the versions of a measurement."""
 
     date: str
     processor: str
@@ -75,25 +75,25 @@ class Machine:
         )
 
 
-# Name, kind, unit ("1" for a count or a ratio) and meaning, as `harness schema --tables` states other tables'.
+# Name, kind, unit ("1" for a count or a ratio) and meaning, as `harness schema --tables` prints them for other tables.
 COLUMNS = (
-    ("name", "text", "", "the work that is compared"),
-    ("contender", "text", "", "who did it; each piece of work has one row for harness"),
-    ("value", "real", "s or 1/s", "median over the rounds: seconds a training step, or samples a second"),
+    ("name", "text", "", "name of the comparison"),
+    ("contender", "text", "", "the compared program; each comparison has one row for harness"),
+    ("value", "real", "s or 1/s", "median over the rounds: seconds per training step, or samples per second"),
     ("lowest", "real", "s or 1/s", "lowest value of a round"),
     ("highest", "real", "s or 1/s", "highest value of a round"),
     ("unit", "text", "", "unit of value, lowest and highest: s or 1/s"),
-    ("rounds", "integer", "1", "rounds, in which the contenders took turns"),
-    ("ratio", "real", "1", "how many times as fast as the contender the harness is"),
-    ("target", "real", "1", "the ratio that the project has set itself at least; null where none"),
+    ("rounds", "integer", "1", "number of rounds, in which the contenders took turns"),
+    ("ratio", "real", "1", "speed of the harness divided by the speed of the contender"),
+    ("target", "real", "1", "smallest ratio that the project aims for; null if there is none"),
     ("date", "text", "", "when the measurements ended, UTC"),
     ("processor", "text", "", "the machine's processor"),
     ("cores", "integer", "1", "processors that the contenders could use"),
     ("memory_bytes", "integer", "B", "the machine's memory"),
     ("system", "text", "", "operating system"),
     ("harness_version", "text", "", "version of the harness"),
-    ("git_commit", "text", "", "commit of the source tree; null outside one"),
-    ("git_dirty", "flag", "", "whether the source tree had uncommitted changes; null outside one"),
+    ("git_commit", "text", "", "commit of the source tree; null outside of a repository"),
+    ("git_dirty", "flag", "", "whether the source tree had uncommitted changes; null outside of a repository"),
     ("mujoco_version", "text", "", "version of MuJoCo, for the harness, Python and C"),
     ("torch_version", "text", "", "version of PyTorch"),
     ("pybullet_version", "text", "", "version of PyBullet"),
@@ -110,7 +110,7 @@ def git(root: Path, *arguments: str) -> str | None:
 
 
 def cores() -> int:
-    """Processors that this process may use."""
+    """Returns the number of processors that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
@@ -129,13 +129,13 @@ def system() -> str:
 
 
 def quantity(value: float, unit: str) -> str:
-    """A time in ms, or a rate, in three digits or more."""
+    """Formats a time in ms, or a rate, with three digits or more."""
     number, word = (value * 1e3, "ms") if unit == "s" else (value, "samples/s")
     return f"{number:#.3g}".rstrip(".") + f" {word}" if number < 100 else f"{number:.0f} {word}"
 
 
 def markdown(measurements: list[Measurement], machine: Machine) -> str:
-    """One table, with the machine below it."""
+    """Returns one table, with the machine below it."""
     rows = [("what", "harness", "beside", "", "harness is faster by", "at least")]
     for name, group in itertools.groupby(measurements, key=lambda measurement: measurement.name):
         ours, *others = group
@@ -153,9 +153,9 @@ def markdown(measurements: list[Measurement], machine: Machine) -> str:
 
 
 def write_parquet(path: Path, measurements: list[Measurement], machine: Machine) -> None:
-    """Writes one row a measurement, whole or not at all, with units and meanings in the metadata.
+    """Writes one row for each measurement, with units and meanings in the metadata.
 
-    Of a file that is there, the rows of other comparisons stay.
+    The file is written completely or not at all. Rows of other comparisons in an existing file are kept.
     """
     import pyarrow
     import pyarrow.parquet
@@ -171,7 +171,7 @@ def write_parquet(path: Path, measurements: list[Measurement], machine: Machine)
         pyarrow.field(name, types[kind], metadata={"unit": unit, "meaning": meaning})
         for name, kind, unit, meaning in COLUMNS
     ]
-    # Where the harness's own tables have it.
+    # The harness's own tables use the same key.
     schema = pyarrow.schema(fields, metadata={"harness.columns": json.dumps(described)})
     rows = [asdict(measurement) | asdict(machine) for measurement in measurements]
     measured = {row["name"] for row in rows}

@@ -1,13 +1,13 @@
-"""Times one PyTorch training step of the harness's CVAE on the CPU, to set beside the harness's own.
+"""Times one PyTorch training step of the harness's CVAE on the CPU, for comparison with the harness.
 
-A step is what the harness's trainer does for one batch: draw the noise, forward, loss, backward, fused Adam
-(1e-3). Inputs and targets are random, standardised f32. Run it on an otherwise idle machine:
+A step does the same as the harness does for one batch: draw the noise, forward pass, loss, backward pass, fused Adam
+(1e-3). Inputs and targets are random, standardized f32. Run it on an otherwise idle machine:
 
-    .venv-bench/bin/python harness/benches/training_step.py --channels 16 --latent 64  # the paper's
-    .venv-bench/bin/python harness/benches/training_step.py --channels 8 16 32 32 --fusion late  # the deep one
-    .venv-bench/bin/python harness/benches/training_step.py --latent 4  # vectors alone
+    .venv-bench/bin/python harness/benches/training_step.py --channels 16 --latent 64  # the paper's network
+    .venv-bench/bin/python harness/benches/training_step.py --channels 8 16 32 32 --fusion late  # a deep network
+    .venv-bench/bin/python harness/benches/training_step.py --latent 4  # a network for vectors
 
-Prints JSON; the times are wall-clock seconds.
+Prints JSON, with times in wall-clock seconds.
 """
 
 import argparse
@@ -32,7 +32,7 @@ def arguments() -> argparse.Namespace:
         type=int,
         nargs="*",
         default=[],
-        help="of each convolution; without any, a network for vectors alone",
+        help="output channels of each convolution; without any, the network is for vectors alone",
     )
     parser.add_argument("--fusion", choices=["early", "late"], default="early")
     parser.add_argument("--hidden", type=int, nargs="+", default=[256])
@@ -41,23 +41,23 @@ def arguments() -> argparse.Namespace:
         "--precision",
         choices=["f32", "bf16"],
         default="f32",
-        help="bf16: forward under autocast, parameters f32",
+        help="bf16: forward pass with autocast, f32 parameters",
     )
     parser.add_argument("--latent", type=int, default=64)
     parser.add_argument(
         "--memory-format",
         choices=["contiguous", "channels_last"],
         default="contiguous",
-        help="how images and convolutions' weights lie in memory",
+        help="how images and convolutions' weights are stored in memory",
     )
     parser.add_argument("--batch", type=int, default=1024)
-    parser.add_argument("--steps", type=int, default=10, help=f"timed steps, after {WARM_UP_STEPS} not timed")
+    parser.add_argument("--steps", type=int, default=10, help=f"timed steps, after {WARM_UP_STEPS} untimed steps")
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     return parser.parse_args()
 
 
 def timed_steps(options: argparse.Namespace) -> list[float]:
-    """Seconds of each step, the warm-up (which compiles, where asked to) left out."""
+    """Returns the seconds of each step, without the warm-up (which compiles the step in mode `compile`)."""
     frame_channels = 3 if options.channels else 0
     sizes = Dimensions(
         channels_in=frame_channels,

@@ -1,10 +1,10 @@
-//! One training step of a network on random data, timed; the twin of training_step.py.
+//! Times one training step of a network on random data. training_step.py does the same in PyTorch.
 //!
-//!     cargo run --release --example training_step -- --channels 16 --latent 64 --steps 20  # the paper's
-//!     cargo run --release --example training_step -- --channels 8 16 32 32 --fusion late --hidden 256  # the deep one
-//!     cargo run --release --example training_step -- --latent 4  # vectors alone
+//!     cargo run --release --example training_step -- --channels 16 --latent 64 --steps 20  # the paper's network
+//!     cargo run --release --example training_step -- --channels 8 16 32 32 --fusion late --hidden 256  # a deep network
+//!     cargo run --release --example training_step -- --latent 4  # a network for vectors
 //!
-//! Prints one line of JSON: median, least and greatest seconds a step.
+//! Prints one line of JSON with the median, the least and the greatest number of seconds per step.
 
 use candle_core::{Device, Tensor};
 use clap::Parser;
@@ -17,30 +17,34 @@ use harness::spec::{Fusion, Layout, Modality, Network, Precision, Preset, Task};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// As in the harness itself, see main.rs.
+/// The allocator that the harness itself uses, see main.rs.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 #[derive(Parser)]
 struct Arguments {
-    /// Channels of each convolution; without any, a network for vectors alone.
+    /// Output channels of each convolution; without any, the network is for vectors alone.
     #[arg(long, num_args = 0..)]
     channels: Vec<usize>,
     /// early or late
     #[arg(long, default_value = "early", value_parser = fusion)]
     fusion: Fusion,
+    /// Width of each hidden layer.
     #[arg(long, num_args = 1.., default_values_t = [256])]
     hidden: Vec<usize>,
+    /// Size of the latent state.
     #[arg(long, default_value_t = 64)]
     latent: usize,
+    /// Number of samples in a step.
     #[arg(long, default_value_t = 1024)]
     batch: usize,
+    /// Number of timed steps.
     #[arg(long, default_value_t = 20)]
     steps: usize,
     /// f32 or bf16
     #[arg(long, default_value = "f32", value_parser = precision)]
     precision: Precision,
-    /// Leave the processor's tile unit alone.
+    /// Do not use the processor's tile unit.
     #[arg(long)]
     no_tiles: bool,
 }
@@ -56,7 +60,7 @@ fn precision(name: &str) -> Result<Precision, String> {
 }
 
 fn main() -> candle_core::Result<()> {
-    // SAFETY: nothing has started a thread yet; option 15 is the purge delay, a number that may be set at any time.
+    // SAFETY: no other thread exists yet. Option 15 is the purge delay, a number that may be set at any time.
     unsafe {
         harness::learning::prepare_threads();
         libmimalloc_sys::mi_option_set(15, -1);
@@ -119,7 +123,7 @@ fn main() -> candle_core::Result<()> {
         adam.step(&loss.backward()?)?;
         seconds.push(begin.elapsed().as_secs_f64());
     }
-    // The first two warm up caches and the allocator.
+    // The first two steps warm up caches and the allocator.
     let mut seconds = seconds.split_off(2);
     seconds.sort_by(f64::total_cmp);
     println!(

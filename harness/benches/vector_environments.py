@@ -1,12 +1,13 @@
-"""Step rate of the vector environment beside Gymnasium's AsyncVectorEnv around Python's `mujoco`.
+"""Compares the step rate of the vector environment with Gymnasium's AsyncVectorEnv and Python's `mujoco`.
 
     make python
     .venv/bin/python harness/benches/vector_environments.py --scenario cluttered --environments 8
 
-Both step the same MJCF with the same actions, 100 steps of 1 ms an action, the setpoint moving evenly, and sum the normal
-forces on each link at every step, for the observation's mean; without rendering. They take turns, and the medians are
-compared. Two peers: `contacts` reads the contacts after each step with NumPy, as the harness does in Rust; `sensors` reads
-touch sensors, which the model is given for it. Both must go where the harness goes, bit by bit.
+Both simulate the same MJCF with the same actions. An action takes 100 steps of 1 ms, and the setpoint moves evenly.
+Both sum the normal forces on each link at every step for the observation's mean. Nothing is rendered. They take turns,
+and the medians are compared. There are two peers. `contacts` reads the contacts after each step with NumPy, as the
+harness does in Rust. `sensors` reads touch sensors, which are added to the model. Both must reach the same positions as
+the harness, bit by bit.
 """
 
 import argparse
@@ -31,16 +32,16 @@ ARM = ("arm_rotation", "arm_lift", "arm_extension")
 
 
 class Peer(gymnasium.Env):
-    """The finger in Python's `mujoco`: the same world, actions and sensors as the harness's, written plainly."""
+    """The finger in plain Python with `mujoco`, with the same world, actions and sensors as in the harness."""
 
     def __init__(self, scenario: str, ranges: np.ndarray, boxes: np.ndarray, touch_sensors: bool) -> None:
-        """ranges: of the setpoint, `[3, 2]`. boxes: where the boxes start, `[boxes, 7]`."""
+        """ranges: ranges of the setpoint, `[3, 2]`. boxes: initial poses of the boxes, `[boxes, 7]`."""
         self.ranges, self.boxes = ranges, boxes
         spec = mujoco.MjSpec.from_file(str(ROOT / "models" / f"{scenario}.xml"))
         if touch_sensors:
             for link in range(LINKS):
                 body = spec.body(f"finger_link_{link:02}")
-                # A site that encloses the link, so that it takes all of the body's contacts.
+                # The site encloses the link, so that it detects all contacts of the body.
                 body.add_site(name=f"touch_{link:02}", size=[0.2, 0.2, 0.2])
                 spec.add_sensor(
                     name=f"touch_{link:02}",
@@ -88,7 +89,7 @@ class Peer(gymnasium.Env):
         return self._observation(), 0.0, False, self.taken == SAMPLES, {}
 
     def _advance(self, path: np.ndarray) -> None:
-        """Steps along the setpoints; keeps positions and forces of the instant that the last step starts from."""
+        """Takes one step for each setpoint, and keeps the positions and forces at the start of the last step."""
         controls = np.zeros((len(path), self.model.nu))
         controls[:, self.actuators] = path
         forces = np.zeros((len(path), LINKS))
@@ -109,7 +110,7 @@ class Peer(gymnasium.Env):
             return
         link = self.link_of_geom[contact.geom].max(axis=1)
         touching = (link >= 0) & (contact.efc_address >= 0)
-        # Elliptic cones: the first row of a contact is its normal.
+        # With elliptic cones, the first row of a contact is its normal force.
         np.add.at(forces, link[touching], self.data.efc_force[contact.efc_address[touching]])
 
     def _observation(self) -> dict[str, np.ndarray]:
@@ -122,7 +123,7 @@ class Peer(gymnasium.Env):
 
 
 def processor_seconds(environment: VectorEnv) -> float:
-    """Processor time of this process and the environment's own so far."""
+    """Returns the processor time of this process and of the environment's processes so far."""
     ticks = 0
     for process in [os.getpid(), *(worker.pid for worker in getattr(environment, "processes", []))]:
         fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
@@ -131,7 +132,7 @@ def processor_seconds(environment: VectorEnv) -> float:
 
 
 def rates(environment: VectorEnv, actions: np.ndarray) -> tuple[float, float]:
-    """Environment steps a second, and a second of processor time: the latter also tells where other work goes on."""
+    """Returns environment steps per second, and per second of processor time, which other work affects less."""
     steps = len(actions) * environment.num_envs
     before, begin = processor_seconds(environment), time.perf_counter()
     for action in actions:
@@ -140,7 +141,7 @@ def rates(environment: VectorEnv, actions: np.ndarray) -> tuple[float, float]:
 
 
 def check_same_world(scenario: str, actions: np.ndarray) -> None:
-    """Ends with an error unless both peers go where the harness goes, and feel what it feels."""
+    """Ends with an error unless both peers have the same positions and forces as the harness."""
     for touch_sensors in (False, True):
         episodes = harness.episodes.Episodes(scenario, "press")
         episodes.reset(0, seed=0)
@@ -149,7 +150,7 @@ def check_same_world(scenario: str, actions: np.ndarray) -> None:
         for action in actions:
             mine = episodes.observe()
             for name, values in seen.items():
-                # Touch sensors and the mean add up in another order.
+                # Touch sensors and the mean sum in another order.
                 exact = name in ("proprioception", "arm")
                 same = np.array_equal(mine[name][0], values) if exact else np.allclose(mine[name][0], values, rtol=1e-5)
                 if not same:
@@ -163,7 +164,7 @@ def main() -> None:
     parser.add_argument("--scenario", choices=["empty", "cluttered"], default="cluttered")
     parser.add_argument("--environments", type=int, default=8)
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--actions", type=int, default=100, help="of each environment, a round")
+    parser.add_argument("--actions", type=int, default=100, help="number of actions of each environment in a round")
     options = parser.parse_args()
     count = options.environments
     mine = gymnasium.make_vec(
