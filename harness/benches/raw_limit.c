@@ -1,14 +1,14 @@
-/* The raw limit of collection: MuJoCo's mj_step and, once a sample, its rendering, on all cores, and nothing else.
+/* The upper limit of the rate of collection: MuJoCo's mj_step and one rendering per sample, on all cores.
  *
  *     raw_limit MODEL.xml COURSES THREADS [--no-rendering]
  *
- * COURSES is what the example `courses` wrote. Each thread has a state and an OpenGL context of its own, takes the
- * next episode, sets its controls step by step, and after the first step of a sample draws a frame of 64 x 64 from
- * the camera `external` and reads its pixels (without which a software renderer need not draw). Nothing is sensed
- * or kept. At the end of an episode the positions must be those in COURSES, bit by bit.
+ * The example `courses` writes the file COURSES. Each thread has its own state and OpenGL context. It takes the next
+ * episode and sets its controls step by step. After the first step of a sample it draws a frame of 64 x 64 pixels from
+ * the camera `external`, and reads the pixels, because otherwise a software renderer need not draw them. Nothing is
+ * sensed or kept. At the end of an episode, the positions must be those in COURSES, bit by bit.
  *
- * Prints JSON. `seconds` is wall time from when all threads are ready; `physics_seconds` and `rendering_seconds`
- * are the threads' times added up. compare.py compiles and runs this.
+ * Prints JSON. `seconds` is the wall time from when all threads are ready. `physics_seconds` and `rendering_seconds`
+ * are sums over the threads. compare.py compiles and runs this program.
  */
 
 #include <dlfcn.h>
@@ -23,7 +23,7 @@
 
 enum { SIDE = 64 };
 
-/* The few names of EGL that are needed, so that its headers are not. */
+/* The names of EGL that are needed. With them, its headers need not be installed. */
 typedef void *EGLHandle;
 enum {
   EGL_PBUFFER_BIT = 1,
@@ -63,7 +63,7 @@ static double now(void) {
   return time.tv_sec + 1e-9 * time.tv_nsec;
 }
 
-/* Makes an OpenGL context without a display current on this thread, on the first EGL device that offers one. */
+/* Creates an OpenGL context without a display on the first EGL device that has one, and makes it current. */
 static void open_context(void) {
   void *library = dlopen("libEGL.so.1", RTLD_NOW);
   if (!library) fail("there is no libEGL.so.1");

@@ -138,7 +138,7 @@ impl Runner<'_> {
     fn wait(&self, held: &[&Planned]) -> Result<(), ExperimentError> {
         let holder = |planned: &&Planned| self.registry.holder(&planned.folder);
         for (planned, holder) in held.iter().filter_map(|planned| Some((planned, holder(planned)?))) {
-            self.progress.say(&format!("waiting for {}, which {holder} works on", planned.folder.id()));
+            self.progress.say(&format!("waiting for {}, which {holder} is working on", planned.folder.id()));
         }
         while held.iter().all(|planned| holder(planned).is_some()) {
             if self.progress.cancelled() {

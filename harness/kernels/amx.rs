@@ -62,7 +62,7 @@ fn allowed_by_linux() -> bool {
 /// unless [`available`].
 pub fn product<const PARTS: usize>(a: Matrix, b: Matrix, out: &mut [f32], into: Accumulate, threads: usize) {
     const { assert!(PARTS == 1 || PARTS == 3) };
-    assert!(available(), "the tile unit was asked for where there is none");
+    assert!(available(), "this processor has no tile unit, or may not use it");
     let ((m, depth), (rows, n)) = (a.shape(), b.shape());
     assert_eq!(depth, rows, "the depth of a {m} x {depth} matrix times a {rows} x {n} one");
     assert_eq!(out.len(), m * n, "the length of a {m} x {n} product");

@@ -106,7 +106,7 @@ impl Metric {
             });
             return percentage.into_iter().chain([R2, Rmse, Mae]).collect();
         }
-        // Regions are found where the image changes.
+        // Regions are only defined for changes of an image.
         let regions = if definition.difference_of.is_some() { regions } else { &[] };
         let of_regions = regions.iter().map(|region| Self::of_region(&region.name));
         [RelativeError].into_iter().chain(of_regions).chain([Rmse, Mae]).collect()

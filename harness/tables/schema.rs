@@ -137,7 +137,7 @@ fn run_key() -> Vec<Column> {
         text("output", "modalities predicted, joined by +"),
         text("architecture", "the preset of the network: single_to_multi or multi_to_multi"),
         integer("latent", "size of the latent state"),
-        text("variant", "settings that the experiment varies, as kl_weight=0.001; empty if it varies none"),
+        text("variant", "settings that the experiment varies, such as kl_weight=0.001; empty if none"),
         integer("seed", "seed of the run"),
     ]
 }
@@ -163,7 +163,7 @@ fn run_details() -> Vec<Column> {
         text("started", "start, UTC"),
         real("collect_seconds", "s", "wall time spent on collecting and loading the dataset"),
         real("prediction_seconds", "s", "wall time of training the prediction"),
-        real("reconstruction_seconds", "s", "wall time of training the reconstruction; null without one"),
+        real("reconstruction_seconds", "s", "wall time of training the reconstruction; null if it was not trained"),
         real("evaluation_seconds", "s", "wall time of the metrics"),
         column(
             "peak_memory_bytes",
@@ -171,7 +171,7 @@ fn run_details() -> Vec<Column> {
             "B",
             "largest memory of the process up to the end of the run",
         ),
-        integer("parameters", "trained parameters of the prediction"),
+        integer("parameters", "number of trained parameters of the prediction"),
         text("git_commit", "commit of the source tree; null outside of a repository"),
         column(
             "git_dirty",
@@ -194,7 +194,7 @@ fn epoch_values() -> Vec<Column> {
         text("task", "prediction or reconstruction"),
         integer("epoch", "counted from 1"),
         text("split", "train or validation"),
-        text("term", "total, kl, or the mean squared error of a modality"),
+        text("term", "total, kl, or the modality whose loss it is"),
         real("value", "1", "mean of the term over the split, on normalized values, before weighting"),
         real("seconds", "s", "wall time of the epoch"),
     ]
@@ -238,15 +238,15 @@ fn force_values() -> Vec<Column> {
         text("modality", "a vector of forces, such as contact_force"),
         integer("episode", "episode of the dataset; null for the whole dataset"),
         integer("index", "link, 0 at the base"),
-        integer("samples", "samples of the episode or dataset"),
-        integer("contacts", "samples in which the link is touched, so that its force is above 0"),
+        integer("samples", "number of samples in the episode or dataset"),
+        integer("contacts", "number of samples in which the link is touched, so that its force is above 0"),
         real("mean", "N", "mean force over all samples, touched or not"),
     ];
     columns.extend(harness_metrics::contact::QUANTILES.iter().map(|(name, share)| {
-        let meaning = format!("quantile {share} of the force over the samples in contact; null without any");
+        let meaning = format!("quantile {share} of the force over the samples in contact; null if there are none");
         real(name, "N", &meaning)
     }));
-    columns.push(real("max", "N", "largest force; null without any contact"));
+    columns.push(real("max", "N", "largest force; null if the link is never touched"));
     columns
 }
 
