@@ -140,7 +140,7 @@ pub struct Runner<'a> {
     pub memory: Option<u64>,
     /// The program, machine and command that are recorded with each run.
     pub provenance: &'a Provenance,
-    /// Is told of the progress, and can cancel the experiment.
+    /// Receives the progress, and can cancel the experiment.
     pub progress: &'a dyn Progress,
 }
 

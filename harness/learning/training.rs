@@ -45,7 +45,7 @@ pub struct Fit<'a> {
     pub partition: &'a Partition,
     /// Where the state is saved. A state that exists there is resumed.
     pub state: &'a StateFile,
-    /// Is told of the progress, and can cancel the training.
+    /// Receives the progress, and can cancel the training.
     pub progress: &'a dyn Progress,
 }
 

@@ -163,7 +163,11 @@ fn run_details() -> Vec<Column> {
         text("started", "start, UTC"),
         real("collect_seconds", "s", "wall time spent on collecting and loading the dataset"),
         real("prediction_seconds", "s", "wall time of training the prediction"),
-        real("reconstruction_seconds", "s", "wall time of training the reconstruction; null if it was not trained"),
+        real(
+            "reconstruction_seconds",
+            "s",
+            "wall time of training the reconstruction; null if it was not trained",
+        ),
         real("evaluation_seconds", "s", "wall time of the metrics"),
         column(
             "peak_memory_bytes",
@@ -243,7 +247,8 @@ fn force_values() -> Vec<Column> {
         real("mean", "N", "mean force over all samples, touched or not"),
     ];
     columns.extend(harness_metrics::contact::QUANTILES.iter().map(|(name, share)| {
-        let meaning = format!("quantile {share} of the force over the samples in contact; null if there are none");
+        let meaning =
+            format!("quantile {share} of the force over the samples in contact; null if there are none");
         real(name, "N", &meaning)
     }));
     columns.push(real("max", "N", "largest force; null if the link is never touched"));
