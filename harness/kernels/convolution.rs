@@ -20,7 +20,8 @@ const KERNEL: usize = 4;
 const STRIDE: usize = 2;
 /// Number of weights for one pair of channels.
 pub const TAPS: usize = KERNEL * KERNEL;
-/// Rows have room for whole groups of this many coarse places. At most this many are computed at once.
+/// A place is the position of a pixel in a row. Rows have room for whole groups of this many coarse places. At most
+/// this many are computed at once.
 const PLACES: usize = 4;
 /// Number of channels that are computed at once.
 const BLOCK: usize = 4;
