@@ -112,7 +112,7 @@ class Collector:
         if any(warning.number for warning in data.warning):
             raise RuntimeError(f"the simulation of episode {course.index} diverged: see MUJOCO_LOG.TXT")
         if self.is_harness_model and course.end is not None and not np.array_equal(last, course.end):
-            raise RuntimeError(f"episode {course.index} ended elsewhere than its course; is MuJoCo the same version?")
+            raise RuntimeError(f"episode {course.index} did not end where its course says; is it another MuJoCo?")
         return recorded.contact_force_mean
 
     def link_forces(self) -> list[tuple[int, float]]:
