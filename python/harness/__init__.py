@@ -1,13 +1,15 @@
 """A research harness for multi-modal perception of a soft robot.
 
-A soft finger presses on the ground and into boxes; what it senses is recorded, and conditional variational auto-encoders
-are trained on it. The simulation, the training and the tables are Rust; this package gives them to Python:
+An arm presses a soft finger on the ground and into boxes in a simulation. Conditional variational auto-encoders are
+trained on the recorded data. The simulation, the training and the tables are written in Rust, and this package makes
+them available in Python:
 
-- `run` does an experiment, `query` asks its tables, `compare` has means over seeds, `Dataset` and `load_model` open what it left,
-- `harness.environments` has the finger as a `dm_env.Environment`, `harness.gymnasium` as Gymnasium's environments,
-- `SimulationBatch` is the simulation itself, one or many, stepped by setpoints.
+- `run` does an experiment, `query` queries its tables, `compare` computes means over seeds.
+- `Dataset` opens a dataset, `load_model` opens a trained network.
+- `harness.environments` has the finger as a `dm_env.Environment`, `harness.gymnasium` as Gymnasium environments.
+- `SimulationBatch` is one simulation or many, stepped by setpoints.
 
-Units are SI. Calls that take long let other threads run, and Ctrl-C stops them; `run` goes on from there.
+Units are SI. Long calls let other threads run, and Ctrl-C stops them. The next call of `run` continues from there.
 """
 
 import json
@@ -16,8 +18,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-# Software rendering on the threads that ask for it, and candle's work on the harness's own, as in the program. Both are
-# read when they are first used; a value that is set already stays.
+# As in the program: the thread that requests a frame renders it, and candle starts no threads of its own. Mesa and
+# candle read these variables at their first use. A value that is already set is kept.
 os.environ.setdefault("LP_NUM_THREADS", "0")
 os.environ.setdefault("CANDLE_NUM_THREADS", "1")
 
@@ -33,11 +35,12 @@ __all__ = ["Dataset", "Model", "SimulationBatch", "Summary", "compare", "load_mo
 
 
 class Summary(NamedTuple):
-    """What became of an experiment's runs."""
+    """Numbers of an experiment's runs, by what `run` did with them."""
 
     done: int
+    """Runs that this call completed."""
     skipped: int
-    """Done before, or by another process."""
+    """Runs that were done before, or by another process."""
 
 
 def run(
@@ -52,14 +55,15 @@ def run(
 ) -> Summary:
     """Does every run of an experiment that isn't done yet, as `harness run` does.
 
-    path: the experiment's YAML file. overrides: settings to change, by dotted key: `{"training.epochs": 5}`; a
-    single value will do for a list. quick: applies the spec's own `quick` settings. results: the folder of datasets and
-    runs. progress: draws bars on the terminal. jobs: runs of a scenario to train side by side. memory: a dataset's frames
-    are kept in memory if they take so many GB at most, otherwise on disk; an eighth of the free memory by default.
+    path: the experiment's YAML file. overrides: settings to change, by dotted key: `{"training.epochs": 5}`; instead of
+    a list with one item, the item can be given. quick: applies the spec's `quick` settings. results: the folder of
+    datasets and runs. progress: draws bars on the terminal. jobs: number of runs of a scenario to train at once.
+    memory: a dataset's frames are kept in memory if they take at most this many GB, otherwise on disk; the default is
+    an eighth of the free memory.
 
-    Raises FileNotFoundError without the file, ValueError where the spec is wrong (with file, line and column, or the
-    override), RuntimeError with the reasons after some run failed, and KeyboardInterrupt when it is interrupted; the
-    same call then goes on.
+    Raises FileNotFoundError if there is no such file, ValueError if the spec is wrong (with file, line and column, or
+    the override), RuntimeError with the reasons if some run failed, and KeyboardInterrupt if it is interrupted. After
+    an interruption, the same call continues.
     """
     changed = [f"{key}={json.dumps(value)}" for key, value in (overrides or {}).items()]
     if jobs < 1:
@@ -71,11 +75,11 @@ def run(
 
 
 def query(sql: str, results: str | os.PathLike[str] = "results") -> "polars.DataFrame":
-    """Answers a question in SQL over the tables of a results folder, as `harness query` does, without copying.
+    """Answers an SQL query over the tables of a results folder, as `harness query` does, without copying the answer.
 
-    The tables are runs, epochs, metrics, predictions, forces, frames and episodes; `harness schema --tables` lists their
-    columns with units. Raises ValueError where the query can't be answered, RuntimeError where a table is damaged, and
-    FileNotFoundError without a results folder. Warns of each run or dataset that is left out.
+    The tables are runs, epochs, metrics, predictions, forces, frames and episodes. `harness schema --tables` lists
+    their columns with units. Raises ValueError if the query is wrong or not supported, RuntimeError if a table is
+    damaged, and FileNotFoundError if there is no results folder. Warns of each run or dataset that is left out.
     """
     import polars
 
@@ -87,15 +91,15 @@ def compare(
     where: Mapping[str, Any] | None = None,
     results: str | os.PathLike[str] = "results",
 ) -> "polars.DataFrame":
-    """The metrics of finished runs as means over seeds, with 95 % intervals (Student's t), as `harness compare` has them.
+    """Computes means of finished runs' metrics over seeds, with 95 % intervals (Student's t), as `harness compare` does.
 
-    experiments: those to compare; all of them if none is named. where: settings that the runs must have, by dotted key:
+    experiments: names of experiments; all of them by default. where: settings that the runs must have, by dotted key:
     `{"training.batch_size": 64}`. results: the folder of datasets and runs.
 
-    A row is a metric over all joints, links or pixels, of runs that differ in nothing but their seed. In what the runs of
-    an experiment differ besides scenario, latent size and variant stands in the column `settings`. Baselines have no
-    latent size. Raises KeyError where an experiment has no finished runs, ValueError where no run has a setting,
-    RuntimeError where a table is damaged.
+    A row is a metric over all joints, links or pixels, of runs that differ only in their seed. If the runs of an
+    experiment differ in other settings than scenario, latent size and variant, the column `settings` contains these.
+    Baselines have no latent size. Raises KeyError if an experiment has no finished runs, ValueError if no run has a
+    setting of `where`, and RuntimeError if a table is damaged.
     """
     import polars
 
@@ -105,10 +109,10 @@ def compare(
 
 
 def load_model(run: str, results: str | os.PathLike[str] = "results") -> Model:
-    """Loads the network of a finished run: the one whose id, or `experiment/id`, begins with `run`.
+    """Loads the network of the finished run whose id, or `experiment/id`, begins with `run`.
 
-    Raises KeyError where no run matches, or several; FileNotFoundError where its network isn't there; RuntimeError where
-    the run isn't done, or the network is damaged.
+    Raises KeyError if no run or several runs match, FileNotFoundError if the run's network is missing, and RuntimeError
+    if the run isn't done or the network is damaged.
     """
     return Model(run, Path(results))
 
@@ -116,17 +120,17 @@ def load_model(run: str, results: str | os.PathLike[str] = "results") -> Model:
 class Dataset(_harness.Dataset):
     """A dataset in memory: all samples of all episodes, one after the other.
 
-    `data["proprioception"]` and the others of `data.keys()` are NumPy arrays `[samples, width]`, `data["vision"]` is
-    `[samples, 64, 64, 3]`, uint8: views of the dataset's own memory that can't be written.
+    `data["proprioception"]` and the other names of `data.keys()` are NumPy arrays `[samples, width]`. `data["vision"]`
+    is `[samples, 64, 64, 3]`, uint8. The arrays are read-only views of the dataset's memory.
     """
 
     def episode(self, index: int) -> dict[str, Any]:
-        """The samples of one episode by name, views as well. Raises IndexError where there is no such episode."""
+        """Returns the samples of one episode by name, as views. Raises IndexError if there is no such episode."""
         first, end = self.episodes[index]
         return {name: self[name][first:end] for name in self.keys()}
 
     def torch(self, input: list[str], output: list[str], action: str = "increment") -> "Transitions":
-        """The transitions as a PyTorch map-style dataset, see `harness.torch.Transitions`."""
+        """Returns the transitions as a PyTorch map-style dataset; see `harness.torch.Transitions`."""
         from .torch import Transitions
 
         return Transitions(self, input, output, action)

@@ -5,11 +5,12 @@ import sys
 
 from . import _harness
 
-# What Python does, with other projects' packages; all other commands are the program's own.
+# Commands that are written in Python, because they use other Python packages. The Rust program has all the others.
 MODULES = {"export": "harness.export.__main__", "import": "harness.importing"}
 
 
 def main() -> None:
+    """Runs the command line and exits with its code."""
     command, *arguments = sys.argv[1:] or [""]
     if command in MODULES:
         sys.exit(importlib.import_module(MODULES[command]).main(arguments))
