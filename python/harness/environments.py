@@ -1,4 +1,4 @@
-"""The finger as a `dm_env.Environment`, in dm_control's manner.
+"""The finger as a `dm_env.Environment`, loaded as in dm_control.
 
     environment = harness.environments.load("cluttered", "push", seed=0)
     step = environment.reset()
@@ -27,18 +27,19 @@ def load(
     samples: int = 100,
     spec: str | os.PathLike[str] | None = None,
 ) -> "Environment":
-    """An environment: `scenario` is a built-in world or the path of a world file, `task` one of `harness.tasks.TASKS`, which are
-    those of the finger, or None.
+    """Creates an environment.
 
-    seed: of the dataset whose episodes are gone through from the first; a random one by default. modalities: what is
-    observed besides the task's `goal`; `vision` may be among it. samples: actions an episode, 0.1 s each. spec: an
-    experiment's YAML file whose simulation settings to use. Raises ValueError or KeyError where one of them is wrong.
+    scenario: a built-in world or the path of a world file. task: one of the finger's tasks in `harness.tasks.TASKS`, or
+    None. seed: the seed of a dataset, whose episodes the environment goes through from the first; random by default.
+    modalities: the observed modalities besides the task's `goal`; they may include `vision`. samples: actions per
+    episode, 0.1 s each. spec: an experiment's YAML file, whose simulation settings are used. Raises ValueError or
+    KeyError if an argument is wrong.
     """
     return Environment(Episodes(scenario, task, modalities=modalities, samples=samples, spec=spec), seed)
 
 
 class Environment(dm_env.Environment):
-    """One finger and its task; see `harness.episodes.Episodes` for what an action and an episode are."""
+    """One finger and its task. `harness.episodes.Episodes` explains actions and episodes."""
 
     def __init__(self, episodes: Episodes, seed: int | None = None) -> None:
         self._episodes = episodes
@@ -51,7 +52,7 @@ class Environment(dm_env.Environment):
         return dm_env.restart(self._observation())
 
     def step(self, action: NDArray[Any]) -> dm_env.TimeStep:
-        """Takes an action; the first step after an episode's end ignores it and begins the next."""
+        """Takes an action. The first step after an episode's end ignores the action and begins the next episode."""
         if self._over:
             return self.reset()
         reward = float(self._episodes.step(one_action(action, self._episodes.names))[0])
@@ -72,7 +73,7 @@ class Environment(dm_env.Environment):
         return specs.BoundedArray((), np.float64, 0.0, 1.0, name="reward")
 
     def picture(self, width: int = 480, height: int = 480) -> NDArray[np.uint8]:
-        """A picture of the scene, `[height, width, 3]`."""
+        """Renders the scene, `[height, width, 3]`."""
         return self._episodes.simulations.render(0, width, height)
 
     def _observation(self) -> dict[str, NDArray[Any]]:

@@ -1,4 +1,4 @@
-"""Episodes of a task side by side: what the environments of dm_env and of Gymnasium have in common."""
+"""Episodes of a task in parallel: the common part of the environments for dm_env and Gymnasium."""
 
 import os
 import secrets
@@ -14,16 +14,17 @@ MAX_SEED = 2**53 - 1
 """The largest seed of a dataset."""
 
 FASTEST = 1.5
-"""Steepest slope of a dataset's smoothstep moves, in ranges an actuation: the arm goes no faster here."""
+"""Largest slope of a dataset's smoothstep moves, in setpoint ranges per actuation. It limits the arm's speed here."""
 
 
 class Episodes:
     """`count` episodes of a task, independent of each other.
 
-    An action is the change of the setpoint until the next sample; of the finger, `[3]`: rotation (rad), lift and
-    extension (m), as networks with `action: increment` are told it. A simulation's episode is that of a dataset, given by its seed and
-    its index there: resetting with a seed goes to its first, resetting without to the next. So boxes stand as they do in
-    the dataset, and the goal is drawn from seed and index alone.
+    An action is the change of the setpoint until the next sample. For the finger it is `[3]`: rotation (rad), lift and
+    extension (m), as in networks with `action: increment`. Each simulation runs an episode of a dataset, which the
+    dataset's seed and the episode's index determine. A reset with a seed starts that dataset's first episode, and a
+    reset without one starts the next episode. The boxes therefore have the same places as in the dataset. The goal
+    depends only on the seed and the index.
     """
 
     def __init__(
@@ -36,9 +37,10 @@ class Episodes:
         samples: int = 100,
         spec: str | os.PathLike[str] | None = None,
     ) -> None:
-        """scenario: a built-in world, or the path of a world file. task: one of `harness.tasks.TASKS`, which are those of the
-        finger; without one, there is no goal, and every reward is 0. modalities: what is observed; all vectors by default.
-        samples: actions an episode, of 0.1 s each by default. spec: an experiment whose simulation settings to use."""
+        """scenario: a built-in world, or the path of a world file. task: one of the finger's tasks in
+        `harness.tasks.TASKS`; without one, there is no goal and every reward is 0. count: number of simulations.
+        modalities: the observed modalities; all vectors by default. samples: actions per episode, 0.1 s each with the
+        default settings. spec: an experiment's YAML file, whose simulation settings are used."""
         if samples < 1:
             raise ValueError(f"samples: {samples} must be at least 1")
         self.simulations = SimulationBatch(scenario, count, None if spec is None else os.fspath(spec))
@@ -46,7 +48,7 @@ class Episodes:
         self.names = self.simulations.action
         """Names of the elements of an action."""
         self.shapes = self.simulations.modalities
-        """Shape of what can be observed of one simulation, by name: `[elements]` or `[rows, columns, 3]`."""
+        """Shapes of all modalities of one simulation, by name: `[elements]` or `[rows, columns, 3]`."""
         vectors = tuple(name for name, shape in self.shapes.items() if len(shape) == 1)
         self.modalities = vectors if modalities is None else tuple(modalities)
         self.samples = samples
@@ -55,6 +57,7 @@ class Episodes:
         self.fastest = per_sample * (self.ranges[:, 1] - self.ranges[:, 0])
         """The largest change of the setpoint in a sample, `[elements]`."""
         self.seeds: list[int | None] = [None] * count
+        """Seed of each simulation's dataset; None before the first reset."""
         self.indices = np.zeros(count, dtype=np.int64)
         """Index of each simulation's episode in the dataset of its seed."""
         self.taken = np.zeros(count, dtype=np.int64)
@@ -65,7 +68,7 @@ class Episodes:
                 self.simulations.sense(modality)
 
     def reset(self, index: int, seed: int | None = None) -> None:
-        """Goes to the first episode of the seed, or to the next without one."""
+        """Starts the first episode of the seed or, without a seed, the next episode."""
         if seed is not None and not 0 <= seed <= MAX_SEED:
             raise ValueError(f"seed: {seed} must be 0 to {MAX_SEED}")
         known = self.seeds[index] if seed is None else None
@@ -81,7 +84,7 @@ class Episodes:
         self.goals[index] = self.task.draw(np.random.default_rng([known, episode]), self.state(), index)
 
     def step(self, actions: NDArray[Any], active: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
-        """Takes actions `[count, elements]`, held to `fastest`; returns the rewards `[count]`, 0 for those not active."""
+        """Takes actions `[count, elements]`, clipped to `fastest`. Returns rewards `[count]`, 0 for inactive ones."""
         change = np.clip(np.asarray(actions, dtype=np.float64), -self.fastest, self.fastest)
         self.simulations.step(self.simulations.setpoint + change, active)
         rewards = np.zeros(len(self.taken)) if self.task is None else self.task.reward(self.state(), self.goals)
@@ -93,10 +96,11 @@ class Episodes:
 
     @property
     def ended(self) -> NDArray[np.bool_]:
-        """Which episodes have had all their samples, `[count]`."""
+        """Whether each episode has had all its samples, `[count]`."""
         return np.asarray(self.taken >= self.samples)
 
     def state(self) -> State:
+        """The simulations' state at their present samples, as tasks need it."""
         return State(
             setpoint_ranges=self.ranges,
             fingertip=self.simulations.fingertip,
@@ -105,21 +109,21 @@ class Episodes:
         )
 
     def observe(self) -> dict[str, NDArray[Any]]:
-        """The observations by modality, and the `goal`, `[count, …]`."""
+        """The observations by modality and the task's `goal`, each `[count, …]`."""
         observed = {modality: self.simulations.sense(modality) for modality in self.modalities}
         return observed if self.task is None else {**observed, "goal": self.goals.astype(np.float32)}
 
     def bounds(self) -> dict[str, tuple[Any, Any, tuple[int, ...], type]]:
-        """Lowest and highest value, shape and type of what one simulation's observation holds, by name."""
-        # The arm lags its setpoint by 0.01 rad or m, the finger gives way beyond its joints' stops by less than that; and
-        # ten times the largest force of a dataset is far from what is bounded by the models.
+        """Lowest and highest value, shape and type of each modality of one simulation's observation, by name."""
+        # The arm is up to 0.01 rad or m away from its setpoint, and joints bend beyond their limits by less than that.
+        # The bound of the forces is more than ten times the largest force of a dataset.
         arm = self.ranges + np.array([-0.5, 0.5])
         known: dict[str, tuple[Any, Any]] = {
             "proprioception": (-np.pi, np.pi),
             "contact_force": (0.0, 1e4),
             "contact_force_mean": (0.0, 1e4),
         }
-        # In other worlds than the paper's, the action may have more elements than the arm.
+        # In other worlds, the action may have more elements than the modality `arm`.
         if self.shapes.get("arm") == (len(arm),):
             known["arm"] = (arm[:, 0], arm[:, 1])
         bounds: dict[str, tuple[Any, Any, tuple[int, ...], type]] = {}
@@ -135,7 +139,7 @@ class Episodes:
 
 
 def one_action(action: NDArray[Any], names: list[str]) -> NDArray[np.float64]:
-    """An action as that of a batch of one. Raises ValueError where it is not as many finite numbers as `names`."""
+    """Returns one action as a batch `[1, elements]`. Raises ValueError unless it has a finite number for each name."""
     values = np.asarray(action, dtype=np.float64)
     if values.shape != (len(names),) or not np.all(np.isfinite(values)):
         raise ValueError(f"action: {action!r} must be {len(names)} finite numbers: {', '.join(names)}")
