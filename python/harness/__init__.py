@@ -91,7 +91,7 @@ def compare(
     where: Mapping[str, Any] | None = None,
     results: str | os.PathLike[str] = "results",
 ) -> "polars.DataFrame":
-    """Computes means of finished runs' metrics over seeds, with 95 % intervals (Student's t), as `harness compare` does.
+    """Computes means of metrics over seeds with 95 % intervals (Student's t), as `harness compare` does.
 
     experiments: names of experiments; all of them by default. where: settings that the runs must have, by dotted key:
     `{"training.batch_size": 64}`. results: the folder of datasets and runs.

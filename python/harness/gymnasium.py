@@ -1,4 +1,4 @@
-"""The finger as Gymnasium environments, which importing this module registers.
+"""The finger as Gymnasium environments. Importing this module registers them.
 
     import gymnasium
     import harness.gymnasium
@@ -6,11 +6,12 @@
     environment = gymnasium.make("SoftFinger-Cluttered-v0", task="push")
     several = gymnasium.make_vec("SoftFinger-Cluttered-Push-v0", num_envs=8)
 
-Any world, without a task: `gymnasium.make("HarnessWorld-v0", scenario="robots/gripper.yaml")`; every reward is 0 then.
+`gymnasium.make("HarnessWorld-v0", scenario="robots/gripper.yaml")` makes an environment of any world. It has no task,
+and every reward is 0.
 
-Without the import, `gymnasium.make("harness.gymnasium:SoftFinger-Cluttered-v0")` does both.
-`SoftFinger-Empty-v0` and `SoftFinger-Cluttered-v0` take the task as an argument (`reach` without one); with a task in the
-name, as in `SoftFinger-Empty-Press-v0`, it is that. Vector environments are stepped in parallel, in Rust.
+`gymnasium.make("harness.gymnasium:SoftFinger-Cluttered-v0")` imports this module and makes the environment.
+`SoftFinger-Empty-v0` and `SoftFinger-Cluttered-v0` take the task as an argument (default `reach`). Other names contain
+the task, such as `SoftFinger-Empty-Press-v0`. Vector environments are stepped in parallel, in Rust.
 """
 
 import os
@@ -28,14 +29,14 @@ from .tasks import TASKS
 Observation = dict[str, NDArray[Any]]
 
 RENDER_FPS = 10
-"""Samples a second."""
+"""Samples per second."""
 
 
 class SoftFinger(gymnasium.Env[Any, Any]):
-    """One finger and its task; see `harness.episodes.Episodes` for what an action and an episode are.
+    """One finger and its task. `harness.episodes.Episodes` explains actions and episodes.
 
-    An episode is truncated after `samples` actions, and never terminated. `render_mode="rgb_array"` draws pictures of
-    `width` times `height` pixels.
+    An episode is truncated after `samples` actions, and never terminated. With `render_mode="rgb_array"`, `render`
+    returns pictures of `width` times `height` pixels.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
@@ -61,7 +62,10 @@ class SoftFinger(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins the first episode of the dataset of that seed, or the next one of the same. `info` says which."""
+        """Begins the first episode of the dataset with this seed or, without a seed, the dataset's next episode.
+
+        `info` contains the seed and the episode's index.
+        """
         super().reset(seed=seed)
         self.episodes.reset(0, seed)
         return self._observation(), {"seed": self.episodes.seeds[0], "episode": int(self.episodes.indices[0])}
@@ -80,7 +84,7 @@ class SoftFinger(gymnasium.Env[Any, Any]):
 
 
 class SoftFingerVector(VectorEnv[Any, Any, Any]):
-    """`num_envs` fingers, stepped in parallel. The step after an episode's end ignores the action and begins the next."""
+    """`num_envs` fingers, stepped in parallel. The step after an episode's end ignores the action and resets."""
 
     metadata = {
         "render_modes": ["rgb_array"],
@@ -113,7 +117,7 @@ class SoftFingerVector(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins an episode in each; a single seed stands for it and those that follow it, one each."""
+        """Begins an episode in each environment. With a single seed, environment `i` gets `seed + i`."""
         if isinstance(seed, (int, np.integer)):
             super().reset(seed=int(seed))
             seed = [int(seed) + index for index in range(self.num_envs)]

@@ -1,28 +1,29 @@
-"""Data that was recorded elsewhere as datasets of the harness: LeRobot datasets and plain Parquet files.
+"""Imports LeRobot datasets and plain Parquet files that were recorded elsewhere as datasets of the harness.
 
     harness import MAPPING.yaml
 
-prints the name under which experiments find it: `scenarios: [lab_finger-0123456789abcdef]`. The mapping says which
-columns of the recording make up which modality:
+prints the dataset's name, which specs use as a scenario: `scenarios: [lab_finger-0123456789abcdef]`. The mapping
+defines which columns of the recording make up which modality:
 
     name: lab_finger                # the dataset becomes results/datasets/lab_finger-HASH
-    source: recordings              # a LeRobot dataset's folder, a Parquet file, or a folder of them; beside the mapping
+    source: recordings              # a LeRobot dataset's folder, a Parquet file, or a folder of Parquet files
     format: lerobot                 # or parquet
     modalities:
-      setpoint: action                            # what was commanded; the one that every dataset needs
+      setpoint: action                            # what was commanded; the only one that every dataset needs
       proprioception: observation.state[0:20]     # elements of a column of lists
-      arm: [rotation, lift, extension]            # columns side by side
+      arm: [rotation, lift, extension]            # several columns
       contact_force: force_??                     # columns by a pattern of * and ?, in their order in the file
-      contact_force_mean: {from: mean_??, scale: 9.81}      # a factor, or one an element, into rad, m and N
+      contact_force_mean: {from: mean_??, scale: 9.81}      # a factor, or one per element, into rad, m and N
       vision: observation.images.external         # pictures of any size
-      touch: {from: "pad_?", unit: N}             # any other name is a vector of its own, with its unit
-      wrist: {from: observation.images.wrist, size: [96, 96]}     # or an image, with its rows and columns
-    episode: episode                # of Parquet: the column that tells episodes apart,
-    order: sample                   # the column that orders an episode's rows,
-    sample_rate_hz: 10              # and how many of them there are a second
+      touch: {from: "pad_?", unit: N}             # any other name is a new vector, with its unit
+      wrist: {from: observation.images.wrist, size: [96, 96]}     # or a new image, with its rows and columns
+    episode: episode                # Parquet only: the column whose value differs between episodes,
+    order: sample                   # Parquet only: the column by which an episode's rows are sorted,
+    sample_rate_hz: 10              # Parquet only: samples per second
 
-Vectors may have any width. The names of the finger's modalities keep what they mean: `vision` is an image and becomes
-64 x 64 pixels unless it has a `size`, forces are in N and never negative, and so on.
+`source` is relative to the mapping's folder. Vectors may have any width. The names of the finger's modalities have a
+fixed meaning: `vision` is an image and becomes 64 x 64 pixels unless it has a `size`, forces are in N and never
+negative, and so on.
 """
 
 from __future__ import annotations
@@ -59,49 +60,53 @@ except ImportError as error:
 SCENARIOS = ("empty", "cluttered")
 FORMATS = ("lerobot", "parquet")
 RESERVED = ("dataset", "scenario", "episode", "sample", "time", "action", "kl", "total", "frame_difference")
-"""Names that mean something else, or are computed."""
+"""Names that no modality may have, because they have another meaning or are computed."""
 MAX_SIDE = 1024
+"""The largest number of rows or columns of an image, pixels."""
 
 KNOWN: dict[str, dict[str, Any]] = {each["name"]: each for each in FINGER["modalities"]}
-"""What the finger's layout says of its modalities, whose names keep what they mean."""
+"""The finger's modalities by name, as its layout defines them."""
 PARQUET_KEYS = ("episode", "order", "sample_rate_hz")
+"""Keys that a mapping of Parquet files needs in addition."""
 
 Columns = dict[str, Any]
-"""What the columns of a recording hold in one episode: arrays or lists, [samples, …]."""
+"""The values of a recording's columns in one episode, by name: arrays or lists, [samples, …]."""
 
 _TERM = re.compile(r"(?P<column>[^\[\]]+)(\[(?P<first>\d+)(:(?P<last>\d+))?\])?")
 
 
 class MappingError(ValueError):
-    """A mapping asks for what can't be; the message says where and why."""
+    """A mapping is wrong or does not fit the recording. The message says where and why."""
 
 
 @dataclass(frozen=True)
 class Selection:
-    """The values that make up a modality, as a mapping gives them."""
+    """Which columns of a recording make up a modality, from a mapping."""
 
     modality: str
+    """Name of the modality."""
     terms: tuple[str, ...]
+    """Columns, elements of columns, or patterns, such as `action`, `state[0:20]` or `force_??`."""
     scale: np.ndarray | None
-    """float64, one factor or one an element; None for values that are already in the harness's units."""
+    """float64, one factor or one per element; None for values that are already in the harness's units."""
     unit: str = ""
-    """Of a vector that the finger does not have."""
+    """The unit of a vector that the finger does not have."""
     size: tuple[int, int] | None = None
-    """Rows and columns of an image; None of a vector."""
+    """Rows and columns of an image; None for a vector."""
 
     def columns(self, available: list[str]) -> list[str]:
-        """The recording's columns that it needs.
+        """Returns the names of the columns that it needs, out of those available.
 
         Raises:
-            MappingError: a term matches none.
+            MappingError: a term matches no column.
         """
         return [column for term in self.terms for column, _ in self._matches(term, available)]
 
     def pick(self, episode: Columns) -> np.ndarray:
-        """The modality's values, float32 [samples, elements].
+        """Returns the modality's values, float32 [samples, elements].
 
         Raises:
-            MappingError: they are too few, too many, no numbers, or not finite.
+            MappingError: there are no values, they are not finite numbers, or `scale` has another number of elements.
         """
         parts = []
         for term in self.terms:
@@ -128,10 +133,11 @@ class Selection:
         return values
 
     def error(self, problem: str) -> MappingError:
+        """Returns an error whose message begins with the modality's place in the mapping."""
         return MappingError(f"modalities.{self.modality}: {problem}")
 
     def _matches(self, term: str, available: list[str]) -> list[tuple[str, slice]]:
-        """The columns that a term names, and which of their elements."""
+        """Returns the columns that a term matches, each with the slice of its elements."""
         found = _TERM.fullmatch(term)
         if not found:
             raise self.error(
@@ -151,26 +157,30 @@ class Selection:
 
 @dataclass(frozen=True)
 class Rows:
-    """What the rows of Parquet files are."""
+    """How the rows of Parquet files form episodes."""
 
     episode: str
-    """The column that tells episodes apart."""
+    """The column whose value differs between episodes."""
     order: str
-    """The column that orders an episode's rows."""
+    """The column by which an episode's rows are sorted."""
     sample_rate_hz: float
+    """Samples per second."""
 
 
 @dataclass(frozen=True)
 class Mapping:
-    """What a mapping's file says."""
+    """The content of a mapping's file."""
 
     name: str
+    """The dataset's name, without the hash."""
     source: Path
+    """The recording: a folder or a file."""
     selections: dict[str, Selection]
+    """The columns of each modality, by its name."""
     rows: Rows | None
-    """Of Parquet alone."""
+    """Set for Parquet files only."""
     text: dict[str, Any]
-    """As it stands in the file."""
+    """The parsed YAML of the file."""
 
     @classmethod
     def load(cls, path: Path) -> Mapping:
@@ -178,7 +188,7 @@ class Mapping:
 
         Raises:
             FileNotFoundError: there is no such file, or no source.
-            MappingError: it lacks something, or says what can't be.
+            MappingError: a key is missing, unknown or has a wrong value.
         """
         try:
             text = yaml.safe_load(path.read_text())
@@ -232,7 +242,7 @@ def _selections(modalities: Any) -> dict[str, Selection]:
                 f"modalities: {name!r} can't name a modality; use small letters, digits and _, a letter first, and none "
                 f"of {', '.join(RESERVED)}"
             )
-    # The finger's come first, in its order, so that a dataset of the finger has its columns.
+    # The finger's modalities come first, in their order, so that a dataset of the finger has the same columns.
     given = [name for name in KNOWN if name in modalities]
     return {name: _selection(name, modalities[name]) for name in dict.fromkeys([*given, *modalities])}
 
@@ -267,7 +277,7 @@ def _selection(modality: str, value: Any) -> Selection:
 
 
 def _layout(mapping: Mapping, widths: dict[str, int]) -> Layout:
-    """What a dataset's samples hold, given the widths of its vectors."""
+    """Returns the layout of a dataset, given the widths of its vectors."""
     modalities: list[dict[str, Any]] = []
     for name, selection in mapping.selections.items():
         known = KNOWN.get(name)
@@ -302,20 +312,20 @@ def _check_keys(
 
 
 def import_dataset(mapping: str | Path, results: str | Path = "results", *, progress: bool = True) -> str:
-    """Imports a recording; all of it is in memory at a time.
+    """Imports a recording. The whole recording is read into memory.
 
     Args:
-        mapping: the mapping's file; the module's documentation says what it holds.
-        results: the harness's results folder; the dataset goes to `datasets` there, unless it is there already.
-        progress: whether to show a bar on stderr.
+        mapping: the mapping's file; the module's documentation describes it.
+        results: the results folder. The dataset is written to `datasets` in it, unless it is there already.
+        progress: whether to show a progress bar on stderr.
 
     Returns:
-        The dataset's name, which ends in a hash of its content; experiments name it among their `scenarios`.
+        The dataset's name, which ends in a hash of its content. Specs use it in `scenarios`.
 
     Raises:
-        ValueError: the mapping or the recording is not as it must be; the message says where.
-        FileNotFoundError: the mapping or its source is not there.
-        ImportError: the recording is LeRobot's, and the package lerobot is not installed.
+        ValueError: the mapping or the recording is wrong; the message says where.
+        FileNotFoundError: the mapping or its source does not exist.
+        ImportError: the recording is a LeRobot dataset, and the package lerobot is not installed.
     """
     chosen = Mapping.load(Path(mapping))
     try:
@@ -326,7 +336,7 @@ def import_dataset(mapping: str | Path, results: str | Path = "results", *, prog
 
 
 def _read(mapping: Mapping, progress: bool) -> tuple[float, list[Episode]]:
-    """The recording's samples a second, and its episodes."""
+    """Returns the recording's samples per second and its episodes."""
     recording = _open_parquet(mapping, mapping.rows) if mapping.rows else _open_lerobot(mapping)
     rate, episodes = recording.sample_rate_hz, []
     bar = tqdm(
@@ -351,13 +361,14 @@ def _read(mapping: Mapping, progress: bool) -> tuple[float, list[Episode]]:
 
 @dataclass(frozen=True)
 class Recording:
-    """What a source holds."""
+    """An opened recording."""
 
     sample_rate_hz: float
+    """Samples per second."""
     length: int
-    """Episodes."""
+    """Number of episodes."""
     episodes: Iterator[Columns]
-    """What each of the wanted columns holds, [samples, …]."""
+    """The values of the needed columns in each episode, [samples, …]."""
 
 
 def _wanted(mapping: Mapping, available: list[str]) -> list[str]:
@@ -412,7 +423,7 @@ def _open_lerobot(mapping: Mapping) -> Recording:
 
 @contextlib.contextmanager
 def _blaming(source: Path) -> Iterator[None]:
-    """What LeRobot raises at a dataset that it can't read is of many kinds, of its own and of what it is made of."""
+    """Turns any exception of LeRobot into a MappingError, because LeRobot raises many kinds for a damaged dataset."""
     try:
         yield
     except Exception as error:
@@ -420,7 +431,7 @@ def _blaming(source: Path) -> Iterator[None]:
 
 
 def _plain(value: Any) -> np.ndarray:
-    """A tensor as an array; a picture's channels come last."""
+    """Returns a tensor as an array. The channels of a picture become its last axis."""
     array: np.ndarray = value.numpy()
     return array.transpose(1, 2, 0) if array.ndim == 3 else array
 
@@ -441,7 +452,7 @@ def _episode(index: int, columns: Columns, mapping: Mapping, rate: float) -> Epi
 
 
 def _frame(picture: Any, selection: Selection, shape: tuple[int, int, int]) -> np.ndarray:
-    """A picture as so many rows and columns of RGB pixels: an array, the bytes of such a frame, or a file's bytes, as PNG's."""
+    """Returns a picture as RGB pixels of this shape. It may be an array, raw bytes, or the bytes of an image file."""
     if isinstance(picture, dict):
         picture = picture.get("bytes")
     if isinstance(picture, bytes) and len(picture) == np.prod(shape):
@@ -451,7 +462,7 @@ def _frame(picture: Any, selection: Selection, shape: tuple[int, int, int]) -> n
         height, width, _ = shape
         if image.size == (width, height):
             return np.asarray(image.convert("RGB"))
-        # Each new pixel is the mean of those that it covers.
+        # Each new pixel is the mean of the pixels that it covers.
         return np.asarray(image.convert("RGB").resize((width, height), Image.Resampling.BOX))
     except (OSError, TypeError, ValueError, AttributeError) as error:
         raise selection.error(f"a value is no picture: {error}") from None
@@ -496,7 +507,7 @@ def _write(mapping: Mapping, rate: float, episodes: list[Episode], results: Path
 
 
 def _digest(episode: Episode) -> str:
-    """The SHA-256 of all that an episode holds."""
+    """Returns the SHA-256 of all vectors and images of an episode."""
     digest = hashlib.sha256()
     for name, values in [*episode.vectors.items(), *episode.images.items()]:
         if len(values):

@@ -1,4 +1,4 @@
-"""Datasets as they lie on disk: a folder of sealed Parquet files, one an episode, and `dataset.json`."""
+"""Reads and writes dataset folders: a sealed Parquet file per episode, and `dataset.json`."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import numpy as np
 import polars as pl
 
 FORMAT = 2
-"""The format of the files that this version reads and writes; the harness's own `FORMAT`."""
+"""The format of the files that this version reads and writes. It equals `FORMAT` of the Rust crate `dataset`."""
 
 Layout = dict[str, Any]
-"""What the samples of a dataset hold, as its `dataset.json` says: `modalities`, and `regions` of the images."""
+"""The layout of a dataset's samples, from its `dataset.json`: `modalities`, and `regions` of the images."""
 
 FINGER: Layout = json.loads((Path(__file__).parent / "models" / "finger.json").read_text())
-"""The layout of the built-in worlds, and of datasets that don't say theirs, as before layouts."""
+"""The layout of the worlds `empty` and `cluttered`, also used for datasets that are older than layouts."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,13 @@ class Column:
     """A column of the episodes' files."""
 
     name: str
+    """The column's name in the file."""
     kind: str
     """`text`, `integer`, `real` or `bytes`."""
     unit: str
+    """The unit of its values; empty if they have none."""
     meaning: str
+    """A description for the file's metadata."""
 
 
 KEY_COLUMNS = (
@@ -46,12 +49,12 @@ KEY_COLUMNS = (
 
 
 def _stored(layout: Layout, kind: str) -> list[dict[str, Any]]:
-    """The modalities of a kind that are in the files: differences are computed."""
+    """The modalities of a kind that the files contain. They contain no differences, which are computed."""
     return [each for each in layout["modalities"] if each["kind"] == kind and not each.get("difference_of")]
 
 
 def vector_columns(layout: Layout) -> dict[str, tuple[Column, ...]]:
-    """The columns of each vector, in the order of its elements, by its name: `proprioception` and the like."""
+    """The columns of each vector, in the order of its elements, by its name, such as `proprioception`."""
     return {
         vector["name"]: tuple(
             Column(
@@ -72,7 +75,7 @@ def image_shapes(layout: Layout) -> dict[str, tuple[int, int, int]]:
 
 
 def columns(layout: Layout) -> list[Column]:
-    """The columns of an episode's file, in order: a test compares them with those that the harness writes."""
+    """The columns of an episode's file, in order. A test compares them with those that the Rust program writes."""
     images = [
         Column(
             name,
@@ -91,16 +94,17 @@ _DIGITS = 64
 
 
 class DamagedError(ValueError):
-    """A file is not as it was written."""
+    """A file has changed since it was written."""
 
 
 @dataclass(frozen=True)
 class Episode:
-    """What one episode recorded."""
+    """The samples of one episode."""
 
     index: int
+    """The episode's number in its dataset, from 0."""
     time: np.ndarray
-    """s since the episode's start, [samples]."""
+    """Time since the episode's start, s, [samples]."""
     vectors: dict[str, np.ndarray]
     """float32 [samples, elements] by name, in the units of the files' columns."""
     images: dict[str, np.ndarray]
@@ -114,8 +118,8 @@ class RecordedDataset:
     """A dataset's folder, `results/datasets/SCENARIO-HASH`.
 
     Raises:
-        FileNotFoundError: there is no dataset in the folder.
-        ValueError: it is in the format of another version, or was not simulated.
+        FileNotFoundError: the folder contains no dataset.
+        ValueError: the dataset has the format of another version, or was imported.
     """
 
     def __init__(self, folder: str | Path):
@@ -136,11 +140,12 @@ class RecordedDataset:
 
     @property
     def name(self) -> str:
+        """The folder's name."""
         return self.folder.resolve().name
 
     @property
     def layout(self) -> Layout:
-        """What its samples hold."""
+        """The layout of its samples."""
         layout: Layout = self.description.get("layout", FINGER)
         return layout
 
@@ -151,20 +156,22 @@ class RecordedDataset:
 
     @property
     def sample_rate_hz(self) -> float:
+        """Samples per second."""
         return float(self.description["simulation"]["sample_rate_hz"])
 
     @property
     def episodes(self) -> range:
-        """The episodes that the dataset is to have."""
+        """Indices of all episodes of the dataset, including those that are not collected yet."""
         return range(self.description["simulation"]["episodes"])
 
     @property
     def samples_per_episode(self) -> int:
+        """Number of samples of each episode."""
         spec = self.description["simulation"]
         return int(spec["actuations_per_episode"] * round(spec["actuation_seconds"] * spec["sample_rate_hz"]))
 
     def choose(self, episodes: Iterable[int] | None) -> list[int]:
-        """Those of `episodes` that are on disk; all of them, if None.
+        """Returns the given episodes, sorted, or all episodes if None. Checks that they are on disk.
 
         Raises:
             ValueError: one is not an episode of the dataset.
@@ -187,8 +194,8 @@ class RecordedDataset:
         """Reads one episode.
 
         Raises:
-            FileNotFoundError: it is not there.
-            DamagedError: its file is not as it was written, or is another episode's.
+            FileNotFoundError: there is no such file.
+            DamagedError: the file has changed since it was written, or is another episode's.
         """
         path = self._path(index)
         data = read_sealed(path)
@@ -214,10 +221,10 @@ class RecordedDataset:
 
 
 def read_sealed(path: Path) -> bytes:
-    """Reads a file whose seal holds: a SHA-256 over all of it, taken while dashes stood in the digits' place.
+    """Reads a file and checks its seal: the SHA-256 of the file in which the seal's digits are replaced by dashes.
 
     Raises:
-        DamagedError: it is not as it was written, or has no seal.
+        DamagedError: the file has changed since it was written, or has no seal.
     """
     data = path.read_bytes()
     start = data.rfind(_SEAL) + len(_SEAL)
@@ -232,7 +239,7 @@ def read_sealed(path: Path) -> bytes:
 
 
 def _digest(data: bytes, start: int) -> bytes:
-    """The seal of `data`, whose digits begin at `start`."""
+    """Computes the seal of `data`, whose digits begin at `start`."""
     digest = hashlib.sha256(data[:start])
     digest.update(b"-" * _DIGITS)
     digest.update(data[start + _DIGITS :])

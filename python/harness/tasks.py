@@ -1,6 +1,6 @@
-"""Tasks with a reward that needs touch, each for any number of simulations side by side.
+"""Tasks whose rewards depend on contact, for any number of simulations at once.
 
-A task draws an episode's goal, and rewards what the simulation's own sensors say, from 0 to 1 a sample.
+A task draws a goal for each episode. At each sample it computes a reward from 0 to 1 from the simulation's sensors.
 """
 
 from abc import ABC, abstractmethod
@@ -15,49 +15,53 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class State:
-    """What tasks look at, of `count` simulations at a sample."""
+    """The state of `count` simulations at a sample, from which tasks compute rewards."""
 
     setpoint_ranges: Array
     """Lowest and highest rotation (rad), lift and extension (m), `[3, 2]`."""
     fingertip: Array
-    """The finger's end in the world, m, `[count, 3]`."""
+    """Position of the finger's end, m, `[count, 3]`."""
     contact_force: Array
-    """Normal force on each link, averaged over the sample before, N, `[count, 20]`."""
+    """Normal force on each link, averaged over the time since the previous sample, N, `[count, 20]`."""
     boxes: Array
-    """Position (m) and orientation (quaternion) of the boxes in the world, `[count, boxes, 7]`."""
+    """Position (m) and orientation (quaternion) of the boxes, `[count, boxes, 7]`."""
 
 
 class Task(ABC):
-    """What the finger is to do."""
+    """A goal for the finger and a reward for reaching it."""
 
     name: ClassVar[str]
+    """The name by which environments select the task."""
     scenarios: ClassVar[tuple[str, ...]]
+    """Names of the scenarios in which the task is possible."""
     goal_low: ClassVar[tuple[float, ...]]
-    """Lowest value of each number of the goal, which observations hold as `goal`."""
+    """Lowest value of each element of the goal, which observations contain as `goal`."""
     goal_high: ClassVar[tuple[float, ...]]
+    """Highest value of each element of the goal."""
 
     @abstractmethod
     def draw(self, random: np.random.Generator, start: State, index: int) -> Array:
-        """The goal of the simulation `index`, which is at the start of an episode."""
+        """Draws a goal for the simulation `index`, which is at the start of an episode."""
 
     @abstractmethod
     def reward(self, state: State, goal: Array) -> Array:
-        """Rewards `[count]` in [0, 1], for goals `[count, …]`."""
+        """Returns rewards `[count]` in [0, 1], for goals `[count, …]`."""
 
 
 class Reach(Task):
-    """Touch a point on the ground with the fingertip: nearness, and twice as much while the last link is touched.
+    """Touch a point on the ground with the fingertip.
 
-    The goal is the point's x and y, m: anywhere under the swept sector, clear of the boxes.
+    The reward decreases with the distance, and is twice as large while the last link is in contact. The goal is the
+    point's x and y, m. It lies in the sector that the arm sweeps, away from the boxes.
     """
 
     name = "reach"
     scenarios = ("empty", "cluttered")
     goal_low, goal_high = (-4.0, -4.0), (4.0, 4.0)
     scale_m = 0.5
-    """Distance at which nearness is 1/e."""
+    """Distance at which the reward has decreased to 1/e."""
     clearance_m = 0.3
-    """From a box's middle; half its diagonal is 0.17 m, and the finger's radius 0.045 m."""
+    """Smallest distance from a box's center. Half the box's diagonal is 0.17 m, and the finger's radius is 0.045 m."""
 
     def draw(self, random: np.random.Generator, start: State, index: int) -> Array:
         while True:
@@ -71,9 +75,9 @@ class Reach(Task):
 
 
 class Press(Task):
-    """Press with a wanted force, summed over the finger: 1 at that force, 0 without contact or at twice as much.
+    """Press with a given force, summed over the finger.
 
-    The goal is the force, N.
+    The reward is 1 at that force, and 0 without contact or at twice the force. The goal is the force, N.
     """
 
     name = "press"
@@ -90,17 +94,17 @@ class Press(Task):
 
 
 class Push(Task):
-    """Push the first box to a place on the ground: the part of the way that it has come nearer.
+    """Push the first box to a place on the ground.
 
-    The goal is where the box starts and where it is to go, x and y of each, m. Where it is meanwhile, touch and vision
-    have to tell.
+    The reward is the fraction by which the distance to the place has decreased. The goal contains the box's start and
+    the place, x and y of each, m. The box's present position is not observed directly.
     """
 
     name = "push"
     scenarios = ("cluttered",)
     goal_low, goal_high = (-4.0,) * 4, (4.0,) * 4
     way_m = (0.2, 0.5)
-    """Shortest and longest way."""
+    """Smallest and largest distance from the box's start to the place."""
 
     def draw(self, random: np.random.Generator, start: State, index: int) -> Array:
         box = start.boxes[index, 0, :2]
@@ -119,7 +123,7 @@ TASKS: dict[str, type[Task]] = {task.name: task for task in (Reach, Press, Push)
 
 
 def task_named(name: str, scenario: str) -> Task:
-    """The task of that name. Raises ValueError where there is none, or it can't be done in the scenario."""
+    """Returns the task of that name. Raises ValueError if there is none, or if it is not possible in the scenario."""
     if name not in TASKS:
         raise ValueError(f"task: there is no '{name}'; allowed: {', '.join(TASKS)}")
     task = TASKS[name]()
@@ -129,14 +133,14 @@ def task_named(name: str, scenario: str) -> Task:
 
 
 def distance(a: Array, b: Array) -> Array:
-    """Between points in the plane, along the last axis."""
+    """Returns the distance between points, whose coordinates are along the last axis."""
     return np.asarray(np.linalg.norm(a - b, axis=-1))
 
 
 def place_in_sector(random: np.random.Generator, start: State, index: int) -> Array:
-    """A point of the ground under the swept sector, each area as likely as any other of its size.
+    """Draws a point of the ground in the sector that the arm sweeps, uniformly over its area.
 
-    At the start the finger hangs in the middle of the rotation's range, with the extension at its lowest.
+    `start` is the state at rest: the rotation is in the middle of its range, and the extension is at its lowest.
     """
     x, y = start.fingertip[index, :2]
     rotation, _, extension = start.setpoint_ranges

@@ -15,10 +15,10 @@ Observation = dict[str, torch.Tensor]
 class Transitions(torch.utils.data.Dataset[tuple[Observation, torch.Tensor, Observation]]):
     """The transitions of a dataset: a sample, the action, and the next sample of the same episode.
 
-    An item is the observation by the modalities of `input`, the action `[3]` (`increment` or `target`, as in a spec) and
-    the next observation by those of `output`, all in physical units: vectors are float32, images are
-    `[3, rows, columns]`, uint8, and their differences (`frame_difference`, `IMAGE_difference`) float32 in [-1, 1], what changed since the sample before. Processes of
-    a DataLoader share the dataset's memory.
+    An item consists of the observation by the modalities of `input`, the action `[3]` (`increment` or `target`, as in a
+    spec), and the next observation by the modalities of `output`. All values are in physical units. Vectors are
+    float32. Images are uint8, `[3, rows, columns]`. Their changes since the previous sample (`frame_difference`,
+    `IMAGE_difference`) are float32 in [-1, 1]. The processes of a DataLoader share the dataset's memory.
     """
 
     def __init__(self, data: "Dataset", input: list[str], output: list[str], action: str = "increment") -> None:
@@ -58,7 +58,7 @@ class Transitions(torch.utils.data.Dataset[tuple[Observation, torch.Tensor, Obse
 
     @staticmethod
     def _source(name: str) -> str:
-        """What a modality is computed from: an image for `frame_difference` and `IMAGE_difference`, or else itself."""
+        """Returns the image from which `frame_difference` or `IMAGE_difference` is computed, or else the name itself."""
         return "vision" if name == "frame_difference" else name.removesuffix("_difference")
 
     def _planes(self, name: str, sample: int) -> NDArray[np.uint8]:

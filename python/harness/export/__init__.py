@@ -1,4 +1,4 @@
-"""Datasets as files of other projects: LeRobot datasets and Rerun recordings.
+"""Writes datasets as files of other projects: LeRobot datasets and Rerun recordings.
 
 harness export --format lerobot results/datasets/empty-0123456789abcdef exported
 """
@@ -30,20 +30,19 @@ def export(
     """Writes a recorded dataset in the format of another project.
 
     Args:
-        dataset: the dataset's folder, `results/datasets/SCENARIO-HASH`.
-        format: `lerobot`, a LeRobot dataset of version 3, or `rerun`, a folder with one .rrd recording an episode.
-        output: the folder to write, which must not exist. It appears when all of it is written.
-        episodes: the episodes to export; all of them, if None.
-        progress: whether to show a bar on stderr.
+        dataset: the dataset's folder, `results/datasets/SCENARIO-HASH`. format: `lerobot` for a LeRobot dataset of
+        version 3, or `rerun` for a folder with one .rrd recording per episode. output: the folder to write, which must
+        not exist. It appears only after all files are written. episodes: the episodes to export; all of them if None.
+        progress: whether to show a progress bar on stderr.
 
     Returns:
         `output`.
 
     Raises:
-        ValueError: an unknown format, an episode that the dataset does not have, a damaged file.
-        FileNotFoundError: no dataset, or an episode that is not collected yet.
-        FileExistsError: `output` is there already.
-        ImportError: the package that the format needs is not installed; it says which.
+        ValueError: the format is unknown, the dataset does not have an episode, or a file is damaged.
+        FileNotFoundError: there is no dataset, or an episode is not collected yet.
+        FileExistsError: `output` exists already.
+        ImportError: a package that the format needs is not installed; the message names it.
     """
     if format not in FORMATS:
         raise ValueError(f"format: '{format}' is unknown; the formats are {', '.join(FORMATS)}")
@@ -64,7 +63,7 @@ def export(
 
 
 def _read(source: RecordedDataset, episodes: list[int], what: str | None) -> Iterator[Episode]:
-    """Reads one episode after the other, and counts those that are dealt with."""
+    """Reads one episode after the other, and advances the progress bar `what` after each."""
     samples = len(episodes) * source.samples_per_episode
     with tqdm(total=samples, desc=what, unit=" samples", file=sys.stderr, disable=what is None) as bar:
         for index in episodes:

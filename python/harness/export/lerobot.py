@@ -1,4 +1,4 @@
-"""LeRobot datasets, version 3: Parquet, MP4 and metadata, by LeRobot's own writer."""
+"""Writes LeRobot datasets of version 3 (Parquet, MP4 and metadata) with LeRobot's own writer."""
 
 from __future__ import annotations
 
@@ -21,12 +21,15 @@ except ImportError as error:
     ) from error
 
 STATE = ("proprioception", "arm")
-"""The vectors of the finger that are LeRobot's `observation.state`, where a dataset has both."""
+"""The vectors that become LeRobot's `observation.state`, if a dataset has both."""
 
 
 def features_of(layout: Layout) -> dict[str, tuple[str, ...]]:
-    """The vectors that each of LeRobot's features is made of, side by side. An `action` is the setpoint that is
-    commanded at its sample's instant, so a row of LeRobot's is an observation and the command that is given upon it."""
+    """Returns LeRobot's features, each with the vectors that are concatenated for it.
+
+    `action` is the setpoint that is commanded at the sample's instant. A row of the LeRobot dataset therefore contains
+    an observation and the command that follows it.
+    """
     vectors = vector_columns(layout)
     state: tuple[str, ...] = STATE if all(name in vectors for name in STATE) else ()
     others = [name for name in vectors if name not in (*state, "setpoint")]
@@ -36,14 +39,14 @@ def features_of(layout: Layout) -> dict[str, tuple[str, ...]]:
 
 
 def cameras_of(layout: Layout) -> dict[str, str]:
-    """LeRobot's feature of each image: the finger's `vision` is that of the external camera."""
+    """Returns the LeRobot feature of each image. The feature of `vision` is named `external`, after the camera."""
     names = {name: "external" if name == "vision" else name for name in image_shapes(layout)}
     return {image: f"observation.images.{name}" for image, name in names.items()}
 
 
-# The finger is two or three pixels across. With LeRobot's own settings a colour of the cluttered scene is off by up to
-# 208 of 255, with these by 16 (mean 0.7), at 2 KB a frame. Full colour resolution (4:4:4) matters most; ffmpeg plays it,
-# few browsers do.
+# The finger is two or three pixels wide. LeRobot's own settings change colors of the cluttered scene by up to 208 of
+# 255. These settings change them by up to 16 (mean 0.7), at 2 KB per frame. The full color resolution (4:4:4) matters
+# most. ffmpeg can play it, but few browsers can.
 VIDEO = {"vcodec": "h264", "pix_fmt": "yuv444p", "crf": 1}
 
 
@@ -51,13 +54,13 @@ def write(source: RecordedDataset, episodes: Iterable[Episode], output: Path) ->
     """Writes episodes as a LeRobot dataset. The numbers are exact; the frames are compressed by H.264.
 
     Raises:
-        ValueError: the dataset's sample rate is not a whole number, which LeRobot's frames a second are.
+        ValueError: the dataset's sample rate is not a whole number, as LeRobot requires.
     """
     if source.sample_rate_hz % 1 != 0:
         raise ValueError(
             f"LeRobot's frames a second are a whole number; {source.name} has {source.sample_rate_hz} Hz"
         )
-    # Both would report every episode beside the bar.
+    # Both libraries would print messages for every episode next to the progress bar.
     datasets.disable_progress_bars()
     av.logging.set_libav_level(av.logging.ERROR)
     dataset = LeRobotDataset.create(
@@ -66,8 +69,8 @@ def write(source: RecordedDataset, episodes: Iterable[Episode], output: Path) ->
         features=_features(source.layout),
         root=output,
         robot_type="soft_finger" if source.layout == FINGER else source.scenario,
-        # Only for reading back, which doesn't happen here; looking for the fastest decoder would warn of those that
-        # are missing.
+        # Sets the decoder, which is not used here. Without it, LeRobot searches for the fastest decoder and warns of
+        # missing ones.
         video_backend="pyav",
         rgb_encoder=RGBEncoderConfig(**VIDEO),
     )
@@ -78,7 +81,7 @@ def write(source: RecordedDataset, episodes: Iterable[Episode], output: Path) ->
 
 
 def _features(layout: Layout) -> dict[str, dict[str, Any]]:
-    """LeRobot's description of the features; elements are named as the columns, with their units."""
+    """Returns LeRobot's description of the features. Elements have the columns' names with their units."""
     columns, features = vector_columns(layout), {}
     for feature, vectors in features_of(layout).items():
         names = [f"{column.name} [{column.unit}]" for vector in vectors for column in columns[vector]]

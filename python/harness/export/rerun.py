@@ -1,4 +1,4 @@
-"""Rerun recordings: one .rrd an episode, with what was sensed and commanded over time and the robot in space."""
+"""Writes Rerun recordings: one .rrd per episode, with all modalities over time and the robot in space."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ except ImportError as error:
 
 MODELS = Path(__file__).parent.parent / "models"
 
-# As numbers, which the model's arrays hold.
+# As integers, because the model's arrays contain integers.
 CAPSULE, CYLINDER, BOX = (
     int(getattr(mujoco.mjtGeom, name)) for name in ("mjGEOM_CAPSULE", "mjGEOM_CYLINDER", "mjGEOM_BOX")
 )
@@ -32,14 +32,14 @@ CAPSULE, CYLINDER, BOX = (
 def write(source: RecordedDataset, episodes: Iterable[Episode], output: Path) -> None:
     """Writes each episode as a recording, `output/episode_00000.rrd`, over the timelines `time` and `sample`.
 
-    The finger's pose follows from the recorded joint angles by the model's kinematics; other robots are not drawn in
-    space. The boxes of the cluttered
-    scenario are not drawn in space: a dataset records no poses of theirs. They are in the camera's frames.
+    The finger's pose in space is computed from the recorded joint angles with the model's kinematics. Other robots are
+    not shown in space. The boxes of the cluttered scenario are not shown in space either, because datasets do not
+    contain their poses. They are visible in the camera's frames.
 
     Raises:
-        ValueError: the dataset was simulated with another model than the harness's own.
+        ValueError: the dataset was simulated with another model than the one in this package.
     """
-    # Otherwise a wrong value is a warning, and left out.
+    # Without strict mode, Rerun warns of a wrong value and leaves it out.
     rr.set_strict_mode(True)
     layout = source.layout
     robot = Robot(source) if layout == FINGER else None
@@ -64,7 +64,7 @@ def _timelines(episode: Episode) -> list[rr.TimeColumn]:
 
 
 def _send_vectors(recording: rr.RecordingStream, episode: Episode, layout: Layout) -> None:
-    """Each vector is an entity of its name, its elements are series named as the columns, with their units."""
+    """Sends each vector as an entity with its name. Its elements are series with the columns' names and units."""
     for vector, columns in vector_columns(layout).items():
         series = [f"{column.name} [{column.unit}]" for column in columns]
         recording.log(vector, rr.SeriesLines(names=series), static=True)
@@ -80,7 +80,7 @@ def _send_images(recording: rr.RecordingStream, episode: Episode) -> None:
 
 
 def _entity(image: str) -> str:
-    """Where an image is among the entities: the finger's camera has its place in the world."""
+    """Returns the entity path of an image. The finger's camera is an entity with a pose in the world."""
     return "world/camera" if image == "vision" else f"world/{image}"
 
 
@@ -91,7 +91,7 @@ def _png(frame: np.ndarray) -> bytes:
 
 
 def _blueprint(layout: Layout) -> rrb.Blueprint:
-    """What the viewer shows at first: the robot in space, and beside it the frames and the series."""
+    """Returns the viewer's initial arrangement: the robot in space, the frames and the series."""
     series = [rrb.TimeSeriesView(name=vector.replace("_", " "), origin=vector) for vector in vector_columns(layout)]
     space = rrb.Spatial3DView(name="robot", origin="world")
     frames = [rrb.Spatial2DView(name=name, origin=_entity(name)) for name in image_shapes(layout)]
@@ -101,7 +101,7 @@ def _blueprint(layout: Layout) -> rrb.Blueprint:
 
 
 class Robot:
-    """The arm and the finger in space: the geoms of a dataset's model, by forward kinematics."""
+    """The geoms of the arm and the finger in space, computed by forward kinematics of the dataset's model."""
 
     def __init__(self, source: RecordedDataset):
         path = MODELS / f"{source.scenario}.xml"
@@ -118,13 +118,13 @@ class Robot:
         self.geoms = [geom for geom in range(self.model.ngeom) if self._is_robots(geom)]
 
     def _is_robots(self, geom: int) -> bool:
-        """Whether a geom's pose follows from the recorded joints: a box's does not."""
+        """Returns whether a geom's pose can be computed from the recorded joints. A box's pose can't."""
         body = self.model.geom_bodyid[geom]
         moves_freely = self.model.body_dofnum[body] == 6
         return self.model.geom_type[geom] in (CAPSULE, CYLINDER, BOX) and not moves_freely
 
     def poses(self, episode: Episode) -> tuple[np.ndarray, np.ndarray]:
-        """Each geom's position, m [geoms, samples, 3], and orientation, quaternions x, y, z, w [geoms, samples, 4]."""
+        """Positions of the geoms, m [geoms, samples, 3], and their orientations, quaternions [geoms, samples, 4]."""
         angles = np.concatenate([episode.vectors["arm"], episode.vectors["proprioception"]], axis=1)
         positions = np.empty((len(self.geoms), len(episode), 3))
         orientations = np.empty((len(self.geoms), len(episode), 4))
@@ -139,7 +139,7 @@ class Robot:
         return positions, orientations
 
     def send(self, recording: rr.RecordingStream, episode: Episode) -> None:
-        """Sends every geom with its pose at each sample, the ground and the camera."""
+        """Sends every geom with its pose at each sample, and the ground and the camera."""
         recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._send_surroundings(recording)
         positions, orientations = self.poses(episode)
@@ -150,7 +150,7 @@ class Robot:
             recording.send_columns(entity, _timelines(episode), pose)
 
     def _shape(self, geom: int) -> rr.AsComponents:
-        """A geom about its own origin; MuJoCo's sizes are radii and half lengths, m."""
+        """Returns a geom's shape around its own origin. MuJoCo's sizes are radii and half lengths, m."""
         size, colour = self.model.geom_size[geom], self.model.geom_rgba[geom]
         kind = self.model.geom_type[geom]
         if kind == BOX:
@@ -158,7 +158,7 @@ class Robot:
         lengths, radii = [2 * size[1]], [size[0]]
         if kind == CYLINDER:
             return rr.Cylinders3D(lengths=lengths, radii=radii, colors=[colour], fill_mode="solid")
-        # Rerun's capsule begins at the origin, MuJoCo's has it in the middle.
+        # Rerun's capsule starts at its origin. MuJoCo's origin is in the middle of the capsule.
         middle = [[0, 0, -size[1]]]
         return rr.Capsules3D(
             lengths=lengths, radii=radii, translations=middle, colors=[colour], fill_mode="solid"
