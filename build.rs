@@ -1,7 +1,7 @@
-//! Where programs find MuJoCo's library.
+//! Sets the path on which programs find MuJoCo's library.
 
-/// Lets every program and test of a package find MuJoCo's library without environment variables: a
-/// dependency's link arguments do not reach the final binary, so the rpath is set here.
+/// Adds the library's folder to the rpath of every program and test of the package, so that they need no environment
+/// variable. It is set here because a dependency's link arguments do not reach the final binary.
 fn main() {
     println!("cargo:rerun-if-env-changed=MUJOCO_DYNAMIC_LINK_DIR");
     if let Ok(dir) = std::env::var("MUJOCO_DYNAMIC_LINK_DIR") {

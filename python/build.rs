@@ -1,4 +1,4 @@
-//! Where the package finds MuJoCo's library: beside itself, in the wheel of `mujoco` that it depends on.
+//! Sets the path on which the extension finds MuJoCo's library: the wheel `mujoco` next to it in site-packages.
 
 fn main() {
     println!("cargo:rustc-link-arg-cdylib=-Wl,-rpath,$ORIGIN/../mujoco");

@@ -1,7 +1,7 @@
-//! NumPy arrays over Rust's memory, and back, by Python's buffer protocol.
+//! NumPy arrays over Rust's memory, and Rust vectors from NumPy arrays, by Python's buffer protocol.
 //!
-//! The crate numpy would do this too, but its own dependencies ask for other features of what candle is built on, which
-//! then would be compiled twice.
+//! The crate numpy could do this too. However, its dependencies enable other features of crates that candle uses, so
+//! cargo would compile these crates twice.
 
 use harness::spec::{Definition, IMAGE_CHANNELS};
 use pyo3::buffer::{Element, PyBuffer};
@@ -12,9 +12,11 @@ use std::any::Any;
 use std::ffi::{CStr, c_int, c_void};
 use std::ptr::null_mut;
 
-/// What an array may hold, with its name in NumPy and in the buffer protocol.
+/// A type of an array's values.
 pub trait Item: Element + Send + Sync + 'static {
+    /// Its name in NumPy, such as `float32`.
     const NAME: &str;
+    /// Its format in the buffer protocol, such as `f`.
     const FORMAT: &CStr;
 }
 
@@ -35,10 +37,10 @@ impl Item for u8 {
     const FORMAT: &CStr = c"B";
 }
 
-/// Memory that an array lies in, rows first; NumPy keeps it as long as the array.
+/// The memory of an array in row-major order. NumPy keeps it as long as the array.
 #[pyclass(frozen)]
 struct Memory {
-    /// Holds what `start` points to.
+    /// Owns the values to which `start` points.
     _owner: Box<dyn Any + Send + Sync>,
     start: *mut c_void,
     bytes: usize,
@@ -49,12 +51,12 @@ struct Memory {
     read_only: bool,
 }
 
-// SAFETY: it is never changed itself, and the memory is used by whoever holds the interpreter's lock.
+// SAFETY: its fields never change, and its memory is used only by the thread that holds the interpreter's lock.
 unsafe impl Send for Memory {}
 unsafe impl Sync for Memory {}
 
 impl Memory {
-    /// `start` must point to as many values as `shape` has, which `owner` holds and nobody else changes.
+    /// `start` must point to as many values as `shape` has. `owner` must own them, and nothing else may change them.
     fn new<T: Item>(
         owner: Box<dyn Any + Send + Sync>,
         start: *mut T,
@@ -87,7 +89,7 @@ impl Memory {
             return Err(PyBufferError::new_err("the memory can't be written"));
         }
         let asked = |flag: c_int| flags & flag == flag;
-        // SAFETY: Python hands over a view to be filled; what it points to lives as long as `obj`, which it holds.
+        // SAFETY: Python passes a view to fill in. The pointers in it are valid as long as `obj`, which the view owns.
         unsafe {
             (*view).buf = memory.start;
             (*view).len = memory.bytes as ffi::Py_ssize_t;
@@ -111,7 +113,7 @@ fn as_array<'py>(py: Python<'py>, memory: Memory) -> PyResult<Bound<'py, PyAny>>
     py.import("numpy")?.call_method1("asarray", (Bound::new(py, memory)?,))
 }
 
-/// Values as an array of that shape, without copying.
+/// Returns values as an array of this shape, without copying.
 pub fn array<'py, T: Item>(
     py: Python<'py>,
     mut values: Vec<T>,
@@ -122,10 +124,10 @@ pub fn array<'py, T: Item>(
     as_array(py, Memory::new(Box::new(values), start, shape, false))
 }
 
-/// Values that `owner` holds as an array that can't be written, without copying.
+/// Returns values that `owner` owns as a read-only array, without copying.
 ///
 /// # Safety
-/// The values must stay where they are, and unchanged, as long as `owner` lives.
+/// The values must neither move nor change as long as `owner` lives.
 pub unsafe fn view<'py, O, T: Item>(
     owner: &Bound<'py, O>,
     values: &[T],
@@ -137,15 +139,15 @@ pub unsafe fn view<'py, O, T: Item>(
     as_array(owner.py(), Memory::new(Box::new(holder), start, shape, true))
 }
 
-/// Frames `[…, channel, row, column]` as a view `[…, row, column, channel]`, as pictures are.
+/// Returns frames `[frame, channel, row, column]` as a view `[frame, row, column, channel]`.
 pub fn pixels_last(planes: Bound<PyAny>) -> PyResult<Bound<PyAny>> {
     planes.call_method1("transpose", (0, 2, 3, 1))
 }
 
-/// The values of an array that must have this type and shape, rows first; `name` says in messages which it is.
+/// Reads the values of an array in row-major order. `name` is the array's name in error messages.
 ///
 /// # Errors
-/// TypeError and ValueError.
+/// TypeError if the array has another type, and ValueError if it has another shape.
 pub fn read<T: Item>(name: &str, given: &Bound<PyAny>, shape: &[usize]) -> PyResult<Vec<T>> {
     let buffer = PyBuffer::<T>::get(given)
         .map_err(|_| PyTypeError::new_err(format!("'{name}' must be a NumPy array of {}", T::NAME)))?;
@@ -158,10 +160,11 @@ pub fn read<T: Item>(name: &str, given: &Bound<PyAny>, shape: &[usize]) -> PyRes
     buffer.to_vec(given.py())
 }
 
-/// A batch of images `[batch, rows, columns, 3]`, channel by channel; those that are no difference may be bytes.
+/// Reads a batch of images `[batch, rows, columns, 3]` and returns it as `[batch, channel, row, column]`. Images may be
+/// uint8, which is divided by 255; differences of images must be float32.
 ///
 /// # Errors
-/// As [`read`].
+/// The same as [`read`].
 pub fn read_frames(definition: &Definition, given: &Bound<PyAny>, batch: usize) -> PyResult<Vec<f32>> {
     let [rows, columns] = definition.size().unwrap_or_default();
     let (shape, name) = ([batch, rows, columns, IMAGE_CHANNELS], definition.name.name());
@@ -173,7 +176,7 @@ pub fn read_frames(definition: &Definition, given: &Bound<PyAny>, batch: usize) 
     Ok(planes(&values, definition.width()).collect())
 }
 
-/// Frames of `len` values, pixel by pixel, channel by channel.
+/// Reorders frames of `len` values from `[row, column, channel]` to `[channel, row, column]`.
 fn planes<T: Copy>(pixels: &[T], len: usize) -> impl Iterator<Item = T> {
     pixels.chunks_exact(len).flat_map(|frame| {
         (0..IMAGE_CHANNELS)

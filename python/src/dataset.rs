@@ -1,4 +1,4 @@
-//! Datasets as arrays.
+//! The Python class `Dataset`: a dataset's samples as NumPy arrays.
 
 use crate::array::{array, pixels_last, view};
 use crate::errors::Raise;
@@ -18,14 +18,14 @@ pub struct Dataset {
     described: Described,
 }
 
-/// Where the samples come from.
+/// The dataset from which the samples were read.
 enum Described {
     Simulated(dataset::Dataset),
     Imported(Imported),
 }
 
 impl Described {
-    /// The dataset that a folder holds: its name tells which kind it is.
+    /// Opens the dataset in a folder, whose name says whether it was simulated or imported.
     fn at(folder: &Path) -> Result<Self, DatasetError> {
         let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
         match (Origin::try_from(name), folder.parent()) {
@@ -34,7 +34,8 @@ impl Described {
         }
     }
 
-    /// Reads it, with the frames if asked and if it has any; they stay on disk if they would take much memory.
+    /// Reads the samples. Frames are read if `frames` is true and the dataset has any. They stay on disk if they would
+    /// take more than an eighth of the free memory.
     fn load(&self, frames: bool) -> Result<Samples, DatasetError> {
         let layout = self.layout();
         let place = |samples| match frames && layout.stored_images().next().is_some() {
@@ -152,7 +153,7 @@ impl Dataset {
             return Err(PyKeyError::new_err(format!("the dataset has no '{name}' in memory; it has {all}")));
         };
         let definition = &samples.layout()[modality];
-        // SAFETY (of both views): a dataset never changes, and the array holds it.
+        // SAFETY (of both views): a dataset never changes, and the array owns a reference to it.
         match definition.size() {
             Some([rows, columns]) => {
                 let shape = [samples.len(), IMAGE_CHANNELS, rows, columns];

@@ -1,4 +1,4 @@
-//! The Python exception that fits an error of the library, with its causes in one line.
+//! Converts errors of the library to Python exceptions, whose messages name all causes in one line.
 
 use harness::analysis::AnalysisError;
 use harness::dataset::DatasetError;
@@ -11,15 +11,17 @@ use pyo3::PyErr;
 use pyo3::exceptions::{PyFileNotFoundError, PyKeyError, PyRuntimeError, PyValueError};
 use std::path::Path;
 
-/// An error that has a Python exception.
+/// An error that can be converted to a Python exception.
 pub trait Raise: std::error::Error + Sized {
-    /// The exception, whose message is [`describe`]'s.
+    /// Returns the exception, with the message of [`describe`].
     fn raise(self) -> PyErr;
 
+    /// Returns a ValueError with the message of [`describe`].
     fn value_error(self) -> PyErr {
         PyValueError::new_err(describe(&self))
     }
 
+    /// Returns a RuntimeError with the message of [`describe`].
     fn runtime_error(self) -> PyErr {
         PyRuntimeError::new_err(describe(&self))
     }

@@ -1,7 +1,7 @@
-//! The harness as a Python extension: thin newtypes over the library, and nothing scientific.
+//! The harness as a Python extension module: thin wrappers of the library's types and functions.
 //!
-//! Every call that takes long lets go of the interpreter's lock. Errors become the Python exception that fits
-//! ([`errors`]), and never a panic. Docstrings for users stand in `harness/_harness.pyi`.
+//! Long calls release the interpreter's lock. Errors and panics are converted to Python exceptions ([`errors`],
+//! [`work`]). `harness/_harness.pyi` contains the docstrings for users.
 
 mod array;
 mod dataset;
@@ -14,7 +14,7 @@ mod work;
 use mimalloc::MiMalloc;
 use pyo3::prelude::*;
 
-/// As in the harness's binary: trainings free and allocate the same hundreds of megabytes at every step.
+/// The same allocator as in the program, because training frees and allocates hundreds of megabytes in every step.
 #[global_allocator]
 static ALLOCATOR: MiMalloc = MiMalloc;
 
@@ -38,11 +38,11 @@ mod _harness {
     #[pyfunction]
     fn main(py: Python, arguments: Vec<OsString>) -> u8 {
         cli::prepare_process();
-        // SAFETY: called by the `harness` script alone, whose process does nothing else; the signal is as the program
-        // would have found it, had it not been started by Python.
+        // SAFETY: only the `harness` script calls this function, and its process does nothing else. The call restores
+        // the signal's default action, which Python has replaced.
         unsafe { libc::signal(libc::SIGINT, libc::SIG_DFL) };
         let code = py.detach(|| cli::main(arguments));
-        // An exit code does not tell its number, but what it equals.
+        // `ExitCode` does not return its number, but can be compared.
         (0..=u8::MAX).find(|number| ExitCode::from(*number) == code).unwrap_or(u8::MAX)
     }
 }

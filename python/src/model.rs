@@ -1,4 +1,4 @@
-//! Trained networks.
+//! The Python class `Model`: the trained network of a run.
 
 use crate::array::{array, pixels_last, read, read_frames};
 use crate::errors::Raise;
@@ -95,7 +95,7 @@ impl Model {
     }
 }
 
-/// A batch as a dictionary of arrays.
+/// Returns a batch of values as a dictionary of arrays by modality.
 fn by_modality<'py>(
     py: Python<'py>,
     layout: &Layout,
@@ -115,7 +115,7 @@ fn by_modality<'py>(
     Ok(answer)
 }
 
-/// How many samples an array has, at least one.
+/// Returns the number of samples of an array. Raises ValueError if there are none.
 fn batch_of(name: &str, values: &Bound<PyAny>) -> PyResult<usize> {
     match values.len()? {
         0 => Err(PyValueError::new_err(format!("the {name} has no samples"))),
@@ -128,7 +128,7 @@ impl Model {
         &self.0.record().layout
     }
 
-    /// The batch's size, and of the observation what the encoder is given.
+    /// Returns the batch's size and the values of the encoder's input modalities.
     fn read(&self, observation: &Bound<PyDict>) -> PyResult<(usize, Values)> {
         let input = &self.0.record().spec.input;
         let given = input.iter().map(|&modality| Ok((modality, observation.get_item(modality.name())?)));
@@ -140,7 +140,7 @@ impl Model {
         let batch = batch_of("observation", first)?;
         let mut values = Values::new();
         for (modality, given) in given {
-            // What lacks is named by the model.
+            // The model's error names missing modalities.
             let Some(given) = given else { continue };
             let definition = &self.layout()[modality];
             let read = match definition.is_image() {

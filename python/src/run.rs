@@ -1,4 +1,4 @@
-//! Experiments and tables.
+//! The Python functions `run`, `query` and `compare`.
 
 use crate::errors::Raise;
 use crate::work::interruptible;
@@ -19,7 +19,8 @@ use std::ffi::CString;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Does every run of an experiment that isn't done; see `harness.run`.
+/// Does every run of an experiment that isn't done yet, and returns the numbers of runs done now and before; see
+/// `harness.run`.
 #[pyfunction]
 #[pyo3(signature = (path, overrides, quick, results, progress, jobs, memory))]
 #[expect(clippy::too_many_arguments, reason = "they are those of `harness.run`, where each has its name")]
@@ -54,7 +55,7 @@ pub fn run(
     Ok((summary.done, summary.skipped))
 }
 
-/// The command that does the same as a call of `harness.run`.
+/// Returns the command that does the same as this call of `harness.run`.
 fn command(path: &Path, overrides: &[String], quick: bool, registry: &Registry) -> String {
     let path = path.to_string_lossy();
     let quick = quick.then_some("--quick");
@@ -62,7 +63,7 @@ fn command(path: &Path, overrides: &[String], quick: bool, registry: &Registry) 
     registry.command(&format!("run {}", quoted(words)))
 }
 
-/// Warns of what a registry left out.
+/// Warns of each run and dataset that the registry left out.
 fn warn(py: Python, registry: &Registry) -> PyResult<()> {
     let category = py.get_type::<PyUserWarning>();
     for left_out in registry.left_out() {
@@ -72,7 +73,7 @@ fn warn(py: Python, registry: &Registry) -> PyResult<()> {
     Ok(())
 }
 
-/// Draws progress as the command line does, or nothing, and passes on a wish to stop.
+/// Passes progress on to `shown`, and reports a cancellation by Python.
 struct Listener<'a> {
     shown: Box<dyn Progress + 'a>,
     cancelled: &'a AtomicBool,
@@ -116,7 +117,7 @@ pub fn query(py: Python, sql: &str, results: PathBuf) -> PyResult<Table> {
     Ok(Table(answer))
 }
 
-/// The means over seeds of what runs have in common; see `harness.compare`.
+/// Computes means of metrics over seeds; see `harness.compare`.
 #[pyfunction]
 pub fn compare(
     py: Python,
@@ -135,13 +136,14 @@ pub fn compare(
     Ok(Table(means))
 }
 
-/// A table for whoever reads Arrow's C stream interface.
+/// A table that Python can read through Arrow's C stream interface.
 #[pyclass(frozen)]
 pub struct Table(DataFrame);
 
 #[pymethods]
 impl Table {
-    /// The columns' own memory, chunk by chunk; a requested schema is not heeded, as the interface allows.
+    /// Returns a stream over the table's chunks without copying them. A requested schema is ignored, which the
+    /// interface allows.
     #[pyo3(signature = (requested_schema=None))]
     fn __arrow_c_stream__<'py>(
         &self,

@@ -1,4 +1,4 @@
-//! Live simulations, one or many, as arrays.
+//! The Python class `SimulationBatch`: one live simulation or many.
 
 use crate::array::{Item, array, read};
 use crate::errors::Raise;
@@ -18,17 +18,17 @@ pub struct SimulationBatch {
     spec: Simulation,
     scene: &'static Scene,
     count: usize,
-    /// The process that made it: a fork has neither its threads nor its OpenGL contexts.
+    /// Id of the process that made it. A forked process has neither its threads nor its OpenGL contexts.
     process: u32,
 }
 
-/// The simulations, and the threads that step them; one alone is stepped by its caller.
+/// The simulations, and the threads that step them. A single simulation is stepped on its caller's thread.
 struct Work {
     batch: Batch,
     threads: Option<rayon::ThreadPool>,
 }
 
-/// Values of a box's pose.
+/// Number of values of a box's pose.
 const POSE: usize = size_of::<Pose>() / size_of::<f64>();
 
 impl Work {
@@ -41,7 +41,7 @@ impl Work {
 }
 
 impl SimulationBatch {
-    /// `count` simulations with these settings.
+    /// Starts `count` simulations with these settings.
     pub fn start(py: Python, scene: &'static Scene, spec: Simulation, count: usize) -> PyResult<Self> {
         let batch = py.detach(|| Batch::new(scene, &spec, count)).map_err(Raise::raise)?;
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -64,7 +64,7 @@ impl SimulationBatch {
         })
     }
 
-    /// Works on the simulations without the interpreter's lock.
+    /// Calls `work` with the simulations, without the interpreter's lock.
     fn work<T: Send>(
         &self,
         py: Python,
@@ -75,7 +75,7 @@ impl SimulationBatch {
         py.detach(|| held.on_its_threads(work)).map_err(Raise::raise)
     }
 
-    /// `width` values of each simulation side by side, `[count, width]`.
+    /// Returns `width` values of each simulation as an array `[count, width]`.
     fn gather<'py, T: Item>(
         &self,
         py: Python<'py>,
@@ -90,7 +90,7 @@ impl SimulationBatch {
         self.scene.layout()
     }
 
-    /// What is sensed: stored vectors and images.
+    /// Returns the names of the sensed modalities: stored vectors and images, without the setpoint.
     fn sensed(&self) -> Vec<&'static str> {
         let layout = self.layout();
         let sensed = layout.stored_vectors().chain(layout.stored_images()).map(|definition| definition.name);
@@ -98,7 +98,7 @@ impl SimulationBatch {
     }
 }
 
-/// The scene of the world of that name, or of the file of that path.
+/// Returns the scene of a world, given by its name or by its file's path.
 pub fn scene(world: &str) -> PyResult<&'static Scene> {
     let world = World::find(world).map_err(|error| PyValueError::new_err(format!("scenario: {error}")))?;
     Scene::shared(world).map_err(Raise::raise)
@@ -170,7 +170,7 @@ impl SimulationBatch {
         }
         let held = self.lock()?;
         let simulation = &held.batch.simulations()[index];
-        // On this thread, which keeps its OpenGL context for the next picture.
+        // On this thread, because its OpenGL context is used again for the next picture.
         let picture = py.detach(|| simulation.render(width, height)).map_err(Raise::raise)?;
         array(py, picture.into_raw(), &[height as usize, width as usize, IMAGE_CHANNELS])
     }
@@ -180,7 +180,7 @@ impl SimulationBatch {
         self.scene.scenario().name()
     }
 
-    /// What is sensed, with the shape of one simulation's values.
+    /// Names of the sensed modalities, with the shape of one simulation's values.
     #[getter]
     fn modalities<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let shapes = PyDict::new(py);

@@ -1,5 +1,5 @@
-//! Long work beside the interpreter: on a thread of its own, so that Ctrl-C is heard, and never in a forked copy of a
-//! process whose threads are gone.
+//! Runs long work without the interpreter's lock, on another thread, so that Ctrl-C can interrupt it. Work is refused
+//! in a forked process, because a fork has none of its parent's threads.
 
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
@@ -9,14 +9,15 @@ use std::sync::OnceLock;
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 
-/// Time between two looks at whether a signal came.
+/// Time between two checks for signals.
 const SIGNALS: Duration = Duration::from_millis(50);
 
-/// Does `work` on another thread, without the interpreter's lock, while this one handles signals. What a handler
-/// raises (KeyboardInterrupt) makes `cancel` tell the work to end, and is raised when it has.
+/// Does `work` on another thread, without the interpreter's lock, while this thread handles signals. If a signal
+/// handler raises an exception (KeyboardInterrupt), `cancel` is called, which must make the work end. The exception is
+/// returned after the work has ended.
 ///
 /// # Errors
-/// What a signal's handler raised; RuntimeError in a forked process, or where the work panicked.
+/// The exception of a signal handler; RuntimeError in a forked process, or if the work panicked.
 pub fn interruptible<T: Send>(
     py: Python,
     work: impl FnOnce() -> T + Send,
@@ -27,7 +28,7 @@ pub fn interruptible<T: Send>(
         let (done, mut over) = channel();
         let worker = scope.spawn(move || {
             let result = work();
-            // Nobody listens any more where the interpreter is ending.
+            // Fails if the interpreter is shutting down, because nothing receives then.
             let _ = done.send(());
             result
         });
@@ -47,31 +48,32 @@ pub fn interruptible<T: Send>(
     })
 }
 
-/// Does `work` on this thread, without the interpreter's lock: for what takes milliseconds.
+/// Does `work` on this thread, without the interpreter's lock. Signals are not handled, so it is for work of
+/// milliseconds.
 ///
 /// # Errors
-/// RuntimeError in a forked process, or where the work panicked.
+/// RuntimeError in a forked process, or if the work panicked.
 pub fn detached<T: Send>(py: Python, work: impl FnOnce() -> T + Send) -> PyResult<T> {
     own_process()?;
-    // What panicked is not looked at again: models and datasets never change.
+    // Asserting unwind safety is correct, because models and datasets never change.
     py.detach(|| catch_unwind(AssertUnwindSafe(work))).map_err(panicked)
 }
 
-/// A panic of the library, which is never meant to happen.
+/// Converts a panic of the library, which is always a bug, to a RuntimeError.
 fn panicked(panic: Box<dyn Any + Send>) -> PyErr {
     let said = panic.downcast_ref::<String>().map(String::as_str);
     let said = said.or(panic.downcast_ref::<&str>().copied()).unwrap_or("no reason given");
     PyRuntimeError::new_err(format!("the harness panicked, which is a fault of its own: {said}"))
 }
 
-/// Refuses a process that was forked after the harness had begun to work in its parent: threads that it waits for
-/// would not be there.
+/// Returns an error in a process that was forked after the harness had begun to work in its parent, because the
+/// parent's threads do not exist in it.
 fn own_process() -> PyResult<()> {
     static PROCESS: OnceLock<u32> = OnceLock::new();
     belongs_here(*PROCESS.get_or_init(std::process::id), "the harness's threads")
 }
 
-/// Refuses what another process made, from which this one was forked.
+/// Returns an error if `what` was made by another process, from which this one was forked.
 pub fn belongs_here(process: u32, what: &str) -> PyResult<()> {
     let here = std::process::id();
     if process == here {
