@@ -1,6 +1,6 @@
-# `make run` and `make test` are all that a fresh clone needs; both set up first.
+# In a fresh clone, call `make run` or `make test`. Both do the set-up first.
 
-# The spec's own quick settings (minutes). `make run QUICK=` runs at the paper's scale (hours).
+# `make run` uses the spec's `quick` settings (minutes). `make run QUICK=` runs the full experiment (hours).
 QUICK = --quick
 
 .DEFAULT_GOAL := help
@@ -9,16 +9,16 @@ QUICK = --quick
 help: ## show this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 8
 
-setup: ## make .venv with MuJoCo in it; check EGL and Rust
+setup: ## make .venv with MuJoCo; check EGL and Rust
 	@setup/setup.sh
 
-run: setup ## train the network that we recommend, in minutes; `make run QUICK=` at full scale
+run: setup ## train the recommended network, in minutes; `make run QUICK=` at full scale
 	cargo run --release -- run experiments/multi_to_multi_best.yaml $(QUICK)
 
 check: setup ## verify a small change in about a minute: type-check everything, test the layers that changed
 	@.ci/check
 
-test: ## run every test, the Python package's as well; what fails doesn't keep the rest from being tested
+test: ## run every test, including those of the Python package; continue after failures
 	@setup/setup.sh --test
 	@worst=0; \
 	cargo test --no-fail-fast || worst=1; \
@@ -31,33 +31,33 @@ python: ## build the Python package into .venv and test it
 		--quiet --disable-pip-version-check --no-build-isolation --no-deps .
 	.venv/bin/python -m pytest --quiet tests/python_package
 
-soak: ## kill a run and a collection at many moments and compare what comes out; attack every reader (an hour)
+soak: ## kill a run and a collection at many moments and compare the results; fuzz every reader (an hour)
 	@setup/setup.sh --test
 	cargo test -- --ignored --nocapture
 
-lint: setup ## check formatting, and clippy without warnings
+lint: setup ## check formatting, and that clippy has no warnings
 	@cargo fmt --version >/dev/null && cargo clippy --version >/dev/null \
 		|| { echo 'lint: rustfmt or clippy is missing; install both: rustup component add rustfmt clippy' >&2; exit 1; }
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets -- -D warnings
 
-bench: ## compare speed with PyTorch, Python's mujoco, PyBullet and the raw limits (half an hour on an idle machine)
+bench: ## compare the speed with PyTorch, Python's mujoco, PyBullet and MuJoCo in C (half an hour on an idle machine)
 	@setup/setup.sh --bench
 	cargo build --release --bins --examples
 	.venv-bench/bin/python harness/benches/compare.py --output results/reference/benchmarks.parquet
 
-interchange: ## open exported data with LeRobot and Rerun, and import it again (minutes; 6 GB of packages, once)
+interchange: ## open exported data with LeRobot and Rerun and import it again (minutes; 6 GB of packages, once)
 	@setup/setup.sh --interchange
 	cargo build --bin harness
 	MATURIN_PEP517_ARGS="--profile dev" .venv-interchange/bin/python -m pip install --quiet --no-deps .
 	.venv-interchange/bin/python -m pytest tests/interchange
 
-cluster: ## divide an experiment on a Slurm of four nodes on this machine, and disturb it (minutes; needs root)
+cluster: ## run an experiment on a Slurm of four nodes on this machine, and kill its tasks (minutes; needs root)
 	@setup/setup.sh --cluster
 	cargo build --bin harness
 	.venv/bin/python -m pytest tests/slurm
 
-notebooks: ## run the notebooks from top to bottom, in place (minutes; 5 GB of packages, once)
+notebooks: ## run the notebooks and save their outputs (minutes; 5 GB of packages, once)
 	@setup/setup.sh --notebooks
 	MATURIN_PEP517_ARGS="--profile dev" .venv-notebooks/bin/python -m pip install --quiet --disable-pip-version-check \
 		--no-deps .

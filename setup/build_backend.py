@@ -1,7 +1,8 @@
-"""Builds the Python package: maturin, told where MuJoCo's library lies.
+"""Builds the Python package with maturin, after setting the path of MuJoCo's library.
 
-The wheel `mujoco` has only the library's versioned name, and the crate mujoco-rs links to `libmujoco.so`. A folder with
-both names does, as setup.sh makes it in `.venv`; where there is none, it is made of the wheel in the build environment.
+The wheel `mujoco` contains the library only under its versioned name, but the crate mujoco-rs links to `libmujoco.so`.
+The build therefore needs a folder with links of both names. setup.sh makes one in `.venv`. Without it, this module
+makes one in `target`, for the wheel in the build environment.
 """
 
 import importlib.util
@@ -9,7 +10,7 @@ import os
 from pathlib import Path
 
 import maturin
-from maturin import (  # noqa: F401  (hooks that need nothing)
+from maturin import (  # noqa: F401  (hooks that need no library)
     get_requires_for_build_editable,
     get_requires_for_build_wheel,
     prepare_metadata_for_build_editable,
@@ -20,6 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def link_mujoco() -> None:
+    """Makes the links if they are missing, and sets MUJOCO_DYNAMIC_LINK_DIR. Ends the build if there is no wheel."""
     folder = ROOT / ".venv" / "mujoco"
     if not (folder / "libmujoco.so").exists():
         wheel = importlib.util.find_spec("mujoco")
@@ -35,10 +37,12 @@ def link_mujoco() -> None:
 
 
 def build_wheel(*arguments, **settings):
+    """The hook for `pip install .`, with maturin's arguments."""
     link_mujoco()
     return maturin.build_wheel(*arguments, **settings)
 
 
 def build_editable(*arguments, **settings):
+    """The hook for `pip install --editable .`, with maturin's arguments."""
     link_mujoco()
     return maturin.build_editable(*arguments, **settings)

@@ -1,18 +1,18 @@
 #!/bin/sh
-# Sets up what cargo cannot: a virtual environment with MuJoCo, the links to its library, an EGL driver.
-# Does only what is missing, so running it again takes about a second.
+# Installs what cargo cannot: a virtual environment with MuJoCo, links to its library, and an EGL driver.
+# It installs only what is missing, so a second call takes about a second.
 #
-#   setup/setup.sh           what the harness needs
-#   setup/setup.sh --test    and what its tests need besides
-#   setup/setup.sh --python  and what building and testing the Python package needs
-#   setup/setup.sh --bench   and .venv-bench, with what the benchmarks compare with
-#   setup/setup.sh --interchange   and .venv-interchange, with LeRobot and Rerun
-#   setup/setup.sh --cluster  and Slurm, with what its tests need
-#   setup/setup.sh --notebooks     and .venv-notebooks, with Stable-Baselines3 and Jupyter
+#   setup/setup.sh           installs what the harness needs
+#   setup/setup.sh --test    also what its tests need
+#   setup/setup.sh --python  also what building and testing the Python package needs
+#   setup/setup.sh --bench   also .venv-bench, with PyTorch and PyBullet for the benchmarks
+#   setup/setup.sh --interchange   also .venv-interchange, with LeRobot and Rerun
+#   setup/setup.sh --cluster  also Slurm, for its tests
+#   setup/setup.sh --notebooks     also .venv-notebooks, with Stable-Baselines3 and Jupyter
 set -eu
 cd "$(dirname "$0")/.."
 
-# Wheels of everything in requirements.txt exist for these versions; the first is preferred.
+# All packages in requirements.txt have wheels for these versions of Python. The first version is preferred.
 pythons='3.11 3.12'
 mujoco_library=libmujoco.so.$(sed -n 's/^mujoco==//p' setup/requirements.in)
 
@@ -23,7 +23,7 @@ fail() {
     exit 1
 }
 
-# Runs a command as root: directly, or through sudo where that asks for no password.
+# Runs a command as root: directly, or through sudo if sudo needs no password.
 as_root() {
     if [ "$(id -u)" -eq 0 ]; then
         "$@"
@@ -49,7 +49,7 @@ check_rust() {
         fail "rustc $found is too old; install Rust $needed or newer (rustup update stable)"
 }
 
-# Prints the first interpreter of a version that will do.
+# Prints the first Python interpreter of a supported version.
 find_python() {
     for version in $pythons; do
         for name in "python$version" python3 "/usr/bin/python$version"; do
@@ -62,9 +62,9 @@ find_python() {
     fail "no Python found; install one of: $pythons"
 }
 
-# Makes the virtual environment of that name.
+# Makes a virtual environment in the folder $1, unless it exists and works.
 make_venv() {
-    # A copied or interrupted environment has an interpreter that doesn't run or lacks pip.
+    # In a copied or incomplete environment, the interpreter doesn't run or pip is missing.
     "$1/bin/python" -c 'import pip' 2>/dev/null && return
     python=$(find_python)
     if ! "$python" -c 'import venv, ensurepip' 2>/dev/null; then
@@ -76,7 +76,7 @@ make_venv() {
     "$python" -m venv --clear "$1"
 }
 
-# Installs a lock file into an environment, unless that already holds exactly what it lists.
+# Installs the lock file setup/$2 into the environment $1, unless it was the last one installed there.
 install_packages() {
     lock=setup/$2
     installed=$1/installed-$2
@@ -86,7 +86,7 @@ install_packages() {
     cp "$lock" "$installed"
 }
 
-# The wheel's library has only its versioned name; the mujoco-rs crate also looks for libmujoco.so.
+# The wheel contains the library only under its versioned name. The mujoco-rs crate also needs the name libmujoco.so.
 link_mujoco() {
     library=$(cd .venv && echo lib/python3*/site-packages/mujoco/$mujoco_library)
     [ -e ".venv/$library" ] || fail ".venv holds no $mujoco_library; remove .venv and run setup again"
@@ -96,7 +96,7 @@ link_mujoco() {
     done
 }
 
-# Makes an OpenGL context without a display, as the harness does.
+# Succeeds if an OpenGL context can be made without a display, as the harness does.
 egl_works() {
     MUJOCO_GL=egl .venv/bin/python -c 'import mujoco; mujoco.GLContext(8, 8).make_current()' 2>/dev/null
 }
@@ -109,7 +109,7 @@ check_egl() {
     egl_works || fail "no EGL driver answers, so frames can't be rendered; install one as root: apt-get install $packages"
 }
 
-# The report's page is read in a real browser, where there is one.
+# Tests read the report's page in a browser. Without one they are skipped.
 check_browser() {
     command -v chromedriver >/dev/null && return
     if can_install; then apt_install chromium chromium-driver fonts-liberation || true; fi
@@ -146,7 +146,7 @@ case ${1-} in
     install_packages .venv-bench requirements-bench.txt
     ;;
 --interchange)
-    pythons=3.12 # LeRobot's oldest
+    pythons=3.12 # the oldest version that LeRobot supports
     make_venv .venv-interchange
     install_packages .venv-interchange requirements-interchange.txt
     ;;
