@@ -3,7 +3,7 @@
     python models/compose.py           # writes models/empty.xml, cluttered.xml and so on
     python models/compose.py --check   # writes nothing; exit 1 and a diff where the files differ
 
-SI units throughout; angles in radians. models/README.md tells why each value is what it is.
+All values are in SI units, angles in radians. models/README.md gives the reason for each value.
 """
 
 import argparse
@@ -19,18 +19,18 @@ SCENES = ("empty", "cluttered", "wrist", "tendon", "twelve")
 PRECISION = 9  # significant digits in the files
 HERE = pathlib.Path(__file__).resolve().parent
 
-# Finger: 20 equal links and joints with alternating axes, as in the paper; it gives no numbers.
+# Finger: 20 equal links and joints with alternating axes, as in the paper. The paper gives no other numbers.
 JOINTS = 20
 FEWER_JOINTS = 12  # of the scene `twelve`, an example for robots of other sizes
-LINK_LENGTH = 0.05  # m, from hinge to hinge: a finger of 1 m, the scale of the paper's strokes
-LINK_RADIUS = 0.045  # m, 2 to 3 pixels of a 64 x 64 frame across
+LINK_LENGTH = 0.05  # m, from hinge to hinge: a finger of 1 m, on the scale of the paper's strokes
+LINK_RADIUS = 0.045  # m, a link is 2 to 3 pixels of a 64 x 64 frame wide
 LINK_MASS = 0.01  # kg, 31 kg/m3: soft foam
 JOINT_STIFFNESS = 20.0  # N m/rad
-JOINT_DAMPING = 3.0  # N m s/rad, the released finger settles fastest (0.28 s)
-JOINT_ARMATURE = 1e-3  # kg m2, keeps the explicit joint springs far from instability at 1 kHz
+JOINT_DAMPING = 3.0  # N m s/rad, with which the released finger settles fastest (0.28 s)
+JOINT_ARMATURE = 1e-3  # kg m2, keeps the explicit integration of the joint springs stable at 1 kHz
 JOINT_RANGE = math.radians(60)  # rad, to either side
-FINGER_FRICTION = 0.8  # sliding, rubber on a floor
-FINGER_SOLIMP = (0, 0.95, 0.01, 0.5, 2)  # the contact's stiffness grows from nothing over 0.01 m: a soft skin
+FINGER_FRICTION = 0.8  # sliding, as of rubber on a floor
+FINGER_SOLIMP = (0, 0.95, 0.01, 0.5, 2)  # a soft skin: the contact's stiffness grows from zero over 0.01 m
 
 # Arm: cylindrical (rotation, lift, extension). The ranges are the paper's.
 ROTATION_RANGE = (0.75 * math.pi, 1.25 * math.pi)  # rad
@@ -42,51 +42,54 @@ MOUNT_HEIGHT = 1.5  # m, of the first hinge at lift 0: the last link ends 0.5 m 
 SHAFT_MASS = 5.0  # kg
 CARRIAGE_MASS = 2.0  # kg
 BEAM_MASS = 1.0  # kg
-# Position gains, kp = m w^2 and kv = 2 m w: critically damped at w = 300 rad/s, with m what the joint moves
-# (3.3 kg m2 at full extension, 3.2 kg, 1.2 kg). The arm follows its setpoint with a lag of kv / kp = 7 ms.
+# Position gains, kp = m w^2 and kv = 2 m w: critically damped at w = 300 rad/s, with m the inertia or mass that the
+# joint moves (3.3 kg m2 at full extension, 3.2 kg, 1.2 kg). The arm follows its setpoint with a lag of kv / kp = 7 ms.
 ROTATION_GAINS = (3e5, 2e3)  # N m/rad, N m s/rad
 LIFT_GAINS = (3e5, 2e3)  # N/m, N s/m
 EXTENSION_GAINS = (1.2e5, 800)  # N/m, N s/m
 
 # Boxes of the cluttered scene.
-BOX_SIZE = (0.24, 0.24, 0.30)  # m, full
+BOX_SIZE = (0.24, 0.24, 0.30)  # m, full side lengths
 BOX_MASS = 1.0  # kg
 BOX_FRICTION = 0.5  # sliding, against the ground and each other
 BOX_PARKING = [(radius, math.radians(angle)) for radius in (1.05, 1.75) for angle in (147, 169, 191, 213)]
 
-TIMESTEP = 1e-3  # s, the design's 1 kHz
+TIMESTEP = 1e-3  # s
 
 CAMERA_POSITION = (-3.8, -2.55, 3.55)  # m
 CAMERA_TARGET = (-0.79, 0.44, 0.0)  # m
 CAMERA_FOVY = 34  # degrees
 
-# The wrist's camera rides on the beam, behind the finger, and looks down along it at where it touches.
-WRIST_POSITION = (-0.45, 0.0, -0.05)  # m, from the finger's mount
-WRIST_TARGET = (0.08, 0.0, -0.85)  # m, likewise
+# The wrist's camera is mounted on the beam, behind the finger. It looks down along the finger to the contacts.
+WRIST_POSITION = (-0.45, 0.0, -0.05)  # m, relative to the finger's mount
+WRIST_TARGET = (0.08, 0.0, -0.85)  # m, relative to the finger's mount
 WRIST_FOVY = 50  # degrees
 
-# Tendons run along the finger's surface, from the mount to the last link. Pulled by 100 N, one bends each joint of its
-# direction by 100 N x 0.045 m / 20 N m/rad = 0.23 rad.
+# Tendons run along the finger's surface, from the mount to the last link. A force of 100 N on a tendon bends each joint
+# of its direction by 100 N x 0.045 m / 20 N m/rad = 0.23 rad.
 TENDONS = {"front": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
 TENDON_FORCE = (0.0, 100.0)  # N
 
-GROUND_SIDE = 20.0  # m, drawn; it collides without end. Drawn infinite, it costs 3 times as much a frame
+# m, the visible ground. For collisions the ground is infinite. With a visible infinite ground, a frame takes 3 times as
+# long.
+GROUND_SIDE = 20.0
 
-# Collision bits: the finger meets ground, boxes and column, never itself; the arm meets nothing.
+# Collision bits: the finger collides with the ground, the boxes and the column, but not with itself. The arm's moving
+# parts collide with nothing.
 FINGER_BIT, BOX_BIT = 1, 2
 
 GROUND_RGBA = (0.85, 0.85, 0.82, 1)
 ARM_RGBA = (0.25, 0.28, 0.33, 1)
-BASE_RGB, TIP_RGB = (1.0, 0.75, 0.0), (0.85, 0.0, 0.35)  # the finger's colour runs from base to tip
-ODD_LINK_SHADE = 0.85  # odd links are darker, which shows the links in a large picture
-BOX_RGBA = ((0.30, 0.50, 1.0, 1), (0.20, 0.75, 0.65, 1))  # even, odd boxes
+BASE_RGB, TIP_RGB = (1.0, 0.75, 0.0), (0.85, 0.0, 0.35)  # the finger's color changes linearly from base to tip
+ODD_LINK_SHADE = 0.85  # odd links are darker, so that links are visible in a large picture
+BOX_RGBA = ((0.30, 0.50, 1.0, 1), (0.20, 0.75, 0.65, 1))  # of even and odd boxes
 
 
 def finger(mount, joints=JOINTS, tendons=False):
-    """Hangs the finger below the body `mount`: a chain of links along -z, one hinge each.
+    """Adds the finger below the body `mount`: a chain of links along -z with one hinge each.
 
-    Even joints turn about the arm's tangent (flexion/extension: the finger bends along the arm), odd ones
-    about the arm itself (adduction/abduction: it bends sideways).
+    Even joints turn about the arm's tangent, so the finger bends along the arm (flexion/extension). Odd joints turn
+    about the arm's axis, so the finger bends sideways (adduction/abduction).
     """
     defaults = mount.root.default.add("default", dclass="finger")
     defaults.joint.set_attributes(
@@ -100,7 +103,7 @@ def finger(mount, joints=JOINTS, tendons=False):
         fromto=(0, 0, 0, 0, 0, -LINK_LENGTH),
         size=[LINK_RADIUS],
         mass=LINK_MASS,
-        priority=1,  # friction and softness of a contact are the finger's, whatever it touches
+        priority=1,  # contacts use the finger's friction and softness, not those of the other body
         friction=[FINGER_FRICTION],
         solimp=FINGER_SOLIMP,
         contype=FINGER_BIT,
@@ -120,7 +123,7 @@ def finger(mount, joints=JOINTS, tendons=False):
         guide(body, f"link_{link:02}", -LINK_LENGTH / 2, paths)
         parent = body
     for name, sites in paths.items():
-        # Nothing of a tendon is drawn: the images show the same finger as without.
+        # Tendons are invisible, so that the images show the same finger as without them.
         tendon = mount.root.tendon.add("spatial", name=f"tendon_{name}", rgba=(0, 0, 0, 0))
         for site in sites:
             tendon.add("site", site=site)
@@ -137,16 +140,16 @@ def guide(body, name, height, paths):
 
 
 def link_rgba(link, joints=JOINTS):
-    """Colour of a link: its place along the finger, odd links darker."""
+    """Returns the color of a link by its place along the finger. Odd links are darker."""
     place = link / (joints - 1)
     shade = ODD_LINK_SHADE if link % 2 else 1
     return [shade * ((1 - place) * base + place * tip) for base, tip in zip(BASE_RGB, TIP_RGB)] + [1]
 
 
 def arm(world):
-    """Stands the arm at the world's origin, with its actuators; returns the beam, which carries the finger.
+    """Adds the arm with its actuators at the world's origin. Returns the beam, to which the finger is mounted.
 
-    In its rest pose the arm points along -x with rotation `ROTATION_REST`, lift 0 and extension 0.
+    In the rest pose the arm points along -x, with rotation `ROTATION_REST`, lift 0 and extension 0.
     """
     defaults = world.root.default.add("default", dclass="arm")
     defaults.geom.set_attributes(rgba=ARM_RGBA, contype=0, conaffinity=0)
@@ -165,7 +168,7 @@ def arm(world):
     carriage = shaft.add("body", name="arm_carriage", pos=(0, 0, MOUNT_HEIGHT), gravcomp=1)
     carriage.add("joint", name="arm_lift", type="slide", axis=(0, 0, 1))
     carriage.add("geom", name="arm_carriage", type="box", size=(0.12, 0.09, 0.09), mass=CARRIAGE_MASS)
-    # Keeps the beam's rear end covered at full extension; for the eye only.
+    # Only visual: covers the beam's rear end at full extension.
     carriage.add("geom", name="arm_sleeve", type="box", size=(0.27, 0.035, 0.035), pos=(0.37, 0, 0), mass=0)
     beam = carriage.add("body", name="arm_beam", pos=(MOUNT_RADIUS, 0, 0), gravcomp=1)
     beam.add("joint", name="arm_extension", type="slide", axis=(1, 0, 0))
@@ -183,7 +186,7 @@ def arm(world):
 
 
 def boxes(world):
-    """Adds the movable boxes, parked in two arcs of the swept sector."""
+    """Adds the movable boxes on two arcs in the sector that the arm sweeps."""
     defaults = world.root.default.add("default", dclass="box")
     defaults.geom.set_attributes(
         type="box",
@@ -206,13 +209,13 @@ def boxes(world):
 
 
 def scene(name):
-    """A whole scene, one of `SCENES`, as a PyMJCF model."""
+    """Returns a scene, one of `SCENES`, as a PyMJCF model."""
     root = mjcf.RootElement(model=name)
     root.compiler.set_attributes(angle="radian", autolimits=True)
-    # Elliptic cones: with pyramidal ones the force peaks of a finger that is about to buckle doubled.
+    # Elliptic cones, because pyramidal cones double the force peaks of a finger that is about to buckle.
     root.option.set_attributes(timestep=TIMESTEP, integrator="implicitfast", cone="elliptic")
-    # A small software-rendered frame costs what its vertices, shadows and MSAA cost. A picture for people
-    # sets the usual quality and buffer size before its renderer exists; the light then casts shadows too.
+    # The rendering time of a small frame depends on vertices, shadows and MSAA. For larger pictures the program sets
+    # the usual quality and buffer size before it makes the renderer. The light then casts shadows too.
     root.visual.quality.set_attributes(shadowsize=0, offsamples=0, numslices=12, numstacks=6, numquads=1)
     getattr(root.visual, "global").set_attributes(offwidth=64, offheight=64)
 
@@ -236,7 +239,7 @@ def scene(name):
         axes = look_at(WRIST_POSITION, WRIST_TARGET)
         beam.add("camera", name="wrist", pos=WRIST_POSITION, xyaxes=axes, fovy=WRIST_FOVY)
     if name in ("cluttered", "wrist"):
-        root.option.flag.sleep = "enable"  # boxes at rest cost nothing; the actuated arm never sleeps
+        root.option.flag.sleep = "enable"  # boxes at rest take no time; the actuated arm never sleeps
         boxes(world)
     pulled = [0] * (len(TENDONS) if name == "tendon" else 0)
     root.keyframe.add("key", name="rest", ctrl=[ROTATION_REST, 0, 0, *pulled])
@@ -244,7 +247,7 @@ def scene(name):
 
 
 def look_at(position, target):
-    """`xyaxes` of a camera at `position` (m) that looks at `target` (m) with the world's z upwards."""
+    """Returns `xyaxes` of a camera at `position` (m) that looks at `target` (m), with the world's z upwards."""
     dx, dy, dz = (t - p for t, p in zip(target, position))
     flat = math.hypot(dx, dy)
     length = math.hypot(flat, dz)
@@ -254,7 +257,7 @@ def look_at(position, target):
 
 
 def to_mjcf(root):
-    """The model as plain MJCF text, without the root class `/` that PyMJCF puts around all defaults."""
+    """Returns the model as plain MJCF text, without the root class `/` that PyMJCF adds around all defaults."""
     tree = root.to_xml(precision=PRECISION)
     for element in tree.iter():
         if element.get("class") == "/":
@@ -268,7 +271,7 @@ def to_mjcf(root):
 
 
 def difference(path, text):
-    """Unified diff from the file at `path` (empty where it is missing) to `text`; empty where they agree."""
+    """Returns a unified diff from the file at `path` to `text`, empty if they agree. A missing file counts as empty."""
     checked_in = path.read_text() if path.exists() else ""
     lines = difflib.unified_diff(
         checked_in.splitlines(keepends=True),
