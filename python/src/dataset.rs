@@ -125,7 +125,7 @@ impl Dataset {
                 let name = dataset.scenario().name();
                 if World::named(name).is_none() {
                     return Err(PyValueError::new_err(format!(
-                        "{} was simulated in a world file; give its path to harness.SimulationBatch instead ({name}.yaml)",
+                        "{} was simulated in a world file; give harness.SimulationBatch its path, {name}.yaml",
                         dataset.name()
                     )));
                 }
