@@ -137,7 +137,7 @@ fn a_damaged_table_gives_no_answer() {
             assert!(matches!(error, QueryError::Registry(RegistryError::File { .. })), "{what}: {error}");
             let message = error.to_string();
             assert!(
-                message.contains(&name) && message.contains(" verify` says what mends it"),
+                message.contains(&name) && message.contains(" verify` says how to repair it"),
                 "{what}: {message}"
             );
             let error = read_table(&copy.run("empty").join(&name), None).expect_err(what);
@@ -177,7 +177,7 @@ fn a_damaged_record_is_left_out_and_said_so() {
         assert_eq!(registry.records().len(), 1, "{what}");
         let left_out = registry.left_out();
         assert_eq!(left_out.len(), 1, "{what}");
-        assert!(left_out[0].contains("run.json is no record of a run"), "{what}: {}", left_out[0]);
+        assert!(left_out[0].contains("run.json is not the record of a run"), "{what}: {}", left_out[0]);
     });
     let record = copy.run("empty").join("run.json");
     let edited = std::fs::read_to_string(&record).unwrap().replacen("\"seed\": 0", "\"seed\": 1", 1);
@@ -261,7 +261,7 @@ fn mended(act: impl Fn(&Copy) -> PathBuf, problem: &str) {
     let lines: Vec<&str> = said.stdout.lines().skip(finding).take(2).collect();
     assert!(lines[0].contains(problem), "{}", said.stdout);
     let command =
-        lines[1].strip_prefix("        mend: ").unwrap_or_else(|| panic!("no command: {}", said.stdout));
+        lines[1].strip_prefix("        repair: ").unwrap_or_else(|| panic!("no command: {}", said.stdout));
     assert!(said.stdout.lines().last().unwrap().contains("broken"), "{}", said.stdout);
 
     shell(command);
@@ -428,7 +428,7 @@ fn not_counted(from: impl Fn(&Copy) -> PathBuf, to: impl Fn(&Copy) -> PathBuf, s
 fn mend_all(copy: &Copy) {
     let said = verify(&copy.results);
     assert_eq!(said.code, 1, "{}", said.stdout);
-    for command in said.stdout.lines().filter_map(|line| line.strip_prefix("        mend: ")) {
+    for command in said.stdout.lines().filter_map(|line| line.strip_prefix("        repair: ")) {
         shell(command);
     }
     let said = verify(&copy.results);
@@ -508,7 +508,7 @@ fn a_query_of_episodes_notices_which_are_missing_or_swapped() {
         assert_eq!(number(&copy, EPISODES), (240, vec![]));
         act(&copy);
         let message = query(&copy.registry(), EPISODES).unwrap_err().to_string();
-        assert!(message.contains(problem) && message.contains(" verify` says what mends it"), "{message}");
+        assert!(message.contains(problem) && message.contains(" verify` says how to repair it"), "{message}");
     };
     let episode = |copy: &Copy, index: u32| copy.dataset("empty").join(format!("episode_{index:05}.parquet"));
     refused(&|copy| drop(remove(episode(copy, 1))), "lacks 1 of its 4 episodes");

@@ -94,13 +94,13 @@ impl Situation {
     }
 }
 
-/// The commands in a text: those between backticks, after `mend:`, in HTML and at the end of a line.
+/// The commands in a text: those between backticks, after `repair:`, in HTML and at the end of a line.
 fn suggested(text: &str) -> BTreeSet<String> {
     let mut commands = BTreeSet::new();
     let begins = |text: &str| ["harness ", "rm ", "mkdir "].iter().any(|begin| text.starts_with(begin));
     for line in text.lines() {
         let quoted = line.split('`').skip(1).step_by(2).filter(|quoted| quoted.starts_with("harness "));
-        let aligned = ["mend: ", "queries   ", "for those without data   ", "goes on from here: "];
+        let aligned = ["repair: ", "queries   ", "for those without data   ", "goes on from here: "];
         let aligned = aligned.iter().filter_map(|before| line.split_once(before)).map(|(_, command)| command);
         commands.extend(quoted.chain(aligned.filter(|command| begins(command))).map(str::to_owned));
         let html = line.split("<code>").skip(1).filter_map(|rest| rest.split_once("</code>"));
@@ -180,7 +180,7 @@ fn what_is_suggested_for_damaged_runs_works() {
         let there = Situation::new();
         damage(&there);
         let there = there.look();
-        assert!(there.said.contains("mend: "), "{what}: {}", there.said);
+        assert!(there.said.contains("repair: "), "{what}: {}", there.said);
         there.works(1);
         let healed = there.look();
         assert!(healed.said.contains("everything is whole"), "{what}: {}", healed.said);
@@ -212,7 +212,7 @@ fn what_is_suggested_for_damaged_datasets_works() {
         let there = Situation::new();
         damage(&there);
         let there = there.look();
-        assert!(there.said.contains("mend: "), "{what}: {}", there.said);
+        assert!(there.said.contains("repair: "), "{what}: {}", there.said);
         there.works(1);
         let healed = there.look();
         assert!(healed.said.contains("everything is whole"), "{what}: {}", healed.said);

@@ -187,7 +187,7 @@ none. Networks stay behind.")]
   harness verify
   harness --results /data/results verify
 
-Names each file that is broken or missing, and the command that mends it. Exit code 0: everything is whole;
+Names each file that is broken or missing, and the command that repairs it. Exit code 0: everything is whole;
 1: something is broken.")]
     Verify,
     /// Check what this machine offers: rendering, MuJoCo, threads, memory, disk

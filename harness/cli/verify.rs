@@ -13,7 +13,7 @@ pub fn execute(registry: &Registry) -> Result<ExitCode> {
         let kind = if finding.broken { "broken" } else { "note" };
         println!("{kind:<7} {}: {}", finding.path.display(), finding.problem);
         if let Some(mend) = &finding.mend {
-            println!("        mend: {mend}");
+            println!("        repair: {mend}");
         }
     }
     let broken = report.findings.iter().filter(|finding| finding.broken).count();

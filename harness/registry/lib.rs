@@ -1,11 +1,13 @@
-//! Runs on disk: a folder each, found by what decides the run, with its tables and a record of how it went.
+//! The results folder: a folder for each run, with the run's tables and a record of its status.
+//!
+//! A run's folder is named after a hash of everything that determines its result, so a run is found by its spec.
 //!
 //! ```text
 //! results/datasets/<scenario>-<hash>/episode_00000.parquet …
 //! results/runs/<experiment>/<run id>/spec.yaml, run.json, uncommitted.diff,
 //!     epochs.parquet, metrics.parquet, predictions.parquet, forces.parquet, frames.parquet,
 //!     prediction.safetensors, reconstruction.safetensors
-//! results/compacted/<experiment>/<table>-<hash>.parquet      derived from the runs, see `compact`
+//! results/compacted/<experiment>/<table>-<hash>.parquet      copies of the runs' rows, see `compact`
 //! ```
 
 mod commands;
@@ -42,58 +44,113 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-/// Raised whenever the same spec on the same data would train or be judged differently than before.
+/// The revision of the method. It is raised when the same spec on the same data would give other results than before.
 const REVISION: u32 = 3;
-/// The results folder where none is named.
+/// The results folder that is used when the command line names none.
 const DEFAULT_ROOT: &str = "results";
-/// The file that says how a run went; one that says it is done was written after everything else.
+/// The file with a run's record. The record of a finished run is written after all other files.
 const RECORD: &str = "run.json";
 /// The file with a run's resolved spec.
 const SPEC: &str = "spec.yaml";
-/// The file with the changes of the source tree that no commit has.
+/// The file with the uncommitted changes of the source tree, as a patch.
 const UNCOMMITTED: &str = "uncommitted.diff";
 
-/// Why the registry could not be read or written.
+/// An error in reading or writing the results folder.
 #[derive(Debug, thiserror::Error)]
 pub enum RegistryError {
+    /// A file can't be written.
     #[error(transparent)]
     Write(#[from] WriteError),
+    /// A folder can't be locked.
     #[error(transparent)]
     Lock(#[from] LockError),
+    /// A table can't be read or written.
     #[error(transparent)]
     Table(#[from] TableError),
+    /// The results folder does not exist, or contains no results.
     #[error("there are no results in {}: {problem}; --results names the folder that runs were written to", root.display())]
-    NoResults { root: PathBuf, problem: &'static str },
-    #[error("{} is no record of a run ({reason}); `{}` says what mends it", path.display(), verify_command(path))]
-    Record { path: PathBuf, reason: String },
+    NoResults {
+        /// The results folder.
+        root: PathBuf,
+        /// Whether the folder or its contents are missing, in words.
+        problem: &'static str,
+    },
+    /// A run's record is damaged or missing.
+    #[error("{} is not the record of a run ({reason}); `{}` says how to repair it", path.display(), verify_command(path))]
+    Record {
+        /// The record's path.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A folder contains the record of another run.
     #[error("{} is the record of {of}, which belongs in another folder; `{}` says what to do", path.display(), verify_command(path))]
-    Misplaced { path: PathBuf, of: String },
-    #[error("{} is damaged ({reason}); `{}` says what mends it", path.display(), verify_command(path))]
-    File { path: PathBuf, reason: String },
-    #[error("{} lacks {missing} of its {episodes} episodes; `{}` says what mends it", path.display(), verify_command(path))]
-    Incomplete { path: PathBuf, missing: usize, episodes: u32 },
+    Misplaced {
+        /// The record's path.
+        path: PathBuf,
+        /// The run that the record describes, as `experiment/run`.
+        of: String,
+    },
+    /// A file of a run or dataset is damaged or missing.
+    #[error("{} is damaged ({reason}); `{}` says how to repair it", path.display(), verify_command(path))]
+    File {
+        /// The file's path.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A dataset has fewer episodes than its description or a finished run names.
+    #[error("{} lacks {missing} of its {episodes} episodes; `{}` says how to repair it", path.display(), verify_command(path))]
+    Incomplete {
+        /// The dataset's folder.
+        path: PathBuf,
+        /// Number of missing episodes.
+        missing: usize,
+        /// Number of episodes that the dataset should have.
+        episodes: u32,
+    },
+    /// No run has a name that begins with the wanted text.
     #[error("no run matches '{wanted}'{}; `{list}` lists them", nearest.as_ref().map(|n| format!(", the nearest is '{n}'")).unwrap_or_default())]
-    Unknown { wanted: String, nearest: Option<String>, list: String },
+    Unknown {
+        /// The wanted text.
+        wanted: String,
+        /// The id of the run that is most similar to it, if there are runs.
+        nearest: Option<String>,
+        /// The command that lists all runs.
+        list: String,
+    },
+    /// The target of publishing is the results folder itself.
     #[error("{} can't be published into itself; choose another folder", .0.display())]
     IntoItself(PathBuf),
+    /// The wanted text is the beginning of several runs' names.
     #[error("'{wanted}' matches several runs: {}", matches.join(", "))]
-    Ambiguous { wanted: String, matches: Vec<String> },
+    Ambiguous {
+        /// The wanted text.
+        wanted: String,
+        /// The runs that match, as `experiment/run`.
+        matches: Vec<String>,
+    },
 }
 
 /// What will happen to a run, and why.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Decision {
+    /// The run starts from the beginning.
     Run {
+        /// Why the run is needed.
         reason: String,
     },
-    /// A saved state of its training is there.
+    /// The run continues from a saved state of its training.
     Resume {
+        /// Why the run is needed.
         reason: String,
     },
-    /// Another process is at it.
+    /// Another process works on the run.
     Running {
+        /// The process that holds the lock of the run's folder, such as `process 4711 on host`.
         holder: String,
     },
+    /// The run is done, and all of its files are as they were written.
     Skip,
 }
 
@@ -101,14 +158,14 @@ pub enum Decision {
 #[derive(Debug, Clone)]
 pub struct Registry {
     root: PathBuf,
-    /// What reading it has left out so far, and why, by path.
+    /// The runs and datasets that have been left out so far, by path, each with the reason.
     left_out: Arc<Mutex<BTreeMap<PathBuf, String>>>,
 }
 
-/// The runs of an experiment that are there, by their labels.
+/// The recorded runs of an experiment, by [`RunRecord::label`].
 pub struct Known(BTreeMap<String, Vec<RunRecord>>);
 
-/// The place of one run.
+/// The folder of one run, which need not exist.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RunFolder {
     path: PathBuf,
@@ -118,15 +175,17 @@ pub struct RunFolder {
 }
 
 impl Registry {
+    /// The results folder `root`, which need not exist yet.
     pub fn new(root: impl Into<PathBuf>) -> Self {
         Self { root: root.into(), left_out: Arc::default() }
     }
 
+    /// Path of the results folder.
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// The folder of all datasets.
+    /// The folder that contains all datasets.
     pub fn datasets(&self) -> PathBuf {
         self.root.join("datasets")
     }
@@ -135,14 +194,19 @@ impl Registry {
         self.root.join("runs")
     }
 
-    /// The place of a run; two runs share it only if they must have the same result.
+    /// The folder of the run with this spec on this dataset. Two runs have the same folder only if they have the same
+    /// result.
     pub fn run(&self, experiment: &str, spec: &RunSpec, dataset: &str) -> RunFolder {
         let id = format!("{}-{}", spec.label(), identity(&spec.hash(), dataset, REVISION));
         let path = self.runs().join(experiment).join(&id);
         RunFolder { path, experiment: experiment.to_owned(), id, dataset: dataset.to_owned() }
     }
 
-    /// Checks that there are results: whoever only reads would take a mistyped folder for one without runs.
+    /// Checks that the folder contains runs or datasets. Commands that only read call this, because a mistyped path
+    /// would otherwise look like a folder without runs.
+    ///
+    /// # Errors
+    /// When the folder does not exist, or contains neither runs nor datasets.
     pub fn check_there(&self) -> Result<(), RegistryError> {
         let problem = match self.root.is_dir() {
             _ if self.runs().is_dir() || self.datasets().is_dir() => return Ok(()),
@@ -152,19 +216,23 @@ impl Registry {
         Err(RegistryError::NoResults { root: self.root.clone(), problem })
     }
 
-    /// Checks that something can be written below the root, and leaves nothing there.
+    /// Checks that files can be written to the results folder, with a temporary file. Creates the folder.
+    ///
+    /// # Errors
+    /// When the folder or a file in it can't be created.
     pub fn check_writable(&self) -> Result<(), WriteError> {
         let attempt = std::fs::create_dir_all(&self.root).and_then(|()| tempfile::tempfile_in(&self.root));
         attempt.map(drop).map_err(|source| WriteError { path: self.root.clone(), source })
     }
 
-    /// What is to be done about a run, by its folder and by the runs of its experiment that are known; and its record,
-    /// if it has one.
+    /// Decides whether to run, resume or skip a run. Also returns the run's record, if it has a readable one.
+    ///
+    /// `known` are the other runs of the experiment. They explain in what a new run differs from them.
     pub fn decide(&self, folder: &RunFolder, spec: &RunSpec, known: &Known) -> (Decision, Option<RunRecord>) {
         let record = folder.record();
         let reason = match &record {
             Ok(Some(record)) if record.status == Status::Done => match folder.damage(record) {
-                // Nobody holds a run that is done, but for the moment in which its holder lets go.
+                // The lock is not checked: a finished run is only locked until its process releases the lock.
                 None => return (Decision::Skip, Some(record.clone())),
                 Some(damage) => damage,
             },
@@ -187,7 +255,7 @@ impl Registry {
         (decision, record.ok().flatten())
     }
 
-    /// The runs of an experiment that are there, to say in what a new one differs from them.
+    /// The recorded runs of an experiment, for [`decide`](Self::decide).
     pub fn known(&self, experiment: &str) -> Known {
         let mut by_label: BTreeMap<String, Vec<RunRecord>> = BTreeMap::new();
         for (_, record) in self.recorded_of(experiment) {
@@ -196,7 +264,10 @@ impl Registry {
         Known(by_label)
     }
 
-    /// The one run whose id, or `experiment/id`, begins with `wanted`.
+    /// The only run whose id, or `experiment/id`, begins with `wanted`.
+    ///
+    /// # Errors
+    /// When no run matches, or several do.
     pub fn find(&self, wanted: &str) -> Result<(RunFolder, RunRecord), RegistryError> {
         let records = self.records();
         let name = |record: &RunRecord| format!("{}/{}", record.experiment, record.run);
@@ -228,17 +299,25 @@ impl Registry {
         }
     }
 
-    /// Makes this the only process, and the only thread, that works on a run; `None` if another does already.
+    /// Locks a run's folder, so that only the holder of the lock works on the run. Returns `None` if another process or
+    /// thread holds the lock.
+    ///
+    /// # Errors
+    /// When the lock file can't be created or locked.
     pub fn claim(&self, folder: &RunFolder) -> Result<Option<FolderLock>, RegistryError> {
         Ok(FolderLock::attempt(&folder.path)?)
     }
 
-    /// Who works on a run, if anybody does.
+    /// The process that holds the lock of a run's folder, such as `process 4711 on host`, or `None`.
     pub fn holder(&self, folder: &RunFolder) -> Option<String> {
         FolderLock::holder(&folder.path)
     }
 
-    /// Writes that a run has begun: its resolved spec, its provenance, and a record without an end.
+    /// Writes the files of a run that starts: its resolved spec, the uncommitted changes of the source tree, and a
+    /// record with the status `running`. Returns the record.
+    ///
+    /// # Errors
+    /// When a file can't be written.
     pub fn begin(
         &self,
         folder: &RunFolder,
@@ -255,12 +334,18 @@ impl Registry {
         Ok(record)
     }
 
-    /// Writes that a run failed, and why.
+    /// Writes the record of a failed run, with the reason.
+    ///
+    /// # Errors
+    /// When the record can't be written.
     pub fn fail(&self, folder: &RunFolder, record: RunRecord, reason: &str) -> Result<(), RegistryError> {
         record.failed(reason).write(&folder.path.join(RECORD))
     }
 
-    /// Writes a run's tables, then that it is done.
+    /// Writes a run's tables, then its record with the status `done`, and removes the saved states of its training.
+    ///
+    /// # Errors
+    /// When a file can't be written, or a file that the record lists can't be read.
     pub fn finish(
         &self,
         folder: &RunFolder,
@@ -276,42 +361,44 @@ impl Registry {
     }
 }
 
-/// The first digits of the hash of all that decides a run's result.
+/// The end of a run's id: the first eight digits of a hash of everything that determines the run's result.
 fn identity(spec_hash: &str, dataset: &str, revision: u32) -> String {
     let digest = Sha256::digest(format!("{spec_hash} {dataset} {revision}"));
     digest.iter().take(4).map(|byte| format!("{byte:02x}")).collect()
 }
 
 impl RunFolder {
+    /// The run's id, such as `empty-z4-seed0-5c94f6a8`.
     pub fn id(&self) -> &str {
         &self.id
     }
 
+    /// Path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Where the trained network of a task goes.
+    /// Path of the file with the trained network of a task.
     pub fn checkpoint(&self, task: Task) -> PathBuf {
         self.path.join(format!("{}.safetensors", task.name()))
     }
 
-    /// Where the state of an unfinished training is kept.
+    /// Path of the file with the saved state of an unfinished training.
     pub fn state(&self, task: Task) -> PathBuf {
         self.path.join(format!("{}.state.safetensors", task.name()))
     }
 
-    /// Removes the states of a run that is done. One that stays behind does no harm but takes room.
+    /// Removes the saved states of a finished run. Errors are ignored, because a remaining file only costs space.
     pub fn remove_states(&self) {
         for task in [Task::Prediction, Task::Reconstruction] {
             let _ = std::fs::remove_file(self.state(task));
         }
     }
 
-    /// How far the run is; `None` if it never began.
+    /// The run's record, or `None` if the run has not started.
     ///
     /// # Errors
-    /// When the record is damaged, or that of another run.
+    /// When the record is damaged, or is that of another run.
     pub fn record(&self) -> Result<Option<RunRecord>, RegistryError> {
         let path = self.path.join(RECORD);
         match RunRecord::read(&path)? {
@@ -322,14 +409,14 @@ impl RunFolder {
         }
     }
 
-    /// What is wrong with the first of its files that is not as its record says; `None` where all are whole.
+    /// Describes the first file that differs from what `record` lists, or returns `None` if all files are intact.
     pub fn damage(&self, record: &RunRecord) -> Option<String> {
         record.damage(&self.path)
     }
 }
 
 impl Known {
-    /// Why a run isn't one of these: what differs from the nearest of those of its label.
+    /// Explains why a run is new: the settings in which it differs from the most similar run with the same label.
     fn why_new(&self, folder: &RunFolder, spec: &RunSpec) -> String {
         let alike = self.0.get(&spec.label()).into_iter().flatten();
         let described = alike.map(|record| {
@@ -346,9 +433,10 @@ impl Known {
     }
 }
 
-/// The command that verifies the results folder in which `path` lies.
+/// The command that verifies the results folder that contains `path`.
 fn verify_command(path: &Path) -> String {
-    // How deep a run's file lies, then a dataset's, a misplaced run's, and a dataset.
+    // How many levels below `runs` or `datasets` a path can be: a file of a run, a file of a dataset, a file of a
+    // misplaced run, and the folder of a dataset.
     let names = [("runs", 3), ("datasets", 2), ("runs", 2), ("datasets", 1)];
     let is_place = |(name, depth): &(&str, usize)| {
         path.ancestors().nth(*depth).and_then(Path::file_name).is_some_and(|found| found == *name)
@@ -358,7 +446,7 @@ fn verify_command(path: &Path) -> String {
     command_in(root.unwrap_or(Path::new(DEFAULT_ROOT)), "verify")
 }
 
-/// The settings in which two specs differ, as `training.epochs (5, now 200)`.
+/// The settings in which two specs differ, such as `training.epochs (5, now 200)`.
 fn differences(before: &RunSpec, now: &RunSpec) -> Vec<String> {
     let leaves = |spec: &RunSpec| {
         let mut leaves = BTreeMap::new();
@@ -374,7 +462,7 @@ fn differences(before: &RunSpec, now: &RunSpec) -> Vec<String> {
         .collect()
 }
 
-/// Every value of a tree that is no object, under its dotted key.
+/// Collects all values of a tree, except objects, by their dotted keys.
 fn collect_leaves(key: &str, value: &serde_json::Value, leaves: &mut BTreeMap<String, String>) {
     match value {
         serde_json::Value::Object(entries) => {
