@@ -455,7 +455,7 @@ fn copies_of_runs_are_not_counted() {
     copy(&RESULTS.join("runs/smoke"), &results.results.join("runs/smoke/older"));
     let (counted, left_out) = number(&results, RUNS);
     assert_eq!((counted, left_out.len()), (2, 1), "{left_out:?}");
-    assert!(verify(&results.results).stdout.contains("runs lie in runs/EXPERIMENT/RUN"));
+    assert!(verify(&results.results).stdout.contains("runs belong in runs/EXPERIMENT/RUN"));
 }
 
 #[test]

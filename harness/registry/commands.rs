@@ -1,4 +1,4 @@
-//! Commands: as runs keep them, and as they are suggested to make something again.
+//! Commands of the harness: those that runs record, and those that are suggested to make a run or dataset again.
 
 use super::folders::{Recorded, folders};
 use super::record::RunRecord;
@@ -9,24 +9,24 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
-/// Words as a shell takes them, with a space between two.
+/// Joins words with spaces, each quoted for a POSIX shell where needed.
 pub fn quoted<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
     let quote = |word: &'a str| match shlex::try_quote(word) {
         Ok(quoted) => quoted.into_owned(),
-        // Only a null byte can't be quoted, and no argument of a program holds one.
+        // Only a null byte can't be quoted, and a program's arguments never contain one.
         Err(_) => word.to_owned(),
     };
     words.into_iter().map(quote).collect::<Vec<_>>().join(" ")
 }
 
 impl Registry {
-    /// A command of the harness for this results folder.
+    /// A command line of the harness for this results folder: `harness --results FOLDER` followed by `command`.
     pub fn command(&self, command: &str) -> String {
         command_in(&self.root, command)
     }
 }
 
-/// A command of the harness for a results folder.
+/// A command line of the harness for the results folder `root`. The default folder needs no `--results`.
 pub(super) fn command_in(root: &Path, command: &str) -> String {
     if root == Path::new(DEFAULT_ROOT) {
         return format!("harness {command}");
@@ -34,24 +34,25 @@ pub(super) fn command_in(root: &Path, command: &str) -> String {
     format!("harness --results {} {command}", quoted([&*root.to_string_lossy()]))
 }
 
-/// The command that makes one of the runs that `command` makes: its lists of seeds, latent sizes, scenarios and varied
-/// settings are cut down to the run's own. A thousand runs with a thousand seeds would keep a million seeds otherwise.
+/// The command that makes only the run of `spec`, one of the runs that `command` makes. Lists of seeds, latent sizes,
+/// scenarios and varied settings are reduced to the run's own values. Otherwise the records of a thousand runs with a
+/// thousand seeds would contain a million seeds.
 pub(super) fn command_of(command: &str, spec: &RunSpec) -> String {
     let Some(words) = shlex::split(command) else { return command.to_owned() };
     let own: Vec<String> = words.iter().map(|word| spec.own_override(word)).collect();
     quoted(own.iter().map(String::as_str))
 }
 
-/// Finds the commands that make runs and datasets again. Each is tried before it is suggested: its spec is read, from
-/// where this process works, and must expand to the very run.
+/// Finds the commands that make runs and datasets again. Each command is checked before it is suggested: its spec is
+/// read, relative to the current folder, and must expand to the run in question.
 pub(super) struct Commands<'a> {
     registry: &'a Registry,
     recorded: &'a [Recorded],
-    /// What each command makes, as far as that was asked.
+    /// The runs that each command makes, for the commands checked so far.
     made: RefCell<BTreeMap<String, Rc<Made>>>,
 }
 
-/// The runs that a command makes: their experiment, and the hashes of their specs. None where its spec can't be read.
+/// The runs that a command makes: their experiment, and the hashes of their specs. Empty if its spec can't be read.
 #[derive(Default)]
 struct Made {
     experiment: String,
@@ -59,12 +60,13 @@ struct Made {
 }
 
 impl<'a> Commands<'a> {
+    /// Searches the commands of all recorded runs.
     pub fn new(registry: &'a Registry, recorded: &'a [Recorded]) -> Self {
         Self { registry, recorded, made: RefCell::default() }
     }
 
-    /// The command that makes the run of a folder again, by its record or, where that is lost, by its spec and the
-    /// commands of other runs.
+    /// The command that makes the run of a folder again. Without a record, it is found by the spec in the folder and
+    /// the commands of other runs of the experiment.
     pub fn run(&self, folder: &Path, record: Option<&RunRecord>) -> Option<String> {
         let experiment = folder.parent()?.file_name()?.to_str()?;
         let spec = match record {
@@ -90,7 +92,7 @@ impl<'a> Commands<'a> {
         self.again("collect", &record.provenance.command, &record.experiment, &record.spec)
     }
 
-    /// The names of all datasets that runs used or that are there.
+    /// The names of all datasets that exist or that a run used.
     fn datasets(&self) -> BTreeSet<String> {
         let used = self.recorded.iter().map(|(_, record)| record.dataset.clone());
         let there = folders(&self.registry.datasets());
@@ -98,7 +100,7 @@ impl<'a> Commands<'a> {
         used.chain(there).collect()
     }
 
-    /// A command, to be given again as `run` or as `collect`, if it makes the run of that spec.
+    /// `command` with the subcommand `verb` (`run` or `collect`), or `None` if it does not make the run of `spec`.
     fn again(&self, verb: &str, command: &str, experiment: &str, spec: &RunSpec) -> Option<String> {
         let asked = Asked::of(command)?;
         let made = self.made.borrow().get(command).cloned();
@@ -112,12 +114,12 @@ impl<'a> Commands<'a> {
     }
 }
 
-/// The spec that a run left in its folder.
+/// The resolved spec in a run's folder, or `None` if it can't be read.
 fn read_spec(folder: &Path) -> Option<RunSpec> {
     serde_yaml::from_str(&spec::read_text(&folder.join(SPEC)).ok()?).ok()
 }
 
-/// The words of a command that decide which runs it makes.
+/// The words of a command that determine which runs it makes.
 #[derive(Default)]
 struct Asked {
     spec: PathBuf,
@@ -126,7 +128,7 @@ struct Asked {
 }
 
 impl Asked {
-    /// Reads a command of the harness; `None` if it names no spec.
+    /// Parses a command of the harness. Returns `None` if it names no spec, or uses `--models`.
     fn of(command: &str) -> Option<Self> {
         let mut asked = Self::default();
         let mut words = shlex::split(command)?.into_iter().skip(1);
@@ -134,7 +136,7 @@ impl Asked {
             match word.as_str() {
                 "run" | "collect" => {}
                 "--quick" => asked.quick = true,
-                // A run that was made with models of its own can't be made again.
+                // Earlier versions read other models from a folder; runs with them can't be made again.
                 option if option.starts_with("--models") => return None,
                 "--results" | "--threads" | "--jobs" => drop(words.next()),
                 option if option.starts_with('-') => {}

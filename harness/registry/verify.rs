@@ -1,4 +1,4 @@
-//! Whether everything in the results folder is as it was written, and what mends what is not.
+//! Checks that every file of the results folder is as it was written, and suggests commands that repair damage.
 
 use super::commands::{Commands, quoted};
 use super::episodes::episodes_used;
@@ -14,23 +14,29 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Something that is not as it should be.
+/// A problem with a file or folder.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
+    /// The file or folder.
     pub path: PathBuf,
+    /// What is wrong with it.
     pub problem: String,
-    /// A command that mends it, where one is known.
+    /// A command that repairs it, if one is known.
     pub mend: Option<String>,
-    /// Whether something was lost or changed; if not, it is only worth knowing.
+    /// Whether data were lost or changed. If not, the finding is only information.
     pub broken: bool,
 }
 
-/// What was looked at, and what was found.
+/// The result of [`Registry::verify`].
 #[derive(Debug, Default)]
 pub struct Report {
+    /// Number of run folders that were checked.
     pub runs: usize,
+    /// Number of dataset folders that were checked.
     pub datasets: usize,
+    /// Number of files that were checked.
     pub files: usize,
+    /// The problems, in the order in which they were found.
     pub findings: Vec<Finding>,
 }
 
@@ -47,8 +53,8 @@ impl Report {
 }
 
 impl Registry {
-    /// Checks every dataset and every run: seals and checksums, numbers of rows, what is missing, what does not
-    /// belong there. It changes nothing.
+    /// Checks every dataset and every run: seals, checksums, numbers of rows, missing files and files that do not
+    /// belong there. Nothing is changed.
     pub fn verify(&self, progress: &dyn Progress) -> Report {
         let (datasets, runs) = (folders(&self.datasets()), self.run_folders());
         let total = datasets.iter().chain(&runs).map(|folder| sorted(folder).len()).sum::<usize>();
@@ -76,7 +82,7 @@ impl Registry {
 struct Verification<'a> {
     registry: &'a Registry,
     recorded: &'a [Recorded],
-    /// How many episodes of each dataset finished runs used.
+    /// Number of episodes of each dataset that finished runs used.
     used: BTreeMap<&'a str, u32>,
     commands: Commands<'a>,
     progress: &'a dyn Progress,
@@ -84,7 +90,7 @@ struct Verification<'a> {
 }
 
 impl Verification<'_> {
-    /// Counts a file that was looked at.
+    /// Counts a file that was checked.
     fn advance(&self) {
         self.files.fetch_add(1, Ordering::Relaxed);
         self.progress.advance(1);
@@ -98,13 +104,13 @@ impl Verification<'_> {
         });
         let name = folder.file_name().unwrap_or_default().to_string_lossy();
         if inspection.outdated {
-            let problem = "in the format of another version, which this one neither reads nor checks";
+            let problem = "written in the format of another version, which this version can't read or check";
             return report.note(folder, problem, Some(remove(folder)));
         }
         if inspection.imported {
             return report_imported(folder, inspection, report);
         }
-        // Of all runs on this dataset, the one that needs the most of it.
+        // The command of the run that needs the most episodes restores them for all runs.
         let users = self.recorded.iter().map(|(_, record)| record).filter(|record| record.dataset == name);
         let user = users.max_by_key(|record| record.episodes());
         let collect = user.and_then(|record| self.commands.collect(record));
@@ -130,7 +136,7 @@ impl Verification<'_> {
         inspection.unknown.iter().for_each(|path| report_stray(path, report));
     }
 
-    /// Reports a folder that is no dataset of its name, and that no run refers to.
+    /// Reports a folder whose `dataset.json` is missing, damaged or of another dataset, and which no run refers to.
     fn report_undescribed(&self, folder: &Path, problem: &str, report: &mut Report) {
         if sorted(folder)
             .iter()
@@ -138,26 +144,27 @@ impl Verification<'_> {
         {
             return report.note(
                 folder,
-                "a collection that had not begun when its process ended",
+                "a collection whose process ended before it collected anything",
                 Some(remove(folder)),
             );
         }
         let own = stamped_dataset(folder).map(|name| self.registry.datasets().join(name));
         match own.filter(|own| own != folder) {
             Some(own) if !own.exists() => {
-                let problem = format!("these are the episodes of {}, which belong there", own.display());
+                let problem = format!("its episodes belong in {}, which does not exist", own.display());
                 report.broken(folder, problem, Some(rename(folder, &own)));
             }
             Some(own) => {
                 let problem =
-                    format!("not used: these are episodes of {}, which has its own folder", own.display());
+                    format!("not used: its episodes belong in {}, which exists as well", own.display());
                 report.broken(folder, problem, Some(remove(folder)));
             }
             None => report.broken(folder, format!("dataset.json: {problem}"), Some(remove(folder))),
         }
     }
 
-    /// Reports the datasets that finished runs used and that are not there. Published runs come without.
+    /// Reports missing datasets that finished runs used. For published runs, whose datasets are not copied, this is no
+    /// damage.
     fn datasets_that_are_gone(&self, there: &[PathBuf], report: &mut Report) {
         let there: BTreeSet<_> = there.iter().filter_map(|folder| folder.file_name()?.to_str()).collect();
         let records = || self.recorded.iter().map(|(_, record)| record);
@@ -192,7 +199,7 @@ impl Verification<'_> {
             Ok(None) => {
                 return report.note(
                     folder,
-                    "a run that had not begun when its process ended",
+                    "a run whose process ended before it wrote anything",
                     Some(remove(folder)),
                 );
             }
@@ -204,7 +211,7 @@ impl Verification<'_> {
             self.advance();
             if let Err(mut problem) = check_listed(&record, folder, name) {
                 let mend = self.commands.run(folder, Some(&record)).unwrap_or_else(|| {
-                    problem += "; no command is known that makes this run again, so it can only be removed";
+                    problem += "; no known command makes this run again, so it can only be removed";
                     remove(folder)
                 });
                 report.broken(&folder.join(name), problem, Some(mend));
@@ -225,12 +232,12 @@ impl Verification<'_> {
         }
     }
 
-    /// Reports a folder whose record is damaged or missing: the run is done again in place, if its command is known.
+    /// Reports a folder whose record is damaged or missing. If its command is known, the run can be done again there.
     fn unreadable_run(&self, folder: &Path, path: &Path, problem: &str, report: &mut Report) {
         let inner = folders(folder);
         if let Some(inner) = inner.first() {
             let problem = format!(
-                "no run, but a folder of folders as {}; runs lie in runs/EXPERIMENT/RUN",
+                "not a run: it contains folders such as {}; runs belong in runs/EXPERIMENT/RUN",
                 inner.display()
             );
             return report.broken(folder, problem, None);
@@ -239,7 +246,7 @@ impl Verification<'_> {
         report.broken(path, problem, Some(mend));
     }
 
-    /// Reports a folder with the record of another run.
+    /// Reports a folder that contains the record of another run.
     fn misplaced_run(&self, folder: &Path, report: &mut Report) {
         let path = folder.join(RECORD);
         let Ok(Some(record)) = RunRecord::read(&path) else { return };
@@ -253,7 +260,7 @@ impl Verification<'_> {
         report.broken(&path, problem, Some(mend));
     }
 
-    /// What is neither a dataset nor a run.
+    /// Reports files that belong neither to a dataset nor to a run.
     fn strays(&self, report: &mut Report) {
         let experiments = folders(&self.registry.runs());
         let experiments = experiments.into_iter().filter(|folder| !folder.join(RECORD).is_file());
@@ -267,7 +274,7 @@ impl Verification<'_> {
     }
 }
 
-/// What is wrong with a dataset that can only be imported again.
+/// Reports what is wrong with an imported dataset, which can't be collected again.
 fn report_imported(folder: &Path, inspection: Inspection, report: &mut Report) {
     let again = "; remove the folder and import its mapping again";
     for (path, problem) in inspection.damaged {
@@ -283,7 +290,7 @@ fn report_imported(folder: &Path, inspection: Inspection, report: &mut Report) {
     inspection.unknown.iter().for_each(|path| report_stray(path, report));
 }
 
-/// The dataset that every episode in a folder says it belongs to.
+/// The dataset that the metadata of every episode in a folder names, or `None` if they name none or several.
 fn stamped_dataset(folder: &Path) -> Option<String> {
     let episodes =
         sorted(folder).into_iter().filter(|path| path.extension().is_some_and(|ending| ending == "parquet"));
@@ -293,7 +300,7 @@ fn stamped_dataset(folder: &Path) -> Option<String> {
     names.next().filter(|_| names.next().is_none())
 }
 
-/// What is wrong with a file, without its name.
+/// The reason of an error, without the file's path.
 fn reason(error: RegistryError) -> String {
     match error {
         RegistryError::File { reason, .. } | RegistryError::Record { reason, .. } => reason,
@@ -301,7 +308,7 @@ fn reason(error: RegistryError) -> String {
     }
 }
 
-/// Compares a file with what the run's record says of it.
+/// Compares a file with its entry in the run's record.
 fn check_listed(record: &RunRecord, folder: &Path, name: &str) -> Result<(), String> {
     let path = record.check_file(folder, name).map_err(reason)?;
     if let Some(rows) = record.files[name].rows {
@@ -316,7 +323,7 @@ fn check_listed(record: &RunRecord, folder: &Path, name: &str) -> Result<(), Str
 fn report_stray(path: &Path, report: &mut Report) {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let problem = if name.starts_with(UNFINISHED) {
-        "left over from a write that was interrupted"
+        "left over from an interrupted write"
     } else {
         "not a file of the harness"
     };
