@@ -1,4 +1,4 @@
-//! The files behind the `episodes` table.
+//! The files of the `episodes` table.
 
 use super::folders::{Recorded, folders};
 use super::record::RunRecord;
@@ -9,12 +9,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 impl Registry {
-    /// The file of every episode of every dataset. Datasets that are not what their folder's name says (as a copy), or in
-    /// the format of another version, are left out.
+    /// The file of every episode of every dataset. A dataset is left out if it is not the one that its folder's name
+    /// says (such as a copy), or if it is in the format of another version.
     ///
     /// # Errors
-    /// When an episode is damaged, or one is missing that its dataset's description or one of `runs` speaks of, unless
-    /// the dataset is being collected.
+    /// When an episode is damaged. When an episode is missing that the dataset's description or one of `runs` includes,
+    /// unless the dataset is being collected.
     pub(super) fn episode_files(&self, runs: &[Recorded]) -> Result<Vec<PathBuf>, RegistryError> {
         let mut used = episodes_used(runs.iter().map(|(_, record)| record));
         let mut files = Vec::new();
@@ -24,21 +24,21 @@ impl Registry {
         }
         for name in used.keys() {
             let folder = self.datasets().join(name);
-            self.leave_out(&folder, format!("a dataset that finished runs used is not there: {name}"));
+            self.leave_out(&folder, format!("a dataset that finished runs used is missing: {name}"));
         }
         Ok(files)
     }
 
-    /// The episodes in a dataset's folder, at least `used` of them.
+    /// The files of a dataset's episodes. Finished runs used the first `used` of them.
     fn episodes_in(&self, folder: &Path, used: u32) -> Result<Vec<PathBuf>, RegistryError> {
         let found = inspect(folder, &|| ());
         if found.outdated {
-            let problem = "it is in the format of another version, which this one does not read";
+            let problem = "it is in the format of another version, which this version can't read";
             self.leave_out(folder, format!("{} is left out: {problem}", folder.display()));
             return Ok(Vec::new());
         }
         if let Some(problem) = found.undescribed {
-            // A folder that only holds a lock is that of a collection which has not begun.
+            // A folder with nothing but a lock belongs to a collection that has not started.
             if !found.whole.is_empty() || !found.damaged.is_empty() {
                 self.leave_out(folder, format!("{} is left out: dataset.json: {problem}", folder.display()));
             }
@@ -54,7 +54,7 @@ impl Registry {
             Some(holder) => self.leave_out(
                 folder,
                 format!(
-                    "{missing} of the {episodes} episodes of {} are not there yet; {holder} collects them",
+                    "{missing} of the {episodes} episodes of {} are missing; {holder} is collecting them",
                     folder.display()
                 ),
             ),
@@ -64,8 +64,8 @@ impl Registry {
     }
 }
 
-/// How many episodes of each simulated dataset finished runs used; those of published runs aside, whose datasets stay
-/// behind.
+/// The number of episodes of each simulated dataset that finished runs used. Published runs are not counted, because
+/// they are published without their datasets.
 pub(super) fn episodes_used<'a>(records: impl Iterator<Item = &'a RunRecord>) -> BTreeMap<&'a str, u32> {
     let mut used = BTreeMap::new();
     for record in records.filter(|record| record.status == Status::Done && !record.is_published()) {

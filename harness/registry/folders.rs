@@ -1,4 +1,4 @@
-//! The folders of runs: whose records count, and what is left out because it is damaged or lies in the wrong place.
+//! The folders of runs: which records are used, and which are left out because they are damaged or in the wrong folder.
 
 use super::record::RunRecord;
 use super::{RECORD, Registry, RegistryError, Status};
@@ -11,35 +11,36 @@ use std::sync::PoisonError;
 pub type Recorded = (PathBuf, RunRecord);
 
 impl Registry {
-    /// Every run's record, by experiment and id. Those that can't be read, or lie in the folder of another run, are left
-    /// out, see [`Registry::left_out`].
+    /// The records of all runs, sorted by experiment and id. A record that can't be read, or that is in the folder of
+    /// another run, is left out; see [`Registry::left_out`].
     pub fn records(&self) -> Vec<RunRecord> {
         self.recorded().into_iter().map(|(_, record)| record).collect()
     }
 
-    /// Every run's folder and record, likewise.
+    /// The folders and records of all runs, like [`records`](Self::records).
     pub fn recorded(&self) -> Vec<Recorded> {
         self.read(self.run_folders())
     }
 
-    /// The same for the runs of one experiment.
+    /// The folders and records of the runs of one experiment.
     pub(super) fn recorded_of(&self, experiment: &str) -> Vec<Recorded> {
         self.read(folders(&self.runs().join(experiment)))
     }
 
-    /// What was left out of all that was read so far, and why: a sentence for each run or dataset.
+    /// The runs and datasets that all reads so far have left out: a sentence for each, with the reason.
     pub fn left_out(&self) -> Vec<String> {
         let left_out = self.left_out.lock().unwrap_or_else(PoisonError::into_inner);
         left_out.values().cloned().collect()
     }
 
-    /// Remembers that something is left out, and why.
+    /// Remembers that the run or dataset in a folder is left out. `why` is the whole message.
     pub(super) fn leave_out(&self, path: &Path, why: String) {
         let mut left_out = self.left_out.lock().unwrap_or_else(PoisonError::into_inner);
         left_out.insert(path.to_owned(), why);
     }
 
-    /// The folders of all runs, sorted; among them those of records that lie where an experiment's folder should.
+    /// The folders of all runs, sorted. A run's folder in the place of an experiment's folder is included, and comes
+    /// first.
     pub(super) fn run_folders(&self) -> Vec<PathBuf> {
         let experiments = folders(&self.runs());
         let (misplaced, experiments): (Vec<PathBuf>, Vec<PathBuf>) =
@@ -60,7 +61,11 @@ impl Registry {
         kept.collect()
     }
 
-    /// The record of a folder, which must be that of the run whose folder it is; `None` where none has begun.
+    /// The record in a run's folder, or `None` if the run has not started. A record that says `running` is returned as
+    /// `interrupted` if no process holds the folder's lock.
+    ///
+    /// # Errors
+    /// When the record is damaged, missing next to results, or that of another run.
     pub(super) fn read_run(&self, folder: &Path) -> Result<Option<RunRecord>, RegistryError> {
         let path = folder.join(RECORD);
         let Some(mut record) = RunRecord::read(&path)? else {
@@ -78,13 +83,13 @@ impl Registry {
         Ok(Some(record))
     }
 
-    /// Where a run belongs.
+    /// The folder in which a run's record belongs.
     pub(super) fn own_folder(&self, record: &RunRecord) -> PathBuf {
         self.runs().join(&record.experiment).join(&record.run)
     }
 }
 
-/// Whether a folder holds what runs write after their record, or folders.
+/// Whether a folder contains folders, or files that a run writes after its record.
 fn holds_results(folder: &Path) -> bool {
     let is_result = |path: &PathBuf| {
         path.is_dir() || path.extension().is_some_and(|ending| ending == "parquet" || ending == "safetensors")
@@ -92,7 +97,7 @@ fn holds_results(folder: &Path) -> bool {
     sorted(folder).iter().any(is_result)
 }
 
-/// What lies in a folder.
+/// The entries of a folder, sorted. Empty if the folder can't be read.
 pub(super) fn sorted(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let mut paths: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
@@ -100,7 +105,7 @@ pub(super) fn sorted(folder: &Path) -> Vec<PathBuf> {
     paths
 }
 
-/// The folders that lie in a folder.
+/// The folders in a folder, sorted.
 pub(super) fn folders(folder: &Path) -> Vec<PathBuf> {
     sorted(folder).into_iter().filter(|path| path.is_dir()).collect()
 }

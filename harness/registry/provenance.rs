@@ -1,37 +1,46 @@
-//! Where results come from: source, versions, machine.
+//! Provenance of results: source tree, versions, machine, command.
 
 use serde::{Deserialize, Serialize};
 use std::process::Command;
 use sysinfo::System;
 
-/// Versions of what simulates and learns.
+/// Versions of the libraries that simulate and learn. The caller passes them, because this crate uses neither.
 #[derive(Debug, Clone, Copy)]
 pub struct Versions {
+    /// Version of MuJoCo, such as `3.17.0`.
     pub mujoco: &'static str,
+    /// Version of candle.
     pub candle: &'static str,
 }
 
-/// What stood behind a command; the same for all of its runs.
+/// The provenance of a command's runs: source tree, versions, machine and the command itself.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
-    /// Commit of the source tree that the command ran in; `None` outside one.
+    /// Commit of the git repository that the command ran in, or `None` outside of a repository.
     pub git_commit: Option<String>,
+    /// Whether tracked files had uncommitted changes, or `None` outside of a repository.
     pub git_dirty: Option<bool>,
-    /// The uncommitted changes, as a patch; stored in a file of its own.
+    /// The uncommitted changes, as a patch. They are stored in a file of their own.
     #[serde(skip)]
     pub uncommitted: Option<String>,
+    /// Version of the harness.
     pub harness_version: String,
+    /// Version of MuJoCo.
     pub mujoco_version: String,
+    /// Version of candle.
     pub candle_version: String,
+    /// Name of the machine, empty if unknown.
     pub host: String,
+    /// Brand of the processor, empty if unknown.
     pub processor: String,
+    /// Number of threads of the command.
     pub threads: usize,
-    /// As a shell takes it. A run keeps the part of it that makes the run alone.
+    /// The command, quoted for a shell. A run's record has the command that makes only this run.
     pub command: String,
 }
 
 impl Provenance {
-    /// Looks at the current folder's git repository and at this machine.
+    /// Collects the provenance from the git repository of the current folder and from this machine.
     pub fn gather(versions: Versions, threads: usize, command: String) -> Self {
         let commit = git(&["rev-parse", "HEAD"]);
         let status = commit.as_ref().and_then(|_| git(&["status", "--porcelain", "--untracked-files=no"]));
@@ -54,15 +63,14 @@ impl Provenance {
     }
 }
 
-/// The trimmed output of a git command, if git is there and succeeds.
+/// The trimmed output of a git command, or `None` if git is not installed or fails.
 fn git(arguments: &[&str]) -> Option<String> {
     let output =
         Command::new("git").args(arguments).output().ok().filter(|output| output.status.success())?;
     Some(String::from_utf8_lossy(&output.stdout).trim().to_owned())
 }
 
-/// The largest amount of memory that this process has had in use so far, bytes; `None` where the system does
-/// not tell.
+/// The peak resident memory of this process so far, in bytes, or `None` where the system does not report it.
 pub fn peak_memory_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
