@@ -1,4 +1,4 @@
-//! The record of a run, and its tables.
+//! The record of a run (`run.json`), and the tables that a run writes.
 
 use super::commands::command_of;
 use super::{Provenance, REVISION, RegistryError, RunFolder, SPEC, identity, peak_memory_bytes};
@@ -23,18 +23,23 @@ use std::sync::Arc;
 pub(super) const TABLES: [Table; 5] =
     [Table::Epochs, Table::Metrics, Table::Predictions, Table::Forces, Table::Frames];
 
-/// How far a run is.
+/// The status of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
+    /// A process works on the run.
     Running,
-    /// Begun, and nobody works on it. Records say that they are running; only whoever reads them sees that it is over.
+    /// The run was started, and no process works on it. It is not written: a record that says `running` is read as
+    /// interrupted if no process holds the lock of its folder.
     Interrupted,
+    /// The run has ended, and its record lists all of its files.
     Done,
+    /// The run ended with an error, which is the record's reason.
     Failed,
 }
 
 impl Status {
+    /// The status as tables and the command line write it.
     pub fn name(self) -> &'static str {
         match self {
             Status::Running => "running",
@@ -45,86 +50,114 @@ impl Status {
     }
 }
 
-/// Wall times of a run's stages, s.
+/// Wall times of a run's stages, in seconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Timings {
-    /// Collecting, loading and judging the dataset, once for all runs of a scenario.
+    /// Collecting and loading the dataset, and evaluating the baselines. Runs that share this work report the same time.
     pub collect: f64,
+    /// Training of the prediction.
     pub prediction: f64,
+    /// Training of the reconstruction, or `None` without that task.
     pub reconstruction: Option<f64>,
+    /// Evaluation on the test samples.
     pub evaluation: f64,
 }
 
-/// A row of the metrics table, but for the run's own columns.
+/// A row of the metrics table, without the columns that identify the run.
 #[derive(Debug, Clone)]
 pub struct MetricRow {
+    /// The task that is evaluated.
     pub task: Task,
-    /// `network`, or the baseline's name.
+    /// `network`, or the name of a baseline.
     pub model: &'static str,
+    /// The metric, its value, and what it is computed over.
     pub row: Row,
 }
 
-/// A row of the predictions table, but for the run's own columns.
+/// A row of the predictions table, without the columns that identify the run.
 #[derive(Debug, Clone, Copy)]
 pub struct PredictionRow {
+    /// The task that is evaluated.
     pub task: Task,
+    /// The vector that contains the element.
     pub modality: Modality,
+    /// The episode of the dataset.
     pub episode: u32,
-    /// The instant that is predicted.
+    /// The predicted sample, counted from 0 within its episode.
     pub sample: u32,
+    /// The element of the vector, counted from 0.
     pub index: u32,
+    /// The simulated or recorded value, in the modality's unit.
     pub reference: f32,
+    /// The network's value, in the modality's unit.
     pub predicted: f32,
 }
 
-/// Rows of the forces table, but for the run's own columns: one a link.
+/// Rows of the forces table, one for each link, without the columns that identify the run.
 #[derive(Debug, Clone)]
 pub struct ForceRows {
+    /// The vector of forces.
     pub modality: Modality,
-    /// The episode that they sum up; `None` for the whole dataset.
+    /// The episode that the rows summarize, or `None` for the whole dataset.
     pub episode: Option<u32>,
+    /// The distribution of each link's force, from the base on.
     pub links: Vec<Contact>,
 }
 
-/// A row of the frames table, but for the run's own columns.
+/// A row of the frames table, without the columns that identify the run.
 #[derive(Debug, Clone)]
 pub struct FrameRow {
+    /// The task that is evaluated.
     pub task: Task,
+    /// The image that is predicted.
     pub modality: Modality,
+    /// The episode of the dataset.
     pub episode: u32,
-    /// The instant that is pictured.
+    /// The predicted sample, counted from 0 within its episode.
     pub sample: u32,
+    /// The mean absolute change of the camera image in the transition, in [0, 1].
     pub motion: f64,
-    /// As the column's meaning says.
+    /// The simulated or recorded image, `[rows, columns, 3]`, encoded as the table's schema says.
     pub reference: Vec<u8>,
+    /// The network's image, likewise.
     pub predicted: Vec<u8>,
 }
 
-/// What a run that came to its end has to show.
+/// The results of a finished run.
 #[derive(Default)]
 pub struct Outcome {
+    /// The losses of each epoch.
     pub epochs: Vec<(Task, Epoch)>,
+    /// The rows of the metrics table.
     pub metrics: Vec<MetricRow>,
+    /// The rows of the predictions table.
     pub predictions: Vec<PredictionRow>,
+    /// The rows of the forces table.
     pub forces: Vec<ForceRows>,
+    /// The rows of the frames table.
     pub frames: Vec<FrameRow>,
+    /// The wall times of the run's stages.
     pub timings: Timings,
-    /// Trained parameters of the prediction.
+    /// Number of trained parameters of the prediction network.
     pub parameters: usize,
 }
 
-/// A file of a finished run, as it was when the run was done.
+/// The size and checksum of a file of a finished run.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FileRecord {
+    /// Size of the file in bytes.
     pub bytes: u64,
-    /// Rows of a table; `None` for other files.
+    /// Number of rows of a table; `None` for other files.
     pub rows: Option<usize>,
-    /// Of the whole file, in hexadecimal, as `sha256sum` prints it.
+    /// SHA-256 of the whole file, in hexadecimal.
     pub sha256: String,
 }
 
 impl FileRecord {
-    /// The bytes of the file at `path`, which must be this one.
+    /// Reads the file at `path`.
+    ///
+    /// # Errors
+    /// When the file can't be read, or its size or checksum is not this one.
     pub(super) fn read(&self, path: &Path) -> Result<Vec<u8>, RegistryError> {
         let damaged = |reason: String| Err(RegistryError::File { path: path.to_owned(), reason });
         let bytes = match std::fs::read(path) {
@@ -141,26 +174,37 @@ impl FileRecord {
     }
 }
 
-/// A row of the `runs` table, with the run's whole spec.
+/// The record of a run: its spec, status, provenance and files. A row of the `runs` table is made from it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunRecord {
+    /// Name of the experiment.
     pub experiment: String,
+    /// Id of the run, such as `empty-z4-seed0-5c94f6a8`.
     pub run: String,
+    /// Status of the run.
     pub status: Status,
+    /// Why the run failed; `None` if it did not.
     pub reason: Option<String>,
+    /// Hash of the spec.
     pub spec_hash: String,
+    /// Name of the dataset's folder.
     pub dataset: String,
-    /// UTC.
+    /// When the run was started, in UTC, such as `2026-01-31T12:00:00Z`.
     pub started: String,
+    /// Wall times of a finished run; `None` before.
     pub timings: Option<Timings>,
+    /// Peak memory of the process at the end of the run, in bytes; `None` before, or where it is unknown.
     pub peak_memory_bytes: Option<u64>,
+    /// Number of trained parameters of the prediction network; `None` before the run is done.
     pub parameters: Option<usize>,
+    /// Source tree, versions, machine and command.
     pub provenance: Provenance,
+    /// The run's resolved spec.
     pub spec: RunSpec,
-    /// What the samples of its dataset hold; the finger's where the record does not say.
+    /// The modalities of the dataset's samples. A record without a layout has that of the finger.
     #[serde(default = "Layout::finger", skip_serializing_if = "is_finger", with = "shared")]
     pub layout: Arc<Layout>,
-    /// The files of a run that is done, by name; empty before.
+    /// The files of a finished run, by name; empty before.
     #[serde(default)]
     pub files: BTreeMap<String, FileRecord>,
 }
@@ -169,7 +213,7 @@ fn is_finger(layout: &Arc<Layout>) -> bool {
     **layout == *Layout::finger()
 }
 
-/// A layout as plain data.
+/// Serializes a layout behind an `Arc` like the layout itself.
 mod shared {
     use harness_spec::Layout;
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -185,6 +229,7 @@ mod shared {
 }
 
 impl RunRecord {
+    /// The record of a run that starts now.
     pub(super) fn new(folder: &RunFolder, spec: &RunSpec, layout: &Arc<Layout>, by: &Provenance) -> Self {
         Self {
             experiment: folder.experiment.clone(),
@@ -219,27 +264,30 @@ impl RunRecord {
         }
     }
 
-    /// The run in short, without its hash.
+    /// The run's id without its hash, such as `cluttered-z64-seed0`.
     pub fn label(&self) -> String {
         self.spec.label()
     }
 
-    /// `experiment/run`, by which a run is found.
+    /// The run's full name, `experiment/run`.
     pub fn name(&self) -> String {
         format!("{}/{}", self.experiment, self.run)
     }
 
-    /// Episodes of a simulated dataset that the run used.
+    /// Number of episodes of a simulated dataset that the run used; 0 for an imported dataset.
     pub(super) fn episodes(&self) -> u32 {
         self.spec.simulation.as_ref().map_or(0, |simulation| simulation.episodes)
     }
 
-    /// Whether this is the record of a published run, whose networks and dataset stay behind.
+    /// Whether this is the record of a published run, which is published without its networks and dataset.
     pub(super) fn is_published(&self) -> bool {
         self.status == Status::Done && self.expected_files().iter().any(|name| !self.files.contains_key(name))
     }
 
-    /// Lists these of the run's files as they now are.
+    /// The record with a list of these files of the run, as they are now.
+    ///
+    /// # Errors
+    /// When a file can't be read.
     pub(super) fn with_files(self, folder: &RunFolder, names: Vec<String>) -> Result<Self, RegistryError> {
         let mut files = BTreeMap::new();
         for name in names {
@@ -255,33 +303,39 @@ impl RunRecord {
         Ok(Self { files, ..self })
     }
 
-    /// The files that a run of this spec leaves, besides its record.
+    /// The names of the files that a finished run of this spec has, besides its record.
     pub(super) fn expected_files(&self) -> Vec<String> {
         let tables = TABLES.iter().map(|table| table.file_name());
         let checkpoints = self.spec.tasks.iter().map(|task| format!("{}.safetensors", task.name()));
         std::iter::once(SPEC.to_owned()).chain(tables).chain(checkpoints).collect()
     }
 
-    /// Whether a file of this name belongs to the run before it is done: results so far, or a training's state.
+    /// Whether an unfinished run may have a file of this name: a result, or the saved state of its training.
     pub(super) fn expects(&self, name: &str) -> bool {
         let is_state = name.contains(".state.") && name.contains(".safetensors");
         is_state || self.expected_files().iter().any(|expected| expected == name)
     }
 
-    /// Compares one of the files that the record lists with it, the whole file, and returns its path.
+    /// Compares a whole file with its entry in the record, and returns its path.
     ///
-    /// Whoever reads a table of a run does this first. Hashing 3 MB takes some milliseconds, and Polars, which
-    /// notices few kinds of damage, would turn the others into numbers.
+    /// Every reader of a run's table must do this first. Hashing 3 MB takes a few milliseconds. Polars detects few
+    /// kinds of damage, and would return wrong numbers for the others.
+    ///
+    /// # Errors
+    /// When the record does not list the file, the file can't be read, or its size or checksum differs.
     pub(super) fn check_file(&self, folder: &Path, name: &str) -> Result<PathBuf, RegistryError> {
         self.read_file(folder, name).map(|_| folder.join(name))
     }
 
-    /// The bytes of one of the files that the record lists, which are as it lists them.
+    /// Reads a file and compares it with its entry in the record.
     fn read_file(&self, folder: &Path, name: &str) -> Result<Vec<u8>, RegistryError> {
         self.listed(folder, name)?.read(&folder.join(name))
     }
 
-    /// What the record says of one of the run's files.
+    /// The record's entry for a file.
+    ///
+    /// # Errors
+    /// When the record does not list the file.
     pub(super) fn listed(&self, folder: &Path, name: &str) -> Result<&FileRecord, RegistryError> {
         self.files.get(name).ok_or_else(|| RegistryError::File {
             path: folder.join(name),
@@ -289,13 +343,13 @@ impl RunRecord {
         })
     }
 
-    /// The revision of the method that made the run; `None` if no revision so far did.
+    /// The revision of the method that made the run, or `None` if the run's id matches no revision up to this one.
     pub fn revision(&self) -> Option<u32> {
         let is_of = |revision: &u32| self.run.ends_with(&identity(&self.spec_hash, &self.dataset, *revision));
         (0..=REVISION).rev().find(is_of)
     }
 
-    /// What runs have in common in which nothing but the seed differs.
+    /// A hash that is the same for all runs that differ only in their seed.
     fn group_hash(&self) -> String {
         let spec = RunSpec { seed: 0, ..self.spec.clone() };
         let revision = self.revision().map_or("unknown".to_owned(), |revision| revision.to_string());
@@ -303,7 +357,7 @@ impl RunRecord {
         hex(&digest[..8])
     }
 
-    /// What is wrong with the first of the listed files that is not as it was written; `None` where all are whole.
+    /// Describes the first listed file that is damaged or missing, or returns `None` if all files are intact.
     pub(super) fn damage(&self, folder: &Path) -> Option<String> {
         self.files.par_iter().find_map_first(|(name, _)| {
             let RegistryError::File { reason, .. } = self.check_file(folder, name).err()? else {
@@ -313,7 +367,10 @@ impl RunRecord {
         })
     }
 
-    /// Reads a record, whose seal must hold; `None` if there is none.
+    /// Reads a record, or returns `None` if the file does not exist.
+    ///
+    /// # Errors
+    /// When the file can't be read, its seal does not match, or it is no record.
     pub(super) fn read(path: &Path) -> Result<Option<Self>, RegistryError> {
         let damaged = |reason: String| RegistryError::Record { path: path.to_owned(), reason };
         match seal::read(path) {
@@ -327,6 +384,7 @@ impl RunRecord {
         }
     }
 
+    /// Writes the record, with a seal.
     pub(super) fn write(&self, path: &Path) -> Result<(), RegistryError> {
         let damaged = |error: serde_json::Error| RegistryError::Record {
             path: path.to_owned(),
@@ -337,7 +395,7 @@ impl RunRecord {
         Ok(seal::write(path, format!("{json:#}\n").into_bytes())?)
     }
 
-    /// What a table's file says about the run that made it.
+    /// The metadata that the run's table files carry about the run.
     pub(super) fn stamp(&self) -> Stamp {
         let by = &self.provenance;
         let text = |value: &Option<String>| value.clone().unwrap_or_else(|| "none".into());
@@ -355,7 +413,7 @@ impl RunRecord {
         ])
     }
 
-    /// What tells the run from others: the values of the first columns of every table of runs.
+    /// The values of the columns that identify the run. They are the first columns of every table of runs.
     fn key(&self) -> Vec<AnyValue<'static>> {
         let spec = &self.spec;
         vec![
@@ -425,7 +483,7 @@ fn joined(modalities: &[Modality]) -> String {
     modalities.iter().map(|modality| modality.name()).collect::<Vec<_>>().join("+")
 }
 
-/// The `runs` table.
+/// The `runs` table, with a row for each record.
 pub(super) fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
     let rows: Vec<Vec<AnyValue>> = records.par_iter().map(RunRecord::row).collect();
     let columns = Table::Runs.columns().into_iter().enumerate().map(|(index, column)| {
@@ -438,6 +496,7 @@ pub(super) fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
 }
 
 impl Outcome {
+    /// Writes all tables of the run to its folder.
     pub(super) fn write_tables(&self, folder: &RunFolder, record: &RunRecord) -> Result<(), RegistryError> {
         let columns = [
             self.epochs_columns(),
