@@ -42,7 +42,7 @@ const SETTLED: Duration = Duration::from_secs(2);
 /// Key of a part's entries in its file's metadata, as JSON.
 const RUNS_KEY: &str = "runs";
 
-/// One of the tables over finished runs of one experiment, whose rows come in the runs' order.
+/// One table over finished runs of one experiment. Its rows are in the order of the runs.
 #[derive(Clone)]
 pub struct RunTable {
     table: Table,
@@ -122,8 +122,10 @@ enum Place {
 }
 
 impl RunTable {
+    /// The table over `runs`, all of which must be finished runs of `experiment`.
+    ///
     /// # Errors
-    /// When a run's record does not list its file.
+    /// When a run's record does not list the table's file.
     pub fn new<'a>(
         registry: &Registry,
         table: Table,
@@ -143,22 +145,25 @@ impl RunTable {
         Ok(Self { table, runs: folder, parts, files, conditions: Arc::default() })
     }
 
-    /// The table with those rows alone that meet any of these conditions.
+    /// The table with only those rows that satisfy at least one of these conditions.
     pub fn only(self, conditions: BTreeSet<Condition>) -> Self {
         Self { conditions: Arc::new(conditions), ..self }
     }
 
-    /// What the files hold, by columns.
+    /// The names and types of the files' columns. Empty without runs.
+    ///
+    /// # Errors
+    /// When the first run's file is damaged.
     pub fn schema(&self) -> PolarsResult<SchemaRef> {
         let columns: Vec<String> = self.table.columns().into_iter().map(|column| column.name).collect();
         let Some(first) = self.files.first() else { return Ok(SchemaRef::default()) };
         Ok(self.read_file(first, &columns)?.schema().clone())
     }
 
-    /// These columns of all rows, or of the first ones.
+    /// Reads these columns of all rows, or of the first `limit` rows.
     ///
     /// # Errors
-    /// When a file is damaged; see [`failed`].
+    /// When a file is damaged. The error wraps a [`RegistryError`], which [`QueryError`](super::QueryError) unwraps.
     pub fn read(&self, columns: &[String], limit: Option<usize>) -> PolarsResult<DataFrame> {
         let of_conditions: BTreeSet<&String> = self.conditions.iter().flat_map(BTreeMap::keys).collect();
         let others = of_conditions.into_iter().filter(|name| !columns.contains(name));
@@ -167,7 +172,11 @@ impl RunTable {
         Ok(stacked(parts)?.unwrap_or_default())
     }
 
-    /// What `of` makes of these columns, piece by piece: a piece has all rows of one run or several.
+    /// Applies `of` to these columns, piece by piece, and returns the results in the order of the runs. A piece has all
+    /// rows of one or several runs; with a limit, the last piece has fewer.
+    ///
+    /// # Errors
+    /// When a file is damaged, or `of` fails.
     pub fn map<T: Send>(
         &self,
         columns: &[String],

@@ -10,24 +10,26 @@ use polars::prelude::*;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// What was published.
+/// The result of [`Registry::publish`].
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Published {
+    /// Number of published runs.
     pub runs: usize,
+    /// Size of their files in bytes, without the records.
     pub bytes: u64,
 }
 
 impl Registry {
-    /// Copies `chosen` runs of this registry to another: records, specs, and tables without most of their rows that
-    /// are about single samples. Networks stay behind.
+    /// Copies `chosen` runs of this registry to the registry `to`: records, specs and tables, but no networks. Tables
+    /// about single samples are copied without most of their rows.
     ///
-    /// Kept are all epochs and metrics; the predictions of the last two joints and links, and the pictures, of each
-    /// cell's lowest seed; and the forces of one run a dataset. Of a sweep's runs no more than epochs and metrics are kept;
-    /// if the sweep is one of readings, each reading and role keeps the forces of one run a dataset as well. A run of the
-    /// same cell and seed that was published before is replaced.
+    /// All epochs and metrics are copied. Of each cell's lowest seed, the predictions of the last two joints and links
+    /// and all images are copied. The forces are copied of one run for each dataset. Of runs with a `variant`, only
+    /// epochs and metrics are copied; of runs under a reading, also the forces of one run for each dataset, reading and
+    /// role. A run of the same cell and seed that was published before is replaced.
     ///
     /// # Errors
-    /// When `to` is this registry, or a file can't be read or written; what is there already stays whole.
+    /// When `to` is this registry, or a file can't be read or written. Files that exist already are not damaged.
     pub fn publish<'a>(
         &self,
         chosen: impl IntoIterator<Item = (&'a Path, &'a RunRecord)>,

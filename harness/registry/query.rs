@@ -20,26 +20,32 @@ use std::sync::Arc;
 /// the parser and Polars walk what nests by recursion. Only what is used takes memory.
 const QUERY_STACK_BYTES: usize = 1 << 30;
 
-/// Why a query gave no answer.
+/// An error in answering a query, or in reading or writing its answer.
 #[derive(Debug, thiserror::Error)]
 pub enum QueryError {
+    /// A table's file is damaged or missing.
     #[error(transparent)]
     Registry(#[from] RegistryError),
+    /// Polars failed to compute the answer.
     // Polars adds a plan of many lines.
     #[error("the query can't be answered: {}", .0.to_string().lines().next().unwrap_or_default())]
     Sql(#[source] PolarsError),
+    /// The query is wrong or not supported. The message says what to write instead.
     #[error("the query can't be answered: {0}")]
     Refused(String),
+    /// The answer's rows can't be converted to the wanted type.
     #[error("the answer's rows are not what they should be: {0}")]
     Rows(serde_json::Error),
+    /// The output file's name has none of the supported endings.
     #[error("can't write to '{}': its name must end in .parquet, .csv or .json", .0.display())]
     Format(PathBuf),
+    /// The output file can't be written.
     #[error(transparent)]
     Write(#[from] WriteError),
 }
 
 impl From<PolarsError> for QueryError {
-    /// What a table that is read lazily could not read comes as an error of Polars.
+    /// Unwraps a registry error that a lazily read table wrapped in a Polars error.
     fn from(error: PolarsError) -> Self {
         let PolarsError::IO { error, msg } = error else { return Self::Sql(error) };
         match Arc::try_unwrap(error).map(std::io::Error::downcast::<RegistryError>) {
@@ -50,21 +56,21 @@ impl From<PolarsError> for QueryError {
     }
 }
 
-/// Answers a question in SQL over the tables of [`Table::ALL`], as the standard says.
+/// Answers one statement of standard SQL over the tables of [`Table::ALL`].
 ///
-/// What can't be used as it lies there is left out, see [`Registry::left_out`].
+/// Runs and datasets that can't be used are left out; see [`Registry::left_out`].
 ///
 /// # Errors
-/// When the SQL is not understood, is more than a question, names what isn't there, or when a table's file is
+/// When the SQL is invalid or not supported, names a table or column that does not exist, or when a table's file is
 /// damaged.
 pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
     query_of(registry, |_| true, sql)
 }
 
-/// The same over those runs alone that are wanted.
+/// Answers one statement of SQL over only those runs for which `is_wanted` returns true.
 ///
 /// # Errors
-/// As those of [`query`].
+/// Like [`query`].
 pub fn query_of(
     registry: &Registry,
     is_wanted: impl Fn(&RunRecord) -> bool,
@@ -75,10 +81,13 @@ pub fn query_of(
     answer(sql, &|of| table(registry, of, &runs, sql))
 }
 
-/// What a table's name stands for in a query.
+/// A function that returns the rows of a table.
 pub type TableOf<'a> = dyn Fn(Table) -> Result<LazyFrame, QueryError> + Sync + 'a;
 
-/// Answers a query over the tables that `table_of` gives, which is asked for those that the query may be about.
+/// Answers one statement of SQL. `table_of` is called for each table that the statement names.
+///
+/// # Errors
+/// When the SQL is invalid or not supported, or when `table_of` fails.
 pub fn answer(question: &str, table_of: &TableOf) -> Result<DataFrame, QueryError> {
     std::thread::scope(|scope| {
         let thread = std::thread::Builder::new().stack_size(QUERY_STACK_BYTES);
@@ -93,7 +102,10 @@ pub fn answer(question: &str, table_of: &TableOf) -> Result<DataFrame, QueryErro
     })
 }
 
-/// One of the tables, over `runs`, or over all datasets, with the rows that `sql` can see at least.
+/// A table over `runs` or, for `episodes`, over all datasets. It has at least those rows that the query `sql` can see.
+///
+/// # Errors
+/// When a file of the table is damaged or missing.
 pub fn table(
     registry: &Registry,
     table: Table,
@@ -185,17 +197,20 @@ fn empty(columns: &[Column]) -> PolarsResult<LazyFrame> {
     Ok(DataFrame::new(0, columns.collect())?.lazy())
 }
 
-/// An answer's rows as values of `T`, whose fields are its columns.
+/// The rows of an answer as values of `T`. The fields of `T` are named after the columns.
 ///
 /// # Errors
-/// When a column lacks or has another type.
+/// When a column is missing or has another type.
 pub fn rows<T: DeserializeOwned>(answer: &mut DataFrame) -> Result<Vec<T>, QueryError> {
     let mut json = Vec::new();
     JsonWriter::new(&mut json).with_json_format(JsonFormat::Json).finish(answer).map_err(QueryError::Sql)?;
     serde_json::from_slice(&json).map_err(QueryError::Rows)
 }
 
-/// Writes an answer as Parquet, CSV or JSON, by the ending of the file's name.
+/// Writes an answer as Parquet, CSV or JSON, depending on the ending of the file's name.
+///
+/// # Errors
+/// When the file's name has another ending, or the file can't be written.
 pub fn save(answer: &mut DataFrame, path: &Path) -> Result<(), QueryError> {
     let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_lowercase();
     let write: fn(&mut DataFrame, File) -> PolarsResult<()> = match ending.as_str() {

@@ -53,7 +53,7 @@ impl Status {
 /// Wall times of a run's stages, in seconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Timings {
-    /// Collecting and loading the dataset, and evaluating the baselines. Runs that share this work report the same time.
+    /// Collecting and loading the dataset, and evaluating the baselines. Runs that share this work have the same time.
     pub collect: f64,
     /// Training of the prediction.
     pub prediction: f64,

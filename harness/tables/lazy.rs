@@ -1,4 +1,4 @@
-//! Tables that are read when Polars computes an answer, and of which it reads the columns that a query asks for.
+//! Tables that are read when a query is answered. Only the columns that the query needs are read.
 
 use super::schema::Column;
 use super::stacked;
@@ -8,7 +8,7 @@ use std::any::Any;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-/// The columns that a query asks a table for.
+/// The names of the columns that a scan must return.
 pub fn asked_columns(asked: &AnonymousScanArgs) -> Vec<String> {
     match &asked.with_columns {
         Some(names) => names.iter().map(PlSmallStr::to_string).collect(),
@@ -16,7 +16,7 @@ pub fn asked_columns(asked: &AnonymousScanArgs) -> Vec<String> {
     }
 }
 
-/// Of these rows as many as a query asks for.
+/// The first rows, as many as a scan must return.
 pub fn asked_rows(rows: DataFrame, asked: &AnonymousScanArgs) -> DataFrame {
     match asked.n_rows {
         Some(count) => rows.head(Some(count)),
@@ -24,7 +24,7 @@ pub fn asked_rows(rows: DataFrame, asked: &AnonymousScanArgs) -> DataFrame {
     }
 }
 
-/// A table that is read when Polars computes an answer.
+/// A lazy frame that scans `table`, whose columns are those of `schema`, when it is collected.
 pub fn lazily(table: impl AnonymousScan + 'static, schema: SchemaRef) -> PolarsResult<LazyFrame> {
     LazyFrame::anonymous_scan(
         Arc::new(table),
@@ -34,7 +34,7 @@ pub fn lazily(table: impl AnonymousScan + 'static, schema: SchemaRef) -> PolarsR
 
 /// The tables at `paths` one after the other, lazily and cut down to `columns`; `None` if there are none.
 ///
-/// The files are read without their seals: the caller has compared them.
+/// Polars reads the files later and does not check seals, so the caller must have checked them.
 pub fn scan(paths: &[PathBuf], columns: &[Column]) -> PolarsResult<Option<LazyFrame>> {
     let Some(first) = paths.first() else { return Ok(None) };
     let names: Vec<String> = columns.iter().map(|column| column.name.clone()).collect();
