@@ -1,4 +1,4 @@
-//! Which rows of a table queries can see: those that no WHERE of theirs leaves out.
+//! Conditions from the WHERE clauses of a query, so that rows which the query can't see need not be read.
 
 use harness_tables::schema::{Column, Kind, Table};
 use polars::prelude::*;
@@ -11,17 +11,18 @@ use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 
-/// What columns must hold, by their names: one of some texts, or null where there are none. Without any column, all rows are
-/// wanted.
+/// A condition on rows: the texts that each of some columns may have. An empty set of texts stands for null. All rows
+/// satisfy a condition without columns.
 pub type Condition = BTreeMap<String, BTreeSet<String>>;
 
-/// What each part of a query that reads a table asks of its rows.
+/// The conditions that a query puts on the rows of `table`, one for each part of the query that reads the table. The
+/// query can only see rows that satisfy at least one of them. Empty if the query does not read the table.
 pub fn conditions(sql: &str, table: Table) -> BTreeSet<Condition> {
     let everything = BTreeSet::from([Condition::new()]);
     let Ok(statements) = Parser::parse_sql(&GenericDialect, sql) else { return everything };
     let mut readers = Readers { table, found: 0, conditions: Vec::new() };
     let _ = statements.visit(&mut readers);
-    // A reader that was not understood may want any row.
+    // `add_select` misses some places of a table, such as nested joins. These may read any row.
     if readers.conditions.len() == readers.found {
         readers.conditions.into_iter().collect()
     } else {
@@ -29,16 +30,16 @@ pub fn conditions(sql: &str, table: Table) -> BTreeSet<Condition> {
     }
 }
 
-/// Finds the parts of a query that read a table.
+/// Finds the parts of a query that read a table, and their conditions.
 struct Readers {
     table: Table,
-    /// How often the table is named.
+    /// How many times the query names the table.
     found: usize,
     conditions: Vec<Condition>,
 }
 
 impl Readers {
-    /// The name by which a factor is known in its part of the query, if it is the table.
+    /// The alias or name of `factor` in its part of the query, or `None` if it is not the table.
     fn name(&self, factor: &TableFactor) -> Option<String> {
         let TableFactor::Table { name, alias, args: None, .. } = factor else { return None };
         let is_table = name.to_string().trim_matches('"').eq_ignore_ascii_case(self.table.name());
@@ -63,7 +64,7 @@ impl Readers {
         }
     }
 
-    /// Adds the terms of a conjunction that ask for certain texts, or null, in a column of the table called `name`.
+    /// Adds those terms of a conjunction that compare a column of the table called `name` with texts or null.
     fn add_terms(&self, filter: &Sql, name: &str, condition: &mut Condition) {
         let (column, texts) = match filter {
             Sql::Nested(inner) => return self.add_terms(inner, name, condition),
@@ -94,7 +95,7 @@ impl Readers {
     }
 }
 
-/// A text in quotes.
+/// The text of a literal in single quotes; `None` for other expressions.
 fn text(expr: &Sql) -> Option<String> {
     match expr {
         Sql::Value(value) => match &value.value {
@@ -114,7 +115,7 @@ impl Visitor for Readers {
             match body {
                 SetExpr::Select(select) => self.add_select(select),
                 SetExpr::SetOperation { left, right, .. } => bodies.extend([left.as_ref(), right.as_ref()]),
-                // Queries in brackets are visited by themselves.
+                // The visitor visits queries in parentheses on their own.
                 _ => {}
             }
         }
@@ -127,16 +128,16 @@ impl Visitor for Readers {
     }
 }
 
-/// Whether all rows that meet `narrow` meet `wide` too.
+/// Whether all rows that satisfy `narrow` also satisfy `wide`.
 pub fn implies(narrow: &Condition, wide: &Condition) -> bool {
     wide.iter().all(|(column, wanted)| match narrow.get(column) {
-        // No text asks for null.
+        // An empty set stands for null, so it is a subset of no other set.
         Some(texts) => texts.is_empty() == wanted.is_empty() && texts.is_subset(wanted),
         None => false,
     })
 }
 
-/// The rows that meet any of some conditions.
+/// The rows that satisfy at least one of the conditions.
 pub(super) fn kept(rows: DataFrame, conditions: &BTreeSet<Condition>) -> PolarsResult<DataFrame> {
     match Terms::default().wanted(&rows, conditions)? {
         Some(wanted) => rows.filter(&wanted),
@@ -144,16 +145,17 @@ pub(super) fn kept(rows: DataFrame, conditions: &BTreeSet<Condition>) -> PolarsR
     }
 }
 
-/// Where the terms of conditions hold in some rows. Conditions share most of their terms; each is evaluated once.
+/// The rows in which each term of some conditions holds. Conditions share most of their terms, so the result of each
+/// term is kept.
 #[derive(Default)]
 pub struct Terms(BTreeMap<(String, BTreeSet<String>), BooleanChunked>);
 
 impl Terms {
-    /// Which of the rows meet any of some conditions; `None` if all do without a look at them. Every call is about the
-    /// same rows.
+    /// A mask of the rows that satisfy at least one of the conditions. Returns `None` if there are no conditions, or
+    /// one that all rows satisfy. All calls must pass the same rows.
     ///
     /// # Errors
-    /// When a condition names a column that the rows lack, or that isn't one of texts.
+    /// When a condition names a column that does not exist, or asks for texts in a column of another type.
     pub fn wanted(
         &mut self,
         rows: &DataFrame,
@@ -178,7 +180,7 @@ impl Terms {
     }
 }
 
-/// Where a column holds one of some texts, or null where there are none.
+/// A mask of the rows in which a column has one of the texts or, if there are none, is null.
 fn holds(column: &polars::prelude::Column, texts: &BTreeSet<String>) -> PolarsResult<BooleanChunked> {
     if texts.is_empty() {
         return Ok(column.is_null());
