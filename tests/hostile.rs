@@ -193,7 +193,7 @@ fn a_query_changes_nothing() {
         "attach 'x' as y",
         "set a = 1",
     ] {
-        question_refused(sql, "is no question");
+        question_refused(sql, "is not a query");
     }
     question_refused("select 1; drop table runs", "it has 2 statements instead of one");
     question_refused("", "it has 0 statements instead of one");
@@ -202,11 +202,17 @@ fn a_query_changes_nothing() {
 #[test]
 fn queries_that_nest_or_never_end_are_refused() {
     let chain = |word: &str, joint: &str| format!("select {} from runs", vec![word; 4000].join(joint));
-    question_refused(&chain("1", "+"), "nests more than 200 deep");
-    question_refused(&chain("seed = 1", " or "), "words and signs");
+    question_refused(&chain("1", "+"), "nested more than 200 levels deep");
+    question_refused(&chain("seed = 1", " or "), "tokens, but at most");
     question_refused(&chain("1", "::"), "");
-    question_refused(&format!("select 1{} from runs", "::int".repeat(4000)), "nests more than 200 deep");
-    question_refused(&format!("select {}1{}", "(".repeat(4000), ")".repeat(4000)), "nest too deep; use WITH");
+    question_refused(
+        &format!("select 1{} from runs", "::int".repeat(4000)),
+        "nested more than 200 levels deep",
+    );
+    question_refused(
+        &format!("select {}1{}", "(".repeat(4000), ")".repeat(4000)),
+        "are nested too deeply; use WITH",
+    );
     for function in
         ["substr(", "cast(", "not(", "array[", "date(", "position(", "extract(day from ", "case when ("]
     {
@@ -220,21 +226,21 @@ fn queries_that_nest_or_never_end_are_refused() {
     let subqueries = "select run from (select run from (select run from (select run from runs)))";
     query(&Registry::new("/nonexistent"), subqueries).unwrap();
 
-    question_refused(&format!("select {}", "a,".repeat(10_000)), "words and signs, and 20000 are allowed");
-    question_refused(&format!("select '{}'", "x".repeat(10 << 20)), "bytes, and 1048576 are allowed");
+    question_refused(&format!("select {}", "a,".repeat(10_000)), "tokens, but at most 20000 are allowed");
+    question_refused(&format!("select '{}'", "x".repeat(10 << 20)), "bytes, but at most 1048576 are allowed");
     let between = " between 2 and 8".repeat(20);
     question_refused(
         &format!("select run from runs where latent{between}"),
-        "BETWEEN, CASE or IN in it nest too deep",
+        "BETWEEN, CASE or IN are nested too deeply",
     );
     let case =
         (0..10).fold("seed".to_owned(), |inner, _| format!("case {inner} when 1 then 2 when 2 then 3 end"));
-    question_refused(&format!("select {case} from runs"), "BETWEEN, CASE or IN in it nest too deep");
+    question_refused(&format!("select {case} from runs"), "BETWEEN, CASE or IN are nested too deeply");
     let sums = format!("select {} from runs", vec!["seed"; 190].join("+"));
     query(&Registry::new("/nonexistent"), &sums).unwrap();
     let whens = |count: usize| format!("select case {} end from runs", "when seed = 1 then 2 ".repeat(count));
     query(&Registry::new("/nonexistent"), &whens(190)).unwrap();
-    question_refused(&whens(300), "nests more than 200 deep");
+    question_refused(&whens(300), "nested more than 200 levels deep");
     let greatest = format!("select greatest({}) from runs", vec!["seed"; 1000].join(","));
     query(&Registry::new("/nonexistent"), &greatest).unwrap();
     let list = (0..9000).map(|seed| seed.to_string()).collect::<Vec<_>>().join(",");

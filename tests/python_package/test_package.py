@@ -265,7 +265,7 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         ("jobs", ValueError, "jobs"),
         ("sql", ValueError, "selekt|SELECT"),
         ("column", ValueError, "nothing"),
-        ("change", ValueError, "no question"),
+        ("change", ValueError, "not a query"),
         ("run", KeyError, "nothing"),
         ("several runs", KeyError, "several"),
         ("dataset", FileNotFoundError, "harness collect"),

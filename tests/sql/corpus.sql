@@ -751,7 +751,7 @@ select metrics.value from metrics m
 -- refuse: text in double quotes | Text stands in single quotes: 'r2'
 select * from metrics where metric = "r2"
 
--- refuse: a column of both sides | 'run' may be one of several columns; write a.run or b.run
+-- refuse: a column of both sides | 'run' is ambiguous; write a.run or b.run
 select run from runs a join epochs b on a.run = b.run
 
 -- refuse: a table twice without names | 'runs' is in FROM twice; name them apart: FROM runs AS a JOIN runs AS b
@@ -892,5 +892,5 @@ select run from runs limit 1 + 1
 -- refuse: other files | is no table, and other files can't be read; the tables are runs, epochs
 select * from read_csv('x.csv')
 
--- refuse: a change | it is no question; use SELECT, WITH, SHOW TABLES, DESCRIBE or EXPLAIN
+-- refuse: a change | it is not a query; use SELECT, WITH, SHOW TABLES, DESCRIBE or EXPLAIN
 delete from runs

@@ -1,7 +1,8 @@
-//! What a question in SQL means, as a plan of Polars.
+//! Translates SQL queries to Polars plans.
 //!
-//! `sqlparser` parses, Polars computes; between them stand the standard's rules of names, groups, joins and windows.
-//! What is not known to be answered as the standard says is refused: `tests/sql` compares with DuckDB.
+//! `sqlparser` parses a query, and Polars computes the answer. This module applies the rules of standard SQL for names,
+//! types, groups, joins and windows. A query that might be answered differently from the standard is refused. The tests
+//! in `tests/sql` compare answers with DuckDB.
 
 mod expression;
 mod functions;
@@ -22,19 +23,19 @@ use sqlparser::tokenizer::Tokenizer;
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
-/// The longest query, bytes.
+/// The maximum length of a query, in bytes.
 const MAX_QUERY_BYTES: usize = 1 << 20;
-/// The most words and signs of a query.
+/// The maximum number of tokens of a query.
 const MAX_QUERY_TOKENS: usize = 20_000;
-/// The deepest nesting of brackets, functions and subqueries: of some, the parser tries each level in two to four
-/// ways, all of them when the innermost is wrong.
+/// The maximum nesting of parentheses, functions and subqueries. The parser tries two to four ways to parse a level, so
+/// its time can grow exponentially with the nesting.
 const MAX_QUERY_NESTING: usize = 16;
-/// The longest chain of operators, and of WHENs: Polars walks them by recursion, on threads with small stacks.
+/// The maximum length of a chain of operators or WHENs. Polars processes it recursively, on threads with small stacks.
 const MAX_QUERY_DEPTH: usize = 200;
-/// The most copies of a part of an expression; each `between` within a `between` doubles their number.
+/// The maximum number of copies of a part of an expression. Each BETWEEN inside a BETWEEN doubles their number.
 const MAX_QUERY_COPIES: usize = 256;
-const NO_QUESTION: &str = "it is no question; use SELECT, WITH, SHOW TABLES, DESCRIBE or EXPLAIN";
-/// Most letters of the query that a message repeats.
+const NO_QUESTION: &str = "it is not a query; use SELECT, WITH, SHOW TABLES, DESCRIBE or EXPLAIN";
+/// The maximum number of characters of the query that a message repeats.
 const MAX_SHOWN: usize = 80;
 
 type Answer<T> = Result<T, QueryError>;
@@ -43,7 +44,7 @@ fn refuse<T>(reason: String) -> Answer<T> {
     Err(QueryError::Refused(reason))
 }
 
-/// A part of the query as a message repeats it.
+/// A part of the query for a message, shortened to [`MAX_SHOWN`] characters.
 fn shown(part: &impl std::fmt::Display) -> String {
     let text = part.to_string();
     match text.char_indices().nth(MAX_SHOWN) {
@@ -52,7 +53,10 @@ fn shown(part: &impl std::fmt::Display) -> String {
     }
 }
 
-/// Answers one statement over the tables that `source` gives.
+/// Answers one statement. `source` returns the rows of a table, and is called once for each table that is read.
+///
+/// # Errors
+/// When the statement is invalid, not supported or too large, when `source` fails, or when Polars does.
 pub fn answer(sql: &str, source: &dyn Fn(Table) -> Answer<LazyFrame>) -> Answer<DataFrame> {
     let statement = parsed(sql)?;
     let planner = Planner::new(source);
@@ -81,12 +85,12 @@ pub fn answer(sql: &str, source: &dyn Fn(Table) -> Answer<LazyFrame>) -> Answer<
     }
 }
 
-/// The plan of a query, whose columns have the names that the query gives.
+/// The plan of a query. Its columns have the names that the query gives them.
 fn planned(planner: &Planner, query: &Query) -> Answer<LazyFrame> {
     let relation = planner.query(query, &Ctes::new())?;
     let names = distinct_names(relation.columns.iter().map(|column| column.name.clone()));
     let columns = relation.columns.iter().zip(names).map(|(column, name)| {
-        // A column of nulls alone has no type of its own; as text it can be written everywhere.
+        // A column of nothing but nulls has no type. As text it can be written to all formats.
         let value = col(&*column.id);
         let value = if column.kind == Type::Null { value.cast(DataType::String) } else { value };
         value.alias(name)
@@ -94,7 +98,7 @@ fn planned(planner: &Planner, query: &Query) -> Answer<LazyFrame> {
     Ok(relation.frame.select(columns.collect::<Vec<_>>()))
 }
 
-/// The columns of a table.
+/// The answer of DESCRIBE: name, type, unit and meaning of each column of a table.
 fn described(name: &ObjectName) -> Answer<DataFrame> {
     let name = name.to_string();
     let Some(table) = Table::ALL.into_iter().find(|table| same(table.name(), &name)) else {
@@ -109,7 +113,7 @@ fn described(name: &ObjectName) -> Answer<DataFrame> {
     Ok(df!("column" => names, "type" => types, "unit" => units, "meaning" => meanings)?)
 }
 
-/// Names that are told apart: the second `run` becomes `run_1`.
+/// Makes names distinct by appending numbers: the second `run` becomes `run_1`.
 fn distinct_names(names: impl Iterator<Item = String>) -> Vec<String> {
     let names: Vec<String> = names.collect();
     let mut taken: BTreeSet<String> = BTreeSet::new();
@@ -125,24 +129,21 @@ fn distinct_names(names: impl Iterator<Item = String>) -> Vec<String> {
     distinct
 }
 
-/// The only statement of a query that is not too long for a parser that calls itself.
+/// Parses a query of one statement, and checks its length and nesting, because the parser and Polars are recursive.
 fn parsed(sql: &str) -> Answer<Statement> {
     if sql.len() > MAX_QUERY_BYTES {
-        return refuse(format!("it has {} bytes, and {MAX_QUERY_BYTES} are allowed", sql.len()));
+        return refuse(format!("it has {} bytes, but at most {MAX_QUERY_BYTES} are allowed", sql.len()));
     }
     let syntax = |error: ParserError| match error {
-        ParserError::RecursionLimitExceeded => {
-            QueryError::Refused("its brackets, functions or subqueries nest too deep; use WITH".into())
-        }
+        ParserError::RecursionLimitExceeded => QueryError::Refused(
+            "its parentheses, functions or subqueries are nested too deeply; use WITH".into(),
+        ),
         error => QueryError::Refused(error.to_string()),
     };
     let options = ParserOptions { trailing_commas: true, ..ParserOptions::default() };
     let tokens = Tokenizer::new(&GenericDialect, sql).tokenize().map_err(|error| syntax(error.into()))?;
     if tokens.len() > MAX_QUERY_TOKENS {
-        return refuse(format!(
-            "it has {} words and signs, and {MAX_QUERY_TOKENS} are allowed",
-            tokens.len()
-        ));
+        return refuse(format!("it has {} tokens, but at most {MAX_QUERY_TOKENS} are allowed", tokens.len()));
     }
     let parser = Parser::new(&GenericDialect).with_options(options).with_recursion_limit(MAX_QUERY_NESTING);
     let mut parser = parser.try_with_sql(sql).map_err(syntax)?;
@@ -157,10 +158,10 @@ fn parsed(sql: &str) -> Answer<Statement> {
     }
 }
 
-/// Stops where a query nests too deep.
+/// Visits a query, and stops at an expression that is nested too deeply or copied too often.
 struct Bounds {
     depth: usize,
-    /// How often the expression that is being visited is copied.
+    /// Number of copies of the expression that is being visited.
     copies: usize,
 }
 
@@ -170,7 +171,7 @@ impl Default for Bounds {
     }
 }
 
-/// How often each part of an expression is copied: `x between a and b` becomes `x >= a and x <= b`.
+/// The number of times that the plan copies a part of an expression: `x between a and b` becomes `x >= a and x <= b`.
 fn copies(expr: &Expr) -> usize {
     match expr {
         Expr::Between { .. } => 2,
@@ -187,7 +188,7 @@ fn copies(expr: &Expr) -> usize {
     }
 }
 
-/// How deep an expression nests its parts.
+/// The number of levels that an expression adds to the nesting of its parts.
 fn depth(expr: &Expr) -> usize {
     match expr {
         Expr::Case { conditions, .. } => conditions.len().max(1),
@@ -203,11 +204,12 @@ impl Visitor for Bounds {
         self.copies = self.copies.saturating_mul(copies(expr));
         if self.depth > MAX_QUERY_DEPTH {
             return ControlFlow::Break(format!(
-                "an expression in it nests more than {MAX_QUERY_DEPTH} deep, as a + b + c + … does; use a list or a sum"
+                "an expression in it, such as a + b + c + …, is nested more than {MAX_QUERY_DEPTH} levels deep; \
+                 use a list or a sum"
             ));
         }
         if self.copies > MAX_QUERY_COPIES {
-            return ControlFlow::Break("BETWEEN, CASE or IN in it nest too deep; use a subquery".into());
+            return ControlFlow::Break("BETWEEN, CASE or IN are nested too deeply; use a subquery".into());
         }
         ControlFlow::Continue(())
     }

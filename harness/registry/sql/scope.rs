@@ -1,25 +1,30 @@
-//! The columns that a place of a query may name, and where they stand.
+//! Types, columns and relations of a query, and how names are resolved to columns.
 
 use harness_tables::schema::Kind;
 use polars::prelude::*;
 use sqlparser::ast::Ident;
 
-/// What a value is.
+/// The type of a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Type {
-    /// What `null` alone is.
+    /// The type of the literal `null`.
     Null,
+    /// True or false.
     Flag,
+    /// An integer of 64 bits.
     Integer,
-    /// A real number of 32 bits, as some columns hold it. Whatever is computed of it has 64.
+    /// A real number of 32 bits, which some tables contain. It is converted to 64 bits before anything is computed.
     Single,
+    /// A real number of 64 bits.
     Real,
+    /// A text in UTF-8.
     Text,
+    /// Bytes, such as an image.
     Bytes,
 }
 
 impl Type {
-    /// What a column is, and what the frame holds it as.
+    /// The type of a table's column, from its kind in the schema and its type in the frame.
     pub fn of(kind: Kind, held: Option<&DataType>) -> Self {
         match kind {
             Kind::Text => Type::Text,
@@ -31,6 +36,7 @@ impl Type {
         }
     }
 
+    /// The Polars type that stores values of this type.
     pub fn data_type(self) -> DataType {
         match self {
             Type::Null => DataType::Null,
@@ -43,7 +49,7 @@ impl Type {
         }
     }
 
-    /// As a message names it.
+    /// The type's name in messages, with an article where it needs one.
     pub fn name(self) -> &'static str {
         match self {
             Type::Null => "null",
@@ -55,11 +61,12 @@ impl Type {
         }
     }
 
+    /// Whether values of this type are numbers or null.
     pub fn is_number(self) -> bool {
         matches!(self, Type::Integer | Type::Single | Type::Real | Type::Null)
     }
 
-    /// The type that holds values of both, if there is one.
+    /// The type to which values of both types can be converted, if there is one.
     pub fn common(self, other: Type) -> Option<Type> {
         match (self, other) {
             (a, b) if a == b => Some(a),
@@ -73,48 +80,52 @@ impl Type {
 /// A column of a table, of a join or of a subquery.
 #[derive(Debug, Clone)]
 pub struct Column {
-    /// The table's name in the query; none for what USING merges.
+    /// The name or alias of its table in the query. `None` for a merged column of USING, and for results of a query.
     pub table: Option<String>,
+    /// The column's name in the query.
     pub name: String,
-    /// Its name in the frame, which no other column has.
+    /// The column's name in the frame, which is unique in the whole plan.
     pub id: String,
+    /// The type of its values.
     pub kind: Type,
-    /// Whether USING merged it into another column: only `table.name` finds it.
+    /// Whether USING merged it into another column. Then it can only be named as `table.name`.
     pub merged: bool,
 }
 
-/// What a table, a join or a query gives.
+/// The rows and columns of a table, a join or a query.
 #[derive(Clone)]
 pub struct Relation {
+    /// The plan that computes the rows.
     pub frame: LazyFrame,
+    /// The columns, in order.
     pub columns: Vec<Column>,
-    /// Rows, at most, where a join made them; none where they are those of tables.
+    /// An upper bound of the number of rows, if a join is part of the relation.
     pub rows: Option<u64>,
-    /// How many times tables are read for it.
+    /// Number of times that the relation reads a table.
     pub reads: usize,
 }
 
 impl Relation {
-    /// The names of its tables.
+    /// The table names of its columns, with repetitions.
     pub fn tables(&self) -> Vec<&str> {
         self.columns.iter().filter_map(|column| column.table.as_deref()).collect()
     }
 }
 
-/// Names in SQL are the same in upper and lower case.
+/// Whether two names are equal in SQL, which ignores case.
 pub fn same(a: &str, b: &str) -> bool {
     a.eq_ignore_ascii_case(b)
 }
 
-/// Why a name stands for no column.
+/// The reason why a name could not be resolved to a column, with a message.
 pub enum Unresolved {
-    /// There is none of this name.
+    /// No column has this name.
     Unknown(String),
-    /// Several columns have it.
+    /// Several columns have this name.
     Ambiguous(String),
 }
 
-/// The column that `path` names: `column` or `table.column`.
+/// Finds the column that `path` names: `column` or `table.column`.
 pub fn resolve<'a>(columns: &'a [Column], path: &[Ident]) -> Result<&'a Column, Unresolved> {
     let (table, name) = match path {
         [name] => (None, name.value.as_str()),
@@ -122,7 +133,7 @@ pub fn resolve<'a>(columns: &'a [Column], path: &[Ident]) -> Result<&'a Column, 
         _ => {
             let path: Vec<&str> = path.iter().map(|part| part.value.as_str()).collect();
             return Err(Unresolved::Unknown(format!(
-                "'{}' is no column; write table.column",
+                "'{}' is not a column; write table.column",
                 path.join(".")
             )));
         }
@@ -143,14 +154,14 @@ pub fn resolve<'a>(columns: &'a [Column], path: &[Ident]) -> Result<&'a Column, 
                 .filter_map(|column| Some(format!("{}.{}", column.table.as_ref()?, column.name)))
                 .collect();
             let places = if places.is_empty() {
-                "name them apart with AS".to_owned()
+                "give them different names with AS".to_owned()
             } else {
                 format!("write {}", places.join(" or "))
             };
-            Err(Unresolved::Ambiguous(format!("'{name}' may be one of several columns; {places}")))
+            Err(Unresolved::Ambiguous(format!("'{name}' is ambiguous; {places}")))
         }
         (_, Some(table)) => Err(Unresolved::Ambiguous(format!(
-            "'{table}' has several columns '{name}'; name them apart with AS"
+            "'{table}' has several columns '{name}'; give them different names with AS"
         ))),
     }
 }
@@ -166,7 +177,7 @@ fn unknown_column(columns: &[&Column], name: &str) -> String {
     format!("there is no column '{name}'{}", choice(name, &names))
 }
 
-/// What there is instead of `wanted`, the nearest first in line; the end of a sentence.
+/// The end of a message about an unknown name: the most similar name, if one is similar enough, and all names.
 pub fn choice(wanted: &str, names: &[&str]) -> String {
     let wanted = wanted.to_lowercase();
     let distance = |name: &&&str| strsim::damerau_levenshtein(&wanted, &name.to_lowercase());
