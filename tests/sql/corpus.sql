@@ -718,10 +718,10 @@ select run from runs where row_number() over (order by run) = 1
 -- refuse: a moving frame | the frame 'ROWS BETWEEN 2 PRECEDING AND CURRENT ROW' is not supported
 select avg(value) over (order by epoch rows between 2 preceding and current row) from epochs
 
--- refuse: a running median | median up to each row is not supported
+-- refuse: a running median | a running median is not supported
 select median(value) over (partition by run order by epoch) from epochs
 
--- refuse: a running deviation | stddev up to each row is not supported
+-- refuse: a running deviation | a running stddev is not supported
 select stddev(value) over (order by epoch) from epochs
 
 -- refuse: a rank without an order | rank needs an order: OVER (ORDER BY …)
@@ -766,7 +766,7 @@ select * from runs where latent
 -- refuse: arithmetic with text | 'metric' is text
 select metric + 1 from metrics
 
--- refuse: an average of text | avg takes a number, and is given text
+-- refuse: an average of text | avg takes a number, not text
 select avg(metric) from metrics
 
 -- refuse: case of text and numbers | mixes
@@ -778,37 +778,37 @@ select run from runs union select latent from runs
 -- refuse: union of other widths | UNION is of queries with as many columns; one has 1, the other 2
 select run from runs union select run, latent from runs
 
--- refuse: a real number cast to an integer | say how it becomes an integer: cast(round(…) as integer)
+-- refuse: a real number cast to an integer | choose how to round it: cast(round(…) as integer)
 select cast(value as integer) from metrics
 
--- refuse: a real number cast to text | a real number has no one way to be written as text
+-- refuse: a real number cast to text | a real number can't be cast to text
 select cast(value as varchar) from metrics
 
--- refuse: text that is no number | 'r2' is no number; TRY_CAST makes null of what is none
+-- refuse: text that is no number | 'r2' is not a number; TRY_CAST returns null instead
 select cast(metric as double) from metrics where metric = 'r2'
 
--- refuse: an integer out of range | '10000000000' is no integer from -2147483648 to 2147483647
+-- refuse: an integer out of range | '10000000000' is not an integer from -2147483648 to 2147483647
 select cast(10000000000 as integer)
 
--- refuse: integers that overflow | 9223372036854775807 + 1 is no integer; make one of them real
+-- refuse: integers that overflow | 9223372036854775807 + 1 is not a 64-bit integer; make one of them real
 select 9223372036854775807 + 1
 
--- refuse: columns that overflow | is no integer; make one of them real
+-- refuse: columns that overflow | is not a 64-bit integer; make one of them real
 select latent * 9223372036854775807 from runs
 
--- refuse: a sum that overflows | too large for an integer; make them real
+-- refuse: a sum that overflows | too large for 64 bits; make them real
 select sum(latent * 0 + 9223372036854775807) from runs
 
--- refuse: a remainder of zero | 5 % 0 is no integer
+-- refuse: a remainder of zero | 5 % 0 is not a 64-bit integer
 select 5 % 0
 
 -- refuse: an unknown function | there is no function 'coalesc'; did you mean 'coalesce'?
 select coalesc(value, 0) from metrics
 
--- refuse: a wrong number of arguments | sqrt takes 1 values, and 2 are given
+-- refuse: a wrong number of arguments | sqrt takes 1 value(s), not 2
 select sqrt(1, 2)
 
--- refuse: a place before the text's beginning | substr takes a text, where to begin (from 1 on)
+-- refuse: a place before the text's beginning | substr takes a text, a position from 1 on
 select substr(run, 0, 3) from runs
 
 -- refuse: several columns in in | compares several columns at once; compare each with AND, or join

@@ -1,4 +1,4 @@
-//! Functions and aggregates: what each takes, and what it gives. Those that are not here are refused.
+//! The supported functions and aggregates, with the types of their arguments and results.
 
 use super::expression::Value;
 use super::scope::{Type, choice};
@@ -8,7 +8,7 @@ use sqlparser::ast;
 
 type RealFunction = fn(f64) -> f64;
 
-/// Real functions of one real number.
+/// Functions of one real number that return a real number.
 const REAL: [(&str, RealFunction); 19] = [
     ("sqrt", f64::sqrt),
     ("cbrt", f64::cbrt),
@@ -31,7 +31,7 @@ const REAL: [(&str, RealFunction); 19] = [
     ("trunc", f64::trunc),
 ];
 
-/// The other functions.
+/// The names of all other functions of one row.
 const OTHER: [&str; 33] = [
     "abs",
     "sign",
@@ -68,6 +68,7 @@ const OTHER: [&str; 33] = [
     "split_part",
 ];
 
+/// The names of the aggregates.
 const AGGREGATES: [&str; 16] = [
     "count",
     "sum",
@@ -87,7 +88,7 @@ const AGGREGATES: [&str; 16] = [
     "bool_or",
 ];
 
-/// A function of values of one row.
+/// Calls the function `name`, which computes a value from values of one row.
 pub fn call(name: &str, arguments: Vec<Value>) -> Answer<Value> {
     let arguments: Vec<Value> = arguments.into_iter().map(Value::for_computing).collect();
     if let Some((_, function)) = REAL.iter().find(|(known, _)| *known == name) {
@@ -190,12 +191,12 @@ fn nearest(name: &str, names: &[&str]) -> String {
     if near.is_empty() { format!("; there are {}", names.join(", ")) } else { choice(name, &near) }
 }
 
-/// Exactly `N` arguments.
+/// The arguments, which must be exactly `N`.
 fn take<const N: usize>(name: &str, arguments: Vec<Value>) -> Answer<[Value; N]> {
     let found = arguments.len();
     match arguments.try_into() {
         Ok(arguments) => Ok(arguments),
-        Err(_) => refuse(format!("{name} takes {N} values, and {found} are given")),
+        Err(_) => refuse(format!("{name} takes {N} value(s), not {found}")),
     }
 }
 
@@ -203,10 +204,10 @@ fn number(name: &str, value: &Value) -> Answer<()> {
     if value.kind.is_number() {
         return Ok(());
     }
-    refuse(format!("{name} takes a number, and is given {}", value.kind.name()))
+    refuse(format!("{name} takes a number, not {}", value.kind.name()))
 }
 
-/// The only argument, a number.
+/// The only argument, which must be a number.
 fn one_number(name: &str, arguments: Vec<Value>) -> Answer<Value> {
     let [value] = take(name, arguments)?;
     number(name, &value)?;
@@ -216,6 +217,7 @@ fn one_number(name: &str, arguments: Vec<Value>) -> Answer<Value> {
     }
 }
 
+/// The common type of all values.
 fn one_type(name: &str, values: &[Value]) -> Answer<Type> {
     let mut kind = Type::Null;
     for value in values {
@@ -244,7 +246,7 @@ fn of_reals(value: Expr, function: fn(f64) -> f64) -> Expr {
     )
 }
 
-/// A function of two columns of one type, either of which may be a constant.
+/// Applies a function row by row to two columns of the same type, either of which may be a constant.
 fn of_two<T: PolarsNumericType>(
     left: Expr,
     right: Expr,
@@ -277,7 +279,7 @@ fn of_two_reals(left: Value, right: Value, function: fn(f64, f64) -> f64) -> Val
     Value::new(of_two::<Float64Type>(left, right, Type::Real, move |a, b| Ok(function(a, b))), Type::Real)
 }
 
-/// `left sign right` for two numbers. Integers don't wrap around; `/` gives a real number.
+/// Computes `left sign right` for two numbers. Integer overflow is an error; `/` returns a real number.
 pub fn arithmetic(left: Value, sign: char, right: Value) -> Answer<Value> {
     let (left, right) = (left.for_computing(), right.for_computing());
     let kind = match left.kind.common(right.kind) {
@@ -304,21 +306,21 @@ pub fn arithmetic(left: Value, sign: char, right: Value) -> Answer<Value> {
     };
     let checked = move |a: i64, b: i64| {
         operation(a, b).ok_or_else(|| {
-            let advice = if sign == '%' { "" } else { "; make one of them real, as with * 1.0" };
-            PolarsError::ComputeError(format!("{a} {sign} {b} is no integer{advice}").into())
+            let advice = if sign == '%' { "" } else { "; make one of them real, such as with * 1.0" };
+            PolarsError::ComputeError(format!("{a} {sign} {b} is not a 64-bit integer{advice}").into())
         })
     };
     Ok(Value::new(of_two::<Int64Type>(left, right, kind, checked), kind))
 }
 
-/// A sum of integers, or an error if `real`, the same as a real number, is too large for one.
+/// Returns a sum of integers, or an error if it overflows. `real` is the same sum, computed with real numbers.
 pub fn sum_within_integers(sum: Value, real: Expr) -> Value {
     let checked =
         |columns: &mut [Column]| match columns[1].f64()?.iter().flatten().find(|sum| sum.abs() >= 9.2e18) {
             None => Ok(columns[0].clone()),
             Some(sum) => Err(PolarsError::ComputeError(
                 format!(
-                    "a sum of integers is {sum:e}, too large for an integer; make them real, as with * 1.0"
+                    "a sum of integers is {sum:e}, too large for 64 bits; make them real, such as with * 1.0"
                 )
                 .into(),
             )),
@@ -331,16 +333,16 @@ fn round(arguments: Vec<Value>) -> Answer<Value> {
         [_] => 0,
         [_, decimals] => match decimals.constant() {
             Some(AnyValue::Int64(decimals @ 0..=15)) => decimals as i32,
-            _ => return refuse("round takes a number, and how many decimals to keep, from 0 to 15".into()),
+            _ => return refuse("round takes a number, and a number of decimals from 0 to 15".into()),
         },
-        _ => return refuse("round takes a number, and how many decimals to keep".into()),
+        _ => return refuse("round takes a number, and a number of decimals".into()),
     };
     let value = arguments.into_iter().next().expect("there are one or two");
     number("round", &value)?;
     if value.kind == Type::Integer {
         return Ok(value);
     }
-    // As DuckDB rounds: halves away from zero, after scaling.
+    // DuckDB rounds like this: it scales, and rounds halves away from zero.
     let scale = 10_f64.powi(decimals);
     let rounded = move |number: f64| {
         let scaled = (number * scale).round() / scale;
@@ -354,7 +356,7 @@ fn round(arguments: Vec<Value>) -> Answer<Value> {
     Ok(Value::new(expr, Type::Real))
 }
 
-/// The greatest or least of several values, nulls left out; NaN is greater than any number.
+/// The greatest or least of several values. Nulls are ignored, and NaN is greater than any number.
 fn extreme(name: &str, arguments: Vec<Value>) -> Answer<Value> {
     let kind = match one_type(name, &arguments)? {
         Type::Null => Type::Integer,
@@ -403,7 +405,7 @@ fn of_text(name: &str, arguments: Vec<Value>) -> Answer<Value> {
         return refuse(format!("{name} takes a text"));
     };
     if !matches!(value.kind, Type::Text | Type::Null) {
-        return refuse(format!("{name} takes text, and is given {}", value.kind.name()));
+        return refuse(format!("{name} takes text, not {}", value.kind.name()));
     }
     let value = value.to(Type::Text);
     let rest: Vec<Value> = arguments.collect();
@@ -459,12 +461,12 @@ fn of_text(name: &str, arguments: Vec<Value>) -> Answer<Value> {
         }
         _ => {
             let takes = match name {
-                "left" | "right" => "a text and a number from 0 on",
-                "substr" | "substring" => "a text, where to begin (from 1 on), and how many letters",
-                "replace" => "a text, what to replace, and by what, both in quotes",
-                "split_part" => "a text, what separates its parts, and the part's number from 1 on",
+                "left" | "right" => "a text and a number of characters",
+                "substr" | "substring" => "a text, a position from 1 on, and a number of characters",
+                "replace" => "a text, the text to replace, and its replacement, both in quotes",
+                "split_part" => "a text, the separator in quotes, and the part's number from 1 on",
                 "starts_with" | "ends_with" | "contains" => "two texts",
-                "trim" | "ltrim" | "rtrim" => "a text, and the letters to take away in quotes",
+                "trim" | "ltrim" | "rtrim" => "a text, and the characters to remove in quotes",
                 _ => "a text",
             };
             return refuse(format!("{name} takes {takes}"));
@@ -473,7 +475,7 @@ fn of_text(name: &str, arguments: Vec<Value>) -> Answer<Value> {
     Ok(Value::new(expr, kind))
 }
 
-/// A function of one text, row by row.
+/// Applies a function to each text of a column.
 fn of_each_text(
     value: Expr,
     kind: Type,
@@ -492,25 +494,29 @@ fn of_each_text(
     )
 }
 
-/// A value as text; a real number has no one way to be written.
+/// Converts a value to text. Real numbers and bytes are refused.
 pub fn text(value: Value) -> Answer<Value> {
     match value.kind {
         Type::Text => Ok(value),
-        Type::Integer | Type::Flag | Type::Null => Ok(Value::new(value.expr.cast(DataType::String), Type::Text)),
+        Type::Integer | Type::Flag | Type::Null => {
+            Ok(Value::new(value.expr.cast(DataType::String), Type::Text))
+        }
         Type::Single | Type::Real => refuse(
-            "a real number has no one way to be written as text; make it an integer: cast(round(x) as integer)".into(),
+            "a real number can't be cast to text; cast it to an integer first: cast(round(x) as integer)"
+                .into(),
         ),
-        Type::Bytes => refuse("bytes can't be made text".into()),
+        Type::Bytes => refuse("bytes can't be cast to text".into()),
     }
 }
 
-/// A value as an integer from `least` to `most`; with `strict`, an error where it is none, and null otherwise.
+/// Converts a value to an integer from `least` to `most`. A value that is no such integer is an error if `strict`, and
+/// null otherwise.
 pub fn to_integer(value: Value, written: &ast::Expr, strict: bool, least: i64, most: i64) -> Answer<Value> {
     let checked = move |integer: Option<i64>, from: &dyn std::fmt::Display| match integer {
         Some(integer) if (least..=most).contains(&integer) => Ok(AnyValue::Int64(integer)),
         _ if !strict => Ok(AnyValue::Null),
         _ => Err(PolarsError::ComputeError(
-            format!("'{from}' is no integer from {least} to {most}; TRY_CAST makes null of what is none")
+            format!("'{from}' is not an integer from {least} to {most}; TRY_CAST returns null instead")
                 .into(),
         )),
     };
@@ -521,14 +527,14 @@ pub fn to_integer(value: Value, written: &ast::Expr, strict: bool, least: i64, m
         Type::Null => return Ok(Value::null(Type::Integer)),
         Type::Flag => value.expr.cast(DataType::Int64),
         Type::Bytes | Type::Single => {
-            return refuse(format!("{} can't be made an integer", value.kind.name()));
+            return refuse(format!("{} can't be cast to an integer", value.kind.name()));
         }
         Type::Text => {
             of_each_text(value.expr, Type::Integer, move |text| checked(text.trim().parse().ok(), &text))
         }
         Type::Real if !is_whole => {
             return refuse(format!(
-                "'{}' is a real number; say how it becomes an integer: cast(round(…) as integer), or floor, ceil or trunc",
+                "'{}' is a real number; choose how to round it: cast(round(…) as integer), or floor, ceil or trunc",
                 shown(written)
             ));
         }
@@ -539,7 +545,7 @@ pub fn to_integer(value: Value, written: &ast::Expr, strict: bool, least: i64, m
                 let results = series.iter().map(|value| match value {
                     AnyValue::Int64(integer) => checked(Some(integer), &integer),
                     AnyValue::Float64(real) => {
-                        // 2^63 itself is the least real number that is too large.
+                        // 2^63 is the smallest real number that is too large for i64.
                         let fits = (-2_f64.powi(63)..2_f64.powi(63)).contains(&real);
                         checked(fits.then_some(real as i64), &real)
                     }
@@ -560,48 +566,58 @@ pub fn to_integer(value: Value, written: &ast::Expr, strict: bool, least: i64, m
     Ok(Value::new(expr, Type::Integer))
 }
 
-/// A value as a real number; with `strict`, an error where it is none, and null otherwise.
+/// Converts a value to a real number. A text that is no number is an error if `strict`, and null otherwise.
 pub fn to_real(value: Value, strict: bool) -> Answer<Value> {
     let expr = match value.kind {
         Type::Null => return Ok(Value::null(Type::Real)),
-        Type::Bytes => return refuse("bytes can't be made a real number".into()),
+        Type::Bytes => return refuse("bytes can't be cast to a real number".into()),
         Type::Flag => value.expr.cast(DataType::Float64),
         Type::Integer | Type::Single | Type::Real => value.to(Type::Real),
         Type::Text => of_each_text(value.expr, Type::Real, move |text| match text.trim().parse() {
             Ok(real) => Ok(AnyValue::Float64(real)),
             Err(_) if !strict => Ok(AnyValue::Null),
             Err(_) => Err(PolarsError::ComputeError(
-                format!("'{text}' is no number; TRY_CAST makes null of what is none").into(),
+                format!("'{text}' is not a number; TRY_CAST returns null instead").into(),
             )),
         }),
     };
     Ok(Value::new(expr, Type::Real))
 }
 
-/// A function of all values of a group.
+/// A function of all values of a group. Null values are ignored.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Aggregate {
-    /// All rows; what they hold does not matter.
+    /// Number of rows: `count(*)`.
     Rows,
+    /// Number of values.
     Count,
+    /// Sum of the values; null without values.
     Sum,
+    /// Mean of the values.
     Mean,
+    /// Smallest value.
     Min,
+    /// Largest value. NaN is larger than any number.
     Max,
-    /// With the number by which the count of values is lessened.
+    /// Standard deviation, with this number of degrees of freedom subtracted from the count (0 or 1).
     Deviation(u8),
+    /// Variance, with this number of degrees of freedom subtracted from the count (0 or 1).
     Variance(u8),
+    /// Quantile at this probability, with linear interpolation.
     Quantile(f64),
+    /// Whether all values are true.
     All,
+    /// Whether a value is true.
     Any,
 }
 
 impl Aggregate {
+    /// Whether an aggregate has this name, in lower case.
     pub fn is_name(name: &str) -> bool {
         AGGREGATES.contains(&name)
     }
 
-    /// The aggregate of this name, and its argument.
+    /// The aggregate of this name, and the value that it aggregates.
     pub fn named(name: &str, arguments: Vec<Value>) -> Answer<(Self, Value)> {
         let share = match (name, arguments.as_slice()) {
             ("quantile_cont", [_, share]) => match share.constant() {
@@ -644,10 +660,7 @@ impl Aggregate {
             Self::Rows | Self::Count | Self::Min | Self::Max => {}
             Self::All | Self::Any => {
                 if !matches!(argument.kind, Type::Flag | Type::Null) {
-                    return refuse(format!(
-                        "{name} takes a condition, and is given {}",
-                        argument.kind.name()
-                    ));
+                    return refuse(format!("{name} takes a condition, not {}", argument.kind.name()));
                 }
             }
             _ => number(name, &argument)?,
@@ -655,7 +668,8 @@ impl Aggregate {
         Ok((aggregate, argument))
     }
 
-    /// The aggregate of the column `id`, which holds values of `kind`.
+    /// The expression of the aggregate over the column `id` of type `kind`, and the type of its result. With
+    /// `distinct`, equal values count once.
     pub fn of(self, id: &str, kind: Type, distinct: bool) -> Answer<(Expr, Type)> {
         let kind = match (self, kind) {
             (Self::All | Self::Any, Type::Null) => Type::Flag,
@@ -674,12 +688,12 @@ impl Aggregate {
             Self::Rows if distinct => {
                 return refuse("count(DISTINCT *) is not supported; count a column".into());
             }
-            // As often as FILTER leaves the row.
+            // FILTER sets the argument to null in the rows that do not count.
             Self::Rows | Self::Count => (values.count().cast(DataType::Int64), Type::Integer),
             Self::Sum => (when(counted()).then(values.sum()).otherwise(none()), kind),
             Self::Mean => (values.mean(), Type::Real),
             Self::Min => (values.min(), kind),
-            // NaN is greater than any number; Polars leaves it out.
+            // NaN is larger than any number, but Polars ignores it.
             Self::Max if kind == Type::Real => {
                 let is_nan = values.clone().is_nan().any(true);
                 (when(is_nan).then(lit(f64::NAN)).otherwise(values.max()), kind)

@@ -7,30 +7,36 @@ use super::{Answer, refuse, shown};
 use polars::prelude::*;
 use sqlparser::ast::{self, WindowFrameBound, WindowFrameUnits};
 
-/// The functions that only a window has; every aggregate can have one as well.
+/// The functions that need OVER. Aggregates can be called with or without it.
 pub const NAMES: [&str; 7] = ["row_number", "rank", "dense_rank", "lag", "lead", "first_value", "last_value"];
 
+/// Whether a function that needs OVER has this name, in lower case.
 pub fn is_name(name: &str) -> bool {
     NAMES.contains(&name)
 }
 
-/// A function that is called with OVER.
+/// A function call with OVER.
 pub struct Call<'a> {
+    /// The function's name, in lower case.
     pub name: &'a str,
+    /// The arguments, without `*`.
     pub arguments: &'a [&'a ast::Expr],
+    /// Whether the call has DISTINCT.
     pub distinct: bool,
+    /// The condition of FILTER.
     pub filter: Option<&'a ast::Expr>,
 }
 
-/// Columns that are added to a frame: first the inputs, then a row's place, then step after step.
+/// The columns that compute a window function. They are added to a frame in this order: inputs, place, steps.
 pub struct Window {
-    /// Arguments, what the rows are divided by, and what they are ordered by.
+    /// Arguments, and the expressions of PARTITION BY and ORDER BY.
     inputs: Vec<Expr>,
+    /// The ids of the columns of PARTITION BY.
     partition: Vec<String>,
     order: Vec<Order>,
-    /// Where a row comes in the order.
+    /// The id of a column with a row's position in the order.
     place: String,
-    /// Each may use those before it.
+    /// Each step may use the columns of the steps before it.
     steps: Vec<Expr>,
 }
 
@@ -77,7 +83,7 @@ impl Window {
         col(&*id)
     }
 
-    /// What rows have in common that are equal in order.
+    /// The columns in which peers are equal: rows of a partition with the same position in the order.
     fn peers(&self) -> Vec<Expr> {
         let order = self.order.iter().map(|order| &order.id);
         self.partition.iter().chain(order).map(|id| col(&**id)).collect()
@@ -87,12 +93,12 @@ impl Window {
         expr.over(self.partition.iter().map(|id| col(&**id)).collect::<Vec<_>>())
     }
 
-    /// Over the partition, in order.
+    /// `expr` over the ordered partition.
     fn ordered(&self, expr: Expr) -> PolarsResult<Expr> {
         self.over(expr, self.partition.iter().map(|id| col(&**id)).collect())
     }
 
-    /// The value of the last row that is equal to this one in order.
+    /// The value of `expr` in the last of a row's peers.
     fn last_of_peers(&self, expr: Expr) -> PolarsResult<Expr> {
         self.over(expr.last(), self.peers())
     }
@@ -102,13 +108,14 @@ impl Window {
         expr.over_with_options(Some(partition), Some(order), WindowMapping::GroupsToRows)
     }
 
+    /// Adds the columns to a frame.
     pub fn apply(&self, frame: LazyFrame) -> LazyFrame {
         let frame = frame.with_columns(&self.inputs);
         let frame = if self.order.is_empty() { frame } else { self.placed(frame) };
         self.steps.iter().fold(frame, |frame, step| frame.with_columns([step.clone()]))
     }
 
-    /// With the column `place`: rows that come first have the smaller number; equal ones have different numbers.
+    /// Adds the column `place`: each row's position in the order, counted from 0. Peers have different positions.
     fn placed(&self, frame: LazyFrame) -> LazyFrame {
         let before = format!("{}before", self.place);
         let by: Vec<Expr> = self.order.iter().map(|order| col(&*order.id)).collect();
@@ -121,14 +128,14 @@ impl Window {
     }
 }
 
-/// Which rows an aggregate with ORDER BY is over.
+/// The rows of the partition that a function is computed over.
 #[derive(Clone, Copy, PartialEq)]
 enum Frame {
     /// The whole partition.
     All,
-    /// From the partition's first row to this one.
+    /// From the partition's first row to this row.
     ToRow,
-    /// From the partition's first row to the last that is equal to this one in order: the standard's default.
+    /// From the partition's first row to the last of this row's peers, which is the standard's default with ORDER BY.
     ToPeers,
 }
 
@@ -155,14 +162,14 @@ impl Frame {
                 Ok(Self::ToPeers)
             }
             (units, start, end) => refuse(format!(
-                "the frame '{units} BETWEEN {start} AND {end}' is not supported; with ORDER BY there are ROWS or RANGE \
-                 BETWEEN UNBOUNDED PRECEDING AND CURRENT ROW, and without it the whole partition",
+                "the frame '{units} BETWEEN {start} AND {end}' is not supported; use ORDER BY with ROWS or RANGE \
+                 BETWEEN UNBOUNDED PRECEDING AND CURRENT ROW, or leave both out for the whole partition",
             )),
         }
     }
 }
 
-/// Binds a window function: its columns go to the binder's windows.
+/// Binds a call with OVER, and adds its columns to the binder's windows.
 pub fn bind(binder: &Binder, call: &Call, over: &ast::WindowType, written: &ast::Function) -> Answer<Value> {
     let Some(windows) = binder.windows else {
         return refuse(format!(
@@ -188,22 +195,26 @@ pub fn bind(binder: &Binder, call: &Call, over: &ast::WindowType, written: &ast:
             return refuse(format!("{} needs an order: OVER (ORDER BY …)", call.name));
         }
         if call.filter.is_some() {
-            return refuse(format!("FILTER is for aggregates, and {} is none", call.name));
+            return refuse(format!("FILTER is only for aggregates, and {} is not one", call.name));
         }
         if spec.window_frame.is_some() && !matches!(call.name, "first_value" | "last_value") {
-            return refuse(format!("{} has no frame; leave ROWS or RANGE out", call.name));
+            return refuse(format!("{} takes no frame; leave ROWS or RANGE out", call.name));
         }
         let values = call.arguments.iter().map(|expr| Ok(binder.bind(expr)?.for_computing()));
         of_rows(&binder, &mut window, call.name, values.collect::<Answer<_>>()?, frame)?
     } else {
-        return refuse(format!("{} can't have OVER; aggregates can, and {}", call.name, NAMES.join(", ")));
+        return refuse(format!(
+            "{} can't have OVER; only aggregates and {} can",
+            call.name,
+            NAMES.join(", ")
+        ));
     };
     let expr = window.step(&binder, value.expr);
     windows.borrow_mut().push(window);
     Ok(Value::new(expr, value.kind))
 }
 
-/// An aggregate of each row's frame.
+/// Binds an aggregate over each row's frame.
 fn aggregate(binder: &Binder, window: &mut Window, call: &Call, frame: Frame) -> Answer<Value> {
     let (aggregate, argument) = binder.argument(call.name, call.arguments, call.filter)?;
     let kind = argument.kind;
@@ -214,7 +225,7 @@ fn aggregate(binder: &Binder, window: &mut Window, call: &Call, frame: Frame) ->
     }
     let Some((running, kind)) = running(aggregate, &id, kind) else {
         return refuse(format!(
-            "{} up to each row is not supported; leave ORDER BY out for that of the whole partition",
+            "a running {} is not supported; leave ORDER BY out to compute it over the whole partition",
             call.name
         ));
     };
@@ -223,7 +234,7 @@ fn aggregate(binder: &Binder, window: &mut Window, call: &Call, frame: Frame) ->
     Ok(Value::new(expr, kind))
 }
 
-/// A function of where a row stands, or of another row.
+/// Binds one of [`NAMES`]: a function of a row's position, or of another row's value.
 fn of_rows(
     binder: &Binder,
     window: &mut Window,
@@ -246,7 +257,7 @@ fn of_rows(
             Some(AnyValue::Int64(distance @ 0..=1_000_000_000)) => {
                 neighbour(binder, window, name, number, value, distance, values.get(2))
             }
-            _ => refuse(format!("{name} takes a column, and how many rows away as a number")),
+            _ => refuse(format!("{name} takes a column, and a number of rows")),
         },
         ("first_value", [value]) => {
             let id = window.input(binder, value.clone());
@@ -261,11 +272,12 @@ fn of_rows(
             };
             Ok(Value::new(expr, value.kind))
         }
-        _ => refuse(format!("{name} is given {} values, the wrong number", values.len())),
+        _ => refuse(format!("{name} does not take {} value(s)", values.len())),
     }
 }
 
-/// The value of the row so many before (lag) or after (lead); where there is none, `otherwise`.
+/// Binds `lag` or `lead`: the value of the row `distance` rows before or after. Where there is no such row, the value
+/// is `otherwise` or null.
 fn neighbour(
     binder: &Binder,
     window: &mut Window,
@@ -295,7 +307,8 @@ fn neighbour(
     Ok(Value::new(when(is_outside).then(otherwise).otherwise(shifted), kind))
 }
 
-/// An aggregate from a partition's first row to each; none where Polars has no such thing.
+/// The expression of an aggregate from a partition's first row to each row, and the type of its result. Returns `None`
+/// for aggregates that Polars can't compute like this.
 fn running(aggregate: Aggregate, id: &str, kind: Type) -> Option<(Expr, Type)> {
     let column = col(id);
     let count = column.clone().is_not_null().cast(DataType::Int64).cum_sum(false);
@@ -315,7 +328,7 @@ fn running(aggregate: Aggregate, id: &str, kind: Type) -> Option<(Expr, Type)> {
         (Aggregate::Min, Type::Integer) => (latest(column.cum_min(false)), kind),
         (Aggregate::Max, Type::Integer) => (latest(column.cum_max(false)), kind),
         (Aggregate::Min | Aggregate::Max, Type::Real) => {
-            // NaN is greater than any number.
+            // NaN is larger than any number.
             let numbers = when(column.clone().is_nan()).then(lit(NULL)).otherwise(column.clone());
             let nan_before =
                 column.is_nan().fill_null(lit(false)).cast(DataType::Int64).cum_sum(false).gt(lit(0));
