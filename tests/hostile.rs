@@ -170,7 +170,7 @@ fn a_query_reads_the_tables_alone() {
         format!("explain select * from read_csv('{secret}')"),
         "select * from read_parquet('/*/*.parquet')".into(),
     ] {
-        question_refused(&sql, "is no table, and other files can't be read");
+        question_refused(&sql, "is not a table, and other files can't be read");
     }
     for sql in [format!("select * from '{secret}'"), format!("select * from \"{secret}\"")] {
         question_refused(&sql, "");

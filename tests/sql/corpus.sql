@@ -754,7 +754,7 @@ select * from metrics where metric = "r2"
 -- refuse: a column of both sides | 'run' is ambiguous; write a.run or b.run
 select run from runs a join epochs b on a.run = b.run
 
--- refuse: a table twice without names | 'runs' is in FROM twice; name them apart: FROM runs AS a JOIN runs AS b
+-- refuse: a table twice without names | 'runs' is in FROM twice; give it two names: FROM runs AS a JOIN runs AS b
 select count(*) from runs join runs on runs.run = runs.run
 
 -- refuse: text compared with a number | 'latent = '16'' mixes an integer with text; text stands in quotes, a number does not
@@ -877,7 +877,7 @@ select * from metrics where metric similar to 'r.*'
 -- refuse: escapes in like | LIKE has no ESCAPE
 select * from metrics where metric like 'a!_%' escape '!'
 
--- refuse: a join of all with all | a join of it has
+-- refuse: a join of all with all | a join in it has
 select count(*) from metrics a cross join metrics b
 
 -- refuse: tables side by side without a condition | are allowed; join by more columns with ON
@@ -889,7 +889,7 @@ select count(*) from metrics a join metrics b on a.scenario = b.scenario
 -- refuse: limit by an expression | LIMIT and OFFSET take whole numbers
 select run from runs limit 1 + 1
 
--- refuse: other files | is no table, and other files can't be read; the tables are runs, epochs
+-- refuse: other files | is not a table, and other files can't be read; the tables are runs, epochs
 select * from read_csv('x.csv')
 
 -- refuse: a change | it is not a query; use SELECT, WITH, SHOW TABLES, DESCRIBE or EXPLAIN

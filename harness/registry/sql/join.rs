@@ -1,4 +1,4 @@
-//! FROM: tables, subqueries, and how they are joined.
+//! Plans FROM: tables, subqueries and joins.
 
 use super::expression::{Value, is_plain, one_row};
 use super::plan::{Ctes, Planner, none_of};
@@ -9,10 +9,10 @@ use polars::prelude::*;
 use sqlparser::ast::{self, JoinConstraint, JoinOperator, TableFactor};
 use std::collections::BTreeSet;
 
-/// The most rows of a join that has more than the larger of its tables.
+/// The maximum number of rows of a join. A join may have more if it has no more rows than the larger of its tables.
 const MAX_JOIN_ROWS: u64 = 1_000_000;
 
-/// A join's two sides.
+/// The kind of a join: the side whose rows it keeps when they have no partner.
 #[derive(Clone, Copy, PartialEq)]
 enum Side {
     Inner,
@@ -22,8 +22,8 @@ enum Side {
 }
 
 impl Planner<'_> {
-    /// What FROM gives. Takes those conditions of WHERE that are about one table, or join those of `FROM a, b`: what
-    /// they leave out is not joined.
+    /// Plans FROM. Also applies, and removes from `conditions`, the conditions of WHERE that use only one table or that
+    /// join the tables of `FROM a, b`, so that fewer rows are joined.
     pub fn from<'s>(
         &self,
         from: &'s [ast::TableWithJoins],
@@ -56,7 +56,8 @@ impl Planner<'_> {
         Ok(all.unwrap_or_else(|| Relation { frame: one_row(), columns: Vec::new(), rows: None, reads: 0 }))
     }
 
-    /// Applies the conditions that are about a single table to that table, where a join would not bring its rows back.
+    /// Applies each condition that uses a single table to that table, and removes it from `conditions`. The condition
+    /// stays if an outer join could add rows with nulls for the table.
     fn filter_tables(
         &self,
         tables: &mut [Vec<(Relation, Option<&JoinOperator>)>],
@@ -92,7 +93,7 @@ impl Planner<'_> {
         });
     }
 
-    /// `FROM a, b`, joined by those conditions that say what of them is equal.
+    /// Plans `FROM a, b` as a join by those conditions that compare columns of both for equality.
     fn side_by_side<'s>(
         &self,
         left: Relation,
@@ -109,7 +110,7 @@ impl Planner<'_> {
         self.join(left, right, Side::Inner, &keys, ctes)
     }
 
-    /// Both sides of `a = b`, that of the left table first; none if it is another condition.
+    /// The two sides of the condition `a = b`, that of the left table first. Returns `None` for any other condition.
     fn equality(
         &self,
         condition: &ast::Expr,
@@ -137,7 +138,7 @@ impl Planner<'_> {
         })
     }
 
-    /// A table, a query of WITH, or a subquery.
+    /// Plans a table, a query of WITH, a subquery, or a join in parentheses.
     fn factor(&self, factor: &TableFactor, ctes: &Ctes) -> Answer<Relation> {
         match factor {
             TableFactor::Table {
@@ -155,7 +156,7 @@ impl Planner<'_> {
                 let written = name.to_string();
                 if args.is_some() {
                     return refuse(format!(
-                        "'{written}' is no table, and other files can't be read; {}",
+                        "'{written}' is not a table, and other files can't be read; {}",
                         there_are(ctes)
                     ));
                 }
@@ -216,7 +217,7 @@ impl Planner<'_> {
         };
         let held = frame.clone().collect_schema()?;
         let known = table.columns();
-        // Elements of vectors that only some datasets have.
+        // Columns of vectors that only some datasets have.
         let more = held.iter_names().filter(|name| !known.iter().any(|column| column.name == ***name));
         let more: Vec<(Kind, String)> = more.map(|name| (Kind::Real, name.to_string())).collect();
         let known = known.into_iter().map(|column| (column.kind, column.name));
@@ -230,7 +231,7 @@ impl Planner<'_> {
         Ok(Relation { frame, columns: columns.collect(), rows: None, reads: 1 })
     }
 
-    /// The same under a table's name, its columns with names of their own: a query may have a table twice.
+    /// Renames a relation to its alias or `name`. Its columns get new ids, because a query may read a table twice.
     pub fn named(&self, relation: Relation, alias: Option<&ast::TableAlias>, name: &str) -> Answer<Relation> {
         let given: Vec<String> = match alias {
             None => Vec::new(),
@@ -241,7 +242,7 @@ impl Planner<'_> {
         let name = alias.map_or(name, |alias| &alias.name.value);
         if !given.is_empty() && given.len() != relation.columns.len() {
             return refuse(format!(
-                "'{name}' names {} columns, and there are {}",
+                "'{name}' names {} columns, but there are {}",
                 given.len(),
                 relation.columns.len()
             ));
@@ -265,13 +266,13 @@ impl Planner<'_> {
         ctes: &Ctes,
     ) -> Answer<Relation> {
         let Some((side, constraint)) = Side::of(operator) else {
-            return refuse("there are JOIN, LEFT JOIN, RIGHT JOIN, FULL JOIN and CROSS JOIN".into());
+            return refuse("use JOIN, LEFT JOIN, RIGHT JOIN, FULL JOIN or CROSS JOIN".into());
         };
         if let Some(name) =
             left.tables().iter().find(|name| right.tables().iter().any(|other| same(other, name)))
         {
             return refuse(format!(
-                "'{name}' is in FROM twice; name them apart: FROM {name} AS a JOIN {name} AS b"
+                "'{name}' is in FROM twice; give it two names: FROM {name} AS a JOIN {name} AS b"
             ));
         }
         match constraint {
@@ -288,12 +289,13 @@ impl Planner<'_> {
                 refuse("NATURAL JOIN is not supported; name the columns: JOIN … USING (…)".into())
             }
             JoinConstraint::None => {
-                refuse("JOIN needs what to join by: ON a.column = b.column; or write CROSS JOIN".into())
+                refuse("JOIN needs a condition: ON a.column = b.column; or write CROSS JOIN".into())
             }
         }
     }
 
-    /// `JOIN … USING (…)`: the columns of these names are one column, of whichever side has a value.
+    /// Plans `JOIN … USING (…)`. The columns of each name become one column, with the value of the left side or, where
+    /// that is null, of the right side.
     fn join_using(
         &self,
         left: Relation,
@@ -304,13 +306,13 @@ impl Planner<'_> {
         let (mut keys, mut merged) = (Vec::new(), Vec::new());
         for name in names {
             let [ast::ObjectNamePart::Identifier(name)] = name.0.as_slice() else {
-                return refuse(format!("USING takes names of columns, and '{name}' is none"));
+                return refuse(format!("USING takes names of columns, not '{name}'"));
             };
             let path = std::slice::from_ref(name);
             let find = |relation: &Relation| match resolve(&relation.columns, path) {
                 Ok(column) => Ok(column.clone()),
                 Err(_) => refuse(format!(
-                    "USING takes columns of both sides, each once, and '{}' is none",
+                    "USING takes columns that each side has exactly once, not '{}'",
                     name.value
                 )),
             };
@@ -361,7 +363,8 @@ impl Planner<'_> {
                 continue;
             }
             let other = self.binder(&both, "ON", ctes).condition(condition)?;
-            // Rows that a condition of their own leaves out have no partner, unless they stay without one.
+            // A condition on one table can be applied before the join, unless the join keeps that table's rows without
+            // a partner.
             let names = names_of(&other);
             if names.are_of(&left.columns) && matches!(side, Side::Inner | Side::Right) {
                 left.frame = left.frame.filter(other);
@@ -374,7 +377,7 @@ impl Planner<'_> {
         self.join_on(left, right, side, keys, &others)
     }
 
-    /// Joins where all `keys` are equal and all `others` are true.
+    /// Joins the pairs of rows in which all `keys` are equal and all conditions `others` are true.
     fn join_on(
         &self,
         left: Relation,
@@ -393,7 +396,7 @@ impl Planner<'_> {
         let (row, other_row) = (self.fresh(), self.fresh());
         let numbered =
             |frame: LazyFrame, keys: Vec<Expr>, row: &str| frame.with_columns(keys).with_row_index(row, None);
-        // Rows are only numbered where those without a partner have to be found.
+        // An outer join needs row numbers to find the rows that have no partner.
         let (a, b) = if side == Side::Inner {
             (left.frame.with_columns(left_keys), right.frame.with_columns(right_keys))
         } else {
@@ -413,7 +416,7 @@ impl Planner<'_> {
         let kept: Vec<Expr> = columns.iter().map(|column| col(&*column.id)).collect();
         let reads = left.reads + right.reads;
         let mut parts = vec![matched.clone().select(&kept)];
-        // Rows without a partner, with nulls instead of it.
+        // The rows of one side that have no partner, with nulls for the other side.
         let alone = |frame: &LazyFrame, row: &str, own: &[Column]| {
             let nulls = columns.iter().map(|column| {
                 let is_own = own.iter().any(|other| other.id == column.id);
@@ -435,7 +438,7 @@ impl Planner<'_> {
 }
 
 impl Side {
-    /// What a join keeps, and what it joins by; none if there is no such join.
+    /// The kind and the constraint of a join, or `None` if it is not supported.
     fn of(operator: &JoinOperator) -> Option<(Self, &JoinConstraint)> {
         match operator {
             JoinOperator::Join(constraint)
@@ -453,7 +456,7 @@ impl Side {
     }
 }
 
-/// The columns that an expression is computed of.
+/// The ids of the columns that an expression uses.
 struct Names(BTreeSet<String>);
 
 fn names_of(expr: &Expr) -> Names {
@@ -465,13 +468,17 @@ fn names_of(expr: &Expr) -> Names {
 }
 
 impl Names {
-    /// Whether there are any, and all are among `columns`.
+    /// Whether there is at least one id, and all are among `columns`.
     fn are_of(&self, columns: &[Column]) -> bool {
         !self.0.is_empty() && self.0.iter().all(|name| columns.iter().any(|column| column.id == *name))
     }
 }
 
-/// How many rows a join has, before any other condition.
+/// The number of rows of a join by these keys, before other conditions, plus the number of rows of the larger table,
+/// which an outer join may keep.
+///
+/// # Errors
+/// When the join has too many rows.
 fn joined_rows(left: &LazyFrame, right: &LazyFrame, left_ids: &[Expr], right_ids: &[Expr]) -> Answer<u64> {
     let count = |frame: &LazyFrame| -> Answer<u64> {
         let rows = frame.clone().select([len().cast(DataType::UInt64).alias("rows")]).collect()?;
@@ -495,17 +502,18 @@ fn joined_rows(left: &LazyFrame, right: &LazyFrame, left_ids: &[Expr], right_ids
     Ok(rows.saturating_add(larger))
 }
 
+/// Refuses a join of too many rows. `larger` is the number of rows of the larger table.
 pub fn within_rows(rows: u64, larger: u64) -> Answer<()> {
     if rows <= MAX_JOIN_ROWS.max(larger) {
         return Ok(());
     }
     refuse(format!(
-        "a join of it has {rows} rows, and {MAX_JOIN_ROWS} are allowed; join by more columns with ON a.column = \
-         b.column, or select from each table first"
+        "a join in it has {rows} rows, but at most {MAX_JOIN_ROWS} are allowed; join by more columns with \
+         ON a.column = b.column, or select from each table first"
     ))
 }
 
-/// The conditions that AND joins, one by one.
+/// Splits a condition at its ANDs, and appends the parts to `conditions`.
 pub fn split_and<'s>(condition: Option<&'s ast::Expr>, conditions: &mut Vec<&'s ast::Expr>) {
     match condition {
         None => {}

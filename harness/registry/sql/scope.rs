@@ -99,7 +99,7 @@ pub struct Relation {
     pub frame: LazyFrame,
     /// The columns, in order.
     pub columns: Vec<Column>,
-    /// An upper bound of the number of rows, if a join is part of the relation.
+    /// The estimated maximum number of rows, if a join is part of the relation.
     pub rows: Option<u64>,
     /// Number of times that the relation reads a table.
     pub reads: usize,
