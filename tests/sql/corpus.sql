@@ -685,22 +685,22 @@ from metrics
 -- agree: a semicolon at the end
 select count(*) as n from runs;
 
--- refuse: an ungrouped column beside an aggregate | 'metric' is one of many in a group; add it to GROUP BY
+-- refuse: an ungrouped column beside an aggregate | 'metric' must be in GROUP BY or in an aggregate, such as max(metric)
 select metric, avg(value) from metrics
 
--- refuse: an ungrouped column of a group | 'run' is one of many in a group
+-- refuse: an ungrouped column of a group | 'run' must be in GROUP BY
 select metric, run, avg(value) from metrics group by metric
 
--- refuse: an ungrouped column in an expression | 'latent' is one of many in a group
+-- refuse: an ungrouped column in an expression | 'latent' must be in GROUP BY
 select metric, latent + 1, avg(value) from metrics group by metric
 
--- refuse: all columns of groups | is one of many in a group
+-- refuse: all columns of groups | must be in GROUP BY
 select * from metrics group by metric
 
--- refuse: an ungrouped column in having | 'value' is one of many in a group
+-- refuse: an ungrouped column in having | 'value' must be in GROUP BY
 select metric from metrics group by metric having value > 1
 
--- refuse: an ungrouped column in order by | 'value' is one of many in a group
+-- refuse: an ungrouped column in order by | 'value' must be in GROUP BY
 select metric from metrics group by metric order by value
 
 -- refuse: an aggregate in where | 'avg(value)' can't be in WHERE; use HAVING
@@ -748,7 +748,7 @@ select m.runn from metrics m
 -- refuse: a table that is not in from | there is no table 'metrics' in its FROM; there are m
 select metrics.value from metrics m
 
--- refuse: text in double quotes | Text stands in single quotes: 'r2'
+-- refuse: text in double quotes | Write text in single quotes: 'r2'
 select * from metrics where metric = "r2"
 
 -- refuse: a column of both sides | 'run' is ambiguous; write a.run or b.run
@@ -757,10 +757,10 @@ select run from runs a join epochs b on a.run = b.run
 -- refuse: a table twice without names | 'runs' is in FROM twice; give it two names: FROM runs AS a JOIN runs AS b
 select count(*) from runs join runs on runs.run = runs.run
 
--- refuse: text compared with a number | 'latent = '16'' mixes an integer with text; text stands in quotes, a number does not
+-- refuse: text compared with a number | 'latent = '16'' mixes an integer with text; write text in quotes, and numbers without
 select * from runs where latent = '16'
 
--- refuse: a number as a condition | a condition is wanted
+-- refuse: a number as a condition | not a condition
 select * from runs where latent
 
 -- refuse: arithmetic with text | 'metric' is text
@@ -775,7 +775,7 @@ select case when index = 1 then 'x' else 2 end from metrics
 -- refuse: union of text and numbers | UNION of text with an integer in column 1
 select run from runs union select latent from runs
 
--- refuse: union of other widths | UNION is of queries with as many columns; one has 1, the other 2
+-- refuse: union of other widths | UNION needs queries with the same number of columns; they have 1 and 2
 select run from runs union select run, latent from runs
 
 -- refuse: a real number cast to an integer | choose how to round it: cast(round(…) as integer)
@@ -814,40 +814,40 @@ select substr(run, 0, 3) from runs
 -- refuse: several columns in in | compares several columns at once; compare each with AND, or join
 select * from metrics where (run, metric) in (select run, metric from metrics)
 
--- refuse: exists of the query around it | 'm.run' belongs to the query around the subquery, which is not supported; write a join instead
+-- refuse: exists of the query around it | 'm.run' is a column of the outer query, which a subquery can't use; write a join instead
 select count(*) from metrics m where exists (select 1 from epochs e where e.run = m.run)
 
 -- refuse: a value of the query around it | write a join instead
 select run, (select max(value) from epochs where epochs.run = runs.run) from runs
 
--- refuse: a subquery of several rows as a value | gives several rows, and one value is wanted; use IN, or an aggregate as max
+-- refuse: a subquery of several rows as a value | gives several rows instead of one value; use IN, or an aggregate such as max
 select * from runs where latent = (select latent from runs)
 
--- refuse: a subquery of several columns as a value | gives 2 columns, and one is wanted
+-- refuse: a subquery of several columns as a value | gives 2 columns instead of one
 select * from runs where latent in (select latent, seed from runs)
 
--- refuse: what the parser takes for something else | is not clear; put brackets in it
+-- refuse: what the parser takes for something else | is ambiguous; add parentheses
 select count(*) from runs where git_dirty is distinct from true and latent = 4
 
 -- refuse: any | use IN, or compare with max or min
 select * from runs where latent > any (select latent from runs)
 
--- refuse: dates | 'started' is text as 2026-01-31T12:00:00Z
+-- refuse: dates | 'started' is text such as 2026-01-31T12:00:00Z
 select date '2026-01-01' from runs
 
--- refuse: parts of dates | 'started' is text as 2026-01-31T12:00:00Z
+-- refuse: parts of dates | 'started' is text such as 2026-01-31T12:00:00Z
 select extract(year from started) from runs
 
--- refuse: rollup | write a query each, with UNION ALL
+-- refuse: rollup | combine several queries with UNION ALL
 select metric, count(*) from metrics group by rollup (metric)
 
--- refuse: grouping sets | write a query each, with UNION ALL
+-- refuse: grouping sets | combine several queries with UNION ALL
 select metric, count(*) from metrics group by grouping sets ((metric), ())
 
 -- refuse: distinct on | use QUALIFY row_number() OVER (…) = 1
 select distinct on (metric) metric, value from metrics
 
--- refuse: distinct, ordered by something else | with DISTINCT, ORDER BY is of what SELECT gives
+-- refuse: distinct, ordered by something else | with DISTINCT, ORDER BY can only use columns of SELECT
 select distinct metric from metrics order by value
 
 -- refuse: natural join | name the columns: JOIN … USING (…)
@@ -862,7 +862,7 @@ with recursive t as (select 1 as n union all select n + 1 from t) select * from 
 -- refuse: values | write SELECT 1 AS a UNION ALL SELECT 2
 values (1), (2)
 
--- refuse: order by a number beyond select | '3' stands for no column of SELECT; they are 1 to 1
+-- refuse: order by a number beyond select | SELECT has no column 3; its columns are 1 to 1
 select run from runs order by 3
 
 -- refuse: an ambiguous name in order by | several columns of SELECT are named 'x'; order by their number
@@ -874,7 +874,7 @@ select latent // 2 from runs
 -- refuse: regular expressions | use LIKE
 select * from metrics where metric similar to 'r.*'
 
--- refuse: escapes in like | LIKE has no ESCAPE
+-- refuse: escapes in like | LIKE with ESCAPE or ANY
 select * from metrics where metric like 'a!_%' escape '!'
 
 -- refuse: a join of all with all | a join in it has

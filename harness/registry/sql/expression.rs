@@ -1,4 +1,4 @@
-//! Expressions: from the parser's tree to Polars' expressions, with the standard's meaning.
+//! Translates expressions from the parser's tree to Polars expressions with the meaning that standard SQL gives them.
 
 use super::functions::{self, Aggregate};
 use super::plan::{Ctes, Planner};
@@ -10,32 +10,37 @@ use sqlparser::ast::{self, BinaryOperator, UnaryOperator, Visit, Visitor};
 use std::cell::RefCell;
 use std::ops::ControlFlow;
 
-/// An expression of Polars, and what it gives.
+/// A Polars expression and the type of its values.
 #[derive(Clone)]
 pub struct Value {
+    /// The expression.
     pub expr: Expr,
+    /// The type of its values.
     pub kind: Type,
 }
 
 impl Value {
+    /// The values of `expr`, which must be of type `kind`.
     pub fn new(expr: Expr, kind: Type) -> Self {
         Self { expr, kind }
     }
 
-    /// A constant of the kind.
+    /// A constant of type `kind`.
     pub fn literal(value: AnyValue, kind: Type) -> Self {
         Self::new(lit(Scalar::new(kind.data_type(), value.into_static())), kind)
     }
 
+    /// A null of type `kind`.
     pub fn null(kind: Type) -> Self {
         Self::literal(AnyValue::Null, kind)
     }
 
+    /// The values of the frame's column `id`.
     pub fn column(id: &str, kind: Type) -> Self {
         Self::new(col(id), kind)
     }
 
-    /// The constant that it is, if it is one.
+    /// The value of a constant; `None` if the expression is not a constant.
     pub fn constant(&self) -> Option<AnyValue<'static>> {
         match &self.expr {
             Expr::Literal(LiteralValue::Scalar(scalar)) => Some(scalar.value().clone()),
@@ -43,12 +48,12 @@ impl Value {
         }
     }
 
-    /// The same as another type; one that [`Type::common`] gave, or the same.
+    /// The expression, converted to a type that [`Type::common`] returned for its own.
     pub fn to(self, kind: Type) -> Expr {
         if self.kind == kind { self.expr } else { self.expr.cast(kind.data_type()) }
     }
 
-    /// The same with 64 bits, if it is a real number of fewer.
+    /// The value to compute with: real numbers of 32 bits are converted to 64 bits.
     pub fn for_computing(self) -> Self {
         match self.kind {
             Type::Single => Self::new(self.to(Type::Real), Type::Real),
@@ -56,7 +61,7 @@ impl Value {
         }
     }
 
-    /// A constant instead of an expression without columns: Polars would treat it as a column of its own.
+    /// Evaluates an expression without columns to a constant. Polars would treat it as a column of one row.
     pub fn folded(self) -> Answer<Self> {
         let has_columns = || (&self.expr).into_iter().any(|part| matches!(part, Expr::Column(_)));
         if matches!(self.expr, Expr::Literal(_)) || has_columns() {
@@ -69,43 +74,53 @@ impl Value {
 
 /// A frame of one row, for queries without FROM.
 pub fn one_row() -> LazyFrame {
-    df!("" => [true]).expect("a frame of one column has no lengths to differ").lazy()
+    df!("" => [true]).expect("a frame with one column is valid").lazy()
 }
 
-/// What is computed of each group, collected while expressions are bound.
+/// The keys and aggregates of a grouped SELECT. Aggregates are added while expressions are bound.
 pub struct Groups {
+    /// The keys of GROUP BY.
     pub keys: Vec<Key>,
-    /// What the aggregates are of.
+    /// The arguments of the aggregates, computed before grouping.
     pub arguments: Vec<Expr>,
+    /// The aggregates of the arguments.
     pub aggregates: Vec<Expr>,
 }
 
-/// What GROUP BY groups by.
+/// A key of GROUP BY.
 pub struct Key {
+    /// The key as the query has it.
     pub written: ast::Expr,
+    /// The key's value in each row.
     pub value: Value,
+    /// The id of the key's column in the grouped frame.
     pub id: String,
 }
 
-/// Names given in SELECT, and what they stand for.
+/// The aliases of SELECT, with their expressions.
 pub type Aliases<'a> = &'a [(String, &'a ast::Expr)];
 
-/// Binds the expressions of one clause.
+/// Binds the expressions of one clause: resolves names, checks types, and returns Polars expressions.
 #[derive(Clone, Copy)]
 pub struct Binder<'a> {
+    /// The planner of the query, for subqueries and new ids.
     pub planner: &'a Planner<'a>,
+    /// The queries of WITH that subqueries may name.
     pub ctes: &'a Ctes,
+    /// The columns that the clause may name.
     pub columns: &'a [Column],
-    /// As a message names the clause.
+    /// The clause's name in messages, such as `WHERE`.
     pub clause: &'a str,
-    /// The groups, if the clause sees groups instead of rows.
+    /// The groups, if the clause is evaluated for groups instead of rows.
     pub groups: Option<&'a RefCell<Groups>>,
-    /// The window functions, where there may be some.
+    /// The window functions found so far; `None` if the clause can't contain any.
     pub windows: Option<&'a RefCell<Vec<Window>>>,
+    /// The aliases of SELECT that the clause may name.
     pub aliases: Aliases<'a>,
 }
 
 impl<'a> Binder<'a> {
+    /// Binds an expression.
     pub fn bind(&self, expr: &ast::Expr) -> Answer<Value> {
         if let Some(key) = self.group_key(expr) {
             return Ok(key);
@@ -113,21 +128,21 @@ impl<'a> Binder<'a> {
         self.unfolded(expr)?.folded()
     }
 
-    /// A condition: true, false or null.
+    /// Binds a condition, whose values must be true, false or null.
     pub fn condition(&self, expr: &ast::Expr) -> Answer<Expr> {
         let value = self.bind(expr)?;
         match value.kind {
             Type::Flag | Type::Null => Ok(value.to(Type::Flag)),
-            other => refuse(format!("'{}' is {}, and a condition is wanted", shown(expr), other.name())),
+            other => refuse(format!("'{}' is {}, not a condition", shown(expr), other.name())),
         }
     }
 
-    /// The same rows before they are grouped.
+    /// A binder for the rows before they are grouped.
     fn rows(&self) -> Self {
         Self { groups: None, windows: None, aliases: &[], ..*self }
     }
 
-    /// The key that `expr` is, if GROUP BY has it.
+    /// The column of the GROUP BY key that `expr` is equal to, if there is one.
     fn group_key(&self, expr: &ast::Expr) -> Option<Value> {
         let groups = self.groups?.borrow();
         let written = inner(expr);
@@ -138,6 +153,7 @@ impl<'a> Binder<'a> {
         Some(Value::column(&key.id, key.value.kind))
     }
 
+    /// Binds an expression without evaluating constants.
     fn unfolded(&self, expr: &ast::Expr) -> Answer<Value> {
         use ast::Expr as E;
         let flag = |expr| Ok(Value::new(expr, Type::Flag));
@@ -158,9 +174,9 @@ impl<'a> Binder<'a> {
             E::IsUnknown(expr) => flag(self.condition(expr)?.is_null()),
             E::IsNotUnknown(expr) => flag(self.condition(expr)?.is_not_null()),
             E::IsDistinctFrom(left, right) | E::IsNotDistinctFrom(left, right) => {
-                // The parser takes `a IS DISTINCT FROM b AND c` for `a IS DISTINCT FROM (b AND c)`.
+                // The parser reads `a IS DISTINCT FROM b AND c` as `a IS DISTINCT FROM (b AND c)`.
                 if !is_operand(right) {
-                    return refuse(format!("what '{}' means is not clear; put brackets in it", shown(expr)));
+                    return refuse(format!("'{}' is ambiguous; add parentheses", shown(expr)));
                 }
                 let (left, right) = self.pair(left, right, expr)?;
                 let is_distinct = left.neq_missing(right);
@@ -192,7 +208,7 @@ impl<'a> Binder<'a> {
             E::ILike { negated, any: false, expr: value, pattern, escape_char: None } => {
                 flag(negate(self.like(value, pattern, "(?is)")?, *negated))
             }
-            E::Like { .. } | E::ILike { .. } => refuse("LIKE has no ESCAPE and no ANY here".into()),
+            E::Like { .. } | E::ILike { .. } => refuse("LIKE with ESCAPE or ANY is not supported".into()),
             E::SimilarTo { .. } | E::RLike { .. } => {
                 refuse(format!("'{}' is not supported; use LIKE, with % for any text", shown(expr)))
             }
@@ -235,12 +251,13 @@ impl<'a> Binder<'a> {
                 refuse(format!("'{}' is not supported; use IN, or compare with max or min", shown(expr)))
             }
             E::Interval(_) | E::Extract { .. } | E::TypedString(_) | E::AtTimeZone { .. } => refuse(format!(
-                "'{}' is about dates, and no table has any: 'started' is text as 2026-01-31T12:00:00Z, to be compared \
-                 with text, or cut with substr",
+                "'{}' is about dates, and no table has any: 'started' is text such as 2026-01-31T12:00:00Z; compare it \
+                 with text, or use substr",
                 shown(expr)
             )),
             E::GroupingSets(_) | E::Cube(_) | E::Rollup(_) => refuse(
-                "ROLLUP, CUBE and GROUPING SETS are not supported; write a query each, with UNION ALL".into(),
+                "ROLLUP, CUBE and GROUPING SETS are not supported; combine several queries with UNION ALL"
+                    .into(),
             ),
             other => refuse(format!("'{}' is not supported", shown(other))),
         }
@@ -262,24 +279,24 @@ impl<'a> Binder<'a> {
         };
         if self.groups.is_some() {
             return refuse(format!(
-                "'{name}' is one of many in a group; add it to GROUP BY, or say which with an aggregate as max({name})",
+                "'{name}' must be in GROUP BY or in an aggregate, such as max({name})",
                 name = found.name
             ));
         }
         Ok(Value::column(&found.id, found.kind))
     }
 
-    /// Why a name is unknown, when it isn't simply wrong.
+    /// The message about an unknown name, with the reason if it is a known mistake. `message` is used otherwise.
     fn unknown(&self, path: &[ast::Ident], message: String) -> String {
         let name = path.iter().map(|part| part.value.as_str()).collect::<Vec<_>>().join(".");
         if self.planner.around(path) {
             return format!(
-                "'{name}' belongs to the query around the subquery, which is not supported; write a join instead"
+                "'{name}' is a column of the outer query, which a subquery can't use; write a join instead"
             );
         }
         match path {
             [one] if one.quote_style == Some('"') => {
-                format!("{message}. Text stands in single quotes: '{name}'")
+                format!("{message}. Write text in single quotes: '{name}'")
             }
             _ => message,
         }
@@ -291,13 +308,13 @@ impl<'a> Binder<'a> {
             UnaryOperator::Plus | UnaryOperator::Minus => {
                 let value = self.bind(expr)?.for_computing();
                 if !value.kind.is_number() {
-                    return refuse(format!("'{}' is {}, no number", shown(expr), value.kind.name()));
+                    return refuse(format!("'{}' is {}, not a number", shown(expr), value.kind.name()));
                 }
                 if op == UnaryOperator::Plus {
                     return Ok(value);
                 }
                 let zero = match value.kind {
-                    // 0 - 0.0 would lose its sign.
+                    // 0 - 0.0 is 0.0 instead of -0.0.
                     Type::Real => return Ok(Value::new(value.expr * lit(-1.0), Type::Real)),
                     _ => Value::literal(AnyValue::Int64(0), Type::Integer),
                 };
@@ -353,11 +370,11 @@ impl<'a> Binder<'a> {
         }
     }
 
-    /// Two values to compare, of one type.
+    /// Binds two expressions to compare, and converts them to their common type.
     fn pair(&self, left: &ast::Expr, right: &ast::Expr, whole: &ast::Expr) -> Answer<(Expr, Expr)> {
         let (left, right) = (self.bind(left)?, self.bind(right)?);
         let kind = match common(&[&left, &right], whole)? {
-            // Polars doesn't compare nulls that have no type.
+            // Polars can't compare nulls without a type.
             Type::Null => Type::Flag,
             kind => kind,
         };
@@ -367,7 +384,7 @@ impl<'a> Binder<'a> {
     fn like(&self, value: &ast::Expr, pattern: &ast::Expr, flags: &str) -> Answer<Expr> {
         let (text, pattern) = (self.bind(value)?, self.bind(pattern)?);
         if !matches!(text.kind, Type::Text | Type::Null) {
-            return refuse(format!("LIKE is for text, and '{}' is {}", shown(value), text.kind.name()));
+            return refuse(format!("LIKE takes text, but '{}' is {}", shown(value), text.kind.name()));
         }
         match pattern.constant() {
             Some(AnyValue::Null) => Ok(Value::null(Type::Flag).expr),
@@ -423,7 +440,7 @@ impl<'a> Binder<'a> {
                 other => refuse(format!("{} can't be cast to boolean; compare it instead", other.name())),
             },
             other => refuse(format!(
-                "there is no type {other}; there are INTEGER, BIGINT, DOUBLE, VARCHAR and BOOLEAN"
+                "the type {other} is not supported; use INTEGER, BIGINT, DOUBLE, VARCHAR or BOOLEAN"
             )),
         }
     }
@@ -448,7 +465,7 @@ impl<'a> Binder<'a> {
         };
         if !plain || !list.clauses.is_empty() {
             return refuse(format!(
-                "'{}' is not supported: a function takes arguments, DISTINCT, FILTER and OVER alone",
+                "'{}' is not supported: a function takes only arguments, DISTINCT, FILTER and OVER",
                 shown(function)
             ));
         }
@@ -458,7 +475,7 @@ impl<'a> Binder<'a> {
             ast::FunctionArg::Unnamed(ast::FunctionArgExpr::Wildcard) if name == "count" => Ok(None),
             other => refuse(format!("'{other}' can't be an argument of {name}")),
         });
-        // `*` is no argument.
+        // `*` counts as no argument.
         let arguments: Vec<&ast::Expr> =
             arguments.collect::<Answer<Vec<_>>>()?.into_iter().flatten().collect();
         if let Some(over) = over {
@@ -474,7 +491,7 @@ impl<'a> Binder<'a> {
             return self.aggregate(&name, &arguments, distinct, filter.as_deref(), function);
         }
         if distinct || filter.is_some() {
-            return refuse(format!("DISTINCT and FILTER are for aggregates, and {name} is none"));
+            return refuse(format!("DISTINCT and FILTER are only for aggregates, and {name} is not one"));
         }
         if super::window::is_name(&name) {
             return refuse(format!("{name} needs OVER (ORDER BY …)"));
@@ -511,14 +528,14 @@ impl<'a> Binder<'a> {
         if aggregate != Aggregate::Sum || kind != Type::Integer {
             return Ok(value);
         }
-        // Polars' sum of integers wraps around; that of real numbers says when.
+        // Polars' sum of integers wraps around without an error. The sum of real numbers shows when it did.
         let real = self.planner.fresh();
         let (sum, _) = aggregate.of(&argument_id, Type::Real, distinct)?;
         groups.aggregates.push(sum.alias(&real));
         Ok(functions::sum_within_integers(value, col(&*real)))
     }
 
-    /// The aggregate that is called, and what it is of: null in the rows that FILTER leaves out.
+    /// The aggregate that is called, and its argument, which is null in the rows that FILTER excludes.
     pub fn argument(
         &self,
         name: &str,
@@ -540,7 +557,7 @@ impl<'a> Binder<'a> {
     }
 }
 
-/// The type that holds all of `values`.
+/// The common type of `values`. `whole` is the expression that a message names if there is none.
 fn common(values: &[&Value], whole: &ast::Expr) -> Answer<Type> {
     let mut kind = Type::Null;
     for value in values {
@@ -549,7 +566,7 @@ fn common(values: &[&Value], whole: &ast::Expr) -> Answer<Type> {
             None => {
                 let hint = match (kind, value.kind) {
                     (Type::Text, Type::Integer | Type::Real) | (Type::Integer | Type::Real, Type::Text) => {
-                        "; text stands in quotes, a number does not"
+                        "; write text in quotes, and numbers without"
                     }
                     _ => "",
                 };
@@ -565,7 +582,7 @@ fn common(values: &[&Value], whole: &ast::Expr) -> Answer<Type> {
     Ok(kind)
 }
 
-/// Whether `value` is among `list`: unknown if it is not and some of them are unknown.
+/// The condition `value IN list`. It is null if `value` is not in the list and the list contains a null.
 fn membership(value: &Value, list: Vec<Value>, whole: &ast::Expr) -> Answer<Expr> {
     if list.is_empty() {
         return Ok(lit(false));
@@ -594,7 +611,7 @@ fn literal(value: &ast::Value) -> Answer<Value> {
     match value {
         ast::Value::Number(digits, false) if digits.contains(['.', 'e', 'E']) => match digits.parse() {
             Ok(real) => Ok(Value::literal(AnyValue::Float64(real), Type::Real)),
-            Err(_) => refuse(format!("'{digits}' is no number")),
+            Err(_) => refuse(format!("'{digits}' is not a number")),
         },
         ast::Value::Number(digits, false) => match digits.parse() {
             Ok(integer) => Ok(Value::literal(AnyValue::Int64(integer), Type::Integer)),
@@ -609,7 +626,7 @@ fn literal(value: &ast::Value) -> Answer<Value> {
     }
 }
 
-/// LIKE's pattern as a regular expression.
+/// Converts a pattern of LIKE to a regular expression.
 fn regex(pattern: &str, flags: &str) -> String {
     let mut regex = format!("^{flags}");
     for letter in pattern.chars() {
@@ -627,7 +644,7 @@ fn regex(pattern: &str, flags: &str) -> String {
     regex + "$"
 }
 
-/// What stands in brackets.
+/// The expression without its outer parentheses.
 fn inner(expr: &ast::Expr) -> &ast::Expr {
     match expr {
         ast::Expr::Nested(expr) => inner(expr),
@@ -635,7 +652,7 @@ fn inner(expr: &ast::Expr) -> &ast::Expr {
     }
 }
 
-/// Whether an expression has no operator that binds as little as a comparison, outside of brackets.
+/// Whether all operators of an expression, outside of parentheses, bind more tightly than a comparison.
 fn is_operand(expr: &ast::Expr) -> bool {
     use BinaryOperator as B;
     match expr {
@@ -657,7 +674,7 @@ fn is_operand(expr: &ast::Expr) -> bool {
     }
 }
 
-/// Whether an expression is of one row alone, without subqueries.
+/// Whether an expression uses values of only one row: it has no aggregates, window functions or subqueries.
 pub fn is_plain(expr: &ast::Expr) -> bool {
     struct Plain;
     impl Visitor for Plain {
@@ -672,14 +689,14 @@ pub fn is_plain(expr: &ast::Expr) -> bool {
     expr.visit(&mut Plain).is_continue()
 }
 
-/// Whether an expression is an aggregate or a window function itself.
+/// Whether an expression is a call of an aggregate or window function.
 fn is_aggregate(expr: &ast::Expr) -> bool {
     matches!(expr, ast::Expr::Function(function)
         if function.over.is_some() || Aggregate::is_name(&function.name.to_string().to_lowercase()))
 }
 
-/// Whether an expression has an aggregate somewhere, outside of subqueries; one in a window function's OVER counts,
-/// the window function itself doesn't.
+/// Whether an expression contains an aggregate outside of subqueries. A call with OVER does not count, but an aggregate
+/// inside its OVER does.
 pub fn has_aggregate(expr: &ast::Expr) -> bool {
     #[derive(Default)]
     struct Found {

@@ -1,4 +1,4 @@
-//! Queries: from the parser's tree to Polars' plans. Every column gets a name of its own, so none hides another.
+//! Translates queries from the parser's tree to Polars plans. In a plan, every column has a unique id.
 
 use super::expression::{Binder, Groups, Key, Value, has_aggregate};
 use super::join::{split_and, within_rows};
@@ -11,44 +11,48 @@ use sqlparser::ast::{self, SetExpr, SetOperator, SetQuantifier};
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 
-/// The most times that a query may read tables: each UNION of a subquery with itself doubles their number.
+/// The maximum number of times that a query may read tables. Each UNION of a subquery with itself doubles the number.
 const MAX_READS: usize = 200;
 
-/// The queries of WITH, by name.
+/// The queries of WITH (common table expressions), by name in lower case.
 pub type Ctes = BTreeMap<String, Relation>;
 
 /// Plans one statement.
 pub struct Planner<'a> {
-    /// Where a table's rows come from.
+    /// Returns the rows of a table.
     pub source: &'a dyn Fn(Table) -> Answer<LazyFrame>,
+    /// The tables that have been read so far.
     pub read: RefCell<BTreeMap<Table, LazyFrame>>,
+    /// Number of ids given so far.
     names: Cell<usize>,
-    /// The columns around the subquery that is being planned.
+    /// The columns of the queries that contain the subquery which is being planned.
     around: RefCell<Vec<Vec<Column>>>,
 }
 
-/// What SELECT gives: an expression, or a column that `*` stands for.
+/// An item of SELECT: an expression, or a column that `*` stands for.
 enum Item<'a> {
     Written(&'a ast::Expr),
     Column(Column),
 }
 
 impl<'a> Planner<'a> {
+    /// A planner that reads tables from `source`.
     pub fn new(source: &'a dyn Fn(Table) -> Answer<LazyFrame>) -> Self {
         Self { source, read: RefCell::default(), names: Cell::new(0), around: RefCell::default() }
     }
 
-    /// A name that no other column has.
+    /// A new unique id for a column.
     pub fn fresh(&self) -> String {
         self.names.set(self.names.get() + 1);
         format!("#{}", self.names.get())
     }
 
-    /// Whether a name is known around the subquery.
+    /// Whether `path` names a column of a query that contains the current subquery.
     pub fn around(&self, path: &[ast::Ident]) -> bool {
         self.around.borrow().iter().any(|columns| resolve(columns, path).is_ok())
     }
 
+    /// Plans a query with WITH, ORDER BY and LIMIT. `ctes` are the queries of the outer WITH.
     pub fn query(&self, query: &ast::Query, ctes: &Ctes) -> Answer<Relation> {
         let ast::Query {
             with,
@@ -95,11 +99,11 @@ impl<'a> Planner<'a> {
                 refuse("VALUES is not supported; write SELECT 1 AS a UNION ALL SELECT 2".into())
             }
             SetExpr::Table(_) => refuse("TABLE is not supported; write SELECT * FROM".into()),
-            _ => refuse("it is no question; use SELECT".into()),
+            _ => refuse("it is not a query; use SELECT".into()),
         }
     }
 
-    /// UNION, INTERSECT, EXCEPT.
+    /// Plans UNION, INTERSECT or EXCEPT of two queries.
     fn combined(
         &self,
         op: SetOperator,
@@ -115,7 +119,7 @@ impl<'a> Planner<'a> {
         if left.columns.len() != right.columns.len() {
             let (left, right) = (left.columns.len(), right.columns.len());
             return refuse(format!(
-                "{op} is of queries with as many columns; one has {left}, the other {right}"
+                "{op} needs queries with the same number of columns; they have {left} and {right}"
             ));
         }
         let (mut lefts, mut rights, mut columns) = (Vec::new(), Vec::new(), Vec::new());
@@ -141,7 +145,7 @@ impl<'a> Planner<'a> {
         within_rows(rows.unwrap_or(0), 0)?;
         let reads = left.reads + right.reads;
         if reads > MAX_READS {
-            return refuse(format!("it reads tables {reads} times, and {MAX_READS} are allowed"));
+            return refuse(format!("it reads tables {reads} times, but at most {MAX_READS} are allowed"));
         }
         let (left, right) = (left.frame.select(lefts), right.frame.select(rights));
         let unique = |frame: LazyFrame| frame.unique_stable(None, UniqueKeepStrategy::First);
@@ -160,7 +164,7 @@ impl<'a> Planner<'a> {
         Ok(Relation { frame, columns, rows, reads })
     }
 
-    /// ORDER BY of what is no single SELECT: by columns of the answer.
+    /// Plans ORDER BY of a query that is not a single SELECT. It can only use columns of the answer.
     fn ordered(&self, relation: Relation, order_by: Option<&ast::OrderBy>, ctes: &Ctes) -> Answer<Relation> {
         let Some(order_by) = order_by else {
             return Ok(relation);
@@ -181,6 +185,7 @@ impl<'a> Planner<'a> {
         Ok(Relation { frame: sorting.of(relation.frame.clone()), ..relation })
     }
 
+    /// A binder for a clause that can use these columns, without groups, window functions and aliases.
     pub fn binder<'b>(&'b self, columns: &'b [Column], clause: &'b str, ctes: &'b Ctes) -> Binder<'b> {
         Binder { planner: self, ctes, columns, clause, groups: None, windows: None, aliases: &[] }
     }
@@ -251,7 +256,7 @@ impl<'a> Planner<'a> {
                     let place = values.iter().position(|other| other.expr == value.expr);
                     if place.is_none() && is_distinct {
                         return refuse(format!(
-                            "with DISTINCT, ORDER BY is of what SELECT gives, and '{}' is not; add it to SELECT",
+                            "with DISTINCT, ORDER BY can only use columns of SELECT; add '{}' to SELECT",
                             shown(&expr)
                         ));
                     }
@@ -294,14 +299,14 @@ impl<'a> Planner<'a> {
         Ok(Relation { frame, columns: columns.collect(), rows: input.rows, reads: input.reads })
     }
 
-    /// What SELECT gives, and by what names: a name that is given, a column's, or the expression as it is written.
+    /// The items of SELECT and their names: the alias, the column's name, or the expression as it is written.
     fn items<'s>(&self, select: &'s ast::Select, columns: &[Column]) -> Answer<(Vec<Item<'s>>, Vec<String>)> {
         let (mut items, mut names) = (Vec::new(), Vec::new());
         let no_options = |options: &ast::WildcardAdditionalOptions| {
             if *options == ast::WildcardAdditionalOptions::default() {
                 return Ok(());
             }
-            refuse("* takes no EXCLUDE, REPLACE or RENAME here; name the columns".into())
+            refuse("* with EXCLUDE, REPLACE or RENAME is not supported; name the columns".into())
         };
         for item in &select.projection {
             match item {
@@ -366,7 +371,8 @@ impl<'a> Planner<'a> {
             }
             _ => {
                 return refuse(
-                    "ROLLUP, CUBE and TOTALS are not supported; write a query each, with UNION ALL".into(),
+                    "ROLLUP, CUBE and TOTALS are not supported; combine several queries with UNION ALL"
+                        .into(),
                 );
             }
         };
@@ -376,7 +382,7 @@ impl<'a> Planner<'a> {
                 OrderKey::Place(place) => items[place].expr(),
                 OrderKey::Written(expr) => *expr,
             };
-            // A name that SELECT gives stands for its expression, which then is the key.
+            // An alias of SELECT stands for its expression, which is then the key.
             let named = match &written {
                 ast::Expr::Identifier(name)
                     if resolve(binder.columns, std::slice::from_ref(name)).is_err() =>
@@ -392,7 +398,7 @@ impl<'a> Planner<'a> {
         Ok(keys)
     }
 
-    /// Plans a subquery, whose names may be mistaken for those of `around`.
+    /// Plans a subquery. `around` are the columns of the outer query, which messages mention but a subquery can't use.
     fn subquery(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<Relation> {
         self.around.borrow_mut().push(around.to_vec());
         let relation = self.query(query, ctes);
@@ -400,20 +406,20 @@ impl<'a> Planner<'a> {
         relation
     }
 
-    /// A subquery's only column.
+    /// Plans a subquery with one column. Returns the column under the name `value`, and its type.
     fn column(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<(LazyFrame, Type)> {
         let relation = self.subquery(query, ctes, around)?;
         match relation.columns.as_slice() {
             [column] => Ok((relation.frame.select([col(&*column.id).alias("value")]), column.kind)),
             columns => refuse(format!(
-                "the subquery '{}' gives {} columns, and one is wanted",
+                "the subquery '{}' gives {} columns instead of one",
                 shown(query),
                 columns.len()
             )),
         }
     }
 
-    /// The only value that a subquery gives, or null if it gives none.
+    /// Computes a subquery of one value. The value is null if the subquery has no rows.
     pub fn scalar(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<Value> {
         let (frame, kind) = self.column(query, ctes, around)?;
         let rows = frame.limit(2).collect()?;
@@ -422,13 +428,13 @@ impl<'a> Planner<'a> {
             0 => Ok(Value::null(kind)),
             1 => Ok(Value::literal(values.get(0)?, kind)),
             _ => refuse(format!(
-                "the subquery '{}' gives several rows, and one value is wanted; use IN, or an aggregate as max",
+                "the subquery '{}' gives several rows instead of one value; use IN, or an aggregate such as max",
                 shown(query)
             )),
         }
     }
 
-    /// All values that a subquery gives.
+    /// Computes the distinct values of a subquery with one column.
     pub fn list(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<Vec<Value>> {
         let (frame, kind) = self.column(query, ctes, around)?;
         let rows = frame.unique_stable(None, UniqueKeepStrategy::First).collect()?;
@@ -436,6 +442,7 @@ impl<'a> Planner<'a> {
         (0..values.len()).map(|row| Ok(Value::literal(values.get(row)?, kind))).collect()
     }
 
+    /// Computes whether a subquery has rows.
     pub fn exists(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<bool> {
         let relation = self.subquery(query, ctes, around)?;
         Ok(relation.frame.limit(1).collect()?.height() > 0)
@@ -455,14 +462,15 @@ impl Item<'_> {
     }
 }
 
-/// What ORDER BY orders by.
+/// A key of ORDER BY or GROUP BY.
 enum OrderKey {
+    /// An expression.
     Written(Box<ast::Expr>),
     /// A column of the answer, counted from 0.
     Place(usize),
 }
 
-/// The keys of ORDER BY, with whether they descend and whether nulls come last.
+/// The keys of ORDER BY. Each has two flags: whether it is descending, and whether nulls come last.
 fn order_keys(order_by: &ast::OrderBy, outputs: usize) -> Answer<Vec<(OrderKey, (bool, bool))>> {
     none_of(&[(order_by.interpolate.is_some(), "INTERPOLATE", "leave it out")])?;
     let all = |options: &ast::OrderByOptions| {
@@ -485,7 +493,7 @@ fn order_keys(order_by: &ast::OrderBy, outputs: usize) -> Answer<Vec<(OrderKey, 
     }
 }
 
-/// Whether a key of ORDER BY descends, and whether nulls come last: they do unless NULLS FIRST is asked for.
+/// Whether a key of ORDER BY is descending, and whether nulls come last, which is the default.
 pub fn direction(key: &ast::OrderByExpr) -> Answer<(bool, bool)> {
     none_of(&[(key.with_fill.is_some(), "WITH FILL", "leave it out")])?;
     Ok(options_of(&key.options))
@@ -495,18 +503,19 @@ fn options_of(options: &ast::OrderByOptions) -> (bool, bool) {
     (options.asc == Some(false), options.nulls_first != Some(true))
 }
 
-/// The same, where a number stands for an item or a name is one of SELECT's.
+/// Resolves a key that is the number of an item or one of `names` to the item's position. Other keys are returned
+/// unchanged.
 fn placed(key: OrderKey, items: &[Item], names: &[String]) -> Answer<OrderKey> {
     let OrderKey::Written(written) = key else {
         return Ok(key);
     };
     match written.as_ref() {
-        ast::Expr::Value(ast::ValueWithSpan { value: ast::Value::Number(digits, _), .. }) => match digits
-            .parse::<usize>()
-        {
-            Ok(number) if (1..=items.len()).contains(&number) => Ok(OrderKey::Place(number - 1)),
-            _ => refuse(format!("'{digits}' stands for no column of SELECT; they are 1 to {}", items.len())),
-        },
+        ast::Expr::Value(ast::ValueWithSpan { value: ast::Value::Number(digits, _), .. }) => {
+            match digits.parse::<usize>() {
+                Ok(number) if (1..=items.len()).contains(&number) => Ok(OrderKey::Place(number - 1)),
+                _ => refuse(format!("SELECT has no column {digits}; its columns are 1 to {}", items.len())),
+            }
+        }
         ast::Expr::Identifier(name) => {
             let places: Vec<usize> =
                 (0..names.len()).filter(|&place| same(&names[place], &name.value)).collect();
@@ -527,7 +536,7 @@ fn placed(key: OrderKey, items: &[Item], names: &[String]) -> Answer<OrderKey> {
     }
 }
 
-/// What rows are sorted by.
+/// The keys that rows are sorted by, and their options.
 #[derive(Default)]
 struct Sorting {
     by: Vec<Expr>,
@@ -554,7 +563,7 @@ impl Sorting {
     }
 }
 
-/// One row for each group, or for all rows if there are no keys.
+/// Groups rows: one row for each group, or one row in total without keys.
 fn aggregated(frame: LazyFrame, groups: Groups) -> LazyFrame {
     let Groups { keys, arguments, mut aggregates } = groups;
     let key_columns = keys.iter().map(|key| key.value.expr.clone().alias(&*key.id));
@@ -563,7 +572,7 @@ fn aggregated(frame: LazyFrame, groups: Groups) -> LazyFrame {
         let keys: Vec<Expr> = keys.iter().map(|key| col(&*key.id)).collect();
         return frame.group_by_stable(keys).agg(aggregates);
     }
-    // HAVING alone makes one group as well.
+    // With HAVING there may be no aggregate, but there is one group all the same.
     aggregates.push(len().alias(""));
     frame.select(aggregates)
 }
@@ -579,14 +588,15 @@ fn limited(relation: Relation, limit: Option<&ast::LimitClause>) -> Answer<Relat
     };
     let count = |expr: &ast::Expr| match expr.to_string().parse::<u32>() {
         Ok(count) => Ok(count),
-        Err(_) => refuse(format!("LIMIT and OFFSET take whole numbers, and '{}' is none", shown(expr))),
+        Err(_) => refuse(format!("LIMIT and OFFSET take whole numbers, not '{}'", shown(expr))),
     };
     let offset = offset.map_or(Ok(0), count)?;
     let limit = limit.map_or(Ok(IdxSize::MAX), count)?;
     Ok(Relation { frame: relation.frame.slice(offset.into(), limit), ..relation })
 }
 
-/// Refuses the first part that is there: whether it is, its name, and what to do instead.
+/// Refuses the first of `parts` that is present. Each part has three fields: whether it is present, its name, and what
+/// to do instead.
 pub fn none_of(parts: &[(bool, &str, &str)]) -> Answer<()> {
     match parts.iter().find(|(is_there, _, _)| *is_there) {
         None => Ok(()),
@@ -594,7 +604,7 @@ pub fn none_of(parts: &[(bool, &str, &str)]) -> Answer<()> {
     }
 }
 
-/// Refuses the parts of SELECT that have no meaning here.
+/// Refuses the parts of SELECT that are not supported.
 fn check_select(select: &ast::Select) -> Answer<()> {
     let ast::Select {
         select_token: _,
