@@ -188,7 +188,8 @@ fn a_query_takes_no_more_memory_than_its_joins_may_have() {
             .contains("rows, but at most 1000000 are")
     );
     assert!(
-        doubled("select * from T union all select * from T").contains("reads tables 256 times, but at most 200 are")
+        doubled("select * from T union all select * from T")
+            .contains("reads tables 256 times, but at most 200 are")
     );
     // Rows that a condition leaves out are not joined.
     for few in [
