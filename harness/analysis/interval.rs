@@ -1,34 +1,35 @@
-//! How far a mean over datasets and seeds can be trusted.
+//! Confidence intervals and tests for means over datasets and seeds.
 
 use harness_shared::numbers::rounded;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// The level of the intervals in figures and tables.
+/// The confidence level of the intervals in figures and tables.
 pub const LEVEL: f64 = 0.95;
 
-/// A mean of several runs that differ only in their seed.
+/// A mean over datasets and seeds, with a confidence interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Interval {
+    /// The mean.
     pub mean: f64,
-    /// Lower and upper end; `None` of a single value, which says nothing about its spread.
+    /// Lower and upper bound; `None` for a single value, which has no standard deviation.
     pub bounds: Option<(f64, f64)>,
 }
 
 impl Interval {
-    /// Lower end, or the mean where there are no bounds.
+    /// The lower bound, or the mean without bounds.
     pub fn low(&self) -> f64 {
         self.bounds.map_or(self.mean, |(low, _)| low)
     }
 
-    /// Upper end, or the mean where there are no bounds.
+    /// The upper bound, or the mean without bounds.
     pub fn high(&self) -> f64 {
         self.bounds.map_or(self.mean, |(_, high)| high)
     }
 }
 
-/// The mean and, in brackets, the bounds if they differ: `0.9552 [0.9510, 0.9594]`.
+/// Writes the mean and, if the bounds differ, the bounds in brackets: `0.9552 [0.9510, 0.9594]`.
 impl fmt::Display for Interval {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         f.write_str(&rounded(self.mean))?;
@@ -39,16 +40,16 @@ impl fmt::Display for Interval {
     }
 }
 
-/// The mean of `values` and its interval of confidence at `level`, by Student's t: `mean ± t s / √n`, with t the
-/// quantile at `(1 + level) / 2` of n - 1 degrees of freedom and s the sample's standard deviation. `None` without
+/// The mean of `values` and its confidence interval at `level`, by Student's t: `mean ± t s / √n`. Here t is the
+/// quantile at `(1 + level) / 2` with n - 1 degrees of freedom, and s is the sample standard deviation. `None` without
 /// values.
 ///
-/// Student's t rather than the bootstrap, because seeds are few: a bootstrap's 95 % interval of three values is their
-/// range, which misses the mean of a symmetric distribution in a quarter of all cases. Student's t keeps to its level
-/// for values that are about normal. The order of the values doesn't matter, to the last bit.
+/// The bootstrap is not used, because there are few seeds. A bootstrap's 95 % interval of three values is their range,
+/// which misses the mean of a symmetric distribution in a quarter of all cases. Student's t has the right level for
+/// normal values. The result does not depend on the order of the values, to the last bit.
 ///
 /// # Panics
-/// `level` isn't between 0 and 1.
+/// When `level` is not between 0 and 1.
 pub fn mean_interval(values: &[f64], level: f64) -> Option<Interval> {
     assert!(level > 0.0 && level < 1.0, "the level of an interval is between 0 and 1, not {level}");
     let (mean, error) = mean_and_error(values)?;
@@ -60,16 +61,17 @@ pub fn mean_interval(values: &[f64], level: f64) -> Option<Interval> {
     Some(Interval { mean, bounds })
 }
 
-/// What the interval of a mean is made of: the mean of each dataset or, where there is one alone, its values.
+/// The values that an interval is computed from: the mean of each dataset or, if there is only one dataset, its values.
+/// Each item of `values` is the seed of a dataset and a value on it.
 ///
-/// A value depends on the dataset and on the seed: it is a mean plus a deviation of the dataset plus one of the seed
-/// (a random-effects model with two levels). The means of the datasets are independent of each other, and normal if the
-/// deviations are; so Student's t of them has its level whatever the two variances are. More seeds on each dataset make
-/// these means more alike, but only more datasets add degrees of freedom. Approximations that do add some
-/// (Satterthwaite's with variances of restricted maximum likelihood) fall short of their level where the datasets are
-/// few, because they take the variance between datasets for none whenever it is estimated so.
+/// A value depends on the dataset and on the seed: it is a mean plus a deviation of the dataset plus a deviation of the
+/// seed (a random-effects model with two levels). The means of the datasets are independent of each other, and normal
+/// if the deviations are. So Student's t of these means has the right level for any two variances. More seeds on each
+/// dataset reduce the variance of these means, but only more datasets add degrees of freedom. Approximations with more
+/// degrees of freedom (Satterthwaite's, with variances estimated by restricted maximum likelihood) miss their level
+/// with few datasets, because the variance between datasets is often estimated as zero.
 ///
-/// With one dataset, the interval is about other seeds on that dataset.
+/// With one dataset, the interval is valid only for other seeds on that dataset.
 pub fn replicates(values: impl IntoIterator<Item = (u64, f64)>) -> Vec<f64> {
     let mut datasets: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
     for (dataset, value) in values {
@@ -81,8 +83,8 @@ pub fn replicates(values: impl IntoIterator<Item = (u64, f64)>) -> Vec<f64> {
     datasets.into_values().map(|values| values.iter().sum::<f64>() / values.len() as f64).collect()
 }
 
-/// The probability of a mean as far from `bound` as that of `values`, or farther, if `bound` were the true one:
-/// two-sided, by Student's t. `None` for fewer than two values.
+/// The two-sided p-value of Student's t-test: the probability of a mean at least as far from `bound` as the mean of
+/// `values`, if the true mean were `bound`. `None` for fewer than two values.
 pub fn p_value(values: &[f64], bound: f64) -> Option<f64> {
     let (mean, error) = mean_and_error(values)?;
     let (error, distance) = (error?, (mean - bound).abs());
@@ -93,8 +95,8 @@ pub fn p_value(values: &[f64], bound: f64) -> Option<f64> {
     Some(2.0 * student.cdf(-distance / error))
 }
 
-/// The p-values of several tests, corrected for their number (Holm, 1979): those below 0.05 are so with a probability
-/// of 95 % that none of them is by chance.
+/// The p-values of several tests, corrected for their number by the method of Holm (1979). If all tests with a
+/// corrected p-value below 0.05 are called significant, the probability of one or more false positives is at most 5 %.
 pub fn holm(p_values: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..p_values.len()).collect();
     order.sort_by(|a, b| p_values[*a].total_cmp(&p_values[*b]));
@@ -107,8 +109,8 @@ pub fn holm(p_values: &[f64]) -> Vec<f64> {
     corrected
 }
 
-/// How many values there must be for the interval at `level` to exclude `bound`, if mean and spread stay as they are
-/// with these; `None` if more than `most`, or if there are fewer than two values.
+/// The number of values that the interval at `level` needs to exclude `bound`, if the mean and the standard deviation
+/// stay those of `values`. `None` if it is more than `most`, or if there are fewer than two values.
 pub fn replicates_needed(values: &[f64], bound: f64, level: f64, most: usize) -> Option<usize> {
     let (mean, error) = mean_and_error(values)?;
     let spread = error? * (values.len() as f64).sqrt();
@@ -121,7 +123,7 @@ pub fn replicates_needed(values: &[f64], bound: f64, level: f64, most: usize) ->
     (2..=most).find(excludes)
 }
 
-/// The mean and its standard error, which a single value has none of; `None` without values.
+/// The mean and its standard error, which is `None` for a single value. `None` without values.
 fn mean_and_error(values: &[f64]) -> Option<(f64, Option<f64>)> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -132,8 +134,8 @@ fn mean_and_error(values: &[f64]) -> Option<(f64, Option<f64>)> {
     (!sorted.is_empty()).then_some((mean, error))
 }
 
-/// Means over datasets and seeds: values with the same key become one interval, in the order of the keys. A value comes
-/// with its dataset's seed; nulls are left out.
+/// The mean and interval of the values with the same key, for each key. An item of `values` is a key, the seed of a
+/// dataset, and a value. Values that are `None` are ignored.
 pub fn intervals<K: Ord>(values: impl IntoIterator<Item = (K, u64, Option<f64>)>) -> BTreeMap<K, Interval> {
     let mut by_key: BTreeMap<K, Vec<(u64, f64)>> = BTreeMap::new();
     for (key, dataset, value) in values {

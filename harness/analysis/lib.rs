@@ -1,14 +1,15 @@
-//! Which runs count, which of them form a group, and what a group's values come to.
+//! Selects the runs that results are computed from, groups them, and computes means and intervals of each group.
 //!
-//! Claims, comparisons, figures, the report and the Python package all ask here, so that no two of them can tell
-//! different things of the same folder.
+//! Claims, comparisons, figures, the report and the Python package all use this crate, so that they agree about the
+//! same folder.
 //!
-//! - **A run counts** when it is done, has the settings that are asked for, and was made by the newest revision of the
-//!   method that there is among those.
-//! - **Runs form a group** when nothing but their seed and that of their dataset differs.
-//!   In what the groups of an experiment differ besides scenario, latent size and `variant` is either shown
-//!   ([`Analysis::settings`]) or refused with the settings' names ([`Analysis::check_uniform`]).
-//! - **A group's values** are those of its datasets and seeds; [`replicates`] says which of them an interval is made of.
+//! - **A run counts** if it is done, has the requested settings, and was made by the newest revision of the method
+//!   among those runs.
+//! - **Runs form a group** if they differ only in their seed and the seed of their dataset. If the groups of an
+//!   experiment differ in other settings than scenario, latent size and `variant`, these settings are either shown
+//!   ([`Analysis::settings`]) or refused with an error that names them ([`Analysis::check_uniform`]).
+//! - **A group's values** are those of its datasets and seeds. [`replicates`] says which values an interval is computed
+//!   from.
 
 mod interval;
 mod means;
@@ -35,33 +36,53 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Which runs are asked for.
+/// A selection of runs.
 #[derive(Debug, Clone, Default)]
 pub struct Selection {
-    /// The experiments, as `harness ls` names them; all where none is named.
+    /// The names of the experiments, as `harness ls` lists them. Empty for all experiments.
     pub experiments: Vec<String>,
-    /// What the runs' settings must be; of several values of one setting, any.
+    /// The settings that the runs must have. If a setting is listed with several values, a run must have one of them.
     pub settings: Vec<Setting>,
     /// Whether runs on imported data are left out.
     pub simulated: bool,
 }
 
-/// Why runs can't be put together.
+/// An error in selecting runs, or in computing results from them.
 #[derive(Debug, thiserror::Error)]
 pub enum AnalysisError {
+    /// An experiment has no finished runs.
     #[error("'{wanted}' has no finished runs; those that have: {}", there.join(", "))]
-    NothingFinished { wanted: String, there: Vec<String> },
+    NothingFinished {
+        /// The name of the experiment.
+        wanted: String,
+        /// The names of the experiments that have finished runs.
+        there: Vec<String>,
+    },
+    /// No run has a setting with the requested key.
     #[error("no run has a setting '{wanted}'{}", nearest.as_ref().map(|n| format!("; did you mean '{n}'?")).unwrap_or_default())]
-    UnknownSetting { wanted: String, nearest: Option<String> },
+    UnknownSetting {
+        /// The requested key.
+        wanted: String,
+        /// The most similar key, if the runs have any.
+        nearest: Option<String>,
+    },
+    /// No finished run has the requested value of a setting.
     #[error("no finished run has {setting}; there is {there}")]
-    UnknownValue { setting: Setting, there: Box<Difference> },
+    UnknownValue {
+        /// The requested setting.
+        setting: Setting,
+        /// The values that finished runs have.
+        there: Box<Difference>,
+    },
+    /// The runs of an experiment differ in settings that must be equal.
     #[error(transparent)]
     Mixed(#[from] Mixed),
+    /// A query failed, or a table is damaged.
     #[error(transparent)]
     Query(#[from] QueryError),
 }
 
-/// Runs of an experiment that can't stand for each other: they differ in more than scenario, latent size and seed.
+/// The runs of an experiment differ in settings that must be equal for a common result.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "the runs of {experiment} differ in {}; choose some, as with {}",
@@ -69,9 +90,11 @@ pub enum AnalysisError {
     options(choice)
 )]
 pub struct Mixed {
+    /// The name of the experiment.
     pub experiment: String,
+    /// The settings in which the runs differ.
     pub differences: Vec<Difference>,
-    /// Settings that leave runs which differ in nothing else: those that most runs have.
+    /// Settings that select runs which do not differ. They are the values that most runs have.
     pub choice: Vec<Setting>,
 }
 
@@ -86,12 +109,14 @@ fn options(choice: &[Setting]) -> String {
 /// A run that counts.
 #[derive(Debug, Clone)]
 pub struct Run {
+    /// The run's record.
     pub record: RunRecord,
     folder: PathBuf,
     settings: Arc<Settings>,
 }
 
 impl Run {
+    /// Path of the run's folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
@@ -104,24 +129,24 @@ impl Run {
 /// The runs of one experiment that count.
 #[derive(Default)]
 struct Experiment {
-    /// By scenario, variant, latent size, settings and seed.
+    /// Sorted by scenario, variant, latent size, settings and seed.
     runs: Vec<Run>,
     differences: Vec<Difference>,
 }
 
-/// The runs of a results folder that count, and their tables, each of which is read once for all expected queries.
+/// The runs of a results folder that count, and their tables. Each table is read once for all expected queries.
 pub struct Analysis {
     registry: Registry,
     selection: Selection,
     experiments: BTreeMap<String, Experiment>,
-    /// What was left out that a reader may look for, in words.
+    /// Messages about the runs that were left out.
     notes: Vec<String>,
-    /// What the expected queries see, by table and experiment.
+    /// The rows that the expected queries see, by table and experiment.
     tables: Mutex<BTreeMap<(Table, String), Seen>>,
     expected: Expected,
 }
 
-/// What queries that are going to be asked need of the tables.
+/// The expected queries, and the rows that they see.
 #[derive(Default)]
 struct Expected {
     queries: BTreeSet<String>,
@@ -129,7 +154,7 @@ struct Expected {
 }
 
 impl Expected {
-    /// Whether the expected queries see all rows of a table that `sql` sees.
+    /// Whether the expected queries see all rows of a table that the query `sql` sees.
     fn sees(&self, sql: &str, table: Table) -> bool {
         let Some(rows) = self.rows.get(&table) else { return false };
         let seen = conditions(sql, table);
@@ -138,10 +163,10 @@ impl Expected {
 }
 
 impl Analysis {
-    /// Looks for the runs that count among those asked for.
+    /// Finds the runs of a selection that count.
     ///
     /// # Errors
-    /// When no run has a setting that is asked for, or its value.
+    /// When no run has one of the requested settings, or its value.
     pub fn new(registry: &Registry, selection: &Selection) -> Result<Self, AnalysisError> {
         let is_wanted = |record: &RunRecord| {
             record.status == Status::Done
@@ -173,12 +198,13 @@ impl Analysis {
         })
     }
 
-    /// The results folder.
+    /// Path of the results folder.
     pub fn root(&self) -> &Path {
         self.registry.root()
     }
 
-    /// The command that makes the runs of one of the checked-in experiments, with the settings that are asked for.
+    /// The command that makes the runs of `experiments/NAME.yaml` with the requested settings, as quick runs if
+    /// `quick`.
     pub fn command(&self, name: &str, quick: bool) -> String {
         let (option, ending) = if quick { (" --quick", QUICK) } else { ("", "") };
         let experiment = format!("{name}{ending}");
@@ -188,23 +214,25 @@ impl Analysis {
         self.registry.command(&format!("run experiments/{name}.yaml{option}{overrides}"))
     }
 
-    /// The experiments that have runs.
+    /// The names of the experiments that have runs which count, in alphabetical order.
     pub fn experiments(&self) -> impl Iterator<Item = &str> {
         self.experiments.keys().map(String::as_str)
     }
 
-    /// The runs of an experiment by scenario, variant, latent size, settings and seed.
+    /// The runs of an experiment that count, sorted by scenario, variant, latent size, settings and seed.
     pub fn runs(&self, experiment: &str) -> &[Run] {
         self.experiments.get(experiment).map_or(&[], |experiment| &experiment.runs)
     }
 
-    /// What was left out that a reader may look for, in words.
+    /// Messages about runs that were left out, such as `left out: 3 runs of an older method`.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
+    /// Checks that each of these experiments has runs that count.
+    ///
     /// # Errors
-    /// When one of these experiments has no runs.
+    /// When one of them has none.
     pub fn check_finished(&self, experiments: &[String]) -> Result<(), AnalysisError> {
         match experiments.iter().find(|wanted| !self.experiments.contains_key(*wanted)) {
             None => Ok(()),
@@ -218,11 +246,11 @@ impl Analysis {
         }
     }
 
-    /// Checks that the runs of an experiment differ in nothing but scenario, latent size, seeds and, if `by_variant`,
-    /// what their variants name.
+    /// Checks that the runs of an experiment differ only in scenario, latent size and seeds. If `by_variant`, they may
+    /// also differ in the settings that their variants name.
     ///
     /// # Errors
-    /// When they do, with the settings in which they differ.
+    /// When they differ in other settings.
     pub fn check_uniform(&self, experiment: &str, by_variant: bool) -> Result<(), Mixed> {
         let Some(of) = self.experiments.get(experiment) else { return Ok(()) };
         let differences: Vec<Difference> = match by_variant {
@@ -236,10 +264,10 @@ impl Analysis {
         Err(Mixed { experiment: experiment.to_owned(), differences, choice })
     }
 
-    /// Checks that runs that stand for one experiment differ in nothing but scenario, latent size and seeds.
+    /// Checks that these runs of one experiment differ only in scenario, latent size and seeds.
     ///
     /// # Errors
-    /// When they do, with the settings in which they differ.
+    /// When they differ in other settings.
     pub fn check_alike(&self, runs: &[&Run]) -> Result<(), Mixed> {
         let all: Vec<&Settings> = runs.iter().map(|run| run.settings.as_ref()).collect();
         let differences = settings::differences(&all);
@@ -252,15 +280,15 @@ impl Analysis {
         }
     }
 
-    /// A run's settings in which runs of its experiment differ and which neither its scenario, latent size nor variant
-    /// tells: `training.batch_size=64, training.epochs=2`, or nothing.
+    /// The settings of a run in which its experiment's runs differ, without scenario, latent size and the settings that
+    /// its variant names: `training.batch_size=64, training.epochs=2`, or nothing.
     pub fn settings(&self, run: &Run) -> String {
         let differences = self.experiments.get(&run.record.experiment).map_or(&[][..], |of| &of.differences);
         named(differences.iter().filter(|difference| !difference.in_variant), run)
     }
 
-    /// Says which queries will be asked, so that each table is read once for all of them, and only the rows that they see
-    /// are kept. Other queries that see no more than those rows are answered from them too.
+    /// Announces queries, so that each table is read once for all of them, and only the rows that they see are kept in
+    /// memory. Other queries that see only these rows are answered from memory too.
     pub fn expect<'a>(mut self, queries: impl IntoIterator<Item = &'a str>) -> Self {
         let expected = &mut self.expected;
         for sql in queries {
@@ -275,7 +303,7 @@ impl Analysis {
     /// Answers a query over the runs of these experiments that count.
     ///
     /// # Errors
-    /// As those of [`query`](harness_registry::query).
+    /// Like [`query`](harness_registry::query).
     pub fn query(&self, experiments: &[&str], sql: &str) -> Result<DataFrame, QueryError> {
         let own = || experiments.iter().copied().filter(|name| self.experiments.contains_key(*name));
         let rows = |of| own().map(|name| self.table(of, name, sql)).collect();
@@ -283,8 +311,8 @@ impl Analysis {
         self.answer(sql, rows, recorded)
     }
 
-    /// Answers a query: `rows` gives the parts of a table that each run writes, `recorded` the runs that the other tables
-    /// are about.
+    /// Answers a query. `rows` returns the parts of a table that each run writes. `recorded` returns the runs of the
+    /// other tables.
     fn answer(
         &self,
         sql: &str,
@@ -304,10 +332,10 @@ impl Analysis {
         })
     }
 
-    /// Answers a query over these runs alone, whose tables are read for it.
+    /// Answers a query over only these runs. Their tables are read for this query alone.
     ///
     /// # Errors
-    /// As those of [`query`](harness_registry::query).
+    /// Like [`query`](harness_registry::query).
     pub fn query_runs<'a>(
         &self,
         runs: impl IntoIterator<Item = &'a Run>,
@@ -317,7 +345,7 @@ impl Analysis {
         answer(sql, &|of| table(&self.registry, of, &recorded, sql))
     }
 
-    /// A table of an experiment's runs; if the expected queries see all that `sql` sees, with the rows that they see.
+    /// A table of an experiment's runs. It is taken from memory if the expected queries see all rows that `sql` sees.
     fn table(&self, table: Table, experiment: &str, sql: &str) -> Result<LazyFrame, QueryError> {
         if self.expected.sees(sql, table) {
             let seen = self.seen(table, experiment)?.only(conditions(sql, table));
@@ -335,7 +363,7 @@ impl Analysis {
         Ok(RunTable::new(&self.registry, table, experiment, runs)?)
     }
 
-    /// What the expected queries see of a table of an experiment's runs.
+    /// The rows that the expected queries see of a table of an experiment's runs.
     fn seen(&self, table: Table, experiment: &str) -> Result<Seen, QueryError> {
         let mut tables = self.tables.lock().unwrap_or_else(PoisonError::into_inner);
         let key = (table, experiment.to_owned());
@@ -345,7 +373,7 @@ impl Analysis {
         let rows = self.run_table(table, experiment)?;
         let schema = rows.schema()?;
         let mut conditions = self.expected.rows.get(&table).cloned().unwrap_or_default();
-        // Queries ask for runs that stand for other experiments by the names of those.
+        // Queries refer to a run with a role by the name of the experiment that it stands for.
         if self.runs(experiment).iter().any(|run| run.record.spec.role().is_some()) {
             let without_name = |mut condition: Condition| {
                 condition.remove("experiment");
@@ -359,7 +387,7 @@ impl Analysis {
 }
 
 impl Experiment {
-    /// Finds in what the runs differ, and puts them in their order.
+    /// Finds the settings in which the runs differ, and sorts the runs.
     fn arrange(&mut self) {
         let all: Vec<&Settings> = self.runs.iter().map(|run| run.settings.as_ref()).collect();
         self.differences = settings::differences(&all);
@@ -378,8 +406,8 @@ impl Experiment {
         });
     }
 
-    /// Settings by which those runs are chosen that agree in these differences with the most others; among equals,
-    /// with the one that was started last.
+    /// Values of the differing settings that select the most runs. If several values select equally many, those of the
+    /// run that was started last are chosen.
     fn most(&self, differences: &[Difference], experiment: &str) -> Vec<Setting> {
         let of_specs =
             || differences.iter().map(|difference| difference.key.as_str()).filter(|key| *key != DATASET);
@@ -388,7 +416,7 @@ impl Experiment {
         };
         let mut chosen = commonest(self.runs.iter().map(|run| (values(run), run)));
         if differences.iter().any(|difference| difference.key == DATASET) {
-            // Each scenario has its own.
+            // Each scenario has its own dataset.
             let mut datasets: BTreeMap<&Origin, Vec<(String, &Run)>> = BTreeMap::new();
             for run in self.runs.iter().filter(|run| values(run) == chosen) {
                 let dataset = (run.record.dataset.clone(), run);
@@ -401,7 +429,7 @@ impl Experiment {
     }
 }
 
-/// The key that most runs have; among equals, that of the run that was started last.
+/// The key that most runs have. If several keys are equally common, that of the run that was started last.
 fn commonest<'a, K: Ord + Default>(runs: impl IntoIterator<Item = (K, &'a Run)>) -> K {
     let mut groups: BTreeMap<K, (usize, &str)> = BTreeMap::new();
     for (key, run) in runs {
@@ -411,7 +439,7 @@ fn commonest<'a, K: Ord + Default>(runs: impl IntoIterator<Item = (K, &'a Run)>)
     groups.into_iter().max_by_key(|(_, standing)| *standing).map(|(key, _)| key).unwrap_or_default()
 }
 
-/// `key=value` of each difference, as the run has it.
+/// The run's values of the differing settings, as `key=value, key=value`.
 fn named<'a>(differences: impl Iterator<Item = &'a Difference>, run: &Run) -> String {
     let value = |difference: &Difference| {
         format!("{}={}", difference.key, settings::value(&run.settings, &difference.key))
@@ -419,7 +447,7 @@ fn named<'a>(differences: impl Iterator<Item = &'a Difference>, run: &Run) -> St
     differences.map(value).collect::<Vec<_>>().join(", ")
 }
 
-/// Refuses settings that no run has.
+/// Checks that some run has each of these settings.
 fn check_settings(wanted: &[Setting], runs: &[Run]) -> Result<(), AnalysisError> {
     for setting in wanted.iter().filter(|_| !runs.is_empty()) {
         let about = || runs.iter().filter(|run| setting.is_about(&run.record.experiment));
@@ -441,11 +469,11 @@ fn check_settings(wanted: &[Setting], runs: &[Run]) -> Result<(), AnalysisError>
     Ok(())
 }
 
-/// Of these runs those that the newest revision made, once each, and what was left out.
+/// The runs that the newest revision made, without repetitions, and messages about the runs that are left out.
 fn newest(runs: Vec<Run>) -> (Vec<Run>, Vec<String>) {
     let newest = runs.iter().map(|run| run.record.revision()).max().flatten();
     let all = runs.len();
-    // The same spec and seed on the same data are the same run, though an older version may have named it otherwise.
+    // Runs with the same spec, seed and dataset are the same run, even if an older version gave it another name.
     let mut counted: BTreeMap<String, Run> = BTreeMap::new();
     let of_newest = runs.into_iter().filter(|run| run.record.revision() == newest);
     let mut older = all;
@@ -468,7 +496,7 @@ fn newest(runs: Vec<Run>) -> (Vec<Run>, Vec<String>) {
     (counted.into_values().collect(), notes.into_iter().flatten().collect())
 }
 
-/// The tables that a query may read.
+/// The tables that a query may read: those whose names occur in it.
 fn tables_of(sql: &str) -> impl Iterator<Item = Table> {
     let words: BTreeSet<String> = words(sql).map(str::to_lowercase).collect();
     Table::ALL.into_iter().filter(move |table| words.contains(table.name()))
