@@ -393,7 +393,7 @@ fn one_seed_has_no_bars_and_other_settings_are_refused() {
             "training.learning_rate=1",
             "no finished run has training.learning_rate=1; there is training.learning_rate ",
         ),
-        ("training", "'training' is no setting; write KEY=VALUE, as training.batch_size=64"),
+        ("training", "'training' is not a setting; write KEY=VALUE, such as training.batch_size=64"),
     ] {
         let (answer, _) = draw("refused", &["--where", setting]);
         assert!(answer.code == 2 && answer.stderr.contains(expected), "{}", answer.stderr);

@@ -1,4 +1,4 @@
-//! Metrics as means over seeds.
+//! Means of metrics over datasets and seeds.
 
 use super::{Analysis, AnalysisError, Interval, LEVEL, Run, Selection, mean_interval, replicates};
 use harness_registry::{QueryError, Registry, rows};
@@ -7,39 +7,49 @@ use polars::prelude::{Column, DataFrame, PolarsResult};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-/// The network among the models; the others are baselines.
+/// The value of the column `model` for the network. All other models are baselines.
 pub const NETWORK: &str = "network";
 
-/// A metric over all joints, links or pixels: of a group's networks, or of a baseline beside them.
+/// The mean of a metric over all joints, links or pixels, for the networks of a group of runs or for a baseline.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mean {
+    /// The group, the model and the metric.
     pub of: Of,
+    /// Unit of the values.
     pub unit: String,
-    /// Each seed's value on each dataset; a baseline has one a dataset, since it has no seed.
+    /// The values of all datasets and seeds. A baseline has one value for each dataset, because it has no seed.
     pub values: Vec<f64>,
+    /// Their mean, with a confidence interval.
     pub interval: Interval,
 }
 
-/// What a mean is about.
+/// The group, the model and the metric of a [`Mean`].
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Of {
+    /// The name of the experiment.
     pub experiment: String,
+    /// The scenario or imported dataset.
     pub scenario: Origin,
+    /// The settings that the experiment varies, such as `kl_weight=0.001`; empty if it varies none.
     pub variant: String,
-    /// As [`Analysis::settings`] has them.
+    /// The other settings in which the experiment's runs differ; see [`Analysis::settings`].
     pub settings: String,
-    /// `None` for a baseline, which has no latent state.
+    /// Size of the latent state; `None` for a baseline, which has none.
     pub latent: Option<usize>,
+    /// The task that is evaluated.
     pub task: Task,
+    /// The predicted modality.
     pub modality: Modality,
+    /// The name of the metric, such as `r2`.
     pub metric: String,
+    /// [`NETWORK`], or the name of a baseline.
     pub model: String,
 }
 
-/// The means of the runs of a results folder that are asked for, as a table.
+/// The means of a selection of runs, as a table with one row for each mean.
 ///
 /// # Errors
-/// When one of the experiments has no finished runs, no run has a setting, or a table is damaged.
+/// When one of the experiments has no finished runs, no run has a requested setting, or a table is damaged.
 pub fn compare(registry: &Registry, selection: &Selection) -> Result<DataFrame, AnalysisError> {
     let analysis = Analysis::new(registry, selection)?;
     analysis.check_finished(&selection.experiments)?;
@@ -47,10 +57,10 @@ pub fn compare(registry: &Registry, selection: &Selection) -> Result<DataFrame, 
 }
 
 impl Mean {
-    /// Means as a table, one a row, for other programs.
+    /// Converts means to a table with one row for each mean.
     ///
     /// # Errors
-    /// None that is known; Polars could have one.
+    /// When Polars can't build the table, for which no reason is known.
     pub fn frame(means: &[Mean]) -> PolarsResult<DataFrame> {
         let text = |name: &str, of: &dyn Fn(&Mean) -> String| {
             Column::new(name.into(), means.iter().map(of).collect::<Vec<_>>())
@@ -94,11 +104,12 @@ struct Row {
     unit: String,
 }
 
-/// The unit of a mean, and by the place of their runs the dataset's seed and the value.
+/// The unit of a mean, and for each run's position the seed of its dataset and the value.
 type Values = (String, BTreeMap<usize, (u64, f64)>);
 
 impl Analysis {
-    /// The metrics over all joints, links or pixels of all runs that count, as means over the seeds of each group.
+    /// The means of all metrics over all joints, links or pixels, for each group of runs that count, and for the
+    /// baselines.
     ///
     /// # Errors
     /// When a table is damaged.
@@ -109,7 +120,7 @@ impl Analysis {
             "select experiment, run, task, model, modality, metric, value, unit from metrics \
              where index is null and direction is null and value is not null",
         )?;
-        // Runs are in the order in which a baseline is looked for: all runs of a group repeat its value, up to rounding.
+        // A baseline's value is taken from the first run of a dataset. All runs of a group repeat it, up to rounding.
         let runs = experiments.iter().flat_map(|experiment| self.runs(experiment));
         let runs: Vec<(&Run, String)> = runs.map(|run| (run, self.settings(run))).collect();
         let name = |run: &Run| (run.record.experiment.clone(), run.record.run.clone());

@@ -1,4 +1,4 @@
-//! What the queries that are expected see of a table.
+//! Tables in memory, with the rows and columns that expected queries see.
 
 use super::{Expected, tables_of, words};
 use harness_registry::{Condition, RunTable, Terms};
@@ -9,24 +9,27 @@ use std::any::Any;
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// A table of an experiment's runs, with the rows that expected queries see. It is read once, when the first of them asks.
+/// A table of an experiment's runs, with the rows that expected queries see. It is read once, for the first query.
+/// Clones share what was read.
 #[derive(Clone)]
 pub(super) struct Seen {
     rows: Arc<RunTable>,
+    /// The names and types of all columns of the table.
     pub schema: SchemaRef,
-    /// The columns that are read besides those that a query asks for: others will.
+    /// The columns that expected queries need. They are read together with those of the first query.
     columns: Arc<Vec<String>>,
+    /// The columns that were read so far.
     read: Arc<Mutex<DataFrame>>,
-    /// Where the terms of the queries' conditions hold.
+    /// The rows in which the terms of the queries' conditions hold.
     terms: Arc<Mutex<Terms>>,
-    /// What the query asks of the rows that reads them.
+    /// The conditions of the query that scans this clone.
     conditions: Arc<BTreeSet<Condition>>,
-    /// Which of the rows are each run's: the first, and how many.
+    /// The position of each run's first row, and the number of its rows.
     places: Arc<OnceLock<HashMap<String, (usize, usize)>>>,
 }
 
 impl Seen {
-    /// The table, whose rows are `rows`.
+    /// A table with the rows of `rows`. Its columns are those that `expected` queries name.
     pub fn new(table: Table, rows: RunTable, schema: SchemaRef, expected: &Expected) -> Self {
         let queries = expected.queries.iter().filter(|sql| tables_of(sql).any(|of| of == table));
         let words: BTreeSet<&str> = queries.flat_map(|sql| words(sql)).collect();
@@ -43,10 +46,11 @@ impl Seen {
         }
     }
 
-    /// Reads what `sql` and the expected queries ask for and these columns, unless they were read before.
+    /// Reads the columns that `sql` and the expected queries name, and `columns`, unless they were read before.
     ///
-    /// Otherwise [`Seen::scan`] would read them, in one of Polars' threads. While such a thread waits for files, it may
-    /// begin another scan of the same table, which then waits for the first one for ever.
+    /// This must be called before a scan. [`Seen::scan`] would read the columns in one of Polars' threads. While such a
+    /// thread waits for files, it may start another scan of the same table, which would then wait for the first one
+    /// forever.
     ///
     /// # Errors
     /// When a file can't be read.
@@ -56,12 +60,12 @@ impl Seen {
         self.with(&asked).map(drop)
     }
 
-    /// The same with fewer rows: those that meet any of some conditions.
+    /// The table with only those rows that satisfy at least one of the conditions.
     pub fn only(self, conditions: BTreeSet<Condition>) -> Self {
         Self { conditions: Arc::new(conditions), ..self }
     }
 
-    /// These columns, and those that other queries will ask for, of all rows.
+    /// All rows, with at least these columns.
     fn with(&self, columns: &[String]) -> PolarsResult<DataFrame> {
         let mut read = self.read.lock().unwrap_or_else(PoisonError::into_inner);
         if columns.iter().any(|column| read.column(column).is_err()) {
@@ -74,7 +78,7 @@ impl Seen {
         Ok(read.clone())
     }
 
-    /// These columns of the rows of some runs.
+    /// These columns of the rows of some runs, in the order of `runs`.
     pub fn rows_of(&self, runs: &[String], columns: &[String]) -> PolarsResult<DataFrame> {
         let needed: Vec<String> = columns.iter().cloned().chain(["run".to_owned()]).collect();
         let all = self.with(&needed)?;
@@ -86,7 +90,7 @@ impl Seen {
     }
 }
 
-/// Where the rows of each run are, which stand together.
+/// The position of each run's first row, and the number of its rows. The rows of a run are adjacent.
 fn places_of<'a>(names: impl Iterator<Item = &'a str>) -> HashMap<String, (usize, usize)> {
     let mut places: HashMap<String, (usize, usize)> = HashMap::new();
     for (row, name) in names.enumerate() {

@@ -1,4 +1,4 @@
-//! The settings of runs: what each has, in what several differ, and which are asked for.
+//! The settings of runs, the settings in which runs differ, and the settings that a selection requests.
 
 use harness_registry::{RunRecord, quoted};
 use serde_json::Value;
@@ -6,20 +6,21 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::str::FromStr;
 
-/// What every run has besides its spec's settings: the dataset's folder, and the revision of the method.
+/// The key of the dataset's folder, which is not a setting of the spec.
 pub(super) const DATASET: &str = "dataset";
+/// The key of the method's revision, which is not a setting of the spec.
 const REVISION: &str = "revision";
-/// What tells the cells and seeds of an experiment apart.
+/// The keys in which the runs of an experiment may always differ.
 const OF_CELLS: [&str; 4] = ["scenario", "latent", "seed", "simulation.seed"];
 const VARIANT: &str = "variant";
 /// The section of a spec that only runs on simulated episodes have.
 const SIMULATION: &str = "simulation.";
-/// The section of a spec with a setting for each modality that is predicted.
+/// The section of a spec with a setting for each predicted modality.
 const LOSS_WEIGHTS: &str = "training.loss_weights.";
-/// What stands for a setting that a run doesn't have.
+/// The value of a setting that a run does not have.
 const UNSET: &str = "unset";
 
-/// A run's settings by dotted key, as texts: `training.batch_size` is `64`.
+/// The settings of a run: texts by dotted keys, such as `64` for `training.batch_size`.
 pub(super) type Settings = BTreeMap<String, String>;
 
 /// All settings of a run.
@@ -35,7 +36,7 @@ pub(super) fn of(record: &RunRecord) -> Settings {
     settings
 }
 
-/// What differs between two runs, with the value of each: settings, dataset, code, versions and machine.
+/// What differs between two runs, as (key, value of `a`, value of `b`): settings, dataset, code, versions and machine.
 pub fn differing(a: &RunRecord, b: &RunRecord) -> Vec<(String, String, String)> {
     let all = |record: &RunRecord| {
         let mut all = of(record);
@@ -49,7 +50,7 @@ pub fn differing(a: &RunRecord, b: &RunRecord) -> Vec<(String, String, String)> 
     values.filter(|(_, a, b)| a != b).collect()
 }
 
-/// Adds every value of a tree that is no object, under its dotted key.
+/// Collects all values of a tree, except objects, by their dotted keys.
 fn collect(key: &str, value: &Value, settings: &mut Settings) {
     match value {
         Value::Object(entries) => {
@@ -66,15 +67,16 @@ fn collect(key: &str, value: &Value, settings: &mut Settings) {
 /// A setting in which runs of one experiment differ.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Difference {
+    /// The setting's dotted key.
     pub key: String,
-    /// The values there are, in their order.
+    /// The values that runs have, sorted.
     pub values: Vec<String>,
-    /// Whether each run's `variant` names it, so that a column of variants shows it.
+    /// Whether each run's `variant` shows the value.
     pub in_variant: bool,
 }
 
 impl Difference {
-    /// The values that runs have of a setting.
+    /// The values that runs have for the setting `key`.
     pub(super) fn of<'a>(key: &str, runs: impl Iterator<Item = &'a Settings>) -> Self {
         let values = runs.map(|run| value(run, key)).collect();
         Self { key: key.to_owned(), values: sorted(values), in_variant: false }
@@ -82,9 +84,9 @@ impl Difference {
 }
 
 impl fmt::Display for Difference {
-    /// `training.batch_size (16, 64)`
+    /// Writes the key and the values: `training.batch_size (16, 64)`.
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        /// More values than that are counted.
+        /// The maximum number of values that are listed. The others are only counted.
         const SHOWN: usize = 6;
         let shown = self.values.iter().take(SHOWN).map(|value| if value.is_empty() { "none" } else { value });
         let shown = shown.collect::<Vec<_>>().join(", ");
@@ -94,11 +96,12 @@ impl fmt::Display for Difference {
     }
 }
 
-/// In what the runs of one experiment differ, besides scenario, latent size and seed.
+/// The settings in which the runs of one experiment differ, without scenario, latent size and seeds.
 ///
-/// Runs on imported data have no settings of a simulation, what isn't predicted has no weight in the loss, and a scenario
-/// has its own dataset; none of it is a difference.
-/// Two datasets of one scenario and simulation are: then the model or MuJoCo changed.
+/// Some settings are compared only between runs that have them: those of the simulation, which runs on imported data
+/// lack, and the loss weights of modalities, which runs that do not predict the modality lack. Datasets of different
+/// scenarios or simulation settings are no difference. Two datasets with the same scenario and simulation settings are
+/// one, because then the model or MuJoCo has changed.
 pub(super) fn differences(runs: &[&Settings]) -> Vec<Difference> {
     let mut values: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
     let keys: BTreeSet<&str> = runs.iter().flat_map(|run| run.keys()).map(String::as_str).collect();
@@ -128,7 +131,7 @@ pub(super) fn differences(runs: &[&Settings]) -> Vec<Difference> {
     differing.map(difference).collect()
 }
 
-/// Numbers by their size, other texts by their letters.
+/// Sorts numbers by value, and other texts alphabetically.
 fn sorted(values: BTreeSet<&str>) -> Vec<String> {
     let mut values: Vec<String> = values.into_iter().map(str::to_owned).collect();
     values.sort_by(|a, b| match (a.parse::<f64>(), b.parse::<f64>()) {
@@ -138,7 +141,7 @@ fn sorted(values: BTreeSet<&str>) -> Vec<String> {
     values
 }
 
-/// The key that is most like `wanted`; before others one that ends in it.
+/// The key that is most similar to `wanted`. A key that ends in `.wanted` is preferred.
 pub(super) fn nearest<'a>(wanted: &str, keys: BTreeSet<&'a str>) -> Option<&'a str> {
     let ending = format!(".{wanted}");
     let likeness = |key: &str| strsim::jaro_winkler(wanted, key) + f64::from(key.ends_with(&ending));
@@ -149,18 +152,19 @@ fn is_simulated(run: &Settings) -> bool {
     run.keys().any(|key| key.starts_with(SIMULATION))
 }
 
+/// The run's value of the setting `key`, or [`UNSET`].
 pub(super) fn value<'a>(run: &'a Settings, key: &str) -> &'a str {
     run.get(key).map_or(UNSET, String::as_str)
 }
 
-/// Whether every run's variant names the setting, and a variant's text stands for one value of it.
+/// Whether every run's variant names the setting, and all runs with the same variant have the same value.
 fn is_in_variant(runs: &[&Settings], key: &str) -> bool {
-    // A variant leaves out the section: `training.kl_weight` is `kl_weight=0.001` in it.
+    // A variant names settings without their section: `training.kl_weight` is `kl_weight=0.001`.
     let name = key.split_once('.').map_or(key, |(_section, name)| name);
     let names = |variant: &str| {
         let mut named = variant.split(',').filter_map(|part| part.split_once('=')).map(|(named, _)| named);
         named.any(|named| {
-            // Readings and roles stand for settings of any name.
+            // A reading or a role may set any setting.
             ["reading", "role"].contains(&named)
                 || name == named
                 || name.strip_prefix(named).is_some_and(|rest| rest.starts_with('.'))
@@ -173,13 +177,15 @@ fn is_in_variant(runs: &[&Settings], key: &str) -> bool {
     })
 }
 
-/// A setting that runs must have, as it is written on the command line: `training.batch_size=64`, or
-/// `smoke:training.batch_size=64` for the runs of one experiment.
+/// A setting that runs must have. It is written as `training.batch_size=64`, or for the runs of one experiment as
+/// `smoke:training.batch_size=64`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Setting {
-    /// The experiment that it is about; all of them if none is named.
+    /// The experiment whose runs must have the setting, or `None` for all experiments.
     pub experiment: Option<String>,
+    /// The setting's dotted key.
     pub key: String,
+    /// The value, as a text.
     pub value: String,
 }
 
@@ -187,7 +193,8 @@ impl FromStr for Setting {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let refused = || format!("'{text}' is no setting; write KEY=VALUE, as training.batch_size=64");
+        let refused =
+            || format!("'{text}' is not a setting; write KEY=VALUE, such as training.batch_size=64");
         let (key, value) = text.split_once('=').ok_or_else(refused)?;
         let (experiment, key) =
             key.split_once(':').map_or((None, key), |(name, key)| (Some(name.to_owned()), key));
@@ -206,20 +213,23 @@ impl fmt::Display for Setting {
 }
 
 impl Setting {
-    /// The option of the command line.
+    /// The command-line option that requests the setting: `--where KEY=VALUE`, quoted for a shell.
     pub fn option(&self) -> String {
         format!("--where {}", quoted([self.to_string().as_str()]))
     }
 
-    /// The override of a spec that makes runs with it; `None` if it is no single setting of a spec.
+    /// The override that gives runs this setting, quoted for a shell. `None` if the key has no section, such as
+    /// `variant`, because no override changes it.
     pub(super) fn as_override(&self) -> Option<String> {
         self.key.contains('.').then(|| quoted([format!("{}={}", self.key, self.value).as_str()]))
     }
 
+    /// Whether the setting applies to the runs of an experiment.
     pub fn is_about(&self, experiment: &str) -> bool {
         self.experiment.as_ref().is_none_or(|name| name == experiment)
     }
 
+    /// Whether a run has the setting. Numbers and JSON values are compared by value, not as texts.
     pub(super) fn is_met_by(&self, run: &Settings) -> bool {
         let found = value(run, &self.key);
         let number = |text: &str| text.parse::<f64>().ok();
@@ -230,7 +240,8 @@ impl Setting {
     }
 }
 
-/// Whether a run meets all settings about its experiment: of several values of one setting, any.
+/// Whether a run has all settings that apply to its experiment. If a setting is listed with several values, one of them
+/// is enough.
 pub(super) fn meets(wanted: &[Setting], experiment: &str, run: &Settings) -> bool {
     let about = || wanted.iter().filter(|setting| setting.is_about(experiment));
     about().all(|setting| about().any(|other| other.key == setting.key && other.is_met_by(run)))

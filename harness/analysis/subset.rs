@@ -1,4 +1,4 @@
-//! Some of the runs, as if there were no others.
+//! Queries over some of the runs of an analysis.
 
 use super::seen::Seen;
 use super::{Analysis, Run};
@@ -8,18 +8,19 @@ use harness_tables::{asked_columns, asked_rows, lazily};
 use polars::prelude::*;
 use std::any::Any;
 
-/// The column of the name that runs are known by.
+/// The column with the name of a run's experiment.
 const EXPERIMENT: &str = "experiment";
 
-/// Runs of an analysis, by the names of the experiments that queries ask for.
+/// Some runs of an analysis, under experiment names that may differ from their own.
 pub struct Subset<'a> {
     analysis: &'a Analysis,
+    /// An experiment's name in queries, and its runs.
     runs: Vec<(String, Vec<&'a Run>)>,
 }
 
 impl Analysis {
-    /// These runs, which queries find under the name beside them, whatever their own experiment is. Queries must be
-    /// expected ([`Analysis::expect`]).
+    /// A subset of runs. Each item is an experiment name and runs that have this name in queries, whatever their own
+    /// experiment is. The queries must be announced before, with [`Analysis::expect`].
     pub fn subset<'a>(&'a self, runs: Vec<(String, Vec<&'a Run>)>) -> Subset<'a> {
         Subset { analysis: self, runs }
     }
@@ -29,7 +30,7 @@ impl Subset<'_> {
     /// Answers a query over these runs.
     ///
     /// # Errors
-    /// As those of [`query`](harness_registry::query).
+    /// Like [`query`](harness_registry::query).
     pub fn query(&self, sql: &str) -> Result<DataFrame, QueryError> {
         if self.is_whole() {
             let names: Vec<&str> = self.runs.iter().map(|(name, _)| name.as_str()).collect();
@@ -47,7 +48,7 @@ impl Subset<'_> {
         self.analysis.answer(sql, |of| self.rows(of, sql), recorded)
     }
 
-    /// Whether these are all runs of their experiments, under their own names.
+    /// Whether the subset has all runs of its experiments, under their own names.
     fn is_whole(&self) -> bool {
         self.runs.iter().all(|(name, runs)| {
             runs.len() == self.analysis.runs(name).len()
@@ -55,7 +56,7 @@ impl Subset<'_> {
         })
     }
 
-    /// The runs' rows of a table, by experiment and name.
+    /// The runs' rows of a table, a frame for each name and experiment.
     fn rows(&self, of: Table, sql: &str) -> Result<Vec<LazyFrame>, QueryError> {
         let mut parts = Vec::new();
         for (name, runs) in &self.runs {
@@ -71,7 +72,7 @@ impl Subset<'_> {
     }
 }
 
-/// The rows of some runs of an experiment, which is called by another name.
+/// The rows of some runs of an experiment, with another name in the column `experiment`.
 struct RunRows {
     seen: Seen,
     runs: Vec<String>,
