@@ -773,9 +773,9 @@ fn faults_of_a_file_are_named_with_their_place() {
         (edited("paper:", "papr:"), "2:3: unknown field `papr`, expected one of id, paper, "),
         (
             edited("above 0.5", "over 0.5"),
-            "9:14: 'over 0.5' is no condition; write 'above NUMBER' or 'below NUMBER'",
+            "9:14: 'over 0.5' is not a condition; write 'above NUMBER' or 'below NUMBER'",
         ),
-        (edited("above 0.5", "above inf"), "9:14: 'above inf' is no condition; "),
+        (edited("above 0.5", "above inf"), "9:14: 'above inf' is not a condition; "),
         (edited("[empty]", "[emty]"), "5:14: unknown scenario `emty`, expected one of empty, cluttered"),
         (load_text(&[ONE, ONE].concat()).unwrap_err(), "10:7: there is a claim 'force' already"),
         (

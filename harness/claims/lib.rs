@@ -1,4 +1,6 @@
-//! The paper's statements, tested on the tables: a claim is a query, a condition, and what they stand for.
+//! Tests the paper's statements on the tables of runs.
+//!
+//! A claim is a statement with a query and a condition on the query's result.
 
 mod file;
 mod plan;
@@ -26,40 +28,43 @@ use std::fmt;
 #[serde(deny_unknown_fields)]
 pub struct Claim {
     id: Spanned<String>,
-    /// What the paper says, in short.
+    /// A summary of the paper's statement.
     pub paper: String,
     /// The paper's section and figure.
     pub section: String,
-    /// What the number is that the query gives, with its unit.
+    /// A description of the query's value, with its unit.
     pub measured: String,
-    /// The scenarios that the claim is made for, each judged by itself; none where it is about both together.
+    /// The scenarios that are judged one by one. Empty if the claim is about both scenarios together.
     #[serde(default, deserialize_with = "scenarios_of_the_paper")]
     pub scenarios: Vec<Scenario>,
     /// The experiments whose tables the queries read.
     pub experiments: Vec<String>,
-    /// The latent sizes that the queries write as `{experiment}`; `{experiment.runs}` is their number.
+    /// The latent sizes that replace `{experiment}` in the queries. Their number replaces `{experiment.runs}`.
     #[serde(default)]
     pub latent: Sizes,
+    /// A condition without which the claim can't be tested.
     pub requires: Option<Requirement>,
     query: Spanned<String>,
+    /// The condition that the query's value satisfies if the claim holds.
     pub condition: Condition,
 }
 
 /// Latent sizes by experiment.
 pub type Sizes = BTreeMap<String, BTreeSet<usize>>;
 
-/// What must hold for a claim to be testable, as that the networks which it compares learned something; measured for the
-/// claim's scenarios, on the tables of its experiments.
+/// A condition without which a claim can't be tested, such as that the compared networks have learned something. It is
+/// measured for the claim's scenarios, on the tables of its experiments.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Requirement {
-    /// What the number is that the query gives, with its unit.
+    /// A description of the query's value, with its unit.
     pub measured: String,
     query: Spanned<String>,
+    /// The condition that the query's value must satisfy.
     pub condition: Condition,
 }
 
-/// Claims are about the paper's scenarios.
+/// Reads scenarios, and refuses those that the paper does not have.
 fn scenarios_of_the_paper<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Scenario>, D::Error> {
     let scenarios = Vec::<Spanned<Scenario>>::deserialize(deserializer)?;
     let other = scenarios.iter().find(|scenario| !Scenario::PAPER.contains(&scenario.value));
@@ -71,33 +76,34 @@ fn scenarios_of_the_paper<'de, D: Deserializer<'de>>(deserializer: D) -> Result<
 }
 
 impl Claim {
+    /// The claim's id, such as `vision_improves_force`. It is unique in its file.
     pub fn id(&self) -> &str {
         &self.id.value
     }
 
-    /// The experiments' names in tables.
+    /// The names of the experiments in tables. Those of quick runs end in [`QUICK`].
     pub fn experiments(&self, quick: bool) -> Vec<String> {
         let ending = if quick { QUICK } else { "" };
         self.experiments.iter().map(|name| format!("{name}{ending}")).collect()
     }
 
-    /// The query, over the tables of the experiments or, if `quick`, of their quick runs.
+    /// The claim's query, completed, over the runs of the experiments or, if `quick`, over their quick runs.
     pub fn sql(&self, quick: bool) -> String {
         self.complete(&self.query.value, &self.latent, quick)
     }
 
-    /// The query of what the claim requires, over the same tables.
+    /// The requirement's query, completed, or `None` without a requirement.
     pub fn required_sql(&self, quick: bool) -> Option<String> {
         let requirement = self.requires.as_ref()?;
         Some(self.complete(&requirement.query.value, &self.latent, quick))
     }
 
-    /// The claim's query and that of its requirement, as the file has them.
+    /// The queries of the claim and of its requirement, as they are in the file.
     fn queries(&self) -> impl Iterator<Item = &Spanned<String>> {
         std::iter::once(&self.query).chain(self.requires.as_ref().map(|requirement| &requirement.query))
     }
 
-    /// A query with these latent sizes, and with the names that the experiments have in tables.
+    /// Inserts these latent sizes in a query, and, if `quick`, the names of the quick runs' experiments.
     fn complete(&self, query: &str, sizes: &Sizes, quick: bool) -> String {
         let mut sql = query.to_owned();
         for (name, sizes) in sizes {
@@ -112,20 +118,24 @@ impl Claim {
     }
 }
 
-/// What a measured number must satisfy for its claim to hold.
+/// A condition on a measured value. It is written as `above NUMBER` or `below NUMBER`.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(try_from = "String")]
 pub enum Condition {
+    /// The value is greater than the bound.
     Above(f64),
+    /// The value is less than the bound.
     Below(f64),
 }
 
 impl Condition {
+    /// The bound, in the unit of the value.
     pub fn bound(self) -> f64 {
         let (Self::Above(bound) | Self::Below(bound)) = self;
         bound
     }
 
+    /// Whether a value satisfies the condition.
     pub fn satisfied_by(self, value: f64) -> bool {
         match self {
             Self::Above(bound) => value > bound,
@@ -157,7 +167,7 @@ impl TryFrom<String> for Condition {
     type Error = String;
 
     fn try_from(text: String) -> Result<Self, String> {
-        let refused = || format!("'{text}' is no condition; write 'above NUMBER' or 'below NUMBER'");
+        let refused = || format!("'{text}' is not a condition; write 'above NUMBER' or 'below NUMBER'");
         let (word, bound) = text.trim().split_once(' ').ok_or_else(refused)?;
         let bound: f64 = bound.trim().parse().map_err(|_| refused())?;
         match word {
@@ -169,34 +179,48 @@ impl TryFrom<String> for Condition {
     }
 }
 
-/// Why claims could not be judged.
+/// An error in reading or judging claims.
 #[derive(Debug, thiserror::Error)]
 pub enum ClaimsError {
+    /// The file of claims can't be read, or is invalid.
     #[error(transparent)]
     File(#[from] SpecError),
+    /// No claim has the wanted id.
     #[error("no claim is called '{wanted}'{}", nearest.as_ref().map(|n| format!("; did you mean '{n}'?")).unwrap_or_default())]
-    Unknown { wanted: String, nearest: Option<String> },
+    Unknown {
+        /// The wanted id.
+        wanted: String,
+        /// The most similar id, if the file has any.
+        nearest: Option<String>,
+    },
+    /// A claim's query failed, or its answer does not have the required columns and rows.
     #[error("claim '{id}', query at line {line}: {problem}")]
-    Query { id: String, line: u64, problem: String },
+    Query {
+        /// The claim's id.
+        id: String,
+        /// The line of the file where the query starts, counted from 1.
+        line: u64,
+        /// What is wrong with the query or its answer.
+        problem: String,
+    },
 }
 
-/// What a claim's query found for one scenario, or for both together; nothing where the runs that it takes are not
-/// all there.
+/// The values that a claim's query returned for one scenario, or for both together. There are none if runs are missing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measured {
-    /// What there is a value for: each seed or, where the dataset alone decides, each of its episodes.
+    /// Whether there is a value for each seed or for each episode.
     pub each: Each,
-    /// By the dataset's seed, and by seed or episode.
+    /// The values, by the seed of the dataset, and by seed or episode.
     pub values: BTreeMap<(u64, i64), f64>,
 }
 
 impl Measured {
-    /// The mean over datasets and seeds, or over episodes, with its interval; `None` without data.
+    /// The mean over datasets and seeds, or over episodes, with its confidence interval. `None` without values.
     pub fn interval(&self) -> Option<Interval> {
         mean_interval(&self.replicates(), LEVEL)
     }
 
-    /// What the interval is made of. Episodes do not depend on each other, whatever dataset they are of.
+    /// The values that the interval is computed from. Episodes are independent of each other, even within a dataset.
     pub fn replicates(&self) -> Vec<f64> {
         match self.each {
             Each::Seed => replicates(self.values.iter().map(|((dataset, _), value)| (*dataset, *value))),
@@ -204,21 +228,23 @@ impl Measured {
         }
     }
 
-    /// The datasets that there are values for, by their seeds.
+    /// The seeds of the datasets that have values.
     pub fn datasets(&self) -> BTreeSet<u64> {
         self.values.keys().map(|(dataset, _)| *dataset).collect()
     }
 }
 
-/// What is alike but for chance.
+/// What a measured value belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Each {
+    /// A seed of the runs.
     Seed,
+    /// An episode of the dataset, for claims about the dataset alone.
     Episode,
 }
 
 impl Each {
-    /// The column of a query.
+    /// The name of the column in a query's answer.
     pub fn name(self) -> &'static str {
         match self {
             Self::Seed => "seed",
@@ -227,22 +253,25 @@ impl Each {
     }
 }
 
-/// What becomes of a claim.
+/// The verdict on a claim.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
     /// The whole interval satisfies the condition.
     Holds,
-    /// The whole interval violates it.
+    /// The whole interval violates the condition.
     DoesNotHold,
-    /// A part of the interval does, a part doesn't.
+    /// A part of the interval satisfies the condition, and a part violates it.
     Undecided,
-    /// A single seed has no interval; whether its value satisfies the condition.
-    OneSeed { satisfied: bool },
-    /// What the claim requires doesn't hold, or is undecided; with a single seed, its value doesn't satisfy it.
+    /// There is only one seed, and so no interval.
+    OneSeed {
+        /// Whether the seed's value satisfies the condition.
+        satisfied: bool,
+    },
+    /// The claim's requirement does not hold or is undecided. With one seed, the seed's value violates it.
     NotTestable,
-    /// The runs differ in settings that the query doesn't tell apart, so that nothing can be measured.
+    /// The runs differ in settings that the query does not distinguish, so nothing is measured.
     Mixed,
-    /// Nothing was measured.
+    /// There are no values.
     NoData,
 }
 
@@ -261,24 +290,28 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// A claim beside what was measured, for one scenario or, where it is about both, for both.
+/// A claim and its measured values, for one scenario or for both together.
 #[derive(Debug, Clone)]
 pub struct Judgement<'a> {
+    /// The claim.
     pub claim: &'a Claim,
+    /// The scenario, or `None` if the claim is about both together.
     pub scenario: Option<Scenario>,
+    /// The values of the claim's query.
     pub measured: Measured,
-    /// What was measured of the claim's requirement; `None` if it has none.
+    /// The values of the requirement's query; `None` if the claim has no requirement.
     pub required: Option<Measured>,
-    /// The experiments whose runs can't be put together, for which nothing is measured.
+    /// The experiments whose runs differ in settings. If there are any, nothing is measured.
     pub mixed: Vec<Mixed>,
 }
 
 impl Judgement<'_> {
-    /// The mean over seeds or episodes with its interval; `None` without data.
+    /// The mean over datasets and seeds, or over episodes, with its confidence interval. `None` without values.
     pub fn interval(&self) -> Option<Interval> {
         self.measured.interval()
     }
 
+    /// The verdict on the claim.
     pub fn verdict(&self) -> Verdict {
         match self.interval() {
             None if self.mixed.is_empty() => Verdict::NoData,
@@ -288,14 +321,14 @@ impl Judgement<'_> {
         }
     }
 
-    /// The probability of such a mean, or one farther from the condition's bound, if the bound were the true one; `None`
-    /// where nothing is tested.
+    /// The two-sided p-value of a t-test against the condition's bound. `None` unless the claim holds, does not hold,
+    /// or is undecided.
     pub fn p_value(&self) -> Option<f64> {
         let is_tested = matches!(self.verdict(), Verdict::Holds | Verdict::DoesNotHold | Verdict::Undecided);
         p_value(&self.measured.replicates(), self.claim.condition.bound()).filter(|_| is_tested)
     }
 
-    /// What the claim requires and these runs don't meet, in words: what was measured, its value and the condition.
+    /// Describes the claim's requirement if it does not hold: what was measured, its value and the condition.
     pub fn unmet(&self) -> Option<String> {
         let Requirement { measured, condition, .. } = self.claim.requires.as_ref()?;
         let interval = self.required.as_ref().and_then(Measured::interval);
@@ -309,14 +342,17 @@ impl Judgement<'_> {
     }
 }
 
-/// The judgements' p-values, corrected for the number of those that are tested (Holm).
+/// The p-values of judgements, corrected for the number of tests by the method of Holm. `None` where nothing is tested.
 pub fn corrected<'a, 'b: 'a>(judgements: impl IntoIterator<Item = &'a Judgement<'b>>) -> Vec<Option<f64>> {
     let p_values: Vec<Option<f64>> = judgements.into_iter().map(Judgement::p_value).collect();
     let mut corrected = holm(&p_values.iter().copied().flatten().collect::<Vec<_>>()).into_iter();
     p_values.into_iter().map(|p| p.and_then(|_| corrected.next())).collect()
 }
 
-/// The claims called `wanted`, in the order of the file; all of them where none is.
+/// The claims with the ids `wanted`, in the order of the file. If `wanted` is empty, all claims.
+///
+/// # Errors
+/// When no claim has one of the ids.
 pub fn choose<'a>(claims: &'a [Claim], wanted: &[String]) -> Result<Vec<&'a Claim>, ClaimsError> {
     for wanted in wanted {
         if !claims.iter().any(|claim| claim.id() == wanted) {
@@ -329,10 +365,10 @@ pub fn choose<'a>(claims: &'a [Claim], wanted: &[String]) -> Result<Vec<&'a Clai
     Ok(claims.iter().filter(|claim| wanted.is_empty() || wanted.iter().any(|w| w == claim.id())).collect())
 }
 
-/// The runs that claims are about, with the tables that their queries name.
+/// The runs that claims are about. The claims' queries are announced, so that each table is read once.
 ///
 /// # Errors
-/// When no run has a setting that is asked for, or its value.
+/// When no run has one of the requested settings, or its value.
 pub fn runs(
     registry: &Registry,
     claims: &[&Claim],
@@ -343,14 +379,14 @@ pub fn runs(
     Ok(expect(analysis, claims, quick))
 }
 
-/// The same, to be widened before the runs are looked for.
+/// The selection of runs for these claims, to which a caller may add experiments.
 pub fn selection(claims: &[&Claim], settings: &[Setting], quick: bool) -> Selection {
     let experiments = claims.iter().flat_map(|claim| claim.experiments(quick)).collect();
     // The paper's statements are about the simulated scenarios.
     Selection { experiments, settings: settings.to_vec(), simulated: true }
 }
 
-/// Says which columns the claims' queries will ask for.
+/// Announces the claims' queries to `analysis`, so that each table is read once.
 pub fn expect(analysis: Analysis, claims: &[&Claim], quick: bool) -> Analysis {
     let of = |claim: &&Claim| {
         claim.queries().map(|query| claim.complete(&query.value, &claim.latent, quick)).collect::<Vec<_>>()
@@ -359,16 +395,17 @@ pub fn expect(analysis: Analysis, claims: &[&Claim], quick: bool) -> Analysis {
     analysis.expect(queries.iter().map(String::as_str))
 }
 
-/// Measures a claim by the runs of its experiments: one judgement for each of its scenarios, or one alone.
+/// Judges a claim by the runs of its experiments. Returns one judgement for each of its scenarios, or a single one.
 ///
 /// # Errors
-/// When the query is not understood or doesn't give what a claim needs, whether there is data or not.
+/// When a query is invalid, or its answer does not have the columns and rows of a claim. Queries are checked even if
+/// there are no runs.
 pub fn judge<'a>(
     analysis: &Analysis,
     claim: &'a Claim,
     quick: bool,
 ) -> Result<Vec<Judgement<'a>>, ClaimsError> {
-    // Variants are different settings, which queries may tell apart by their column.
+    // A query that names the column `variant` distinguishes the settings that variants name.
     let by_variant = claim.queries().all(|query| query.value.contains("variant"));
     let experiments = claim.experiments(quick).into_iter().map(|name| {
         let checked = analysis.check_uniform(&name, by_variant);
@@ -381,13 +418,14 @@ pub fn judge<'a>(
 /// The runs by which a claim is judged.
 struct Evidence<'a> {
     analysis: &'a Analysis,
-    /// By the experiment's name in queries.
+    /// The experiments' names in queries, and their runs.
     runs: Vec<(String, Vec<&'a Run>)>,
     mixed: Vec<Mixed>,
 }
 
 impl<'a> Evidence<'a> {
-    /// These runs, if all of them can be put together, with the names that queries know their experiments by.
+    /// The runs of experiments, by the experiments' names in queries, with the results of checking that the runs do not
+    /// differ in settings. If a check failed, no runs are used.
     fn of(analysis: &'a Analysis, experiments: Vec<(String, Vec<&'a Run>, Result<(), Mixed>)>) -> Self {
         let mixed: Vec<Mixed> =
             experiments.iter().filter_map(|(.., checked)| checked.clone().err()).collect();
@@ -421,7 +459,8 @@ impl<'a> Evidence<'a> {
         Ok(measured.into_iter().map(judgement).collect())
     }
 
-    /// The runs of each dataset by themselves, by its seed: a comparison is made within a dataset.
+    /// The runs of each dataset, with the dataset's seed. Queries are answered for each dataset separately, because
+    /// claims compare runs on the same dataset.
     fn by_dataset(&self) -> Vec<(u64, Subset<'a>)> {
         let seed_of = |run: &Run| run.record.spec.dataset_seed();
         let mut seeds: BTreeSet<u64> =
@@ -448,7 +487,7 @@ struct Row {
 }
 
 impl Claim {
-    /// What a query finds for each of the claim's scenarios in turn, or for both together, on each dataset.
+    /// The values of a query on all datasets, for each of the claim's scenarios, or for both together.
     fn measure(
         &self,
         datasets: &[(u64, Subset)],
@@ -467,7 +506,7 @@ impl Claim {
             for (scenario, measured) in &mut found {
                 measured.each = each;
                 for row in rows.iter().filter(|row| row.scenario == scenario.map(Origin::from)) {
-                    // A value that is not defined counts as not measured.
+                    // An undefined value counts as not measured.
                     let key = (*dataset, row.seed);
                     if row.value.is_some_and(|value| measured.values.insert(key, value).is_some()) {
                         let (name, seed) = (each.name(), row.seed);
@@ -481,7 +520,7 @@ impl Claim {
         Ok(found)
     }
 
-    /// What the answer has a row for, if its columns are those of a claim.
+    /// Checks the columns of a query's answer. Returns whether a row is a seed or an episode.
     fn check_columns(&self, answer: &DataFrame) -> Result<Each, String> {
         let mut found: Vec<&str> = answer.get_column_names().into_iter().map(|name| name.as_str()).collect();
         let each = if found.contains(&"episode") { Each::Episode } else { Each::Seed };
