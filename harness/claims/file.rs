@@ -1,14 +1,14 @@
-//! A file of claims: YAML to checked types.
+//! Reads a YAML file of claims.
 
 use super::Claim;
 use harness_spec::{SpecError, read_text};
 use serde_yaml::{Location, MessageFormatter, UserMessageFormatter};
 use std::path::Path;
 
-/// Reads the claims of a file.
+/// Reads and checks the claims of a file.
 ///
 /// # Errors
-/// The first fault, with file, line and column.
+/// When the file can't be read or is invalid. The error names the first problem with its file, line and column.
 pub fn load(path: &Path) -> Result<Vec<Claim>, SpecError> {
     let text = read_text(path)?;
     let invalid = |location: Option<Location>, message: String| {

@@ -1,4 +1,4 @@
-//! What would decide the claims that are undecided: how many more datasets or seeds, for how long, by which commands.
+//! Plans the runs that would decide undecided claims: how many more datasets or seeds, their duration and the commands.
 
 use super::{Claim, Each, Judgement, Verdict};
 use harness_analysis::{Analysis, LEVEL, Run, replicates_needed};
@@ -6,15 +6,17 @@ use harness_registry::quoted;
 use harness_spec::{Origin, Scenario};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What there may be more of.
+/// What is added to decide a claim.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum More {
+    /// Datasets, with runs for all seeds that there are.
     Datasets,
+    /// Seeds on the dataset that there is.
     Seeds,
 }
 
 impl More {
-    /// `1 more seed`, `2 more datasets`.
+    /// The number in words, such as `1 more seed` or `2 more datasets`.
     pub fn counted(self, count: usize) -> String {
         let one = match self {
             Self::Datasets => "dataset",
@@ -24,38 +26,42 @@ impl More {
     }
 }
 
-/// Runs that would decide claims, if means and spreads stay as they are.
+/// Runs that would decide claims, if means and standard deviations do not change.
 #[derive(Debug)]
 pub struct Step<'a> {
+    /// Whether datasets or seeds are added.
     pub more: More,
-    /// How many there are, and how many more there must be.
+    /// Number of datasets or seeds that there are.
     pub there: usize,
+    /// Number of datasets or seeds to add.
     pub count: usize,
+    /// Number of runs to add.
     pub runs: usize,
-    /// What the runs take, by those of the same cells that there are, s.
+    /// Estimated duration of the runs in seconds, from the existing runs of the same cells.
     pub seconds: f64,
-    /// Each makes the runs of one experiment; as a shell takes it.
+    /// A shell command for the runs of each experiment.
     pub commands: Vec<String>,
+    /// The claims that the runs would decide.
     pub decides: Vec<(&'a Claim, Option<Scenario>)>,
 }
 
-/// What would decide the undecided claims.
+/// The steps that would decide the undecided claims.
 #[derive(Default)]
 pub struct Plan<'a> {
-    /// The shortest first.
+    /// The steps, sorted by duration.
     pub steps: Vec<Step<'a>>,
-    /// Claims that this many datasets or seeds would not decide, if means and spreads stay as they are.
+    /// Claims that would stay undecided with [`Plan::MOST`] datasets or seeds.
     pub out_of_reach: Vec<(&'a Claim, Option<Scenario>)>,
-    /// Claims by episodes, which a dataset of more or longer episodes may decide.
+    /// Claims with a value for each episode. A dataset of more or longer episodes may decide them.
     pub by_episode: Vec<(&'a Claim, Option<Scenario>)>,
 }
 
 impl Plan<'_> {
-    /// The most datasets or seeds that a step has.
+    /// The maximum total number of datasets or seeds that a step may need.
     pub const MOST: usize = 100;
 }
 
-/// Plans for those of these judgements that are undecided.
+/// Plans steps for those judgements that are undecided.
 pub fn plan<'a>(analysis: &Analysis, judgements: &[Judgement<'a>], quick: bool) -> Plan<'a> {
     let mut plan = Plan::default();
     let mut steps: BTreeMap<Vec<String>, Step<'a>> = BTreeMap::new();
@@ -78,12 +84,12 @@ pub fn plan<'a>(analysis: &Analysis, judgements: &[Judgement<'a>], quick: bool) 
     plan
 }
 
-/// What would decide a judgement; `None` if more than [`Plan::MOST`] datasets or seeds.
+/// The step that would decide a judgement. `None` if it would need more than [`Plan::MOST`] datasets or seeds.
 fn step<'a>(analysis: &Analysis, judgement: &Judgement, quick: bool) -> Option<Step<'a>> {
     let replicates = judgement.measured.replicates();
     let there = replicates.len();
     let needed = match there {
-        // A single value says nothing about the spread: with two there is an interval.
+        // A single value has no standard deviation. Two values have an interval.
         1 => 2,
         _ => replicates_needed(&replicates, judgement.claim.condition.bound(), LEVEL, Plan::MOST)?
             .max(there + 1),
@@ -104,7 +110,8 @@ fn step<'a>(analysis: &Analysis, judgement: &Judgement, quick: bool) -> Option<S
     Some(Step { more, there, count, runs, seconds, commands, decides: Vec::new() })
 }
 
-/// How many runs one more dataset or seed makes, and how long they take, s: as many and as long as there are for each.
+/// The number of runs that one more dataset or seed needs, and their duration in seconds: the averages of the existing
+/// datasets or seeds.
 fn one_more(runs: &[&Run], more: More) -> (usize, f64) {
     let seconds = |run: &Run| {
         run.record.timings.map_or(0.0, |timings| {
@@ -113,7 +120,7 @@ fn one_more(runs: &[&Run], more: More) -> (usize, f64) {
     };
     let there = seeds_of(runs, more).len().max(1);
     let trained: f64 = runs.iter().map(|run| seconds(run)).sum();
-    // Runs that share a dataset repeat the time that it took, which is short where it was there before.
+    // Each run on a dataset records the time of collecting it. It is short if the dataset existed before.
     let mut collected: BTreeMap<&str, f64> = BTreeMap::new();
     for run in runs.iter().filter(|_| more == More::Datasets) {
         let longest = collected.entry(&run.record.dataset).or_default();

@@ -1,4 +1,4 @@
-//! Claims under several readings of the paper: which of them change a verdict.
+//! Judges claims under several readings of the paper, to find the readings that change a verdict.
 
 use super::{Claim, ClaimsError, Evidence, Judgement, Sizes, Verdict};
 use harness_analysis::{Analysis, AnalysisError, Run, Selection, Setting};
@@ -6,22 +6,25 @@ use harness_registry::Registry;
 use harness_spec::{Experiment, Reading, Scenario};
 use std::collections::BTreeSet;
 
-/// Claims by readings.
+/// The judgements of claims under all readings.
 pub struct Matrix<'a> {
-    /// The readings' names, the base first.
+    /// The names of the readings, the base reading first.
     pub readings: Vec<&'a str>,
-    /// One for each claim and scenario that some reading has runs for.
+    /// A row for each claim and scenario that a reading has runs for.
     pub rows: Vec<Row<'a>>,
     /// The claims that no reading has runs for.
     pub left_out: Vec<&'a Claim>,
-    /// What was left out that a reader may look for, in words.
+    /// Messages about runs that were left out; see [`Analysis::notes`].
     pub notes: Vec<String>,
 }
 
-/// A claim in a scenario, judged under each reading in turn.
+/// The judgements of a claim in a scenario, under each reading.
 pub struct Row<'a> {
+    /// The claim.
     pub claim: &'a Claim,
+    /// The scenario, or `None` if the claim is about both together.
     pub scenario: Option<Scenario>,
+    /// A judgement for each reading, in the order of [`Matrix::readings`].
     pub judgements: Vec<Judgement<'a>>,
 }
 
@@ -31,7 +34,8 @@ impl Row<'_> {
         &self.judgements[0]
     }
 
-    /// The readings under which something else comes out than under the base, by their place, where either is decided.
+    /// The judgements that differ from the base reading's, if one of the two is decided. Each comes with the position
+    /// of its reading in [`Matrix::readings`].
     pub fn changes(&self) -> impl Iterator<Item = (usize, &Judgement<'_>)> {
         let base = self.base().verdict();
         let is_decided = |verdict: &Verdict| matches!(verdict, Verdict::Holds | Verdict::DoesNotHold);
@@ -49,10 +53,10 @@ pub struct Readings<'a> {
 }
 
 impl<'a> Readings<'a> {
-    /// Looks for the runs of the spec's experiment, for these claims.
+    /// Finds the runs of the spec's experiment with these settings, and announces the queries of `claims`.
     ///
     /// # Errors
-    /// When no run has a setting that is asked for, or its value.
+    /// When no run has one of the requested settings, or its value.
     pub fn new(
         registry: &Registry,
         spec: &'a Experiment,
@@ -73,7 +77,7 @@ impl<'a> Readings<'a> {
         Ok(readings)
     }
 
-    /// The readings' names, the base first.
+    /// The names of the readings, the base reading first.
     pub fn names(&self) -> Vec<&'a str> {
         let others = self.spec.readings.iter().map(|reading| reading.name.as_str());
         std::iter::once(Reading::BASE).chain(others).collect()
@@ -82,7 +86,7 @@ impl<'a> Readings<'a> {
     /// Judges claims under every reading.
     ///
     /// # Errors
-    /// When a query is not understood or doesn't give what a claim needs.
+    /// When a query is invalid, or its answer does not have the columns and rows of a claim.
     pub fn judge<'c>(&self, claims: &[&'c Claim]) -> Result<Matrix<'c>, ClaimsError>
     where
         'a: 'c,
@@ -120,7 +124,7 @@ impl<'a> Readings<'a> {
         })
     }
 
-    /// The latent sizes that there are under a reading of those that a claim leaves to its experiments.
+    /// The claim's latent sizes for which the reading has runs. An experiment without any keeps all of its sizes.
     fn sizes(&self, claim: &Claim, reading: &str) -> Sizes {
         let of = |(role, asked): (&String, &BTreeSet<usize>)| {
             let there: BTreeSet<usize> = self.runs(reading, role).map(|run| run.record.spec.latent).collect();
@@ -131,7 +135,7 @@ impl<'a> Readings<'a> {
     }
 }
 
-/// The judgements of a claim under each reading, scenario by scenario.
+/// Groups the judgements of a claim under each reading by scenario.
 fn by_scenario<'c>(claim: &'c Claim, judged: Vec<Vec<Judgement<'c>>>) -> Vec<Row<'c>> {
     let mut rows: Vec<Row> = Vec::new();
     for judgements in judged {
