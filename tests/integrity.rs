@@ -267,7 +267,7 @@ fn mended(act: impl Fn(&Copy) -> PathBuf, problem: &str) {
     shell(command);
     let said = verify(&copy.results);
     assert_eq!(said.code, 0, "after {command}: {}", said.stdout);
-    assert!(said.stdout.ends_with(": everything is whole\n"), "{}", said.stdout);
+    assert!(said.stdout.ends_with(": all files are intact\n"), "{}", said.stdout);
 }
 
 /// Gives a command as a person who pastes it, in the repository's root.
@@ -306,7 +306,7 @@ fn remove(path: PathBuf) -> PathBuf {
 #[test]
 fn whole_results_are_called_whole_and_left_alone() {
     let said = succeed(&RESULTS, &["verify"]);
-    assert_eq!(said, "2 runs, 2 datasets, 30 files: everything is whole\n");
+    assert_eq!(said, "2 runs, 2 datasets, 30 files: all files are intact\n");
 }
 
 #[test]

@@ -310,7 +310,7 @@ fn a_run_that_is_asked_to_stop_says_so_and_goes_on_when_asked_again() {
         assert_eq!(answer.code, code, "{}", answer.stderr);
         let last = answer.stderr.lines().last().unwrap();
         assert!(
-            last.starts_with(&format!("stopped by {signal_name}; the same command goes on from here: "))
+            last.starts_with(&format!("stopped by {signal_name}; continue with the same command: "))
                 && last.ends_with(&shlex::try_join(RUN).unwrap()),
             "{last}"
         );

@@ -100,7 +100,8 @@ fn suggested(text: &str) -> BTreeSet<String> {
     let begins = |text: &str| ["harness ", "rm ", "mkdir "].iter().any(|begin| text.starts_with(begin));
     for line in text.lines() {
         let quoted = line.split('`').skip(1).step_by(2).filter(|quoted| quoted.starts_with("harness "));
-        let aligned = ["repair: ", "queries   ", "for those without data   ", "goes on from here: "];
+        let aligned =
+            ["repair: ", "queries   ", "for those without data   ", "continue with the same command: "];
         let aligned = aligned.iter().filter_map(|before| line.split_once(before)).map(|(_, command)| command);
         commands.extend(quoted.chain(aligned.filter(|command| begins(command))).map(str::to_owned));
         let html = line.split("<code>").skip(1).filter_map(|rest| rest.split_once("</code>"));
@@ -183,7 +184,7 @@ fn what_is_suggested_for_damaged_runs_works() {
         assert!(there.said.contains("repair: "), "{what}: {}", there.said);
         there.works(1);
         let healed = there.look();
-        assert!(healed.said.contains("everything is whole"), "{what}: {}", healed.said);
+        assert!(healed.said.contains("all files are intact"), "{what}: {}", healed.said);
     }
 }
 
@@ -215,7 +216,7 @@ fn what_is_suggested_for_damaged_datasets_works() {
         assert!(there.said.contains("repair: "), "{what}: {}", there.said);
         there.works(1);
         let healed = there.look();
-        assert!(healed.said.contains("everything is whole"), "{what}: {}", healed.said);
+        assert!(healed.said.contains("all files are intact"), "{what}: {}", healed.said);
     }
 }
 

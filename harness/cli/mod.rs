@@ -1,6 +1,6 @@
-//! The command line of the harness: arguments, terminal and exit codes; nothing scientific.
+//! The command line of the harness: arguments, terminal output, signals and exit codes.
 
-// First, since its macros are known from here on.
+// This module must come first, because its macros are only visible in the modules after it.
 #[macro_use]
 mod output;
 
@@ -43,7 +43,7 @@ use std::process::ExitCode;
 
 /// A research harness for multi-modal perception of a soft robot.
 ///
-/// An experiment is a YAML file; its results are Parquet tables, queried with SQL.
+/// An experiment is a YAML file. Its results are Parquet tables that are queried with SQL.
 #[derive(Parser)]
 #[command(
     version,
@@ -54,7 +54,7 @@ use std::process::ExitCode;
 )]
 struct Arguments {
     /// Folder of datasets and runs
-    // Read as text, since Polars takes no other paths.
+    // Parsed as text, because Polars only supports paths in UTF-8.
     #[arg(long, global = true, value_name = "DIR", default_value = "results", value_parser = text_path)]
     results: PathBuf,
     /// Threads for simulation and training [default: all processors]
@@ -70,29 +70,29 @@ fn text_path(path: &str) -> Result<PathBuf, std::convert::Infallible> {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Do every run of an experiment that isn't done yet
+    /// Do all runs of an experiment that are not done yet
     #[command(after_help = "Examples:
   harness run experiments/multi_to_multi.yaml
   harness run experiments/multi_to_multi.yaml --quick --dry-run
   harness run experiments/single_to_multi.yaml training.batch_size=512 latent=[8,16]")]
     Run(run::Run),
-    /// Simulate what is missing of an experiment's datasets, without training
+    /// Simulate the missing episodes of an experiment's datasets, without training
     #[command(
         after_help = "Example:\n  harness collect experiments/multi_to_multi.yaml scenarios=[cluttered]"
     )]
     Collect(run::Collect),
-    /// Hand an experiment to a Slurm cluster: datasets first, then the runs, divided among tasks
+    /// Submit an experiment to a Slurm cluster: datasets first, then the runs, divided among tasks
     #[command(after_help = SUBMIT_HELP)]
     Submit(submit::Submit),
-    /// Cancel a job that was submitted; what its tasks have done is kept
+    /// Cancel a submitted job; what its tasks have done is kept
     #[command(after_help = "Examples:
   harness cancel multi_to_multi                     every job of an experiment
   harness cancel multi_to_multi-20261122T093000Z    one job, as `harness ls --jobs` lists it")]
     Cancel(submit::Cancel),
-    /// Check a spec and list the runs it stands for
+    /// Check a spec and list its runs
     #[command(after_help = "Example:\n  harness validate experiments/smoke.yaml training.epochs=3")]
     Validate(run::Validate),
-    /// Answer a question in SQL over the tables runs, epochs, metrics, predictions, forces, frames and episodes
+    /// Answer a SQL query over the tables runs, epochs, metrics, predictions, forces, frames and episodes
     #[command(after_help = "Examples:
   harness query \"select run, status, prediction_seconds from runs\"
   harness query \"select scenario, latent, value from metrics where model = 'network' and metric = 'wmape' and index is null\"
@@ -100,29 +100,30 @@ enum Command {
 
 `harness schema --tables` lists the columns.")]
     Query(inspect::Query),
-    /// Judge the paper's statements by the tables
+    /// Test which of the paper's statements hold
     #[command(after_help = "Examples:
   harness claims
   harness claims vision_improves_force            its query, and the value of every seed
   harness claims --quick                          by the results of `harness run … --quick`
   harness claims --plan                           how many more seeds or datasets would decide, and the commands
-  harness claims --readings                       claims by readings of the paper, and the choices that decide
+  harness claims --readings                       all claims under each reading of the paper, and what changes
   harness claims --output verdicts.csv
 
-A claim holds where the whole 95 % interval satisfies its condition, does not hold where the whole \
-interval violates it, and is undecided otherwise, or with a single seed. It is not testable where what it requires \
-does not hold, as that the networks which it compares learned something. Intervals are over datasets or, where there \
-is one dataset, over its seeds.")]
+A claim holds if the whole 95 % interval satisfies its condition, and does not hold if the whole interval violates \
+it. Otherwise, or with a single seed, it is undecided. A claim is not testable if its requirement does not hold, for \
+example that the compared networks learned something. Intervals are over datasets or, with one dataset, over its \
+seeds.")]
     Claims(claims::Claims),
-    /// Print runs side by side: mean and interval over seeds, the best of a row marked
+    /// Compare runs in a table: mean and interval over seeds, with the best value of each row marked
     #[command(after_help = "Examples:
   harness compare single_to_multi
   harness compare --by experiment,latent --task prediction --models network
   harness compare --by scenario --metrics r2,rmse
   harness compare multi_to_multi --format latex > table.tex
 
-Metrics are over all joints, links or pixels, on the test episodes; `harness query` has those of each. After ± \
-stands half of the 95 % interval of the mean over seeds (Student's t). LaTeX needs \\usepackage{booktabs}.")]
+Metrics are over all joints, links or pixels, on the test episodes; `harness query` has those of each joint or link. \
+The number after ± is half of the 95 % interval of the mean over seeds (Student's t). LaTeX needs \
+\\usepackage{booktabs}.")]
     Compare(compare::Compare),
     /// List all runs
     Ls(inspect::List),
@@ -151,15 +152,15 @@ run uses. Imported datasets always stay.")]
     Du,
     /// Print the JSON schema of experiment specs, for editors, or the columns of the tables
     Schema(inspect::Schema),
-    /// List the worlds, check a world file, or write a first one for an MJCF model
+    /// List the worlds, check a world file, or write one for an MJCF model
     #[command(after_help = "Examples:
   harness world list
   harness world new robots/gripper.xml
   harness world check robots/gripper.yaml
 
-A spec names a world file in its `scenarios`, by the path from its own folder.")]
+A spec names a world file in its `scenarios`, as a path relative to the spec's folder.")]
     World(world::Command),
-    /// Draw a scene, or an instant or a clip of an episode, in good quality
+    /// Render a scene, or an image or clip of an episode, in high quality
     #[command(after_help = "Examples:
   harness render cluttered --output scene.png
   harness render cluttered --episode 3 --sample 250 --width 1600 --height 1000 --output push.png
@@ -169,28 +170,28 @@ A spec names a world file in its `scenarios`, by the path from its own folder.")
     /// Draw the paper's figures from the tables, as SVG and PNG, each with its numbers as CSV
     #[command(after_help = FIGURES_HELP)]
     Figures(figures::Figures),
-    /// Write a page to read: scenes, claims, results to look closer at, figures, training curves, runs
+    /// Write an HTML report: scenes, claims, interactive results, figures, training curves, runs
     #[command(after_help = REPORT_HELP)]
     Report(report::Report),
-    /// Copy finished runs' tables to a folder that is small enough for version control
+    /// Copy the tables of finished runs to a folder that is small enough for version control
     #[command(after_help = "Examples:
   harness publish single_to_multi multi_to_multi
   harness figures --results results/reference
   harness publish my_experiment --to paper/results
 
-Kept are records, specs, all epochs and metrics. Of single samples, what the figures show is
-kept: the last two joints and links, and the pictures, of each cell's lowest seed; of sweeps,
-none. Networks stay behind.")]
+Records, specs, epochs and metrics are copied. Tables about single samples are copied only
+where figures show them: predictions of the last two joints and links, and images, of each
+cell's lowest seed, but not of sweeps. Networks are not copied.")]
     Publish(publish::Publish),
-    /// Check that everything in the results folder is as it was written
+    /// Check that all files of the results folder are as they were written
     #[command(after_help = "Examples:
   harness verify
   harness --results /data/results verify
 
-Names each file that is broken or missing, and the command that repairs it. Exit code 0: everything is whole;
-1: something is broken.")]
+Names each file that is damaged or missing, and the command that repairs it. The exit code is 0 if all files
+are intact, and 1 otherwise.")]
     Verify,
-    /// Check what this machine offers: rendering, MuJoCo, threads, memory, disk
+    /// Check this machine: rendering, MuJoCo, threads, memory, disk
     Doctor,
 }
 
@@ -202,9 +203,9 @@ const FIGURES_HELP: &str = "Examples:
   harness figures readings                        what vision adds under each reading of the paper
   harness figures --results results/reference
 
-Width: 8.5 cm, a journal's column. Letters are outlines, so no font is needed to show them.
-Runs: those of experiments/single_to_multi.yaml and multi_to_multi.yaml; what is missing is named.
-Runs of one experiment that differ in settings are not put together: --where chooses among them.";
+Figures are 8.5 cm wide, a journal's column. Letters are outlines, so no font is needed to show them.
+They show the runs of experiments/single_to_multi.yaml and multi_to_multi.yaml. Missing runs are listed.
+Runs of one experiment that differ in settings can't be drawn together: select some of them with --where.";
 
 const SUBMIT_HELP: &str = "Examples:
   harness submit experiments/multi_to_multi.yaml --tasks 16 --cpus 4 --memory 8G --time 04:00:00
@@ -222,27 +223,28 @@ const REPORT_HELP: &str = "Examples:
   harness report --quick --out quick.html
   harness report --results results/reference
 
-One HTML file that needs no network: open it in a browser, or send it. Runs are those of `harness figures` and \
-`harness claims`; what there are none for is named in the page. What shows the simulated world alone is rendered once, \
-and kept in $XDG_CACHE_HOME/harness (~/.cache/harness) until the program changes.";
+The report is one HTML file that works offline: open it in a browser, or send it. It shows the runs of `harness \
+figures` and `harness claims`, and lists missing runs. Images of the simulated world are rendered once, and cached in \
+$XDG_CACHE_HOME/harness (~/.cache/harness) until the program changes.";
 
-/// Everything went well, or was done before.
+/// Exit code: everything was done, now or before.
 const DONE: u8 = 0;
-/// Some run failed, or something could not be read or written.
+/// Exit code: a run failed, or a file could not be read or written.
 const FAILED: u8 = 1;
-/// The spec or the arguments are wrong; nothing was done.
+/// Exit code: the spec or the arguments are wrong, and nothing was done.
 const USAGE: u8 = 2;
 
-/// Makes a process the program's own: its allocator gives nothing back, and a standard stream that was closed leads
-/// nowhere, since the next file to be opened would take its place and receive what is printed.
+/// Prepares the process for [`main`]. The allocator will return no memory to the system. Closed standard streams are
+/// opened as `/dev/null`, because the next file to be opened would otherwise receive what is printed.
 pub fn prepare_process() {
-    /// `mi_option_purge_delay` of mimalloc.h (versions 2 and 3), to which the bindings give no name.
+    /// `mi_option_purge_delay` of mimalloc.h (versions 2 and 3), which has no name in the bindings.
     const PURGE_DELAY: libmimalloc_sys::mi_option_t = 15;
     const NEVER: std::ffi::c_long = -1;
     // SAFETY: the option is a number that may be set at any time.
     unsafe { libmimalloc_sys::mi_option_set(PURGE_DELAY, NEVER) };
     for stream in 0..=2 {
-        // SAFETY: asks whether the descriptor is open; the lowest that is not is what `open` returns.
+        // SAFETY: `fcntl` only asks whether the descriptor is open. `open` returns the lowest closed descriptor, which
+        // is this one.
         unsafe {
             if libc::fcntl(stream, libc::F_GETFD) == -1 {
                 libc::open(c"/dev/null".as_ptr(), libc::O_RDWR);
@@ -251,18 +253,19 @@ pub fn prepare_process() {
     }
 }
 
-/// Runs the command that `arguments` give, the first of which is the program's name, and reports its error, once.
+/// Runs the command in `arguments`, whose first item is the program's name, prints its error if there is one, and
+/// returns the exit code.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let arguments = match Arguments::try_parse_from(arguments) {
         Ok(arguments) => arguments,
         Err(told) => {
-            // Help and version come this way as well. Where they can't be printed, there is no one to tell.
+            // Help and version are errors of clap as well. If printing fails, nothing can be reported.
             let _ = told.print();
             return ExitCode::from(if told.use_stderr() { USAGE } else { DONE });
         }
     };
     let threads = arguments.threads.map_or_else(all_threads, usize::from);
-    // Fails only if a pool exists already, and this is the first use.
+    // This fails only if the global pool exists already, and this is its first use.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
     let registry = Registry::new(&arguments.results);
     let outcome = execute(arguments.command, &registry, threads);
@@ -274,7 +277,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         if let Some((signal, code)) = interrupt::received().filter(|_| is_cancelled(&error)) {
             let words: Vec<String> = words().collect();
             let command = quoted(words.iter().map(String::as_str));
-            eprintln!("stopped by {signal}; the same command goes on from here: {command}");
+            eprintln!("stopped by {signal}; continue with the same command: {command}");
             return ExitCode::from(code);
         }
         eprintln!("error: {}", describe(error.as_ref()));
@@ -313,7 +316,7 @@ fn execute(command: Command, registry: &Registry, threads: usize) -> anyhow::Res
 }
 
 impl Command {
-    /// Whether the command answers from results, which must be there.
+    /// Whether the command only reads results, so that the results folder must exist.
     fn reads_results(&self) -> bool {
         match self {
             Self::Query(_) | Self::Claims(_) | Self::Compare(_) | Self::Ls(_) | Self::Show(_) => true,
@@ -325,12 +328,13 @@ impl Command {
     }
 }
 
-/// This process's command in words; what is not Unicode in them is replaced.
+/// The words of this process's command line. Invalid Unicode is replaced.
 fn words() -> impl Iterator<Item = String> {
     std::env::args_os().map(|word| word.to_string_lossy().into_owned())
 }
 
-/// This process's command as it was typed, with its program by name: where that lies is no part of what was done.
+/// The command line of this process, quoted for a shell. The program is named without its folder, so that records do
+/// not depend on where it is installed.
 pub fn command_line() -> String {
     let mut words = words();
     let program = words.next().unwrap_or_default();
@@ -343,13 +347,13 @@ fn all_threads() -> usize {
     std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
 }
 
-/// Whether the work stopped because it was asked to.
+/// Whether the error is that a signal cancelled the work.
 fn is_cancelled(error: &anyhow::Error) -> bool {
     error.downcast_ref().is_some_and(ExperimentError::is_cancelled)
         || error.downcast_ref().is_some_and(CollectionError::is_cancelled)
 }
 
-/// Whether the user asked for something that can't be; then the exit code is 2, as for unknown arguments.
+/// Whether the error is in the arguments, the spec or the query, so that the exit code is [`USAGE`].
 fn is_usage(error: &anyhow::Error) -> bool {
     error.is::<SpecError>()
         || error.is::<ClaimsError>()

@@ -17,7 +17,7 @@ pub fn execute(registry: &Registry) -> Result<ExitCode> {
         }
     }
     let broken = report.findings.iter().filter(|finding| finding.broken).count();
-    let verdict = if broken == 0 { "everything is whole".into() } else { format!("{broken} broken") };
+    let verdict = if broken == 0 { "all files are intact".into() } else { format!("{broken} broken") };
     println!("{} runs, {} datasets, {} files: {verdict}", report.runs, report.datasets, report.files);
     Ok(ExitCode::from(if broken == 0 { DONE } else { FAILED }))
 }
