@@ -204,7 +204,7 @@ fn what_a_model_includes_and_its_meshes_decide_the_dataset() {
         assert!(said.contains(expected), "{expected}: {said}");
     }
     let again = finish(&mut harness(&results, &["world", "new", model.to_str().unwrap()]));
-    assert!(again.code != 0 && again.stderr.contains("is there already"), "{}", again.stderr);
+    assert!(again.code != 0 && again.stderr.contains("exists already"), "{}", again.stderr);
     let name = || {
         let scene = Scene::new(World::load(&world).unwrap()).unwrap();
         let spec = scene.world().simulation();

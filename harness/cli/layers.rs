@@ -1,17 +1,17 @@
-//! The layers of the networks that runs train, as `harness show` and `harness run --dry-run` print them.
+//! Tables of network layers, for `harness show` and `harness run --dry-run`.
 
 use anyhow::Result;
 use harness::learning::network::{LayerSummary, architecture};
 use harness::spec::{Layout, RunSpec, Task};
 use std::sync::Arc;
 
-/// A line for each layer: its name, the shape of what it makes of one sample, and how many parameters it has; and for each
-/// task how many it trains.
+/// A table of the layers that a run trains: name, shape of the output for one sample, and number of parameters. After
+/// the layers of each task follows the total number of its parameters.
 pub fn table(spec: &RunSpec, layout: &Arc<Layout>) -> Result<String> {
     let mut lines = vec![["layer".to_owned(), "output".to_owned(), "parameters".to_owned()]];
     for &task in &spec.tasks {
         let summary = architecture(spec, layout, task).summary()?;
-        // A reconstruction's encoder is the prediction's, and isn't trained again.
+        // The reconstruction uses the trained encoder of the prediction, which is frozen.
         let parts = match task {
             Task::Prediction => vec![("encoder", summary.encoder), ("decoder", summary.decoder)],
             Task::Reconstruction => vec![("reconstruction", summary.decoder)],

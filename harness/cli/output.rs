@@ -1,5 +1,5 @@
-//! What the program prints. A standard output or error that is full or closed ends no work: instead of the standard
-//! library's, which panic, this room's `print!`, `println!` and `eprintln!` are those below.
+//! Printing that does not panic. The macros `print!`, `println!` and `eprintln!` of this module replace those of the
+//! standard library, which panic if a stream is full or closed.
 
 use std::fmt::Arguments;
 use std::io::{self, ErrorKind, Write};
@@ -17,10 +17,10 @@ macro_rules! eprintln {
     ($($text:tt)*) => { $crate::cli::output::tell(format_args!("{}\n", format_args!($($text)*))) };
 }
 
-/// Why the standard output could not be written; until somebody asks, nothing more is printed.
+/// The error of the last write to the standard output. Nothing is printed after it, until [`lost`] takes it.
 static FAILURE: Mutex<Option<io::Error>> = Mutex::new(None);
 
-/// Writes to the standard output.
+/// Writes to the standard output, and remembers the error if it fails.
 pub fn out(text: Arguments) {
     let mut failure = FAILURE.lock().unwrap_or_else(PoisonError::into_inner);
     if failure.is_none() {
@@ -29,12 +29,13 @@ pub fn out(text: Arguments) {
     }
 }
 
-/// Writes to the standard error; where that can't be done, there is no one to tell.
+/// Writes to the standard error. An error is ignored, because it could not be reported anywhere.
 pub fn tell(text: Arguments) {
     let _ = io::stderr().write_fmt(text);
 }
 
-/// Why something that was printed got lost, once. A reader that went away has had what it wanted.
+/// Takes the error of the standard output, if one occurred since the last call. A closed pipe is no error, because its
+/// reader has read what it wanted.
 pub fn lost() -> Option<String> {
     let error = FAILURE.lock().unwrap_or_else(PoisonError::into_inner).take()?;
     let is_loss = error.kind() != ErrorKind::BrokenPipe;

@@ -1,4 +1,4 @@
-//! Progress on the terminal: a bar for each job, or plain lines where the output is no terminal.
+//! Progress on the terminal: a bar for each job, or plain lines if the standard error is no terminal.
 
 use super::interrupt;
 use harness::numbers::duration;
@@ -11,12 +11,12 @@ use std::time::{Duration, Instant};
 /// Time between two plain lines.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Draws one stage after the other, and those of other jobs beside them. A stage that is over leaves a line.
+/// Draws a bar for the current stage of each job on the standard error. A line remains of each finished stage.
 #[derive(Default)]
 pub struct Bars {
     /// The bars of all jobs.
     all: MultiProgress,
-    /// Whose stages these are; empty where there is only one job.
+    /// The name of this job; empty if there is only one.
     job: String,
     stage: Mutex<Option<Stage>>,
 }
@@ -26,10 +26,10 @@ struct Stage {
     unit: String,
     /// The latest note, or nothing.
     note: String,
-    /// Hidden where the output is no terminal; it still counts.
+    /// The bar, which is hidden if the output is no terminal. It counts the steps in any case.
     bar: ProgressBar,
     last_line: Instant,
-    /// Steps that were done before it began.
+    /// Number of steps that were done before this process started.
     resumed: u64,
 }
 
@@ -44,13 +44,13 @@ impl Bars {
     }
 }
 
-/// Whether stages are reported in lines, since there is nothing to draw on.
+/// Whether progress is printed in lines, because the standard error is no terminal.
 fn lines() -> bool {
     !std::io::stderr().is_terminal()
 }
 
 impl Stage {
-    /// The note, since it matters most, and then how far the stage is.
+    /// A line about the running stage. The note comes first, because it is the most important part.
     fn progress(&self) -> String {
         let (done, total) = (self.bar.position(), self.bar.length().unwrap_or_default());
         let pace = pace(done - self.resumed, total.saturating_sub(done), self.bar.elapsed());
@@ -66,13 +66,13 @@ impl Stage {
     }
 }
 
-/// The parts that aren't empty, one after the other.
+/// Joins the parts that are not empty with commas.
 fn sentence(parts: &[&str]) -> String {
     let parts = parts.iter().copied().filter(|part| !part.is_empty());
     parts.collect::<Vec<_>>().join(", ")
 }
 
-/// How fast a stage goes and how long it will still take at most, going by all of its steps so far.
+/// The average pace of `done` steps in `elapsed`, and the estimated time of the steps that are left.
 fn pace(done: u64, left: u64, elapsed: Duration) -> String {
     if done == 0 {
         return String::new();
@@ -125,7 +125,7 @@ impl Progress for Bars {
 
     fn end(&self) {
         if let Some(stage) = self.stage().take() {
-            // Finishing would fill the bar, and training may have stopped early.
+            // The line is made first: finishing the bar sets it to its length, but training may have stopped early.
             let line = stage.end();
             stage.bar.finish_and_clear();
             self.print(&line);
@@ -167,7 +167,7 @@ mod tests {
         let said = stage.progress();
         let rest =
             said.strip_prefix("validation 0.5, 1005/2000 epochs, ").unwrap_or_else(|| panic!("{said}"));
-        // 50 a second at most, and less where sleeping takes longer.
+        // The rate is at most 50 per second, and less if sleeping takes longer.
         let rate: f64 = rest.split("/s").next().unwrap().parse().unwrap();
         assert!(rate > 0.0 && rate < 60.0, "{said}");
         let end = stage.end();

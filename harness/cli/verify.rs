@@ -6,7 +6,7 @@ use anyhow::Result;
 use harness::registry::Registry;
 use std::process::ExitCode;
 
-/// Checks the results folder and prints what is wrong with it and what mends it.
+/// Checks the results folder, and prints every problem with a command that repairs it.
 pub fn execute(registry: &Registry) -> Result<ExitCode> {
     let report = registry.verify(&Bars::default());
     for finding in &report.findings {

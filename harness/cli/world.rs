@@ -1,4 +1,4 @@
-//! `harness world`: what worlds there are, what a world file means on its model, and a first one for any model.
+//! `harness world`: lists the worlds, checks a world file, and writes one for an MJCF model.
 
 use super::DONE;
 use super::table::shown;
@@ -20,18 +20,18 @@ pub struct Command {
 enum Action {
     /// List the built-in worlds
     List,
-    /// Compile a world's model and say what each entry of its file matches
+    /// Compile a world's model and print what each entry of its file matches
     Check {
         /// The path of a world file, or the name of a built-in world
         #[arg(value_name = "WORLD")]
         world: String,
     },
-    /// Write a first world file for an MJCF model, beside it
+    /// Write a world file for an MJCF model, to start from
     New {
         /// The MJCF file
         #[arg(value_name = "MODEL")]
         model: PathBuf,
-        /// The world file to write [default: the model's name with the ending .yaml]
+        /// The world file to write [default: the model's path with the ending .yaml]
         #[arg(long, short, value_name = "FILE")]
         output: Option<PathBuf>,
     },
@@ -39,14 +39,16 @@ enum Action {
     Schema,
 }
 
-/// Why no world file is written.
+/// The reason why no world file is written.
 #[derive(Debug, thiserror::Error)]
 pub enum WorldError {
-    #[error("{} is there already; name another file with --output", .0.display())]
+    /// The file exists already.
+    #[error("{} exists already; name another file with --output", .0.display())]
     Exists(PathBuf),
 }
 
 impl Command {
+    /// Runs the command.
     pub fn execute(self) -> Result<ExitCode> {
         match self.command {
             Action::List => {
@@ -60,7 +62,7 @@ impl Command {
                 if path.exists() {
                     return Err(WorldError::Exists(path).into());
                 }
-                // Beside the model its name will do; from elsewhere its whole path is needed.
+                // A world file in the model's folder names the model without a folder, others by its absolute path.
                 let named = match path.parent() == model.parent() {
                     true => model.file_name().unwrap_or_default().into(),
                     false => std::fs::canonicalize(&model).unwrap_or_else(|_| model.clone()),
