@@ -28,7 +28,7 @@ pub struct Claims {
     /// Judge by the experiments' quick runs
     #[arg(long)]
     quick: bool,
-    /// Only runs with this setting, as training.epochs=200
+    /// Only runs with this setting, such as training.epochs=200
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
     /// Judge under every reading of a spec, by its runs, and say which choices change a verdict

@@ -33,7 +33,7 @@ pub struct Compare {
     /// One task alone
     #[arg(long, value_parser = PossibleValuesParser::new(Task::ALL.iter().map(|task| task.name())))]
     task: Option<String>,
-    /// Only runs with this setting, as training.batch_size=64
+    /// Only runs with this setting, such as training.batch_size=64
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
     #[arg(long, value_name = "FORMAT", default_value = "text")]

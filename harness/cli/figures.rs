@@ -19,31 +19,31 @@ pub struct Figures {
     /// The figures to draw [default: all]
     #[arg(value_name = "NAME", value_parser = figure())]
     names: Vec<Figure>,
-    /// Where <NAME>.svg, .png and .csv go
+    /// The folder to write <NAME>.svg, .png and .csv to
     #[arg(long, value_name = "DIR", default_value = "figures")]
     out: PathBuf,
-    /// Draw the runs of `harness run … --quick`
+    /// Draw the quick runs of the experiments (`harness run … --quick`)
     #[arg(long)]
     quick: bool,
-    /// Draw this experiment in the place of single_to_multi, as single_to_multi_best
+    /// Draw this experiment instead of single_to_multi, such as single_to_multi_best
     #[arg(long, value_name = "EXPERIMENT")]
     single: Option<String>,
-    /// Draw this experiment in the place of multi_to_multi, as multi_to_multi_best
+    /// Draw this experiment instead of multi_to_multi, such as multi_to_multi_best
     #[arg(long, value_name = "EXPERIMENT")]
     multi: Option<String>,
-    /// Only runs with this setting, as training.epochs=200
+    /// Only runs with this setting, such as training.epochs=200
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
 }
 
-/// Takes the figures' names, and lists them where it is given another.
+/// A parser for names of figures, whose error lists all names.
 fn figure() -> impl TypedValueParser<Value = Figure> {
     PossibleValuesParser::new(Figure::ALL.map(Figure::name))
         .try_map(|name| Figure::ALL.into_iter().find(|figure| figure.name() == name).ok_or("no such figure"))
 }
 
 impl Figures {
-    /// Draws what can be drawn. Without names, figures whose runs are missing are no failure.
+    /// Draws the figures. If none is named, figures whose runs are missing are skipped without a failure.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let paper = Experiments::of_the_paper(self.quick);
         let experiments = Experiments {

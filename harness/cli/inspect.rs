@@ -20,8 +20,9 @@ pub struct Query {
 }
 
 impl Query {
+    /// Answers the query, and prints or writes the answer.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        // What Polars panics at is an error of the query's, and reported as one.
+        // A panic in Polars is reported as an error of the query, so nothing must be printed about it here.
         let hook = std::panic::take_hook();
         std::panic::set_hook(Box::new(|_| {}));
         let answer = registry::query(registry, &self.sql);
@@ -83,11 +84,12 @@ impl List {
 
 #[derive(Args)]
 pub struct Show {
-    /// The run's id, or enough of its beginning
+    /// The run's id, or the beginning of it
     run: String,
 }
 
 impl Show {
+    /// Prints everything about the run.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let (folder, record) = registry.find(&self.run)?;
         println!("{}/{}: {}", record.experiment, record.run, record.status.name());
@@ -97,7 +99,7 @@ impl Show {
         println!("folder  {}", shown(folder.path()));
         println!("\n{}", record.spec.to_yaml());
         println!("{}\n", layers::table(&record.spec, &record.layout)?);
-        // Runs of two experiments that ask for the same have the same id.
+        // Runs of two experiments have the same id if their specs are equal.
         let own = format!("experiment = '{}' and run = '{}'", record.experiment, record.run);
         let runs = registry::query(registry, &format!("select * from runs where {own}"))?;
         for column in runs.columns().iter().skip_while(|column| column.name() != "status") {
@@ -115,12 +117,13 @@ impl Show {
 
 #[derive(Args)]
 pub struct Schema {
-    /// The columns of the result tables instead
+    /// Print the columns of the tables instead
     #[arg(long)]
     tables: bool,
 }
 
 impl Schema {
+    /// Prints the schema.
     pub fn execute(self) -> Result<ExitCode> {
         if !self.tables {
             println!("{}", serde_json::to_string_pretty(&harness::spec::schema())?);

@@ -17,12 +17,13 @@ pub struct Publish {
     /// Folder to copy to; other commands read it with --results
     #[arg(long, value_name = "DIR", default_value = "results/reference")]
     to: PathBuf,
-    /// Only runs with this setting, as training.epochs=200
+    /// Only runs with this setting, such as training.epochs=200
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
 }
 
 impl Publish {
+    /// Publishes the runs of the experiments that count.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let selection =
             Selection { experiments: self.experiments.clone(), settings: self.settings, simulated: false };

@@ -14,7 +14,7 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Report {
-    /// The page
+    /// The HTML file to write
     #[arg(long, value_name = "FILE", default_value = "report.html")]
     out: PathBuf,
     /// The file of claims
@@ -23,12 +23,13 @@ pub struct Report {
     /// Report on the experiments' quick runs
     #[arg(long)]
     quick: bool,
-    /// Only runs with this setting, as training.epochs=200
+    /// Only runs with this setting, such as training.epochs=200
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
 }
 
 impl Report {
+    /// Writes the report.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let claims = claims::load(&self.claims)?;
         let page = report::page(registry, &claims, &self.settings, self.quick, &Bars::default())?;

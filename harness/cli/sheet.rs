@@ -3,19 +3,19 @@
 use clap::ValueEnum;
 use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
 
-/// How a table is written.
+/// The format of a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Style {
-    /// For the terminal; `*` marks the best of a row
+    /// For the terminal; `*` marks the best value of a row
     Text,
-    /// Pipe tables; the best of a row is bold
+    /// A pipe table; the best value of a row is bold
     Markdown,
-    /// A tabular with booktabs; the best of a row is bold
+    /// A tabular with booktabs; the best value of a row is bold
     Latex,
 }
 
 impl Style {
-    /// A number with what it may be off by, marked if it is the best.
+    /// A mean with half of its interval, marked if it is the best of its row.
     pub fn number(self, mean: &str, half: Option<&str>, best: bool) -> String {
         let sign = if self == Style::Latex { r"\pm" } else { "±" };
         let number = half.map_or(mean.to_owned(), |half| format!("{mean} {sign} {half}"));
@@ -29,17 +29,18 @@ impl Style {
     }
 }
 
-/// A table whose rows begin with some words and go on with numbers.
+/// A table whose rows consist of some words and some numbers.
 pub struct Sheet {
-    /// Above the numbers.
+    /// The headers of the columns of numbers.
     pub header: Vec<String>,
-    /// Words, as many in every row, and numbers as the style writes them; empty where there is none.
+    /// The rows: the same number of words in each, and numbers in the table's format. A missing number is empty.
     pub rows: Vec<(Vec<String>, Vec<String>)>,
+    /// Sentences about the table.
     pub notes: Vec<String>,
 }
 
 impl Sheet {
-    /// The table, with its notes and what is the same in all rows.
+    /// Writes the table, its notes, and the words that are the same in all rows.
     pub fn render(mut self, style: Style) -> String {
         let same = self.take_constant_words();
         let notes = same.iter().chain(&self.notes).filter(|note| !note.is_empty());
@@ -51,7 +52,8 @@ impl Sheet {
         }
     }
 
-    /// Takes out the words that every row has in the same place, if there is more than one row or nothing is said.
+    /// Removes the columns of words that are the same in every row, and returns these words. A single row keeps its
+    /// words, except empty ones.
     fn take_constant_words(&mut self) -> Vec<String> {
         let mut constant = Vec::new();
         let mut place = 0;
@@ -109,7 +111,7 @@ impl Sheet {
             if above.first().is_some_and(|word| Some(word) != words.first()) {
                 text += "\\addlinespace\n";
             }
-            // A word that is the same as above, like all before it, is left out.
+            // The first words of a row are left out as long as they are equal to those of the row above.
             let same = words.iter().zip(above).take_while(|(word, above)| word == above).count();
             let shown = words
                 .iter()
@@ -122,7 +124,7 @@ impl Sheet {
     }
 }
 
-/// A text as LaTeX writes it.
+/// Escapes a text for LaTeX.
 fn escaped(text: &str) -> String {
     if text == "R2" {
         return "$R^2$".into();
