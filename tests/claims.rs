@@ -881,8 +881,8 @@ fn the_command_prints_every_claim_with_its_verdict() {
     let all: usize = CLAIMS.iter().map(|claim| claim.scenarios.len().max(1)).sum();
     assert!(
         printed.ends_with(&format!(
-            "{all} hold, 0 do not hold, 0 undecided, 0 not testable; intervals are 95 % over datasets, of one dataset \
-             over seeds (forces: episodes)\n"
+            "{all} hold, 0 do not hold, 0 undecided, 0 not testable; intervals are 95 % over datasets or, with \
+             one dataset, over seeds (forces: episodes)\n"
         )),
         "{printed}"
     );

@@ -19,22 +19,22 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Claims {
-    /// Claims to judge, with their queries and the value of every seed [default: all, in a table]
+    /// Claims to judge; their queries and the value of every seed are printed too [default: all claims, in a table]
     #[arg(value_name = "CLAIM")]
     chosen: Vec<String>,
     /// The file of claims
     #[arg(long, value_name = "FILE", default_value = "experiments/claims.yaml")]
     file: PathBuf,
-    /// Judge by the experiments' quick runs
+    /// Judge by the quick runs of the experiments
     #[arg(long)]
     quick: bool,
     /// Only runs with this setting, such as training.epochs=200
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
-    /// Judge under every reading of a spec, by its runs, and say which choices change a verdict
+    /// Judge under every reading of a spec, by its runs, and print which choices change a verdict
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "experiments/readings.yaml")]
     readings: Option<PathBuf>,
-    /// Say how many more datasets or seeds would decide the undecided claims, and the commands that make them
+    /// Print how many more datasets or seeds would decide the undecided claims, and the commands that make them
     #[arg(long, conflicts_with_all = ["readings", "output"])]
     plan: bool,
     /// Write the verdicts to a file instead: .parquet, .csv or .json
@@ -43,6 +43,7 @@ pub struct Claims {
 }
 
 impl Claims {
+    /// Judges the claims, and prints or writes the verdicts.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let all = claims::load(&self.file)?;
         let chosen = claims::choose(&all, &self.chosen)?;
@@ -72,7 +73,10 @@ impl Claims {
     fn execute_readings(&self, registry: &Registry, path: &Path, chosen: &[&Claim]) -> Result<ExitCode> {
         let spec = spec::load(path, &[], self.quick)?;
         if spec.readings.is_empty() {
-            bail!("{} has no readings; name a spec that has, as experiments/readings.yaml", shown(path));
+            bail!(
+                "{} has no readings; name a spec with readings, such as experiments/readings.yaml",
+                shown(path)
+            );
         }
         let matrix = Readings::new(registry, &spec, chosen, &self.settings)?.judge(chosen)?;
         if matrix.rows.is_empty() {
@@ -114,7 +118,7 @@ fn symbol(verdict: Verdict) -> &'static str {
     }
 }
 
-/// Claims by readings, what the signs and numbers mean, and the choices that change verdicts.
+/// Prints the verdicts under each reading, the meaning of the signs and numbers, and the choices that change a verdict.
 fn print_matrix(spec: &Experiment, matrix: &Matrix) {
     let named = |row: &MatrixRow| {
         let scenario = row.scenario.map_or("", Scenario::name);
@@ -150,7 +154,7 @@ fn print_matrix(spec: &Experiment, matrix: &Matrix) {
         }
     }
     println!(
-        "{} of {} verdicts are the same under every reading; {} claims need runs that the readings do not have",
+        "{} of {} verdicts are the same under every reading; {} claims need runs that no reading has",
         matrix.rows.len() - changed,
         matrix.rows.len(),
         matrix.left_out.len()
@@ -188,7 +192,9 @@ fn print_plan(plan: &Plan) {
     if plan.steps.is_empty() && plan.out_of_reach.is_empty() && plan.by_episode.is_empty() {
         println!("no claim that was measured is undecided");
     } else {
-        println!("if means and spreads stay as they are, and runs take as long as those that there are");
+        println!(
+            "assuming that means and standard deviations stay the same, and that runs take as long as before"
+        );
     }
 }
 
@@ -196,7 +202,7 @@ fn print(judgements: &[Judgement]) {
     let all: Vec<(&Judgement, Option<f64>)> = judgements.iter().zip(corrected(judgements)).collect();
     let rows = all.chunk_by(|(a, _), (b, _)| a.claim.id() == b.claim.id()).map(|judgements| {
         let claim = judgements[0].0.claim;
-        // A line a scenario.
+        // Each scenario has a line in the cell.
         let lines = |of: &dyn Fn(&Judgement) -> String| {
             judgements.iter().map(|(judgement, _)| of(judgement)).collect::<Vec<_>>().join("\n")
         };
@@ -219,7 +225,7 @@ fn print(judgements: &[Judgement]) {
     );
 }
 
-/// Whether a verdict is not one that the correction for the number of claims makes undecided.
+/// Whether the verdict stays the same when the p-value is corrected for the number of tests.
 fn stands(judgement: &Judgement, corrected: Option<f64>) -> bool {
     let is_decided = matches!(judgement.verdict(), Verdict::Holds | Verdict::DoesNotHold);
     !is_decided || corrected.is_some_and(|p| p < 1.0 - LEVEL)
@@ -266,7 +272,7 @@ fn print_summary(runs: &Analysis, judgements: &[Judgement], quick: bool) {
     let untestable = count(|verdict| *verdict == Verdict::NotTestable);
     println!(
         "{holds} hold, {fails} do not hold, {} undecided, {untestable} not testable; intervals are 95 % over \
-         datasets, of one dataset over seeds (forces: episodes)",
+         datasets or, with one dataset, over seeds (forces: episodes)",
         judgements.len() - holds - fails - untestable,
     );
     let corrected = corrected(judgements);
@@ -290,7 +296,7 @@ fn print_summary(runs: &Analysis, judgements: &[Judgement], quick: bool) {
     }
 }
 
-/// What claims require that is not met, with the claims.
+/// Prints the requirements that do not hold, each with its claims.
 fn print_unmet(judgements: &[Judgement]) {
     let mut claims: BTreeMap<(&str, String), Vec<&str>> = BTreeMap::new();
     for judgement in judgements.iter().filter(|judgement| judgement.verdict() == Verdict::NotTestable) {
@@ -302,7 +308,7 @@ fn print_unmet(judgements: &[Judgement]) {
     }
 }
 
-/// The verdicts as a table for other programs.
+/// Converts judgements to a table with one row for each.
 fn frame(judgements: &[&Judgement]) -> Result<DataFrame> {
     let text = |name: &str, of: &dyn Fn(&Judgement) -> Option<String>| {
         Column::new(name.into(), judgements.iter().map(|judgement| of(judgement)).collect::<Vec<_>>())

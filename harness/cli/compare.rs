@@ -19,38 +19,39 @@ pub struct Compare {
     /// Experiments to compare, as `harness ls` names them [default: all]
     #[arg(value_name = "EXPERIMENT")]
     experiments: Vec<String>,
-    /// What stands side by side; what is left of these tells the rows apart
+    /// The keys that distinguish columns; the other keys distinguish rows
     #[arg(long, value_name = "KEY", value_delimiter = ',', default_value = "latent")]
     by: Vec<Key>,
-    /// What to compare
+    /// The metrics to compare
     #[arg(long, value_name = "METRIC", value_delimiter = ',', default_value = "smape,wmape,r2,relative_error",
           value_parser = metric)]
     metrics: Vec<String>,
-    /// Whose predictions to compare
+    /// The network, baselines or both
     #[arg(long, value_name = "MODEL", value_delimiter = ',', default_value = "network,persistence,ridge,training_mean",
           value_parser = PossibleValuesParser::new([NETWORK, "persistence", "ridge", "training_mean"]))]
     models: Vec<String>,
-    /// One task alone
+    /// Only this task
     #[arg(long, value_parser = PossibleValuesParser::new(Task::ALL.iter().map(|task| task.name())))]
     task: Option<String>,
     /// Only runs with this setting, such as training.batch_size=64
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
+    /// The format of the table
     #[arg(long, value_name = "FORMAT", default_value = "text")]
     format: Style,
-    /// Write the means to a file instead, one a row: .parquet, .csv or .json
+    /// Write the means to a file instead, one per row: .parquet, .csv or .json
     #[arg(long, short, value_name = "FILE")]
     output: Option<PathBuf>,
 }
 
-/// The name of a metric.
+/// Parses the name of a metric.
 fn metric(name: &str) -> Result<String, String> {
     let names = Metric::GENERAL.map(Metric::name).join(", ");
     let found = Metric::named(name).map(|metric| metric.name().to_owned());
     found.ok_or_else(|| format!("the metrics are {names}, and relative_error_REGION of a world's regions, as relative_error_finger"))
 }
 
-/// What tells cells apart.
+/// A key by which the cells of the table are distinguished.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum)]
 enum Key {
     Experiment,
@@ -62,16 +63,19 @@ enum Key {
     Settings,
 }
 
-/// Why there is nothing to compare.
+/// The reason why there is nothing to compare.
 #[derive(Debug, thiserror::Error)]
 pub enum CompareError {
+    /// No run has the requested metrics. The field is a command that prints all means.
     #[error("no run has these metrics of this task and model; `{0}` prints what there is")]
     Empty(String),
+    /// There are no finished runs. The field is a command that makes some.
     #[error("there are no finished runs to compare; `{0}` makes some")]
     Nothing(String),
 }
 
 impl Compare {
+    /// Prints the table, or writes the means to a file.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let selection = Selection {
             experiments: self.experiments.clone(),
@@ -104,7 +108,7 @@ impl Compare {
     }
 }
 
-/// Where a cell stands, by those keys that are asked for.
+/// The values of some keys for a row or a column; `None` for all other keys.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 struct Place {
     experiment: Option<String>,
@@ -125,7 +129,7 @@ impl Place {
         }
     }
 
-    /// A word for each key, empty where it has none.
+    /// A text for each key, empty if it has no value.
     fn words(&self) -> [String; 5] {
         let scenario = self.scenario.as_ref().map(|scenario| scenario.name().to_owned());
         let latent = self.latent.map(|latent| format!("latent {latent}"));
@@ -134,7 +138,7 @@ impl Place {
     }
 }
 
-/// What a column is about: the network's cells first, then each baseline's.
+/// A column of the table. Columns of the network come first, then those of each baseline.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 struct Side {
     /// `None` for the network.
@@ -142,16 +146,17 @@ struct Side {
     place: Place,
 }
 
-/// What a row is about; the metric by its place among those asked for.
+/// A row of the table.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 struct Subject {
     task: Task,
     place: Place,
     modality: Modality,
+    /// The position of the metric among the requested metrics.
     metric: usize,
 }
 
-/// The means of every row and column.
+/// The means of all rows and columns.
 struct Comparison<'a> {
     metrics: &'a [String],
     units: BTreeMap<Subject, &'a str>,
@@ -194,7 +199,7 @@ impl<'a> Comparison<'a> {
         Sheet { header: header.collect(), rows: rows.collect(), notes: self.notes.clone() }
     }
 
-    /// What a row is about: task, place, modality, metric and unit.
+    /// The words of a row: task, keys, modality, metric and unit.
     fn words(&self, subject: &Subject, unit: &str) -> Vec<String> {
         let metric = &self.metrics[subject.metric];
         let metric = match metric.as_str() {
@@ -208,7 +213,7 @@ impl<'a> Comparison<'a> {
         words
     }
 
-    /// Mean and half of the interval over seeds, the best marked; empty where there is none.
+    /// The cells of a row: the mean and half of its interval, with the best mean marked. A missing mean is empty.
     fn cells<'v>(
         &self,
         subject: &Subject,
@@ -237,7 +242,7 @@ impl<'a> Comparison<'a> {
         intervals.iter().map(cell).collect()
     }
 
-    /// Over how many seeds the means are.
+    /// A note with the number of seeds of the means.
     fn seeds(&self) -> String {
         let network = self.values.iter().filter(|((_, side), _)| side.baseline.is_none());
         let seeds: BTreeSet<usize> = network.map(|(_, mean)| mean.values.len()).collect();

@@ -1,4 +1,4 @@
-//! `harness doctor`: what this machine offers.
+//! `harness doctor`: checks this machine.
 
 use super::table::shown;
 use super::{DONE, FAILED};
@@ -10,7 +10,7 @@ use harness::simulation::{MUJOCO_VERSION, mujoco_version, renderer_name};
 use std::process::ExitCode;
 use sysinfo::System;
 
-/// Prints one line a check; fails if something that every run needs is missing.
+/// Prints a line for each check. The exit code is [`FAILED`] if something that every run needs is missing.
 pub fn execute(registry: &Registry, threads: usize) -> Result<ExitCode> {
     let mut healthy = true;
     let mut check = |name: &str, outcome: std::result::Result<String, String>| {
@@ -36,7 +36,7 @@ fn mujoco() -> std::result::Result<String, String> {
     }
 }
 
-/// What the matrix products can use.
+/// The vector instructions that matrix products use, if they are AVX-512.
 fn vector_width() -> &'static str {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx512f") {
@@ -56,7 +56,7 @@ fn memory() -> String {
     )
 }
 
-/// Whether the results folder can be written, and the room on its disk.
+/// Checks whether the results folder can be written, and reports the free space on its disk.
 fn results(registry: &Registry) -> std::result::Result<String, String> {
     registry.check_writable().map_err(|error| error.to_string())?;
     let path = registry.root();

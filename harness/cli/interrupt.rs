@@ -1,5 +1,5 @@
-//! SIGINT, SIGTERM and SIGHUP: the first asks the work to stop at its next step, and a SIGINT after it ends the process
-//! at once.
+//! Handling of SIGINT, SIGTERM and SIGHUP. The first signal asks the work to stop at its next step. A SIGINT after it
+//! ends the process at once.
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
@@ -7,16 +7,16 @@ use std::io;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, LazyLock};
 
-/// The signal that asked the work to stop; 0 before any did.
+/// The last signal that was received, or 0.
 static SIGNAL: LazyLock<Arc<AtomicUsize>> = LazyLock::new(Arc::default);
 
-/// Turns the signals into a wish to stop; without it they end the process.
+/// Installs the handlers. Before, a signal ends the process.
 pub fn install() -> io::Result<()> {
     let asked = Arc::new(AtomicBool::new(false));
     // Actions run in the order of registration, so the first signal finds `asked` false.
     flag::register_conditional_shutdown(SIGINT, exit_code(SIGINT), asked.clone())?;
     for signal in [SIGINT, SIGTERM, SIGHUP] {
-        // `nohup` has the process ignore that its terminal is gone.
+        // `nohup` makes the process ignore SIGHUP, which must stay so.
         if signal == SIGHUP && is_ignored(signal) {
             continue;
         }
@@ -26,21 +26,21 @@ pub fn install() -> io::Result<()> {
     Ok(())
 }
 
-/// Whether a signal does nothing to this process.
+/// Whether this process ignores a signal.
 fn is_ignored(signal: i32) -> bool {
-    // SAFETY: asks for the signal's action and changes nothing; all zeros are a valid action.
+    // SAFETY: `sigaction` only asks for the signal's action, and an action of zeros is valid.
     unsafe {
         let mut action: libc::sigaction = std::mem::zeroed();
         libc::sigaction(signal, std::ptr::null(), &mut action) == 0 && action.sa_sigaction == libc::SIG_IGN
     }
 }
 
-/// Whether the work should stop.
+/// Whether a signal asked the work to stop.
 pub fn requested() -> bool {
     SIGNAL.load(Ordering::Relaxed) != 0
 }
 
-/// Name and exit code of the signal that asked the work to stop.
+/// The name of the signal that asked the work to stop, and the process's exit code for it.
 pub fn received() -> Option<(&'static str, u8)> {
     let signal = SIGNAL.load(Ordering::Relaxed) as i32;
     let name = match signal {
@@ -52,7 +52,7 @@ pub fn received() -> Option<(&'static str, u8)> {
     Some((name, exit_code(signal) as u8))
 }
 
-/// As shells report a process that a signal ended.
+/// The exit code with which shells report a process that a signal ended.
 fn exit_code(signal: i32) -> i32 {
     128 + signal
 }

@@ -1,4 +1,4 @@
-//! `harness render`: pictures and clips for people.
+//! `harness render`: images and clips of a scene or an episode.
 
 use super::DONE;
 use super::progress::Bars;
@@ -17,42 +17,49 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Render {
-    /// A built-in world, as empty or cluttered, or the path of a world file
+    /// A built-in world, such as empty or cluttered, or the path of a world file
     #[arg(value_name = "WORLD")]
     world: String,
-    /// The picture (.png) or clip (.gif) to write
+    /// The image (.png) or clip (.gif) to write
     #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
     /// Simulate this episode of the dataset again and draw it [default: the scene at rest]
     #[arg(long, value_name = "N")]
     episode: Option<u32>,
-    /// The sample of the episode that a picture shows
+    /// The sample of the episode that an image shows
     #[arg(long, value_name = "K", default_value_t = 0)]
     sample: usize,
-    /// Samples that a clip shows, from --sample on
+    /// The number of samples that a clip shows, from --sample on
     #[arg(long, value_name = "N", default_value_t = 100)]
     samples: usize,
-    /// The experiment whose dataset it is [default: the paper's simulation]
+    /// The spec whose dataset contains the episode [default: the settings of the paper's simulation]
     #[arg(long, value_name = "SPEC")]
     spec: Option<PathBuf>,
-    /// Pixels
+    /// Width in pixels
     #[arg(long, default_value_t = 1280)]
     width: u32,
-    /// Pixels
+    /// Height in pixels
     #[arg(long, default_value_t = 800)]
     height: u32,
 }
 
-/// Why a picture can't be drawn as asked.
+/// The reason why the arguments can't be drawn.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
+    /// The output file's name has none of the supported endings.
     #[error("can't write a picture to '{}': its name must end in .png or .gif", .0.display())]
     Format(PathBuf),
+    /// The episode is too short.
     #[error("the episode has {samples} samples, so there is no sample {sample}")]
-    Sample { sample: usize, samples: usize },
+    Sample {
+        /// The requested sample, counted from 0.
+        sample: usize,
+        /// Number of samples of the episode.
+        samples: usize,
+    },
 }
 
-/// What a file name's ending asks for.
+/// The kind of the output, by the ending of the file's name.
 #[derive(Clone, Copy)]
 enum Output {
     Picture,
@@ -60,6 +67,7 @@ enum Output {
 }
 
 impl Render {
+    /// Draws the image or clip, and writes it.
     pub fn execute(self) -> Result<ExitCode> {
         let ending = self.output.extension().unwrap_or_default().to_ascii_lowercase();
         let output = match ending.to_str() {
@@ -88,7 +96,7 @@ impl Render {
         Ok(ExitCode::from(DONE))
     }
 
-    /// The positions to draw, from the sample that was asked for on.
+    /// The positions of the episode's samples from `--sample` on, or those of the scene at rest.
     fn states(&self, scene: &Scene, simulation: &Simulation) -> Result<Vec<Vec<f64>>> {
         let mut states = match self.episode {
             Some(episode) => replay(scene, simulation, episode)?,

@@ -1,4 +1,4 @@
-//! `harness run` and `harness validate`.
+//! `harness run`, `harness collect` and `harness validate`.
 
 use super::progress::Bars;
 use super::table::{print, shown};
@@ -15,17 +15,17 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-/// A spec and what to change in it.
+/// A spec and the settings to change in it.
 #[derive(Args)]
 pub struct Spec {
     /// The experiment's YAML file
     #[arg(value_name = "SPEC")]
     path: PathBuf,
-    /// Settings to change, as key=value: training.epochs=5 latent=[8,16] seeds=7. A single value will do for a list. A
-    /// setting that the spec varies is tried with the value given here alone
+    /// Settings to change: training.epochs=5 latent=[8,16] seeds=7. A single value can replace a list. A setting that
+    /// the spec varies has only the values given here
     #[arg(value_name = "KEY=VALUE")]
     overrides: Vec<String>,
-    /// Apply the spec's own `quick` settings before KEY=VALUE: minutes instead of hours. A spec without any is refused
+    /// Apply the spec's `quick` settings before KEY=VALUE, for minutes instead of hours. A spec without them is refused
     #[arg(long)]
     quick: bool,
 }
@@ -47,15 +47,16 @@ impl Spec {
 pub struct Run {
     #[command(flatten)]
     spec: Spec,
-    /// Say for each run whether it will be done, and why, and print the layers of the networks; do nothing
+    /// Only print whether each run would be done, and why, and the layers of the networks
     #[arg(long)]
     dry_run: bool,
-    /// Runs of a scenario to train side by side, each with its share of the threads: faster for small networks
-    /// (single-to-multi on two cores: 0.9 of the time), and the results are the same
+    /// Number of runs of a scenario to train at the same time, each with its share of the threads. This is faster for
+    /// small networks (single-to-multi on two cores: 0.9 of the time), and gives the same results
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: u16,
-    /// Keep a dataset's frames in memory if they take so many GB at most, otherwise in a temporary file beside it, which
-    /// is hardly slower (40,000 samples have 0.5 GB of frames) [default: an eighth of the free memory]
+    /// Keep a dataset's frames in memory if they take at most GB gigabytes. Otherwise they are kept in a temporary file
+    /// next to the dataset, which is hardly slower (40,000 samples have 0.5 GB of frames) [default: an eighth of the
+    /// free memory]
     #[arg(long, value_name = "GB", value_parser = gigabytes)]
     memory: Option<u64>,
     #[command(flatten)]
@@ -91,13 +92,16 @@ fn no_models(_: &str) -> Result<String, String> {
     Err("this option is gone: name a world file in the spec's scenarios; `harness world new MODEL.xml` writes one".into())
 }
 
-/// A number of gigabytes, in bytes.
+/// Parses a number of gigabytes, and returns bytes.
 fn gigabytes(text: &str) -> Result<u64, String> {
     let number: Option<f64> = text.parse().ok().filter(|number| (0.0..=1e9).contains(number));
-    number.map(|number| (number * 1e9) as u64).ok_or("it must be a number of gigabytes, as 8 or 0.5".into())
+    number
+        .map(|number| (number * 1e9) as u64)
+        .ok_or("it must be a number of gigabytes, such as 8 or 0.5".into())
 }
 
 impl Run {
+    /// Does the runs of the experiment, or prints the plan.
     pub fn execute(self, registry: &Registry, threads: usize) -> Result<ExitCode> {
         let experiment = self.spec.load()?;
         let provenance = provenance(threads, super::command_line());
@@ -143,6 +147,7 @@ pub struct Collect {
 }
 
 impl Collect {
+    /// Collects the missing episodes of all scenarios.
     pub fn execute(self, registry: &Registry, threads: usize) -> Result<ExitCode> {
         let experiment = self.spec.load()?;
         registry.check_writable()?;
@@ -181,7 +186,7 @@ impl Collect {
     }
 }
 
-/// What was done is done, whether or not it could be shown: the exit code tells of the work.
+/// Warns if the output could not be printed. The exit code does not change, because the work was done.
 fn warn_of_loss() {
     if let Some(lost) = output::lost() {
         eprintln!("warning: {lost}");
@@ -200,7 +205,7 @@ fn print_plan(plan: &[Planned]) {
     }
 }
 
-/// The layers of each network that the plan's runs train.
+/// Prints the layers of each network that the plan's runs train. Equal networks are printed once.
 fn print_networks(plan: &[Planned]) -> Result<()> {
     let mut networks: Vec<(String, Vec<&str>)> = Vec::new();
     for planned in plan {
@@ -217,7 +222,7 @@ fn print_networks(plan: &[Planned]) -> Result<()> {
     Ok(())
 }
 
-/// The aggregate metrics of the plan's runs, averaged over seeds, beside the baselines.
+/// Prints the aggregate metrics of the plan's runs and of the baselines, averaged over seeds.
 fn print_results(registry: &Registry, experiment: &Experiment, plan: &[Planned]) -> Result<()> {
     let runs: BTreeSet<&str> = plan.iter().map(|planned| planned.folder.id()).collect();
     let model = |name: &str| format!("avg(case when model = '{name}' then value end) as {name}");
@@ -267,6 +272,7 @@ pub struct Validate {
 }
 
 impl Validate {
+    /// Checks the spec, and prints its runs.
     pub fn execute(self) -> Result<ExitCode> {
         let experiment = self.spec.load()?;
         let runs = experiment.runs();

@@ -5,10 +5,10 @@ use harness::numbers::rounded;
 use polars::prelude::{AnyValue, DataFrame};
 use std::path::Path;
 
-/// Rows that are printed; more are for `--output`.
+/// The maximum number of rows that are printed.
 const MOST_ROWS: usize = 200;
 
-/// Prints a table, numbers to the right and rounded to four digits.
+/// Prints a table. Numbers are aligned to the right and rounded to four digits.
 pub fn print(table: &DataFrame) {
     let mut out = Table::new();
     out.load_preset(presets::UTF8_BORDERS_ONLY);
@@ -30,10 +30,10 @@ pub fn print(table: &DataFrame) {
     }
 }
 
-/// Characters in a line where the output is no terminal.
+/// The width of a line in characters if the output is no terminal.
 const LINE: u16 = 160;
 
-/// A table whose cells are broken into lines that fit the terminal, with a line between rows.
+/// A table with a line between rows. Its cells are wrapped so that it fits the terminal.
 pub fn wrapped<const N: usize>(header: [&str; N], rows: Vec<[String; N]>) -> Table {
     let mut out = Table::new();
     out.load_preset(presets::UTF8_HORIZONTAL_ONLY).set_content_arrangement(ContentArrangement::Dynamic);
@@ -56,7 +56,7 @@ fn cell(value: AnyValue) -> String {
     }
 }
 
-/// A path as it is shown: absolute where that can be found out.
+/// A path for messages. It is absolute if the current folder is known.
 pub fn shown(path: &Path) -> String {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned()).display().to_string()
 }
