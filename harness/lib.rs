@@ -1,10 +1,11 @@
 //! A research harness for multi-modal perception of a soft robot.
 //!
-//! Each layer is a crate, and uses only those before it; ARCHITECTURE.md has the table. This crate gives them their
-//! names in one place, for programs and for Python, and adds [`cli`], the program. How an experiment runs is in
-//! [`experiment`].
+//! The harness simulates a soft robot with MuJoCo, trains networks on its observations, and writes the results to
+//! tables. Each layer is a crate that uses only the layers below it; ARCHITECTURE.md lists them. This crate re-exports
+//! all layers, for programs and for the Python package, and adds the command line in [`cli`]. Start reading in
+//! [`experiment`], which puts the steps of an experiment together.
 
-// The command line names the library as any other user does.
+// The modules of the command line use the library by its name, like any other user.
 extern crate self as harness;
 
 pub mod cli;

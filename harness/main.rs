@@ -1,16 +1,16 @@
-//! The binary: prepares the process and runs [`harness::cli`].
+//! The program `harness`: prepares the process and runs [`harness::cli`].
 
 use mimalloc::MiMalloc;
 use std::process::ExitCode;
 
-/// A training step allocates and frees the same hundreds of megabytes as the step before. The system's allocator
-/// hands them back and has every page cleared again, a sixth of a step's time; this one keeps them.
+/// The allocator keeps freed memory. Each training step allocates and frees the same hundreds of megabytes. The
+/// system's allocator returns this memory to the system, which must clear every page again: a sixth of a step's time.
 #[global_allocator]
 static ALLOCATOR: MiMalloc = MiMalloc;
 
 fn main() -> ExitCode {
     harness::cli::prepare_process();
-    // SAFETY: nothing has started a thread yet.
+    // SAFETY: no thread has been started yet.
     unsafe {
         harness::simulation::prepare_rendering();
         harness::learning::prepare_threads();
