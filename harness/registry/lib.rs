@@ -227,7 +227,8 @@ impl Registry {
 
     /// Decides whether to run, resume or skip a run. Also returns the run's record, if it has a readable one.
     ///
-    /// `known` are the other runs of the experiment. They explain in what a new run differs from them.
+    /// `known` are the other runs of the experiment. The reason for a new run names the settings in which it differs
+    /// from the most similar of them.
     pub fn decide(&self, folder: &RunFolder, spec: &RunSpec, known: &Known) -> (Decision, Option<RunRecord>) {
         let record = folder.record();
         let reason = match &record {
