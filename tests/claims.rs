@@ -1,4 +1,4 @@
-//! The paper's claims, judged by tables that say what the paper says, by tables that say the opposite, and by tables of
+//! The paper's claims, judged by made-up tables: tables that agree with the paper, tables that disagree, and tables of
 //! networks that learned nothing.
 
 use crate::common::finger::JOINTS;
@@ -24,30 +24,30 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The claims that are checked in. Whatever a test says of claims, it says of all of them.
+/// The claims of the repository. Most tests check all of them.
 static CLAIMS: LazyLock<Vec<Claim>> = LazyLock::new(|| load(&root().join(FILE)).unwrap());
 
-/// A checked-in experiment with these seeds.
+/// An experiment of the repository with these seeds.
 fn experiment(name: &str, seeds: &[u64]) -> Experiment {
     let path = root().join(format!("experiments/{name}.yaml"));
     spec::load(&path, &[format!("seeds={seeds:?}")], false).unwrap()
 }
 
-// --- tables that agree with the paper, tables that don't, and tables of networks that learned nothing ---
+// --- made-up tables ---
 
-/// What a run says beside the paper.
+/// How a run's results compare with the paper.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Says {
     Same,
     Opposite,
-    /// What the paper says, but so faintly that the network is no better than the training mean. The dataset, which doesn't
-    /// depend on what networks learn, says the opposite.
+    /// The networks' results agree with the paper, but the networks are no better than the training mean. Results that
+    /// depend on the dataset alone disagree.
     Nothing,
 }
 use Says::{Nothing, Opposite, Same};
 
 impl Says {
-    /// An error of a network; noise comes on top.
+    /// The error of a network, plus noise.
     fn error(self, same: f64, opposite: f64, noise: f64) -> f64 {
         match self {
             Same => same + noise,
@@ -57,7 +57,7 @@ impl Says {
     }
 }
 
-/// Where a run stands.
+/// The cell of a run.
 #[derive(Clone, Copy)]
 struct Place {
     vision: bool,
@@ -78,7 +78,7 @@ impl Place {
     }
 }
 
-/// What a metric is about.
+/// The task and quantity of a metric.
 #[derive(Clone, Copy)]
 struct Of {
     task: Task,
@@ -87,7 +87,7 @@ struct Of {
     index: Option<u32>,
 }
 
-/// An error that is least where the paper says that it is least, and one that is least elsewhere.
+/// Two errors of a cell: one is smallest in the cell where the paper has the smallest, the other in another cell.
 fn errors(place: Place, of: Of) -> [f64; 2] {
     let Place { vision, cluttered, size } = place;
     let (same, opposite) = match (of.task, of.modality, vision) {
@@ -103,7 +103,7 @@ fn errors(place: Place, of: Of) -> [f64; 2] {
         (Task::Reconstruction, Modality::PROPRIOCEPTION, true) => ([0.43, 0.43, 0.4], [0.9, 0.5, 0.7]),
         _ => ([0.5; 3], [0.5; 3]),
     };
-    // Lateral angles are easier, lateral forces harder; what the strongest compression costs makes the difference larger.
+    // Lateral angles are easier, lateral forces harder. The difference is larger for the smallest latent size.
     let harder = match of.modality {
         Modality::PROPRIOCEPTION => Direction::FLEXION_EXTENSION,
         _ => Direction::ADDUCTION_ABDUCTION,
@@ -119,7 +119,8 @@ fn errors(place: Place, of: Of) -> [f64; 2] {
     [same[size] + detail, opposite[size] - detail]
 }
 
-/// The relative errors of the frame difference, overall and on the arm and the finger, with those that disagree.
+/// The relative errors of the frame difference, overall and on the arm and the finger: those that agree with the paper,
+/// and those that disagree.
 fn image_errors(place: Place) -> [(Metric, [f64; 2]); 3] {
     let finger = [[0.85, 0.75], [0.9, 0.7], [0.9, 0.7]][place.size];
     [
@@ -129,7 +130,7 @@ fn image_errors(place: Place) -> [(Metric, [f64; 2]); 3] {
     ]
 }
 
-/// The epoch from which on the validation loss falls by less than 5 % in all.
+/// The epoch after which the validation loss falls by less than 5 % in total.
 fn converged(says: Says, place: Place) -> usize {
     let epoch = match place {
         Place { vision: true, size, .. } => [40, 25, 10][size],
@@ -160,10 +161,10 @@ fn persistence_r2(says: Says, modality: Modality) -> f64 {
     }
 }
 
-/// What a run would leave that finds what `says` says.
+/// The outcome of a run whose results are `says`.
 fn outcome(says: Says, spec: &RunSpec) -> Outcome {
     let place = Place::of(spec);
-    // Seeds and sizes differ by a little, as those of real runs.
+    // Seeds and latent sizes differ slightly, like those of real runs.
     let noise = 1e-3 * ((spec.seed * 7 + spec.latent as u64 * 3) % 5) as f64;
     let error = |[same, opposite]: [f64; 2]| says.error(same, opposite, noise);
     let mut metrics = Vec::new();
@@ -181,7 +182,7 @@ fn outcome(says: Says, spec: &RunSpec) -> Outcome {
             for (direction, index) in groups.filter(|_| !Layout::finger()[modality].is_image()) {
                 let of = Of { task, modality, direction, index };
                 let error = error(errors(place, of));
-                // Of the angles even a bad network tells more than persistence, if it has learned anything.
+                // A network that has learned anything predicts angles better than persistence.
                 let is_easy =
                     (task, modality) == (Task::Prediction, Modality::PROPRIOCEPTION) && says != Nothing;
                 push("network", of, Metric::R2, 1.0 - if is_easy { 0.4 * error } else { error });
@@ -225,7 +226,7 @@ fn outcome(says: Says, spec: &RunSpec) -> Outcome {
     }
 }
 
-/// Writes an experiment's runs with these seeds, each saying what `says` of its seed.
+/// Writes an experiment's runs with these seeds. `says` returns the results of a seed.
 fn write(registry: &Registry, name: &str, seeds: &[u64], says: impl Fn(u64) -> Says) {
     let experiment = experiment(name, seeds);
     for spec in experiment.runs() {
@@ -237,14 +238,14 @@ fn write(registry: &Registry, name: &str, seeds: &[u64], says: impl Fn(u64) -> S
 fn finish_run(registry: &Registry, experiment: &str, spec: &RunSpec, says: Says) {
     let folder = registry.run(experiment, spec, &format!("{}-made-up", spec.scenario));
     let record = registry.begin(&folder, spec, &Layout::finger(), &Provenance::default()).unwrap();
-    // Claims read tables alone; the record wants the networks too.
+    // Claims read only tables, but the record must also list the networks.
     for task in &spec.tasks {
         std::fs::write(folder.checkpoint(*task), "made up").unwrap();
     }
     registry.finish(&folder, record, &outcome(says, spec)).unwrap();
 }
 
-/// A results folder with all experiments that claims are about.
+/// A results folder with runs of all experiments that claims use.
 fn results(seeds: &[u64], says: impl Fn(u64) -> Says) -> (TempDir, Registry) {
     let folder = tempfile::tempdir().unwrap();
     let registry = Registry::new(folder.path());
@@ -252,7 +253,7 @@ fn results(seeds: &[u64], says: impl Fn(u64) -> Says) -> (TempDir, Registry) {
     (folder, registry)
 }
 
-/// Every claim judged, one judgement a scenario.
+/// The judgements of all claims, one for each scenario.
 fn judgements(registry: &Registry, quick: bool) -> Vec<Judgement<'static>> {
     let claims: Vec<&'static Claim> = CLAIMS.iter().collect();
     let runs = runs(registry, &claims, &[], quick).unwrap();
@@ -302,7 +303,7 @@ fn no_claim_holds_by_networks_that_learned_nothing() {
             assert_eq!(verdict, Verdict::DoesNotHold, "{}: {measured:?}", claim.id());
         }
     }
-    // By their conditions alone, most would hold.
+    // Without their requirements, most of these claims would hold.
     assert!(4 * faint > 3 * untestable, "{faint} of {untestable}");
 }
 
@@ -342,7 +343,7 @@ fn claims_without_their_runs_are_undecided() {
 #[test]
 fn a_seed_counts_only_when_all_its_runs_are_there() {
     let (_folder, registry) = results(&[0, 1, 2], |_| Same);
-    // A fourth seed of which only the smallest latent size is done.
+    // The fourth seed has only runs of the smallest latent size.
     for name in EXPERIMENTS {
         let mut experiment = experiment(name, &[9]);
         experiment.latent.truncate(1);
@@ -376,11 +377,11 @@ fn runs_of_other_settings_are_refused_and_chosen_by_name() {
                    `--where 'single_to_multi:training.batch_size=1024'`\n";
     let printed = succeed(folder.path(), &["claims"]);
     assert!(printed.contains("settings differ") && printed.contains(refused), "{printed}");
-    // What the message says works, as it stands there.
+    // The options in the message work as they are printed.
     let option = ["--where", "single_to_multi:training.batch_size=1024"];
     let chosen = succeed(folder.path(), &[&["claims"][..], &option].concat());
     assert!(chosen.contains(" 0 do not hold, 0 undecided, 0 not testable; "), "{chosen}");
-    // Only five runs have the other batch size, too few for any claim but those about forces.
+    // Only five runs have the other batch size, which is enough only for claims about forces.
     let option = ["--where", "single_to_multi:training.batch_size=16"];
     let chosen = succeed(folder.path(), &[&["claims", "force_errors_stay_high"][..], &option].concat());
     assert!(chosen.contains("undecided: no data"), "{chosen}");
@@ -414,19 +415,19 @@ fn a_variant_is_a_setting_that_a_query_may_tell_apart() {
 #[test]
 fn runs_of_an_older_method_are_left_out() {
     let (_folder, registry) = results(&[0, 1], |_| Opposite);
-    // As an older version would have named their folders.
+    // The folders get the names that an older version would have given them.
     for name in EXPERIMENTS {
         for entry in std::fs::read_dir(registry.root().join("runs").join(name)).unwrap() {
             age(&entry.unwrap().path());
         }
     }
-    // They count where there are no others.
+    // Older runs count if there are no newer ones.
     assert_verdicts(&registry, |_| Verdict::DoesNotHold);
     EXPERIMENTS.iter().for_each(|name| write(&registry, name, &[0, 1], |_| Same));
     assert_verdicts(&registry, |_| Verdict::Holds);
 }
 
-/// Makes a run one of the revision before this one.
+/// Changes a run to the previous revision.
 fn age(folder: &Path) {
     let record: serde_json::Value =
         serde_json::from_slice(&std::fs::read(folder.join("run.json")).unwrap()).unwrap();
@@ -454,7 +455,7 @@ fn quick_claims_are_about_quick_runs() {
         for spec in experiment.runs() {
             let folder = registry.run(&format!("{name}-quick"), &spec, "made-up");
             let record = registry.begin(&folder, &spec, &Layout::finger(), &Provenance::default()).unwrap();
-            // Claims read tables alone; the record wants the networks too.
+            // Claims read only tables, but the record must also list the networks.
             for task in &spec.tasks {
                 std::fs::write(folder.checkpoint(*task), "made up").unwrap();
             }
@@ -469,7 +470,7 @@ fn quick_claims_are_about_quick_runs() {
 
 // --- several datasets, readings, plans ---
 
-/// Writes the runs of an experiment with these settings, each saying what `says` of it.
+/// Writes the runs of an experiment with these settings. `says` returns the results of a run.
 fn write_with(registry: &Registry, name: &str, overrides: &[&str], says: impl Fn(&RunSpec) -> Says) {
     let path = root().join(format!("experiments/{name}.yaml"));
     let overrides: Vec<String> = overrides.iter().map(|text| text.to_string()).collect();
@@ -499,12 +500,12 @@ fn several_datasets_count_as_datasets_whatever_their_seeds_say() {
             assert_eq!(judgement.measured.replicates().len(), 3);
         }
     }
-    // Four of six values agree with the paper; what counts is that a dataset does not.
+    // Four of six values agree with the paper, but one dataset disagrees, so the claims are undecided.
     let (folder, registry) = datasets(|spec| if spec.dataset_seed() == 2 { Opposite } else { Same });
     let mut undecided = 0;
     for judgement in judgements(&registry, false).iter().filter(|judgement| about_both(judgement)) {
         if !about_the_dataset(judgement) {
-            // Where it is undecided whether what is required holds, the claim is not testable.
+            // A claim is not testable if its requirement is undecided.
             let verdict = judgement.verdict();
             let id = judgement.claim.id();
             assert!(matches!(verdict, Verdict::Undecided | Verdict::NotTestable), "{id}: {verdict}");
@@ -514,7 +515,7 @@ fn several_datasets_count_as_datasets_whatever_their_seeds_say() {
     assert!(undecided > 20, "{undecided}");
     let one = succeed(folder.path(), &["claims", "force_errors_stay_high"]);
     assert!(one.contains("force_errors_stay_high empty: dataset 0 seed 0: 5.1"), "{one}");
-    // What would decide them can be pasted.
+    // The plan's commands can be pasted into a shell.
     let plan =
         succeed(folder.path(), &["claims", "force_errors_stay_high", "vision_improves_force", "--plan"]);
     assert!(plan.contains(" more dataset"), "{plan}");
@@ -522,7 +523,7 @@ fn several_datasets_count_as_datasets_whatever_their_seeds_say() {
     works(&plan, "new");
 }
 
-/// Gives every command of a plan to a shell, as a dry run, which must have new runs to do.
+/// Runs every command of a plan in a shell as a dry run, which must plan new runs.
 #[track_caller]
 fn works(plan: &str, expected: &str) {
     let commands: Vec<&str> = plan.lines().filter_map(|line| line.strip_prefix("  ")).collect();
@@ -564,7 +565,7 @@ fn the_plan_says_how_many_more_seeds_would_decide() {
 
 #[test]
 fn a_correction_for_the_number_of_claims_stands_beside_the_verdicts() {
-    // By itself each of these claims holds at 5 %, by values with an uncorrected p-value of about 0.01.
+    // Each of these claims holds at 5 %, with an uncorrected p-value of about 0.01.
     let seeds: Vec<u64> = (0..5).collect();
     let (folder, registry) = results(&seeds, |seed| if seed == 4 { Nothing } else { Same });
     let judged = judgements(&registry, false);
@@ -574,7 +575,7 @@ fn a_correction_for_the_number_of_claims_stands_beside_the_verdicts() {
         .filter_map(|(judgement, corrected)| Some((judgement.p_value()?, corrected?)))
         .collect();
     assert!(both.len() > 10 && both.iter().all(|(p, corrected)| corrected >= p));
-    // The least p-value is multiplied by the number of tests.
+    // Holm's correction multiplies the smallest p-value by the number of tests.
     let least = |of: fn(&(f64, f64)) -> f64| both.iter().map(of).fold(1.0, f64::min);
     assert_eq!(least(|both| both.1), (least(|both| both.0) * both.len() as f64).min(1.0));
     let is_decided = |one: &Judgement| matches!(one.verdict(), Verdict::Holds | Verdict::DoesNotHold);
@@ -649,8 +650,8 @@ fn the_figure_of_readings_shows_what_vision_adds_under_each() {
     let mean = |line: &str| line.split(',').nth(5).unwrap().parse::<f64>().unwrap();
     let mut rows = 0;
     for line in lines {
-        // By `errors` and `outcome`: 0.7 without vision, 0.2 (empty) or 0.3 (cluttered) with it; the other way round
-        // 0.3, and 0.8 or 0.7. Noise is below 0.005, and of errors of angles 0.4 counts.
+        // The errors of `errors` and `outcome`: 0.7 without vision, and 0.2 (empty) or 0.3 (cluttered) with it. In the
+        // opposite tables: 0.3, and 0.8 or 0.7. Noise is below 0.005. Errors of angles are multiplied by 0.4.
         let (force, target) = (line.starts_with("contact_force"), line.contains(",target,"));
         let expected = match (force, target, line.contains(",empty,")) {
             (true, false, true) => 0.5,
@@ -738,7 +739,7 @@ fn a_claim_is_testable_where_what_it_requires_holds() {
 
 // --- the file ---
 
-/// The claims of a file with this text.
+/// Loads the claims of a file with this text.
 fn load_text(text: &str) -> Result<Vec<Claim>, String> {
     let (_folder, path) = file(text);
     load(&path).map_err(|error| error.to_string().replace(path.to_str().unwrap(), "claims.yaml"))
@@ -813,7 +814,7 @@ fn a_query_that_is_no_claims_query_is_refused_even_without_data() {
         assert!(error.starts_with("claim 'force', query at line "), "{error}");
         assert!(error.contains(expected), "{error}");
     }
-    // What a claim requires is asked for in the same way; its line is that of the query, not of an alias.
+    // The requirement's query is checked in the same way. The error names the line of the query, not of an alias.
     let requiring = |id: &str, requires: &str| {
         ONE.replace("id: force", &format!("id: {id}"))
             .replace("  query", &format!("  requires: {requires}\n  query"))
