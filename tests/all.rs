@@ -1,5 +1,5 @@
-//! All integration tests, as one program that is linked once. Its tests share a process, and run at the same time: what
-//! is changed for a whole process (environment, current folder, signals, limits) is changed in a child.
+//! All integration tests, as one program that is linked once. The tests share a process and run at the same time. So a
+//! test that changes the environment, the current folder, signals or limits must do so in a child process.
 
 mod common;
 

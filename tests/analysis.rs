@@ -1,4 +1,4 @@
-//! Intervals over datasets and seeds, against printed tables and simulated draws whose truth is known.
+//! Intervals over datasets and seeds, compared with printed tables and with random draws whose true mean is known.
 
 use harness_analysis::{Interval, LEVEL, holm, mean_interval, p_value, replicates, replicates_needed};
 use rand::seq::SliceRandom;
@@ -14,7 +14,8 @@ fn assert_close(a: f64, b: f64) {
 
 #[test]
 fn intervals_are_those_of_students_t() {
-    // Quantiles at 97.5 % and 95 % from a printed table: 4.3027 and 2.9200 with 2 degrees of freedom, 2.7764 with 4.
+    // The quantiles are from a printed table. At 97.5 % and 95 %: 4.3027 and 2.9200 with 2 degrees of freedom, 2.7764
+    // with 4.
     let half = |values: &[f64], level| {
         let Interval { mean, bounds } = mean_interval(values, level).unwrap();
         let (low, high) = bounds.unwrap();
@@ -59,7 +60,7 @@ fn an_interval_covers_the_mean_as_often_as_its_level_says() {
         let interval = mean_interval(&values, 0.95).unwrap();
         (interval.low()..=interval.high()).contains(&3.0)
     });
-    // The standard deviation of this share is 0.0015.
+    // The standard deviation of the share is 0.0015.
     let share = covered.count() as f64 / 20_000.0;
     assert!((share - 0.95).abs() < 0.006, "{share}");
 }
@@ -70,7 +71,7 @@ fn normal(random: &mut ChaCha8Rng) -> f64 {
     random.sample(rand_distr::StandardNormal)
 }
 
-/// How often the interval of what `values` draws covers the truth.
+/// The share of intervals that contain the true mean, when `values` draws the values of each.
 fn coverage(mut values: impl FnMut(&mut ChaCha8Rng) -> Vec<f64>) -> f64 {
     let mut random = ChaCha8Rng::seed_from_u64(14);
     let covers = |_: &usize| {
@@ -80,7 +81,8 @@ fn coverage(mut values: impl FnMut(&mut ChaCha8Rng) -> Vec<f64>) -> f64 {
     (0..TABLES).filter(covers).count() as f64 / TABLES as f64
 }
 
-/// A table of values by dataset: the truth, a deviation of each dataset, and one of each seed.
+/// Random values with the dataset of each: the true mean, plus a deviation of the dataset, plus a deviation of the
+/// seed.
 fn table(random: &mut ChaCha8Rng, seeds: &[u64], of_datasets: f64, of_seeds: f64) -> Vec<(u64, f64)> {
     let dataset = |(dataset, seeds): (usize, &u64)| {
         let middle = TRUTH + of_datasets * normal(random);
@@ -104,14 +106,14 @@ fn intervals_over_the_seeds_of_one_dataset_keep_their_level() {
 
 #[test]
 fn intervals_over_datasets_and_seeds_keep_their_level_whatever_the_variances_are() {
-    // The last one lacks a run.
+    // In the last table, a run is missing.
     for seeds in [&[2, 2][..], &[3, 3], &[2, 2, 2], &[3; 5], &[3, 3, 2]] {
         for ratio in [0.0, 0.5, 1.0, 3.0] {
             let coverage = coverage(|random| replicates(table(random, seeds, ratio * 0.1, 0.1)));
             assert_covers(coverage, &format!("{seeds:?} seeds, ratio {ratio}"));
         }
     }
-    // Were all values taken for independent, the intervals would be far too short.
+    // If all values were treated as independent, the intervals would be far too short.
     let pooled = coverage(|random| {
         let table = table(random, &[3, 3, 3], 0.1, 0.1);
         table.into_iter().map(|(_, value)| value).collect()
@@ -121,7 +123,7 @@ fn intervals_over_datasets_and_seeds_keep_their_level_whatever_the_variances_are
 
 #[test]
 fn intervals_of_differences_within_datasets_keep_their_level() {
-    // Both networks share what a dataset does to them; how much one gains over the other differs by dataset as well.
+    // Both networks share the deviation of a dataset. The difference between them also varies by dataset.
     for gain in [0.0, 0.05, 0.2] {
         let coverage = coverage(|random| {
             let without = table(random, &[2, 2, 2], 1.0, 0.1);
@@ -159,7 +161,7 @@ fn a_p_value_is_below_5_percent_where_the_interval_excludes_the_bound() {
 
 #[test]
 fn corrected_p_values_are_holm_s() {
-    // By hand: 0.01 times 4, 0.02 times 3, 0.03 times 2, and no less than the one before.
+    // By hand: 0.01 times 4, 0.02 times 3, 0.03 times 2, and never less than the previous p-value.
     let corrected = holm(&[0.03, 0.01, 0.9, 0.02]);
     let expected = [0.06, 0.04, 0.9, 0.06];
     assert!(corrected.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{corrected:?}");
@@ -171,7 +173,8 @@ fn corrected_p_values_are_holm_s() {
 fn as_many_values_as_are_planned_exclude_the_bound_if_their_spread_stays() {
     let values = [0.5, 1.5, 1.0];
     let count = replicates_needed(&values, 0.5, LEVEL, 100).unwrap();
-    // Deviation 0.5 and distance 0.5: t(n - 1) must be below the root of n, which is so from 7 on (2.447 and 2.646).
+    // Deviation and distance are 0.5, so t(n - 1) must be less than the root of n. This holds from n = 7 on (2.447 and
+    // 2.646).
     assert_eq!(count, 7);
     assert_eq!(replicates_needed(&values, 0.999, LEVEL, 100), None);
     assert_eq!(replicates_needed(&[1.0], 0.0, LEVEL, 100), None);

@@ -1,11 +1,11 @@
-//! The benchmarks: their contenders do the same work, and their table says what was measured.
+//! The benchmarks: all contenders do the same work, and the table has the measured numbers.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
-/// What a command prints, when it succeeds.
+/// The output of a command, which must succeed.
 #[track_caller]
 fn said(command: &mut Command) -> String {
     let output = command.output().unwrap_or_else(|error| panic!("{command:?}: {error}"));
@@ -20,14 +20,14 @@ fn python(script: &str) -> Command {
     command
 }
 
-/// An example's program; `cargo test` builds them, `cargo test --test all` does not.
+/// The program of an example. `cargo test` builds the examples, `cargo test --test all` does not.
 fn example(name: &str) -> Command {
     let program = Path::new(env!("CARGO_BIN_EXE_harness")).with_file_name("examples").join(name);
     assert!(program.exists(), "{} is not there: `cargo build --examples`", program.display());
     Command::new(program)
 }
 
-/// The last line of what was printed, as JSON.
+/// The last line of an output, as JSON.
 fn last_json(printed: &str) -> serde_json::Value {
     serde_json::from_str(printed.lines().last().unwrap()).unwrap()
 }
@@ -54,7 +54,7 @@ fn collectors_in_python_and_c_arrive_where_the_harness_does() {
         let mut export = example("courses");
         export.args(["--scenario", scenario, "--episodes", "2", "--actuations", "2", "--output"]);
         said(export.arg(&courses));
-        // Both end with an error where the last positions are not, bit by bit, those that the file holds.
+        // Both programs end with an error unless the last positions are those of the file, bit by bit.
         let model = Path::new(ROOT).join(format!("models/{scenario}.xml"));
         let report = last_json(&said(Command::new(&raw_limit).arg(&model).arg(&courses).arg("2")));
         assert_eq!((&report["samples"], &report["steps"]), (&40.into(), &(2 * 1901).into()));
@@ -62,7 +62,7 @@ fn collectors_in_python_and_c_arrive_where_the_harness_does() {
         collect.args(["--scenario", scenario, "--processes", "1", "--courses"]).arg(&courses);
         assert_eq!(last_json(&said(&mut collect))["samples"], 40);
 
-        // The last 8 bytes but for the controls of an episode are its last position.
+        // The last 8 bytes before the controls of an episode are its last position.
         let mut bytes = std::fs::read(&courses).unwrap();
         let end = bytes.len() - 1901 * 3 * 8;
         bytes[end - 8] ^= 1;
@@ -104,7 +104,8 @@ fn the_table_says_how_many_times_as_fast_the_harness_is() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("benchmarks.parquet");
     let printed = said(python("tests/python/benchmark_table.py").arg(&file));
-    // 0.2 s beside 0.5 s is 2.5 times as fast, and so is 500 a second beside 200; medians of three rounds.
+    // 0.2 s is 2.5 times as fast as 0.5 s, and 500 per second as 200 per second. The numbers are medians of three
+    // rounds.
     assert!(printed.contains("| a step |"), "{printed}");
     let rows: Vec<Vec<&str>> = printed
         .lines()

@@ -1,4 +1,4 @@
-//! The program as its users meet it: a whole experiment, every command, and what happens to bad input.
+//! The program from its users' point of view: a whole experiment, every command, and bad input.
 
 use crate::common::{Answer, SMOKE, finish, harness, smoke_run, succeed};
 use harness::files::UNFINISHED;
@@ -13,13 +13,13 @@ use std::process::Stdio;
 use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
-/// Results that tests only read.
+/// Results of the smoke experiment. Tests must not change them.
 static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| smoke_run("cli"));
 /// One short run of the smoke experiment.
 const ONE: [&str; 5] =
     ["run", SMOKE, "scenarios=[empty]", "training.epochs=1", "simulation.actuations_per_episode=2"];
 
-/// A folder for one test.
+/// A temporary folder for one test.
 struct Folder(tempfile::TempDir);
 
 impl Folder {
@@ -49,7 +49,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// Checks that nothing in a folder is half-written.
+/// Checks that a folder contains no unfinished files.
 #[track_caller]
 fn assert_whole(folder: &Path) {
     for path in files(folder) {
@@ -65,7 +65,7 @@ fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     files(folder).into_iter().map(|path| (path.clone(), std::fs::read(path).unwrap())).collect()
 }
 
-/// The error that a command prints, which must be a single line, without its `error: `.
+/// The error message of a command, without `error: `. It must be a single line.
 #[track_caller]
 fn error(answer: &Answer, code: i32) -> String {
     assert_eq!(answer.code, code, "{}{}", answer.stdout, answer.stderr);
@@ -134,8 +134,8 @@ fn a_dry_run_says_what_would_be_done_and_why_and_does_nothing() {
     assert!(!nowhere.exists());
 }
 
-/// The smoke run's layers, worked by hand: 4 x 4 kernels from 3 to 4 channels and back, 16 hidden units, 20 joints and 20
-/// links, a latent state of 4, an action of 3.
+/// The layers of the smoke run, calculated by hand: 4 x 4 kernels from 3 to 4 channels and back, 16 hidden units,
+/// 20 joints and 20 links, a latent state of 4, an action of 3.
 const LAYERS: [(&str, &str, usize); 11] = [
     ("encoder.conv", "4 x 32 x 32", 4 * 3 * 16 + 4),
     ("encoder.hidden", "16", 16 * (4 * 32 * 32 + 20) + 16),
@@ -170,7 +170,7 @@ fn every_layer_is_printed_with_its_shape_and_its_parameters() {
     }
     let parameters = succeed(&RESULTS, &["query", "select distinct parameters from runs"]);
     assert!(words(&parameters).contains(&trained.to_string()), "{parameters}");
-    // A block for each network, with the runs that train it.
+    // Each different network is printed once, with the runs that train it.
     let plan = succeed(&RESULTS, &["run", SMOKE, "--dry-run", "latent=[4,5]"]);
     let blocks: Vec<&str> = plan.lines().filter(|line| line.starts_with("the network of ")).collect();
     assert_eq!(blocks.len(), 2, "{plan}");
@@ -205,7 +205,7 @@ fn a_damaged_episode_is_made_again_and_said_so() {
     let episode = files(&results).into_iter().find(|path| path.ends_with("episode_00002.parquet")).unwrap();
     let whole = std::fs::read(&episode).unwrap();
     let mut damaged = whole.clone();
-    // The pages of the first joints.
+    // These bytes are the pages of the first joints.
     damaged[whole.len() / 8..whole.len() / 4].fill(0xAA);
     std::fs::write(&episode, damaged).unwrap();
     let answer = finish(&mut harness(&results, &[&ONE[..], &["seeds=[1]"]].concat()));
@@ -216,7 +216,7 @@ fn a_damaged_episode_is_made_again_and_said_so() {
     assert!(std::fs::read(&episode).unwrap() == whole);
 }
 
-/// Starts a command and ends it without a warning once it is `ready`.
+/// Starts a command, and kills it as soon as `ready` returns true.
 fn kill_when(mut command: std::process::Command, ready: impl Fn() -> bool) {
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let begin = Instant::now();
@@ -229,7 +229,7 @@ fn kill_when(mut command: std::process::Command, ready: impl Fn() -> bool) {
     child.wait().unwrap();
 }
 
-/// The program on a results folder, to be left running.
+/// The program on a results folder, as a command to spawn.
 fn spawnable(results: &Path, arguments: &[&str]) -> std::process::Command {
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_harness"));
     command.current_dir(env!("CARGO_MANIFEST_DIR")).arg("--results").arg(results).args(arguments);
@@ -248,7 +248,7 @@ fn a_killed_collection_leaves_whole_episodes_and_goes_on_from_them() {
     assert!((2..40).contains(&made));
     let said = succeed(&results, &collect);
     assert!(said.contains(&format!("{} episodes made, 1200 samples in all", 40 - made)), "{said}");
-    // The smoke run made the first four of the same dataset, undisturbed.
+    // The smoke run collected the first four episodes of the same dataset without an interruption.
     for episode in episodes().take(4) {
         let undisturbed = RESULTS.join(episode.strip_prefix(&results).unwrap());
         assert!(
@@ -376,7 +376,7 @@ fn commands_that_read_say_that_there_are_no_results() {
         let expected = format!("there are no results in {}: there is no such folder; ", nowhere.display());
         assert!(message.starts_with(&expected), "{message}");
         assert!(message.contains("--results"), "{message}");
-        // A folder that is there, but of something else.
+        // The folder exists, but contains something else.
         let message = error(&finish(&mut harness(folder.0.path(), arguments)), 2);
         assert!(message.contains(": it holds neither runs nor datasets; "), "{message}");
     }
@@ -397,13 +397,13 @@ fn a_run_keeps_the_part_of_the_command_that_makes_it_alone() {
     assert_eq!(rows.len(), 8);
     for row in rows {
         let (run, command) = (row["run"].as_str().unwrap(), row["command"].as_str().unwrap());
-        // What a shell makes of it, to be asked for as it stands.
+        // A shell splits the command into these words. The command must work as it is printed.
         let words = shlex::split(command).unwrap();
         let words: Vec<&str> = words.iter().skip(1).map(String::as_str).chain(["--dry-run"]).collect();
         let planned = finish(
             assert_cmd::cargo::cargo_bin_cmd!("harness").current_dir(env!("CARGO_MANIFEST_DIR")).args(words),
         );
-        // What follows on a blank line are the layers of its network.
+        // A blank line and the layers of the network follow.
         let runs = planned.stdout.lines().take_while(|line| !line.is_empty()).count();
         assert_eq!(runs, 1, "{command}: {}{}", planned.stdout, planned.stderr);
         assert!(
@@ -523,7 +523,7 @@ fn an_answer_that_cannot_be_printed_is_a_failure() {
     }
 }
 
-// --- words that are no Unicode ---
+// --- arguments that are not Unicode ---
 
 #[test]
 fn arguments_that_are_no_unicode_are_paths_or_refused() {
@@ -701,7 +701,7 @@ fn results_that_cannot_be_written_are_named() {
     assert_eq!(std::fs::read_to_string(file).unwrap(), "not a folder");
 }
 
-/// Where EGL looks for its drivers.
+/// The environment variable with the drivers that EGL loads.
 const DRIVERS: &str = "__EGL_VENDOR_LIBRARY_FILENAMES";
 
 #[test]
@@ -728,7 +728,7 @@ fn without_a_renderer_runs_fail_with_the_reason_and_leave_no_episode() {
     let plan = succeed(&results, &["run", SMOKE, "--dry-run"]);
     let mut runs = plan.lines().take(2);
     assert!(runs.all(|line| line.contains("it failed before: no OpenGL context")), "{plan}");
-    // With a driver it goes on as if nothing had been.
+    // With a driver, the same command succeeds.
     assert!(succeed(&results, &["run", SMOKE]).contains("2 done, 0 done before, 0 failed"));
     assert_whole(&results);
 }

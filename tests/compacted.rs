@@ -1,4 +1,4 @@
-//! Tables of many runs, kept together: the same answers as from the runs' own files, whatever happens to either.
+//! Compacted tables give the same answers as the runs' own files, even after changes and damage to either.
 
 use crate::common::{SMOKE, finish, fresh, harness};
 use harness::analysis::{Selection, compare};
@@ -15,7 +15,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-/// How long after its last change a file may be kept together with others, and a bit.
+/// A little more than the time after its last change when a file may be compacted.
 const SETTLED: Duration = Duration::from_millis(3200);
 
 const QUERIES: [&str; 12] = [
@@ -33,7 +33,7 @@ const QUERIES: [&str; 12] = [
     "select seed, value from metrics where metric = 'r2' and index is null and direction is null order by value",
 ];
 
-/// Finished runs of these seeds, whose numbers follow from their seeds and from `scale`.
+/// Writes finished runs of these seeds. Their numbers are computed from the seed and `scale`.
 fn write_runs(results: &Path, experiment: &str, seeds: Range<u64>, scale: f32) {
     let registry = Registry::new(results);
     let seeds = format!("seeds={:?}", seeds.collect::<Vec<_>>());
@@ -77,7 +77,7 @@ fn outcome(seed: u64, scale: f32) -> Outcome {
     }
 }
 
-/// All answers, and the means of `compare`.
+/// The answers of all queries, and the means of `compare`.
 fn answers(results: &Path) -> Vec<DataFrame> {
     let registry = Registry::new(results);
     let mut answers: Vec<DataFrame> = QUERIES
@@ -89,7 +89,7 @@ fn answers(results: &Path) -> Vec<DataFrame> {
     answers
 }
 
-/// The same answers from a copy in which nothing can be kept together: a file lies where the folder would.
+/// The same answers from a copy that can't be compacted, because a file has the name of the folder.
 fn plain_answers(results: &Path) -> Vec<DataFrame> {
     let copy = tempfile::tempdir().unwrap();
     copy_folder(&results.join("runs"), &copy.path().join("runs"));
@@ -117,7 +117,7 @@ fn assert_same(found: &[DataFrame], expected: &[DataFrame]) {
     }
 }
 
-/// The files that are kept together of a table, with what they hold.
+/// The compacted files of a table, with their contents.
 fn parts(results: &Path, experiment: &str, table: &str) -> BTreeMap<PathBuf, Vec<u8>> {
     let files = std::fs::read_dir(results.join("compacted").join(experiment)).into_iter().flatten().flatten();
     let is_of =
@@ -154,12 +154,12 @@ fn answers_are_the_same_with_and_without_compacted_tables() {
     assert_same(&answers(&results), &expected);
     assert_eq!(parts(&results, "many", "metrics"), first, "reading it writes nothing");
 
-    // A few more are read from their own files, their rows in the place where their runs belong.
+    // A few more runs are read from their own files. Their rows are in the order of the runs all the same.
     write_runs(&results, "many", 130..140, 0.2);
     std::thread::sleep(SETTLED);
     assert_same(&answers(&results), &plain_answers(&results));
     assert_eq!(parts(&results, "many", "metrics"), first);
-    // Many more get a part of their own, and the first stays.
+    // Many more runs get another compacted file, and the first one stays.
     write_runs(&results, "many", 140..200, 0.2);
     std::thread::sleep(SETTLED);
     let expected = plain_answers(&results);
@@ -184,7 +184,7 @@ fn runs_that_changed_since_are_not_answered_from_compacted_tables() {
     let before = means(&results).unwrap();
     assert_eq!(parts(&results, "many", "metrics").len(), 1);
 
-    // Changed, with its size and the time of the change as they were.
+    // The file is changed, but its size and modification time are not.
     let path = folder(&results, "many", 7).join("metrics.parquet");
     let whole = std::fs::read(&path).unwrap();
     let modified = std::fs::metadata(&path).unwrap().modified().unwrap();
@@ -198,20 +198,20 @@ fn runs_that_changed_since_are_not_answered_from_compacted_tables() {
     let error = means(&results).unwrap_err();
     assert!(matches!(error, QueryError::Registry(_)), "{error}");
     assert!(error.to_string().contains("metrics.parquet is damaged (it is not as it was written"), "{error}");
-    // Gone.
+    // The file is missing.
     std::fs::remove_file(&path).unwrap();
     assert!(means(&results).unwrap_err().to_string().contains("is damaged (No such file"));
-    // As it was, in a new file.
+    // The same content is in a new file.
     std::fs::write(&path, &whole).unwrap();
     assert!(means(&results).unwrap().equals_missing(&before));
-    // Done again, with other numbers.
+    // The run is done again, with other numbers.
     write_runs(&results, "many", 7..8, 0.3);
     let after = means(&results).unwrap();
     assert_eq!(after.height(), before.height());
     let differing = (0..after.height()).filter(|row| after.get(*row) != before.get(*row)).count();
     assert_eq!(differing, 1);
     assert_same(&answers(&results), &plain_answers(&results));
-    // Removed.
+    // The run is removed.
     std::fs::remove_dir_all(folder(&results, "many", 7)).unwrap();
     assert_eq!(means(&results).unwrap().height(), 69);
 }
@@ -257,7 +257,7 @@ fn processes_that_read_at_once_get_the_same_answers() {
     let said: Vec<String> = (0..6)
         .into_par_iter()
         .map(|process| {
-            // Some begin while others write.
+            // Some processes start while others write.
             std::thread::sleep(Duration::from_millis(process * 40));
             let answer = finish(&mut harness(&results, &["query", sql]));
             assert_eq!((answer.code, answer.stderr.as_str()), (0, ""));

@@ -1,11 +1,11 @@
-//! `harness compare` on real runs: the numbers are those of the tables, whatever the format.
+//! `harness compare` on real runs: in every format, the numbers are those of the tables.
 
 use crate::common::{SMOKE, finish, fresh, harness, succeed};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-/// Two latent sizes with two seeds each, in the empty scenario; two runs in the cluttered one.
+/// Runs of two latent sizes with two seeds each in the empty scenario, and two runs in the cluttered scenario.
 static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
     let results = Path::new(env!("CARGO_TARGET_TMPDIR")).join("compare");
     let _ = std::fs::remove_dir_all(&results);
@@ -15,7 +15,7 @@ static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
     results
 });
 
-/// The rows that a query gives, as JSON.
+/// The rows of a query's answer, as JSON.
 fn query(results: &Path, sql: &str) -> Vec<serde_json::Value> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("answer.json");
@@ -23,7 +23,7 @@ fn query(results: &Path, sql: &str) -> Vec<serde_json::Value> {
     serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
 }
 
-/// The values of a metric over seeds, by column of `harness compare smoke --by latent`.
+/// The values of a metric for all seeds, by column of `harness compare smoke --by latent`.
 fn values(task: &str, scenario: &str, modality: &str, metric: &str) -> BTreeMap<String, Vec<f64>> {
     let mut values: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     let sql = format!(
@@ -40,7 +40,7 @@ fn values(task: &str, scenario: &str, modality: &str, metric: &str) -> BTreeMap<
     values
 }
 
-/// What a cell must say: the mean, and for two seeds that differ half of Student's interval, 12.706 d / 2.
+/// The expected text of a cell: the mean and, for two seeds that differ by d, half of Student's interval, 12.706 d / 2.
 fn expected(column: &str, values: &[f64], decimals: usize) -> String {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     if !column.starts_with("latent") {
@@ -68,8 +68,8 @@ fn every_cell_is_the_mean_and_interval_of_the_tables_and_the_best_is_bold() {
     let printed = succeed(&RESULTS, &["compare", "smoke", "--format", "markdown"]);
     let (header, rows) = markdown(&printed);
     assert_eq!(header, ["", "", "", "", "latent 2", "latent 4", "persistence", "ridge", "training mean"]);
-    // Per scenario: two metrics of proprioception and of force and one of the frames' change; two and one of what
-    // is reconstructed.
+    // Each scenario has five rows of the prediction (two metrics of proprioception, two of force, one of the frame
+    // difference) and three of the reconstruction (two metrics and one).
     assert_eq!(rows.len(), 2 * (5 + 3), "{printed}");
     for row in &rows {
         let [task, scenario, modality, metric] = row[..4] else { panic!("{row:?}") };
@@ -151,7 +151,7 @@ fn runs_that_differ_in_more_than_their_seed_are_never_averaged() {
         });
         runs.map(|record| format!("'{}'", record["run"].as_str().unwrap())).collect::<Vec<_>>().join(", ")
     };
-    // In SQL, a group is what has one `group_hash`.
+    // In SQL, runs with the same `group_hash` are a group.
     let sql = "select group_hash, count(distinct run) as runs, avg(value) as value from metrics \
                join runs using (experiment, run) where task = 'prediction' and model = 'network' and metric = 'r2' \
                and index is null and direction is null and modality = 'contact_force' \
@@ -192,7 +192,7 @@ fn runs_that_differ_in_more_than_their_seed_are_never_averaged() {
             "\n\nprediction; smoke; empty; R2; mean ± half of the 95 % interval over 1 to 2 seeds; "
         )
     );
-    // The same settings side by side, and one of them alone.
+    // All settings in columns, and then one of them.
     let beside = compare(&["--by", "settings"]);
     let (header, _) = markdown(&beside);
     assert_eq!(
@@ -269,7 +269,7 @@ fn what_is_chosen_is_what_is_printed() {
         printed.contains("\n\nprediction; smoke; frame difference; relative error arm; mean ± "),
         "{printed}"
     );
-    // An experiment's name is written as LaTeX wants it.
+    // An experiment's name is escaped for LaTeX.
     let by_name = succeed(&RESULTS, &["compare", "--by", "experiment", "--format", "latex"]);
     assert!(by_name.contains(" & smoke & ") && by_name.contains("SMAPE (\\%)"), "{by_name}");
 }

@@ -1,4 +1,4 @@
-//! The harness's program as tests use it.
+//! Helpers that run the program in tests.
 
 pub mod finger;
 
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 pub const SMOKE: &str = "experiments/smoke.yaml";
 pub const SINGLE: &str = "experiments/single_to_multi.yaml";
 pub const MULTI: &str = "experiments/multi_to_multi.yaml";
-/// What makes the paper's experiments a matter of seconds, with two seeds.
+/// Overrides with which the paper's experiments take seconds, with two seeds.
 pub const TINY: [&str; 6] = [
     "simulation.episodes=4",
     "simulation.actuations_per_episode=3",
@@ -18,7 +18,7 @@ pub const TINY: [&str; 6] = [
     "seeds=[0,1]",
 ];
 
-/// What a command ended with.
+/// The exit code and output of a command.
 pub struct Answer {
     pub code: i32,
     pub stdout: String,
@@ -33,7 +33,7 @@ pub fn harness(results: &Path, arguments: &[&str]) -> Command {
     command
 }
 
-/// Runs a command to its end, which must not be a panic or a signal.
+/// Runs a command to its end. It must not panic or be ended by a signal.
 #[track_caller]
 pub fn finish(command: &mut Command) -> Answer {
     let output = command.output().unwrap();
@@ -43,7 +43,7 @@ pub fn finish(command: &mut Command) -> Answer {
     Answer { code: output.status.code().expect("an exit code"), stdout, stderr }
 }
 
-/// The standard output of a command that must succeed.
+/// Runs a command that must succeed, and returns its standard output.
 #[track_caller]
 pub fn succeed(results: &Path, arguments: &[&str]) -> String {
     let answer = finish(&mut harness(results, arguments));
@@ -51,14 +51,14 @@ pub fn succeed(results: &Path, arguments: &[&str]) -> String {
     answer.stdout
 }
 
-/// Where there is no folder yet; cargo keeps what is put there until the next time.
+/// The path of a folder that does not exist yet, inside cargo's folder for the files of tests.
 pub fn fresh(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     let _ = std::fs::remove_dir_all(&folder);
     folder
 }
 
-/// The results of a smoke run in a folder of its own, which cargo keeps for the tests.
+/// The results of a smoke run, in a new folder inside cargo's folder for the files of tests.
 pub fn smoke_run(name: &str) -> PathBuf {
     let results = fresh(name);
     let said = succeed(&results, &["run", SMOKE]);
