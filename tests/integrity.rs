@@ -1,4 +1,4 @@
-//! Damage to results: every kind is noticed, none is read as good, and what `harness verify` says mends it does.
+//! Damaged results: every damage is detected, no damaged data are read, and the commands of `harness verify` repair it.
 
 use crate::common::{Answer, SMOKE, finish, harness, smoke_run, succeed};
 use harness::collection::{collect, dataset_of};
@@ -18,13 +18,13 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
 
-/// Flipped bits, and as many lengths to cut off at, for each file.
+/// The number of flipped bits that are tested in each file, and the number of lengths that it is truncated to.
 const POSITIONS: usize = 120;
 
 /// Results that tests copy before they damage them.
 static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| smoke_run("integrity"));
 
-/// A copy of the smoke run's results, in a folder whose name a shell must be told to take as it is.
+/// A copy of the smoke run's results, in a folder whose name must be quoted for a shell.
 struct Copy {
     _folder: tempfile::TempDir,
     results: PathBuf,
@@ -42,7 +42,7 @@ impl Copy {
         Registry::new(&self.results)
     }
 
-    /// The folder of the one run on a scenario.
+    /// The folder of the only run on a scenario.
     fn run(&self, scenario: &str) -> PathBuf {
         child(&self.results.join("runs/smoke"), scenario)
     }
@@ -73,7 +73,7 @@ fn child(folder: &Path, prefix: &str) -> PathBuf {
     found.remove(0)
 }
 
-/// A file with one bit flipped, and cut off, at random places: the bytes and what was done to them.
+/// Copies of a file with one flipped bit, and truncated copies, at random places: the bytes and what was changed.
 fn damages(whole: &[u8], seed: u64) -> Vec<(Vec<u8>, String)> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut damages = Vec::new();
@@ -93,7 +93,7 @@ fn damages(whole: &[u8], seed: u64) -> Vec<(Vec<u8>, String)> {
     damages
 }
 
-/// Damages a file in every way, and hands each to `check` with what was done; the file is whole again afterwards.
+/// Damages a file in each of these ways, calls `check` with what was changed, and restores the file at the end.
 fn damage(path: &Path, seed: u64, check: impl Fn(&str)) {
     let whole = std::fs::read(path).unwrap();
     for (bytes, what) in damages(&whole, seed) {
@@ -210,7 +210,7 @@ fn a_training_whose_state_is_damaged_begins_anew_and_comes_to_the_same_end() {
     let run = undisturbed.run("empty").file_name().unwrap().to_owned();
     let run = results.join("runs/smoke").join(run);
     std::fs::create_dir_all(&run).unwrap();
-    // A file of tensors that is whole, but no state of this training.
+    // The file of tensors is intact, but it is not a state of this training.
     std::fs::copy(
         undisturbed.run("empty").join("prediction.safetensors"),
         run.join("prediction.state.safetensors"),
@@ -228,7 +228,7 @@ fn a_training_whose_state_is_damaged_begins_anew_and_comes_to_the_same_end() {
             "{name}"
         );
     }
-    // Bits of a state that was one.
+    // Flipped bits in a state of this training.
     std::fs::remove_dir_all(&run).unwrap();
     std::fs::create_dir_all(&run).unwrap();
     let mut state = std::fs::read(undisturbed.run("empty").join("prediction.safetensors")).unwrap();
@@ -247,8 +247,8 @@ fn verify(results: &Path) -> Answer {
     finish(&mut harness(results, &["verify"]))
 }
 
-/// Damages a copy of the results; `verify` must name the path with the problem and a command, and be content once
-/// that command was given.
+/// Damages a copy of the results. `verify` must name the path, the problem and a command, and must find nothing after
+/// the command was run.
 #[track_caller]
 fn mended(act: impl Fn(&Copy) -> PathBuf, problem: &str) {
     let copy = Copy::new();
@@ -270,7 +270,7 @@ fn mended(act: impl Fn(&Copy) -> PathBuf, problem: &str) {
     assert!(said.stdout.ends_with(": all files are intact\n"), "{}", said.stdout);
 }
 
-/// Gives a command as a person who pastes it, in the repository's root.
+/// Runs a command in a shell, in the repository's root.
 #[track_caller]
 fn shell(command: &str) {
     let program = Path::new(env!("CARGO_BIN_EXE_harness")).parent().unwrap();
@@ -354,7 +354,7 @@ fn damaged_and_lost_records_are_named_and_their_runs_done_again() {
     mended(|copy| flip(copy.run("empty").join("run.json")), "its SHA-256 differs");
     mended(|copy| cut(copy.run("cluttered").join("run.json")), "it has no seal");
     mended(|copy| remove(copy.run("empty").join("run.json")), "there is no such file");
-    // Where not even the spec is left, nobody knows what the run was.
+    // Without the spec, nothing says what the run was.
     mended(
         |copy| {
             remove(copy.run("empty").join("spec.yaml"));
@@ -385,9 +385,9 @@ fn what_does_not_belong_is_noted_but_not_broken() {
     assert_eq!(said.stdout.lines().filter(|line| line.starts_with("note ")).count(), 5, "{}", said.stdout);
 }
 
-// --- what lies in the wrong place ---
+// --- files in the wrong place ---
 
-/// The number that a query gives, and what was left out of it.
+/// The number in a query's answer, and what was left out.
 fn number(copy: &Copy, sql: &str) -> (i64, Vec<String>) {
     let registry = copy.registry();
     let answer = query(&registry, sql).unwrap();
@@ -395,8 +395,8 @@ fn number(copy: &Copy, sql: &str) -> (i64, Vec<String>) {
     (number, registry.left_out())
 }
 
-/// Copies a folder of the results to another place among them; no number may change, what is left out must be said,
-/// and `verify` must know how to undo it.
+/// Copies a folder of the results to another place in the results folder. No number may change, the copy must be
+/// reported as left out, and `verify` must suggest a command that removes it.
 #[track_caller]
 fn not_counted(from: impl Fn(&Copy) -> PathBuf, to: impl Fn(&Copy) -> PathBuf, sql: &str, copies: usize) {
     let act = |results: &Copy| {
@@ -423,7 +423,7 @@ fn not_counted(from: impl Fn(&Copy) -> PathBuf, to: impl Fn(&Copy) -> PathBuf, s
     assert!(!to.exists() || std::fs::read_dir(&to).unwrap().next().is_none(), "{}", to.display());
 }
 
-/// Gives every command that `verify` suggests for what is broken, after which nothing may be.
+/// Runs every command that `verify` suggests. Nothing may be broken afterwards.
 #[track_caller]
 fn mend_all(copy: &Copy) {
     let said = verify(&copy.results);
@@ -450,7 +450,7 @@ fn copies_of_runs_are_not_counted() {
         not_counted(run, |copy| copy.results.join("runs/a copy"), sql, 1);
         not_counted(run, |copy| copy.results.join("runs/other").join(own_name(copy)), sql, 1);
     }
-    // A folder within an experiment's holds no run, whatever is in it; only people know what it is for.
+    // A folder of runs inside an experiment's folder is not a run. Only its owner can know what to do with it.
     let results = Copy::new();
     copy(&RESULTS.join("runs/smoke"), &results.results.join("runs/smoke/older"));
     let (counted, left_out) = number(&results, RUNS);
@@ -489,7 +489,7 @@ fn moved_runs_are_not_counted_until_they_are_moved_back() {
 #[test]
 fn copies_of_datasets_are_not_counted() {
     not_counted(|copy| copy.dataset("empty"), |copy| copy.results.join("datasets/a copy"), EPISODES, 1);
-    // Moved, it is missing as well, until it is moved back.
+    // A dataset in a folder with another name is missing until it is moved back.
     let copy = Copy::new();
     std::fs::rename(copy.dataset("empty"), copy.results.join("datasets/moved")).unwrap();
     let (counted, left_out) = number(&copy, EPISODES);
@@ -499,7 +499,7 @@ fn copies_of_datasets_are_not_counted() {
     assert_eq!(number(&copy, EPISODES), (240, vec![]));
 }
 
-// --- what is not there ---
+// --- missing files ---
 
 #[test]
 fn a_query_of_episodes_notices_which_are_missing_or_swapped() {
@@ -526,7 +526,7 @@ fn a_query_of_episodes_notices_which_are_missing_or_swapped() {
         },
         "it is not episode 1 of empty-",
     );
-    // The description speaks of fewer episodes than a finished run used.
+    // The dataset's description has fewer episodes than a finished run used.
     refused(
         &|copy| {
             let path = copy.dataset("empty").join("dataset.json");
@@ -536,7 +536,7 @@ fn a_query_of_episodes_notices_which_are_missing_or_swapped() {
         },
         "lacks 1 of its 4 episodes",
     );
-    // Other names are no episodes.
+    // A file with another name is not an episode.
     let copy = Copy::new();
     std::fs::copy(episode(&copy, 1), copy.dataset("empty").join("episode_1.parquet")).unwrap();
     assert_eq!(number(&copy, EPISODES).0, 240);

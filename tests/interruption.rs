@@ -1,4 +1,4 @@
-//! Killed, asked to stop, run twice at once, out of room: nothing is lost, and the numbers stay the same.
+//! Killed, stopped by a signal, run twice at the same time, out of memory or disk: no results are lost or changed.
 
 use crate::common::{Answer, SMOKE, smoke_run};
 use harness::files::{FolderLock, LOCK, UNFINISHED};
@@ -12,7 +12,7 @@ use std::process::{Child, Stdio};
 use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
-/// A run of about two seconds, of which each stage takes a part.
+/// A run of about two seconds, with every stage.
 const RUN: [&str; 5] = ["run", SMOKE, "scenarios=[empty]", "training.epochs=150", "training.patience=null"];
 /// A collection of about two seconds.
 const COLLECTION: [&str; 6] =
@@ -21,13 +21,13 @@ const COLLECTION: [&str; 6] =
 const TWELVE: [&str; 6] =
     ["run", SMOKE, "latent=[2,3,4]", "seeds=[0,1]", "training.epochs=8", "training.patience=null"];
 
-/// What comes of the run and of the twelve when nothing happens to them.
+/// The results of the run and of the twelve runs without interruption.
 static UNDISTURBED: LazyLock<PathBuf> = LazyLock::new(|| undisturbed("undisturbed", &RUN));
 static ALONE: LazyLock<PathBuf> = LazyLock::new(|| undisturbed("alone", &TWELVE));
 
-// --- what the tests are made of ---
+// --- helpers ---
 
-/// A results folder of a test's own.
+/// A temporary results folder for one test.
 struct Results(tempfile::TempDir);
 
 impl Results {
@@ -55,7 +55,7 @@ fn name(path: &Path) -> String {
     path.file_name().unwrap().to_string_lossy().into_owned()
 }
 
-/// The bytes of everything that must not depend on when and how it was made, by its place in the results folder.
+/// The bytes of everything that must not depend on interruptions, by its path in the results folder.
 fn numbers(results: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let timeless = |path: &PathBuf| {
         let name = name(path);
@@ -68,7 +68,7 @@ fn numbers(results: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     files(results).into_iter().filter(timeless).map(read).collect()
 }
 
-/// Checks that two results hold the same numbers, bit for bit.
+/// Checks that two results folders have the same numbers, bit by bit.
 #[track_caller]
 fn assert_same(results: &Path, undisturbed: &Path) {
     let (found, expected) = (numbers(results), numbers(undisturbed));
@@ -79,7 +79,7 @@ fn assert_same(results: &Path, undisturbed: &Path) {
     }
 }
 
-/// Checks that every table can be read; and, where nothing is at work any more, that nothing unfinished is left.
+/// Checks that every table can be read and, if no process is working, that there are no unfinished files.
 #[track_caller]
 fn assert_whole(results: &Path, at_rest: bool) {
     for path in files(results) {
@@ -95,18 +95,18 @@ fn assert_whole(results: &Path, at_rest: bool) {
     }
 }
 
-/// The program, left running. It sees no source tree, whose state it would write into every file: someone may be at
-/// work there.
+/// Starts the program. It finds no git repository: the repository's state is written to every file, and may change
+/// during the test.
 fn start(results: &Path, arguments: &[&str]) -> Child {
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_harness"));
     command.arg("--results").arg(results).args(arguments);
     start_command(command.stdout(Stdio::piped()).stderr(Stdio::piped()))
 }
 
-/// The same with whatever program and output.
+/// Starts any command in the same way.
 fn start_command(command: &mut std::process::Command) -> Child {
     command.current_dir(env!("CARGO_MANIFEST_DIR")).env("GIT_DIR", "/nonexistent").stdin(Stdio::null());
-    // SAFETY: between fork and exec nothing else is done. Whoever runs the tests may have been started by `nohup`.
+    // SAFETY: nothing else is done between fork and exec. The tests may have been started by `nohup`.
     unsafe {
         command.pre_exec(|| {
             libc::signal(libc::SIGHUP, libc::SIG_DFL);
@@ -122,7 +122,7 @@ fn run(results: &Path, arguments: &[&str]) -> Answer {
     end(start(results, arguments))
 }
 
-/// The standard output of a command that must succeed.
+/// Runs a command that must succeed, and returns its standard output.
 #[track_caller]
 fn succeed(results: &Path, arguments: &[&str]) -> String {
     let answer = run(results, arguments);
@@ -130,7 +130,7 @@ fn succeed(results: &Path, arguments: &[&str]) -> String {
     answer.stdout
 }
 
-/// Waits for the end of a program that printed little enough to fit a pipe.
+/// Waits for the end of a program whose output fits in a pipe.
 #[track_caller]
 fn end(child: Child) -> Answer {
     let output = child.wait_with_output().unwrap();
@@ -140,7 +140,7 @@ fn end(child: Child) -> Answer {
     Answer { code: output.status.code().expect("an exit code"), stdout, stderr }
 }
 
-/// Waits until something is so, while a program runs.
+/// Waits until `so` returns true, while a program runs.
 #[track_caller]
 fn wait_until(child: &mut Child, what: &str, so: impl Fn() -> bool) {
     let begin = Instant::now();
@@ -152,11 +152,11 @@ fn wait_until(child: &mut Child, what: &str, so: impl Fn() -> bool) {
 }
 
 fn signal(child: &Child, signal: libc::c_int) {
-    // SAFETY: sends a signal to a child that has not been waited for, so its number is still its own.
+    // SAFETY: the child has not been waited for, so its process id is still valid.
     assert_eq!(unsafe { libc::kill(child.id() as libc::pid_t, signal) }, 0);
 }
 
-/// Ends a program after a while without a warning; its answer if it ended before.
+/// Kills a program after `delay`. Returns its answer if it ended before.
 fn kill_after(mut child: Child, delay: Duration) -> Option<Answer> {
     let begin = Instant::now();
     while begin.elapsed() < delay {
@@ -174,7 +174,7 @@ fn has_state(results: &Path) -> bool {
     files(results).iter().any(|path| name(path).ends_with(".state.safetensors"))
 }
 
-/// The counts of a run's last words: done, done before, failed.
+/// The counts in the summary of `harness run`: done, done before, failed.
 #[track_caller]
 fn counts(answer: &Answer) -> [usize; 3] {
     let line = answer.stdout.lines().find(|line| line.contains(" done before, "));
@@ -183,7 +183,7 @@ fn counts(answer: &Answer) -> [usize; 3] {
     [(); 3].map(|()| numbers.next().unwrap())
 }
 
-/// Status and reason of every run.
+/// The status and reason of every run.
 fn statuses(results: &Path) -> Vec<(String, String)> {
     let answer = Results::new();
     let json = answer.path().join("runs.json");
@@ -194,7 +194,7 @@ fn statuses(results: &Path) -> Vec<(String, String)> {
     rows.iter().map(|row| (text(row, "status"), text(row, "reason"))).collect()
 }
 
-/// The results of a command in a folder of their own, which cargo keeps for the tests.
+/// The results of a command, in a new folder inside cargo's folder for the files of tests.
 fn undisturbed(name: &str, arguments: &[&str]) -> PathBuf {
     let results = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     let _ = std::fs::remove_dir_all(&results);
@@ -204,8 +204,8 @@ fn undisturbed(name: &str, arguments: &[&str]) -> PathBuf {
 
 // --- killed ---
 
-/// Kills a command `kills` times at random moments, giving it again each time, and compares what comes out in the end
-/// with what comes out undisturbed. Whenever it gets done before its time, it begins anew.
+/// Kills a command `kills` times at random moments, starts it again each time, and compares its results with those
+/// without interruption. If it ends before it is killed, it starts in a new folder.
 fn kill_again_and_again(arguments: &[&str], kills: usize) {
     let undisturbed = Results::new();
     let begin = Instant::now();
@@ -216,7 +216,7 @@ fn kill_again_and_again(arguments: &[&str], kills: usize) {
     let (mut killed, mut resumed, mut finished, mut in_a_row) = (0, 0, 0, 0);
     while killed < kills {
         in_a_row += 1;
-        // Ever later, so that it gets done in the end.
+        // It is killed later each time, so that it ends at last.
         let delay = whole.mul_f64(random.random::<f64>() * f64::from(4 + in_a_row) / 10.0);
         resumed += usize::from(has_state(results.path()));
         match kill_after(start(results.path(), arguments), delay) {
@@ -282,7 +282,7 @@ fn what_killed_processes_left_unfinished_is_removed() {
     assert_whole(results.path(), true);
 }
 
-/// As a process leaves it that is killed between its last two steps.
+/// A process that is killed between its last two steps leaves the folder like this.
 #[test]
 fn the_state_of_a_finished_run_is_removed() {
     let results = Results::new();
@@ -295,7 +295,7 @@ fn the_state_of_a_finished_run_is_removed() {
     assert_whole(results.path(), true);
 }
 
-// --- asked to stop ---
+// --- stopped by a signal ---
 
 #[test]
 fn a_run_that_is_asked_to_stop_says_so_and_goes_on_when_asked_again() {
@@ -336,7 +336,7 @@ fn a_run_under_nohup_outlives_its_terminal() {
     assert_eq!((answer.code, counts(&answer)), (0, [1, 0, 0]), "{}", answer.stderr);
 }
 
-/// What the program prints, where nobody can read it.
+/// Standard outputs that can't be written.
 fn unreadable() -> [(&'static str, Stdio); 2] {
     let full = File::options().write(true).open("/dev/full").unwrap();
     let (reader, writer) = std::io::pipe().unwrap();
@@ -356,7 +356,7 @@ fn a_run_goes_on_where_nobody_can_read_what_it_says() {
     }
 }
 
-/// As `2>&-` leaves it.
+/// A shell closes the streams like this with `>&- 2>&-`.
 #[test]
 fn a_run_goes_on_without_any_standard_output_and_error() {
     let results = Results::new();
@@ -396,7 +396,7 @@ fn a_collection_that_is_asked_to_stop_keeps_its_episodes() {
     assert!(said.contains(&format!("{} episodes made", 40 - made)), "{said}");
 }
 
-/// Locks the dataset that a command needs, so that the command waits; dropped, it lets go.
+/// Locks the dataset that a command needs, so that the command waits until the lock is dropped.
 fn hold_dataset(results: &Path) -> FolderLock {
     succeed(results, &COLLECTION);
     let lock = files(results).into_iter().find(|path| name(path) == LOCK).unwrap();
@@ -409,7 +409,7 @@ fn a_second_interrupt_ends_the_process_at_once() {
     let _held = hold_dataset(results.path());
     let at_once = (0..20).any(|_| {
         let mut child = start(results.path(), &COLLECTION);
-        // It waits, and looks every 100 ms whether it was asked to stop.
+        // While it waits, it checks every 100 ms whether it should stop.
         let stderr = child.stderr.take().unwrap();
         let mut lines = std::io::BufRead::lines(std::io::BufReader::new(stderr));
         assert!(lines.next().unwrap().unwrap().starts_with("waiting for process "));
@@ -418,13 +418,13 @@ fn a_second_interrupt_ends_the_process_at_once() {
         signal(&child, libc::SIGINT);
         let rest: Vec<String> = lines.map(Result::unwrap).collect();
         assert_eq!(child.wait().unwrap().code(), Some(130));
-        // A process that came to look after the first says how to go on; one that was ended says nothing.
+        // A process that handled the first signal prints how to continue. A process that was ended prints nothing.
         rest.is_empty()
     });
     assert!(at_once);
 }
 
-// --- side by side ---
+// --- at the same time ---
 
 #[test]
 fn a_run_that_another_process_works_on_is_planned_as_running() {
@@ -484,7 +484,7 @@ fn jobs_side_by_side_give_the_same_numbers() {
         let results = Results::new();
         let answer = run(results.path(), &[&TWELVE[..], &["--jobs", jobs]].concat());
         assert_eq!((answer.code, counts(&answer)), (0, [12, 0, 0]), "{}", answer.stderr);
-        // Every line of progress says whose it is.
+        // Every line of progress names its run.
         let trained = answer.stderr.lines().filter(|line| line.contains(" prediction: 8 epochs in "));
         assert_eq!(trained.filter(|line| line.contains("-z")).count(), 12, "{}", answer.stderr);
         assert_same(results.path(), &ALONE);
@@ -534,13 +534,14 @@ fn a_dataset_larger_than_memory_is_refused_before_it_is_collected() {
     let answer = run(results.path(), &[&["run", SMOKE], &size[..]].concat());
     assert_eq!((answer.code, counts(&answer)), (1, [0, 0, 2]), "{}", answer.stderr);
     for (status, reason) in statuses(results.path()) {
-        // 10^8 samples of 66 numbers; if that fits, their frames of 64 x 64 x 3 bytes, which would be on disk.
+        // 10^8 samples have 66 numbers each. If these fit in memory, their frames of 64 x 64 x 3 bytes don't fit on
+        // disk.
         let (numbers, frames) = (" takes 26.4 GB of memory and only ", " take 1228.8 GB of disk ");
         assert!(status == "failed" && (reason.contains(numbers) || reason.contains(frames)), "{reason}");
     }
 }
 
-/// 24 copies of 336 million parameters of 4 bytes are more than the 12 GB that the process may have.
+/// The limit is 12 GB, and 24 copies of 336 million parameters of 4 bytes take more.
 #[test]
 fn a_network_larger_than_memory_fails_its_run_and_the_others_go_on() {
     let results = Results::new();
@@ -559,7 +560,7 @@ fn a_network_larger_than_memory_fails_its_run_and_the_others_go_on() {
     );
 }
 
-/// Each takes up to 1.6 GB, and of the 4.2 GB that the process may have, the program itself takes 1.8.
+/// A training takes up to 1.6 GB. The limit is 4.2 GB, of which the program itself takes 1.8 GB.
 #[test]
 fn trainings_that_have_no_room_side_by_side_wait_for_each_other() {
     let results = Results::new();
@@ -584,7 +585,7 @@ fn a_run_whose_folder_cannot_be_written_fails_and_the_others_go_on() {
     assert!(answer.stderr.contains(&format!("{id} failed: can't lock ")), "{}", answer.stderr);
 }
 
-/// A small disk in memory; only root may make one.
+/// A small disk in memory, which only root can create.
 struct Disk(tempfile::TempDir);
 
 impl Disk {
@@ -622,7 +623,7 @@ fn a_full_disk_fails_what_it_must_and_leaves_nothing_half_written() {
     succeed(undisturbed.path(), &command);
     let all: u64 = files(undisturbed.path()).iter().map(|path| path.metadata().unwrap().len()).sum();
     let all = all as usize / 1024;
-    // From too small for the first episode to too small for the last table.
+    // The sizes range from too small for the first episode to too small for the last table.
     for kilobytes in [16, all / 8, all / 4, all / 2, all - 100] {
         let Some(disk) = Disk::new(kilobytes) else {
             println!("skipped: no small disk can be mounted here");

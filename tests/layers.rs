@@ -1,4 +1,4 @@
-//! The layers of ARCHITECTURE.md, as cargo sees the crates.
+//! The table of layers in ARCHITECTURE.md, compared with cargo's dependencies of the crates.
 
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -6,18 +6,18 @@ use std::path::Path;
 use std::process::Command;
 use std::sync::LazyLock;
 
-/// The libraries that layers are kept apart from, as ARCHITECTURE.md and as cargo call them.
+/// The libraries that some layers must not contain: their names in ARCHITECTURE.md and in cargo.
 const LIBRARIES: [(&str, &str); 3] =
     [("candle", "candle-core"), ("MuJoCo", "mujoco-rs"), ("Polars", "polars")];
 
-/// A row of ARCHITECTURE.md's table: a crate, which of the project's crates it may use, and what it must not contain.
+/// A row of the table: a crate, the project's crates that it may use, and the libraries that it must not contain.
 struct Layer {
     name: &'static str,
     uses: BTreeSet<&'static str>,
     without: BTreeSet<&'static str>,
 }
 
-/// From the lowest layer to the highest, without the root crate and the Python package.
+/// The layers from the lowest to the highest, without the root crate and the Python package.
 static LAYERS: LazyLock<Vec<Layer>> = LazyLock::new(|| {
     let text = include_str!("../ARCHITECTURE.md");
     let (_, table) = text.split_once("| crate | may use | must not contain |\n|---|---|---|\n").unwrap();
@@ -33,7 +33,7 @@ static LAYERS: LazyLock<Vec<Layer>> = LazyLock::new(|| {
     rows.map(layer).collect()
 });
 
-/// What cargo says of the workspace and all that it contains.
+/// Cargo's metadata of the workspace and all dependencies.
 static METADATA: LazyLock<Value> = LazyLock::new(|| {
     let output = Command::new(env!("CARGO"))
         .args(["metadata", "--format-version", "1", "--offline", "--locked"])
@@ -48,13 +48,13 @@ fn array(value: &Value) -> &[Value] {
     value.as_array().unwrap()
 }
 
-/// Each package's name by its id.
+/// The name of each package, by its id.
 static NAMES: LazyLock<BTreeMap<&str, &str>> = LazyLock::new(|| {
     let of = |package: &'static Value| (package["id"].as_str().unwrap(), package["name"].as_str().unwrap());
     array(&METADATA["packages"]).iter().map(of).collect()
 });
 
-/// What each package is made of directly, tests aside, by name.
+/// The direct dependencies of each package by name, without those of tests.
 static PARTS: LazyLock<BTreeMap<&str, BTreeSet<&str>>> = LazyLock::new(|| {
     let mut parts = BTreeMap::<&str, BTreeSet<&str>>::new();
     for node in array(&METADATA["resolve"]["nodes"]) {
@@ -67,7 +67,7 @@ static PARTS: LazyLock<BTreeMap<&str, BTreeSet<&str>>> = LazyLock::new(|| {
     parts
 });
 
-/// All that a package contains.
+/// All direct and indirect dependencies of a package.
 fn contents(package: &'static str) -> BTreeSet<&'static str> {
     let (mut seen, mut left) = (BTreeSet::new(), vec![package]);
     while let Some(package) = left.pop() {
@@ -76,7 +76,7 @@ fn contents(package: &'static str) -> BTreeSet<&'static str> {
     seen
 }
 
-/// The project's crates among these, without their prefix.
+/// The project's crates among these names, without their prefix.
 fn own<'a>(names: &BTreeSet<&'a str>) -> BTreeSet<&'a str> {
     names.iter().filter_map(|name| name.strip_prefix("harness-")).collect()
 }
@@ -121,7 +121,7 @@ fn libraries_stay_in_the_layers_that_are_about_them() {
             "{without:?}"
         );
     }
-    // What is looked for exists, and the most important rows ask for it.
+    // The libraries exist, and the most important rows exclude them.
     let everything = contents(package("experiment"));
     assert!(LIBRARIES.iter().all(|(_, package)| everything.contains(package)));
     let without = |name: &str| &LAYERS.iter().find(|layer| layer.name == name).unwrap().without;
@@ -130,7 +130,7 @@ fn libraries_stay_in_the_layers_that_are_about_them() {
     assert!(without("learning").contains("MuJoCo"));
 }
 
-/// `test = false` spares an empty test program, and would silence tests.
+/// `test = false` avoids an empty test program, but would also disable unit tests.
 #[test]
 fn every_crate_with_unit_tests_runs_them() {
     fn has_tests(folder: &Path) -> bool {

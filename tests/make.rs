@@ -1,11 +1,11 @@
-//! `make` as whoever clones the repository uses it, with stand-ins for what it calls.
+//! The targets of `make` in a fresh clone, with stand-ins for the programs that they call.
 
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-/// A script that notes its name and arguments, and ends with a code. Another process writes it: if this one did, a test
-/// that starts a program at the same moment would pass on the open file, and a script that is open can't be run.
+/// Writes a script that records its name and arguments, and exits with `code`. A child process writes it, because a
+/// script can't be run while it is open for writing, and another test's child process could inherit the open file.
 fn stand_in(path: &Path, code: i32) {
     fs::create_dir_all(path.parent().unwrap()).unwrap();
     let name = path.file_name().unwrap().to_string_lossy();
@@ -15,13 +15,14 @@ fn stand_in(path: &Path, code: i32) {
     assert!(status.unwrap().success());
 }
 
-/// What is called, in order, and the exit code of a command in a clone where cargo and Python end with these codes.
+/// The calls that a command makes, in order, and its exit code, in a clone where cargo and Python exit with these
+/// codes.
 fn calls(command: &[&str], cargo: i32, python: i32) -> (Vec<String>, i32) {
     let (calls, output) = calls_in_clone(command, cargo, python);
     (calls, output.status.code().unwrap())
 }
 
-/// The same with what the command printed.
+/// The calls, and the command's exit code and output.
 fn calls_in_clone(command: &[&str], cargo: i32, python: i32) -> (Vec<String>, Output) {
     let (root, folder) = (Path::new(env!("CARGO_MANIFEST_DIR")), tempfile::tempdir().unwrap());
     let path = |name: &str| folder.path().join(name);
@@ -38,7 +39,7 @@ fn calls_in_clone(command: &[&str], cargo: i32, python: i32) -> (Vec<String>, Ou
         .current_dir(folder.path())
         .env("PATH", programs)
         .env("CALLS", path("calls"))
-        // Whoever runs the tests may be make.
+        // The tests may have been started by `make`.
         .env_remove("MAKEFLAGS")
         .env_remove("MAKELEVEL")
         .output()

@@ -1,4 +1,4 @@
-//! What commands cost in a results folder of thousands of runs: nothing that grows with the square of their number.
+//! The time of commands in a results folder of thousands of runs, which must not grow with the square of their number.
 
 use crate::common::{SMOKE, fresh, succeed};
 use harness::registry::Registry;
@@ -7,12 +7,12 @@ use std::io::Read;
 use std::path::Path;
 use std::process::Stdio;
 
-/// Runs in the folder.
+/// Number of runs in the folder.
 const RUNS: u64 = 3000;
-/// Processor time that a command may take, s. Most of it is the start of the program and the reading of the records.
+/// The maximum processor time of a command in seconds. Most of it is for starting the program and reading the records.
 const MOST_SECONDS: f64 = 1.0;
 
-/// The records of as many finished runs, which differ in their seeds.
+/// Writes the records of [`RUNS`] finished runs with different seeds.
 fn write_records(results: &Path) {
     succeed(results, &["run", SMOKE, "scenarios=[empty]", "training.epochs=1", "tasks=[prediction]"]);
     let registry = Registry::new(results);
@@ -27,12 +27,12 @@ fn write_records(results: &Path) {
         let mut bytes = json.to_string().into_bytes();
         seal::seal(&mut bytes).unwrap();
         std::fs::create_dir_all(folder.path()).unwrap();
-        // Without waiting for the disk, as `seal::write` does.
+        // `seal::write` would wait for the disk.
         std::fs::write(folder.path().join("run.json"), bytes).unwrap();
     }
 }
 
-/// What a command prints that must succeed, and the processor time it takes, s.
+/// The output of a command that must succeed, and its processor time in seconds.
 #[allow(clippy::zombie_processes, reason = "wait4 waits for the child, and tells what it took")]
 fn measure(results: &Path, arguments: &[&str]) -> (String, f64) {
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_harness"));
@@ -41,7 +41,7 @@ fn measure(results: &Path, arguments: &[&str]) -> (String, f64) {
     let mut said = String::new();
     child.stdout.take().unwrap().read_to_string(&mut said).unwrap();
     let (process, mut status) = (child.id() as libc::pid_t, 0);
-    // SAFETY: `rusage` is plain numbers, and the call fills it. Nobody else waits for this child.
+    // SAFETY: `rusage` consists of numbers, and the call fills it. Nothing else waits for this child.
     let usage = unsafe {
         let mut usage = std::mem::zeroed::<libc::rusage>();
         assert_eq!(libc::wait4(process, &mut status, 0, &mut usage), process);

@@ -1,4 +1,4 @@
-//! The checked-in MJCF and the script that composes it.
+//! The MJCF files of the repository, and the script that composes them.
 
 use harness::simulation::Scene;
 use harness::spec::{Layout, Scenario, World};
@@ -14,7 +14,7 @@ fn the_script_still_produces_what_is_checked_in() {
     assert!(output.status.success(), "run `.venv/bin/python models/compose.py`:\n{said}");
 }
 
-/// What datasets and runs from before layouts hold is what the two worlds resolve to.
+/// Datasets and runs from before layouts have this layout, so the two worlds must resolve to it.
 #[test]
 fn the_fingers_layout_is_that_of_the_papers_worlds() {
     for scenario in Scenario::PAPER {
