@@ -1,8 +1,8 @@
-//! Every number that `compare`, `claims`, `figures` and `query` give, against a plain computation in Python over the same
-//! files (tests/python/reference_numbers.py), on results folders in which settings, seeds, scenarios, quick runs, copies
-//! and damage are mixed at random.
+//! Compares every number of `compare`, `claims`, `figures` and `query` with a plain computation in Python over the same
+//! files (tests/python/reference_numbers.py). The results folders have random settings, seeds, scenarios, quick runs,
+//! copies and damage.
 //!
-//! `NUMBERS_CASES=200 cargo test --test all numbers::` tries more folders than the few of an ordinary test.
+//! `NUMBERS_CASES=200 cargo test --test all numbers::` tests 200 folders instead of a few.
 
 use crate::common::finger::{FRAME_LEN, JOINTS};
 use crate::common::{finish, fresh, harness};
@@ -60,12 +60,12 @@ fn pick<'a, T>(random: &mut ChaCha8Rng, of: &'a [T]) -> &'a T {
     &of[random.random_range(0..of.len())]
 }
 
-/// Fills a results folder at random.
+/// Fills a results folder with random runs.
 fn make(results: &Path, random: &mut ChaCha8Rng) {
     let registry = Registry::new(results);
     for name in ["single_to_multi", "multi_to_multi"] {
         for quick in [false, true] {
-            // Quick runs are there in half of all folders, the others nearly always.
+            // Half of all folders have quick runs, and nearly all have full ones.
             if chance(random, if quick { 0.5 } else { 0.95 }) {
                 write_study(&registry, name, quick, random);
             }
@@ -105,7 +105,7 @@ fn write_study(registry: &Registry, name: &str, quick: bool, random: &mut ChaCha
 }
 
 fn write(registry: &Registry, experiment: &Experiment, name: &str, random: &mut ChaCha8Rng) {
-    // Now and then the models have changed, and with them the datasets.
+    // Sometimes the models have changed, so that the datasets are different.
     let model = if chance(random, 0.05) { "b" } else { "a" };
     for spec in experiment.runs() {
         if chance(random, 0.05) {
@@ -127,7 +127,7 @@ fn write(registry: &Registry, experiment: &Experiment, name: &str, random: &mut 
     }
 }
 
-/// Tables of random numbers; what the dataset decides is the same in all of a scenario's runs.
+/// Tables of random numbers. Numbers that depend only on the dataset are the same in all runs of a scenario.
 fn outcome(spec: &RunSpec, random: &mut ChaCha8Rng) -> Outcome {
     let mut outcome = Outcome { parameters: random.random_range(1000..2000), ..Outcome::default() };
     let mut of_dataset = ChaCha8Rng::seed_from_u64(u64::from(spec.scenario.name() == "empty"));
@@ -135,7 +135,7 @@ fn outcome(spec: &RunSpec, random: &mut ChaCha8Rng) -> Outcome {
         let output = if *task == Task::Prediction { &spec.output } else { &spec.input };
         for modality in output {
             for model in ["network", "persistence", "ridge", "training_mean"] {
-                // A baseline says the same beside every network.
+                // A baseline has the same values in every run.
                 let source = if model == "network" { &mut *random } else { &mut of_dataset };
                 outcome.metrics.extend(metrics(*task, *modality, model, source));
             }
@@ -200,7 +200,7 @@ fn metrics(task: Task, modality: Modality, model: &'static str, random: &mut Cha
                 Metric::Rmse | Metric::Mae => "N",
                 _ => "1",
             };
-            // Here and there a metric is not defined.
+            // Some metrics are undefined.
             let value = (index.is_none() || !chance(random, 0.05)).then_some(value);
             rows.push(MetricRow {
                 task,
@@ -230,7 +230,7 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// Copies and damages what is there, as people and disks do.
+/// Copies and damages runs, like people and disks do.
 fn spoil(results: &Path, random: &mut ChaCha8Rng) {
     let experiments = folders(&results.join("runs"));
     let runs: Vec<PathBuf> = experiments.iter().flat_map(|experiment| folders(experiment)).collect();
@@ -257,7 +257,7 @@ fn spoil(results: &Path, random: &mut ChaCha8Rng) {
     }
     if chance(random, 0.25) {
         let table = pick(random, &runs).join(pick(random, &["metrics.parquet", "epochs.parquet"]));
-        // A run that did not come to its end has no tables.
+        // An unfinished run has no tables.
         if table.exists() {
             if chance(random, 0.5) { flip(&table, random) } else { fs::remove_file(table).unwrap() }
         }
@@ -274,7 +274,7 @@ fn flip(path: &Path, random: &mut ChaCha8Rng) {
 
 // --- the answers ---
 
-/// Asks every command that gives numbers, and keeps what they answer.
+/// Runs every command that returns numbers, and writes the answers to files.
 fn ask(results: &Path, answers: &Path) {
     fs::create_dir_all(answers).unwrap();
     let mut commands = serde_json::Map::new();

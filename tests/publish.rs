@@ -1,11 +1,11 @@
-//! `harness publish` on real runs: what is kept, what is thinned, and that the copy is as good a registry.
+//! `harness publish` on real runs: which rows are copied, and that the copy can be read like any results folder.
 
 use crate::common::{SMOKE, finish, fresh, harness, succeed};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-/// Two seeds in each scenario, and a sweep of one setting in the empty one.
+/// Runs of two seeds in each scenario, and a sweep of one setting in the empty scenario.
 static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
     let results = fresh("published-from");
     succeed(&results, &["run", SMOKE, "seeds=[3,5]"]);
@@ -18,7 +18,7 @@ fn publish(to: &Path) -> String {
     succeed(&RESULTS, &["publish", "smoke", "sweep", "--to", to.to_str().unwrap()])
 }
 
-/// The rows that a query gives, as CSV.
+/// The rows of a query's answer, as CSV.
 fn csv(results: &Path, sql: &str) -> String {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("answer.csv");
@@ -88,7 +88,7 @@ fn what_varies_has_cells_of_its_own() {
     assert!(compared.contains("kl_weight=0.01"), "{compared}");
 }
 
-/// Polars takes `kl_weight=0` in a path for a partition's value, if it may.
+/// Unless told otherwise, Polars reads `kl_weight=0` in a path as the value of a partition.
 #[test]
 fn a_single_run_of_a_sweep_can_be_queried() {
     let results = fresh("published-single");

@@ -1,4 +1,4 @@
-//! The published results, as a clone has them: whole, and enough for every figure, claim and query in the documents.
+//! The published results of the repository: intact, and enough for every figure, claim and query in the documents.
 
 use crate::common::succeed;
 use std::path::{Path, PathBuf};
@@ -35,7 +35,7 @@ fn every_figure_can_be_drawn_from_published_results() {
     }
 }
 
-/// Defaults may change; what was published keeps the data that it was made of.
+/// Defaults may change, but the published runs must still match the data of their experiments.
 #[test]
 fn published_runs_are_made_of_the_data_that_their_experiments_name() {
     let mut found = 0;
@@ -64,7 +64,7 @@ fn published_runs_are_made_of_the_data_that_their_experiments_name() {
     assert!(found > 100, "{found}");
 }
 
-/// What the heads of `experiments/*.yaml` tell their readers to type.
+/// The queries in the head comments of `experiments/*.yaml`.
 #[test]
 fn queries_in_the_experiments_have_answers() {
     let mut queries = 0;

@@ -1,4 +1,4 @@
-//! `harness report`: one page that holds everything, whatever is missing, whoever wrote the names in it.
+//! `harness report`: the page is complete, also with missing runs, and safe, also with hostile names.
 
 use crate::common::{MULTI, SINGLE, TINY, finish, fresh, harness, smoke_run, succeed};
 use harness::analysis::{LEVEL, mean_interval};
@@ -24,7 +24,7 @@ fn folder(name: &str) -> PathBuf {
     folder
 }
 
-/// Runs of both experiments, two scenarios, two seeds.
+/// Runs of both experiments with two scenarios and two seeds.
 static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
     let results = folder("report");
     for (spec, more) in
@@ -38,7 +38,7 @@ static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
 /// The page of [`RESULTS`].
 static PAGE: LazyLock<String> = LazyLock::new(|| page(&RESULTS, "report.html", &[]));
 
-/// The page that the command writes beside the results.
+/// The page that the command writes next to the results.
 fn page(results: &Path, name: &str, more: &[&str]) -> String {
     let out = results.join(name);
     let said = succeed(results, &[&["report", "--out", out.to_str().unwrap()][..], more].concat());
@@ -46,12 +46,12 @@ fn page(results: &Path, name: &str, more: &[&str]) -> String {
     fs::read_to_string(out).unwrap()
 }
 
-/// The same without its rendered pictures, which take most of the time.
+/// The page without rendered images, which take most of the time.
 fn page_without_pictures(results: &Path, name: &str, more: &[&str]) -> String {
     page_without_driver(results, name, more, Path::new("/dev/null"))
 }
 
-/// The same where EGL finds no driver, with a folder for what was rendered before.
+/// The page if EGL finds no driver, with a cache folder of images rendered before.
 fn page_without_driver(results: &Path, name: &str, more: &[&str], cache: &Path) -> String {
     let out = results.join(name);
     let arguments = [&["report", "--out", out.to_str().unwrap()][..], more].concat();
@@ -62,13 +62,13 @@ fn page_without_driver(results: &Path, name: &str, more: &[&str], cache: &Path) 
     fs::read_to_string(out).unwrap()
 }
 
-/// What lies between two texts, the first time.
+/// The text between the first occurrence of `before` and the next of `after`.
 fn between<'a>(text: &'a str, before: &str, after: &str) -> &'a str {
     let (_, rest) = text.split_once(before).unwrap_or_else(|| panic!("there is no {before}"));
     rest.split_once(after).unwrap_or_else(|| panic!("there is no {after}")).0
 }
 
-/// The data that the page's script draws.
+/// The JSON data that the page's script draws.
 fn data(page: &str) -> Value {
     serde_json::from_str(between(page, "<script type=\"application/json\" id=\"data\">", "</script>"))
         .unwrap()
@@ -97,7 +97,7 @@ fn every_section_is_there() {
             assert_eq!(unescaped(query), required, "{}", claim.id());
         }
     }
-    // 2 latent sizes and 1, 2 scenarios, 2 seeds.
+    // One experiment has 2 latent sizes and the other 1, each with 2 scenarios and 2 seeds.
     assert_eq!(PAGE.matches("<details class=\"run\">").count(), (2 + 1) * 2 * 2);
     for record in Registry::new(&*RESULTS).records() {
         for text in [&record.run, &record.spec_hash, &record.dataset, &record.provenance.host] {
@@ -109,7 +109,7 @@ fn every_section_is_there() {
     }
 }
 
-/// As minijinja escapes.
+/// The characters that minijinja escapes.
 const ESCAPES: [(&str, &str); 6] =
     [("&", "&amp;"), ("<", "&lt;"), (">", "&gt;"), ("\"", "&quot;"), ("'", "&#x27;"), ("/", "&#x2f;")];
 
@@ -177,13 +177,13 @@ fn numbers_to_look_closer_at_are_those_of_a_query() {
     assert!(checked > 5, "only {checked} values were compared");
 
     let clouds = data["regression"].as_array().unwrap();
-    // Two modalities at two fingertips in two scenarios, at two latent sizes and one.
+    // Two modalities, two fingertips, two scenarios, and three latent sizes of both experiments.
     assert_eq!(clouds.len(), 2 * 2 * 2 * 3);
     for cloud in clouds {
-        // The transitions of the one test episode.
+        // The test episode has 29 transitions.
         assert_eq!(cloud["points"].as_array().unwrap().len(), 29);
     }
-    // Two tasks of each run; two epochs of two splits in each term.
+    // Each run has two tasks. Each term has two epochs of two splits.
     let training = data["training"].as_array().unwrap();
     assert_eq!(training.len(), 12 * 2);
     for curves in training {
@@ -202,7 +202,7 @@ fn the_page_of_the_published_results_is_small() {
     succeed(&reference, &["report", "--out", out.to_str().unwrap()]);
     let page = fs::read_to_string(out).unwrap();
     assert!(page.len() < 6_000_000, "{} bytes", page.len());
-    // Long trainings are thinned, and keep their ends.
+    // Long trainings are drawn with fewer epochs, but with the first and last.
     let answer = query(
         &Registry::new(&reference),
         "select experiment, run, task, max(epoch) as last from epochs group by experiment, run, task",
@@ -259,7 +259,7 @@ fn the_same_tables_give_the_same_bytes_with_pictures_rendered_anew_or_before() {
         "{kept:?}"
     );
 
-    // Without a driver nothing can be rendered, so all of it is from before; but nothing damaged.
+    // Without a driver nothing can be rendered, so all images are from the cache. A damaged one is not used.
     assert!(*PAGE == page_without_driver(&RESULTS, "before.html", &[], &caches));
     let mut damaged = fs::read(cache.join(&kept[3])).unwrap();
     let middle = damaged.len() / 2;
@@ -301,7 +301,7 @@ fn without_runs_the_page_names_the_commands_that_make_them() {
     for study in ["single_to_multi", "multi_to_multi"] {
         assert!(empty.contains(&command(&format!("{study}.yaml"))), "{study}");
     }
-    // The scenes need no runs, and neither do the two figures that show them.
+    // The scenes and the two figures that show them need no runs.
     assert_eq!(empty.matches("<figure class=\"clip\"").count(), 2);
     for (figure, drawn) in [(Figure::Task, true), (Figure::SimEnv, true), (Figure::Regression, false)] {
         let part = between(&empty, &format!("<figure id=\"figure-{}\">", figure.name()), "</figure>");
@@ -392,11 +392,11 @@ fn a_page_that_cant_be_written_is_an_error_and_leaves_nothing() {
 const HOSTILE: &str =
     "</script><script>window.hostile=1</script><img src=x onerror=window.hostile=1>\"'{{7*7}}&lt;";
 
-/// Results of which every text that somebody else may have written is hostile, and the page of them and of such claims.
+/// Results in which every text that someone else could have written is hostile, and their page with hostile claims.
 static HOSTILE_PAGE: LazyLock<(PathBuf, String)> = LazyLock::new(|| {
     let results = smoke_run("report_hostile");
     let run = fs::read_dir(results.join("runs/smoke")).unwrap().next().unwrap().unwrap().path();
-    // A folder's name may hold anything but a slash.
+    // A folder's name may contain anything but a slash.
     let name = HOSTILE.replace('/', "");
     let experiment = results.join("runs").join(&name);
     fs::create_dir_all(&experiment).unwrap();
@@ -446,23 +446,23 @@ static HOSTILE_PAGE: LazyLock<(PathBuf, String)> = LazyLock::new(|| {
 fn hostile_text_stays_text() {
     let (_, page) = &*HOSTILE_PAGE;
     assert!(!page.contains("<script>window") && !page.contains("<img src=x"));
-    // The script of the data, and the page's own.
+    // The page has two scripts: the data, and its own.
     assert_eq!(page.matches("<script").count(), 2);
     assert_eq!(page.matches("</script").count(), 2);
     let shown = escaped(HOSTILE);
-    // Of the claim: its name, twice, its words, section, what it measures, and the command for its runs, if any; of
-    // the run: each changed field.
+    // The claim's name (twice), its text, section, measured quantity and command are shown, and each changed field of
+    // the run.
     assert!(page.matches(shown.as_str()).count() >= 4 + 8, "{}", page.matches(shown.as_str()).count());
     let name = HOSTILE.replace('/', "");
     assert!(page.contains(&escaped(&name)));
-    // The script gets the very text.
+    // The script's data have the text unchanged.
     let training = &data(page)["training"];
     let runs: BTreeSet<&str> =
         training.as_array().unwrap().iter().map(|row| row["run"].as_str().unwrap()).collect();
     assert!(runs.contains(name.as_str()), "{runs:?}");
 }
 
-/// A program on the path.
+/// The path of the first of these programs that is installed.
 fn program(names: &[&str]) -> Option<PathBuf> {
     let folders = std::env::var_os("PATH")?;
     let mut places =
@@ -470,7 +470,7 @@ fn program(names: &[&str]) -> Option<PathBuf> {
     places.find(|path| path.is_file())
 }
 
-/// Chromium and its driver, or the reason why there is no test.
+/// The paths of Chromium and its driver, or the reason why the test is skipped.
 fn browser() -> Result<(PathBuf, PathBuf), &'static str> {
     let missing =
         "skipped: no Chromium with its driver on the path; Debian: apt-get install chromium chromium-driver";
@@ -478,8 +478,8 @@ fn browser() -> Result<(PathBuf, PathBuf), &'static str> {
     Ok((chromium, program(&["chromedriver"]).ok_or(missing)?))
 }
 
-/// Lets tests/python/read_page.py read a page, and returns whether it found all as it should be, and what it said; `None`
-/// where there is no browser.
+/// Runs tests/python/read_page.py on a page. Returns whether it found no error, and its output; `None` without a
+/// browser.
 fn reading(page: &Path, results: &Path, more: &[&str]) -> Option<(bool, String)> {
     let (chromium, driver) = browser().inspect_err(|reason| eprintln!("{reason}")).ok()?;
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -494,7 +494,7 @@ fn reading(page: &Path, results: &Path, more: &[&str]) -> Option<(bool, String)>
     Some((output.status.success(), said))
 }
 
-/// Reads a page that must be as it should be.
+/// Reads a page, in which there must be no error.
 fn read_page(page: &Path, results: &Path, more: &[&str]) {
     if let Some((well, said)) = reading(page, results, more) {
         assert!(well && said.contains("the page reads well"), "{said}");
@@ -516,7 +516,7 @@ fn serve_styles() -> String {
     address
 }
 
-/// Chromium loads a page of its own in another tab meanwhile.
+/// At the same time, Chromium loads a page of its own in another tab.
 #[test]
 fn only_what_a_page_itself_asks_for_is_noticed_in_chromium() {
     let folder = folder("quiet");

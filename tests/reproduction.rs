@@ -1,7 +1,7 @@
-//! docs/reproduction.md: every number in it is what its query gives on the published results.
+//! Compares every number in docs/reproduction.md with its query's answer on the published results.
 //!
-//! A number stands between marks that browsers don't show: `<!--= value vision_improves_force_r2 empty -->0.14<!---->`.
-//! After other results were published, `UPDATE=1 cargo test --test all reproduction` writes what the marks give.
+//! A number is between HTML comments: `<!--= value vision_improves_force_r2 empty -->0.14<!---->`.
+//! After other results were published, `UPDATE=1 cargo test --test all reproduction` updates the numbers.
 
 use harness::analysis::Interval;
 use harness::claims::{self, Claim, Judgement, Matrix, MatrixRow, Readings, Verdict};
@@ -21,7 +21,7 @@ fn page() -> PathBuf {
     root().join("docs/reproduction.md")
 }
 
-/// What marks ask.
+/// The results that the comments refer to.
 struct Source<'a> {
     registry: &'a Registry,
     judgements: Vec<Judgement<'a>>,
@@ -30,7 +30,7 @@ struct Source<'a> {
 }
 
 impl Source<'_> {
-    /// What a mark gives.
+    /// The text for a comment.
     fn answer(&self, mark: &str) -> String {
         let words: Vec<&str> = mark.split_whitespace().collect();
         match words.as_slice() {
@@ -68,7 +68,7 @@ impl Source<'_> {
         )
     }
 
-    /// A row a claim: what was measured, and the verdicts.
+    /// A table with a row for each claim: what was measured, and the verdicts.
     fn statements(&self) -> String {
         let mut table =
             "\n| statement | place | empty | cluttered | both |\n|---|---|---|---|---|\n".to_owned();
@@ -84,7 +84,7 @@ impl Source<'_> {
         table
     }
 
-    /// A row a choice.
+    /// A table with a row for each choice.
     fn choices(&self) -> String {
         let mut table =
             "\n| reading | open choice | base | this reading | the paper |\n|---|---|---|---|---|\n"
@@ -97,7 +97,7 @@ impl Source<'_> {
         table
     }
 
-    /// The verdicts that some reading changes.
+    /// The verdicts that a reading changes.
     fn changes(&self) -> String {
         if self.matrix.rows.is_empty() {
             return UNPUBLISHED.into();
@@ -116,7 +116,7 @@ impl Source<'_> {
         table
     }
 
-    /// Under which readings a claim holds, and by how much.
+    /// The readings under which a claim holds, and the values.
     fn readings(&self, id: &str, scenario: &str) -> String {
         let is_it = |row: &&MatrixRow| row.claim.id() == id && place(row.scenario) == scenario;
         let Some(row) = self.matrix.rows.iter().find(is_it) else { return UNPUBLISHED.into() };
@@ -147,7 +147,7 @@ fn place(scenario: Option<Scenario>) -> &'static str {
     scenario.map_or("both", Scenario::name)
 }
 
-/// A mean and its interval, to two digits after the point.
+/// A mean and its interval, with two decimals.
 fn short(value: Interval) -> String {
     match value.bounds {
         Some((low, high)) => format!("{:.2} [{low:.2}, {high:.2}]", value.mean),
@@ -155,7 +155,7 @@ fn short(value: Interval) -> String {
     }
 }
 
-/// The parts of a text: what stands outside of marks, then a mark and its content, and so on.
+/// Splits a text into parts: a text outside of comments, and the comment that follows it with its content.
 fn parts(text: &str) -> Vec<(&str, Option<(&str, &str)>)> {
     let mut parts = Vec::new();
     let mut rest = text;

@@ -1,4 +1,4 @@
-//! Questions in SQL: answered as the standard says, or refused with what to write instead.
+//! SQL queries are answered as the standard says, or refused with a message that says what to write instead.
 
 use crate::common::{finish, harness, succeed};
 use harness::registry::{Registry, query, save};
@@ -12,7 +12,7 @@ fn reference() -> PathBuf {
 /// An entry of tests/sql/corpus.sql.
 struct Entry {
     about: String,
-    /// Part of the message with which it is refused; answered if there is none.
+    /// A part of the message with which the query is refused, or `None` if it is answered.
     message: Option<String>,
     sql: String,
 }
@@ -30,7 +30,7 @@ fn corpus() -> Vec<Entry> {
                 entries.push(Entry { about: about.to_owned(), message, sql: String::new() });
             }
             (None, Some(entry)) => entry.sql.extend([line, "\n"]),
-            // The head of the file.
+            // Comments at the beginning of the file.
             (None, None) => {}
         }
     }
@@ -175,7 +175,7 @@ fn a_query_takes_no_more_memory_than_its_joins_may_have() {
     // 10,000 x 10,000 rows took 1.8 GB.
     let wide = "with a as (select value from metrics limit 10000) select count(*) from a x cross join a y";
     assert!(answer(wide).unwrap_err().contains("a join in it has 100000000 rows, but at most 1000000 are"));
-    // A subquery that is joined with itself again and again, and one that doubles itself.
+    // A subquery is repeatedly joined with itself, or repeatedly combined with itself.
     let doubled = |body: &str| {
         let first = "with t0 as (select latent, seed from runs)".to_owned();
         let with = (0..20).fold(first, |with, n| {
@@ -191,7 +191,7 @@ fn a_query_takes_no_more_memory_than_its_joins_may_have() {
         doubled("select * from T union all select * from T")
             .contains("reads tables 256 times, but at most 200 are")
     );
-    // Rows that a condition leaves out are not joined.
+    // Rows that a condition excludes are not joined.
     for few in [
         "select count(*) as n from metrics a join metrics b on a.scenario = b.scenario where a.value > 1e300",
         "select count(*) as n from metrics a join metrics b on a.scenario = b.scenario and b.value > 1e300",

@@ -1,5 +1,5 @@
-//! Every command that the program suggests works when it is pasted: in each situation that can be made here, what is
-//! suggested is collected and given to a shell.
+//! Every command that the program suggests works when it is pasted. In each situation, the tests collect all suggested
+//! commands and run them in a shell.
 
 use crate::common::{SMOKE, finish, harness, smoke_run, succeed};
 use std::collections::BTreeSet;
@@ -11,7 +11,7 @@ use tempfile::TempDir;
 /// Results that tests copy before they damage them.
 static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| smoke_run("suggestions"));
 
-/// A results folder whose name a shell must be told to take as it is.
+/// A results folder whose name must be quoted for a shell.
 struct Situation {
     _folder: TempDir,
     results: PathBuf,
@@ -19,7 +19,7 @@ struct Situation {
 }
 
 impl Situation {
-    /// With the results of the smoke experiment.
+    /// A folder with the results of the smoke experiment.
     fn new() -> Self {
         let situation = Self::without_runs();
         shell(&format!("cp -r {}/. {}", RESULTS.display(), shlex::try_quote(situation.name()).unwrap()));
@@ -37,7 +37,7 @@ impl Situation {
         self.results.to_str().unwrap()
     }
 
-    /// The one folder below another whose name begins so.
+    /// The only folder in `below` whose name begins with `prefix`.
     fn folder(&self, below: &str, prefix: &str) -> PathBuf {
         let entries = std::fs::read_dir(self.results.join(below)).unwrap().map(|entry| entry.unwrap().path());
         let is_it = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().starts_with(prefix);
@@ -52,13 +52,13 @@ impl Situation {
         self.folder("datasets", scenario)
     }
 
-    /// Gives a command and keeps what it says.
+    /// Runs a command, and keeps its output.
     fn say(&mut self, arguments: &[&str]) {
         let answer = finish(&mut harness(&self.results, arguments));
         self.said += &format!("{}{}", answer.stdout, answer.stderr);
     }
 
-    /// Gives the commands that look at all results.
+    /// Runs the commands that read all results.
     fn look(mut self) -> Self {
         for arguments in [
             &["verify"][..],
@@ -72,7 +72,7 @@ impl Situation {
         self
     }
 
-    /// Gives every command that was suggested, of which there must be so many, to a shell.
+    /// Runs every suggested command in a shell. There must be at least `least` of them.
     #[track_caller]
     fn works(&self, least: usize) {
         let commands = suggested(&self.said);
@@ -88,7 +88,7 @@ impl Situation {
             // Other experiments take hours.
             let takes_hours = command.contains(" run experiments/") && !command.contains(SMOKE);
             let code = shell(&if takes_hours { format!("{command} --dry-run") } else { command.clone() });
-            // What verifies may find something broken, and that is what it is asked for.
+            // `verify` may find damage, and then exits with 1.
             assert!(code == 0 || command.ends_with(" verify") && code == 1, "{command} ends with {code}");
         }
     }
@@ -112,7 +112,7 @@ fn suggested(text: &str) -> BTreeSet<String> {
     commands
 }
 
-/// Gives a command as a person who pastes it, in the repository's root, and returns its exit code.
+/// Runs a command in a shell, in the repository's root, and returns its exit code.
 fn shell(command: &str) -> i32 {
     let program = Path::new(env!("CARGO_BIN_EXE_harness")).parent().unwrap();
     let search = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
@@ -145,7 +145,7 @@ fn what_is_suggested_after_a_run_works() {
     failed.look().works(2);
 }
 
-/// What is damaged, and how.
+/// A description of some damage, and a function that causes it.
 type Damage<'a> = (&'a str, &'a dyn Fn(&Situation));
 
 #[test]
@@ -167,7 +167,7 @@ fn what_is_suggested_for_damaged_runs_works() {
         ("a moved experiment", &|there| {
             std::fs::rename(there.results.join("runs/smoke"), there.results.join("runs/moved")).unwrap();
         }),
-        // Its spec is not among the experiments.
+        // The run's spec is removed after the run.
         ("a table of a run whose command can't be given again", &|there| {
             let spec = there.results.join("lost.yaml");
             std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join(SMOKE), &spec).unwrap();

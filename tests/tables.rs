@@ -1,4 +1,4 @@
-//! The result tables as other programs read them: pyarrow, pandas, DuckDB, Polars, scikit-learn.
+//! The result tables, read with other programs: pyarrow, pandas, DuckDB, Polars, scikit-learn.
 
 use crate::common::{smoke_run, succeed};
 use harness::schema::{Column, Table, image_columns};
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
 
-/// What tests/python/read_tables.py says about a results folder.
+/// The output of tests/python/read_tables.py for a results folder.
 #[derive(Deserialize)]
 struct Answer {
     files: Vec<File>,
@@ -19,13 +19,13 @@ struct Answer {
 #[derive(Deserialize)]
 struct File {
     path: PathBuf,
-    /// By reader.
+    /// The number of rows that each reader finds.
     rows: BTreeMap<String, usize>,
     columns: Vec<String>,
     metadata: BTreeMap<String, String>,
 }
 
-/// A metric from the table, and as scikit-learn and NumPy compute it from the predictions.
+/// A metric of the table, and the value that scikit-learn and NumPy compute from the predictions.
 #[derive(Debug, Deserialize)]
 struct Metric {
     run: String,
@@ -85,10 +85,10 @@ fn every_table_opens_in_every_reader_with_the_same_rows() {
     let rows = |table| {
         ANSWER.files.iter().filter(move |file| file.table() == table).map(|file| file.rows["pyarrow"])
     };
-    // Two kinds of force on 20 links, over the dataset and its four episodes; five test transitions of two tasks.
+    // Forces: two kinds on 20 links, for the dataset and its four episodes. Frames: five test transitions of two tasks.
     assert_eq!(rows(Table::Forces).collect::<Vec<_>>(), [2 * 5 * 20; 2]);
     assert_eq!(rows(Table::Frames).collect::<Vec<_>>(), [5 * 2; 2]);
-    // 10 transitions a second for 3 s of the one test episode; 20 joints twice, and once more.
+    // The test episode has 29 transitions. Joints and forces are predicted, and joints are reconstructed: 3 times 20.
     for file in ANSWER.files.iter().filter(|file| file.table() == Table::Predictions) {
         assert_eq!(file.rows["pyarrow"], 29 * 20 * 3);
     }
@@ -161,8 +161,8 @@ fn the_metrics_are_those_of_scikit_learn_on_the_written_predictions() {
             (table, computed) => assert!(table.is_none() && computed.is_none(), "{metric:?}"),
         }
     }
-    // For each of two runs, two modalities of the prediction and one of the reconstruction; overall, by
-    // direction and by joint or link; four metrics.
+    // Two runs, with two modalities of the prediction and one of the reconstruction; four metrics overall, by direction
+    // and by joint or link.
     assert_eq!(ANSWER.metrics.len(), 2 * 3 * (1 + 2 + 20) * 4);
     let overall = |metric: &&Metric| metric.direction.is_none() && metric.index.is_none();
     let defined = |metric: &Metric| metric.table.is_some();
