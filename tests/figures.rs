@@ -25,7 +25,7 @@ fn run(results: &Path, spec: &str, more: &[&str]) {
     succeed(results, &arguments);
 }
 
-/// Runs of both experiments, two scenarios, two seeds. The datasets are gone: tables alone are left, as in
+/// Runs of both experiments with two scenarios and two seeds. The datasets are removed, so only tables are left, as in
 /// published results.
 static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
     let results = fresh("figures");
@@ -64,7 +64,7 @@ fn svg(figure: Figure) -> String {
     String::from_utf8(read(&DRAWN, figure, "svg")).unwrap()
 }
 
-/// The texts on a figure.
+/// The texts of a figure.
 fn words(figure: Figure) -> BTreeSet<String> {
     let svg = svg(figure);
     let document = roxmltree::Document::parse(&svg).unwrap();
@@ -82,7 +82,7 @@ fn all_nine_are_drawn_from_tables_alone() {
     assert_eq!(names.len(), 9 * 3);
     for figure in Figure::OF_THE_PAPER {
         let picture = image::load_from_memory(&read(&DRAWN, figure, "png")).unwrap().into_rgb8();
-        // 8.5 cm at 600 pixels an inch.
+        // 8.5 cm at 600 pixels per inch.
         assert_eq!(picture.width(), 2008, "{}", figure.name());
         let colours: BTreeSet<[u8; 3]> = picture.pixels().map(|pixel| pixel.0).collect();
         assert!(colours.len() > 20, "{} has {} colours", figure.name(), colours.len());
@@ -95,7 +95,7 @@ fn every_svg_is_whole_self_contained_and_within_its_page() {
     for figure in Figure::OF_THE_PAPER {
         let svg = svg(figure);
         let document = roxmltree::Document::parse(&svg).unwrap();
-        // No font and no file is needed to show it.
+        // The SVG must need no font and no other file.
         assert!(!document.descendants().any(|node| node.has_tag_name("text")));
         let ids: BTreeSet<&str> = document.descendants().filter_map(|node| node.attribute("id")).collect();
         for reference in document.descendants().filter_map(|node| node.attribute("href")) {
@@ -178,7 +178,7 @@ fn curves_are_means_and_intervals_of_what_a_query_finds() {
                 assert_eq!((real(&table, "low", row), real(&table, "high", row)), (None, None));
             }
         }
-        // Two scenarios and two directions at each latent size, and once for the baseline.
+        // The network has values for two scenarios and two directions at each latent size, the baseline has them once.
         let of = |panel: &str, model: &str| rows.get(&(panel.into(), model.into())).copied().unwrap_or(0);
         assert_eq!(of("a", "network"), 4 * 2);
         assert_eq!(of("b", "network"), if models == 2 { 4 * 2 } else { 4 });
@@ -216,8 +216,8 @@ fn regression_shows_the_fingertip_in_clutter() {
             assert!((drawn - stored).abs() <= 1e-6 * stored.abs().max(1e-6), "{sql}: {drawn} {stored}");
         }
     }
-    // Angle and force; two latent sizes of one experiment and one of the other; two directions; the 29 transitions of
-    // the one test episode.
+    // Panels: angle and force, two latent sizes of one experiment and one of the other, two directions. Points: the 29
+    // transitions of the test episode.
     assert_eq!(panels.len(), 2 * 3 * 2);
     for ((_, _, _, direction, index), points) in panels {
         assert_eq!(points, 29);
@@ -228,7 +228,7 @@ fn regression_shows_the_fingertip_in_clutter() {
 #[test]
 fn diagrams_have_the_layers_of_the_network_that_was_trained() {
     let words = words(Figure::PredictiveArch);
-    // 16 hidden units and 4 channels were asked for; the convolution halves the side of 64.
+    // The spec has 16 hidden units and 4 channels. The convolution halves the side of 64 pixels.
     for expected in ["32 × 32 × 4", "4 × 4, stride 2", "16", "40", "64 × 64 × 3", "3"] {
         assert!(words.contains(expected), "{expected} is not among {words:?}");
     }
@@ -255,7 +255,7 @@ fn forces_and_frames_are_those_of_the_dataset() {
     let run = fs::read_dir(results.join("runs/multi_to_multi")).unwrap().next().unwrap().unwrap().path();
 
     let forces = read_table(&run.join("forces.parquet"), None).unwrap();
-    // Two kinds of force on 20 links: of the whole dataset first, then of each episode.
+    // There are two kinds of force on 20 links: first for the whole dataset, then for each episode.
     assert_eq!(forces.height(), 2 * (1 + EPISODES as usize) * 20);
     let whole = (None, &episodes[..]);
     let single = episodes.chunks(1).enumerate().map(|(index, episode)| (Some(index as f64), episode));
@@ -368,7 +368,7 @@ fn one_seed_has_no_bars_and_other_settings_are_refused() {
     }
     let (_, one) = draw("one", &[]);
     assert!(one.contains("one seed, so no intervals"));
-    // Runs of other settings can't be averaged with these, and which are meant is not guessed.
+    // Runs with other settings can't be averaged with these, so the figure is refused.
     let more = ["network.hidden=32", "training.learning_rate=0.01"];
     run(&results, SINGLE, &[&["latent=[2]", "scenarios=[empty]", "seeds=[1]"][..], &more].concat());
     let (answer, drawn) = draw("other", &[]);
@@ -380,7 +380,7 @@ fn one_seed_has_no_bars_and_other_settings_are_refused() {
     assert!(answer.stderr.ends_with(&expected), "{}", answer.stderr);
     let (answer, drawn) = draw("chosen", &["--where", choice]);
     assert!(answer.code == 0 && drawn == one, "{}", answer.stderr);
-    // What isn't there with a setting is named with the command that makes it so.
+    // Missing runs with a setting are listed with the command that makes them.
     let (answer, _) = draw("none", &["--where", "training.learning_rate=0.01"]);
     let expected = " run experiments/multi_to_multi.yaml 'training.learning_rate=0.01'`";
     assert!(answer.code == 1 && answer.stderr.contains(expected), "{}", answer.stderr);
@@ -402,10 +402,10 @@ fn one_seed_has_no_bars_and_other_settings_are_refused() {
 
 #[test]
 fn text_is_as_wide_as_the_font_says() {
-    // Advances of Roboto in units of 2048 an em, as fonttools reads them: H 1461, i 498, 0 1151.
+    // The advance widths of Roboto, read with fonttools, in units of 1/2048 em: H 1461, i 498, 0 1151.
     let how = Type { size: 10.0, ..Type::LABEL };
     assert!((how.width("Hi0") - 10.0 * (1461.0 + 498.0 + 1151.0) / 2048.0).abs() < 1e-9);
-    // A subscript is smaller, and markup takes no room.
+    // A subscript is smaller, and markup has no width.
     assert!(how.width("H_{0}") < how.width("H0") && how.width("H_{0}") > how.width("H"));
     let mut page = Page::new(100.0, 20.0, "A & B < C");
     page.text("5 < 6 & \"7\"", [50.0, 15.0], Type { anchor: Anchor::Middle, ..how });

@@ -1,8 +1,8 @@
 //! Hostile input: nothing that is read panics, hangs, takes much memory or writes outside the results folder.
 //!
-//! Each reader is given what an attacker would write, and random mutations of good input: a few thousand in
-//! `cargo test`, as many as fit into `SOAK_SECONDS` (600 if unset) a reader, or `SOAK_READER` alone, in
-//! `cargo test --test all hostile:: -- --ignored --nocapture`. The targets in `fuzz/` drive the same readers by coverage.
+//! Each reader gets input that an attacker would write, and random mutations of good input. `cargo test` tries a few
+//! thousand mutations. `cargo test --test all hostile:: -- --ignored --nocapture` tries mutations for `SOAK_SECONDS`
+//! (default: 600) per reader, or only for the reader `SOAK_READER`. The fuzz targets in `fuzz/` test the same readers.
 
 use crate::common::{SMOKE, finish, harness};
 use harness::learning::tensors::TensorFile;
@@ -18,7 +18,7 @@ use std::path::Path;
 use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
-/// Far more than any refusal takes on a busy machine, and far less than a hang.
+/// A time limit that no refusal reaches, even on a busy machine.
 const SOON: Duration = Duration::from_secs(60);
 
 static TABLE: LazyLock<Vec<u8>> = LazyLock::new(a_table);
@@ -265,11 +265,11 @@ fn a_query_of_what_is_not_supported_is_refused_in_one_line() {
 
 // --- mutations of good input ---
 
-/// What a mutated input is given to; it must come back.
+/// A function that reads mutated input. It must return without a panic.
 struct Reader {
     name: &'static str,
     corpus: Vec<Vec<u8>>,
-    /// Words of the language, to put where a random byte would mean nothing.
+    /// Words of the input's language, which are inserted at random places.
     words: &'static [&'static str],
     read: fn(&[u8]),
 }
@@ -336,7 +336,7 @@ fn readers() -> Vec<Reader> {
             corpus: vec![TABLE.clone()],
             words: &["PAR1", "\u{0}\u{0}\u{0}\u{0}", "sha256-seal:", "\u{7f}\u{7f}\u{7f}\u{7f}\u{7f}"],
             read: |bytes| {
-                // Bytes that Polars' decoder gets to see are those that were written.
+                // Only undamaged bytes may reach Polars' decoder.
                 if let Ok(file) = TableFile::new(Path::new("hostile.parquet"), bytes.to_vec()) {
                     assert!(bytes == *TABLE);
                     assert_eq!((file.footer().unwrap().rows, file.table(None).unwrap().height()), (3, 3));
@@ -423,7 +423,7 @@ const SQL_WORDS: &[&str] = &[
     "substr(",
 ];
 
-/// Whatever was understood stays within its bounds, and reads the same when written.
+/// Checks that a parsed spec has only allowed values, and is the same after writing and reading it again.
 fn check_experiment(parsed: Result<Experiment, SpecError>) {
     let Ok(experiment) = parsed else { return };
     let is_allowed = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
@@ -458,7 +458,8 @@ fn a_table() -> Vec<u8> {
     std::fs::read(path).unwrap()
 }
 
-/// Some changes to one of the corpus: bits, bytes, words, parts that are cut out, doubled or exchanged.
+/// A random input of the corpus with some random changes: to bits, bytes and words, and parts that are removed,
+/// repeated or swapped.
 fn mutated(reader: &Reader, random: &mut ChaCha8Rng) -> Vec<u8> {
     let pick = |random: &mut ChaCha8Rng| reader.corpus[random.random_range(0..reader.corpus.len())].clone();
     let mut bytes = pick(random);
@@ -489,7 +490,7 @@ fn mutated(reader: &Reader, random: &mut ChaCha8Rng) -> Vec<u8> {
     bytes
 }
 
-/// Reads mutation after mutation; one that panics is printed first, so that it can be added to a test.
+/// Reads one mutation after the other. A mutation that causes a panic is printed, so that it can be added to a test.
 fn bombard(reader: &Reader, seed: u64, more: impl Fn(u64) -> bool) -> u64 {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut count = 0;

@@ -1,4 +1,4 @@
-//! The metrics against hand-worked values and scikit-learn's, and the baselines beside them.
+//! The metrics and baselines, compared with values calculated by hand and by scikit-learn.
 
 use finger::{ARM_JOINTS, FRAME_LEN, FRAME_SIDE, JOINTS};
 use harness_metrics::baselines::{GREY_SIDE, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
@@ -17,7 +17,7 @@ use std::process::{Command, Stdio};
 #[path = "common/finger.rs"]
 mod finger;
 
-/// The repository's.
+/// Path of the repository.
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
 fn of_finger(modality: Modality) -> Definition {
@@ -39,7 +39,7 @@ fn assert_close(value: impl Into<Option<f64>>, expected: f64) {
     assert!((value - expected).abs() <= tolerance, "{value} is not {expected}");
 }
 
-/// `samples` values around `offset`, and predictions of them with an error of about a tenth of their spread.
+/// `samples` values around `offset`, and predictions whose error is about a tenth of the values' standard deviation.
 fn random_pairs(seed: u64, samples: usize, offset: f32) -> (Vec<f32>, Vec<f32>) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let reference: Vec<f32> = (0..samples).map(|_| offset + rng.random_range(-1.0..1.0)).collect();
@@ -55,7 +55,7 @@ fn find(rows: &[Row], metric: Metric, direction: Option<Direction>, index: Optio
     row
 }
 
-/// What scikit-learn and NumPy answer to `request`.
+/// The values that scikit-learn and NumPy compute for `request`.
 fn python(request: &Value) -> Value {
     let mut child = Command::new(format!("{ROOT}/.venv/bin/python"))
         .arg(format!("{ROOT}/tests/python/reference_metrics.py"))
@@ -69,7 +69,7 @@ fn python(request: &Value) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Columns `columns` of a row-major matrix as nested lists, exact in f64.
+/// The columns `columns` of a row-major matrix as nested lists. Their values are exact in f64.
 fn nested(matrix: &[f32], width: usize, columns: impl Iterator<Item = usize> + Clone) -> Value {
     matrix
         .chunks_exact(width)
@@ -81,7 +81,7 @@ fn nested(matrix: &[f32], width: usize, columns: impl Iterator<Item = usize> + C
 
 #[test]
 fn formulas_give_hand_worked_values() {
-    // Errors 0, 1, 0, 2; the reference's mean is 1.75, its squared deviations add up to 8.75.
+    // The errors are 0, 1, 0, 2. The reference's mean is 1.75, and the sum of its squared deviations is 8.75.
     let pairs = series(&[1.0, 2.0, 0.0, 4.0], &[1.0, 1.0, 0.0, 6.0]);
     assert_close(smape(&pairs), 100.0 / 4.0 * (1.0 / 3.0 + 2.0 / 10.0));
     assert_close(wmape(&pairs), 100.0 * 3.0 / 7.0);
@@ -107,7 +107,7 @@ fn undefined_metrics_are_none() {
     assert_eq!(error_relative_to_zero(&untouched), None);
     assert_eq!(error_relative_to_mean(&untouched), None);
     assert_close(mae(&untouched), 0.5 / 3.0);
-    // 0.1 has no exact binary form: rounding must not make a constant look as if it varied.
+    // 0.1 has no exact binary form. In spite of rounding, a constant must count as constant.
     assert_eq!(r2(&series(&[0.1; 1000], &[0.2; 1000])), None);
 }
 
@@ -122,7 +122,7 @@ fn pooling_adds_the_sums_of_the_series() {
     assert_close(mae(&both), 1.0);
     assert_close(r2(&both), 1.0 - 1.0 / 2.0);
     assert_close(error_relative_to_mean(&both), 10.0 / 2.0);
-    // Each series keeps its own mean: far-apart levels add no variance to explain.
+    // Each series has its own mean, so a large distance between the means adds no variance.
     let high = series(&[101.0, 103.0], &[101.0, 102.0])[0];
     assert_close(r2(&[varying, high]), 1.0 - 2.0 / 4.0);
 }
@@ -131,7 +131,7 @@ fn pooling_adds_the_sums_of_the_series() {
 fn ratios_ignore_scale_and_r2_ignores_offset() {
     let (reference, predicted) = random_pairs(1, 500, 0.5);
     let pairs = series(&reference, &predicted);
-    // A power of two scales without rounding.
+    // Multiplying by a power of two does not round.
     let scale = |values: &[f32]| values.iter().map(|value| value * 1024.0).collect::<Vec<_>>();
     let scaled = series(&scale(&reference), &scale(&predicted));
     for metric in [smape, wmape, r2, error_relative_to_zero, error_relative_to_mean] {
@@ -160,7 +160,7 @@ fn metrics_ignore_the_order_of_samples() {
 
 #[test]
 fn evaluation_agrees_with_scikit_learn() {
-    // The offset makes the variance a small part of the squares, where a careless sum loses digits.
+    // With an offset, the variance is a small part of the sum of squares, so a careless sum loses digits.
     for (modality, metrics, offset) in [
         (Modality::PROPRIOCEPTION, [Metric::Smape, Metric::R2, Metric::Rmse, Metric::Mae], 0.0),
         (Modality::CONTACT_FORCE_MEAN, [Metric::Wmape, Metric::R2, Metric::Rmse, Metric::Mae], 1000.0),
@@ -203,7 +203,7 @@ fn finger_rows_name_joints_directions_and_units() {
 
 #[test]
 fn untouched_links_have_no_wmape() {
-    // Only the last link is touched; every prediction is off by 0.5 N.
+    // Only the last link is touched. The error of every prediction is 0.5 N.
     let reference: Vec<f32> =
         (0..5 * JOINTS).map(|i| if i % JOINTS == JOINTS - 1 { (i / JOINTS) as f32 } else { 0.0 }).collect();
     let predicted: Vec<f32> = reference.iter().map(|force| force + 0.5).collect();
@@ -215,7 +215,7 @@ fn untouched_links_have_no_wmape() {
         assert_eq!(value(metric, fe, None), None);
     }
     assert_close(value(Metric::Mae, fe, Some(0)), 0.5);
-    // Forces 0 to 4 N add up to 10 N; phantom forces on the other links count in the pooled error.
+    // Forces of 0 to 4 N have a sum of 10 N. Predicted forces on untouched links count in the pooled error.
     assert_close(value(Metric::Wmape, aa, Some(19)), 100.0 * 2.5 / 10.0);
     assert_close(value(Metric::Wmape, aa, None), 100.0 * 25.0 / 10.0);
     assert_close(value(Metric::Wmape, None, None), 100.0 * 50.0 / 10.0);
@@ -266,8 +266,8 @@ fn frame_difference_is_compared_with_no_change() {
 #[test]
 fn the_arms_and_the_fingers_pixels_have_errors_of_their_own() {
     const PLANE: usize = FRAME_SIDE * FRAME_SIDE;
-    // Pixel 3 shows the arm, pixel 5 the finger, pixel 7 neither; in all channels the change is 0.5, and predicted are
-    // 0.25 on the arm, 0.4 on the finger and 9 beside them.
+    // Pixel 3 shows the arm, pixel 5 the finger, pixel 7 neither. The change is 0.5 in all channels. The prediction is
+    // 0.25 on the arm, 0.4 on the finger and 9 elsewhere.
     let mut parts = vec![None; PLANE];
     (parts[3], parts[5]) = (Some(0), Some(1));
     let (mut reference, mut predicted) = (vec![0.0; FRAME_LEN], vec![0.0; FRAME_LEN]);
@@ -378,7 +378,7 @@ fn training_mean_is_predicted_for_every_sample() {
 
 #[test]
 fn ridge_gives_hand_worked_weights() {
-    // Centred: Σ x y = 3 and Σ x² = 2, so the coefficient is 3 / (2 + alpha).
+    // For centered values Σ x y = 3 and Σ x² = 2, so the coefficient is 3 / (2 + alpha).
     let (x, y) = ([-1.0, 0.0, 1.0], [1.0, 2.0, 4.0]);
     let ridge = Ridge::fit(&x, 1, &y, 1, 1.0).unwrap();
     let (intercept, coefficients) = ridge.weights(0);
@@ -445,7 +445,7 @@ fn ridge_refuses_what_has_no_answer() {
     assert!(fit(1e-3).is_ok());
     assert_eq!(fit(-1.0), Err(MetricsError::Alpha(-1.0)));
     assert!(fit(f64::NAN).is_err());
-    // A constant input says what the intercept says already.
+    // A constant input is collinear with the intercept.
     let constant = Ridge::fit(&[0.5, 0.5, 0.5], 1, &y, 1, 0.0);
     assert_eq!(constant, Err(MetricsError::Singular { column: 0, alpha: 0.0 }));
     assert_eq!(RidgeSums::new(2, 1).solve(1.0), Err(MetricsError::NoSamples { what: "ridge regression" }));
@@ -458,7 +458,7 @@ fn ridge_refuses_what_has_no_answer() {
 fn downsampling_averages_blocks_of_pixels() {
     const BLOCK: usize = FRAME_SIDE / GREY_SIDE;
     let mut frame = vec![10.0; FRAME_LEN];
-    // The whole block in row 2, column 15, and one channel of one pixel of the block in row 0, column 1.
+    // The whole block in row 2, column 15 is changed, and one channel of one pixel of the block in row 0, column 1.
     for channel in frame.chunks_exact_mut(FRAME_SIDE * FRAME_SIDE) {
         for row in 2 * BLOCK..3 * BLOCK {
             channel[row * FRAME_SIDE + 15 * BLOCK..][..BLOCK].fill(255.0);
@@ -475,13 +475,13 @@ fn downsampling_averages_blocks_of_pixels() {
 
 #[test]
 fn contact_forces_are_summed_up_link_by_link() {
-    // Link 3 feels 0, 1, 2, …, 10 N and link 5 feels 4 N once; the others nothing.
+    // The force on link 3 is 0, 1, 2, …, 10 N. The force on link 5 is 4 N once. All other forces are 0.
     let mut forces = vec![0.0; 11 * JOINTS];
     (0..11).for_each(|sample| forces[sample * JOINTS + 3] = sample as f32);
     forces[7 * JOINTS + 5] = 4.0;
     let links = by_link(&forces, JOINTS);
     assert_eq!(links.len(), JOINTS);
-    // Of 1 to 10 at equal distances, the quantile p lies at 1 + 9 p.
+    // The quantile p of 1 to 10 at equal distances is 1 + 9 p.
     let quantiles = [0.05, 0.25, 0.5, 0.75, 0.95].map(|share| 1.0 + 9.0 * share);
     let Contact { samples, contacts, mean, quantiles: found, max } = links[3].clone();
     assert_eq!((samples, contacts, mean, max), (11, 10, 5.0, Some(10.0)));

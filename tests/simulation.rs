@@ -1,4 +1,4 @@
-//! The simulated world against MuJoCo's own sensors, Python's `mujoco`, and what a user may get wrong.
+//! The simulated world, compared with MuJoCo's own sensors and Python's `mujoco`, and mistakes that users can make.
 
 use finger::{ARM_JOINTS, BOXES, FRAME_LEN, FRAME_SIDE, JOINTS};
 use harness_metrics::parts::region_of;
@@ -16,7 +16,7 @@ use std::process::Command;
 #[path = "common/finger.rs"]
 mod finger;
 
-/// The repository's.
+/// Path of the repository.
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
 const STEPS_PER_SAMPLE: usize = 100;
@@ -35,7 +35,7 @@ fn setpoint(plan: &EpisodePlan, step: usize) -> [f64; ARM_JOINTS] {
     setpoint
 }
 
-/// Ten seconds an episode, of which there are three.
+/// Three episodes of ten seconds each.
 fn short() -> Simulation {
     Simulation { episodes: 3, actuations_per_episode: 10, ..Default::default() }
 }
@@ -70,7 +70,7 @@ fn every_scenario_records_finite_varying_observations_of_the_right_shape() {
             assert_eq!(values.len(), n * width, "{scenario} {name}");
             assert!(values.iter().all(|value| value.is_finite()), "{scenario} {name}");
             for (index, column) in columns(values, width).iter().enumerate() {
-                // Upper links may stay untouched; the tip does not.
+                // Upper links may stay untouched, but not the tip.
                 let must_vary = !name.starts_with("contact") || index == JOINTS - 1;
                 assert!(varies(column) || !must_vary, "{scenario} {name} {index} is constant");
             }
@@ -135,8 +135,7 @@ fn an_episode_depends_on_its_seed_scenario_and_index_alone() {
     assert_ne!(setpoints[0], setpoints[1]);
 }
 
-/// The scenario's model with a touch sensor over each link, and the given friction cone.
-/// What a live simulation senses at a sample, as an episode of that one sample.
+/// The sensor values of a live simulation, as an episode of one sample.
 fn sensed(live: &mut LiveSimulation) -> Episode {
     let mut episode = Episode::new(live.scene().layout().clone(), 0, 1);
     for (index, definition) in live.scene().layout().modalities.iter().enumerate() {
@@ -150,7 +149,7 @@ fn sensed(live: &mut LiveSimulation) -> Episode {
     episode
 }
 
-/// One sample of an episode by itself.
+/// One sample of an episode, as an episode.
 fn sample_of(episode: &Episode, sample: usize) -> Episode {
     let mut one = Episode::new(episode.layout.clone(), 0, 1);
     for (index, definition) in episode.layout.modalities.iter().enumerate() {
@@ -170,7 +169,7 @@ fn a_live_simulation_that_follows_an_episodes_course_senses_its_samples_bit_by_b
     for scenario in Scenario::PAPER {
         let (scene, spec) = (scene(scenario), short());
         let mut live = live(scenario);
-        // Not from where it starts: nothing may be left over of what was simulated before.
+        // A reset from another state must leave nothing of what was simulated before.
         live.step(&[3.0, -0.9, 0.4]).unwrap();
         for index in [1, 0] {
             let episode = simulate(&scene, &spec, index);
@@ -190,7 +189,7 @@ fn a_live_simulations_arm_goes_evenly_to_its_setpoint_and_stays_within_the_range
     let wanted = [start[0] + 0.2, -0.15, 0.2];
     live.step(&wanted).unwrap();
     assert_eq!(live.setpoint(), wanted);
-    // The gains delay the setpoint by kv / kp: 7 ms of 100.
+    // The gains delay the setpoint by kv / kp, which is 7 ms of 100 ms.
     for joint in 0..ARM_JOINTS {
         let lag = (wanted[joint] - f64::from(live.vector(Modality::ARM).unwrap()[joint]))
             / (wanted[joint] - start[joint]);
@@ -221,7 +220,7 @@ fn a_batch_steps_as_its_simulations_do_one_by_one() {
         [0, 1, 2].map(|index| vec![3.0 + 0.01 * (index * sample) as f64, -0.1 * sample as f64, 0.3])
     };
     for sample in 1..10 {
-        // The last one rests after five samples.
+        // The last simulation is not stepped after five samples.
         batch.step(&setpoints(sample), &[true, true, sample <= 5]).unwrap();
     }
     let mut frames = vec![0; 3 * FRAME_LEN];
@@ -258,13 +257,14 @@ fn wrong_calls_of_a_batch_name_what_is_wrong() {
     );
 }
 
+/// The scenario's scene with a touch sensor on each link, and this friction cone.
 fn scene_with_touch_sensors(scenario: Scenario, cone: MjtCone) -> Scene {
     let mut spec = MjSpec::from_xml_string(scene(scenario).xml()).unwrap();
     spec.option_mut().cone = cone as i32;
     for link in 0..JOINTS {
         let name = format!("touch_{link:02}");
         let body = spec.world_body_mut().child_mut(&format!("finger_link_{link:02}")).unwrap();
-        // Large enough to hold any contact of the link; it counts only this body's.
+        // The site is large enough for all contacts of the link. The sensor counts only contacts of this body.
         body.add_site().with_name(&name).with_size([0.2; 3]);
         let sensor = spec.add_sensor().with_name(&name).with_objname(&name);
         sensor.with_type(MjtSensor::mjSENS_TOUCH).with_objtype(MjtObjBase::mjOBJ_SITE);
@@ -276,7 +276,7 @@ fn scene_with_touch_sensors(scenario: Scenario, cone: MjtCone) -> Scene {
 
 #[test]
 fn contact_forces_are_those_of_mujocos_touch_sensors() {
-    // Pressed on the ground for the whole episode but its start.
+    // The finger is pressed on the ground for the whole episode except its start.
     let spec = Simulation { actuations_per_episode: 6, ..Default::default() }
         .with("lift_range_m", Setting::Range([-1.0, -0.8]));
     for cone in [MjtCone::mjCONE_PYRAMIDAL, MjtCone::mjCONE_ELLIPTIC] {
@@ -320,7 +320,7 @@ fn contact_forces_are_those_of_mujocos_touch_sensors() {
     }
 }
 
-/// Equal up to the rounding of a 32-bit float.
+/// Checks that values are equal up to the rounding of a 32-bit float.
 fn assert_close(recorded: &[f32], expected: &[f64]) {
     assert_eq!(recorded.len(), expected.len());
     for (recorded, expected) in recorded.iter().zip(expected) {
@@ -360,7 +360,7 @@ fn boxes_keep_their_clearance_and_leave_the_finger_room() {
                 let distance = data.geom_distance(one, other, 1.0, None);
                 assert!(distance >= 0.05 - 1e-6, "episode {episode}: {distance} m");
             }
-            // On the ground, and under a place the finger can reach.
+            // The box is on the ground, and below a place that the finger can reach.
             let [x, y, z] = data.geom_xpos()[one];
             let (radius, bearing) = (x.hypot(y), y.atan2(x).rem_euclid(std::f64::consts::TAU));
             assert!((z - 0.15).abs() < 1e-9 && (0.7..=2.2).contains(&radius), "{x} {y} {z}");
@@ -429,7 +429,7 @@ fn write_floats<'a>(path: &Path, values: impl IntoIterator<Item = &'a f64>) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// What the first short episode of a scenario is made of, as files for a script that simulates it again.
+/// Files with the first short episode of a scenario, for a script that simulates it again.
 struct Trajectory {
     folder: tempfile::TempDir,
     states: Vec<Vec<f64>>,
@@ -452,7 +452,7 @@ impl Trajectory {
         self.folder.path().join(name)
     }
 
-    /// Runs a script on the repository's model file; it must arrive at the same positions, bit by bit.
+    /// Runs a script on the repository's model file. Its positions must be the same, bit by bit.
     fn assert_same(&self, scenario: Scenario, script: &str, options: &[&str]) {
         let model = Path::new(ROOT).join(format!("models/{scenario}.xml"));
         let (start, controls, positions) =
@@ -530,7 +530,7 @@ fn colours_tell_the_robots_parts_as_mujocos_segmentation_does() {
     }
 }
 
-/// The error of an episode in which the edited empty scene goes wrong.
+/// The error of an episode in an edited empty scene, which must fail.
 fn failure_of(edit: impl FnOnce(&mut MjSpec)) -> SimulationError {
     let mut spec = MjSpec::from_xml_string(scene(Scenario::EMPTY).xml()).unwrap();
     edit(&mut spec);
@@ -635,7 +635,7 @@ fn a_rendered_scene_shows_what_the_camera_saw() {
     let mut renderer = SceneRenderer::new(&scene, side, side).unwrap();
     let picture = renderer.render(&states[25]).unwrap();
     assert_eq!(picture.dimensions(), (side, side));
-    // Shrunk to the camera's resolution, it differs by shadows and smoother edges alone.
+    // Scaled to the camera's resolution, the image differs only by shadows and smoother edges.
     let small = image::imageops::thumbnail(&picture, FRAME_SIDE as u32, FRAME_SIDE as u32);
     let frame = &episode.image(Modality::VISION)[25 * FRAME_LEN..26 * FRAME_LEN];
     let far = small.as_raw().iter().zip(frame).filter(|(a, b)| a.abs_diff(**b) > 40).count();
@@ -648,7 +648,7 @@ fn a_rendered_scene_shows_what_the_camera_saw() {
     }
 }
 
-/// EGL keeps its drivers once it has found them, so this test runs itself again in a process without any.
+/// EGL keeps the drivers that it has found, so this test runs itself again in a process without drivers.
 #[test]
 fn without_a_driver_rendering_is_an_error() {
     const DRIVERS: &str = "__EGL_VENDOR_LIBRARY_FILENAMES";
@@ -684,7 +684,7 @@ fn a_projected_place_is_where_the_picture_shows_it() {
         let [red, green, blue] = colour("finger_link_19");
         assert!(red > 2 * blue && blue > green, "{red} {green} {blue}");
         if let Some(body) = middle {
-            // The camera turns to the body's origin, half a link of 0.05 m above the middle of its capsule.
+            // The camera points to the body's origin, which is half a link (of 0.05 m) above the middle of its capsule.
             let [x, y] = at(body);
             assert!((x - 0.5).abs() < 0.01 && y > 0.5 && y < 0.53, "{x} {y}");
         }

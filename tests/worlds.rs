@@ -1,4 +1,4 @@
-//! Worlds: what a file of one may say, which mistakes are named where, and robots that the harness has never seen.
+//! World files: valid files, error messages with their place, and robots that the harness does not know.
 
 use crate::common::{finish, fresh, harness, succeed};
 use harness::collection::dataset_of;
@@ -18,7 +18,7 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// What is said of the empty world with `old` replaced by `new`, in a file `own.yaml`, after its folder's name.
+/// The error message, without the folder, for a world file `own.yaml`: the empty world with `old` replaced by `new`.
 fn fault(old: &str, new: &str) -> String {
     assert!(EMPTY.contains(old), "{old}");
     let folder = tempfile::tempdir().unwrap();
@@ -33,7 +33,7 @@ fn fault(old: &str, new: &str) -> String {
     said.replace(&format!("{}/", folder.path().display()), "")
 }
 
-/// The line and column, counted from 1, where `text` first stands in the empty world's file.
+/// The line and column, counted from 1, of the first occurrence of `text` in the empty world's file.
 fn place(text: &str) -> String {
     let before = &EMPTY[..EMPTY.find(text).unwrap()];
     let line = before.matches('\n').count() + 1;
@@ -122,7 +122,7 @@ fn every_mistake_of_a_world_file_is_one_line_with_its_place_and_what_exists() {
     for (old, new, at, expected) in cases {
         let said = fault(old, new);
         let line = |place: &str| place.split(':').take(2).collect::<Vec<_>>().join(":");
-        // The columns of what was replaced may differ; the lines may not, but for a section that lost its first key.
+        // The line must be the same, except for a section that lost its first key. The column may differ.
         let near = said.starts_with(&line(&at))
             || new.is_empty()
             || old.contains("  arm")
@@ -165,8 +165,7 @@ fn names_of_worlds_are_those_of_files_and_no_others() {
     assert!(said.contains("spec.yaml:2:") && said.contains("there is no such file"), "{said}");
 }
 
-/// What an experiment has read does not change with the file.
-/// A pendulum whose parts lie in three files: the bob is a mesh.
+/// A pendulum whose parts are in three files. The bob is a mesh.
 const PENDULUM: &str = r#"<mujoco model="pendulum">
   <include file="parts/bob.xml"/>
   <option timestep="0.01"/>
@@ -236,7 +235,7 @@ fn another_file_counts_however_its_name_is_written() {
     assert_ne!(sha256(), first);
 }
 
-/// Edits a file when the collection begins.
+/// Edits a file when the collection begins, to test that a runner does not read it again.
 struct Editing {
     file: PathBuf,
     text: String,
@@ -289,7 +288,7 @@ fn a_world_that_changes_under_a_running_experiment_is_named_and_has_no_effect() 
     }
 }
 
-/// A small experiment in a folder, over every modality that is named.
+/// Writes the spec of a small experiment with these modalities as input and output.
 fn write_spec(folder: &Path, world: &str, input: &str, output: &str) -> PathBuf {
     let path = folder.join("experiment.yaml");
     let text = format!(
@@ -301,7 +300,7 @@ fn write_spec(folder: &Path, world: &str, input: &str, output: &str) -> PathBuf 
     path
 }
 
-/// Runs an experiment and looks at its results with every command that reads them.
+/// Runs an experiment, and reads its results with every command that can.
 fn go_through(results: &Path, folder: &Path, spec: &Path, world: &Path, modality: &str) {
     let said = succeed(results, &["run", spec.to_str().unwrap()]);
     assert!(said.contains("2 done, 0 done before, 0 failed"), "{said}");
@@ -373,14 +372,14 @@ fn dm_controls_own_finger_goes_through_every_command() {
     go_through(&results, folder.path(), &spec, &world, "touch");
 }
 
-/// A modality that no Rust file knows: added to a copy of a world, it is recorded and learned.
+/// A modality that no Rust file mentions is added to a copy of a world. It is recorded and learned.
 #[test]
 fn a_modality_is_added_without_compiling_anything() {
     let (folder, results) = (tempfile::tempdir().unwrap(), fresh("worlds_modality"));
     fs::write(folder.path().join("own.xml"), EMPTY_XML).unwrap();
     let more = "modalities:\n  finger_speed:\n    joint_velocities: finger_joint_0[0-4]\n  bend:\n    difference_of: proprioception\n";
     let text = EMPTY.replace("model: empty.xml", "model: own.xml").replacen("modalities:\n", more, 1);
-    // What is a difference of another stands behind it.
+    // A modality that is the difference of another must come after it.
     let text = text.replacen("  bend:\n    difference_of: proprioception\n", "", 1).replacen(
         "  vision:\n",
         "  bend:\n    difference_of: proprioception\n  vision:\n",
@@ -432,7 +431,8 @@ fn images_that_a_network_cannot_take_are_refused_with_their_place() {
     );
 }
 
-/// The sizes of the finger's modalities belong to its models: 20 joints and links, 3 elements of the action, 64 pixels.
+/// The sizes of the finger's modalities are defined by its models alone: 20 joints and links, 3 elements of the action,
+/// 64 pixels.
 #[test]
 fn no_size_of_the_finger_stands_in_the_program() {
     const NAMES: [&str; 5] = ["JOINTS", "ARM_JOINTS", "FRAME_SIDE", "FRAME_LEN", "FRAME_SHAPE"];
@@ -449,7 +449,7 @@ fn no_size_of_the_finger_stands_in_the_program() {
             } else if is_source {
                 files += 1;
                 let text = fs::read_to_string(&path).unwrap();
-                // What tests within a file do is not part of the program.
+                // Unit tests are not part of the program.
                 let program = text.split("#[cfg(test)]").next().unwrap_or_default();
                 let code = program.lines().filter(|line| !line.trim_start().starts_with(['/', '#', '!']));
                 let lines = code.filter(|line| NAMES.iter().chain(&SIZES).any(|size| line.contains(size)));
@@ -460,7 +460,7 @@ fn no_size_of_the_finger_stands_in_the_program() {
     assert!(files > 100 && found.is_empty(), "{files} files: {found:#?}");
 }
 
-/// The commands of the tutorial, in a copy of the folders that they name.
+/// Runs the commands of the tutorial in a copy of the folders that they name.
 #[test]
 fn every_command_of_the_tutorial_works() {
     let text = fs::read_to_string(root().join("docs/your-own-robot.md")).unwrap();
