@@ -1,4 +1,4 @@
-//! Datasets from real simulations: the same whatever the threads, whole or made again, and read as written.
+//! Datasets of real simulations: they do not depend on threads or interruptions, and are read as they were written.
 
 use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness_collection::{CollectionError, collect, dataset_of};
@@ -22,10 +22,10 @@ use std::time::{Duration, SystemTime};
 #[path = "common/finger.rs"]
 mod finger;
 
-/// The repository's.
+/// Path of the repository.
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
-/// Two seconds an episode, of which there are four.
+/// Four episodes of two seconds each.
 fn short() -> Simulation {
     Simulation { episodes: 4, actuations_per_episode: 2, ..Simulation::default() }
 }
@@ -34,7 +34,7 @@ fn scene(scenario: Scenario) -> Scene {
     Scene::paper(scenario).unwrap()
 }
 
-/// A collected dataset in a folder of its own.
+/// A collected dataset in a temporary folder.
 struct Collected {
     root: tempfile::TempDir,
     scene: Scene,
@@ -58,7 +58,7 @@ impl Collected {
     }
 }
 
-/// The content of every file in a folder, by name.
+/// The contents of the files in a folder, by name.
 fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let files = std::fs::read_dir(folder).unwrap().map(|entry| {
         let path = entry.unwrap().path();
@@ -89,7 +89,7 @@ fn an_episode_comes_back_as_it_was_simulated() {
     let collected = Collected::new(Scenario::CLUTTERED, 2);
     let mut simulator = Simulator::new(&collected.scene, collected.dataset.spec()).unwrap();
     let simulated = simulator.run(2, &mut || ControlFlow::Continue(())).unwrap();
-    // Where the boxes were and who drew the frames is not part of the table.
+    // The table does not contain the places of the boxes and the name of the renderer.
     let expected = Episode { boxes: Vec::new(), renderer: String::new(), ..simulated };
     assert!(collected.dataset.read(2, true).unwrap() == expected);
     let without_frames = expected.clone().without_images();
@@ -98,7 +98,7 @@ fn an_episode_comes_back_as_it_was_simulated() {
     let samples = collected.dataset.load(FramePlace::Memory, &Silent).unwrap();
     let (first, plane) = (samples.episodes()[2].start, FRAME_LEN / IMAGE_CHANNELS);
     for (row, frame) in expected.image(Modality::VISION).chunks(FRAME_LEN).enumerate() {
-        // Written pixel by pixel, held channel by channel.
+        // Frames are stored pixel by pixel, and kept in memory channel by channel.
         let held = samples.frame_bytes(Modality::VISION, first + row);
         assert!(
             (0..FRAME_LEN).all(|at| held[at % IMAGE_CHANNELS * plane + at / IMAGE_CHANNELS] == frame[at])
@@ -206,7 +206,7 @@ fn a_simulation_that_diverges_is_an_error_and_leaves_no_episode() {
     assert_eq!(dataset.missing(), [0, 1, 2, 3]);
 }
 
-/// Cancels after so many samples.
+/// Cancels after this many samples.
 struct Impatient(AtomicU64);
 
 impl Progress for Impatient {
@@ -226,7 +226,7 @@ impl Progress for Impatient {
 fn a_cancelled_collection_keeps_whole_episodes_and_goes_on_from_them() {
     let (root, scene) = (tempfile::tempdir().unwrap(), scene(Scenario::EMPTY));
     let dataset = dataset_of(root.path(), &scene, &short());
-    // In the middle of the second episode.
+    // This is in the middle of the second episode.
     let error = collect(&dataset, &scene, 1, &Impatient(AtomicU64::new(30))).unwrap_err();
     assert!(
         matches!(error, CollectionError::Simulation(SimulationError::Cancelled { episode: 1 })),
@@ -236,7 +236,7 @@ fn a_cancelled_collection_keeps_whole_episodes_and_goes_on_from_them() {
     assert_eq!(collect(&dataset, &scene, 1, &Silent).unwrap(), 3);
 }
 
-/// Leaves something on the calling thread that takes a while to free, as an OpenGL driver does.
+/// Leaves a thread-local value that takes a while to free on the calling thread, like an OpenGL driver.
 #[derive(Default)]
 struct LeavesSomething(Arc<AtomicU64>);
 
@@ -345,7 +345,7 @@ fn frames_on_disk_are_those_in_memory_and_leave_no_file() {
     let disk = collected.dataset.load(FramePlace::Disk, &Silent).unwrap();
     assert_eq!(memory.image(Modality::VISION).len(), memory.len() * FRAME_LEN);
     assert!(disk.image(Modality::VISION) == memory.image(Modality::VISION));
-    // So often that pages are let go of on the way.
+    // This is often enough that pages are released in between.
     let at: Vec<usize> = (0..disk.len()).rev().collect();
     for _ in 0..400 {
         disk.prefetch(Modality::VISION, &at);
@@ -378,8 +378,8 @@ fn frames_stay_in_memory_up_to_a_limit() {
     assert_eq!(place(100_000_000, None), FramePlace::Disk, "no machine has 8 times 1.2 TB");
 }
 
-/// Episodes of so many samples at 10 Hz, in which every force of sample s of the dataset is s newtons, and that of the
-/// last link 3 s.
+/// Episodes of these numbers of samples at 10 Hz. In sample s of the dataset the force on each link is s newtons, and
+/// on the last link 3 s newtons.
 fn ramps(seed: u64, lengths: &[usize]) -> Samples {
     let recording = Recording { sample_rate_hz: 10.0, seed };
     let mut all = Samples::new(
@@ -419,10 +419,10 @@ fn split(by: Division) -> Split {
 
 #[test]
 fn a_split_by_time_trains_on_the_first_part_of_each_episode_and_leaves_a_gap() {
-    // 200 samples at 10 Hz: 20 each for validation and test, and gaps of 50 unless the split says otherwise.
+    // Of 200 samples at 10 Hz, 20 are for validation and 20 for test, and each gap has 50 by default.
     let samples = ramps(0, &[200, 200]);
     let Partition { training, validation, test } = samples.partition(&split(Division::Time)).unwrap();
-    // A transition's next sample belongs to the same part, so each has one less than samples.
+    // A transition's next sample belongs to the same part, so a part has one transition less than samples.
     let expected = |part: std::ops::Range<usize>| -> Vec<usize> {
         part.clone().chain(part.start + 200..part.end + 200).collect()
     };
@@ -432,7 +432,7 @@ fn a_split_by_time_trains_on_the_first_part_of_each_episode_and_leaves_a_gap() {
     let narrow = Split { gap_seconds: Some(0.25), test: 0.2, ..split(Division::Time) };
     let Partition { training, validation, test } = samples.partition(&narrow).unwrap();
     assert_eq!((training.len(), validation[0], test[0]), (2 * 133, 137, 160));
-    // An episode that is too short for the gaps leaves nothing to train on.
+    // If an episode is too short for the gaps, there is nothing to train on.
     assert_eq!(ramps(0, &[200, 100]).partition(&split(Division::Time)), None);
 }
 
@@ -461,7 +461,7 @@ fn a_split_by_sample_draws_every_transition_once_and_depends_on_the_datasets_see
     let mut all = [training.clone(), validation, test.clone()].concat();
     all.sort_unstable();
     assert_eq!(all, (0..299).chain(300..499).collect::<Vec<_>>());
-    // What it is warned of: nearly every test sample has a neighbour in training.
+    // The documentation warns of this: nearly every test sample has a neighbour in the training set.
     let neighbours =
         test.iter().filter(|&&at| training.contains(&(at + 1)) || training.contains(&(at.wrapping_sub(1))));
     assert!(neighbours.count() > 40);
@@ -481,18 +481,19 @@ fn a_shared_deviation_pools_the_variances_and_leaves_each_mean() {
         &normalizers.modalities[&Modality::CONTACT_FORCE],
         &normalizers.modalities[&Modality::CONTACT_FORCE_MEAN],
     );
-    // 0 to 10 have mean 5 and variance 10; three times as much on the last of 20 links nine times that.
+    // 0 to 10 have mean 5 and variance 10. The forces on the last of 20 links are three times as large, so their
+    // variance is nine times as large.
     assert_eq!((shared.mean[0], shared.mean[19]), (5.0, 15.0));
     assert_eq!(shared.mean, own.mean);
     assert_eq!(shared.std, [((19.0 * 10.0 + 90.0) / 20.0_f32).sqrt()]);
     assert_eq!((own.std[0], own.std[19]), (10.0_f32.sqrt(), 90.0_f32.sqrt()));
-    // In units of the shared deviation the last link's forces vary three times as much as another's.
+    // In units of the shared standard deviation, the last link's forces vary three times as much as another link's.
     let table =
         normalizers.vectors(&Arc::new(samples), &[0, 10], &[Modality::CONTACT_FORCE]).unwrap().unwrap();
     let table: Vec<Vec<f32>> = table.to_vec2().unwrap();
     let span = |link: usize| table[1][link] - table[0][link];
     assert!((span(19) / span(0) - 3.0).abs() < 1e-6);
-    // What would be -2 N on the first link becomes the minimum; on the last -1 + 15 stays.
+    // -7 + 5 N on the first link is below the minimum, and becomes -1 N. -1 + 15 N on the last link is not changed.
     let mut predicted: Vec<f32> =
         (0..JOINTS).map(|link| if link == 0 { -7.0 } else { -1.0 } / shared.std[0]).collect();
     shared.denormalize(&mut predicted);
@@ -505,7 +506,7 @@ fn a_shared_deviation_pools_the_variances_and_leaves_each_mean() {
 
 #[test]
 fn frames_are_scaled_by_their_pixels_means_and_one_deviation_whatever_the_threads() {
-    // More than are summed up at once.
+    // These are more samples than are summed at once.
     let samples = ramps(0, &[3000, 3000]);
     let at: Vec<usize> = (0..6000).filter(|sample| sample % 7 != 0).collect();
     for modality in [Modality::VISION, Modality::FRAME_DIFFERENCE] {
@@ -532,13 +533,13 @@ fn frames_are_scaled_by_their_pixels_means_and_one_deviation_whatever_the_thread
             assert!((found - mean).abs() < 1e-6, "{modality} {pixel}: {found}, not {mean}");
             variances += values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64;
         }
-        // Each pixel runs through all bytes alike, so all have nearly the same variance.
+        // Each pixel takes all values of a byte equally often, so all pixels have nearly the same variance.
         let found = f64::from(normalizers.modalities[&modality].std[0]);
         assert!((found.powi(2) / (variances / 4.0) - 1.0).abs() < 0.02, "{modality}: {found}");
     }
 }
 
-/// The Python package reads and writes episodes' files by the same list.
+/// The Python package has the same list of columns for reading and writing episodes.
 #[test]
 fn the_python_packages_columns_are_those_of_the_files() {
     let root = Path::new(ROOT);
@@ -564,8 +565,8 @@ fn the_python_packages_columns_are_those_of_the_files() {
     assert!(found == expected, "python/harness/recorded.py must give {expected}");
 }
 
-/// What the columns of a dataset's episodes hold, as the columns of version 0.1.0 did: a hash of their names and of every
-/// value's bits. Frames depend on the renderer, so they are compared by other tests.
+/// Compares a hash of the names and values of all columns of a dataset with that of version 0.1.0, bit by bit. Frames
+/// depend on the renderer, so other tests compare them.
 #[test]
 fn the_built_in_worlds_record_the_bits_that_they_always_did() {
     use polars::prelude::*;

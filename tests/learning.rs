@@ -1,5 +1,5 @@
-//! Own ops against finite differences and candle's own operations, the network against its PyTorch twin, and
-//! training: deterministic, resumable, stopped early.
+//! Own ops compared with finite differences and candle's operations, the network compared with the same network in
+//! PyTorch, and training: deterministic, resumable, stopped early.
 
 use candle_core::{Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
@@ -35,7 +35,7 @@ use std::time::Duration;
 #[path = "common/finger.rs"]
 mod finger;
 
-/// The repository's.
+/// Path of the repository.
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
 fn random(seed: u64) -> Random {
@@ -59,14 +59,15 @@ fn dot(a: &Tensor, b: &Tensor) -> f64 {
     values(a).iter().zip(values(b)).map(|(a, b)| f64::from(*a) * f64::from(b)).sum()
 }
 
-/// Compares the gradient of every argument, along a random direction, with the central difference of `function`.
+/// Compares the gradient of each argument in a random direction with the central difference of `function`.
 fn assert_gradients(arguments: &[Var], function: impl Fn(&[Tensor]) -> Result<Tensor>) {
-    // A ReLU that switches between the two sides spoils a large step, and rounding a small one: one must agree.
+    // With a large step, a ReLU may switch between the two sides. With a small step, rounding is large. One step must
+    // agree.
     const STEPS: [f64; 3] = [2e-4, 5e-4, 1e-3];
     let mut random = random(99);
     let tensors: Vec<Tensor> = arguments.iter().map(|var| var.as_tensor().clone()).collect();
     let output = function(&tensors).unwrap();
-    // A random weighting of the outputs makes a scalar that depends on every one of them.
+    // The randomly weighted sum of the outputs is a scalar that depends on all of them.
     let weights = normal(&mut random, output.dims());
     let gradients = (&output * &weights).unwrap().sum_all().unwrap().backward().unwrap();
     for (index, argument) in arguments.iter().enumerate() {
@@ -104,7 +105,7 @@ fn gradients_of_linear_are_those_of_finite_differences() {
     }
 }
 
-/// Two convolutions, and images that fill one group of lanes and a part of another.
+/// Two convolutions, and a number of images that fills one group of lanes and a part of another.
 fn stack() -> (Stack, usize) {
     (Stack::new(2, 8, &[3, 5]), LANES + 3)
 }
@@ -126,7 +127,7 @@ fn gradients_of_the_frame_encoder_are_those_of_finite_differences() {
 #[test]
 fn gradients_of_two_layers_are_those_of_finite_differences() {
     let mut random = random(11);
-    // Eleven rows: parts of unequal size.
+    // Eleven rows are split into parts of unequal size.
     let shapes: [&[usize]; 5] = [&[11, 7], &[6, 7], &[6], &[4, 6], &[4]];
     let arguments = shapes.map(|shape| variable(&mut random, shape));
     assert_gradients(&arguments, |args| {
@@ -149,7 +150,7 @@ fn gradients_of_the_frame_loss_are_those_of_finite_differences() {
     assert_gradients(&arguments, |args| {
         let [hidden, weight, packed] = [0, 1, 2].map(|index| args[index].clone());
         let decoder = FrameDecoder { stack: stack.clone(), weight, packed, arithmetic: Arithmetic::best() };
-        // A factor other than one comes from upstream when a term is weighted.
+        // A weighted term has an upstream gradient other than one.
         frame_loss(&hidden, decoder, target.clone())? * 3.0
     });
 }
@@ -169,7 +170,7 @@ fn gradients_of_the_posterior_and_of_the_vectors_losses_are_those_of_finite_diff
 
 #[test]
 fn losses_of_vectors_are_those_of_their_definitions_and_of_candles_operations() {
-    // Worked by hand: errors of 0.5, -2 and 3.
+    // Calculated by hand for errors of 0.5, -2 and 3.
     let expected = |loss: Loss| match loss {
         Loss::Squared => (0.25 + 4.0 + 9.0) / 3.0,
         Loss::Absolute => (0.5 + 2.0 + 3.0) / 3.0,
@@ -226,7 +227,7 @@ fn dropout_is_for_training_alone_and_goes_by_the_seed() {
     assert_ne!(losses(&without), losses(&with));
     let (again, same) = bench.train_undisturbed(7);
     assert!(losses(&with) == losses(&again) && bits(&parameters) == bits(&same));
-    // Both begin with the same weights, so the first batches of training tell that values were left out.
+    // Both start with the same weights, so the losses of the first epoch differ only because values were dropped.
     assert_ne!(without[0].train[TOTAL].to_bits(), with[0].train[TOTAL].to_bits());
 }
 
@@ -295,13 +296,13 @@ fn averaged_frames_are_the_means_of_their_squares() {
     assert_eq!((averaged.side(), averaged.frame_len()), (2, 8));
     let mut found = vec![0.0; 8];
     averaged.write(0, &mut found);
-    // The first square holds 0, 1, 4 and 5.
+    // The first square contains 0, 1, 4 and 5.
     assert_eq!(found, [2.5, 4.5, 10.5, 12.5, 18.5, 20.5, 26.5, 28.5]);
 }
 
 #[test]
 fn adam_takes_the_steps_of_its_algorithm() {
-    // Gradients of changing size and sign, so that both moments and their corrections show.
+    // The gradients change their size and sign, so that both moments and their corrections matter.
     let gradients = [[1.0f32, -0.01], [-3.0, 0.5], [0.1, 0.0], [20.0, -2.0]];
     let parameter = Var::new(&[0.5f32, -0.25], &Device::Cpu).unwrap();
     let mut adam = Adam::new(vec![parameter.clone()], 1e-2).unwrap();
@@ -327,7 +328,7 @@ fn adam_takes_the_steps_of_its_algorithm() {
 #[test]
 fn reference_adam_with_weight_decay_takes_the_steps_of_candles_adamw() {
     let mut random = random(0);
-    // More values than one thread takes at a time.
+    // There are more values than a thread processes at a time.
     let (weight, bias) = (variable(&mut random, &[300, 250]), variable(&mut random, &[250]));
     let copy = |var: &Var| Var::from_tensor(&var.as_tensor().copy().unwrap()).unwrap();
     let (theirs_weight, theirs_bias) = (copy(&weight), copy(&bias));
@@ -360,7 +361,7 @@ fn reference_adam_with_weight_decay_takes_the_steps_of_candles_adamw() {
 
 #[test]
 fn a_gradient_longer_than_the_norm_to_clip_to_is_scaled_down_to_it() {
-    // Two parameters, whose gradients are (3, 0) and (4, 0) times a number: together five times as long as that.
+    // The gradients of the two parameters are `times` (3, 0) and (4, 0), so their joint norm is 5 * `times`.
     let step = |adam: &mut Adam, pair: &[Var; 2], times: f32| {
         let product = |var: &Var, slope: f32| {
             let slope = Tensor::new(&[slope * times, 0.0], &Device::Cpu)?.reshape(var.shape())?;
@@ -374,7 +375,7 @@ fn a_gradient_longer_than_the_norm_to_clip_to_is_scaled_down_to_it() {
     let adam = |pair: &[Var; 2]| Adam::new(pair.to_vec(), 0.1).unwrap();
     let mut clipping = adam(&clipped).with_clip_norm(Some(10.0));
     let (mut by_hand, mut unclipped) = (adam(&scaled), adam(&free));
-    // Norms 5, 50 and 1: only the second is above 10, five times.
+    // The norms are 5, 50 and 1. Only the second is above the limit of 10, by a factor of five.
     for (times, after_clipping) in [(1.0, 1.0), (10.0, 2.0), (0.2, 0.2)] {
         step(&mut clipping, &clipped, times);
         step(&mut by_hand, &scaled, after_clipping);
@@ -396,7 +397,7 @@ fn a_learning_rate_rises_over_the_warm_up_and_falls_to_nothing_over_the_rest() {
         schedule: Schedule::Cosine,
         ..Training::default()
     };
-    // Five epochs of ten steps: ten of warm-up, then forty of half a cosine, worked by hand.
+    // Calculated by hand for five epochs of ten steps: ten steps of warm-up, then forty of half a cosine.
     let expected = [
         (0, 0.02),
         (4, 0.1),
@@ -419,7 +420,7 @@ fn a_learning_rate_rises_over_the_warm_up_and_falls_to_nothing_over_the_rest() {
     assert_eq!(learning_rate(&default, 10, 0), 0.2);
 }
 
-/// What tests/fixtures/twin.py wrote: the same network in PyTorch.
+/// The tensors that tests/fixtures/twin.py wrote, from the same network in PyTorch.
 struct Twin {
     tensors: HashMap<String, Tensor>,
     weights: BTreeMap<Modality, f64>,
@@ -427,7 +428,7 @@ struct Twin {
     architecture: Architecture,
 }
 
-/// The paper's network of these widths.
+/// The paper's network with these widths.
 fn network(hidden: usize, channels: usize) -> Network {
     Network {
         preset: Preset::MultiToMulti,
@@ -571,7 +572,7 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool, arithmetic: Arithmetic)
         adam.step(&gradients).unwrap();
     }
     for (name, parameter) in &parameters {
-        // Adam divides a gradient by its own size, so where it is all but zero rounding decides its sign; such
+        // Adam divides a gradient by its own size. Where a gradient is nearly zero, its sign depends on rounding. Such
         // parameters may differ by a part of the three steps of 1e-3.
         let error = (parameter.as_tensor() - twin.get(&format!("adam3.{name}"))).unwrap().abs().unwrap();
         let errors = error.flatten_all().unwrap().to_vec1::<f32>().unwrap();
@@ -601,7 +602,7 @@ fn reference_the_deep_network_agrees_with_its_pytorch_twin() {
     }
 }
 
-/// Random walks in place of a simulation, which these tests are not about.
+/// Episodes of random walks, because these tests need no simulation.
 fn walks(episodes: u32, samples: usize) -> Samples {
     let recording = Recording { sample_rate_hz: 10.0, seed: 0 };
     let room = episodes as usize * samples;
@@ -640,7 +641,7 @@ fn walks(episodes: u32, samples: usize) -> Samples {
 const INPUT: [Modality; 2] = [Modality::PROPRIOCEPTION, Modality::VISION];
 const OUTPUT: [Modality; 3] = [Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE, Modality::FRAME_DIFFERENCE];
 
-/// A small experiment in training.
+/// The data and settings of a small training.
 struct Bench {
     data: NormalizedData,
     partition: Partition,
@@ -669,7 +670,7 @@ impl Bench {
         Self { data, partition, training, weights, network: network(8, 2) }
     }
 
-    /// With several convolutions and hidden layers, and an encoder each for frames and vectors.
+    /// A network with several convolutions and hidden layers, and separate encoders for frames and vectors.
     fn with_deep_network() -> Self {
         let bench = Self::new();
         let deep = Network {
@@ -681,7 +682,7 @@ impl Bench {
         Self { network: deep, ..bench }
     }
 
-    /// With every setting that changes a step.
+    /// A training with all settings that change a step.
     fn with_schedule() -> Self {
         let mut bench = Self::new();
         bench.training = Training {
@@ -695,7 +696,7 @@ impl Bench {
         bench
     }
 
-    /// Trains from scratch, or from `state` on, and returns the epochs and the parameters.
+    /// Trains from the beginning or from `state`, and returns the epochs and the parameters.
     fn train(
         &self,
         seed: u64,
@@ -778,7 +779,7 @@ fn schedule_warm_up_decay_clipping_and_losses_each_change_a_training() {
     }
 }
 
-/// Cancels after so many steps are asked for.
+/// Cancels after this many steps.
 struct Impatient(AtomicUsize);
 
 impl Progress for Impatient {
@@ -792,14 +793,14 @@ impl Progress for Impatient {
     }
 }
 
-/// Writes down which transitions it is asked about, and how; there is nothing to learn.
+/// An objective that records the transitions of each call, and whether it is for training. There is nothing to learn.
 struct Protocol {
     parameter: Tensor,
     asked: RefCell<Vec<(bool, Vec<usize>)>>,
 }
 
 impl Protocol {
-    /// The transitions of training or validation, in the order they were asked for.
+    /// The transitions of all calls for training or for validation, in order.
     fn asked(&self, training: bool) -> Vec<usize> {
         let asked = self.asked.borrow();
         asked.iter().filter(|(sampled, _)| *sampled == training).flat_map(|(_, at)| at.clone()).collect()
@@ -863,7 +864,7 @@ fn an_interrupted_training_ends_as_an_undisturbed_one() {
         let path = folder.path().join("state.safetensors");
         let state = || StateFile::at(path.clone()).every(Duration::ZERO);
         let steps_per_epoch = bench.partition.training.len().div_ceil(bench.training.batch_size);
-        // In the middle of the second epoch, so that part of it is lost.
+        // This is in the middle of the second epoch, so a part of it is lost.
         let stopped = bench.train(7, &state(), &Impatient(AtomicUsize::new(steps_per_epoch + 1)));
         assert!(matches!(stopped, Err(LearningError::Cancelled)));
         assert!(path.exists(), "the first epoch was saved");
@@ -873,7 +874,7 @@ fn an_interrupted_training_ends_as_an_undisturbed_one() {
     }
 }
 
-/// Keeps what it is told.
+/// Records all messages.
 #[derive(Default)]
 struct Listener(std::sync::Mutex<Vec<String>>);
 
@@ -887,7 +888,7 @@ impl Progress for Listener {
     fn end(&self) {}
 }
 
-/// Keeps what it is told of the stage, in order.
+/// Records all calls about the stage, in order.
 #[derive(Default)]
 struct Heard(std::sync::Mutex<Vec<String>>);
 
@@ -943,14 +944,14 @@ fn a_cancelled_training_keeps_its_last_whole_epoch() {
     let bench = Bench::new();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("state.safetensors");
-    // So rarely that only cancelling saves it.
+    // The interval is so long that the state is only saved when the training is cancelled.
     let state = || StateFile::at(path.clone()).every(Duration::from_secs(3600));
     let steps_per_epoch = bench.partition.training.len().div_ceil(bench.training.batch_size);
     let epochs = bench.training.epochs;
-    // In the middle of the last epoch.
+    // This is in the middle of the last epoch.
     let patience = Impatient(AtomicUsize::new(steps_per_epoch * epochs - 1));
     assert!(matches!(bench.train(7, &state(), &patience), Err(LearningError::Cancelled)));
-    // The last epoch alone is done again.
+    // Only the last epoch is done again.
     let (all, _) = bench.train(7, &state(), &Impatient(AtomicUsize::new(steps_per_epoch))).unwrap();
     assert_eq!(losses(&all), losses(&bench.train_undisturbed(7).0));
 }
@@ -986,7 +987,7 @@ fn a_damaged_state_is_named_and_not_used() {
 #[test]
 fn early_stopping_keeps_the_best_epoch() {
     let mut bench = Bench::new();
-    // Steps this large make the validation loss rise after few epochs.
+    // With such large steps, the validation loss rises after a few epochs.
     bench.training =
         Training { epochs: 60, patience: Some(3), learning_rate: 0.05, batch_size: 8, ..Training::default() };
     let (epochs, parameters) = bench.train_undisturbed(7);
@@ -999,10 +1000,10 @@ fn early_stopping_keeps_the_best_epoch() {
     assert!(bits(&parameters) == bits(&best_parameters));
 }
 
-/// Has the validation errors that it was given, an epoch each, and a KL divergence that falls for ever.
+/// An objective with given validation errors for each epoch, and a KL divergence that always falls.
 struct Scripted {
     parameter: Tensor,
-    /// Proprioception and contact force.
+    /// The errors of proprioception and contact force in each epoch.
     errors: Vec<[f32; 2]>,
     epoch: Cell<usize>,
     /// The parameter after each epoch.
@@ -1012,7 +1013,7 @@ struct Scripted {
 impl Objective for Scripted {
     fn terms(&self, _: &[usize], draw: Draw) -> Result<Vec<Weighted>> {
         let term = |name: &str, weight: f64, value: f32| -> Result<Weighted> {
-            // The parameter always goes the same way, and changes no value.
+            // The parameter always changes in the same direction, and does not change the value.
             let falling = (&self.parameter - self.parameter.detach())?;
             Ok(Weighted { name: name.into(), weight, value: (falling + f64::from(value))? })
         };
@@ -1090,7 +1091,7 @@ fn checkpoints_bring_back_parameters_and_scales() {
     let normalizers = checkpoint::load(&path, &other).unwrap();
     assert!(bits(&trained) == bits(&other));
     assert_eq!(normalizers, *bench.data.normalizers);
-    // Forces have a minimum, which networks that were saved before it was a setting lack, as angles do.
+    // Forces have a minimum, and angles have none. Networks of earlier versions were saved without a minimum.
     let minimum = |modality| normalizers.modalities[&modality].minimum;
     assert_eq!((minimum(Modality::CONTACT_FORCE), minimum(Modality::PROPRIOCEPTION)), (Some(0.0), None));
     let bytes = std::fs::read(&path).unwrap();

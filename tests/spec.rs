@@ -1,5 +1,4 @@
-//! Specs as their authors meet them: what loads, what is refused and how it is said, and what makes two runs
-//! the same.
+//! Specs: which are loaded, which are refused with which message, and which runs are the same.
 
 use harness_spec::{
     self as spec, Action, Division, Experiment, Fusion, GivenScaling, Layout, Loss, Modality, Network,
@@ -12,10 +11,10 @@ use rand_chacha::ChaCha8Rng;
 use std::fs;
 use std::path::Path;
 
-/// The repository's.
+/// Path of the repository.
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
-/// A valid spec of 6 lines; what a test adds begins on line 7.
+/// A valid spec of 6 lines. Lines that a test adds start at line 7.
 const BASE: &str = "\
 name: base
 scenarios: [empty, cluttered]
@@ -38,12 +37,12 @@ fn load(text: &str) -> Experiment {
     load_with(text, &[], false).unwrap()
 }
 
-/// The message that refuses a spec.
+/// The error message for an invalid spec.
 fn refusal(text: impl AsRef<[u8]>) -> String {
     load_with(text, &[], false).unwrap_err()
 }
 
-/// The message that refuses an override of the valid spec.
+/// The error message for an invalid override of the valid spec.
 fn override_refusal(text: &str) -> String {
     load_with(BASE, &[text], false).unwrap_err()
 }
@@ -408,7 +407,7 @@ fn frames_need_convolutions_that_fit_them() {
 
 #[test]
 fn a_network_without_frames_has_no_convolutions() {
-    // The preset, and settings that have no effect, make no difference to the layers.
+    // The preset's name, and settings without an effect, do not change the layers.
     let vectors = load(BASE).network;
     let other = load(&base_with("network: {preset: single_to_multi, channels: [8, 16], average: 4}")).network;
     assert_eq!(vectors, other);
@@ -548,7 +547,8 @@ fn what_a_spec_says_of_a_scaling_replaces_that_default_alone() {
     assert_eq!(runs[2].scalings(&Layout::finger())[&Modality::CONTACT_FORCE].scale, Scale::PerElement);
 }
 
-/// A run's spec states the scaling of what it uses, and says nothing where that is how everything was scaled before.
+/// A run's spec contains the scaling of the modalities that it uses, except where it is the scaling of earlier
+/// versions.
 #[test]
 fn a_run_that_is_scaled_as_runs_were_before_keeps_its_hash() {
     let run = |addition: &str| load(&format!("{BASE}{addition}")).runs().remove(0);
@@ -558,7 +558,7 @@ fn a_run_that_is_scaled_as_runs_were_before_keeps_its_hash() {
                      simulation: {episodes: 40, actuations_per_episode: 100}\n");
     assert_eq!(plain.scaling, Scalings::new());
     assert_eq!(plain.scalings(&Layout::finger())[&Modality::CONTACT_FORCE], Scaling::plain(false));
-    // The hash that this spec had when there was neither `scaling` nor `split.by`.
+    // This is the spec's hash from before `scaling` and `split.by` were settings.
     assert_eq!(plain.hash(), "3878ffe86883afc2");
 }
 
@@ -581,7 +581,7 @@ fn overrides_replace_single_settings() {
         "description=a: b=c",
         "training.batch_size=256",
     ];
-    // The value of `description` is YAML, in which `a: b=c` is a section.
+    // The value of `description` is parsed as YAML, in which `a: b=c` is a section.
     assert_eq!(
         load_with(BASE, &overrides, false).unwrap_err(),
         "override 'description=a: b=c': 'description': expected a text, found a section of keys; \
@@ -615,7 +615,7 @@ fn a_single_value_stands_for_a_list_of_one() {
     assert_eq!(given(singles), given(lists));
     let quick = |value| load_with(format!("{BASE}quick:\n  seeds: {value}\n"), &[], true).unwrap();
     assert_eq!(quick("7"), quick("[7]"));
-    // A pair is no list of one, and nothing is no value.
+    // A pair can't be replaced by a single value, and null is not a value.
     assert!(override_refusal("simulation.lift_range_m=0").contains("expected a list of 2 items"));
     assert!(override_refusal("seeds=null").contains("expected a list of at least one item"));
 }
@@ -669,7 +669,8 @@ fn bad_overrides_are_refused_by_name() {
         ),
         "{message}"
     );
-    // Both differ by one letter from a setting, and `simulation.seed` would change the data instead.
+    // Both keys differ from `seeds` by one letter. The suggestion must not be `simulation.seed`, which changes the
+    // data.
     for (text, suggestion) in
         [("seed=7", "seeds=[7]"), ("seed=[7, 8]", "seeds=[7, 8]"), ("sees=7", "seeds=[7]")]
     {
@@ -732,7 +733,7 @@ fn a_varied_setting_that_is_given_is_tried_with_that_value_alone() {
     assert_eq!(tried(&["training.epochs=5"], false), [(5, 0.0), (5, 1.0)]);
     assert_eq!(tried(&[], true), [(3, 0.0), (3, 1.0)]);
     assert_eq!(tried(&["training.epochs=5", "training.kl_weight=1"], true), [(5, 1.0)]);
-    // In whatever order they are given.
+    // The order of the overrides does not matter.
     let vary = "vary={training.epochs: [7, 8], training.kl_weight: [0]}";
     assert_eq!(tried(&[vary], true), [(7, 0.0), (8, 0.0)]);
     assert_eq!(tried(&["training.epochs=5", vary], false), tried(&[vary, "training.epochs=5"], false));
@@ -741,7 +742,7 @@ fn a_varied_setting_that_is_given_is_tried_with_that_value_alone() {
     assert!(refused.starts_with("override 'training.epochs=0': "), "{refused}");
 }
 
-/// The run of a sweep with one value is the sweep's own, so it isn't done again.
+/// A sweep that is limited to one value has the same run as the whole sweep, so the run is not done again.
 #[test]
 fn a_given_value_that_the_spec_tries_gives_the_same_run() {
     let text = base_with("latent: [2]") + "vary:\n  training.epochs: [1, 2]\n";
@@ -899,7 +900,7 @@ fn each_combination_of_what_varies_must_be_possible() {
     );
 }
 
-/// A spec with two roles, two readings besides its own, and two datasets.
+/// A spec with two roles, two readings besides the base, and two datasets.
 fn readings() -> String {
     let reading = |name: &str, settings: &str| {
         let texts = "choice: c, base: b, instead: i, paper: p";
@@ -1042,8 +1043,7 @@ fn the_hash_depends_on_what_decides_the_result_alone() {
     assert_eq!(hashes.len(), changes.len() + 1);
 }
 
-/// Results are found again by their hash, so it must not change unnoticed: from one version to the next, from
-/// one platform to another.
+/// Results are found by their hash, so the hash must not change between versions or platforms unnoticed.
 #[test]
 fn the_hash_is_stable() {
     assert_eq!(first_hash(BASE), "2464d348fe4365e4");
@@ -1086,7 +1086,7 @@ fn random_split(random: &mut impl Rng) -> Split {
     let by = *Division::ALL.choose(random).unwrap();
     let mut share = || random.random_range(0.01..0.3);
     let (validation, test) = (share(), share());
-    // An episode may have as little as six samples, two a part.
+    // An episode may have only six samples, two for each part.
     Split { by, validation, test, gap_seconds: (by == Division::Time).then_some(0.0) }
 }
 
@@ -1100,7 +1100,7 @@ fn random_scaling(modality: Modality, random: &mut impl Rng) -> GivenScaling {
     }
 }
 
-/// A valid experiment with everything drawn at random, as `load` would leave it.
+/// A valid experiment with random settings, as `load` would return it.
 fn random_experiment(random: &mut impl Rng) -> Experiment {
     const NAMES: [&str; 8] = ["a", "123", "1e3", "null", "true", "no", "0x1F", "-_-"];
     const TEXTS: [&str; 6] = ["", "a: b # c", "two\nlines\n", "'\"\\ \t", "ünï ✓", "- [x, {y"];
@@ -1252,11 +1252,11 @@ fn every_experiment_here_loads_under_its_file_name() {
     let mut names = Vec::new();
     for entry in fs::read_dir(experiments()).unwrap() {
         let path = entry.unwrap().path();
-        // The claims are about experiments, and no experiment.
+        // The file of claims is not a spec.
         if path.extension().is_some_and(|extension| extension == "yaml") && !path.ends_with("claims.yaml") {
             let stem = path.file_stem().unwrap().to_str().unwrap();
             for quick in [false, true] {
-                // It is quick as it is.
+                // The smoke experiment has no `quick` settings.
                 if stem == "smoke" && quick {
                     continue;
                 }
@@ -1269,7 +1269,7 @@ fn every_experiment_here_loads_under_its_file_name() {
     assert!(names.len() >= 3, "{names:?}");
 }
 
-/// A quick run must show every stage and table of the full one, so it may be smaller but not another experiment.
+/// A quick run must have every stage and table of the full run. It may be smaller, but not different otherwise.
 #[test]
 fn the_papers_experiments_are_the_papers_also_when_quick() {
     let expected = [("single_to_multi", [2, 4, 16], 5), ("multi_to_multi", [16, 64, 128], 3)];
@@ -1298,7 +1298,7 @@ fn the_papers_experiments_are_the_papers_also_when_quick() {
     }
 }
 
-/// Editors read this file. `harness schema > experiments/schema.json` writes it anew.
+/// Editors read this file. `harness schema > experiments/schema.json` updates it.
 #[test]
 fn the_schema_for_editors_is_up_to_date() {
     let file = fs::read_to_string(experiments().join("schema.json")).unwrap();
