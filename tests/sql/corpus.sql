@@ -1,12 +1,13 @@
--- Questions in SQL over the published results (results/reference), and what is expected of each:
+-- SQL queries over the published results (results/reference), with the expected result of each:
 --
---     -- agree: what it is about
---     the query                       answered as DuckDB answers it, row by row; rows in any order without ORDER BY
+--     -- agree: a description
+--     the query                       has the same rows as in DuckDB, in any order if there is no ORDER BY
 --
---     -- refuse: what it is about | a part of the message
---     the query                       refused with a message that says so
+--     -- refuse: a description | a part of the message
+--     the query                       is refused with this message
 --
--- A query ends where the next entry begins. tests/sql.rs asks them, tests/python/compare_sql.py compares.
+-- A query ends where the next entry begins. tests/sql.rs runs the queries, and tests/python/compare_sql.py compares the
+-- answers.
 
 -- agree: all columns and rows of a table
 select * from epochs
