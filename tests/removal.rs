@@ -36,7 +36,7 @@ fn garbage_is_listed_with_its_size_and_removed_only_with_consent() {
     assert_eq!(names(&results.join("runs")), ["smoke"]);
     assert_eq!(names(&results.join("datasets")).len(), 1);
     assert_eq!(succeed(&results, &["gc", "--yes"]), "nothing to remove\n");
-    assert!(succeed(&results, &["verify"]).contains("everything is whole"));
+    assert!(succeed(&results, &["verify"]).contains("all files are intact"));
 }
 
 #[test]

@@ -34,7 +34,7 @@ pub enum QueryError {
     #[error("the query can't be answered: {0}")]
     Refused(String),
     /// The answer's rows can't be converted to the wanted type.
-    #[error("the answer's rows are not what they should be: {0}")]
+    #[error("the rows of the answer have unexpected types: {0}")]
     Rows(serde_json::Error),
     /// The output file's name has none of the supported endings.
     #[error("can't write to '{}': its name must end in .parquet, .csv or .json", .0.display())]

@@ -121,7 +121,7 @@ def test_an_experiment_whose_tasks_are_killed_ends_complete_and_equal(cluster, t
     conftest.wait_for(lambda: not cluster("squeue", "--noheader").strip(), "end of all jobs", 900)
 
     assert metrics(cluster, results) == metrics(cluster, undisturbed)
-    assert "everything is whole" in harness(cluster, results, "verify")
+    assert "all files are intact" in harness(cluster, results, "verify")
     said = "".join(logs(results, "train").values())
     said += next((results / "jobs").glob("*/finish.log")).read_text(errors="replace")
     # Each training says once that it is over; those that were interrupted say it when they have been resumed.
