@@ -8,8 +8,8 @@ use clap::builder::PossibleValuesParser;
 use clap::builder::TypedValueParser;
 use harness::analysis::{Analysis, Selection, Setting};
 use harness::experiment::describe;
-use harness::figures::Figure;
 use harness::figures::source::{Experiments, Source};
+use harness::figures::{Figure, Format};
 use harness::registry::Registry;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -22,6 +22,9 @@ pub struct Figures {
     /// The folder to write <NAME>.svg, .png and .csv to
     #[arg(long, value_name = "DIR", default_value = "figures")]
     out: PathBuf,
+    /// Which of these files to write, as png or svg,csv [default: all]
+    #[arg(long = "format", value_name = "FORMAT", value_delimiter = ',', value_parser = format())]
+    formats: Vec<Format>,
     /// Draw the quick runs of the experiments (`harness run … --quick`)
     #[arg(long)]
     quick: bool,
@@ -42,6 +45,11 @@ fn figure() -> impl TypedValueParser<Value = Figure> {
         .try_map(|name| Figure::ALL.into_iter().find(|figure| figure.name() == name).ok_or("no such figure"))
 }
 
+fn format() -> impl TypedValueParser<Value = Format> {
+    PossibleValuesParser::new(Format::ALL.map(Format::name))
+        .try_map(|name| Format::ALL.into_iter().find(|format| format.name() == name).ok_or("no such format"))
+}
+
 impl Figures {
     /// Draws the figures. If none is named, figures whose runs are missing are skipped without a failure.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
@@ -60,17 +68,16 @@ impl Figures {
         let source = Source::new(&analysis, experiments);
         let named = !self.names.is_empty();
         let wanted = if named { self.names } else { Figure::ALL.to_vec() };
+        let formats = if self.formats.is_empty() { Format::ALL.to_vec() } else { self.formats };
         let (mut drawn, mut failed) = (0, false);
         for figure in wanted {
-            let saved = figure.draw(&source).and_then(|drawing| drawing.save(&self.out, figure.name()));
+            let saved =
+                figure.draw(&source).and_then(|drawing| drawing.save(&self.out, figure.name(), &formats));
             match saved {
                 Ok(()) => {
                     drawn += 1;
-                    println!(
-                        "{:<27} {}",
-                        figure.name(),
-                        shown(&self.out.join(format!("{}.svg", figure.name())))
-                    );
+                    let file = format!("{}.{}", figure.name(), formats[0].name());
+                    println!("{:<27} {}", figure.name(), shown(&self.out.join(file)));
                 }
                 Err(error) => {
                     failed |= named || !error.is_missing_runs();

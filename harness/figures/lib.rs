@@ -82,6 +82,28 @@ pub enum Figure {
     Readings,
 }
 
+/// A file that a figure is saved as.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    Svg,
+    Png,
+    /// The numbers.
+    Csv,
+}
+
+impl Format {
+    pub const ALL: [Format; 3] = [Format::Svg, Format::Png, Format::Csv];
+
+    /// The ending of the file's name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Format::Svg => "svg",
+            Format::Png => "png",
+            Format::Csv => "csv",
+        }
+    }
+}
+
 /// A figure and the numbers that it shows.
 pub struct Drawing {
     pub page: Page,
@@ -166,13 +188,17 @@ impl Figure {
 }
 
 impl Drawing {
-    /// Writes `<folder>/<name>.svg`, `.png` and `.csv`.
-    pub fn save(mut self, folder: &Path, name: &str) -> Result<(), FigureError> {
+    /// Writes `<folder>/<name>.<format>` of each format.
+    pub fn save(mut self, folder: &Path, name: &str, formats: &[Format]) -> Result<(), FigureError> {
         let svg = self.page.svg();
-        let png = Page::png(&svg)?;
-        save(&mut self.data, &folder.join(format!("{name}.csv")))?;
-        write_bytes(&folder.join(format!("{name}.png")), &png)?;
-        write_bytes(&folder.join(format!("{name}.svg")), svg.as_bytes())?;
+        for format in formats {
+            let path = folder.join(format!("{name}.{}", format.name()));
+            match format {
+                Format::Svg => write_bytes(&path, svg.as_bytes())?,
+                Format::Png => write_bytes(&path, &Page::png(&svg)?)?,
+                Format::Csv => save(&mut self.data, &path)?,
+            }
+        }
         Ok(())
     }
 }
