@@ -15,9 +15,19 @@ pub struct Scale {
     low: f64,
     high: f64,
     step: f64,
-    logarithmic: bool,
+    kind: Kind,
     /// Where the low and the high end lie, points.
     ends: [f64; 2],
+}
+
+/// How values become lengths.
+#[derive(Debug, Clone, Copy)]
+enum Kind {
+    Linear,
+    /// `low` and `high` are powers of ten.
+    Logarithmic,
+    /// Linear around 0 and logarithmic far from it, on both sides: the inverse hyperbolic sine of values over this one.
+    Symmetric(f64),
 }
 
 impl Scale {
@@ -29,43 +39,66 @@ impl Scale {
         let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|factor| factor * power).find(|step| *step >= rough);
         let step = step.unwrap_or(10.0 * power);
         let (low, high) = ((low / step + 1e-9).floor() * step, (low.max(high) / step - 1e-9).ceil() * step);
-        Self { low, high: if high > low { high } else { low + step }, step, logarithmic: false, ends }
+        Self { low, high: if high > low { high } else { low + step }, step, kind: Kind::Linear, ends }
     }
 
-    /// An axis over `[low, high]` and a little beyond, with about `ticks` round numbers within.
-    pub fn tight(low: f64, high: f64, ticks: usize, ends: [f64; 2]) -> Self {
+    /// An axis over `[low, high]` and a little beyond, linear where values are small beside `linear` and logarithmic where
+    /// they are large, with ticks at 0 and at the powers of ten above `linear`.
+    pub fn symmetric(low: f64, high: f64, linear: f64, ends: [f64; 2]) -> Self {
+        let (low, high) = ((low / linear).asinh(), (high.max(low) / linear).asinh());
         let margin = if high > low { (high - low) * 0.04 } else { 0.5 };
-        let step = Self::linear(low, high, ticks, ends).step;
-        Self { low: low - margin, high: high.max(low) + margin, step, logarithmic: false, ends }
+        Self { low: low - margin, high: high + margin, step: 1.0, kind: Kind::Symmetric(linear), ends }
     }
 
     /// A logarithmic axis over the powers of ten around `[low, high]`, both above 0.
     pub fn logarithmic(low: f64, high: f64, ends: [f64; 2]) -> Self {
         let (low, high) = (low.log10().floor(), high.log10().ceil());
-        Self { low, high: high.max(low + 1.0), step: 1.0, logarithmic: true, ends }
+        Self { low, high: high.max(low + 1.0), step: 1.0, kind: Kind::Logarithmic, ends }
     }
 
     /// Where a value lies, points.
     pub fn at(&self, value: f64) -> f64 {
-        let value = if self.logarithmic { value.log10() } else { value };
+        let value = match self.kind {
+            Kind::Linear => value,
+            Kind::Logarithmic => value.log10(),
+            Kind::Symmetric(linear) => (value / linear).asinh(),
+        };
         self.ends[0] + (value - self.low) / (self.high - self.low) * (self.ends[1] - self.ends[0])
     }
 
     /// The value nearest to this one that the axis holds.
     pub fn clamp(&self, value: f64) -> f64 {
-        let power = |end: f64| if self.logarithmic { 10f64.powf(end) } else { end };
-        value.clamp(power(self.low), power(self.high))
+        let [low, high] = self.range();
+        value.clamp(low, high)
+    }
+
+    /// The values at its ends.
+    pub fn range(&self) -> [f64; 2] {
+        [self.low, self.high].map(|end| match self.kind {
+            Kind::Linear => end,
+            Kind::Logarithmic => 10f64.powf(end),
+            Kind::Symmetric(linear) => linear * end.sinh(),
+        })
     }
 
     /// The values at its ticks, with their labels.
     fn ticks(&self) -> Vec<(f64, String)> {
+        if let Kind::Symmetric(linear) = self.kind {
+            let [low, high] = self.range();
+            let powers = (0..).map(|power| 10f64.powi(linear.log10().floor() as i32 + 1 + power));
+            let powers: Vec<f64> = powers.take_while(|value| *value <= high.max(-low)).collect();
+            let negative = powers.iter().rev().map(|value| -value);
+            let values = negative.chain([0.0]).chain(powers.iter().copied());
+            let within = values.filter(|value| (low..=high).contains(value));
+            return within.map(|value| (value, format!("{value}").replace('-', "\u{2212}"))).collect();
+        }
         let first = (self.low / self.step - 1e-6).ceil() as i64;
         let last = (self.high / self.step + 1e-6).floor() as i64;
         let decimals = (-self.step.log10().floor()).max(0.0) as usize;
         (first..=last)
             .map(|tick| {
                 let place = tick as f64 * self.step;
-                if self.logarithmic {
+                if matches!(self.kind, Kind::Logarithmic) {
                     return (10f64.powf(place), power_of_ten(place));
                 }
                 let text = format!("{place:.decimals$}").replace('-', "\u{2212}");
@@ -75,10 +108,10 @@ impl Scale {
     }
 }
 
-/// 0.1, 1, 10, 100, and beyond them 10^{n}.
+/// 0.001 to 1000, and beyond them 10^{n}.
 fn power_of_ten(exponent: f64) -> String {
     match exponent as i32 {
-        exponent @ -2..=3 => format!("{}", 10f64.powi(exponent)),
+        exponent @ -3..=3 => format!("{}", 10f64.powi(exponent)),
         exponent => format!("10^{{{exponent}}}").replace('-', "\u{2212}"),
     }
 }
@@ -139,14 +172,16 @@ impl Panel {
 
     /// A horizontal axis; without a label it has no numbers either.
     pub fn bottom_axis(&self, page: &mut Page, scale: &Scale, label: Option<&str>) {
+        let mut free = f64::NEG_INFINITY;
         for (value, text) in scale.ticks() {
             let x = scale.at(value);
             page.line([x, self.bottom()], [x, self.bottom() + TICK], AXIS);
-            if label.is_some() {
-                // Within the panel's width, so that neighbours don't meet.
-                let half = Type::SMALL.width(&text) / 2.0;
-                let x = x.clamp(self.left - 1.0 + half, self.right() + 1.0 - half);
+            // Within the panel's width, so that neighbours don't meet; where they do, a tick has no number.
+            let half = Type::SMALL.width(&text) / 2.0;
+            let x = x.clamp(self.left - 1.0 + half, self.right() + 1.0 - half);
+            if label.is_some() && x - half > free {
                 page.text(&text, [x, self.bottom() + TICK + 6.5], Type::SMALL);
+                free = x + half + 1.5;
             }
         }
         self.bottom_line(page, label);

@@ -2,13 +2,16 @@
 
 use super::FigureError;
 use super::axes::{Look, Panel, Scale, colour_of, legend, look_of, remark, words_of};
-use super::page::{GREY, Page, Stroke};
+use super::page::{BLACK, COLUMN, GREY, Page, Stroke, Type};
 use super::source::{Runs, integers, replicated, texts};
-use harness_analysis::{Interval, NETWORK, intervals};
+use harness_analysis::{Interval, LEVEL, NETWORK, intervals, mean_interval, replicates};
 use harness_metrics::{Direction, Metric};
 use harness_spec::{Modality, Scenario, Task};
 use polars::prelude::*;
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
+
+/// What predicting zero gives, %: by SMAPE as by WMAPE, the error is then as large as the reference.
+const ZERO: f64 = 100.0;
 
 /// What a panel shows.
 pub struct Curves<'a> {
@@ -22,7 +25,7 @@ pub struct Curves<'a> {
     pub baseline: Option<(&'static str, &'static str)>,
 }
 
-/// One curve: the network's interval by latent size, and the baseline's value.
+/// One curve: the network's interval by latent size, and the baseline's.
 struct Curve {
     scenario: Scenario,
     direction: Direction,
@@ -71,10 +74,12 @@ impl Curves<'_> {
                 if network.is_empty() {
                     continue;
                 }
-                // A baseline has no seed and no latent size: every run repeats its value, and the first one's stands.
+                // A baseline has no seed and no latent size: every run repeats its dataset's value.
                 let baseline = self.baseline.and_then(|(name, _)| {
-                    let mean = values[*of(scenario, direction, name).first()?].1?;
-                    Some(Interval { mean, bounds: None })
+                    let rows = of(scenario, direction, name).into_iter();
+                    let by_dataset: BTreeMap<u64, f64> =
+                        rows.filter_map(|row| Some((values[row].0, values[row].1?))).collect();
+                    mean_interval(&replicates(by_dataset), LEVEL)
                 });
                 curves.push(Curve { scenario, direction, network, baseline });
             }
@@ -112,21 +117,40 @@ impl Curves<'_> {
 }
 
 impl Measured<'_> {
-    /// What the vertical axis must reach: every mean, and every interval that isn't far wider than the rest.
-    pub fn highest(&self) -> f64 {
-        let values: Vec<&Interval> = self
-            .curves
+    fn values(&self) -> impl Iterator<Item = &Interval> {
+        self.curves
             .iter()
             .flat_map(|curve| curve.network.iter().map(|(_, value)| value).chain(&curve.baseline))
-            .collect();
-        let mean = values.iter().map(|value| value.mean).fold(0.0, f64::max);
-        values.iter().map(|value| value.high().min(mean * 1.3)).fold(mean, f64::max)
+    }
+
+    /// What the vertical axis must reach: every mean, and every interval that isn't far wider than the rest.
+    fn highest(&self) -> f64 {
+        let mean = self.values().map(|value| value.mean).fold(0.0, f64::max);
+        self.values().map(|value| value.high().min(mean * 1.3)).fold(mean, f64::max)
+    }
+
+    /// Whether a part of an interval lies beyond the axis.
+    fn is_cut(&self, scale: &Scale) -> bool {
+        self.values().any(|value| [value.low(), value.high()].iter().any(|end| scale.clamp(*end) != *end))
     }
 
     /// Draws the panel; without an axis label, its numbers stand at the panel to the left.
-    pub fn draw(&self, page: &mut Page, panel: &Panel, highest: f64, label: Option<&str>) {
-        let scale = Scale::linear(0.0, highest, 5, panel.upwards());
-        panel.left_axis(page, &scale, label);
+    fn draw(&self, page: &mut Page, panel: &Panel, scale: &Scale, label: Option<&str>) {
+        panel.left_axis(page, scale, label);
+        let note = Type::SMALL.colour(GREY);
+        if scale.clamp(ZERO) == ZERO {
+            let zero = scale.at(ZERO);
+            page.line([panel.left, zero], [panel.right(), zero], Stroke::new(BLACK, 0.6).dashed());
+        } else {
+            let text = format!("predicting zero: {ZERO} %");
+            let [x, y] = [panel.left + 3.0, panel.top + 9.0];
+            page.text(&text, [x, y], note.start());
+            let x = x + note.width(&text) + 5.0;
+            page.arrow(&[[x, y], [x, y - 8.0]], Stroke::new(GREY, 0.6));
+        }
+        let over = self.of.runs.replicates();
+        let bars = over.map_or("one seed, no bars".to_owned(), |over| format!("bars: 95 % over {over}"));
+        page.text(&bars, [panel.left + 3.0, panel.bottom() - 3.0], note.start());
         let mut names: Vec<String> = self.latents.iter().map(usize::to_string).collect();
         names.extend(self.of.baseline.map(|(_, name)| name.to_owned()));
         let slots = panel.slots(names.len());
@@ -147,10 +171,10 @@ impl Measured<'_> {
                 curve.network.iter().map(|(latent, value)| [at(latent), scale.at(value.mean)]).collect();
             look.path(page, &points);
             for (latent, value) in &curve.network {
-                look.point(page, at(latent), &scale, value);
+                look.point(page, at(latent), scale, value);
             }
             if let (Some(value), Some(slot)) = (&curve.baseline, slots.last()) {
-                look.point(page, slot + aside, &scale, value);
+                look.point(page, slot + aside, scale, value);
             }
         }
     }
@@ -171,19 +195,28 @@ pub fn explain(page: &mut Page, middle: f64, y: f64) {
     }
 }
 
-/// Says what the bars are.
-pub fn explain_bars(page: &mut Page, middle: f64, y: f64, runs: &[&Runs], more: &str) {
-    let seeds: BTreeSet<(usize, usize)> = runs.iter().map(|runs| runs.seeds()).collect();
-    let words = |(fewest, most): &(usize, usize)| {
-        if fewest < most { format!("{fewest} to {most}") } else { most.to_string() }
+/// Draws two panels side by side, on one axis. Whether a part of an interval lies beyond it.
+pub fn pair(page: &mut Page, [top, height]: [f64; 2], panels: [&Measured; 2], label: &str) -> bool {
+    let left = Panel { left: 33.0, top, width: 97.0, height };
+    let right = Panel { left: left.right() + 10.0, ..left };
+    let highest = panels[0].highest().max(panels[1].highest());
+    // Where predicting zero would lie far above, a note of it has room at the top.
+    let highest = if highest < 0.75 * ZERO { highest * 1.15 } else { highest.max(ZERO) };
+    let scale = Scale::linear(0.0, highest, 5, left.upwards());
+    panels[0].draw(page, &left, &scale, Some(label));
+    panels[1].draw(page, &right, &scale, None);
+    panels.iter().any(|panel| panel.is_cut(&scale))
+}
+
+/// Remarks below the panels, a line each from `y` on.
+pub fn remarks(page: &mut Page, y: f64, is_cut: bool, lines: &[&str]) {
+    let bars = match is_cut {
+        true => "bars: 95 % intervals of the mean; without a cap, they go on beyond the axis",
+        false => "bars: 95 % intervals of the mean, by Student's t",
     };
-    let counts: Vec<String> = seeds.iter().map(words).collect();
-    let bars = if seeds.iter().all(|(_, most)| *most < 2) {
-        "one seed, so no intervals".to_owned()
-    } else {
-        format!("bars: 95 % intervals of the mean over {} seeds", counts.join(" and "))
-    };
-    remark(page, &format!("{bars}{more}"), [middle, y]);
+    for (row, line) in [bars].iter().chain(lines).enumerate() {
+        remark(page, line, [COLUMN / 2.0, y + 8.5 * row as f64]);
+    }
 }
 
 /// Panels' numbers one below the other.

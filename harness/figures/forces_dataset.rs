@@ -1,94 +1,223 @@
-//! How often each link of the finger is touched, and how hard.
+//! How often each link of the finger is touched, how hard, and both at once.
 
 use super::axes::{Panel, Scale, colour_legend, colour_of, remark};
-use super::page::{COLUMN, Page, Stroke, WHITE};
+use super::page::{COLUMN, Mark, Page, Point, Stroke, Type, WHITE};
 use super::source::{Source, Study, integers, reals, texts};
 use super::{Drawing, FigureError};
 use harness_spec::{Modality, Scenario};
+use polars::prelude::*;
+use std::collections::BTreeMap;
 
 const LEFT: f64 = 30.0;
 const WIDTH: f64 = COLUMN - LEFT - 5.0;
+const BETWEEN: f64 = 12.0;
 
 /// Contacts below which a link's quartiles would mean nothing.
-const FEWEST: i64 = 20;
+const FEWEST: f64 = 20.0;
+/// How far from the tip the links are whose forces over all samples are shown.
+const FROM_TIP: [usize; 5] = [0, 1, 7, 12, 14];
+/// The share of the samples in contact that have more force than each quantile of the table.
+const MORE_THAN: [f64; 5] = [0.95, 0.75, 0.5, 0.25, 0.05];
 
 /// What the forces table is asked for.
-pub const SQL: &str = "select scenario, index as link, modality, 'N' as unit, \
+pub const SQL: &str = "select scenario, dataset_seed, index as link, modality, 'N' as unit, \
     max(samples) as samples, max(contacts) as contacts, max(100.0 * contacts / samples) as contact_percent, \
     max(mean) as mean, max(p05) as p05, max(p25) as p25, max(p50) as p50, max(p75) as p75, max(p95) as p95, \
-    max(max) as max from forces where modality = 'contact_force' and episode is null \
-    group by scenario, index, modality order by scenario, link";
+    max(max) as max from forces join runs using (experiment, run, scenario, latent) \
+    where modality = 'contact_force' and episode is null \
+    group by scenario, dataset_seed, index, modality order by scenario, link";
+
+/// The forces on a link over a scenario's dataset, N.
+struct Link {
+    index: usize,
+    samples: f64,
+    contacts: f64,
+    /// Over all samples.
+    mean: f64,
+    /// Of the samples in contact: the table's five quantiles.
+    quantiles: Option<[f64; 5]>,
+    max: Option<f64>,
+}
 
 pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     // Both studies are about the same datasets.
     let runs = source
         .runs(Study::SingleToMulti)
         .or_else(|error| source.runs(Study::MultiToMulti).map_err(|_| error))?;
-    let data = runs.query(SQL)?;
-    let (scenarios, links) = (texts(&data, "scenario")?, integers(&data, "link")?);
-    let column = |name: &str| reals(&data, name);
-    let (share, contacts) = (column("contact_percent")?, integers(&data, "contacts")?);
-    let quantiles = [column("p05")?, column("p25")?, column("p50")?, column("p75")?, column("p95")?];
-
+    let data = of_first_datasets(runs.query(SQL)?)?;
+    let scenarios = by_scenario(&data)?;
     let count = runs.layout()[Modality::CONTACT_FORCE].width();
-    let mut page = Page::new(COLUMN, 246.0, "Contacts and contact forces by link of the finger");
-    let shown: Vec<_> = Scenario::PAPER
-        .iter()
-        .filter(|scenario| scenarios.iter().any(|name| name == scenario.name()))
-        .collect();
-    let entries: Vec<_> = shown.iter().map(|scenario| (colour_of(**scenario), scenario.name())).collect();
+
+    let mut page = Page::new(COLUMN, 378.0, "Contacts and contact forces by link of the finger");
+    let entries: Vec<_> =
+        scenarios.iter().map(|(scenario, _)| (colour_of(*scenario), scenario.name())).collect();
     colour_legend(&mut page, COLUMN / 2.0, 9.0, &entries);
-    let often = Panel { left: LEFT, top: 26.0, width: WIDTH, height: 62.0 };
-    let hard = Panel { top: often.bottom() + 30.0, height: 92.0, ..often };
-    let most = share.iter().flatten().copied().fold(1.0, f64::max);
-    let often_scale = Scale::linear(0.0, most, 4, often.upwards());
-    let ends = |values: &[Option<f64>]| {
-        let values = values.iter().flatten().copied();
-        (values.clone().fold(f64::INFINITY, f64::min), values.fold(0.0, f64::max))
+    let often = Panel { left: LEFT, top: 26.0, width: WIDTH, height: 58.0 };
+    let hard = Panel { top: often.bottom() + 22.0, height: 92.0, ..often };
+    how_often(&mut page, &often, &scenarios, count);
+    let forces = least_and_most(&scenarios);
+    how_hard(&mut page, &hard, &scenarios, count, forces);
+    let all = Panel { top: hard.bottom() + 46.0, height: 84.0, width: (WIDTH - BETWEEN) / 2.0, ..often };
+    all.heading(&mut page, "c", "all samples, zeros included");
+    for (place, of_scenario) in scenarios.iter().enumerate() {
+        let panel = Panel { left: LEFT + place as f64 * (all.width + BETWEEN), ..all };
+        over_all_samples(&mut page, &panel, of_scenario, count, forces, place == 0);
+    }
+    let lines = [
+        "b: boxes: quartiles, median; lines: 5 to 95 %; dots: largest force;",
+        "links with at least 20 samples in contact; c: a line is a link, and",
+        "its points are the quantiles of b and the largest force",
+    ];
+    for (row, line) in lines.into_iter().enumerate() {
+        remark(&mut page, line, [COLUMN / 2.0, 355.0 + 8.5 * row as f64]);
+    }
+    Ok(Drawing { page, data })
+}
+
+/// The rows of each scenario's first dataset.
+fn of_first_datasets(rows: DataFrame) -> Result<DataFrame, FigureError> {
+    let (scenarios, datasets) = (texts(&rows, "scenario")?, integers(&rows, "dataset_seed")?);
+    let mut first: BTreeMap<&str, i64> = BTreeMap::new();
+    for (scenario, dataset) in scenarios.iter().zip(&datasets) {
+        let lowest = first.entry(scenario).or_insert(*dataset);
+        *lowest = *dataset.min(lowest);
+    }
+    let is_first =
+        scenarios.iter().zip(&datasets).map(|(scenario, dataset)| first[scenario.as_str()] == *dataset);
+    Ok(rows.filter(&BooleanChunked::from_iter_values("is_first".into(), is_first))?)
+}
+
+/// The links of the paper's scenarios that there are.
+fn by_scenario(rows: &DataFrame) -> Result<Vec<(Scenario, Vec<Link>)>, FigureError> {
+    let (scenarios, links) = (texts(rows, "scenario")?, integers(rows, "link")?);
+    let column = |name: &str| reals(rows, name);
+    let (samples, contacts, mean) = (column("samples")?, column("contacts")?, column("mean")?);
+    let (p05, p25, p50) = (column("p05")?, column("p25")?, column("p50")?);
+    let (p75, p95, max) = (column("p75")?, column("p95")?, column("max")?);
+    let link = |row: usize| Link {
+        index: links[row] as usize,
+        samples: samples[row].unwrap_or_default(),
+        contacts: contacts[row].unwrap_or_default(),
+        mean: mean[row].unwrap_or_default(),
+        quantiles: match [p05[row], p25[row], p50[row], p75[row], p95[row]] {
+            [Some(p05), Some(p25), Some(p50), Some(p75), Some(p95)] => Some([p05, p25, p50, p75, p95]),
+            _ => None,
+        },
+        max: max[row],
     };
-    // Below a hundredth of a newton nothing is felt.
-    let (low, high) = (ends(&quantiles[0]).0.max(0.01), ends(&quantiles[4]).1.max(0.1));
-    let hard_scale = Scale::logarithmic(low.min(high / 10.0), high, hard.upwards());
-    often.left_axis(&mut page, &often_scale, Some("samples in contact (%)"));
-    hard.left_axis(&mut page, &hard_scale, Some("force in contact (N)"));
-    for (row, (scenario, link)) in scenarios.iter().zip(&links).enumerate() {
-        let Some(place) = shown.iter().position(|shown| shown.name() == scenario) else { continue };
-        let colour = colour_of(*shown[place]);
-        let slot = WIDTH / count as f64;
-        let bar = slot * 0.38;
-        let x = LEFT
-            + (*link as f64 + 0.5) * slot
-            + (place as f64 - (shown.len() as f64 - 1.0) / 2.0) * slot * 0.42;
-        if let Some(share) = share[row] {
-            let y = often_scale.at(share);
-            page.rectangle([x - bar / 2.0, y], [bar, often.bottom() - y], 0.0, colour, None);
+    let of = |scenario: Scenario| {
+        let own = (0..rows.height()).filter(|row| scenarios[*row] == scenario.name());
+        (scenario, own.map(link).collect::<Vec<_>>())
+    };
+    Ok(Scenario::PAPER.into_iter().map(of).filter(|(_, links)| !links.is_empty()).collect())
+}
+
+/// Whether a link is touched often enough for its quantiles to mean something.
+fn is_touched(link: &&Link) -> bool {
+    link.contacts >= FEWEST
+}
+
+/// The least and the largest force that is shown, N.
+fn least_and_most(scenarios: &[(Scenario, Vec<Link>)]) -> [f64; 2] {
+    let shown = || scenarios.iter().flat_map(|(_, links)| links).filter(is_touched);
+    let least = shown().filter_map(|link| Some(link.quantiles?[0])).fold(0.1, f64::min);
+    [least, shown().filter_map(|link| link.max).fold(1.0, f64::max)]
+}
+
+/// The middle of a link's bar and its width, beside those of the other scenarios.
+fn place_of(panel: &Panel, link: &Link, count: usize, scenario: usize, scenarios: usize) -> [f64; 2] {
+    let slot = panel.width / count as f64;
+    let aside = (scenario as f64 - (scenarios as f64 - 1.0) / 2.0) * slot * 0.42;
+    [panel.left + (link.index as f64 + 0.5) * slot + aside, slot * 0.38]
+}
+
+fn how_often(page: &mut Page, panel: &Panel, scenarios: &[(Scenario, Vec<Link>)], count: usize) {
+    let share = |link: &Link| 100.0 * link.contacts / link.samples;
+    let most = scenarios.iter().flat_map(|(_, links)| links).map(share).fold(1.0, f64::max);
+    let scale = Scale::linear(0.0, most, 4, panel.upwards());
+    panel.left_axis(page, &scale, Some("samples in contact (%)"));
+    for (place, (scenario, links)) in scenarios.iter().enumerate() {
+        for link in links {
+            let [x, bar] = place_of(panel, link, count, place, scenarios.len());
+            let y = scale.at(share(link));
+            page.rectangle([x - bar / 2.0, y], [bar, panel.bottom() - y], 0.0, colour_of(*scenario), None);
         }
-        let at =
-            |quantile: usize| quantiles[quantile][row].map(|force| hard_scale.at(hard_scale.clamp(force)));
-        if contacts[row] < FEWEST {
-            continue;
-        }
-        if let [Some(p05), Some(p25), Some(p50), Some(p75), Some(p95)] = [0, 1, 2, 3, 4].map(at) {
+    }
+    panel.bottom_names(page, &panel.slots(count), &vec![String::new(); count], "");
+    panel.heading(page, "a", "how often a link is touched");
+}
+
+fn how_hard(
+    page: &mut Page,
+    panel: &Panel,
+    scenarios: &[(Scenario, Vec<Link>)],
+    count: usize,
+    forces: [f64; 2],
+) {
+    let scale = Scale::logarithmic(forces[0], forces[1], panel.upwards());
+    panel.left_axis(page, &scale, Some("force in contact (N)"));
+    for (place, (scenario, links)) in scenarios.iter().enumerate() {
+        let colour = colour_of(*scenario);
+        for link in links.iter().filter(is_touched) {
+            let [x, bar] = place_of(panel, link, count, place, scenarios.len());
+            let (Some(quantiles), Some(max)) = (link.quantiles, link.max) else { continue };
+            let [p05, p25, p50, p75, p95] = quantiles.map(|force| scale.at(force));
             page.line([x, p05], [x, p95], Stroke::new(colour, 0.7));
             page.rectangle([x - bar / 2.0, p75], [bar, (p25 - p75).max(0.5)], 0.0, colour, None);
             page.line([x - bar / 2.0, p50], [x + bar / 2.0, p50], Stroke::new(WHITE, 0.8));
+            page.mark(Mark::Disc, [x, scale.at(max)], 0.9, colour, false);
         }
     }
-    let names: Vec<String> =
-        (0..count).map(|link| if link % 2 == 0 { link.to_string() } else { String::new() }).collect();
-    often.bottom_names(&mut page, &often.slots(count), &vec![String::new(); count], "");
-    hard.bottom_names(
-        &mut page,
-        &hard.slots(count),
-        &names,
-        &format!("link of the finger, 0 at the base, {} at the tip", count - 1),
-    );
-    often.heading(&mut page, "a", "how often a link is touched");
-    hard.heading(&mut page, "b", "how hard, while it is touched");
-    remark(
-        &mut page,
-        "box: quartiles and median; line: 5 to 95 % of at least 20 samples in contact",
-        [COLUMN / 2.0, 241.0],
-    );
-    Ok(Drawing { page, data })
+    let name = |link: usize| if link.is_multiple_of(2) { link.to_string() } else { String::new() };
+    let names: Vec<String> = (0..count).map(name).collect();
+    let label = format!("link of the finger, 0 at the base, {} at the tip", count - 1);
+    panel.bottom_names(page, &panel.slots(count), &names, &label);
+    panel.heading(page, "b", "how hard, while it is touched");
+}
+
+/// How many of all samples have more than a force, for a few links: exact at the table's quantiles and the largest force.
+fn over_all_samples(
+    page: &mut Page,
+    panel: &Panel,
+    (scenario, links): &(Scenario, Vec<Link>),
+    count: usize,
+    forces: [f64; 2],
+    first: bool,
+) {
+    let samples = links.iter().map(|link| link.samples).fold(1.0, f64::max);
+    // The links' numbers have room to the left.
+    let x = Scale::logarithmic(forces[0] / 4.0, forces[1], panel.across());
+    let y = Scale::logarithmic(100.0 / samples, 100.0, panel.upwards());
+    panel.left_axis(page, &y, first.then_some("samples with ≥ force (%)"));
+    panel.bottom_axis(page, &x, Some("force (N)"));
+    let colour = colour_of(*scenario);
+    let is_shown = |link: &&Link| FROM_TIP.iter().any(|from_tip| link.index + from_tip + 1 == count);
+    for link in links.iter().filter(is_touched).filter(is_shown) {
+        let (Some(quantiles), Some(max)) = (link.quantiles, link.max) else { continue };
+        let share = |part: f64| 100.0 * part * link.contacts / link.samples;
+        let known = quantiles.into_iter().zip(MORE_THAN.map(share)).chain([(max, 100.0 / link.samples)]);
+        let points: Vec<Point> = known.map(|(force, share)| [x.at(force), y.at(share)]).collect();
+        page.path(&points, Stroke::new(colour, 0.9));
+        for point in &points {
+            page.mark(Mark::Disc, *point, 1.1, colour, false);
+        }
+        page.text(
+            &link.index.to_string(),
+            [points[0][0] - 3.0, points[0][1] + 2.1],
+            Type::SMALL.end().colour(colour),
+        );
+    }
+    let forces: f64 = links.iter().map(|link| link.mean * link.samples).sum();
+    let over = |of: fn(&Link) -> f64| forces / links.iter().map(of).sum::<f64>();
+    let means = [
+        format!("mean of all links: {:.2} N,", over(|link| link.samples)),
+        format!("in contact: {:.1} N", over(|link| link.contacts)),
+    ];
+    for (row, text) in means.iter().enumerate() {
+        page.text(
+            text,
+            [panel.left + 3.0, panel.bottom() - 10.5 + 7.5 * row as f64],
+            Type::SMALL.start().colour(colour),
+        );
+    }
 }

@@ -10,9 +10,12 @@ use image::{Rgb, RgbImage};
 use polars::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
-const LEFT: f64 = 51.0;
+const LEFT: f64 = 58.0;
 const GAP: f64 = 3.0;
 const TOP: f64 = 14.0;
+
+/// Trials that are shown of a scenario: of those that runs keep, the ones with the most motion.
+const TRIALS: usize = 3;
 
 /// The change that the strongest colours stand for, so that faint predictions can be seen beside the reference.
 const RANGE: f32 = 0.3;
@@ -55,18 +58,21 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let blocks = blocks(&runs)?;
     let side = blocks.iter().map(Block::side).fold(f64::INFINITY, f64::min);
     let height: f64 = blocks.iter().map(|block| block.height(side)).sum();
-    let mut page = Page::new(COLUMN, height + 43.0, "Predicted change of the camera's picture");
+    let mut page = Page::new(COLUMN, height + 60.0, "Predicted change of the camera's picture");
     let mut top = 0.0;
     for block in &blocks {
         block.draw(&mut page, top, side)?;
         top += block.height(side);
     }
     colour_bar(&mut page, top + 5.0)?;
-    remark(
-        &mut page,
-        "error: squared, over all test samples, relative to predicting no change",
-        [COLUMN / 2.0, top + 38.0],
-    );
+    let lines = [
+        "error: squared, of all test samples, relative to predicting no change",
+        "motion: mean absolute change of the image, of white minus black;",
+        "shown: the three kept test samples with the most of it",
+    ];
+    for (row, line) in lines.into_iter().enumerate() {
+        remark(&mut page, line, [COLUMN / 2.0, top + 38.0 + 8.5 * row as f64]);
+    }
     Ok(Drawing { page, data: data(&blocks, runs.experiment.as_str())? })
 }
 
@@ -100,7 +106,8 @@ impl Block {
         page.text(&self.scenario, [3.0, top + TOP - 4.5], Type::BOLD);
         for (column, trial) in self.trials.iter().enumerate() {
             let x = corner(0, column)[0] + side / 2.0;
-            page.text(&format!("trial {}", column + 1), [x, top + TOP - 4.5], Type::SMALL);
+            let motion = format!("motion {:.1} %", 100.0 * trial.motion);
+            page.text(&motion, [x, top + TOP - 4.5], Type::SMALL);
             let mut pictures = Vec::new();
             if let (true, Some(bytes)) = (has_camera, &trial.camera) {
                 let side = (bytes.len() / IMAGE_CHANNELS).isqrt() as u32;
@@ -129,7 +136,7 @@ impl Block {
         for (row, [name, more]) in names.iter().enumerate() {
             let y = corner(row, 0)[1] + side / 2.0;
             page.text(name, [LEFT - 4.0, y - 1.0], Type::LABEL.end());
-            page.text(more, [LEFT - 4.0, y + 7.0], Type { size: 5.6, ..Type::SMALL.end() });
+            page.text(more, [LEFT - 4.0, y + 7.0], Type::SMALL.end());
         }
         Ok(())
     }
@@ -181,6 +188,7 @@ fn trials(runs: &Runs, scenario: &str) -> Result<Vec<Trial>, FigureError> {
             trial.predicted.insert(latents[row], change(predicted.get(row))?);
         }
     }
+    trials.drain(..trials.len().saturating_sub(TRIALS));
     // The picture before the change; runs without reconstruction don't have it.
     let seen = runs.query_first_seeds(&format!(
         "select episode, sample, reference from frames where {place} and task = 'reconstruction' \
@@ -235,12 +243,8 @@ fn colour(change: f32) -> Rgb<u8> {
 }
 
 fn coloured(change: &[f32]) -> RgbImage {
-    {
-        let side = change.len().isqrt();
-        RgbImage::from_fn(side as u32, side as u32, |x, y| {
-            colour(change[y as usize * side + x as usize] / RANGE)
-        })
-    }
+    let side = change.len().isqrt();
+    RgbImage::from_fn(side as u32, side as u32, |x, y| colour(change[y as usize * side + x as usize] / RANGE))
 }
 
 fn colour_bar(page: &mut Page, top: f64) -> Result<(), FigureError> {

@@ -35,12 +35,17 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let matrix = ROW * readings.len() as f64;
     let block = HEIGHT + matrix + 34.0;
     let mut page = Page::new(COLUMN, 2.0 * block + 18.0, "Gain by vision under each reading of the paper");
+    let mut is_cut = false;
     for (row, (modality, label)) in QUANTITIES.into_iter().enumerate() {
         let of_row: Vec<&Gain> = gains.iter().filter(|gain| gain.modality == modality).collect();
         let ends = |of: fn(f64, f64) -> f64, end: fn(&Interval) -> f64| {
             of_row.iter().map(|gain| within(&of_row, end(&gain.value))).fold(0.0, of)
         };
         let (low, high) = (ends(f64::min, Interval::low), ends(f64::max, Interval::high));
+        is_cut |= of_row.iter().any(|gain| {
+            let scale = Scale::linear(low, high, 5, [0.0, 1.0]);
+            [gain.value.low(), gain.value.high()].iter().any(|end| scale.clamp(*end) != *end)
+        });
         for (column, scenario) in Scenario::PAPER.into_iter().enumerate() {
             let left = LEFT + column as f64 * (WIDTH + BETWEEN);
             let panel = Panel { left, top: 16.0 + row as f64 * block, width: WIDTH, height: HEIGHT };
@@ -69,7 +74,8 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
         _ => format!("bars: 95 % intervals over {} datasets", counts.join(" or ")),
     };
     let bottom = 2.0 * block + 12.0;
-    remark(&mut page, &format!("{bars}; filled: not around 0"), [COLUMN / 2.0, bottom]);
+    let cut = if is_cut { "; no cap: goes on" } else { "" };
+    remark(&mut page, &format!("{bars}; filled: not around 0{cut}"), [COLUMN / 2.0, bottom]);
     Ok(Drawing { page, data: data(&gains)? })
 }
 

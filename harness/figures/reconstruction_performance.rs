@@ -1,7 +1,6 @@
 //! How well the observation is reconstructed from the latent state, over latent sizes.
 
-use super::axes::Panel;
-use super::curves::{Curves, explain, explain_bars, stack};
+use super::curves::{Curves, explain, pair, remarks, stack};
 use super::page::{COLUMN, Page};
 use super::source::{Source, Study};
 use super::{Drawing, FigureError};
@@ -26,12 +25,8 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
 
     let mut page = Page::new(COLUMN, 158.0, "Reconstruction errors of proprioception over latent size");
     explain(&mut page, COLUMN / 2.0, 9.0);
-    let highest = a.highest().max(b.highest());
-    let left = Panel { left: 33.0, top: 34.0, width: 97.0, height: 86.0 };
-    let right = Panel { left: left.right() + 10.0, ..left };
-    a.draw(&mut page, &left, highest, Some("proprioception, SMAPE (%)"));
-    b.draw(&mut page, &right, highest, None);
-    explain_bars(&mut page, COLUMN / 2.0, 153.0, &[&single, &multi], "");
+    let is_cut = pair(&mut page, [34.0, 86.0], [&a, &b], "proprioception, SMAPE (%)");
+    remarks(&mut page, 153.0, is_cut, &[]);
     let data = stack(&[&a, &b])?;
     Ok(Drawing { page, data })
 }

@@ -11,9 +11,15 @@ use polars::prelude::*;
 use std::collections::BTreeMap;
 
 /// Points that a panel shows of each direction; more would hide one another.
-const POINTS: usize = 300;
+const POINTS: usize = 400;
+/// Up to where the axes are about linear, and beyond which they are logarithmic, so that the many small values stand apart
+/// and the few large ones are there too.
+const LINEAR_RAD: f64 = 0.003;
+const LINEAR_N: f64 = 3.0;
 const LEFT: f64 = 33.0;
 const GAP: f64 = 5.0;
+/// From one line above a panel to the next.
+const LINE: f64 = 7.5;
 const SIDE: f64 = (COLUMN - LEFT - 4.0 - 2.0 * GAP) / 3.0;
 
 fn look(direction: Direction) -> Look {
@@ -41,19 +47,30 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     };
     let [angles, forces] = [of(Modality::PROPRIOCEPTION, "a")?, of(Modality::CONTACT_FORCE, "b")?];
 
-    let mut page = Page::new(COLUMN, 397.0, "Predictions over references at the fingertip, in clutter");
-    let entries = Direction::FINGER.map(|direction| (look(direction), words_of(direction)));
-    legend(&mut page, COLUMN / 2.0, 8.0, &entries);
-    block(&mut page, 25.0, &angles, "a", "fingertip angle", "rad");
-    block(&mut page, 209.0, &forces, "b", "fingertip force", "N");
-    let spread =
-        if single.seeds().1.max(multi.seeds().1) > 1 { ", mean over seeds ± 95 % interval" } else { "" };
-    remark(&mut page, &format!("R²: of all test samples{spread}"), [COLUMN / 2.0, 384.0]);
-    remark(
-        &mut page,
-        "dots: test samples of one network; grey line: perfect prediction",
-        [COLUMN / 2.0, 393.0],
-    );
+    let mut page = Page::new(COLUMN, 484.0, "Predictions over references at the fingertip, in clutter");
+    let tips = tips(&single);
+    let axes = Direction::FINGER.map(words_of);
+    let joints = [0, 1].map(|place| format!("joint {}, {}", tips[place], axes[place]));
+    let tip = |link: usize| if Some(link) == tips.into_iter().max() { ", the tip" } else { "" };
+    let links = tips.map(|link| format!("link {link}{}", tip(link)));
+    let a = Block { letter: "a", quantity: "angle", unit: "rad", linear: LINEAR_RAD, names: joints };
+    a.draw(&mut page, 8.0, &angles);
+    let b = Block { letter: "b", quantity: "force", unit: "N", linear: LINEAR_N, names: links };
+    b.draw(&mut page, 232.0, &forces);
+    let spread = match [single.replicates(), multi.replicates()] {
+        [Some(a), Some(b)] if a == b => format!(", mean over {a} ± 95 % interval"),
+        [Some(a), Some(b)] => format!(", mean over {a} (above) and {b} (below) ± 95 %"),
+        _ => String::new(),
+    };
+    let lines = [
+        format!("R²: of all test samples{spread}"),
+        format!("dots: at most {POINTS} test samples of one network, evenly chosen; denser:"),
+        "several on one spot; grey line: perfect prediction; axes: linear".to_owned(),
+        format!("around 0, logarithmic beyond about {LINEAR_RAD} rad and {LINEAR_N} N"),
+    ];
+    for (row, line) in lines.iter().enumerate() {
+        remark(&mut page, line, [COLUMN / 2.0, 454.0 + 8.5 * row as f64]);
+    }
     let mut data = angles[0].data.clone();
     for more in [&angles[1], &forces[0], &forces[1]] {
         data.vstack_mut(&more.data)?;
@@ -61,48 +78,75 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     Ok(Drawing { page, data })
 }
 
-/// Two rows of panels: from proprioception alone, and with vision.
-fn block(page: &mut Page, top: f64, studies: &[Predictions; 2], letter: &str, quantity: &str, unit: &str) {
-    let all = || studies.iter().flat_map(|study| study.points.values().flatten().flatten().copied());
-    let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
-    for (row, (study, kind)) in studies.iter().zip(Study::BOTH).enumerate() {
-        let top = top + row as f64 * (SIDE + 14.0);
-        for (column, latent) in study.latents.iter().take(3).enumerate() {
-            let panel = Panel { left: LEFT + column as f64 * (SIDE + GAP), top, width: SIDE, height: SIDE };
-            let (x, y) =
-                (Scale::tight(low, high, 3, panel.across()), Scale::tight(low, high, 3, panel.upwards()));
-            let predicted = format!("predicted ({unit})");
-            panel.left_axis(page, &y, (column == 0).then_some(predicted.as_str()));
-            let middle = column == (study.latents.len().min(3) - 1) / 2;
-            let reference = if middle { format!("reference ({unit})") } else { String::new() };
-            panel.bottom_axis(page, &x, (row == 1).then_some(reference.as_str()));
-            let (from, to) = (x.clamp(f64::NEG_INFINITY), x.clamp(f64::INFINITY));
-            page.line([x.at(from), y.at(from)], [x.at(to), y.at(to)], Stroke::new(GREY, 0.6));
-            for (line, direction) in Direction::FINGER.into_iter().enumerate() {
-                let look = look(direction);
-                let Some(points) = study.points.get(&(*latent, direction)) else { continue };
-                let places: Vec<_> = points.iter().map(|[r, p]| [x.at(*r), y.at(*p)]).collect();
-                page.cloud(look.mark, &places, 1.3, look.colour, 0.55);
-                if let Some(r2) = study.r2.get(&(*latent, direction)) {
-                    let at = [panel.left + 3.0, panel.top + 7.0 + 7.5 * line as f64];
-                    page.text(&r2_words(r2), at, Type::SMALL.start().colour(look.colour));
-                }
+/// What two rows of panels show.
+struct Block {
+    letter: &'static str,
+    quantity: &'static str,
+    unit: &'static str,
+    /// Up to where the axes are about linear.
+    linear: f64,
+    /// What the marks stand for.
+    names: [String; 2],
+}
+
+impl Block {
+    /// Draws a legend and two rows of panels: from proprioception alone, and with vision.
+    fn draw(&self, page: &mut Page, top: f64, studies: &[Predictions; 2]) {
+        let entries = [0, 1].map(|place| (look(Direction::FINGER[place]), self.names[place].as_str()));
+        legend(page, COLUMN / 2.0, top, &entries);
+        for (row, (study, kind)) in studies.iter().zip(Study::BOTH).enumerate() {
+            let panel = Panel { left: LEFT, top: top + 33.0, width: SIDE, height: SIDE };
+            let panel = Panel { top: panel.top + row as f64 * (SIDE + 30.0), ..panel };
+            let above = Panel { top: panel.top - 2.0 * LINE, ..panel };
+            if row == 0 {
+                above.heading(page, self.letter, &format!("fingertip {}, {}", self.quantity, kind.input()));
+            } else {
+                page.text(kind.input(), [panel.left - 1.0, above.top - 4.5], Type::LABEL.start());
             }
-            page.text(
-                &format!("*z* = {latent}"),
-                [panel.right() - 2.0, panel.bottom() - 3.0],
-                Type::SMALL.end(),
-            );
-            if column == 0 {
-                let title =
-                    if row == 0 { format!("{quantity}, {}", kind.input()) } else { kind.input().to_owned() };
-                if row == 0 {
-                    panel.heading(page, letter, &title);
-                } else {
-                    page.text(&title, [panel.left - 1.0, panel.top - 4.0], Type::LABEL.start());
-                }
+            let latents = &study.latents[..study.latents.len().min(3)];
+            for (column, latent) in latents.iter().enumerate() {
+                let panel = Panel { left: LEFT + column as f64 * (SIDE + GAP), ..panel };
+                let (first, middle) = (column == 0, column == (latents.len() - 1) / 2);
+                let [x, y] = self.scales(&panel, studies);
+                let predicted = format!("predicted ({})", self.unit);
+                panel.left_axis(page, &y, first.then_some(predicted.as_str()));
+                let reference = if middle { format!("reference ({})", self.unit) } else { String::new() };
+                panel.bottom_axis(page, &x, (row == 1).then_some(reference.as_str()));
+                study.draw(page, &panel, *latent, [&x, &y]);
             }
         }
+    }
+
+    /// The axes of all panels: over the references, and over the predictions.
+    fn scales(&self, panel: &Panel, studies: &[Predictions; 2]) -> [Scale; 2] {
+        let scale = |axis: usize, ends| {
+            let values =
+                || studies.iter().flat_map(|study| study.points.values().flatten()).map(|at| at[axis]);
+            let (low, high) = (values().fold(0.0, f64::min), values().fold(0.0, f64::max));
+            Scale::symmetric(low, high, self.linear, ends)
+        };
+        [scale(0, panel.across()), scale(1, panel.upwards())]
+    }
+}
+
+impl Predictions {
+    /// Draws the points of a latent size over the line of perfect predictions, and R2 above the panel.
+    fn draw(&self, page: &mut Page, panel: &Panel, latent: usize, [x, y]: [&Scale; 2]) {
+        let ([left, right], [bottom, top]) = (x.range(), y.range());
+        let perfect = [left.max(bottom), right.min(top)].map(|value| [x.at(value), y.at(value)]);
+        page.line(perfect[0], perfect[1], Stroke::new(GREY, 0.6));
+        for (line, direction) in Direction::FINGER.into_iter().enumerate() {
+            let look = look(direction);
+            let Some(points) = self.points.get(&(latent, direction)) else { continue };
+            let places: Vec<_> = points.iter().map(|[r, p]| [x.at(*r), y.at(*p)]).collect();
+            page.cloud(look.mark, &places, 1.2, look.colour, 0.4);
+            if let Some(r2) = self.r2.get(&(latent, direction)) {
+                let at = [panel.left + 3.0, panel.top - 3.0 - LINE * (1 - line) as f64];
+                page.text(&r2_words(r2), at, Type::SMALL.start().colour(look.colour));
+            }
+        }
+        let size = format!("*z* = {latent}");
+        page.text(&size, [panel.right() - 2.0, panel.bottom() - 3.0], Type::SMALL.end());
     }
 }
 
@@ -111,10 +155,14 @@ fn r2_words(r2: &Interval) -> String {
     format!("R² {:.2}{spread}", r2.mean).replace('-', "\u{2212}")
 }
 
+/// The last joint of each direction, and the link that it turns.
+fn tips(runs: &Runs) -> [usize; 2] {
+    let definition = &runs.layout()[Modality::PROPRIOCEPTION];
+    Direction::FINGER.map(|direction| direction.elements(definition).last().copied().unwrap_or_default())
+}
+
 fn predictions(runs: &Runs, modality: Modality, panel: &str) -> Result<Predictions, FigureError> {
-    let definition = &runs.layout()[modality];
-    let tips =
-        Direction::FINGER.map(|direction| direction.elements(definition).last().copied().unwrap_or_default());
+    let tips = tips(runs);
     let place = format!(
         "scenario = '{}' and task = 'prediction' and modality = '{modality}' and index in ({}, {})",
         Scenario::CLUTTERED,

@@ -110,7 +110,7 @@ impl<'a> Source<'a> {
     /// The rows of a query over the runs of all readings of the paper.
     ///
     /// # Errors
-    /// When there are none, or runs of one reading differ in settings.
+    /// When there are none, runs of one reading differ in settings, or the query has no rows.
     pub fn query_readings(&self, sql: &str) -> Result<DataFrame, FigureError> {
         let experiment = &self.experiments.readings;
         let runs = self.analysis.runs(experiment);
@@ -121,7 +121,14 @@ impl<'a> Source<'a> {
         }
         readings.values().try_for_each(|runs| self.analysis.check_alike(runs))?;
         let rows = self.analysis.query(&[experiment], sql)?;
-        if rows.height() == 0 { Err(self.no_runs(experiment)) } else { Ok(rows) }
+        match (rows.height(), runs.len()) {
+            (0, 0) => Err(self.no_runs(experiment)),
+            (0, _) => {
+                let (root, command) = (self.analysis.root().to_owned(), self.command(experiment));
+                Err(FigureError::NoRows { experiment: experiment.clone(), root, command })
+            }
+            _ => Ok(rows),
+        }
     }
 
     fn no_runs(&self, experiment: &str) -> FigureError {
@@ -147,12 +154,16 @@ impl<'a> Runs<'a> {
         self.answered(self.analysis.query(&[&self.experiment], sql)?)
     }
 
-    /// The same over the run with the lowest seed of each cell: one network a cell, to show single samples.
+    /// The same over the run with the lowest seed of each cell, on the first dataset: one network a cell, to show single
+    /// samples.
     ///
     /// # Errors
     /// When the query can't be answered, or has no rows.
     pub fn query_first_seeds(&self, sql: &str) -> Result<DataFrame, FigureError> {
         let mut first: Vec<&Run> = self.all.iter().collect();
+        first.sort_by_key(|run| {
+            (run.record.spec.cell(), run.record.spec.dataset_seed(), run.record.spec.seed)
+        });
         first.dedup_by_key(|run| run.record.spec.cell());
         self.answered(self.analysis.query_runs(first, sql)?)
     }
@@ -178,11 +189,22 @@ impl<'a> Runs<'a> {
         latents
     }
 
-    /// The fewest and the most seeds that a cell has.
-    pub fn seeds(&self) -> (usize, usize) {
-        let cells = self.all.chunk_by(|a, b| a.record.spec.cell() == b.record.spec.cell());
-        let counts = || cells.clone().map(<[Run]>::len);
-        (counts().min().unwrap_or_default(), counts().max().unwrap_or_default())
+    /// What the intervals of the cells' means are over: `3 datasets`, or `3 to 5 seeds` of one dataset; `None` where no
+    /// cell has an interval.
+    pub fn replicates(&self) -> Option<String> {
+        let mut cells: BTreeMap<String, BTreeMap<u64, usize>> = BTreeMap::new();
+        for run in self.all {
+            let spec = &run.record.spec;
+            *cells.entry(spec.cell()).or_default().entry(spec.dataset_seed()).or_default() += 1;
+        }
+        let has_datasets = cells.values().any(|datasets| datasets.len() > 1);
+        let counts = || {
+            cells.values().map(|datasets| if has_datasets { datasets.len() } else { datasets.values().sum() })
+        };
+        let (fewest, most) = (counts().min()?, counts().max()?);
+        let noun = if has_datasets { "datasets" } else { "seeds" };
+        let count = if fewest < most { format!("{fewest} to {most}") } else { most.to_string() };
+        (most > 1).then(|| format!("{count} {noun}"))
     }
 }
 
