@@ -34,7 +34,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let readings = readings(&gains);
     let matrix = ROW * readings.len() as f64;
     let block = HEIGHT + matrix + 34.0;
-    let mut page = Page::new(COLUMN, 2.0 * block + 18.0, "Gain by vision under each reading of the paper");
+    let mut page = Page::new(COLUMN, 2.0 * block + 26.0, "Gain by vision under each reading of the paper");
     let mut is_cut = false;
     for (row, (modality, label)) in QUANTITIES.into_iter().enumerate() {
         let of_row: Vec<&Gain> = gains.iter().filter(|gain| gain.modality == modality).collect();
@@ -74,8 +74,10 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
         _ => format!("bars: 95 % intervals over {} datasets", counts.join(" or ")),
     };
     let bottom = 2.0 * block + 12.0;
-    let cut = if is_cut { "; no cap: goes on" } else { "" };
-    remark(&mut page, &format!("{bars}; filled: not around 0{cut}"), [COLUMN / 2.0, bottom]);
+    remark(&mut page, &format!("{bars}; filled: not around 0"), [COLUMN / 2.0, bottom]);
+    if is_cut {
+        remark(&mut page, "bars without a cap go on beyond the axis", [COLUMN / 2.0, bottom + 8.5]);
+    }
     Ok(Drawing { page, data: data(&gains)? })
 }
 
