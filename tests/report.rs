@@ -7,7 +7,7 @@ use harness::numbers::duration;
 use harness::registry::{Registry, query};
 use harness::seal::{self, hex};
 use harness::tables::{read_table, write_table};
-use polars::prelude::{Column, IntoColumn};
+use polars::prelude::{Column, CsvReader, IntoColumn, SerReader};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeSet;
@@ -137,6 +137,35 @@ fn verdicts_are_those_of_harness_claims() {
         let verdicts = PAGE.matches(&format!("<span class=\"verdict {class}\">")).count();
         assert_eq!(verdicts.to_string(), *count);
     }
+}
+
+#[test]
+fn corrected_p_values_stand_beside_the_verdicts() {
+    let csv = RESULTS.join("verdicts.csv");
+    succeed(&RESULTS, &["claims", "--output", csv.to_str().unwrap()]);
+    let table = CsvReader::new(fs::File::open(csv).unwrap()).finish().unwrap();
+    let (p, verdicts) = (table.column("p_holm").unwrap(), table.column("verdict").unwrap());
+    let part = between(&PAGE, "<section id=\"claims\">", "</section>");
+    let shown: Vec<&str> =
+        part.split("<span class=\"p\">").skip(1).map(|rest| rest.split('<').next().unwrap()).collect();
+    let marks: Vec<bool> = part
+        .split("<span class=\"verdict ")
+        .skip(1)
+        .map(|rest| rest.split("</span>").next().unwrap().ends_with(" *"))
+        .collect();
+    assert_eq!((shown.len(), marks.len()), (table.height(), table.height()));
+    let mut tested = 0;
+    for row in 0..table.height() {
+        let p = p.get(row).unwrap();
+        let expected = if p.is_null() { None } else { Some(p.try_extract::<f64>().unwrap()) };
+        let words = expected.map(|p| if p < 0.001 { "p < 0.001".into() } else { format!("p = {p:.3}") });
+        assert_eq!(unescaped(shown[row]), words.unwrap_or_default());
+        let verdict = verdicts.get(row).unwrap().str_value().into_owned();
+        let decided = ["holds", "does not hold"].contains(&verdict.as_str());
+        assert_eq!(marks[row], decided && expected.is_none_or(|p| p >= 0.05), "{verdict} {expected:?}");
+        tested += usize::from(expected.is_some());
+    }
+    assert!(tested > 5, "{tested}");
 }
 
 #[test]

@@ -340,6 +340,12 @@ impl Judgement<'_> {
             }
         }
     }
+
+    /// Whether the verdict is not one that the correction of p-values for their number ([`corrected`]) makes undecided.
+    pub fn stands(&self, corrected: Option<f64>) -> bool {
+        let is_decided = matches!(self.verdict(), Verdict::Holds | Verdict::DoesNotHold);
+        !is_decided || corrected.is_some_and(|p| p < 1.0 - LEVEL)
+    }
 }
 
 /// The p-values of judgements, corrected for the number of tests by the method of Holm. `None` where nothing is tested.

@@ -4,7 +4,7 @@ use super::DONE;
 use super::table::{shown, wrapped};
 use anyhow::{Result, bail};
 use clap::Args;
-use harness::analysis::{Analysis, Interval, LEVEL, Mixed, Setting};
+use harness::analysis::{Analysis, Interval, Mixed, Setting};
 use harness::claims::{
     self, Claim, Judgement, Matrix, MatrixRow, Measured, Plan, Readings, Requirement, Step, Verdict,
     corrected,
@@ -207,7 +207,7 @@ fn print(judgements: &[Judgement]) {
             judgements.iter().map(|(judgement, _)| of(judgement)).collect::<Vec<_>>().join("\n")
         };
         let verdict = |(judgement, corrected): &(&Judgement, Option<f64>)| {
-            let mark = if stands(judgement, *corrected) { "" } else { " *" };
+            let mark = if judgement.stands(*corrected) { "" } else { " *" };
             format!("{}{mark}", judgement.verdict())
         };
         [
@@ -223,12 +223,6 @@ fn print(judgements: &[Judgement]) {
         "{}",
         wrapped(["claim", "measured", "scenario", "value", "condition", "verdict"], rows.collect())
     );
-}
-
-/// Whether the verdict stays the same when the p-value is corrected for the number of tests.
-fn stands(judgement: &Judgement, corrected: Option<f64>) -> bool {
-    let is_decided = matches!(judgement.verdict(), Verdict::Holds | Verdict::DoesNotHold);
-    !is_decided || corrected.is_some_and(|p| p < 1.0 - LEVEL)
 }
 
 fn scenario(judgement: &Judgement) -> &'static str {
@@ -276,7 +270,7 @@ fn print_summary(runs: &Analysis, judgements: &[Judgement], quick: bool) {
         judgements.len() - holds - fails - untestable,
     );
     let corrected = corrected(judgements);
-    let unsure = judgements.iter().zip(&corrected).filter(|(judgement, p)| !stands(judgement, **p)).count();
+    let unsure = judgements.iter().zip(&corrected).filter(|(judgement, p)| !judgement.stands(**p)).count();
     if unsure > 0 {
         let tests = corrected.iter().flatten().count();
         println!("* {unsure} of these verdicts are undecided after Holm's correction for {tests} tests");

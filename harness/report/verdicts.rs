@@ -1,7 +1,7 @@
 //! The claims and what becomes of them.
 
 use harness_analysis::{Analysis, Mixed};
-use harness_claims::{Claim, ClaimsError, Condition, Judgement, Verdict, judge};
+use harness_claims::{Claim, ClaimsError, Condition, Judgement, Verdict, corrected, judge};
 use harness_shared::numbers::rounded;
 use harness_spec::Scenario;
 use serde::Serialize;
@@ -12,6 +12,8 @@ use std::collections::BTreeSet;
 pub struct Verdicts {
     claims: Vec<Judged>,
     counts: Counts,
+    /// How many verdicts are undecided after Holm's correction.
+    unsure: usize,
     /// The commands that make the runs of the claims without data.
     #[serde(skip)]
     pub commands: BTreeSet<String>,
@@ -58,6 +60,10 @@ struct Words {
     value: String,
     verdict: String,
     class: &'static str,
+    /// The p-value after Holm's correction, of what is tested.
+    p: Option<String>,
+    /// Whether the verdict is the same after it.
+    stands: bool,
     /// What is required and not met, of a claim that is not testable.
     unmet: Option<String>,
     /// What there is a value for, seed or episode, and the values.
@@ -86,12 +92,15 @@ impl Verdicts {
         let mut verdicts = Self {
             claims: Vec::new(),
             counts: Counts::default(),
+            unsure: 0,
             commands: BTreeSet::new(),
             mixed: BTreeSet::new(),
         };
-        for claim in claims {
-            let judgements = judge(analysis, claim, quick)?;
-            for judgement in &judgements {
+        let judged: Vec<Vec<Judgement>> =
+            claims.iter().map(|claim| judge(analysis, claim, quick)).collect::<Result<_, _>>()?;
+        let mut p_values = corrected(judged.iter().flatten()).into_iter();
+        for (claim, judgements) in claims.iter().zip(&judged) {
+            for judgement in judgements {
                 verdicts.counts.add(judgement.verdict());
                 verdicts.mixed.extend(judgement.mixed.iter().map(Mixed::to_string));
                 if judgement.verdict() == Verdict::NoData {
@@ -99,7 +108,10 @@ impl Verdicts {
                     verdicts.commands.extend(claim.experiments.iter().map(command));
                 }
             }
-            verdicts.claims.push(Judged::new(claim, quick, &judgements));
+            let p_values: Vec<Option<f64>> = p_values.by_ref().take(judgements.len()).collect();
+            let corrected = || judgements.iter().zip(p_values.iter().copied());
+            verdicts.unsure += corrected().filter(|(judgement, p)| !judgement.stands(*p)).count();
+            verdicts.claims.push(Judged::new(claim, quick, corrected()));
         }
         Ok(verdicts)
     }
@@ -119,7 +131,11 @@ impl Counts {
 }
 
 impl Judged {
-    fn new(claim: &Claim, quick: bool, judgements: &[Judgement]) -> Self {
+    fn new<'a>(
+        claim: &Claim,
+        quick: bool,
+        judgements: impl Iterator<Item = (&'a Judgement<'a>, Option<f64>)>,
+    ) -> Self {
         Self {
             id: claim.id().to_owned(),
             paper: claim.paper.clone(),
@@ -132,13 +148,13 @@ impl Judged {
                 condition: requirement.condition.to_string(),
                 sql: claim.required_sql(quick).unwrap_or_default(),
             }),
-            judgements: judgements.iter().map(Words::new).collect(),
+            judgements: judgements.map(|(judgement, corrected)| Words::new(judgement, corrected)).collect(),
         }
     }
 }
 
 impl Words {
-    fn new(judgement: &Judgement) -> Self {
+    fn new(judgement: &Judgement, corrected: Option<f64>) -> Self {
         let verdict = judgement.verdict();
         let values = judgement.measured.values.iter();
         let several = judgement.measured.datasets().len() > 1;
@@ -150,20 +166,30 @@ impl Words {
             scenario: judgement.scenario.map_or("both", Scenario::name),
             value: judgement.interval().map_or_else(|| "no value".into(), |interval| interval.to_string()),
             verdict: verdict.to_string(),
-            class: match verdict {
-                Verdict::Holds => "holds",
-                Verdict::DoesNotHold => "fails",
-                Verdict::NotTestable => "untestable",
-                Verdict::Undecided | Verdict::OneSeed { .. } | Verdict::Mixed | Verdict::NoData => {
-                    "undecided"
-                }
-            },
+            class: class_of(verdict),
+            p: corrected.map(p_words),
+            stands: judgement.stands(corrected),
             unmet: judgement.unmet().filter(|_| verdict == Verdict::NotTestable),
             each: judgement.measured.each.name(),
             values: values.map(|(at, value)| (place(at), rounded(*value))).collect(),
             strip: Strip::of(judgement),
         }
     }
+}
+
+/// What the style knows a verdict by.
+pub fn class_of(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Holds => "holds",
+        Verdict::DoesNotHold => "fails",
+        Verdict::NotTestable => "untestable",
+        Verdict::Undecided | Verdict::OneSeed { .. } | Verdict::Mixed | Verdict::NoData => "undecided",
+    }
+}
+
+/// A p-value to three digits after the point.
+fn p_words(p: f64) -> String {
+    if p < 0.001 { "p < 0.001".into() } else { format!("p = {p:.3}") }
 }
 
 impl Strip {
