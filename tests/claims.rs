@@ -4,7 +4,8 @@
 use crate::common::finger::JOINTS;
 use crate::common::{finish, harness, succeed};
 use harness::claims::{
-    Claim, Condition, Each, Judgement, Measured, Readings, Verdict, choose, corrected, judge, load, runs,
+    Claim, Condition, Each, Judgement, Matrix, Measured, Readings, Verdict, choose, corrected, judge, load,
+    runs,
 };
 use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::contact::Contact;
@@ -627,10 +628,41 @@ fn a_choice_that_changes_a_verdict_is_named() {
     assert!(line.split_whitespace().skip(2).eq(["+", "+", "+", "-", "+", "x", "+", "+", "+"]), "{line}");
     assert!(printed.lines().take_while(|line| !line.is_empty()).all(|line| line.len() <= 80), "{printed}");
     assert!(printed.contains("\n  what the action is: the setpoint itself: does not hold, -"), "{printed}");
+    matrix_on_the_page(folder.path(), &matrix);
     let csv = folder.path().join("readings.csv");
     succeed(folder.path(), &["claims", "--readings", "--output", csv.to_str().unwrap()]);
     let csv = std::fs::read_to_string(csv).unwrap();
     assert!(csv.starts_with("reading,claim,paper,") && csv.contains("\ntarget,vision_improves_force_r2,"));
+}
+
+/// The report has the same matrix, the same choices, and the figure.
+fn matrix_on_the_page(results: &Path, matrix: &Matrix) {
+    let out = results.join("report.html");
+    let mut command = harness(results, &["report", "--out", out.to_str().unwrap()]);
+    command.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json").env("XDG_CACHE_HOME", "/dev/null");
+    let answer = finish(&mut command);
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    let page = std::fs::read_to_string(out).unwrap();
+    let part = page.split("<section id=\"readings\">").nth(1).unwrap().split("</section>").next().unwrap();
+    for row in &matrix.rows {
+        let (id, scenario) = (row.claim.id(), row.scenario.map_or("both", Scenario::name));
+        let shown = part.split(&format!("<tr id=\"reading-{id}-{scenario}\">")).nth(1).unwrap();
+        let shown = shown.split("</tr>").next().unwrap();
+        let cells: Vec<&str> = shown.split("<td ").skip(1).collect();
+        let changes: Vec<usize> = row.changes().map(|(place, _)| place).collect();
+        assert_eq!(cells.len(), row.judgements.len());
+        for (place, (cell, judgement)) in cells.iter().zip(&row.judgements).enumerate() {
+            let words = format!("<span class=\"hidden\">{}</span>", judgement.verdict());
+            assert!(cell.contains(&words), "{id}: {cell}");
+            assert_eq!(cell.contains(" changed\""), changes.contains(&place), "{id}: {cell}");
+        }
+    }
+    let changed = matrix.rows.iter().filter(|row| row.changes().next().is_some()).count();
+    assert_eq!(part.matches("<details class=\"change\">").count(), changed);
+    let said = format!("{} of {} verdicts are the same", matrix.rows.len() - changed, matrix.rows.len());
+    assert!(part.contains(&said), "{said}");
+    assert!(part.contains("<li>what the action is: the setpoint itself: does not hold, "));
+    assert!(part.contains("<figure id=\"figure-readings\">\n<div class=\"paper\"><svg "));
 }
 
 #[test]

@@ -336,7 +336,7 @@ fn without_runs_the_page_names_the_commands_that_make_them() {
         let part = between(&empty, &format!("<figure id=\"figure-{}\">", figure.name()), "</figure>");
         assert_eq!(part.contains("<svg "), drawn, "{}", figure.name());
     }
-    for section in ["joints", "regression", "training", "runs"] {
+    for section in ["readings", "joints", "regression", "training", "runs"] {
         let part = between(&empty, &format!("<section id=\"{section}\">"), "</section>");
         assert!(part.contains("class=\"absent\"") && part.contains("<code>harness --results "), "{section}");
     }

@@ -77,6 +77,11 @@ impl<'a> Readings<'a> {
         Ok(readings)
     }
 
+    /// The runs that the readings are judged by.
+    pub fn analysis(&self) -> &Analysis {
+        &self.analysis
+    }
+
     /// The names of the readings, the base reading first.
     pub fn names(&self) -> Vec<&'a str> {
         let others = self.spec.readings.iter().map(|reading| reading.name.as_str());

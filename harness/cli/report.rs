@@ -8,7 +8,7 @@ use clap::Args;
 use harness::analysis::Setting;
 use harness::files::write_bytes;
 use harness::registry::Registry;
-use harness::{claims, report};
+use harness::{claims, report, spec};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -20,6 +20,9 @@ pub struct Report {
     /// The file of claims
     #[arg(long, value_name = "FILE", default_value = "experiments/claims.yaml")]
     claims: PathBuf,
+    /// The spec with the readings under which claims are judged too
+    #[arg(long, value_name = "FILE", default_value = "experiments/readings.yaml")]
+    readings: PathBuf,
     /// Report on the experiments' quick runs
     #[arg(long)]
     quick: bool,
@@ -32,7 +35,8 @@ impl Report {
     /// Writes the report.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let claims = claims::load(&self.claims)?;
-        let page = report::page(registry, &claims, &self.settings, self.quick, &Bars::default())?;
+        let readings = spec::load(&self.readings, &[], self.quick)?;
+        let page = report::page(registry, &claims, &readings, &self.settings, self.quick, &Bars::default())?;
         write_bytes(&self.out, page.as_bytes())?;
         println!("{}, {}", shown(&self.out), harness::numbers::bytes(page.len() as u64));
         Ok(ExitCode::from(DONE))

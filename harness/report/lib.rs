@@ -10,6 +10,7 @@ mod cache;
 mod clips;
 mod figures;
 mod joints;
+mod readings;
 mod regression;
 mod runs;
 mod training;
@@ -24,6 +25,7 @@ use harness_figures::{FORCES_SQL, FigureError};
 use harness_registry::{QueryError, Registry};
 use harness_shared::progress::Progress;
 use harness_simulation::SimulationError;
+use harness_spec::Experiment;
 use minijinja::value::Serde;
 use minijinja::{Environment, UndefinedBehavior};
 use serde::Serialize;
@@ -126,6 +128,7 @@ struct Page {
     remarks: Vec<String>,
     clips: Part<Vec<clips::Clip>>,
     verdicts: verdicts::Verdicts,
+    readings: Part<readings::Readings>,
     figures: Vec<figures::Drawn>,
     experiments: Vec<runs::Experiment>,
     /// What isn't there of the results by joint and link, and of the regression.
@@ -157,6 +160,7 @@ struct Data {
 ///
 /// # Arguments
 /// * `claims` the statements to judge
+/// * `readings` the experiment with the readings under which they are judged too
 /// * `settings` what the runs' settings must be
 /// * `quick` whether claims, figures and results are those of the runs with `--quick`
 ///
@@ -166,6 +170,7 @@ struct Data {
 pub fn page(
     registry: &Registry,
     claims: &[Claim],
+    readings: &Experiment,
     settings: &[Setting],
     quick: bool,
     progress: &dyn Progress,
@@ -174,11 +179,13 @@ pub fn page(
     let mut selection = claims::selection(&claims, settings, quick);
     let drawn = Experiments::of_the_paper(quick);
     selection.experiments.extend(drawn.names());
+    selection.experiments.push(readings.name.clone());
     let analysis = Analysis::new(registry, &selection)?;
     let analysis = claims::expect(analysis, &claims, quick).expect([joints::SQL, FORCES_SQL]);
     let source = Source::new(&analysis, drawn);
     let figures = figures::draw(&source, progress)?;
     let verdicts = verdicts::Verdicts::of(&analysis, &claims, quick)?;
+    let readings = readings::of(registry, &analysis, readings, &claims, settings)?;
     let experiments = runs::experiments(registry);
     let (clips, frames) = match part(clips::film(progress))? {
         Part::Absent(absent) => (Part::Absent(absent), Vec::new()),
@@ -209,6 +216,7 @@ pub fn page(
         remarks: analysis.notes().iter().chain(&verdicts.mixed).map(|text| sentence(text)).collect(),
         clips,
         verdicts,
+        readings,
         figures,
         experiments,
         joints_absent,

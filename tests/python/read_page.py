@@ -26,7 +26,7 @@ from selenium.webdriver.support.ui import Select
 
 DESKTOP = (1280, 900)
 PHONE = (360, 740)
-SECTIONS = ["scenes", "claims", "joints", "regression", "figures", "training", "runs"]
+SECTIONS = ["scenes", "claims", "readings", "joints", "regression", "figures", "training", "runs"]
 
 
 def open_browser(chromium: str, driver: str, profile: str) -> webdriver.Chrome:

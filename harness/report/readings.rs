@@ -1,0 +1,128 @@
+//! The claims under each reading of the paper, and the choices that change a verdict.
+
+use super::verdicts::class_of;
+use super::{Absent, Part, ReportError, part, sentence};
+use harness_analysis::{Analysis, Setting};
+use harness_claims::{self as claims, Claim, Judgement, MatrixRow, Verdict};
+use harness_figures::Figure;
+use harness_figures::source::{Experiments, Source};
+use harness_registry::Registry;
+use harness_spec::{Experiment, QUICK, Reading, Scenario};
+use serde::Serialize;
+
+/// A matrix of claims by readings.
+#[derive(Serialize)]
+pub struct Readings {
+    /// The readings besides the base, which is the first column.
+    readings: Vec<Choice>,
+    rows: Vec<Row>,
+    /// How many rows are the same under every reading.
+    same: usize,
+    /// How many claims no reading has runs for.
+    left_out: usize,
+    notes: Vec<String>,
+    /// What vision adds under each reading: an SVG element.
+    figure: Part<String>,
+}
+
+/// What a reading changes.
+#[derive(Serialize)]
+struct Choice {
+    name: String,
+    choice: String,
+    base: String,
+    instead: String,
+    paper: String,
+}
+
+/// A claim in a scenario.
+#[derive(Serialize)]
+struct Row {
+    id: String,
+    scenario: &'static str,
+    /// One a reading, the base first.
+    cells: Vec<Cell>,
+    changes: Vec<Change>,
+}
+
+/// A verdict under a reading.
+#[derive(Serialize)]
+struct Cell {
+    class: &'static str,
+    verdict: String,
+    value: String,
+    /// Whether another verdict is decided than under the base.
+    changed: bool,
+}
+
+/// A choice that changes a verdict: its place among the readings.
+#[derive(Serialize)]
+struct Change {
+    place: usize,
+    name: String,
+}
+
+/// Judges the claims by the runs of an experiment with readings, if there are any.
+///
+/// # Errors
+/// When a claim's query is wrong, or a table damaged.
+pub fn of(
+    registry: &Registry,
+    analysis: &Analysis,
+    spec: &Experiment,
+    claims: &[&Claim],
+    settings: &[Setting],
+) -> Result<Part<Readings>, ReportError> {
+    if analysis.runs(&spec.name).is_empty() {
+        let quick = spec.name.strip_suffix(QUICK);
+        let command = analysis.command(quick.unwrap_or(&spec.name), quick.is_some());
+        let reason = format!("There is no finished run of {}.", spec.name);
+        return Ok(Part::Absent(Absent { reason, command: Some(command) }));
+    }
+    let readings = claims::Readings::new(registry, spec, claims, settings)?;
+    let matrix = readings.judge(claims)?;
+    let rows: Vec<Row> = matrix.rows.iter().map(|row| Row::new(row, &matrix.readings)).collect();
+    let drawn = Experiments { readings: spec.name.clone(), ..Experiments::of_the_paper(false) };
+    let figure =
+        Figure::Readings.draw(&Source::new(readings.analysis(), drawn)).map(|drawing| drawing.page.svg());
+    Ok(Part::There(Readings {
+        readings: spec.readings.iter().map(Choice::new).collect(),
+        same: rows.iter().filter(|row| row.changes.is_empty()).count(),
+        rows,
+        left_out: matrix.left_out.len(),
+        notes: matrix.notes.iter().map(|note| sentence(note)).collect(),
+        figure: part(figure)?,
+    }))
+}
+
+impl Choice {
+    fn new(reading: &Reading) -> Self {
+        let Reading { name, choice, base, instead, paper, .. } = reading.clone();
+        Self { name: name.replace('_', " "), choice, base, instead, paper }
+    }
+}
+
+impl Row {
+    fn new(row: &MatrixRow, readings: &[&str]) -> Self {
+        let changes: Vec<usize> = row.changes().map(|(place, _)| place).collect();
+        let cell = |(place, judgement): (usize, &Judgement)| Cell {
+            class: if judgement.verdict() == Verdict::NoData {
+                "missing"
+            } else {
+                class_of(judgement.verdict())
+            },
+            verdict: judgement.verdict().to_string(),
+            value: judgement.interval().map_or_else(|| "no value".into(), |interval| interval.to_string()),
+            changed: changes.contains(&place),
+        };
+        Self {
+            id: row.claim.id().to_owned(),
+            scenario: row.scenario.map_or("both", Scenario::name),
+            cells: row.judgements.iter().enumerate().map(cell).collect(),
+            changes: changes
+                .iter()
+                .map(|&place| Change { place, name: readings[place].replace('_', " ") })
+                .collect(),
+        }
+    }
+}
