@@ -85,6 +85,47 @@ fn episodes_are_the_same_bytes_with_one_thread_and_with_two() {
 }
 
 #[test]
+fn drawn_factors_are_recorded_and_the_same_bytes_whatever_the_threads_and_interruptions() {
+    let scene = scene(Scenario::CLUTTERED);
+    let on = |names: &[&str]| Simulation {
+        factors: names.iter().map(|name| (*name).to_owned()).collect(),
+        ..short()
+    };
+    let collected = |threads: usize| {
+        let root = tempfile::tempdir().unwrap();
+        let dataset = dataset_of(root.path(), &scene, &on(&["finger_stiffness", "box_mass"]));
+        if threads == 1 {
+            collect(&dataset, &scene, 1, &Impatient(AtomicU64::new(30))).unwrap_err();
+        }
+        collect(&dataset, &scene, threads, &Silent).unwrap();
+        (contents(dataset.folder()), dataset, root)
+    };
+    let ((one, dataset, _root), (two, ..)) = (collected(1), collected(2));
+    assert_eq!(one.len(), 6, "four episodes, a description and a lock");
+    for (name, bytes) in &one {
+        assert!(*bytes == two[name], "{name} differs");
+    }
+    let stiffness = |index: u32| {
+        let episode = dataset.read(index, false).unwrap();
+        let elements = episode.layout[Modality::FACTORS].elements();
+        assert_eq!(elements[0].name, "finger_stiffness");
+        assert_eq!((elements.len(), elements[8].name.as_str()), (9, "box_mass_7"));
+        episode.vector(Modality::FACTORS)[0]
+    };
+    assert!((0.5..=2.0).contains(&stiffness(0)) && stiffness(0) != stiffness(1));
+
+    // The names and the distributions of the factors that are on are part of the dataset's name, and no others.
+    let name = |scene: &Scene, spec: &Simulation| dataset_of(Path::new("d"), scene, spec).name().to_owned();
+    let edited = include_str!("../models/cluttered.yaml").replacen("[0.5, 2]", "[0.5, 3]", 1);
+    let edited = World::parse("edited.yaml", None, "cluttered", &edited).unwrap();
+    let edited = Scene::from_xml(edited.into(), scene.xml(), "cluttered.xml".into()).unwrap();
+    for (names, is_same) in [(&["finger_stiffness"][..], false), (&["box_mass"], true), (&[], true)] {
+        assert_eq!(name(&scene, &on(names)) == name(&edited, &on(names)), is_same, "{names:?}");
+        assert!(names.is_empty() || name(&scene, &on(names)) != name(&scene, &on(&[])));
+    }
+}
+
+#[test]
 fn an_episode_comes_back_as_it_was_simulated() {
     let collected = Collected::new(Scenario::CLUTTERED, 2);
     let mut simulator = Simulator::new(&collected.scene, collected.dataset.spec()).unwrap();

@@ -13,6 +13,8 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+#[path = "simulation/factors.rs"]
+mod factors;
 #[path = "common/finger.rs"]
 mod finger;
 

@@ -868,7 +868,7 @@ fn each_combination_of_what_varies_must_be_possible() {
             "vary:\n  simulation.seeds: [0, 1]\n",
             "spec.yaml:8:3: unknown key 'simulation.seeds' in 'vary'; did you mean 'simulation.seed'? Allowed: \
              simulation.seed, simulation.episodes, simulation.actuations_per_episode, simulation.actuation_seconds, \
-             simulation.sample_rate_hz, simulation.rotation_range_rad, simulation.lift_range_m, \
+             simulation.sample_rate_hz, simulation.factors, simulation.rotation_range_rad, simulation.lift_range_m, \
              simulation.extension_range_m, simulation.box_clearance_m, simulation.front_range_n, \
              simulation.back_range_n, simulation.left_range_n, simulation.right_range_n",
         ),
@@ -1146,6 +1146,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             actuations_per_episode: random.random_range(6..=100),
             actuation_seconds: f64::from(random.random_range(1..=20)) / 10.0,
             sample_rate_hz: *[10.0, 20.0, 100.0].choose(random).unwrap(),
+            factors: Vec::new(),
             world: [
                 ("rotation_range_rad".to_owned(), Setting::Range(ranges[0])),
                 ("lift_range_m".to_owned(), Setting::Range(ranges[1])),

@@ -118,6 +118,80 @@ fn every_mistake_of_a_world_file_is_one_line_with_its_place_and_what_exists() {
             place("  contact_force:\n"),
             "'total' means something else in the tables",
         ),
+        (
+            "joint_stiffness: finger_joint_*",
+            "joint_stiffness: knuckle_*",
+            place("finger_joint_*, scale_by"),
+            "'knuckle_*' matches nothing among the model's joint names; the model has arm_rotation",
+        ),
+        (
+            "joint_stiffness: finger_joint_*",
+            "joint_stiffness: arm_*",
+            place("finger_joint_*, scale_by"),
+            "joint 'arm_rotation' has no stiffness that a factor could multiply",
+        ),
+        (
+            "joint_stiffness: finger_joint_*",
+            "joint_stifness: finger_joint_*",
+            place("joint_stiffness: "),
+            "unknown key 'joint_stifness' in 'factors.finger_stiffness'; did you mean 'joint_stiffness'?",
+        ),
+        (
+            "joint_stiffness: finger_joint_*, ",
+            "",
+            place("{joint_stiffness: "),
+            "a factor has exactly one of joint_stiffness, joint_damping, body_mass, geom_friction, geom_size, \
+             geom_colour, light_brightness, camera_position, camera_rotation; found none",
+        ),
+        (
+            "finger_joint_*, scale_by: {log_uniform",
+            "finger_joint_*, offset_by: {log_uniform",
+            place("{joint_stiffness: "),
+            "a factor of joint_stiffness has a distribution of its scale under 'scale_by' and no other",
+        ),
+        (
+            "finger_joint_*, scale_by: {log_uniform: [0.5, 2]}",
+            "finger_joint_*, scale_by: {log_uniform: [0, 2]}",
+            place("{log_uniform: "),
+            "a factor of joint_stiffness draws values from 0.001 to 1000; found 0 to 2",
+        ),
+        (
+            "finger_joint_*, scale_by: {log_uniform: [0.5, 2]}",
+            "finger_joint_*, scale_by: {uniform: [2, 0.5]}",
+            place("{log_uniform: "),
+            "the range [2, 0.5] is reversed; write [0.5, 2]",
+        ),
+        (
+            "finger_joint_*, scale_by: {log_uniform: [0.5, 2]}",
+            "finger_joint_*, scale_by: {uniform: [0.5, 2], choice: [1, 2]}",
+            place("{log_uniform: "),
+            "a distribution has exactly one of uniform, log_uniform, normal, choice; found several",
+        ),
+        (
+            "normal: {mean: 0, deviation: 0.05",
+            "normal: {mean: 1, deviation: 0.05",
+            place("{normal: {mean: 0, deviation: 0.05"),
+            "the mean 1 is outside of the range [-0.15, 0.15]",
+        ),
+        (
+            "normal: {mean: 0, deviation: 0.05",
+            "normal: {mean: 0, deviation: 0",
+            place("0.05, range"),
+            "'factors.camera_position.offset_by.normal.deviation': expected a finite number above 0, found 0",
+        ),
+        (
+            "geom_friction: finger_link_*",
+            "geom_size: ground",
+            place("finger_link_*, scale_by: {uniform"),
+            "geom 'ground' is no sphere, capsule, ellipsoid, cylinder or box, which alone can change size",
+        ),
+        ("  finger_damping:", "  finger_stiffness:", place("finger_damping:"), "duplicate"),
+        (
+            "  contact_force:\n",
+            "  factors:\n",
+            place("  contact_force:\n"),
+            "'factors' means something else in the tables",
+        ),
     ];
     for (old, new, at, expected) in cases {
         let said = fault(old, new);
@@ -408,6 +482,50 @@ fn a_modality_is_added_without_compiling_anything() {
     ]);
     assert_eq!(counted, expected);
     assert!(rows.contains("finger_speed") && rows.contains("rad/s") && rows.contains("bend"), "{rows}");
+}
+
+#[test]
+fn a_spec_turns_factors_on_and_queries_see_what_was_drawn() {
+    let (folder, results) = (tempfile::tempdir().unwrap(), fresh("worlds_factors"));
+    for name in ["twelve.xml", "twelve.yaml"] {
+        fs::copy(root().join("models").join(name), folder.path().join(name)).unwrap();
+    }
+    let spec = write_spec(folder.path(), "twelve.yaml", "[proprioception]", "[contact_force]");
+    let vary = "vary={simulation.factors: [[], [finger_stiffness, light]]}";
+    let said = succeed(&results, &["run", spec.to_str().unwrap(), "latent=2", vary]);
+    assert!(said.contains("2 done"), "{said}");
+    let sql = "select count(distinct dataset) as datasets, count(distinct factors_finger_stiffness) as drawn, \
+        min(factors_light) as light from episodes group by factors_light is null order by drawn";
+    let answer = folder.path().join("answer.json");
+    succeed(&results, &["query", sql, "--output", answer.to_str().unwrap()]);
+    let rows: serde_json::Value = serde_json::from_slice(&fs::read(answer).unwrap()).unwrap();
+    let of = |row: usize, column: &str| rows[row][column].as_f64();
+    assert_eq!([of(0, "drawn"), of(1, "drawn")], [Some(0.0), Some(4.0)], "{rows}");
+    assert!(of(0, "light").is_none() && of(1, "light").is_some_and(|light| (0.5..=1.2).contains(&light)));
+    succeed(&results, &["verify"]);
+    let runs = succeed(&results, &["query", "select variant from runs order by variant"]);
+    assert!(runs.contains("factors=finger_stiffness+light"), "{runs}");
+
+    let world = folder.path().join("twelve.yaml");
+    let said = succeed(&results, &["world", "check", world.to_str().unwrap()]);
+    let expected = "joint_stiffness, log-uniform from 0.5 to 2: finger_stiffness";
+    assert!(said.contains(expected), "{said}");
+    let refused = |setting: &str| {
+        let answer = finish(&mut harness(&results, &["validate", spec.to_str().unwrap(), setting]));
+        assert_eq!((answer.code, answer.stderr.lines().count()), (2, 1), "{}", answer.stderr);
+        answer.stderr
+    };
+    let unknown = refused("simulation.factors=finger_stifness");
+    let expected =
+        "unknown factor 'finger_stifness' in 'simulation.factors'; did you mean 'finger_stiffness'?";
+    assert!(unknown.contains(expected) && unknown.contains("finger_mass"), "{unknown}");
+    let said = refused("simulation.factors=[light, light]");
+    assert!(said.contains("stands twice"), "{said}");
+    // In the spec itself, with its place.
+    let text = fs::read_to_string(&spec).unwrap();
+    fs::write(&spec, text.replace("episodes: 4,", "episodes: 4, factors: [box_mass],")).unwrap();
+    let said = refused("latent=2");
+    assert!(said.contains("experiment.yaml:7:37: unknown factor 'box_mass'"), "{said}");
 }
 
 #[test]

@@ -7,7 +7,7 @@ use anyhow::Result;
 use clap::Args;
 use harness::files::write_whole;
 use harness::progress::Progress;
-use harness::simulation::{Scene, SceneRenderer, replay};
+use harness::simulation::{EpisodePlan, Scene, SceneRenderer, replay};
 use harness::spec::{self, Simulation, World};
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::{Delay, DynamicImage, Frame, ImageFormat};
@@ -83,6 +83,9 @@ impl Render {
         let scene = Scene::new(world)?;
         let states = self.states(&scene, &simulation)?;
         let mut renderer = SceneRenderer::new(&scene, self.width, self.height)?;
+        if let Some(episode) = self.episode {
+            renderer.vary(&EpisodePlan::draw(&scene, &simulation, episode)?.factors);
+        }
         match output {
             Output::Picture => {
                 let picture = renderer.render(&states[0])?;

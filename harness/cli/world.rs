@@ -92,6 +92,9 @@ fn check(scene: &Scene) {
     for (name, setting) in world.settings() {
         println!("simulation.{name} = {}", serde_json::to_string(&setting).unwrap_or_default());
     }
+    for (name, property, drawing, elements) in scene.factors() {
+        println!("factor {name:<17} {property}, {drawing}: {}", elements.join(", "));
+    }
     if scene.boxes() > 0 {
         println!("{} bodies are placed at random in each episode", scene.boxes());
     }

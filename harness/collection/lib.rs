@@ -36,11 +36,9 @@ impl CollectionError {
 
 /// The dataset of a scene under a spec, in `root`; nothing is read or written yet.
 pub fn dataset_of(root: &Path, scene: &Scene, spec: &Simulation) -> Dataset {
-    let model = CompiledModel {
-        layout: scene.layout(),
-        sha256: scene.model_sha256(),
-        mujoco_version: mujoco_version(),
-    };
+    let layout = scene.layout_of(spec);
+    let model =
+        CompiledModel { layout: &layout, sha256: scene.model_sha256(), mujoco_version: mujoco_version() };
     Dataset::new(root, scene.world(), model, spec)
 }
 

@@ -53,6 +53,11 @@ impl Dataset {
             "model_sha256": model.sha256,
             "mujoco": model.mujoco_version,
         });
+        let factors: serde_json::Map<String, serde_json::Value> =
+            world.factors(&spec).map(|(name, factor)| (name.to_owned(), json!(factor))).collect();
+        if !factors.is_empty() {
+            description["factors"] = factors.into();
+        }
         if let Some(world) = world.identity() {
             description["world"] = world;
         }

@@ -1,6 +1,7 @@
 //! Cameras: small frames for the networks, large pictures for people.
 
 use super::SimulationError;
+use super::factors::FactorValues;
 use super::scene::{Scene, SceneCamera, prepare};
 use image::RgbImage;
 use mujoco_rs::prelude::*;
@@ -97,6 +98,8 @@ impl Camera {
 /// Draws pictures for people: with shadows, smooth edges and round capsules, at any resolution.
 pub struct SceneRenderer<'s> {
     scene: &'s Scene,
+    /// The scene's model with a better look, and without what an episode drew.
+    model: Arc<MjModel>,
     data: MjData<Arc<MjModel>>,
     camera: Camera,
     size: [u32; 2],
@@ -139,7 +142,12 @@ impl<'s> SceneRenderer<'s> {
     fn of_model(scene: &'s Scene, model: MjModel, size: [u32; 2]) -> Result<Self, SimulationError> {
         let model = Arc::new(model);
         let camera = Camera::for_model(&model, scene, scene.view, size[0], size[1])?;
-        Ok(Self { scene, data: MjData::new(model), camera, size })
+        Ok(Self { scene, data: MjData::new(model.clone()), model, camera, size })
+    }
+
+    /// Draws what an episode drew of the factors of variation from now on, as in [`super::EpisodePlan`].
+    pub fn vary(&mut self, factors: &FactorValues) {
+        self.data.swap_model(factors.apply(self.scene, &self.model));
     }
 
     /// Where a geom's middle was in the world when the scene was drawn last, m.

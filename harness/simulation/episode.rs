@@ -5,7 +5,7 @@ use super::camera::Camera;
 use super::physics::{Instant, Physics};
 use super::plan::EpisodePlan;
 use super::scene::Scene;
-use harness_spec::{Episode, IMAGE_CHANNELS, Simulation};
+use harness_spec::{Episode, IMAGE_CHANNELS, Modality, Simulation};
 use std::ops::ControlFlow;
 
 /// Simulates and films episodes of one scene, on the thread that made it.
@@ -37,7 +37,7 @@ impl<'s> Simulator<'s> {
         let plan = EpisodePlan::draw(self.physics.scene, &self.spec, index)?;
         let (scene, cameras) = (self.physics.scene, &mut self.cameras);
         let renderer = cameras.first().map(|camera| camera.renderer_name().to_owned());
-        let mut episode = with_room(scene, &plan, self.physics.timing.samples);
+        let mut episode = with_room(scene, &self.spec, &plan, self.physics.timing.samples);
         episode.renderer = renderer.unwrap_or_else(|| "none".into());
         self.physics.run(&plan, &mut |instant, data| {
             record(&mut episode, scene, instant);
@@ -69,8 +69,8 @@ pub fn replay(scene: &Scene, spec: &Simulation, index: u32) -> Result<Vec<Vec<f6
 }
 
 /// An episode with room for the samples of a plan.
-fn with_room(scene: &Scene, plan: &EpisodePlan, samples: usize) -> Episode {
-    let mut episode = Episode::new(scene.layout().clone(), plan.episode, samples);
+fn with_room(scene: &Scene, spec: &Simulation, plan: &EpisodePlan, samples: usize) -> Episode {
+    let mut episode = Episode::new(scene.layout_of(spec), plan.episode, samples);
     for (values, readings) in episode.vectors.iter_mut().zip(&scene.readings) {
         values.reserve_exact(samples * readings.len());
     }
@@ -78,13 +78,18 @@ fn with_room(scene: &Scene, plan: &EpisodePlan, samples: usize) -> Episode {
         let [rows, columns] = camera.size;
         episode.images[camera.position].reserve_exact(samples * rows * columns * IMAGE_CHANNELS);
     }
+    if let Some(place) = episode.layout.position(Modality::FACTORS) {
+        let drawn: Vec<f32> = plan.factors.values().map(|value| value as f32).collect();
+        episode.vectors[place] = drawn.repeat(samples);
+    }
     episode.boxes = plan.boxes.clone();
     episode
 }
 
 /// Appends the vectors of one sample.
 fn record(episode: &mut Episode, scene: &Scene, instant: &Instant) {
-    for (position, values) in episode.vectors.iter_mut().enumerate() {
+    // What the factors of variation are is known from the start; nothing is read for them.
+    for (position, (values, _)) in episode.vectors.iter_mut().zip(&scene.readings).enumerate() {
         values.extend(instant.vector(scene, position));
     }
 }

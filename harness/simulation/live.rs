@@ -170,7 +170,9 @@ impl LiveSimulation {
                 Some((other, renderer)) if other == kind => renderer,
                 _ => Box::new(SceneRenderer::new(scene, width, height)?),
             };
-            kept.insert((kind, renderer)).1.render(&self.physics.instant.qpos)
+            let renderer = &mut kept.insert((kind, renderer)).1;
+            renderer.vary(&self.plan.factors);
+            renderer.render(&self.physics.instant.qpos)
         })
     }
 }

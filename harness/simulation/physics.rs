@@ -7,12 +7,14 @@ use super::scene::{Reading, Scene};
 use super::sensors::{MeanForces, instability, sum_forces};
 use harness_spec::{Layout, Modality, Simulation};
 use mujoco_rs::prelude::*;
+use std::sync::Arc;
 
 /// MuJoCo's state of one scene on one thread.
 pub(super) struct Physics<'s> {
     pub scene: &'s Scene,
     pub timing: Timing,
-    pub data: MjData<&'s MjModel>,
+    /// Of the scene's model, or of a copy with the factors of variation that the episode drew.
+    pub data: MjData<Arc<MjModel>>,
     /// What holds at the latest sampled instant.
     pub instant: Instant,
     /// What is commanded at this step.
@@ -69,8 +71,8 @@ pub(super) fn sensed_position(layout: &Layout, modality: Modality) -> Option<usi
 }
 
 /// Receives each sampled instant, and the state whose derived quantities (poses for the camera) belong to it.
-pub(super) type Observer<'o, 's> =
-    dyn FnMut(&Instant, &mut MjData<&'s MjModel>) -> Result<(), SimulationError> + 'o;
+pub(super) type Observer<'o> =
+    dyn FnMut(&Instant, &mut MjData<Arc<MjModel>>) -> Result<(), SimulationError> + 'o;
 
 impl<'s> Physics<'s> {
     /// # Errors
@@ -78,7 +80,7 @@ impl<'s> Physics<'s> {
     pub fn new(scene: &'s Scene, spec: &Simulation) -> Result<Self, SimulationError> {
         check_ranges(spec, scene)?;
         let timing = Timing::new(spec, scene.step_s())?;
-        let data = MjData::new(&scene.model);
+        let data = MjData::new(scene.model.clone());
         let elements = scene.actuators.len();
         let instant = Instant {
             qpos: scene.model.qpos0().to_vec(),
@@ -105,7 +107,7 @@ impl<'s> Physics<'s> {
     ///
     /// # Errors
     /// When the simulation diverges, or with what the observer returns.
-    pub fn run(&mut self, plan: &EpisodePlan, observe: &mut Observer<'_, 's>) -> Result<(), SimulationError> {
+    pub fn run(&mut self, plan: &EpisodePlan, observe: &mut Observer<'_>) -> Result<(), SimulationError> {
         self.start(plan);
         for _ in 0..self.timing.samples {
             self.advance(|step, setpoint| plan.setpoint(step, setpoint))?;
@@ -155,10 +157,13 @@ impl<'s> Physics<'s> {
         self.step
     }
 
-    /// Puts what position servos drive at the motion's start and the boxes in their places, all at rest.
+    /// Takes the model that the episode drew, and puts what position servos drive at the motion's start and the boxes in
+    /// their places, all at rest.
     pub fn start(&mut self, plan: &EpisodePlan) {
         (self.episode, self.step) = (plan.episode, 0);
         self.mean.clear();
+        // Always from the scene's own model, so that nothing is left of the episode before.
+        self.data.swap_model(plan.factors.apply(self.scene, &self.scene.model));
         self.data.reset();
         plan.setpoint(0, &mut self.setpoint);
         let qpos = self.data.qpos_mut();

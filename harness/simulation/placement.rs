@@ -1,6 +1,7 @@
 //! Where the boxes of a world start.
 
 use super::SimulationError;
+use super::factors::FactorValues;
 use super::motion::{ranges, rest};
 use super::scene::{Area, Mount, Scene};
 use harness_spec::{Pose, Simulation};
@@ -33,6 +34,7 @@ impl Footprint {
 pub(super) fn place_boxes(
     scene: &Scene,
     spec: &Simulation,
+    factors: &FactorValues,
     episode: u32,
     rng: &mut impl Rng,
 ) -> Result<Vec<Pose>, SimulationError> {
@@ -54,7 +56,8 @@ pub(super) fn place_boxes(
         let mut next = boxes.next();
         for _ in 0..MAX_DRAWS {
             let Some(free_box) = next else { break };
-            let [half_x, half_y, half_z] = free_box.half_size;
+            let scale = factors.size_of(scene, free_box.geom);
+            let [half_x, half_y, half_z] = free_box.half_size.map(|half| scale * half);
             let centre = match &placement.area {
                 Area::Sector(mount) => draw_in_sector(mount, &ranges, rng),
                 Area::Rectangle(sides) => sides.map(|[low, high]| rng.random_range(low..=high)),

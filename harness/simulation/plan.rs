@@ -1,6 +1,7 @@
 //! What is random about an episode: how the actuators move, and where boxes stand.
 
 use super::SimulationError;
+use super::factors::FactorValues;
 use super::motion::{Motion, Timing, ranges, rest};
 use super::placement::place_boxes;
 use super::scene::Scene;
@@ -16,6 +17,8 @@ pub struct EpisodePlan {
     pub episode: u32,
     /// Where each box starts.
     pub boxes: Vec<Pose>,
+    /// What it draws of the factors of variation that the spec turns on.
+    pub factors: FactorValues,
     motion: Motion,
 }
 
@@ -28,8 +31,9 @@ impl EpisodePlan {
         let timing = Timing::new(spec, scene.step_s())?;
         let mut rng = episode_stream(scene, spec.seed, index);
         let motion = Motion::draw(&ranges(scene, spec), &rest(scene, spec), spec, &timing, &mut rng);
-        let boxes = place_boxes(scene, spec, index, &mut rng)?;
-        Ok(Self { episode: index, boxes, motion })
+        let factors = FactorValues::draw(scene, spec, index);
+        let boxes = place_boxes(scene, spec, &factors, index, &mut rng)?;
+        Ok(Self { episode: index, boxes, factors, motion })
     }
 
     /// Writes what the actuators are commanded during a simulation step.

@@ -1,11 +1,12 @@
 //! A scene: the compiled MuJoCo model of a world, with every name of the world file resolved once.
 
+use super::factors::{SceneFactor, dofs};
 use super::motion::{Timing, check_ranges};
 use super::{MUJOCO_VERSION, SimulationError, mujoco_version};
 use harness_shared::seal::hex;
 use harness_spec::{
-    Definition, Element, Group, Kind, Layout, Modality, ModelFile, Percentage, Scale, Scenario, Simulation,
-    Source, World, clearance_setting, matching, range_setting,
+    Definition, Element, Group, Kind, Layout, Modality, ModelFile, Percentage, Property, Scale, Scenario,
+    Simulation, Source, World, clearance_setting, matching, range_setting,
 };
 use mujoco_rs::prelude::*;
 use sha2::{Digest, Sha256};
@@ -20,7 +21,7 @@ pub struct Scene {
     world: Arc<World>,
     xml: String,
     model_sha256: String,
-    pub(super) model: MjModel,
+    pub(super) model: Arc<MjModel>,
     layout: Arc<Layout>,
     /// For each of the layout's modalities what its elements are read from; empty where nothing is read.
     pub(super) readings: Vec<Vec<Reading>>,
@@ -31,6 +32,7 @@ pub struct Scene {
     /// Forces that are added up.
     pub(super) forces: usize,
     pub(super) placements: Vec<Placement>,
+    pub(super) factors: Vec<SceneFactor>,
     /// The camera that pictures for people are taken by; `None` for MuJoCo's free one.
     pub(super) view: Option<usize>,
     /// Body and geom of the last link whose contacts are sensed.
@@ -125,6 +127,7 @@ pub(super) struct Mount {
 pub(super) struct FreeBox {
     /// Index into `qpos` of its position (3 values) and orientation (4).
     pub qpos: usize,
+    pub geom: usize,
     /// Half of its sides, m.
     pub half_size: [f64; 3],
 }
@@ -173,7 +176,9 @@ impl Scene {
             None => return false,
             Some(world) => world.ok().and_then(|world| Self::new(world).ok()),
         };
-        let identity = |scene: &Self| (scene.world.identity(), scene.model_sha256.clone());
+        let identity = |scene: &Self| {
+            (scene.world.identity(), scene.world.file().factors.clone(), scene.model_sha256.clone())
+        };
         now.is_none_or(|now| identity(&now) != identity(self))
     }
 
@@ -222,8 +227,18 @@ impl Scene {
         name: String,
     ) -> Result<Self, SimulationError> {
         let resolved = Resolver::new(&world, &model).resolve()?;
-        let Resolved { layout, readings, cameras, actuators, force_of_geom, forces, placements, view, tip } =
-            resolved;
+        let Resolved {
+            layout,
+            readings,
+            cameras,
+            actuators,
+            force_of_geom,
+            forces,
+            placements,
+            factors,
+            view,
+            tip,
+        } = resolved;
         // Frames that are larger than the model's offscreen buffer would be refused.
         for camera in &cameras {
             let buffer = &mut model.vis_mut().global;
@@ -235,7 +250,7 @@ impl Scene {
             world,
             xml,
             model_sha256,
-            model,
+            model: Arc::new(model),
             layout: Arc::new(layout),
             readings,
             cameras,
@@ -243,6 +258,7 @@ impl Scene {
             force_of_geom,
             forces,
             placements,
+            factors,
             view,
             tip,
         })
@@ -267,9 +283,24 @@ impl Scene {
         self.world.scenario()
     }
 
-    /// What its samples hold.
+    /// What its samples hold where no factor of variation is on.
     pub fn layout(&self) -> &Arc<Layout> {
         &self.layout
+    }
+
+    /// What samples under a spec hold: where it turns factors on, what was drawn of them comes last.
+    pub fn layout_of(&self, spec: &Simulation) -> Arc<Layout> {
+        let on = self.factors.iter().filter(|factor| spec.factors.contains(&factor.name));
+        let elements: Vec<Element> = on.flat_map(|factor| factor.elements.clone()).collect();
+        if elements.is_empty() { self.layout.clone() } else { Arc::new(self.layout.with_factors(elements)) }
+    }
+
+    /// Each factor of variation: its name, what it changes, how it is drawn and the names of its values.
+    pub fn factors(&self) -> impl Iterator<Item = (&str, Property, String, Vec<&str>)> {
+        self.factors.iter().map(|factor| {
+            let elements = factor.elements.iter().map(|element| element.name.as_str()).collect();
+            (factor.name.as_str(), factor.property, factor.drawing.to_string(), elements)
+        })
     }
 
     /// Where the model came from.
@@ -348,6 +379,7 @@ const GEOM: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_GEOM, "geom");
 const BODY: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_BODY, "body");
 const SENSOR: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_SENSOR, "sensor");
 const CAMERA: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_CAMERA, "camera");
+const LIGHT: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_LIGHT, "light");
 const ACTUATOR: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_ACTUATOR, "actuator");
 
 /// All things of a kind that have a name: names and indices, in the model's order.
@@ -358,6 +390,7 @@ pub(super) fn named(model: &MjModel, kind: MjtObjBase) -> Vec<(&str, usize)> {
         MjtObjBase::mjOBJ_BODY => model.nbody(),
         MjtObjBase::mjOBJ_SENSOR => model.nsensor(),
         MjtObjBase::mjOBJ_CAMERA => model.ncam(),
+        MjtObjBase::mjOBJ_LIGHT => model.nlight(),
         _ => model.nactuator(),
     };
     let with_name = (0..count as usize).filter_map(|id| Some((model.id_to_name(kind, id)?, id)));
@@ -376,6 +409,7 @@ struct Resolved {
     force_of_geom: Vec<Option<usize>>,
     forces: usize,
     placements: Vec<Placement>,
+    factors: Vec<SceneFactor>,
     view: Option<usize>,
     tip: Option<Tip>,
 }
@@ -420,7 +454,7 @@ impl<'a> Resolver<'a> {
         let place = modalities.iter().position(is_sensed).map_or(modalities.len(), |index| index + 1);
         modalities.insert(place, setpoint);
         cameras.iter_mut().filter(|camera| camera.position >= place).for_each(|camera| camera.position += 1);
-        let placements = self.placements(&actuators)?;
+        let (placements, factors) = (self.placements(&actuators)?, self.factors()?);
         let (definitions, readings) = modalities.into_iter().unzip();
         let view = cameras.first().map(|camera| camera.camera).or((self.model.ncam() > 0).then_some(0));
         Ok(Resolved {
@@ -431,6 +465,7 @@ impl<'a> Resolver<'a> {
             force_of_geom: self.force_of_geom,
             forces: self.forces,
             placements,
+            factors,
             view,
             tip: self.tip,
         })
@@ -726,6 +761,72 @@ impl<'a> Resolver<'a> {
         Ok(placements)
     }
 
+    /// The factors of variation, which must be able to change something.
+    fn factors(&self) -> Result<Vec<SceneFactor>, SimulationError> {
+        let mut factors = Vec::new();
+        for (name, factor) in self.world.file().factors.iter() {
+            let (property, patterns) = factor.property();
+            let path = format!("factors.{name}.{property}");
+            let kind = match property {
+                Property::JointStiffness | Property::JointDamping => JOINT,
+                Property::BodyMass => BODY,
+                Property::GeomFriction | Property::GeomSize | Property::GeomColour => GEOM,
+                Property::LightBrightness => LIGHT,
+                Property::CameraPosition | Property::CameraRotation => CAMERA,
+            };
+            let found = self.matches(kind, patterns, &path)?;
+            for (thing, id) in &found {
+                if let Some(problem) = self.unchangeable(property, *id) {
+                    return Err(self.fault(&path, format!("{} '{thing}' {problem}", kind.1)));
+                }
+            }
+            let (names, things): (Vec<&str>, Vec<usize>) = found.into_iter().unzip();
+            let names = factor.each.then(|| short_names(patterns, &names));
+            factors.push(SceneFactor {
+                name: name.to_owned(),
+                property,
+                drawing: factor.drawing(),
+                things,
+                each: factor.each,
+                elements: property.elements(name, names.as_deref()),
+            });
+        }
+        Ok(factors)
+    }
+
+    /// Why a factor would not change a thing as it says, if it would not.
+    fn unchangeable(&self, property: Property, id: usize) -> Option<String> {
+        let model = self.model;
+        let nothing = |word: &str| Some(format!("has no {word} that a factor could multiply"));
+        match property {
+            Property::JointStiffness if model.jnt_stiffness()[id] == 0.0 => nothing("stiffness"),
+            Property::JointDamping if dofs(model, id).all(|dof| model.dof_damping()[dof] == 0.0) => {
+                nothing("damping")
+            }
+            Property::BodyMass if model.body_mass()[id] == 0.0 => nothing("mass"),
+            Property::GeomFriction if model.geom_friction()[id][0] == 0.0 => nothing("friction"),
+            Property::GeomSize => {
+                let sizes = [
+                    MjtGeomBase::mjGEOM_SPHERE,
+                    MjtGeomBase::mjGEOM_CAPSULE,
+                    MjtGeomBase::mjGEOM_ELLIPSOID,
+                    MjtGeomBase::mjGEOM_CYLINDER,
+                    MjtGeomBase::mjGEOM_BOX,
+                ];
+                let is_known = sizes.contains(&model.geom_type()[id]);
+                (!is_known).then(|| {
+                    "is no sphere, capsule, ellipsoid, cylinder or box, which alone can change size".into()
+                })
+            }
+            Property::CameraRotation => {
+                let mode = model.cam_mode()[id];
+                let aims = [MjtCamLight::mjCAMLIGHT_TARGETBODY, MjtCamLight::mjCAMLIGHT_TARGETBODYCOM];
+                aims.contains(&mode).then(|| "looks at a body, wherever it is turned to".into())
+            }
+            _ => None,
+        }
+    }
+
     /// Reads the body's place off the kinematics, and checks that the arm moves it on a vertical cylinder.
     fn mount(
         &self,
@@ -782,7 +883,7 @@ impl<'a> Resolver<'a> {
             return Err(self.fault(path, format!("body '{name}' must have a free joint")));
         }
         let qpos = self.model.jnt_qposadr()[joint as usize] as usize;
-        Ok(FreeBox { qpos, half_size: self.model.geom_size()[geom] })
+        Ok(FreeBox { qpos, geom, half_size: self.model.geom_size()[geom] })
     }
 }
 

@@ -3,16 +3,17 @@
 use super::scene::Scene;
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_auxiliary::MjContact;
+use mujoco_rs::wrappers::mj_model::traits::ModelType;
 
 /// Each of the scene's forces: the sum of the normal components of a link's contacts, N.
-pub fn link_forces(scene: &Scene, data: &MjData<&MjModel>) -> Vec<f64> {
+pub fn link_forces(scene: &Scene, data: &MjData<impl ModelType>) -> Vec<f64> {
     let mut forces = vec![0.0; scene.forces];
     sum_forces(scene, data, &mut forces);
     forces
 }
 
 /// The same, written to `forces`. A contact of two links counts for both.
-pub(super) fn sum_forces(scene: &Scene, data: &MjData<&MjModel>, forces: &mut [f64]) {
+pub(super) fn sum_forces(scene: &Scene, data: &MjData<impl ModelType>, forces: &mut [f64]) {
     forces.fill(0.0);
     if forces.is_empty() {
         return;
@@ -29,7 +30,7 @@ pub(super) fn sum_forces(scene: &Scene, data: &MjData<&MjModel>, forces: &mut [f
 }
 
 /// The normal component of a contact's force, N, as `mj_contactForce` gives it, without the friction.
-fn normal_force(scene: &Scene, data: &MjData<&MjModel>, contact: &MjContact) -> f64 {
+fn normal_force(scene: &Scene, data: &MjData<impl ModelType>, contact: &MjContact) -> f64 {
     // Contacts without constraint rows (within the margin, or excluded) have no force.
     let Ok(first) = usize::try_from(contact.efc_address) else { return 0.0 };
     let rows = match contact.dim as usize {
@@ -79,7 +80,7 @@ impl MeanForces {
 ///
 /// MuJoCo counts a warning when positions, velocities or accelerations are not finite or huge (and then resets
 /// the state, which must not be taken for data), or when contacts or constraints did not fit its memory.
-pub(super) fn instability(data: &MjData<&MjModel>) -> Option<String> {
+pub(super) fn instability(data: &MjData<impl ModelType>) -> Option<String> {
     data.warning()
         .iter()
         .zip(WARNINGS)

@@ -8,6 +8,7 @@
 mod cells;
 mod episode;
 mod error;
+mod factor;
 mod modality;
 mod narrow;
 mod overrides;
@@ -21,6 +22,7 @@ mod world;
 pub use cells::RunSpec;
 pub use episode::{Episode, Pose};
 pub use error::SpecError;
+pub use factor::{Distribution, Drawing, Factor, Normal, Property};
 pub use modality::*;
 pub use parse::read as read_text;
 pub use scaling::{GivenScaling, GivenScalings, Scale, Scaling, Scalings};
@@ -198,6 +200,7 @@ impl Experiment {
     fn make_canonical(&mut self) {
         self.input.sort();
         self.output.sort();
+        self.simulation.factors.sort();
         self.training.loss_weights.retain(|modality, _| self.output.contains(modality));
         for &modality in &self.output {
             self.training.loss_weights.entry(modality).or_insert(1.0);

@@ -109,6 +109,9 @@ impl Modality {
     pub const FRAME_DIFFERENCE: Self = Self("frame_difference");
     /// What the actuators are commanded: every dataset records it, and the action is made of it.
     pub const SETPOINT: Self = Self("setpoint");
+    /// The factors of variation that were drawn for an episode, the same at each of its samples: recorded where a spec turns
+    /// any on.
+    pub const FACTORS: Self = Self("factors");
 
     /// The modalities of the built-in worlds that a spec can name.
     pub const BUILT_IN: [Self; 6] = [
@@ -121,8 +124,8 @@ impl Modality {
     ];
 
     /// Names that mean something else in a column, a loss term or a saved network.
-    pub(super) const RESERVED: [&str; 9] =
-        ["dataset", "scenario", "episode", "sample", "time", "setpoint", "action", "kl", "total"];
+    pub(super) const RESERVED: [&str; 10] =
+        ["dataset", "scenario", "episode", "sample", "time", "setpoint", "factors", "action", "kl", "total"];
 }
 
 interned_name!(
@@ -310,6 +313,22 @@ impl Layout {
         FINGER.clone()
     }
 
+    /// This layout and what was drawn for each episode.
+    pub fn with_factors(&self, elements: Vec<Element>) -> Self {
+        let mut layout = self.clone();
+        layout.modalities.push(Definition {
+            name: Modality::FACTORS,
+            meaning: "What the episode drew for factor".into(),
+            kind: Kind::Vector { elements },
+            difference_of: None,
+            groups: Vec::new(),
+            scale: Scale::PerElement,
+            minimum: None,
+            percentage: None,
+        });
+        layout
+    }
+
     /// What it says of a modality.
     pub fn get(&self, modality: Modality) -> Option<&Definition> {
         self.modalities.iter().find(|definition| definition.name == modality)
@@ -341,7 +360,8 @@ impl Layout {
 
     /// What a spec can name as an input or output.
     pub fn names(&self) -> impl Iterator<Item = Modality> {
-        self.modalities.iter().map(|definition| definition.name).filter(|name| *name != Modality::SETPOINT)
+        let names = self.modalities.iter().map(|definition| definition.name);
+        names.filter(|name| ![Modality::SETPOINT, Modality::FACTORS].contains(name))
     }
 }
 

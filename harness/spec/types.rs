@@ -442,6 +442,11 @@ pub struct Simulation {
     /// Samples recorded a second, Hz; a whole number of simulation steps must fit between two.
     #[schemars(range(max = 100_000.0), extend("exclusiveMinimum" = 0.0))]
     pub sample_rate_hz: f64,
+    /// Factors of variation of the world that each episode draws anew, by name; none where nothing is given, so that
+    /// datasets keep the names they had before.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schemars(extend("uniqueItems" = true))]
+    pub factors: Vec<String>,
     /// What the world lets a spec change, by its name: the range of each actuator's setpoints, and the clearance of what
     /// is placed. The world's own where nothing is given.
     #[serde(flatten)]
@@ -543,8 +548,8 @@ pub struct Training {
 
 impl Simulation {
     /// The settings that every world has.
-    pub(super) const KEYS: [&str; 5] =
-        ["seed", "episodes", "actuations_per_episode", "actuation_seconds", "sample_rate_hz"];
+    pub(super) const KEYS: [&str; 6] =
+        ["seed", "episodes", "actuations_per_episode", "actuation_seconds", "sample_rate_hz", "factors"];
 
     /// The range of a world's setting; `None` if it has none of that name.
     pub fn range(&self, setting: &str) -> Option<[f64; 2]> {
@@ -626,6 +631,7 @@ impl Default for Simulation {
             actuations_per_episode: 20,
             actuation_seconds: 1.0,
             sample_rate_hz: 10.0,
+            factors: Vec::new(),
             world: BTreeMap::new(),
         }
     }

@@ -366,6 +366,21 @@ fn list(modalities: &[Modality]) -> String {
 fn settings(experiment: &Experiment) -> Result<(), Fault> {
     let worlds: Vec<_> = experiment.scenarios.iter().filter_map(|origin| experiment.world(origin)).collect();
     let known: Vec<(String, Setting)> = worlds.iter().flat_map(|world| world.settings()).collect();
+    let mut factors: Vec<&str> =
+        worlds.iter().flat_map(|world| world.file().factors.iter()).map(|(name, _)| name).collect();
+    factors.sort_unstable();
+    factors.dedup();
+    for (index, name) in experiment.simulation.factors.iter().enumerate() {
+        // An imported dataset is not simulated: what stands here has no effect on it.
+        if worlds.is_empty() || factors.contains(&name.as_str()) {
+            continue;
+        }
+        let message = match factors.is_empty() {
+            true => format!("unknown factor '{}': the world file declares none", super::parse::shorten(name)),
+            false => unknown("factor", name, "simulation.factors", &factors, str::to_owned),
+        };
+        return fault(format!("simulation.factors.{index}"), message);
+    }
     for (key, value) in &experiment.simulation.world {
         let path = format!("simulation.{key}");
         if !known.iter().any(|(name, _)| name == key) {

@@ -1,6 +1,7 @@
 //! Worlds: what a robot senses and does, and what is drawn for an episode, in a YAML file beside its MJCF.
 
 use super::error::{Problem, SpecError};
+use super::factor::Factor;
 use super::modality::{Modality, NAME, Percentage, Region, is_name};
 use super::parse::{self, Node, shorten};
 use super::scaling::{Scale, Scaling};
@@ -97,6 +98,10 @@ pub struct WorldFile {
     #[serde(default, skip_serializing_if = "Ordered::is_empty")]
     #[schemars(with = "BTreeMap<String, Placing>")]
     pub placement: Ordered<Placing>,
+    /// Properties of the model that each episode draws anew, by name; off unless a spec lists them in `simulation.factors`.
+    #[serde(default, skip_serializing_if = "Ordered::is_empty")]
+    #[schemars(with = "BTreeMap<String, Factor>")]
+    pub factors: Ordered<Factor>,
     /// Parts of the images whose error is reported apart, by name; where two fit a pixel, it belongs to the later one.
     #[serde(default, skip_serializing_if = "Ordered::is_empty")]
     #[schemars(with = "BTreeMap<String, Colours>")]
@@ -551,13 +556,19 @@ impl World {
     }
 
     /// What decides the content of the world's datasets besides the model and the settings; `None` of the two worlds
-    /// that there were before worlds were files, so that their datasets keep their names.
+    /// that there were before worlds were files, so that their datasets keep their names. Factors are left out: those that a
+    /// spec turns on are described with the settings, and others change nothing.
     pub fn identity(&self) -> Option<Json> {
         if self.folder.is_none() && Scenario::PAPER.contains(&self.scenario) {
             return None;
         }
-        let file = WorldFile { description: String::new(), ..self.file.clone() };
+        let file = WorldFile { description: String::new(), factors: Ordered::default(), ..self.file.clone() };
         Some(serde_json::to_value(file).expect("a world file is plain data"))
+    }
+
+    /// The factors of variation that a spec turns on, by name, in the file's order.
+    pub fn factors<'a>(&'a self, spec: &'a Simulation) -> impl Iterator<Item = (&'a str, &'a Factor)> {
+        self.file.factors.iter().filter(|(name, _)| spec.factors.iter().any(|on| on == name))
     }
 
     /// The modalities that a spec can name.
@@ -614,13 +625,16 @@ impl World {
         ranges.chain(clearances).collect()
     }
 
-    /// The settings with those that the world has and `given` lacks, and without those that it doesn't have.
+    /// The settings with those that the world has and `given` lacks, and without settings and factors that it doesn't
+    /// have.
     pub fn complete(&self, given: &Simulation) -> Simulation {
         let settings = self.settings().into_iter().map(|(name, own)| {
             let value = given.world.get(&name).copied().unwrap_or(own);
             (name, value)
         });
-        Simulation { world: settings.collect(), ..given.clone() }
+        let mut factors: Vec<String> = self.factors(given).map(|(name, _)| name.to_owned()).collect();
+        factors.sort();
+        Simulation { world: settings.collect(), factors, ..given.clone() }
     }
 
     /// The settings of an experiment that says nothing.
@@ -698,6 +712,13 @@ fn check(file: &WorldFile) -> Result<(), (String, String)> {
             _ => return Err((at(""), "give one of sector and rectangle".into())),
         }
     }
+    for (name, factor) in file.factors.iter() {
+        let at = |key: &str| {
+            if key.is_empty() { format!("factors.{name}") } else { format!("factors.{name}.{key}") }
+        };
+        named("a factor", name).map_err(|message| (at(""), message))?;
+        factor.check().map_err(|(key, message)| (at(&key), message))?;
+    }
     for (name, colours) in file.regions.iter() {
         named("a region", name).map_err(|message| (format!("regions.{name}"), message))?;
         ascending(colours.red_minus_blue).map_err(|m| (format!("regions.{name}.red_minus_blue"), m))?;
@@ -764,7 +785,7 @@ fn named(what: &str, name: &str) -> Result<(), String> {
     ))
 }
 
-fn ascending([low, high]: [f64; 2]) -> Result<(), String> {
+pub(super) fn ascending([low, high]: [f64; 2]) -> Result<(), String> {
     if low <= high {
         Ok(())
     } else {

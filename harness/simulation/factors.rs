@@ -1,0 +1,263 @@
+//! Factors of variation: what an episode draws of a model's own properties, and the model that comes of it.
+
+use super::scene::Scene;
+use harness_spec::{Drawing, Element, Normal, Property, Scenario, Simulation};
+use mujoco_rs::prelude::*;
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use sha2::{Digest, Sha256};
+use std::sync::Arc;
+
+/// A factor of a world, whose names were looked up in the model.
+#[derive(Debug, Clone)]
+pub(super) struct SceneFactor {
+    pub name: String,
+    pub property: Property,
+    pub drawing: Drawing,
+    /// What it changes: joints, bodies, geoms, lights or cameras of the model, by their indices.
+    pub things: Vec<usize>,
+    /// Whether each of them has values of its own.
+    pub each: bool,
+    /// What is drawn.
+    pub elements: Vec<Element>,
+}
+
+/// What an episode draws of the factors that a spec turns on.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct FactorValues {
+    /// Factors of the scene by their indices, and the values of their elements.
+    drawn: Vec<(usize, Vec<f64>)>,
+}
+
+impl FactorValues {
+    /// Draws each factor from a stream of its own, so that none changes with another that is turned on.
+    pub(super) fn draw(scene: &Scene, spec: &Simulation, episode: u32) -> Self {
+        let on = scene.factors.iter().enumerate().filter(|(_, factor)| spec.factors.contains(&factor.name));
+        let draw = |(index, factor): (usize, &SceneFactor)| {
+            let mut rng = stream(&factor.name, spec.seed, scene.scenario(), episode);
+            let values = factor.elements.iter().map(|_| draw_value(&factor.drawing, &mut rng)).collect();
+            (index, values)
+        };
+        Self { drawn: on.map(draw).collect() }
+    }
+
+    /// Every value, in the order of [`Scene::layout_of`]'s elements.
+    pub fn values(&self) -> impl Iterator<Item = f64> {
+        self.drawn.iter().flat_map(|(_, values)| values.iter().copied())
+    }
+
+    /// What a geom's size is multiplied by.
+    pub(super) fn size_of(&self, scene: &Scene, geom: usize) -> f64 {
+        let sizes =
+            self.each(scene).filter(|(property, thing, _)| (*property, *thing) == (Property::GeomSize, geom));
+        sizes.map(|(_, _, values)| values[0]).product()
+    }
+
+    /// The property and the index of each thing that changes, with its values.
+    fn each<'a>(&'a self, scene: &'a Scene) -> impl Iterator<Item = (Property, usize, &'a [f64])> {
+        self.drawn.iter().flat_map(|(index, values)| {
+            let factor = &scene.factors[*index];
+            let width = factor.property.width();
+            factor.things.iter().enumerate().map(move |(place, thing)| {
+                let first = if factor.each { place * width } else { 0 };
+                (factor.property, *thing, &values[first..first + width])
+            })
+        })
+    }
+
+    /// A copy of a scene's model, or of one that only looks different, with these values; the model itself where nothing was
+    /// drawn.
+    pub(super) fn apply(&self, scene: &Scene, model: &Arc<MjModel>) -> Arc<MjModel> {
+        if self.drawn.is_empty() {
+            return model.clone();
+        }
+        let mut varied = Box::new(MjModel::clone(model));
+        for (property, thing, values) in self.each(scene) {
+            change(&mut varied, property, thing, values);
+        }
+        let mut data = MjData::new(varied);
+        // What follows from masses, sizes and cameras' places.
+        data.set_const();
+        // The solver's tolerance and the cameras' clipping planes stay as they were compiled.
+        *data.model_stat_mut() = model.stat().clone();
+        Arc::new(MjModel::clone(data.model()))
+    }
+}
+
+/// The stream of a factor in an episode.
+fn stream(factor: &str, seed: u64, scenario: Scenario, episode: u32) -> ChaCha8Rng {
+    let identity = format!("harness factor {factor}: seed {seed}, scenario {scenario}, index {episode}");
+    ChaCha8Rng::from_seed(Sha256::digest(identity).into())
+}
+
+fn draw_value(drawing: &Drawing, rng: &mut impl Rng) -> f64 {
+    match drawing {
+        Drawing::Uniform([low, high]) => rng.random_range(*low..=*high),
+        Drawing::LogUniform([low, high]) => rng.random_range(low.ln()..=high.ln()).exp().clamp(*low, *high),
+        Drawing::Normal(normal) => draw_normal(normal, rng),
+        Drawing::Choice(values) => values[rng.random_range(0..values.len())],
+    }
+}
+
+/// Draws until a value is accepted, of which at least a third are: the mean lies within the range.
+fn draw_normal(Normal { mean, deviation, range: [low, high] }: &Normal, rng: &mut impl Rng) -> f64 {
+    loop {
+        if high - low < *deviation {
+            let value = rng.random_range(*low..=*high);
+            let away = (value - mean) / deviation;
+            if rng.random::<f64>() < (-0.5 * away * away).exp() {
+                return value;
+            }
+        } else {
+            let normal: f64 = StandardNormal.sample(rng);
+            let value = mean + deviation * normal;
+            if (*low..=*high).contains(&value) {
+                return value;
+            }
+        }
+    }
+}
+
+/// Changes one thing of a model.
+fn change(model: &mut MjModel, property: Property, thing: usize, values: &[f64]) {
+    let scale = values[0];
+    match property {
+        Property::JointStiffness => {
+            model.jnt_stiffness_mut()[thing] *= scale;
+            model.jnt_stiffnesspoly_mut()[thing].iter_mut().for_each(|value| *value *= scale);
+        }
+        Property::JointDamping => {
+            for dof in dofs(model, thing) {
+                model.dof_damping_mut()[dof] *= scale;
+                model.dof_dampingpoly_mut()[dof].iter_mut().for_each(|value| *value *= scale);
+            }
+        }
+        Property::BodyMass => {
+            model.body_mass_mut()[thing] *= scale;
+            model.body_inertia_mut()[thing].iter_mut().for_each(|value| *value *= scale);
+        }
+        Property::GeomFriction => {
+            model.geom_friction_mut()[thing].iter_mut().for_each(|value| *value *= scale);
+        }
+        Property::GeomSize => resize(model, thing, scale),
+        Property::GeomColour => {
+            let mut colour = colour_of(model, thing);
+            for (channel, offset) in colour.iter_mut().zip(values) {
+                *channel = (*channel + *offset as f32).clamp(0.0, 1.0);
+            }
+            model.geom_rgba_mut()[thing] = colour;
+        }
+        Property::LightBrightness => {
+            let of_light = [
+                model.light_ambient_mut()[thing],
+                model.light_diffuse_mut()[thing],
+                model.light_specular_mut()[thing],
+            ];
+            let [ambient, diffuse, specular] =
+                of_light.map(|colour| colour.map(|value| value * scale as f32));
+            model.light_ambient_mut()[thing] = ambient;
+            model.light_diffuse_mut()[thing] = diffuse;
+            model.light_specular_mut()[thing] = specular;
+        }
+        Property::CameraPosition => {
+            model.cam_pos_mut()[thing].iter_mut().zip(values).for_each(|(value, offset)| *value += offset);
+        }
+        Property::CameraRotation => {
+            let turned = product(model.cam_quat()[thing], quaternion(values));
+            model.cam_quat_mut()[thing] = turned;
+        }
+    }
+}
+
+/// Degrees of freedom of a joint.
+pub(super) fn dofs(model: &MjModel, joint: usize) -> std::ops::Range<usize> {
+    let first = model.jnt_dofadr()[joint] as usize;
+    let count = match model.jnt_type()[joint] {
+        MjtJoint::mjJNT_FREE => 6,
+        MjtJoint::mjJNT_BALL => 3,
+        _ => 1,
+    };
+    first..first + count
+}
+
+/// The colour that a geom is drawn in: its own, unless that is MuJoCo's default and it has a material.
+fn colour_of(model: &MjModel, geom: usize) -> [f32; 4] {
+    const DEFAULT: [f32; 4] = [0.5, 0.5, 0.5, 1.0];
+    let own = model.geom_rgba()[geom];
+    match usize::try_from(model.geom_matid()[geom]) {
+        Ok(material) if own == DEFAULT => model.mat_rgba()[material],
+        _ => own,
+    }
+}
+
+/// Changes a geom's size, and the bounding volumes that collisions are looked for by.
+fn resize(model: &mut MjModel, geom: usize, scale: f64) {
+    model.geom_size_mut()[geom].iter_mut().for_each(|value| *value *= scale);
+    model.geom_aabb_mut()[geom].iter_mut().for_each(|value| *value *= scale);
+    let growth = ((scale - 1.0) * model.geom_rbound()[geom]).max(0.0);
+    model.geom_rbound_mut()[geom] *= scale;
+    // Those of its body contain it, wherever in the body it is: no part of it is further away than by its growth.
+    let body = model.geom_bodyid()[geom] as usize;
+    let first = model.body_bvhadr()[body];
+    let Ok(first) = usize::try_from(first) else { return };
+    let count = model.body_bvhnum()[body] as usize;
+    for volume in model.bvh_aabb_mut().iter_mut().skip(first).take(count) {
+        volume[3..].iter_mut().for_each(|half| *half += growth);
+    }
+}
+
+/// The unit quaternion of a rotation vector, rad.
+fn quaternion(vector: &[f64]) -> [f64; 4] {
+    let angle = vector.iter().map(|value| value * value).sum::<f64>().sqrt();
+    if angle == 0.0 {
+        return [1.0, 0.0, 0.0, 0.0];
+    }
+    let (sin, cos) = (0.5 * angle).sin_cos();
+    [cos, sin * vector[0] / angle, sin * vector[1] / angle, sin * vector[2] / angle]
+}
+
+fn product([a, b, c, d]: [f64; 4], [e, f, g, h]: [f64; 4]) -> [f64; 4] {
+    [
+        a * e - b * f - c * g - d * h,
+        a * f + b * e + c * h - d * g,
+        a * g - b * h + c * e + d * f,
+        a * h + b * g - c * f + d * e,
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn draws_stay_within_their_range_and_have_their_mean() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut mean_of = |drawing: Drawing, [low, high]: [f64; 2]| {
+            let values: Vec<f64> = (0..20_000).map(|_| draw_value(&drawing, &mut rng)).collect();
+            assert!(values.iter().all(|value| (low..=high).contains(value)), "{drawing}");
+            values.iter().sum::<f64>() / values.len() as f64
+        };
+        let near =
+            |found: f64, expected: f64| assert!((found - expected).abs() < 0.02, "{found}, {expected}");
+        near(mean_of(Drawing::Uniform([0.5, 2.0]), [0.5, 2.0]), 1.25);
+        // (b - a) / ln(b / a)
+        near(mean_of(Drawing::LogUniform([0.5, 2.0]), [0.5, 2.0]), 1.5 / 4f64.ln());
+        near(mean_of(Drawing::Choice(vec![1.0, 4.0]), [1.0, 4.0]), 2.5);
+        // A half-normal distribution has the mean sqrt(2 / pi) of its deviation; in a narrow range it is nearly uniform.
+        let half = Normal { mean: 1.0, deviation: 1.0, range: [1.0, 50.0] };
+        near(mean_of(Drawing::Normal(half), [1.0, 50.0]), 1.0 + (2.0 / std::f64::consts::PI).sqrt());
+        let narrow = Normal { mean: 0.0, deviation: 10.0, range: [-1.0, 1.0] };
+        near(mean_of(Drawing::Normal(narrow), [-1.0, 1.0]), 0.0);
+    }
+
+    #[test]
+    fn a_rotation_vector_turns_by_its_length_about_its_direction() {
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let quarter = quaternion(&[0.0, 0.0, std::f64::consts::FRAC_PI_2]);
+        assert!((quarter[0] - half).abs() < 1e-12 && (quarter[3] - half).abs() < 1e-12, "{quarter:?}");
+        let whole = product(product(quarter, quarter), product(quarter, quarter));
+        assert!((whole[0] + 1.0).abs() < 1e-12, "four quarters are the whole turn: {whole:?}");
+        assert_eq!(quaternion(&[0.0; 3]), [1.0, 0.0, 0.0, 0.0]);
+    }
+}

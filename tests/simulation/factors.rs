@@ -1,0 +1,303 @@
+//! Factors of variation: what each changes is measured in a scene whose laws are simple, and compared with what the laws
+//! say.
+
+use super::{columns, live, scene, sensed, short, simulate};
+use harness_simulation::{Episode, EpisodePlan, LiveSimulation, Scene, SceneRenderer, Simulator};
+use harness_spec::{Modality, Scenario, Simulation, World};
+use std::ops::ControlFlow;
+
+const SIDE: usize = 64;
+/// Height of the camera above the ground, m.
+const CAMERA_HEIGHT: f64 = 4.0;
+/// Half of the box's height, m, and where it stands.
+const BOX_HALF_HEIGHT: f64 = 0.1;
+const BOX: [f64; 2] = [0.5, 0.5];
+
+/// A box under a camera, and four things that are each pushed with a constant force along x, out of its sight.
+const BENCH: &str = r#"<mujoco model="bench">
+  <compiler autolimits="true"/>
+  <option timestep="0.001" integrator="implicitfast" cone="elliptic"/>
+  <visual>
+    <global offwidth="64" offheight="64"/>
+    <headlight active="0"/>
+    <quality shadowsize="0" offsamples="0"/>
+  </visual>
+  <worldbody>
+    <light name="sun" type="directional" pos="0 0 4" dir="0 0 -1" diffuse="0.5 0.5 0.5" specular="0 0 0"/>
+    <camera name="above" pos="0 0 4" fovy="45"/>
+    <geom name="ground" type="plane" size="20 20 1" friction="0.1" rgba="0.2 0.2 0.2 1"/>
+    <body name="spring" pos="0 6 2">
+      <joint name="spring" type="slide" axis="1 0 0" stiffness="80" damping="20"/>
+      <geom name="spring" size="0.1" mass="1" contype="0" conaffinity="0"/>
+    </body>
+    <body name="damper" pos="0 5 2">
+      <joint name="damper" type="slide" axis="1 0 0" damping="5"/>
+      <geom name="damper" size="0.1" mass="1" contype="0" conaffinity="0"/>
+    </body>
+    <body name="load" pos="0 4 2">
+      <joint name="load" type="slide" axis="1 0 0"/>
+      <geom name="load" size="0.1" mass="2" contype="0" conaffinity="0"/>
+    </body>
+    <body name="sled" pos="0 -5 0.1">
+      <joint name="sled" type="slide" axis="1 0 0"/>
+      <joint name="press" type="slide" axis="0 0 1"/>
+      <geom name="sled" type="box" size="0.1 0.1 0.1" mass="1" friction="0.3"/>
+    </body>
+    <body name="box" pos="0.5 0.5 0.1">
+      <freejoint name="box"/>
+      <geom name="box" type="box" size="0.2 0.2 0.1" mass="1" rgba="0.8 0.2 0.2 1"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="spring" joint="spring"/>
+    <motor name="damper" joint="damper"/>
+    <motor name="load" joint="load"/>
+    <motor name="sled" joint="sled"/>
+  </actuator>
+</mujoco>
+"#;
+
+const BENCH_WORLD: &str = "model: bench.xml
+step_rate_hz: 1000
+modalities:
+  position: {joint_positions: [spring, damper, load, sled]}
+  speed: {joint_velocities: [spring, damper, load, sled]}
+  force: {normal_force: box}
+  vision: {camera: above, size: [64, 64]}
+action:
+  actuators:
+    spring: {range: [8, 8]}
+    damper: {range: [2, 2]}
+    load: {range: [0.1, 0.1]}
+    sled: {range: [4, 4]}
+placement:
+  box: {bodies: box, clearance_m: 0, rectangle: [[0.5, 0.5], [0.5, 0.5]]}
+factors:
+  twice_as_stiff: {joint_stiffness: spring, scale_by: {choice: 2}}
+  twice_the_damping: {joint_damping: damper, scale_by: {choice: 2}}
+  twice_the_mass: {body_mass: load, scale_by: {choice: 2}}
+  twice_the_friction: {geom_friction: sled, scale_by: {choice: 2}}
+  twice_the_size: {geom_size: box, scale_by: {choice: 2}}
+  paler: {geom_colour: box, offset_by: {choice: 0.15}}
+  brighter: {light_brightness: sun, scale_by: {choice: 2}}
+  moved: {camera_position: above, offset_by: {choice: 0.5}}
+  turned: {camera_rotation: above, offset_by: {choice: 0.1}}
+  same: {joint_stiffness: spring, scale_by: {choice: 1}}
+";
+
+fn bench() -> Scene {
+    let world = World::parse("bench.yaml", Some("".into()), "bench", BENCH_WORLD).unwrap();
+    Scene::from_xml(world.into(), BENCH, "bench.xml".into()).unwrap()
+}
+
+/// Four seconds on the bench with these factors.
+fn on_bench(factors: &[&str]) -> Episode {
+    let factors = factors.iter().map(|name| (*name).to_owned()).collect();
+    simulate(&bench(), &Simulation { actuations_per_episode: 4, factors, ..Simulation::default() }, 0)
+}
+
+fn last<const N: usize>(episode: &Episode, modality: &str) -> [f32; N] {
+    *episode.vector(Modality::new(modality).unwrap()).last_chunk().unwrap()
+}
+
+#[track_caller]
+fn assert_near(found: f32, expected: f64, tolerance: f64) {
+    assert!((f64::from(found) - expected).abs() < tolerance, "{found} instead of {expected}");
+}
+
+#[test]
+fn stiffness_damping_mass_and_friction_change_motions_as_the_laws_of_mechanics_say() {
+    let (time, gravity) = (3.9f64, 9.81);
+    for scale in [1.0, 2.0] {
+        let factors = ["twice_as_stiff", "twice_the_damping", "twice_the_mass", "twice_the_friction"];
+        let episode = on_bench(if scale == 1.0 { &[] } else { &factors });
+        let ([spring, _, load, sled], [_, damper, _, _]): ([f32; 4], [f32; 4]) =
+            (last(&episode, "position"), last(&episode, "speed"));
+        assert_near(spring, 8.0 / (80.0 * scale), 1e-4);
+        assert_near(damper, 2.0 / (5.0 * scale), 1e-4);
+        assert_near(load, 0.5 * 0.1 / (2.0 * scale) * time * time, 1e-3);
+        // The friction of 0.3 gives way to a push of 4 N, and that of 0.6 does not.
+        let pushed = (4.0 - 0.3 * scale * gravity).max(0.0);
+        assert_near(sled, 0.5 * pushed * time * time, 0.15);
+    }
+}
+
+/// What the camera sees of the box: its pixels, their middle (column, row), and their mean colour.
+fn box_in(episode: &Episode) -> (usize, [f64; 2], [f64; 3]) {
+    let pixels = episode.image(Modality::VISION)[..SIDE * SIDE * 3].chunks_exact(3).enumerate();
+    let red: Vec<_> = pixels.filter(|(_, pixel)| pixel[0] > pixel[1] + 20).collect();
+    let mean = |of: &dyn Fn(usize, &[u8]) -> f64| {
+        red.iter().map(|(place, pixel)| of(*place, pixel)).sum::<f64>() / red.len() as f64
+    };
+    let middle =
+        [mean(&|place, _| (place % SIDE) as f64 + 0.5), mean(&|place, _| (place / SIDE) as f64 + 0.5)];
+    (red.len(), middle, [0, 1, 2].map(|channel| mean(&|_, pixel| f64::from(pixel[channel]))))
+}
+
+/// Where a camera with these axes (right, up, backwards, in its own frame) sees a place that lies so from it: column, row.
+fn seen([right, up, back]: [f64; 3]) -> [f64; 2] {
+    let focal = 0.5 * SIDE as f64 / 22.5f64.to_radians().tan();
+    [0.5 * SIDE as f64 + focal * right / -back, 0.5 * SIDE as f64 - focal * up / -back]
+}
+
+#[test]
+fn a_box_of_another_size_stands_on_the_ground_and_is_seen_so() {
+    let (own, large) = (on_bench(&[]), on_bench(&["twice_the_size"]));
+    assert_eq!(own.boxes[0][2], BOX_HALF_HEIGHT);
+    assert_eq!(large.boxes[0][2], 2.0 * BOX_HALF_HEIGHT);
+    for episode in [&own, &large] {
+        // It rests on the ground with its unchanged weight.
+        let [force] = last(episode, "force");
+        assert_near(force, 9.81, 0.02);
+    }
+    // Its upper face has four times the area and is nearer to the camera by the height it gained.
+    let nearer = (CAMERA_HEIGHT - 2.0 * BOX_HALF_HEIGHT) / (CAMERA_HEIGHT - 4.0 * BOX_HALF_HEIGHT);
+    let ratio = box_in(&large).0 as f64 / box_in(&own).0 as f64;
+    // The higher box shows two of its sides as well.
+    assert!((4.0 * nearer * nearer - 0.5..4.0 * nearer * nearer + 1.0).contains(&ratio), "{ratio}");
+}
+
+#[test]
+fn colour_and_light_change_pixels_by_as_much_as_was_drawn() {
+    let (own, paler, brighter) = (on_bench(&[]), on_bench(&["paler"]), on_bench(&["brighter"]));
+    let ((_, _, own_colour), (_, _, paler_colour)) = (box_in(&own), box_in(&paler));
+    for (own, paler) in own_colour.into_iter().zip(paler_colour) {
+        // Half of the light is reflected.
+        assert!((paler - own - 0.5 * 0.15 * 255.0).abs() < 2.0, "{own} became {paler}");
+    }
+    let brightness = |episode: &Episode| -> f64 {
+        episode.image(Modality::VISION)[..SIDE * SIDE * 3].iter().map(|value| f64::from(*value)).sum()
+    };
+    let ratio = brightness(&brighter) / brightness(&own);
+    assert!((ratio - 2.0).abs() < 0.05, "{ratio}");
+}
+
+#[test]
+fn a_camera_that_is_moved_or_turned_sees_the_box_where_it_then_is() {
+    let assert_seen = |factors: &[&str], place: [f64; 3]| {
+        let ([column, row], [x, y]) = (box_in(&on_bench(factors)).1, seen(place));
+        assert!(
+            (column - x).abs() < 1.0 && (row - y).abs() < 1.0,
+            "{factors:?}: ({column}, {row}), ({x}, {y})"
+        );
+    };
+    // The middle of its upper face, from the camera.
+    let place = [BOX[0], BOX[1], 2.0 * BOX_HALF_HEIGHT - CAMERA_HEIGHT];
+    assert_seen(&[], place);
+    assert_seen(&["moved"], place.map(|value| value - 0.5));
+    // Rodrigues' formula about (1, 1, 1), backwards, as the camera turns and not the box.
+    let (angle, axis) = (-0.1 * 3f64.sqrt(), 1.0 / 3f64.sqrt());
+    let [x, y, z] = place;
+    let cross = [z - y, x - z, y - x].map(|value| axis * value);
+    let along = axis * axis * (x + y + z);
+    let turned =
+        |index: usize| place[index] * angle.cos() + cross[index] * angle.sin() + along * (1.0 - angle.cos());
+    assert_seen(&["turned"], [turned(0), turned(1), turned(2)]);
+}
+
+#[test]
+fn a_factor_of_one_changes_no_bit_and_is_recorded() {
+    let (own, same) = (on_bench(&[]), on_bench(&["same"]));
+    let count = own.vectors.len();
+    assert!(same.vectors[..count] == own.vectors[..] && same.images[..count] == own.images[..]);
+    assert_eq!(own.vector(Modality::FACTORS), [0f32; 0]);
+    assert_eq!(same.vector(Modality::FACTORS), [1.0; 40]);
+}
+
+/// The cluttered world with some of its factors on.
+fn varied(factors: &[&str]) -> Simulation {
+    let factors = factors.iter().map(|name| (*name).to_owned()).collect();
+    Simulation { actuations_per_episode: 2, factors, ..short() }
+}
+
+const SOME: [&str; 6] =
+    ["box_size", "camera_rotation", "finger_colour", "finger_damping", "finger_stiffness", "light"];
+
+#[test]
+fn factors_off_leave_every_bit_as_in_a_world_that_declares_none() {
+    let text = include_str!("../../models/cluttered.yaml");
+    let (before, after) = (text.find("factors:").unwrap(), text.find("# Told by").unwrap());
+    let without =
+        World::parse("plain.yaml", None, "cluttered", &(text[..before].to_owned() + &text[after..]));
+    let own = scene(Scenario::CLUTTERED);
+    let plain = Scene::from_xml(without.unwrap().into(), own.xml(), "cluttered.xml".into()).unwrap();
+    assert!(plain.factors().next().is_none() && own.factors().count() == 12);
+    assert!(simulate(&own, &varied(&[]), 1) == simulate(&plain, &varied(&[]), 1));
+}
+
+#[test]
+fn an_episode_with_factors_depends_on_its_seed_and_index_alone() {
+    let (scene, spec) = (scene(Scenario::CLUTTERED), varied(&SOME));
+    let alone = simulate(&scene, &spec, 2);
+    let mut simulator = Simulator::new(&scene, &spec).unwrap();
+    let all = [0, 1, 2].map(|index| simulator.run(index, &mut || ControlFlow::Continue(())).unwrap());
+    assert!(alone == all[2], "nothing is left of the episodes before");
+    let drawn = |episode: &Episode| {
+        let layout = &episode.layout[Modality::FACTORS];
+        let values = columns(episode.vector(Modality::FACTORS), layout.width());
+        assert!(values.iter().all(|column| column.iter().all(|value| *value == column[0])));
+        let names = layout.elements().iter().map(|element| element.name.clone());
+        names.zip(values.into_iter().map(|column| column[0])).collect::<Vec<_>>()
+    };
+    let [first, second] = [drawn(&all[0]), drawn(&all[1])];
+    // Three colours, a damping and a stiffness, a size of each of eight boxes, a brightness and three angles.
+    assert_eq!(first.len(), 3 + 2 + 8 + 1 + 3, "{first:?}");
+    for ((name, one), (_, other)) in first.iter().zip(&second) {
+        assert_ne!(one, other, "{name} is drawn anew");
+        let is_offset = name.starts_with("finger_colour") || name.starts_with("camera");
+        let [low, high] = if is_offset { [-0.1, 0.1] } else { [0.5, 2.0] };
+        assert!((low..=high).contains(one), "{name}: {one}");
+    }
+    assert!(drawn(&simulate(&scene, &Simulation { seed: 1, ..spec }, 0)) != first);
+    // Neither does one factor change with another, nor the motion or the places of boxes with any but their size.
+    let one = simulate(&scene, &varied(&["finger_stiffness"]), 0);
+    let value = first.iter().find(|(name, _)| name == "finger_stiffness").unwrap();
+    assert_eq!(drawn(&one), std::slice::from_ref(value));
+    let plain = simulate(&scene, &varied(&[]), 0);
+    assert!(one.boxes == plain.boxes && one.vector(Modality::SETPOINT) == plain.vector(Modality::SETPOINT));
+    assert!(one.vector(Modality::PROPRIOCEPTION) != plain.vector(Modality::PROPRIOCEPTION));
+}
+
+#[test]
+fn a_live_simulation_draws_the_factors_of_its_episode_at_each_reset() {
+    let (scene, spec) = (Scene::shared(World::paper(Scenario::CLUTTERED)).unwrap(), varied(&SOME));
+    let mut live = LiveSimulation::new(scene, &spec).unwrap();
+    for index in [1, 0] {
+        let episode = simulate(scene, &spec, index);
+        live.reset(spec.seed, index).unwrap();
+        for sample in 0..3 {
+            let now = sensed(&mut live);
+            for (position, definition) in scene.layout().modalities.iter().enumerate() {
+                let (width, name) = (definition.width(), definition.name);
+                if definition.difference_of.is_none() {
+                    let of = |values: &[f32]| values[sample * width..][..width].to_vec();
+                    match definition.is_image() {
+                        false => assert_eq!(now.vectors[position], of(&episode.vectors[position]), "{name}"),
+                        true => assert!(
+                            now.images[position] == episode.images[position][sample * width..][..width],
+                            "{name}"
+                        ),
+                    }
+                }
+            }
+            live.follow().unwrap();
+        }
+        let (picture, plain) = (live.render(64, 64).unwrap(), {
+            let mut other = self::live(Scenario::CLUTTERED);
+            other.reset(spec.seed, index).unwrap();
+            other.render(64, 64).unwrap()
+        });
+        assert_ne!(picture, plain, "pictures for people show the episode's colours and light");
+    }
+}
+
+#[test]
+fn a_picture_of_an_episode_shows_its_factors() {
+    let (scene, spec) = (scene(Scenario::CLUTTERED), varied(&["box_colour", "light"]));
+    let mut renderer = SceneRenderer::new(&scene, 64, 64).unwrap();
+    let plain = renderer.render(scene.rest()).unwrap();
+    renderer.vary(&EpisodePlan::draw(&scene, &spec, 0).unwrap().factors);
+    assert_ne!(renderer.render(scene.rest()).unwrap(), plain);
+    renderer.vary(&EpisodePlan::draw(&scene, &varied(&[]), 0).unwrap().factors);
+    assert_eq!(renderer.render(scene.rest()).unwrap(), plain);
+}
