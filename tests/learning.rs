@@ -107,14 +107,14 @@ fn gradients_of_linear_are_those_of_finite_differences() {
 
 /// Two convolutions, and a number of images that fills one group of lanes and a part of another.
 fn stack() -> (Stack, usize) {
-    (Stack::new(2, 8, &[3, 5]), LANES + 3)
+    (Stack::new(2, [8, 4], &[3, 5]), LANES + 3)
 }
 
 #[test]
 fn gradients_of_the_frame_encoder_are_those_of_finite_differences() {
     let mut random = random(2);
     let (stack, images) = stack();
-    let frames = dense(&normal(&mut random, &[images, 2, 8, 8]));
+    let frames = dense(&normal(&mut random, &[images, 2, 8, 4]));
     let parameters = stack.layers().iter().map(|sizes| sizes.kernel_len() + sizes.coarse_channels).sum();
     let arguments = [variable(&mut random, &[parameters]), variable(&mut random, &[4, stack.coarse_len()])];
     for dropout in [None, Some(Dropout::new(0.3, 7))] {
@@ -140,7 +140,7 @@ fn gradients_of_two_layers_are_those_of_finite_differences() {
 fn gradients_of_the_frame_loss_are_those_of_finite_differences() {
     let mut random = random(3);
     let (stack, images) = stack();
-    let target = dense(&normal(&mut random, &[images, 2, 8, 8]));
+    let target = dense(&normal(&mut random, &[images, 2, 8, 4]));
     let parameters: usize = stack.layers().iter().map(|sizes| sizes.kernel_len() + sizes.fine_channels).sum();
     let arguments = [
         variable(&mut random, &[images, 4]),
@@ -233,9 +233,16 @@ fn dropout_is_for_training_alone_and_goes_by_the_seed() {
 
 #[test]
 fn own_ops_agree_with_candles_operations() {
+    for size in [[16, 16], [16, 24], [32, 12]] {
+        agree_with_candles_operations(size);
+    }
+}
+
+fn agree_with_candles_operations([rows, columns]: [usize; 2]) {
     let mut random = random(5);
-    let (stack, batch) = (Stack::new(3, 16, &[4, 6]), LANES + 3);
-    let frames = normal(&mut random, &[batch, 3, 16, 16]);
+    let (stack, batch) = (Stack::new(3, [rows, columns], &[4, 6]), LANES + 3);
+    let coarse = rows / 4 * (columns / 4);
+    let frames = normal(&mut random, &[batch, 3, rows, columns]);
     let kernels = [normal(&mut random, &[4, 3, 4, 4]), normal(&mut random, &[6, 4, 4, 4])];
     let flat = |tensors: &[&Tensor]| {
         let flat = tensors.iter().map(|tensor| tensor.flatten_all().unwrap()).collect::<Vec<_>>();
@@ -245,7 +252,8 @@ fn own_ops_agree_with_candles_operations() {
         image.broadcast_add(&bias.reshape((1, bias.elem_count(), 1, 1)).unwrap()).unwrap()
     };
 
-    let (biases, weight) = ([4, 6].map(|len| normal(&mut random, &[len])), normal(&mut random, &[5, 6 * 16]));
+    let (biases, weight) =
+        ([4, 6].map(|len| normal(&mut random, &[len])), normal(&mut random, &[5, 6 * coarse]));
     let packed = flat(&[&kernels[0], &biases[0], &kernels[1], &biases[1]]);
     let mut active = frames.clone();
     for (kernel, bias) in kernels.iter().zip(&biases) {
@@ -257,15 +265,15 @@ fn own_ops_agree_with_candles_operations() {
     };
     assert_close(&found(None), &active.matmul(&weight.t().unwrap()).unwrap(), 1e-5, "the frame encoder");
     let dropout = Dropout::new(0.4, 9);
-    let mut mask = vec![1.0f32; batch * 6 * 16];
-    mask.chunks_exact_mut(6 * 16).enumerate().for_each(|(image, mask)| dropout.apply(image, mask));
-    let mask = Tensor::from_vec(mask, (batch, 6 * 16), &Device::Cpu).unwrap();
+    let mut mask = vec![1.0f32; batch * 6 * coarse];
+    mask.chunks_exact_mut(6 * coarse).enumerate().for_each(|(image, mask)| dropout.apply(image, mask));
+    let mask = Tensor::from_vec(mask, (batch, 6 * coarse), &Device::Cpu).unwrap();
     let expected = (active * mask).unwrap().matmul(&weight.t().unwrap()).unwrap();
     assert_close(&found(Some(dropout)), &expected, 1e-5, "the frame encoder with dropout");
 
-    let (hidden, weight) = (normal(&mut random, &[batch, 5]), normal(&mut random, &[6 * 16, 5]));
+    let (hidden, weight) = (normal(&mut random, &[batch, 5]), normal(&mut random, &[6 * coarse, 5]));
     let (weight_bias, biases) =
-        (normal(&mut random, &[6 * 16]), [3, 4].map(|len| normal(&mut random, &[len])));
+        (normal(&mut random, &[6 * coarse]), [3, 4].map(|len| normal(&mut random, &[len])));
     let packed = flat(&[&kernels[0], &biases[0], &kernels[1], &biases[1], &weight_bias]);
     let layers = || FrameDecoder {
         stack: stack.clone(),
@@ -274,15 +282,15 @@ fn own_ops_agree_with_candles_operations() {
         arithmetic: Arithmetic::best(),
     };
     let found = frame_decoder(&hidden, &layers()).unwrap();
-    let coarse = hidden.matmul(&weight.t().unwrap()).unwrap().broadcast_add(&weight_bias).unwrap();
-    let mut expected = coarse.reshape((batch, 6, 4, 4)).unwrap();
+    let expected = hidden.matmul(&weight.t().unwrap()).unwrap().broadcast_add(&weight_bias).unwrap();
+    let mut expected = expected.reshape((batch, 6, rows / 4, columns / 4)).unwrap();
     for (kernel, bias) in kernels.iter().zip(&biases).rev() {
         let spread = expected.relu().unwrap().conv_transpose2d(kernel, 1, 0, 2, 1).unwrap();
         expected = channelwise(&spread, bias);
     }
     assert_close(&found, &expected, 1e-5, "the frame decoder");
 
-    let target = normal(&mut random, &[batch, 3, 16, 16]);
+    let target = normal(&mut random, &[batch, 3, rows, columns]);
     let found = frame_loss(&hidden, layers(), dense(&target)).unwrap();
     let mean = (expected - target).unwrap().sqr().unwrap().mean_all().unwrap();
     assert_close(&found, &mean, 1e-5, "the frame loss");
@@ -291,13 +299,19 @@ fn own_ops_agree_with_candles_operations() {
 #[test]
 fn averaged_frames_are_the_means_of_their_squares() {
     let frame: Vec<f32> = (0..2 * 16).map(|value| value as f32).collect();
-    let frames = dense(&Tensor::from_vec(frame, (1, 2, 4, 4), &Device::Cpu).unwrap());
+    let frames = dense(&Tensor::from_vec(frame.clone(), (1, 2, 4, 4), &Device::Cpu).unwrap());
     let averaged = Averaged::over(frames, 2);
-    assert_eq!((averaged.side(), averaged.frame_len()), (2, 8));
+    assert_eq!((averaged.size(), averaged.frame_len()), ([2, 2], 8));
     let mut found = vec![0.0; 8];
     averaged.write(0, &mut found);
     // The first square contains 0, 1, 4 and 5.
     assert_eq!(found, [2.5, 4.5, 10.5, 12.5, 18.5, 20.5, 26.5, 28.5]);
+    // Of two rows and eight columns, it holds 0, 1, 8 and 9.
+    let frames = dense(&Tensor::from_vec(frame, (1, 2, 2, 8), &Device::Cpu).unwrap());
+    let averaged = Averaged::over(frames, 2);
+    assert_eq!(averaged.size(), [1, 4]);
+    averaged.write(0, &mut found);
+    assert_eq!(found, [4.5, 6.5, 8.5, 10.5, 20.5, 22.5, 24.5, 26.5]);
 }
 
 #[test]

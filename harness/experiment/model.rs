@@ -180,7 +180,7 @@ impl Model {
         let input = &self.record.spec.input;
         let mut vectors = Vec::new();
         let mut frames = Vec::new();
-        let mut side = 0;
+        let mut size = [0, 0];
         for &modality in input {
             let values = values.get(&modality).ok_or_else(|| ModelError::Lacks {
                 run: self.record.run.clone(),
@@ -193,14 +193,14 @@ impl Model {
             self.normalizers.modalities[&modality].normalize(&mut values);
             let list = if definition.is_image() { &mut frames } else { &mut vectors };
             list.push((definition.width(), values));
-            side = definition.size().map_or(side, |[side, _]| side);
+            size = definition.size().unwrap_or(size);
         }
         let joined = || -> candle_core::Result<_> {
             let vector = side_by_side(batch, &vectors)?;
             let frames = side_by_side(batch, &frames)?.map(|frames| {
                 let channels =
                     IMAGE_CHANNELS * input.iter().filter(|m| self.record.layout[**m].is_image()).count();
-                DenseFrames::new(&frames.reshape((batch, channels, side, side))?)
+                DenseFrames::new(&frames.reshape((batch, channels, size[0], size[1]))?)
             });
             let frames = frames.transpose()?.map(|frames| Arc::new(frames) as Arc<dyn Frames>);
             Ok(Observation { vector, frames })

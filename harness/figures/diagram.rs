@@ -174,13 +174,14 @@ fn centres(left: f64) -> [f64; 3] {
 
 fn encoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Anatomy, fill: &str) {
     let [frames, vectors, both] = centres(left);
-    let side = side(anatomy, "encoder.hidden_frame.weight", 1, "encoder.conv.weight");
-    if let (Some(kernel), Some(side)) = (anatomy.shape("encoder.conv.weight"), side) {
+    let stride = stride(anatomy, "encoder.hidden_frame.weight", 1, "encoder.conv.weight", &anatomy.input);
+    if let (Some(kernel), Some(stride)) = (anatomy.shape("encoder.conv.weight"), stride) {
+        let [rows, columns] = image_size(&anatomy.input).map(|side| side / stride);
         stack(page, frames, row(0), WIDE, anatomy.input.iter().filter(|modality| modality.is_image()));
         let lines = vec![
             "convolution".into(),
-            format!("{} × {}, stride {}", kernel[2], kernel[3], image_side(&anatomy.input) / side),
-            format!("{side} × {side} × {}", kernel[0]),
+            format!("{} × {}, stride {stride}", kernel[2], kernel[3]),
+            format!("{rows} × {columns} × {}", kernel[0]),
         ];
         block(page, [frames, row(1)], [WIDE, THREE], fill, &lines);
         page.arrow(&[[frames, row(0) + TWO / 2.0], [frames, row(1) - THREE / 2.0]], LINE);
@@ -206,16 +207,18 @@ fn encoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Ana
 fn decoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Anatomy) {
     let [frames, vectors, both] = centres(left);
     let frame_outputs = || anatomy.output.iter().filter(|modality| modality.is_image());
-    let side = side(anatomy, "decoder.frame.weight", 0, "decoder.conv.weight");
-    if let (Some(kernel), Some(side)) = (anatomy.shape("decoder.conv.weight"), side) {
+    let stride = stride(anatomy, "decoder.frame.weight", 0, "decoder.conv.weight", &anatomy.output);
+    if let (Some(kernel), Some(stride)) = (anatomy.shape("decoder.conv.weight"), stride) {
+        let [fine_rows, fine_columns] = image_size(&anatomy.output);
+        let [rows, columns] = image_size(&anatomy.output).map(|side| side / stride);
         stack(page, frames, row(0), WIDE, frame_outputs());
         let lines = vec![
             "transposed conv.".into(),
-            format!("{} × {}, stride {}", kernel[2], kernel[3], image_side(&anatomy.output) / side),
-            format!("{0} × {0} × {1}", image_side(&anatomy.output), kernel[1]),
+            format!("{} × {}, stride {stride}", kernel[2], kernel[3]),
+            format!("{fine_rows} × {fine_columns} × {}", kernel[1]),
         ];
         block(page, [frames, row(1)], [WIDE, THREE], WHITE, &lines);
-        let lines = ["fully conn., ReLU".to_owned(), format!("{side} × {side} × {}", kernel[0])];
+        let lines = ["fully conn., ReLU".to_owned(), format!("{rows} × {columns} × {}", kernel[0])];
         block(page, [frames, row(2)], [WIDE, TWO], WHITE, &lines);
         page.arrow(&[[frames, row(1) - THREE / 2.0], [frames, row(0) + TWO / 2.0]], LINE);
         page.arrow(&[[frames, row(2) - TWO / 2.0], [frames, row(1) + THREE / 2.0]], LINE);
@@ -254,16 +257,23 @@ fn latent(page: &mut Page, [left, right]: [f64; 2], y: f64, anatomy: &Anatomy) {
     }
 }
 
-/// Side of the coarse picture between convolution and fully connected layer: the latter's width holds as many squares
-/// as the convolution has channels.
-fn side(anatomy: &Anatomy, dense: &str, axis: usize, convolution: &str) -> Option<usize> {
+/// How much smaller than an image the coarse picture between convolution and fully connected layer is: the latter's width
+/// holds as many of them as the convolution has channels.
+fn stride(
+    anatomy: &Anatomy,
+    dense: &str,
+    axis: usize,
+    convolution: &str,
+    modalities: &[Definition],
+) -> Option<usize> {
     let values = anatomy.shape(dense)?[axis] / anatomy.shape(convolution)?[0];
-    Some(values.isqrt())
+    let [rows, columns] = image_size(modalities);
+    Some((rows * columns / values).isqrt())
 }
 
-/// Side of the images among modalities, pixels; 0 without any.
-fn image_side(modalities: &[Definition]) -> usize {
-    modalities.iter().find_map(Definition::size).map_or(0, |[side, _]| side)
+/// Rows and columns of the images among modalities, pixels; 0 without any.
+fn image_size(modalities: &[Definition]) -> [usize; 2] {
+    modalities.iter().find_map(Definition::size).unwrap_or_default()
 }
 
 /// Height of the taller of the two stacks of `modalities`.

@@ -5,7 +5,7 @@ use super::page::{COLUMN, GREY, Page, Stroke, Type};
 use super::source::{Runs, Source, Study, integers, reals, replicated};
 use super::{Drawing, FigureError};
 use harness_analysis::{Interval, intervals};
-use harness_spec::IMAGE_CHANNELS;
+use harness_spec::{IMAGE_CHANNELS, Modality};
 use image::{Rgb, RgbImage};
 use polars::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -48,6 +48,8 @@ struct Trial {
 /// What is shown of a scenario.
 struct Block {
     scenario: String,
+    /// Rows and columns of the camera's pictures, pixels.
+    size: [usize; 2],
     trials: Vec<Trial>,
     /// Squared error relative to predicting no change, by latent size.
     errors: BTreeMap<i64, Interval>,
@@ -110,12 +112,12 @@ impl Block {
             page.text(&motion, [x, top + TOP - 4.5], Type::SMALL);
             let mut pictures = Vec::new();
             if let (true, Some(bytes)) = (has_camera, &trial.camera) {
-                let side = (bytes.len() / IMAGE_CHANNELS).isqrt() as u32;
-                pictures.push(RgbImage::from_raw(side, side, bytes.clone()));
+                let [rows, columns] = self.size.map(|side| side as u32);
+                pictures.push(RgbImage::from_raw(columns, rows, bytes.clone()));
             }
-            pictures.push(Some(coloured(&trial.reference)));
+            pictures.push(Some(coloured(&trial.reference, self.size)));
             let predicted = latents.iter().map(|latent| trial.predicted.get(latent));
-            pictures.extend(predicted.map(|change| change.map(|change| coloured(change))));
+            pictures.extend(predicted.map(|change| change.map(|change| coloured(change, self.size))));
             for (row, picture) in pictures.iter().enumerate() {
                 // A network that has no prediction of this trial leaves its place empty.
                 let Some(picture) = picture else { continue };
@@ -153,13 +155,21 @@ fn blocks(runs: &Runs) -> Result<Vec<Block>, FigureError> {
         runs.all.iter().map(|run| run.record.spec.scenario.name().to_owned()).collect();
     scenarios.dedup();
     let block = |scenario: String| {
-        let (trials, errors) = (trials(runs, &scenario)?, errors(runs, &scenario)?);
-        Ok(Block { scenario, trials, errors })
+        let size = picture_size(runs, &scenario);
+        let (trials, errors) = (trials(runs, &scenario, size)?, errors(runs, &scenario)?);
+        Ok(Block { scenario, size, trials, errors })
     };
     scenarios.into_iter().map(block).collect()
 }
 
-fn trials(runs: &Runs, scenario: &str) -> Result<Vec<Trial>, FigureError> {
+/// Rows and columns of a scenario's frame difference, pixels.
+fn picture_size(runs: &Runs, scenario: &str) -> [usize; 2] {
+    let of_scenario = runs.all.iter().filter(|run| run.record.spec.scenario.name() == scenario);
+    let sizes = of_scenario.filter_map(|run| run.record.layout.get(Modality::FRAME_DIFFERENCE)?.size());
+    sizes.last().unwrap_or_default()
+}
+
+fn trials(runs: &Runs, scenario: &str, size: [usize; 2]) -> Result<Vec<Trial>, FigureError> {
     let place = format!("scenario = '{scenario}'");
     let rows = runs.query_first_seeds(&format!(
         "select latent, episode, sample, motion, reference, predicted from frames where {place} \
@@ -173,7 +183,7 @@ fn trials(runs: &Runs, scenario: &str) -> Result<Vec<Trial>, FigureError> {
     for row in 0..rows.height() {
         let (episode, sample) = (episodes[row], samples[row]);
         if trials.last().is_none_or(|trial| (trial.episode, trial.sample) != (episode, sample)) {
-            let reference = change(references.get(row))?;
+            let reference = change(references.get(row), size)?;
             let motion = motion[row].unwrap_or_default();
             trials.push(Trial {
                 episode,
@@ -185,7 +195,7 @@ fn trials(runs: &Runs, scenario: &str) -> Result<Vec<Trial>, FigureError> {
             });
         }
         if let Some(trial) = trials.last_mut() {
-            trial.predicted.insert(latents[row], change(predicted.get(row))?);
+            trial.predicted.insert(latents[row], change(predicted.get(row), size)?);
         }
     }
     trials.drain(..trials.len().saturating_sub(TRIALS));
@@ -211,8 +221,8 @@ fn trials(runs: &Runs, scenario: &str) -> Result<Vec<Trial>, FigureError> {
 }
 
 /// The mean over colours of a stored frame difference; the column's meaning says how it is coded.
-fn change(bytes: Option<&[u8]>) -> Result<Vec<f32>, FigureError> {
-    let bytes = bytes.filter(|bytes| bytes.len().is_multiple_of(IMAGE_CHANNELS));
+fn change(bytes: Option<&[u8]>, [rows, columns]: [usize; 2]) -> Result<Vec<f32>, FigureError> {
+    let bytes = bytes.filter(|bytes| bytes.len() == rows * columns * IMAGE_CHANNELS);
     let bytes = bytes.ok_or_else(|| FigureError::Picture("a frame has the wrong size".into()))?;
     let pixel = |pixel: &[u8]| {
         pixel.iter().map(|&byte| (f32::from(byte) - 128.0) / 127.0).sum::<f32>() / IMAGE_CHANNELS as f32
@@ -242,9 +252,11 @@ fn colour(change: f32) -> Rgb<u8> {
     }))
 }
 
-fn coloured(change: &[f32]) -> RgbImage {
-    let side = change.len().isqrt();
-    RgbImage::from_fn(side as u32, side as u32, |x, y| colour(change[y as usize * side + x as usize] / RANGE))
+/// The changes of a picture of that size, a row after the other.
+fn coloured(change: &[f32], [rows, columns]: [usize; 2]) -> RgbImage {
+    RgbImage::from_fn(columns as u32, rows as u32, |x, y| {
+        colour(change[y as usize * columns + x as usize] / RANGE)
+    })
 }
 
 fn colour_bar(page: &mut Page, top: f64) -> Result<(), FigureError> {
@@ -289,8 +301,8 @@ fn data(blocks: &[Block], experiment: &str) -> Result<DataFrame, FigureError> {
             }));
         }
     }
-    let side = shown.first().map_or(0, |shown| shown.change.len().isqrt());
-    let rows: Vec<&Shown> = shown.iter().flat_map(|shown| std::iter::repeat_n(shown, side)).collect();
+    let [height, width] = blocks.first().map_or([0, 0], |block| block.size);
+    let rows: Vec<&Shown> = shown.iter().flat_map(|shown| std::iter::repeat_n(shown, height)).collect();
     let model = |shown: &Shown| if shown.latent.is_some() { "network" } else { "reference" };
     let mut columns = vec![
         Column::new("experiment".into(), vec![experiment; rows.len()]),
@@ -301,10 +313,10 @@ fn data(blocks: &[Block], experiment: &str) -> Result<DataFrame, FigureError> {
         Column::new("motion".into(), rows.iter().map(|row| row.trial.motion).collect::<Vec<_>>()),
         Column::new("model".into(), rows.iter().map(|row| model(row)).collect::<Vec<_>>()),
         Column::new("latent".into(), rows.iter().map(|row| row.latent).collect::<Vec<_>>()),
-        Column::new("row".into(), (0..rows.len()).map(|row| (row % side) as u32).collect::<Vec<_>>()),
+        Column::new("row".into(), (0..rows.len()).map(|row| (row % height) as u32).collect::<Vec<_>>()),
     ];
-    columns.extend((0..side).map(|column| {
-        let values = shown.iter().flat_map(|shown| shown.change.iter().skip(column).step_by(side));
+    columns.extend((0..width).map(|column| {
+        let values = shown.iter().flat_map(|shown| shown.change.iter().skip(column).step_by(width));
         let values: Vec<f32> = values.map(|change| (change * 1e4).round() / 1e4).collect();
         Column::new(format!("column_{column:02}").into(), values)
     }));

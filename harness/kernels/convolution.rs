@@ -30,8 +30,8 @@ const MAX_IDLE: usize = 256;
 
 /// Sizes of a convolution.
 ///
-/// The fine image has `fine_channels` x `side` x `side` values, and the coarse image `coarse_channels` x `side / 2` x
-/// `side / 2`. The convolution computes the coarse image from the fine one, and its transpose computes the fine image
+/// The fine image has `fine_channels` channels of `size`, and the coarse image `coarse_channels` channels of half as many
+/// rows and columns. The convolution computes the coarse image from the fine one, and its transpose computes the fine image
 /// from the coarse one. The kernel is `[coarse, fine, 4, 4]`. This is the layout of PyTorch's `Conv2d`, and that of its
 /// `ConvTranspose2d` for the opposite direction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,24 +40,25 @@ pub struct Convolution {
     pub fine_channels: usize,
     /// Channels of the coarse image.
     pub coarse_channels: usize,
-    /// Side of the fine image in pixels, an even number.
-    pub side: usize,
+    /// Rows and columns of the fine image in pixels, even numbers.
+    pub size: [usize; 2],
 }
 
 impl Convolution {
-    /// Returns the side of the coarse image in pixels.
-    pub fn coarse_side(&self) -> usize {
-        self.side / STRIDE
+    /// Returns the rows and columns of the coarse image in pixels.
+    pub fn coarse_size(&self) -> [usize; 2] {
+        self.size.map(|side| side / STRIDE)
     }
 
     /// Returns the number of values of a fine image.
     pub fn fine_len(&self) -> usize {
-        self.fine_channels * self.side * self.side
+        self.fine_channels * self.size[0] * self.size[1]
     }
 
     /// Returns the number of values of a coarse image.
     pub fn coarse_len(&self) -> usize {
-        self.coarse_channels * self.coarse_side() * self.coarse_side()
+        let [rows, columns] = self.coarse_size();
+        self.coarse_channels * rows * columns
     }
 
     /// Returns the number of values of the kernel.
@@ -67,12 +68,12 @@ impl Convolution {
 
     /// Returns buffers for sixteen fine images, whose values are not set.
     pub fn fine(&self) -> Images {
-        Images::new(self.fine_channels, self.side)
+        Images::new(self.fine_channels, self.size)
     }
 
     /// Returns buffers for sixteen coarse images, whose values are not set.
     pub fn coarse(&self) -> Images {
-        Images::new(self.coarse_channels, self.coarse_side())
+        Images::new(self.coarse_channels, self.coarse_size())
     }
 
     /// Writes the convolution of `fine` to `coarse`, without a bias. `kernel` comes from [`Convolution::convolving`].
@@ -141,10 +142,10 @@ impl Convolution {
     }
 
     fn check(&self, fine: &Images, kernel_len: usize, expected: usize, coarse: &Images) {
-        assert_eq!((fine.channels, fine.side), (self.fine_channels, self.side), "the fine images");
+        assert_eq!((fine.channels, fine.size), (self.fine_channels, self.size), "the fine images");
         assert_eq!(
-            (coarse.channels, coarse.side),
-            (self.coarse_channels, self.coarse_side()),
+            (coarse.channels, coarse.size),
+            (self.coarse_channels, self.coarse_size()),
             "the coarse images"
         );
         assert_eq!(kernel_len, expected, "the kernel");
@@ -163,18 +164,19 @@ pub struct Kernel(Vec<[f32; BLOCK]>);
 pub struct Images {
     values: Vec<[f32; LANES]>,
     channels: usize,
-    side: usize,
-    /// Columns of a row, including its border and the room for reading whole groups of places.
+    /// Rows and columns.
+    size: [usize; 2],
+    /// Columns of a row with its border and room to read whole groups of places from it.
     columns: usize,
 }
 
-/// Images that can be reused. Their borders are zero. Without reuse, the allocator or the system would clear new
-/// memory.
+/// Images that wait for their next use, by channels and size. Their borders are zero. Fresh memory would be cleared by
+/// the allocator or the system first.
 static IDLE: Mutex<Vec<Idle>> = Mutex::new(Vec::new());
 
 struct Idle {
     channels: usize,
-    side: usize,
+    size: [usize; 2],
     values: Vec<[f32; LANES]>,
 }
 
@@ -184,38 +186,38 @@ impl Drop for Images {
         if idle.len() == MAX_IDLE {
             idle.remove(0);
         }
-        let Self { channels, side, .. } = *self;
-        idle.push(Idle { channels, side, values: std::mem::take(&mut self.values) });
+        let Self { channels, size, .. } = *self;
+        idle.push(Idle { channels, size, values: std::mem::take(&mut self.values) });
     }
 }
 
 impl Images {
     /// Returns images of arbitrary values. The caller must set them before reading them.
-    pub fn new(channels: usize, side: usize) -> Self {
-        let columns = side.next_multiple_of(STRIDE * PLACES) + 2;
+    pub fn new(channels: usize, size: [usize; 2]) -> Self {
+        let columns = size[1].next_multiple_of(STRIDE * PLACES) + 2;
         let mut idle = IDLE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        let found = idle.iter().rposition(|idle| (idle.channels, idle.side) == (channels, side));
+        let found = idle.iter().rposition(|idle| (idle.channels, idle.size) == (channels, size));
         let values = match found {
             Some(index) => idle.swap_remove(index).values,
-            None => vec![[0.0; LANES]; channels * (side + 2) * columns],
+            None => vec![[0.0; LANES]; channels * (size[0] + 2) * columns],
         };
-        Self { values, channels, side, columns }
+        Self { values, channels, size, columns }
     }
 
     /// Returns the number of values of one image.
     pub fn image_len(&self) -> usize {
-        self.channels * self.side * self.side
+        self.channels * self.size[0] * self.size[1]
     }
 
     /// Copies images that are stored one after the other, each `[channel, row, column]`. If there are fewer than
     /// sixteen, the remaining ones are zero.
     pub fn set(&mut self, images: &[f32]) {
-        let (side, len) = (self.side, self.image_len());
+        let (width, len) = (self.size[1], self.image_len());
         let mut lines = [[0.0; LANES]; LANES];
         for (index, row) in self.rows_mut().enumerate() {
             // Blocks of a few columns read each cache line of every image once.
             for (block, columns) in row.chunks_mut(LANES).enumerate() {
-                let first = index * side + block * LANES;
+                let first = index * width + block * LANES;
                 for (line, image) in lines.iter_mut().zip(images.chunks_exact(len)) {
                     line[..columns.len()].copy_from_slice(&image[first..first + columns.len()]);
                 }
@@ -228,11 +230,11 @@ impl Images {
 
     /// Writes the images one after the other, each `[channel, row, column]`, as many as fit in `images`.
     pub fn write(&self, images: &mut [f32]) {
-        let (side, len) = (self.side, self.image_len());
+        let (width, len) = (self.size[1], self.image_len());
         let mut lines = [[0.0; LANES]; LANES];
         for (index, row) in self.rows().enumerate() {
             for (block, columns) in row.chunks(LANES).enumerate() {
-                let first = index * side + block * LANES;
+                let first = index * width + block * LANES;
                 for (column, values) in columns.iter().enumerate() {
                     (0..LANES).for_each(|lane| lines[lane][column] = values[lane]);
                 }
@@ -273,31 +275,31 @@ impl Images {
     /// Adds the sum of each channel over all images to `sums` `[channels]`.
     pub fn add_channel_sums(&self, sums: &mut [f32]) {
         // The border adds only zeros.
-        let channels = self.values.chunks_exact((self.side + 2) * self.columns);
+        let channels = self.values.chunks_exact((self.size[0] + 2) * self.columns);
         sums.iter_mut().zip(channels).for_each(|(sum, channel)| *sum += super::sum(channel.as_flattened()));
     }
 
     /// Returns the rows of all channels without their borders.
     fn rows(&self) -> impl Iterator<Item = &[[f32; LANES]]> {
-        let (side, columns) = (self.side, self.columns);
-        let channels = self.values.chunks_exact((side + 2) * columns);
+        let ([height, width], columns) = (self.size, self.columns);
+        let channels = self.values.chunks_exact((height + 2) * columns);
         channels.flat_map(move |channel| {
-            channel.chunks_exact(columns).skip(1).take(side).map(move |row| &row[1..=side])
+            channel.chunks_exact(columns).skip(1).take(height).map(move |row| &row[1..=width])
         })
     }
 
     fn rows_mut(&mut self) -> impl Iterator<Item = &mut [[f32; LANES]]> {
-        let (side, columns) = (self.side, self.columns);
-        let channels = self.values.chunks_exact_mut((side + 2) * columns);
+        let ([height, width], columns) = (self.size, self.columns);
+        let channels = self.values.chunks_exact_mut((height + 2) * columns);
         channels.flat_map(move |channel| {
-            channel.chunks_exact_mut(columns).skip(1).take(side).map(move |row| &mut row[1..=side])
+            channel.chunks_exact_mut(columns).skip(1).take(height).map(move |row| &mut row[1..=width])
         })
     }
 
     /// Returns the index of a row's first column, where rows and columns include the border.
     #[inline(always)]
     fn at(&self, channel: usize, row: usize) -> usize {
-        (channel * (self.side + 2) + row) * self.columns
+        (channel * (self.size[0] + 2) + row) * self.columns
     }
 
     /// Returns a row from `column` on, where rows and columns include the border.
@@ -322,11 +324,11 @@ impl WithSimd for AddBias<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _simd: S) {
-        let Images { side, columns, .. } = *self.images;
-        let channels = self.images.values.chunks_exact_mut((side + 2) * columns);
+        let Images { size: [height, width], columns, .. } = *self.images;
+        let channels = self.images.values.chunks_exact_mut((height + 2) * columns);
         for (channel, bias) in channels.zip(self.bias) {
-            for row in 1..=side {
-                for value in channel[row * columns + 1..][..side].as_flattened_mut() {
+            for row in 1..=height {
+                for value in channel[row * columns + 1..][..width].as_flattened_mut() {
                     *value = (*value + bias).max(self.floor);
                 }
             }
@@ -345,12 +347,12 @@ impl WithSimd for BecomeErrors<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _simd: S) -> [f64; LANES] {
-        let Images { channels, side, .. } = *self.images;
+        let Images { channels, size: [height, width], .. } = *self.images;
         let mut sum = [0.0f64; LANES];
-        for line in 0..channels * side {
-            let start = self.images.at(line / side, line % side + 1) + 1;
+        for line in 0..channels * height {
+            let start = self.images.at(line / height, line % height + 1) + 1;
             let mut squares = [0.0f32; LANES];
-            for place in start..start + side {
+            for place in start..start + width {
                 let (values, target) = (&mut self.images.values[place], &self.target.values[place]);
                 for lane in 0..LANES {
                     let error = values[lane] - target[lane];
@@ -425,10 +427,10 @@ impl Convolve<'_> {
     #[inline(always)]
     fn run<S: Simd, const N: usize, const SEEN: usize>(self, simd: S) {
         let Self { sizes, fine, kernel, coarse } = self;
-        let side = sizes.coarse_side();
+        let [height, width] = sizes.coarse_size();
         let blocks = kernel.chunks_exact(sizes.fine_channels * TAPS);
-        for row in 0..side {
-            for place in (0..side).step_by(N) {
+        for row in 0..height {
+            for place in (0..width).step_by(N) {
                 for (block, kernel) in blocks.clone().enumerate() {
                     for part in 0..LANES / S::F32_LANES {
                         let mut sums = [[simd.splat_f32s(0.0); N]; BLOCK];
@@ -451,7 +453,7 @@ impl Convolve<'_> {
                         let first_channel = block * BLOCK;
                         for channel in 0..BLOCK.min(sizes.coarse_channels - first_channel) {
                             let at = coarse.at(first_channel + channel, row + 1) + 1 + place;
-                            for place in 0..N.min(side - place) {
+                            for place in 0..N.min(width - place) {
                                 *vector_mut::<S>(&mut coarse.values[at + place], part) = sums[channel][place];
                             }
                         }
@@ -491,10 +493,10 @@ impl WithSimd for Spread<'_> {
 impl Spread<'_> {
     #[inline(always)]
     fn run<S: Simd, const N: usize, const SEEN: usize>(mut self, simd: S) {
-        let side = self.sizes.coarse_side();
+        let [height, width] = self.sizes.coarse_size();
         let blocks = self.kernel.chunks_exact(self.sizes.coarse_channels * TAPS);
-        for row in 0..side {
-            for place in (0..side).step_by(N) {
+        for row in 0..height {
+            for place in (0..width).step_by(N) {
                 for (block, kernel) in blocks.clone().enumerate() {
                     let (parities, _) = kernel.as_chunks::<KERNEL>();
                     let mut parities = parities.chunks_exact(self.sizes.coarse_channels);
@@ -543,7 +545,7 @@ impl Spread<'_> {
             for channel in 0..BLOCK.min(sizes.fine_channels - first_channel) {
                 let start = fine.at(first_channel + channel, STRIDE * row + ODD_ROW + 1);
                 let at = start + STRIDE * place + ODD_COLUMN + 1;
-                for index in 0..N.min(coarse.side - place) {
+                for index in 0..N.min(coarse.size[1] - place) {
                     *vector_mut::<S>(&mut fine.values[at + STRIDE * index], part) = sums[channel][index];
                 }
             }
@@ -572,14 +574,14 @@ impl AddKernelGradient<'_> {
     #[inline(always)]
     fn run<S: Simd, const N: usize, const SEEN: usize>(self, simd: S) {
         let Self { sizes, fine, coarse, sums } = self;
-        let side = sizes.coarse_side();
+        let [height, _] = sizes.coarse_size();
         for first_channel in (0..sizes.coarse_channels).step_by(BLOCK) {
             let channels = (sizes.coarse_channels - first_channel).min(BLOCK);
             for fine_channel in 0..sizes.fine_channels {
                 for tap_row in 0..KERNEL {
                     for part in 0..LANES / S::F32_LANES {
                         let mut block = [[simd.splat_f32s(0.0); KERNEL]; BLOCK];
-                        for row in 0..side {
+                        for row in 0..height {
                             let seen = fine.row(fine_channel, STRIDE * row + tap_row, 0);
                             // Channels past the last one repeat it and are not added. Places past the last one are
                             // zero.

@@ -24,9 +24,10 @@ impl Normals {
 #[test]
 fn convolving_spreading_and_the_kernels_gradient_are_one_bilinear_form() {
     // Sizes that are not multiples of the groups of places or channels, and sizes of the networks.
-    for (fine_channels, coarse_channels, side) in [(2, 1, 2), (2, 3, 6), (3, 9, 20), (32, 32, 8), (6, 16, 64)]
-    {
-        let sizes = Convolution { fine_channels, coarse_channels, side };
+    let square = [(2, 1, [2; 2]), (2, 3, [6; 2]), (3, 9, [20; 2]), (32, 32, [8; 2]), (6, 16, [64; 2])];
+    let oblong = [(2, 3, [6, 14]), (3, 5, [20, 2]), (6, 4, [64, 96])];
+    for (fine_channels, coarse_channels, size) in square.into_iter().chain(oblong) {
+        let sizes = Convolution { fine_channels, coarse_channels, size };
         let mut random = Normals::new(4);
         let image = random.draw(LANES * sizes.fine_len());
         let (kernel, grad) = (random.draw(sizes.kernel_len()), random.draw(LANES * sizes.coarse_len()));
@@ -38,7 +39,7 @@ fn convolving_spreading_and_the_kernels_gradient_are_one_bilinear_form() {
         let (mut fine, mut coarse) = (sizes.fine(), sizes.coarse());
         fine.set(&image);
         coarse.set(&grad);
-        assert!(values(&fine, sizes.fine_len()) == image, "setting and writing at side {side}");
+        assert!(values(&fine, sizes.fine_len()) == image, "setting and writing at {size:?}");
         let mut sums = KernelSums::new(sizes);
         sizes.add_kernel_gradient(&fine, &coarse, &mut sums);
         let (mut convolved, mut spread) = (sizes.coarse(), sizes.fine());
@@ -48,8 +49,8 @@ fn convolving_spreading_and_the_kernels_gradient_are_one_bilinear_form() {
         let dot = |a: &[f32], b: &[f32]| -> f64 { a.iter().zip(b).map(|(a, b)| f64::from(a * b)).sum() };
         let expected = dot(&convolved, &grad);
         let scale = dot(&convolved, &convolved).sqrt() * dot(&grad, &grad).sqrt();
-        assert!((dot(&image, &spread) - expected).abs() < 1e-5 * scale, "spreading at side {side}");
-        assert!((dot(&kernel, &sums.total()) - expected).abs() < 1e-5 * scale, "the gradient at side {side}");
+        assert!((dot(&image, &spread) - expected).abs() < 1e-5 * scale, "spreading at {size:?}");
+        assert!((dot(&kernel, &sums.total()) - expected).abs() < 1e-5 * scale, "the gradient at {size:?}");
     }
 }
 

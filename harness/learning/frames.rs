@@ -6,44 +6,46 @@
 use candle_core::{Device, Result, Tensor};
 use std::sync::Arc;
 
-/// A batch of normalized frames, `[channels, side, side]` each.
+/// A batch of normalized frames, `[channels, rows, columns]` each.
 pub trait Frames: Send + Sync {
     /// Returns the number of frames in the batch.
     fn batch(&self) -> usize;
     /// Returns the number of channels of a frame.
     fn channels(&self) -> usize;
-    /// Returns the side of a frame in pixels.
-    fn side(&self) -> usize;
-    /// Writes frame `index`, `[channels, side, side]`, to `frame`.
+    /// Returns the rows and columns of a frame in pixels.
+    fn size(&self) -> [usize; 2];
+    /// Writes frame `index`, `[channels, rows, columns]`, to `frame`.
     fn write(&self, index: usize, frame: &mut [f32]);
 
     /// Returns the number of values of a frame.
     fn frame_len(&self) -> usize {
-        self.channels() * self.side() * self.side()
+        let [rows, columns] = self.size();
+        self.channels() * rows * columns
     }
 
-    /// Returns the whole batch as a tensor `[batch, channels, side, side]`.
+    /// Returns the whole batch as a tensor `[batch, channels, rows, columns]`.
     fn tensor(&self, device: &Device) -> Result<Tensor> {
         let mut values = vec![0.0; self.batch() * self.frame_len()];
         for (index, frame) in values.chunks_exact_mut(self.frame_len()).enumerate() {
             self.write(index, frame);
         }
-        Tensor::from_vec(values, (self.batch(), self.channels(), self.side(), self.side()), device)
+        let [rows, columns] = self.size();
+        Tensor::from_vec(values, (self.batch(), self.channels(), rows, columns), device)
     }
 }
 
-/// Frames that are in memory as `f32`, `[batch, channels, side, side]`.
+/// Frames that are in memory as `f32`, `[batch, channels, rows, columns]`.
 pub struct DenseFrames {
     values: Vec<f32>,
     channels: usize,
-    side: usize,
+    size: [usize; 2],
 }
 
 impl DenseFrames {
-    /// Copies the values of a tensor `[batch, channels, side, side]`.
+    /// Copies the values of a tensor `[batch, channels, rows, columns]`.
     pub fn new(frames: &Tensor) -> Result<Self> {
-        let (_, channels, side, _) = frames.dims4()?;
-        Ok(Self { values: frames.flatten_all()?.to_vec1()?, channels, side })
+        let (_, channels, rows, columns) = frames.dims4()?;
+        Ok(Self { values: frames.flatten_all()?.to_vec1()?, channels, size: [rows, columns] })
     }
 }
 
@@ -54,8 +56,8 @@ impl Frames for DenseFrames {
     fn channels(&self) -> usize {
         self.channels
     }
-    fn side(&self) -> usize {
-        self.side
+    fn size(&self) -> [usize; 2] {
+        self.size
     }
     fn write(&self, index: usize, frame: &mut [f32]) {
         frame.copy_from_slice(&self.values[index * self.frame_len()..][..self.frame_len()]);
@@ -70,7 +72,7 @@ pub struct Averaged {
 }
 
 impl Averaged {
-    /// Averages `frames` over squares with a side of `by` pixels, which must divide the frames' side. Returns `frames`
+    /// Averages `frames` over squares with a side of `by` pixels, which must divide the frames' rows and columns. Returns `frames`
     /// if `by` is 1.
     pub fn over(frames: Arc<dyn Frames>, by: usize) -> Arc<dyn Frames> {
         if by == 1 { frames } else { Arc::new(Self { frames, by }) }
@@ -84,17 +86,17 @@ impl Frames for Averaged {
     fn channels(&self) -> usize {
         self.frames.channels()
     }
-    fn side(&self) -> usize {
-        self.frames.side() / self.by
+    fn size(&self) -> [usize; 2] {
+        self.frames.size().map(|side| side / self.by)
     }
     fn write(&self, index: usize, frame: &mut [f32]) {
         let mut whole = vec![0.0; self.frames.frame_len()];
         self.frames.write(index, &mut whole);
-        let (fine_side, side) = (self.frames.side(), self.side());
+        let ([fine_height, fine_width], [height, width]) = (self.frames.size(), self.size());
         frame.fill(0.0);
-        for (row, values) in whole.chunks_exact(fine_side).enumerate() {
-            let (channel, row) = (row / fine_side, row % fine_side / self.by);
-            let averaged = &mut frame[(channel * side + row) * side..][..side];
+        for (row, values) in whole.chunks_exact(fine_width).enumerate() {
+            let (channel, row) = (row / fine_height, row % fine_height / self.by);
+            let averaged = &mut frame[(channel * height + row) * width..][..width];
             for (average, square) in averaged.iter_mut().zip(values.chunks_exact(self.by)) {
                 *average += square.iter().sum::<f32>();
             }

@@ -182,9 +182,9 @@ impl Normalizers {
             .map(|modality| (*modality, self.modalities[modality].clone()))
             .collect();
         let (first, _) = normalizers.first()?;
-        let [side, _] = samples.layout()[*first].size()?;
+        let size = samples.layout()[*first].size()?;
         normalizers.iter().for_each(|(modality, _)| samples.prefetch(*modality, at));
-        Some(Arc::new(SampleFrames { samples: samples.clone(), at: at.to_vec(), side, normalizers }))
+        Some(Arc::new(SampleFrames { samples: samples.clone(), at: at.to_vec(), size, normalizers }))
     }
 }
 
@@ -224,7 +224,7 @@ fn frame_moments(samples: &Samples, at: &[usize], modality: Modality) -> Moments
 struct SampleFrames {
     samples: Arc<Samples>,
     at: Vec<usize>,
-    side: usize,
+    size: [usize; 2],
     normalizers: Vec<(Modality, Normalizer)>,
 }
 
@@ -237,13 +237,13 @@ impl Frames for SampleFrames {
         self.normalizers.len() * IMAGE_CHANNELS
     }
 
-    fn side(&self) -> usize {
-        self.side
+    fn size(&self) -> [usize; 2] {
+        self.size
     }
 
     fn write(&self, index: usize, frame: &mut [f32]) {
         let sample = self.at[index];
-        let len = IMAGE_CHANNELS * self.side * self.side;
+        let len = IMAGE_CHANNELS * self.size[0] * self.size[1];
         for ((modality, scale), frame) in self.normalizers.iter().zip(frame.chunks_exact_mut(len)) {
             let now = self.samples.frame_bytes(*modality, sample);
             let factor = 1.0 / scale.std[0];

@@ -226,38 +226,40 @@ pub(super) fn check_images(images: &Images, network: &Network, training: &Traini
     convolves(images, network)?;
     for (list, averaged) in [(images.input, true), (images.output, false)] {
         let Some(&(first, [rows, columns])) = list.first() else { continue };
-        if rows != columns {
-            return fault(
-                first.name(),
-                format!("'{first}' has {rows} x {columns} pixels, and the networks take square images alone"),
-            );
-        }
         if let Some((other, [rows, columns])) = list.iter().find(|(_, size)| *size != [rows, columns]) {
             return fault(
                 other.name(),
                 format!(
-                    "'{other}' has {rows} x {columns} pixels and '{first}' {0} x {0}; images that go into a network, or \
+                    "'{other}' has {rows} x {columns} pixels and '{first}' {} x {}; images that go into a network, or \
                      come out of it, together must have one size",
-                    list[0].1[0]
+                    list[0].1[0], list[0].1[1]
                 ),
             );
         }
-        convolutions(first, rows, network, averaged)?;
-        tensors(rows, network, training)?;
+        convolutions(first, [rows, columns], network, averaged)?;
+        tensors([rows, columns], network, training)?;
     }
     Ok(())
 }
 
-/// Each convolution halves the side of its image, which must therefore be even. An input is averaged before.
-fn convolutions(modality: Modality, side: usize, network: &Network, averaged: bool) -> Result<(), Fault> {
+/// Each convolution halves both sides of its image, which must therefore be even. An input is averaged before.
+fn convolutions(
+    modality: Modality,
+    size: [usize; 2],
+    network: &Network,
+    averaged: bool,
+) -> Result<(), Fault> {
     let average = if averaged { network.average } else { 1 };
-    if !side.is_multiple_of(average) {
+    if size.iter().any(|side| !side.is_multiple_of(average)) {
+        let [rows, columns] = size;
         return fault(
             "network.average",
-            format!("images of {side} x {side} pixels have no whole squares of {average} x {average}"),
+            format!("images of {rows} x {columns} pixels have no whole squares of {average} x {average}"),
         );
     }
-    let side = side / average;
+    // The side that can be halved least often.
+    let [rows, columns] = size.map(|side| side / average);
+    let side = if columns.trailing_zeros() < rows.trailing_zeros() { columns } else { rows };
     let (most, asked) = (side.trailing_zeros() as usize, network.channels().len());
     if asked <= most {
         return Ok(());
@@ -282,10 +284,10 @@ fn convolutions(modality: Modality, side: usize, network: &Network, averaged: bo
 }
 
 /// Bounds the largest tensors of the convolutions: the weights of the layer behind them, and a batch of what they make.
-fn tensors(side: usize, network: &Network, training: &Training) -> Result<(), Fault> {
+fn tensors([rows, columns]: [usize; 2], network: &Network, training: &Training) -> Result<(), Fault> {
     let convolutions = network.channels();
-    let side = side >> convolutions.len();
-    let values = convolutions.last().map_or(0, |channels| channels * side * side);
+    let [rows, columns] = [rows, columns].map(|side| side >> convolutions.len());
+    let values = convolutions.last().map_or(0, |channels| channels * rows * columns);
     let hidden = network.hidden.iter().copied().max().unwrap_or(1);
     for (path, factor) in [("network.hidden", hidden), ("training.batch_size", training.batch_size)] {
         if values * factor > MAX_TENSOR_LEN {

@@ -9,7 +9,7 @@ use harness_spec::{Fusion, Modality};
 /// Builds the decoder that an architecture describes.
 pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Result<Box<dyn Decoder>> {
     let vector = architecture.vector_width(&architecture.output);
-    let (channels, side) = architecture.images(&architecture.output);
+    let (channels, size) = architecture.images(&architecture.output);
     let hidden =
         [&[architecture.latent + architecture.action], architecture.network.hidden.as_slice()].concat();
     let width = hidden[hidden.len() - 1];
@@ -27,7 +27,7 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
         .then(|| {
             let name = if vector > 0 { "frame_hidden" } else { "hidden" };
             let own = (!shares).then(|| builder.perceptron(name, &hidden)).transpose()?;
-            let stack = Stack::new(channels, side, architecture.network.channels());
+            let stack = Stack::new(channels, size, architecture.network.channels());
             let dense = builder.dense("frame", width, stack.coarse_len())?;
             let convolutions = builder.transposed_convolutions(&stack)?;
             let output = FrameOutput { stack, convolutions, dense, arithmetic: architecture.arithmetic };

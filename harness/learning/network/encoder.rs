@@ -28,8 +28,8 @@ fn frame_input(
     builder: &mut Builder,
 ) -> Result<FrameInput> {
     let average = architecture.network.average;
-    let (_, side) = architecture.images(&architecture.input);
-    let stack = Stack::new(channels, side / average, architecture.network.channels());
+    let (_, size) = architecture.images(&architecture.input);
+    let stack = Stack::new(channels, size.map(|side| side / average), architecture.network.channels());
     let convolutions = builder.convolutions(&stack)?;
     let len = stack.coarse_len();
     let weight = builder.uniform(weight, &[outputs, len], len)?;

@@ -230,9 +230,9 @@ fn convolution_summaries(stack: &Stack, layers: &[Dense], coarse: bool) -> Vec<L
     let of = stack.layers().iter().zip(layers).enumerate().map(|(index, (sizes, layer))| LayerSummary {
         name: numbered("conv", index),
         output: if coarse {
-            vec![sizes.coarse_channels, sizes.coarse_side(), sizes.coarse_side()]
+            vec![sizes.coarse_channels, sizes.coarse_size()[0], sizes.coarse_size()[1]]
         } else {
-            vec![sizes.fine_channels, sizes.side, sizes.side]
+            vec![sizes.fine_channels, sizes.size[0], sizes.size[1]]
         },
         parameters: layer.weight.elem_count() + layer.bias.elem_count(),
     });

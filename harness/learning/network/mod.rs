@@ -105,11 +105,11 @@ impl Architecture {
         vectors.map(|modality| self.layout[*modality].width()).sum()
     }
 
-    /// Returns the number of channels of all images among `modalities`, and their common side in pixels. Both are 0 if
+    /// Returns the number of channels of all images among `modalities`, and their common rows and columns in pixels. All are 0 if
     /// there are no images.
-    fn images(&self, modalities: &[Modality]) -> (usize, usize) {
+    fn images(&self, modalities: &[Modality]) -> (usize, [usize; 2]) {
         let images = modalities.iter().filter_map(|modality| self.layout[*modality].size());
-        images.fold((0, 0), |(channels, _), [side, _]| (channels + IMAGE_CHANNELS, side))
+        images.fold((0, [0, 0]), |(channels, _), size| (channels + IMAGE_CHANNELS, size))
     }
 }
 
@@ -188,7 +188,7 @@ impl Summary {
 pub struct Decoded {
     /// Vectors side by side, `[batch, width]`.
     pub vector: Option<Tensor>,
-    /// Frames stacked by channel, `[batch, channels, side, side]`.
+    /// Frames stacked by channel, `[batch, channels, rows, columns]`.
     pub frames: Option<Tensor>,
 }
 

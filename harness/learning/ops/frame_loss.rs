@@ -53,11 +53,11 @@ impl FrameDecoder {
             first += fine;
         }
         let (last, len) = (&layers[layers.len() - 1], self.stack.coarse_len());
-        let (channels, side) = (last.coarse_channels, last.coarse_side());
+        let (channels, [rows, columns]) = (last.coarse_channels, last.coarse_size());
         let mut image = hidden
             .matmul(&self.weight.t()?)?
             .broadcast_add(&self.packed.narrow(0, first, len)?)?
-            .reshape((hidden.dim(0)?, channels, side, side))?;
+            .reshape((hidden.dim(0)?, channels, rows, columns))?;
         for (kernel, bias) in parameters.iter().rev() {
             image = image.relu()?.conv_transpose2d(kernel, 1, 0, 2, 1)?.broadcast_add(bias)?;
         }
@@ -78,7 +78,7 @@ pub fn frame_loss(hidden: &Tensor, decoder: FrameDecoder, target: Arc<dyn Frames
     hidden.contiguous()?.apply_op3(&weight, &packed, op)
 }
 
-/// Decodes frames from `hidden` `[batch, hidden]`, and returns `[batch, frame channels, side, side]`. On the CPU the
+/// Decodes frames from `hidden` `[batch, hidden]`, and returns `[batch, frame channels, rows, columns]`. On the CPU the
 /// result has no gradient.
 pub fn frame_decoder(hidden: &Tensor, decoder: &FrameDecoder) -> Result<Tensor> {
     if !hidden.device().is_cpu() {
@@ -101,7 +101,8 @@ pub fn frame_decoder(hidden: &Tensor, decoder: &FrameDecoder) -> Result<Tensor> 
         Ok(())
     })?;
     let first = &stack.layers()[0];
-    tensor(frames, (batch, first.fine_channels, first.side, first.side))
+    let [rows, columns] = first.size;
+    tensor(frames, (batch, first.fine_channels, rows, columns))
 }
 
 /// Computes the images at all levels, from the last level to the first. `coarse` is the output of the fully connected

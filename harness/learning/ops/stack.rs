@@ -8,13 +8,13 @@ use harness_kernels::{self as kernels, PARTS};
 pub struct Stack(Vec<Convolution>);
 
 impl Stack {
-    /// Creates the convolutions for frames with `frame_channels` channels and a side of `side` pixels. `channels` are
+    /// Creates the convolutions for frames with `frame_channels` channels of `size` rows and columns. `channels` are
     /// the output channels of each convolution.
-    pub fn new(frame_channels: usize, side: usize, channels: &[usize]) -> Self {
-        let mut fine = (frame_channels, side);
+    pub fn new(frame_channels: usize, size: [usize; 2], channels: &[usize]) -> Self {
+        let mut fine = (frame_channels, size);
         let layers = channels.iter().map(|&coarse_channels| {
-            let sizes = Convolution { fine_channels: fine.0, coarse_channels, side: fine.1 };
-            fine = (coarse_channels, sizes.coarse_side());
+            let sizes = Convolution { fine_channels: fine.0, coarse_channels, size: fine.1 };
+            fine = (coarse_channels, sizes.coarse_size());
             sizes
         });
         Self(layers.collect())
