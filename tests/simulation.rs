@@ -17,6 +17,8 @@ use std::process::Command;
 mod factors;
 #[path = "common/finger.rs"]
 mod finger;
+#[path = "simulation/flow.rs"]
+mod flow;
 
 /// Path of the repository.
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");

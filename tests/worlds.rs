@@ -71,7 +71,8 @@ fn every_mistake_of_a_world_file_is_one_line_with_its_place_and_what_exists() {
             "    camera: external\n",
             "",
             place("size: [64, 64]"),
-            "exactly one of joint_positions, joint_velocities, normal_force, sensor, camera, difference_of; found none",
+            "exactly one of joint_positions, joint_velocities, body_positions, body_orientations, site_positions, \
+             site_orientations, normal_force, sensor, camera, optical_flow, difference_of; found none",
         ),
         (
             "unit: m, range: [-1, 0]",
@@ -184,6 +185,36 @@ fn every_mistake_of_a_world_file_is_one_line_with_its_place_and_what_exists() {
             "geom_size: ground",
             place("finger_link_*, scale_by: {uniform"),
             "geom 'ground' is no sphere, capsule, ellipsoid, cylinder or box, which alone can change size",
+        ),
+        (
+            "joint_positions: arm_*",
+            "body_positions: elbow",
+            place("arm_*\n"),
+            "'elbow' matches nothing among the model's body names; the model has world, arm_shaft",
+        ),
+        (
+            "joint_positions: arm_*",
+            "site_positions: tip",
+            place("arm_*\n"),
+            "'tip' matches nothing among the model's site names; the model has no site with a name",
+        ),
+        (
+            "difference_of: vision",
+            "{optical_flow: inside, size: [64, 64]}",
+            place("difference_of: vision"),
+            "the model has no camera 'inside'; the model has external",
+        ),
+        (
+            "difference_of: vision",
+            "{optical_flow: external, size: [64, 64], limit_pixels: 0}",
+            place("difference_of: vision"),
+            "'modalities.frame_difference.limit_pixels': expected a finite number above 0 and at most 1024, found 0",
+        ),
+        (
+            "camera: external",
+            "limit_pixels: 8\n    camera: external",
+            place("camera: external"),
+            "only an optical_flow has 'limit_pixels'",
         ),
         ("  finger_damping:", "  finger_stiffness:", place("finger_damping:"), "duplicate"),
         (

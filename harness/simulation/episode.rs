@@ -2,6 +2,7 @@
 
 use super::SimulationError;
 use super::camera::Camera;
+use super::flow::Flow;
 use super::physics::{Instant, Physics};
 use super::plan::EpisodePlan;
 use super::scene::Scene;
@@ -14,6 +15,8 @@ pub struct Simulator<'s> {
     physics: Physics<'s>,
     /// One for each of the scene's.
     cameras: Vec<Camera>,
+    /// Likewise.
+    flows: Vec<Flow>,
 }
 
 impl<'s> Simulator<'s> {
@@ -22,7 +25,9 @@ impl<'s> Simulator<'s> {
     pub fn new(scene: &'s Scene, spec: &Simulation) -> Result<Self, SimulationError> {
         let physics = Physics::new(scene, spec)?;
         let cameras = scene.cameras.iter().map(|camera| Camera::recording(scene, camera));
-        Ok(Self { spec: spec.clone(), physics, cameras: cameras.collect::<Result<_, _>>()? })
+        let cameras = cameras.collect::<Result<_, _>>()?;
+        let flows = scene.flows.iter().map(|flow| Flow::new(scene, *flow)).collect();
+        Ok(Self { spec: spec.clone(), physics, cameras, flows })
     }
 
     /// Simulates the episode of that index; `on_sample` is called after each sample and may cancel.
@@ -35,7 +40,7 @@ impl<'s> Simulator<'s> {
         on_sample: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<Episode, SimulationError> {
         let plan = EpisodePlan::draw(self.physics.scene, &self.spec, index)?;
-        let (scene, cameras) = (self.physics.scene, &mut self.cameras);
+        let (scene, cameras, flows) = (self.physics.scene, &mut self.cameras, &mut self.flows);
         let renderer = cameras.first().map(|camera| camera.renderer_name().to_owned());
         let mut episode = with_room(scene, &self.spec, &plan, self.physics.timing.samples);
         episode.renderer = renderer.unwrap_or_else(|| "none".into());
@@ -43,6 +48,9 @@ impl<'s> Simulator<'s> {
             record(&mut episode, scene, instant);
             for (camera, recorded) in cameras.iter_mut().zip(&scene.cameras) {
                 episode.images[recorded.position].extend_from_slice(camera.capture(data)?);
+            }
+            for (flow, recorded) in flows.iter_mut().zip(&scene.flows) {
+                episode.images[recorded.image.position].extend_from_slice(flow.draw(instant));
             }
             match on_sample() {
                 ControlFlow::Continue(()) => Ok(()),
@@ -74,9 +82,9 @@ fn with_room(scene: &Scene, spec: &Simulation, plan: &EpisodePlan, samples: usiz
     for (values, readings) in episode.vectors.iter_mut().zip(&scene.readings) {
         values.reserve_exact(samples * readings.len());
     }
-    for camera in &scene.cameras {
-        let [rows, columns] = camera.size;
-        episode.images[camera.position].reserve_exact(samples * rows * columns * IMAGE_CHANNELS);
+    for image in scene.cameras.iter().chain(scene.flows.iter().map(|flow| &flow.image)) {
+        let [rows, columns] = image.size;
+        episode.images[image.position].reserve_exact(samples * rows * columns * IMAGE_CHANNELS);
     }
     if let Some(place) = episode.layout.position(Modality::FACTORS) {
         let drawn: Vec<f32> = plan.factors.values().map(|value| value as f32).collect();

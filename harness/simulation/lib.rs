@@ -9,6 +9,7 @@ mod camera;
 mod draft;
 mod episode;
 mod factors;
+mod flow;
 mod live;
 mod motion;
 mod physics;

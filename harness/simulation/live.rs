@@ -2,6 +2,7 @@
 
 use super::SimulationError;
 use super::camera::{Camera, SceneRenderer};
+use super::flow::Flow;
 use super::motion::ranges;
 use super::physics::{Physics, sensed_position};
 use super::plan::EpisodePlan;
@@ -20,6 +21,8 @@ pub struct LiveSimulation {
     spec: Simulation,
     physics: Physics<'static>,
     plan: EpisodePlan,
+    /// One for each of the scene's.
+    flows: Vec<Flow>,
 }
 
 thread_local! {
@@ -45,7 +48,8 @@ impl LiveSimulation {
     /// When the spec's ranges or rates do not suit the scene, the boxes find no place, or the simulation diverges.
     pub fn new(scene: &'static Scene, spec: &Simulation) -> Result<Self, SimulationError> {
         let (physics, plan) = (Physics::new(scene, spec)?, EpisodePlan::draw(scene, spec, 0)?);
-        let mut live = Self { spec: spec.clone(), physics, plan };
+        let flows = scene.flows.iter().map(|flow| Flow::new(scene, *flow)).collect();
+        let mut live = Self { spec: spec.clone(), physics, plan, flows };
         live.reset(spec.seed, 0)?;
         Ok(live)
     }
@@ -136,12 +140,16 @@ impl LiveSimulation {
         boxes.map(|body| std::array::from_fn(|axis| qpos[body.qpos + axis]))
     }
 
-    /// A camera's RGB image of the sample, top row first, `[rows, columns, 3]`, written to `frame`.
+    /// A camera's RGB image of the sample, or its flow, top row first, `[rows, columns, 3]`, written to `frame`.
     ///
     /// # Errors
     /// When no camera of that name is recorded, or there is no OpenGL to render with.
     pub fn image(&mut self, modality: Modality, frame: &mut [u8]) -> Result<(), SimulationError> {
-        let (scene, data) = (self.physics.scene, &mut self.physics.data);
+        let scene = self.physics.scene;
+        if let Some(place) = scene.flows.iter().position(|flow| flow.image.modality == modality) {
+            frame.copy_from_slice(self.flows[place].draw(&self.physics.instant));
+            return Ok(());
+        }
         let recorded = scene.cameras.iter().find(|camera| camera.modality == modality);
         let recorded = recorded.ok_or_else(|| SimulationError::Missing {
             scene: scene.name.clone(),
@@ -153,7 +161,8 @@ impl LiveSimulation {
                 Some(camera) => camera,
                 None => Camera::recording(scene, recorded)?,
             };
-            frame.copy_from_slice(cameras.entry((key(scene), modality)).or_insert(camera).capture(data)?);
+            let camera = cameras.entry((key(scene), modality)).or_insert(camera);
+            frame.copy_from_slice(camera.capture(&mut self.physics.data)?);
             Ok(())
         })
     }

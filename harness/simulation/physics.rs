@@ -5,15 +5,16 @@ use super::motion::{Timing, check_ranges};
 use super::plan::EpisodePlan;
 use super::scene::{Reading, Scene};
 use super::sensors::{MeanForces, instability, sum_forces};
-use harness_spec::{Layout, Modality, Simulation};
+use harness_spec::{Layout, Modality, Pose, Posed, Simulation};
 use mujoco_rs::prelude::*;
+use mujoco_rs::wrappers::fun::utility::mju_mat_2_quat;
 use std::sync::Arc;
 
 /// MuJoCo's state of one scene on one thread.
 pub(super) struct Physics<'s> {
     pub scene: &'s Scene,
     pub timing: Timing,
-    /// Of the scene's model, or of a copy with the factors of variation that the episode drew.
+    /// Of the episode's model.
     pub data: MjData<Arc<MjModel>>,
     /// What holds at the latest sampled instant.
     pub instant: Instant,
@@ -31,11 +32,17 @@ pub(super) struct Physics<'s> {
 
 /// A sampled instant.
 pub(super) struct Instant {
+    /// The scene's model, or a copy with the factors of variation that the episode drew.
+    pub model: Arc<MjModel>,
     /// Generalised positions; the state's own are those after the instant's step.
     pub qpos: Vec<f64>,
+    /// Those at the sample before; at the first sample, the same.
+    pub qpos_before: Vec<f64>,
     /// Generalised velocities, likewise.
     pub qvel: Vec<f64>,
     pub setpoint: Vec<f64>,
+    /// Of the scene's bodies and sites whose poses are sensed.
+    pub poses: Vec<Pose>,
     pub forces: Vec<f64>,
     /// Averaged over the steps since the previous sample.
     pub mean_forces: Vec<f64>,
@@ -48,6 +55,7 @@ impl Instant {
         let value = match reading {
             Reading::Position(index) => self.qpos[index],
             Reading::Velocity(index) => self.qvel[index],
+            Reading::Pose(index, value) => self.poses[index][value],
             Reading::Force(index) => self.forces[index],
             Reading::MeanForce(index) => self.mean_forces[index],
             Reading::Sensor(index) => self.sensors[index],
@@ -60,6 +68,20 @@ impl Instant {
     pub fn vector(&self, scene: &Scene, position: usize) -> impl Iterator<Item = f32> {
         scene.readings[position].iter().map(|reading| self.read(*reading))
     }
+}
+
+/// The pose of a body or a site, with an orientation whose w is not negative: both signs mean the same rotation.
+fn pose_of(data: &MjData<Arc<MjModel>>, of: Posed, id: usize) -> Pose {
+    let (place, turn) = match of {
+        Posed::Body => (data.xpos()[id], data.xquat()[id]),
+        Posed::Site => {
+            let mut turn = [0.0; 4];
+            mju_mat_2_quat(&mut turn, &data.site_xmat()[id]);
+            (data.site_xpos()[id], turn)
+        }
+    };
+    let sign = if turn[0] < 0.0 { -1.0 } else { 1.0 };
+    std::array::from_fn(|index| if index < 3 { place[index] } else { sign * turn[index - 3] })
 }
 
 /// The position in a layout of a vector that is sensed.
@@ -83,9 +105,12 @@ impl<'s> Physics<'s> {
         let data = MjData::new(scene.model.clone());
         let elements = scene.actuators.len();
         let instant = Instant {
+            model: scene.model.clone(),
             qpos: scene.model.qpos0().to_vec(),
+            qpos_before: scene.model.qpos0().to_vec(),
             qvel: data.qvel().to_vec(),
             setpoint: vec![0.0; elements],
+            poses: vec![Pose::default(); scene.posed.len()],
             forces: vec![0.0; scene.forces],
             mean_forces: vec![0.0; scene.forces],
             sensors: data.sensordata().to_vec(),
@@ -130,6 +155,8 @@ impl<'s> Physics<'s> {
             setpoint(self.step, &mut self.setpoint);
             self.command();
             if is_sample {
+                let before = if self.step == 0 { self.data.qpos() } else { &self.instant.qpos };
+                self.instant.qpos_before.copy_from_slice(before);
                 self.instant.qpos.copy_from_slice(self.data.qpos());
                 self.instant.qvel.copy_from_slice(self.data.qvel());
             }
@@ -147,6 +174,9 @@ impl<'s> Physics<'s> {
                 self.instant.forces.copy_from_slice(&self.forces);
                 self.mean.take(&mut self.instant.mean_forces);
                 self.instant.sensors.copy_from_slice(self.data.sensordata());
+                for (pose, (of, id)) in self.instant.poses.iter_mut().zip(&self.scene.posed) {
+                    *pose = pose_of(&self.data, *of, *id);
+                }
                 return Ok(());
             }
         }
@@ -163,7 +193,8 @@ impl<'s> Physics<'s> {
         (self.episode, self.step) = (plan.episode, 0);
         self.mean.clear();
         // Always from the scene's own model, so that nothing is left of the episode before.
-        self.data.swap_model(plan.factors.apply(self.scene, &self.scene.model));
+        self.instant.model = plan.factors.apply(self.scene, &self.scene.model);
+        self.data.swap_model(self.instant.model.clone());
         self.data.reset();
         plan.setpoint(0, &mut self.setpoint);
         let qpos = self.data.qpos_mut();

@@ -1,12 +1,13 @@
 //! A scene: the compiled MuJoCo model of a world, with every name of the world file resolved once.
 
 use super::factors::{SceneFactor, dofs};
+use super::flow::SceneFlow;
 use super::motion::{Timing, check_ranges};
 use super::{MUJOCO_VERSION, SimulationError, mujoco_version};
 use harness_shared::seal::hex;
 use harness_spec::{
-    Definition, Element, Group, Kind, Layout, Modality, ModelFile, Percentage, Property, Scale, Scenario,
-    Simulation, Source, World, clearance_setting, matching, range_setting,
+    Definition, Element, Group, Kind, Layout, Modality, ModelFile, Percentage, Posed, Property, Scale,
+    Scenario, Simulation, Source, World, clearance_setting, matching, range_setting,
 };
 use mujoco_rs::prelude::*;
 use sha2::{Digest, Sha256};
@@ -26,6 +27,9 @@ pub struct Scene {
     /// For each of the layout's modalities what its elements are read from; empty where nothing is read.
     pub(super) readings: Vec<Vec<Reading>>,
     pub(super) cameras: Vec<SceneCamera>,
+    pub(super) flows: Vec<SceneFlow>,
+    /// What poses are sensed of, by their indices in the model.
+    pub(super) posed: Vec<(Posed, usize)>,
     pub(super) actuators: Vec<Driven>,
     /// For each geom, the force that its contacts add to.
     pub(super) force_of_geom: Vec<Option<usize>>,
@@ -46,6 +50,8 @@ pub(super) enum Reading {
     Position(usize),
     /// Index into `qvel`.
     Velocity(usize),
+    /// A value of one of the scene's poses: x, y and z, then w, x, y and z.
+    Pose(usize, usize),
     /// One of the scene's forces, at the instant.
     Force(usize),
     /// The same, averaged since the sample before.
@@ -231,6 +237,8 @@ impl Scene {
             layout,
             readings,
             cameras,
+            flows,
+            posed,
             actuators,
             force_of_geom,
             forces,
@@ -254,6 +262,8 @@ impl Scene {
             layout: Arc::new(layout),
             readings,
             cameras,
+            flows,
+            posed,
             actuators,
             force_of_geom,
             forces,
@@ -378,6 +388,7 @@ const JOINT: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_JOINT, "joint");
 const GEOM: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_GEOM, "geom");
 const BODY: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_BODY, "body");
 const SENSOR: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_SENSOR, "sensor");
+const SITE: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_SITE, "site");
 const CAMERA: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_CAMERA, "camera");
 const LIGHT: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_LIGHT, "light");
 const ACTUATOR: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_ACTUATOR, "actuator");
@@ -391,6 +402,7 @@ pub(super) fn named(model: &MjModel, kind: MjtObjBase) -> Vec<(&str, usize)> {
         MjtObjBase::mjOBJ_SENSOR => model.nsensor(),
         MjtObjBase::mjOBJ_CAMERA => model.ncam(),
         MjtObjBase::mjOBJ_LIGHT => model.nlight(),
+        MjtObjBase::mjOBJ_SITE => model.nsite(),
         _ => model.nactuator(),
     };
     let with_name = (0..count as usize).filter_map(|id| Some((model.id_to_name(kind, id)?, id)));
@@ -405,6 +417,8 @@ struct Resolved {
     layout: Layout,
     readings: Vec<Vec<Reading>>,
     cameras: Vec<SceneCamera>,
+    flows: Vec<SceneFlow>,
+    posed: Vec<(Posed, usize)>,
     actuators: Vec<Driven>,
     force_of_geom: Vec<Option<usize>>,
     forces: usize,
@@ -420,12 +434,14 @@ struct Resolver<'a> {
     model: &'a MjModel,
     force_of_geom: Vec<Option<usize>>,
     forces: usize,
+    posed: Vec<(Posed, usize)>,
     tip: Option<Tip>,
 }
 
 impl<'a> Resolver<'a> {
     fn new(world: &'a World, model: &'a MjModel) -> Self {
-        Self { world, model, force_of_geom: vec![None; model.ngeom() as usize], forces: 0, tip: None }
+        let force_of_geom = vec![None; model.ngeom() as usize];
+        Self { world, model, force_of_geom, forces: 0, posed: Vec::new(), tip: None }
     }
 
     fn resolve(mut self) -> Result<Resolved, SimulationError> {
@@ -437,13 +453,21 @@ impl<'a> Resolver<'a> {
         }
         let actuators = self.actuators()?;
         let mut modalities: Vec<(Definition, Vec<Reading>)> = Vec::new();
-        let mut cameras = Vec::new();
+        let (mut cameras, mut flows) = (Vec::new(), Vec::new());
         for (name, sensing) in file.modalities.iter() {
             let Some(modality) = Modality::new(name) else { continue };
             let path = format!("modalities.{name}.{}", sensing.source().key());
-            if let Source::Camera { name, size } = sensing.source() {
-                let camera = self.find(CAMERA, name, &path)?;
-                cameras.push(SceneCamera { modality, position: modalities.len(), camera, size });
+            let position = modalities.len();
+            match sensing.source() {
+                Source::Camera { name, size } => {
+                    let camera = self.find(CAMERA, name, &path)?;
+                    cameras.push(SceneCamera { modality, position, camera, size });
+                }
+                Source::OpticalFlow { camera, size, limit } => {
+                    let camera = self.pinhole(camera, &path)?;
+                    flows.push(SceneFlow { image: SceneCamera { modality, position, camera, size }, limit });
+                }
+                _ => {}
             }
             let sensed = self.modality(modality, sensing, &path, &modalities)?;
             modalities.push(sensed);
@@ -453,7 +477,8 @@ impl<'a> Resolver<'a> {
             |(definition, _): &(Definition, Vec<Reading>)| definition.elements() == setpoint.0.elements();
         let place = modalities.iter().position(is_sensed).map_or(modalities.len(), |index| index + 1);
         modalities.insert(place, setpoint);
-        cameras.iter_mut().filter(|camera| camera.position >= place).for_each(|camera| camera.position += 1);
+        let images = cameras.iter_mut().chain(flows.iter_mut().map(|flow| &mut flow.image));
+        images.filter(|image| image.position >= place).for_each(|image| image.position += 1);
         let (placements, factors) = (self.placements(&actuators)?, self.factors()?);
         let (definitions, readings) = modalities.into_iter().unzip();
         let view = cameras.first().map(|camera| camera.camera).or((self.model.ncam() > 0).then_some(0));
@@ -461,6 +486,8 @@ impl<'a> Resolver<'a> {
             layout: Layout { modalities: definitions, regions: self.world.regions() },
             readings,
             cameras,
+            flows,
+            posed: self.posed,
             actuators,
             force_of_geom: self.force_of_geom,
             forces: self.forces,
@@ -539,6 +566,12 @@ impl<'a> Resolver<'a> {
                 definition.meaning = format!("Image of the camera {name}");
                 return Ok((definition, Vec::new()));
             }
+            Source::OpticalFlow { camera, size, limit } => {
+                definition.kind = Kind::Image { size };
+                definition.meaning =
+                    format!("Optical flow of the camera {camera}, up to {limit} pixels a sample");
+                return Ok((definition, Vec::new()));
+            }
             Source::DifferenceOf(of) => {
                 definition.meaning = format!("Change of {of} since the sample before");
                 definition.difference_of = Some(of);
@@ -570,6 +603,13 @@ impl<'a> Resolver<'a> {
                 };
                 self.contact_forces(names, path, mean)?
             }
+            Source::Pose { names, of, orientation } => {
+                definition.meaning = match orientation {
+                    false => "Position in the world of".into(),
+                    true => "Orientation in the world of".into(),
+                };
+                self.poses(names, path, of, orientation)?
+            }
             Source::Sensor(patterns) => {
                 definition.meaning = "Value of sensor".into();
                 self.sensors(patterns, path, sensing.unit.as_deref().unwrap_or_default())?
@@ -577,11 +617,16 @@ impl<'a> Resolver<'a> {
         };
         let patterns = match source {
             Source::JointPositions(names) | Source::JointVelocities(names) | Source::Sensor(names) => names,
-            Source::NormalForce { names, .. } => names,
+            Source::NormalForce { names, .. } | Source::Pose { names, .. } => names,
             _ => &[],
         };
         let names: Vec<&str> = values.iter().map(|value| value.name.as_str()).collect();
-        let elements = short_names(patterns, &names).into_iter().zip(&values);
+        let short = match source {
+            // Their names are those of columns already.
+            Source::Pose { .. } => names.iter().map(|name| (*name).to_owned()).collect(),
+            _ => short_names(patterns, &names),
+        };
+        let elements = short.into_iter().zip(&values);
         let elements = elements.map(|(name, value)| Element { name, unit: value.unit.clone() }).collect();
         definition.kind = Kind::Vector { elements };
         for (group, patterns) in sensing.groups.iter() {
@@ -624,6 +669,50 @@ impl<'a> Resolver<'a> {
             Ok(Sensed { name: name.to_owned(), unit: unit.to_owned(), reading })
         };
         found.into_iter().map(joint).collect()
+    }
+
+    /// Positions or orientations of bodies or sites.
+    fn poses(
+        &mut self,
+        patterns: &[String],
+        path: &str,
+        of: Posed,
+        orientation: bool,
+    ) -> Result<Vec<Sensed>, SimulationError> {
+        let found = self.matches(if of == Posed::Body { BODY } else { SITE }, patterns, path)?;
+        let names: Vec<&str> = found.iter().map(|(name, _)| *name).collect();
+        let (values, unit) = match orientation {
+            false => (["x", "y", "z"].as_slice(), "m"),
+            true => (["w", "x", "y", "z"].as_slice(), "1"),
+        };
+        let first = if orientation { 3 } else { 0 };
+        let mut sensed = Vec::new();
+        for (name, (_, id)) in short_names(patterns, &names).into_iter().zip(found) {
+            let known = self.posed.iter().position(|posed| *posed == (of, id));
+            let pose = known.unwrap_or_else(|| {
+                self.posed.push((of, id));
+                self.posed.len() - 1
+            });
+            sensed.extend(values.iter().enumerate().map(|(index, value)| Sensed {
+                name: format!("{name}_{value}"),
+                unit: unit.to_owned(),
+                reading: Reading::Pose(pose, first + index),
+            }));
+        }
+        Ok(sensed)
+    }
+
+    /// A camera whose image follows from its field of view alone.
+    fn pinhole(&self, name: &str, path: &str) -> Result<usize, SimulationError> {
+        let camera = self.find(CAMERA, name, path)?;
+        let is_plain = self.model.cam_projection()[camera]
+            == mujoco_rs::wrappers::mj_model::MjtProjection::mjPROJ_PERSPECTIVE
+            && self.model.cam_sensorsize()[camera] == [0.0; 2];
+        if is_plain {
+            return Ok(camera);
+        }
+        let message = "is orthographic or has a sensor size; an optical flow is computed of a perspective camera with a fovy";
+        Err(self.fault(path, format!("camera '{name}' {message}")))
     }
 
     /// Forces on geoms or, where no geom matches, on all geoms of each body.

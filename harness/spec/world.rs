@@ -108,8 +108,9 @@ pub struct WorldFile {
     pub regions: Ordered<Colours>,
 }
 
-/// One modality: exactly one of `joint_positions`, `joint_velocities`, `normal_force`, `sensor`, `camera` and
-/// `difference_of`, and what is to be known of it.
+/// One modality: exactly one of `joint_positions`, `joint_velocities`, `body_positions`, `body_orientations`,
+/// `site_positions`, `site_orientations`, `normal_force`, `sensor`, `camera`, `optical_flow` and `difference_of`, and what is
+/// to be known of it.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sensing {
@@ -121,6 +122,22 @@ pub struct Sensing {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub joint_velocities: Option<Vec<String>>,
+    /// Where bodies' origins are in the world: x, y and z, m.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "globs")]
+    pub body_positions: Option<Vec<String>>,
+    /// How bodies are turned in the world: unit quaternions w, x, y, z with w at least 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "globs")]
+    pub body_orientations: Option<Vec<String>>,
+    /// Where sites are in the world: x, y and z, m.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "globs")]
+    pub site_positions: Option<Vec<String>>,
+    /// How sites are turned in the world, as bodies.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "globs")]
+    pub site_orientations: Option<Vec<String>>,
     /// The normal force of all contacts of each geom, or of each body's geoms, N.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
@@ -133,11 +150,21 @@ pub struct Sensing {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "text")]
     pub camera: Option<String>,
+    /// The true optical flow of a camera: by how many pixels what is seen has moved since the sample before, as an image.
+    /// Red is 128 and 127 / `limit_pixels` more for each pixel to the right, green likewise downwards; blue is 255 where the
+    /// same place was seen before, and 0 where it was hidden or outside of the image.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "text")]
+    pub optical_flow: Option<String>,
+    /// The largest displacement that an optical flow tells, pixels; 8 where nothing is said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "limit")]
+    pub limit_pixels: Option<f64>,
     /// The change of another modality since the sample before; zero at an episode's first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "text")]
     pub difference_of: Option<String>,
-    /// Rows and columns of a camera's image, pixels.
+    /// Rows and columns of a camera's image or flow, pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "size")]
     pub size: Option<[usize; 2]>,
@@ -283,6 +310,9 @@ mod plain {
     pub fn text(_: &mut SchemaGenerator) -> Schema {
         json_schema!({ "type": "string" })
     }
+    pub fn limit(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": "number", "exclusiveMinimum": 0.0, "maximum": MAX_IMAGE_SIDE })
+    }
     pub fn number(_: &mut SchemaGenerator) -> Schema {
         json_schema!({ "type": "number" })
     }
@@ -311,7 +341,7 @@ mod plain {
         generator.subschema_for::<Sector>()
     }
 }
-use plain::{averaged, globs, groups, number, percentage, rectangle, scale, sector, size, text};
+use plain::{averaged, globs, groups, limit, number, percentage, rectangle, scale, sector, size, text};
 
 /// The schema of a world file.
 static SCHEMA: LazyLock<Json> = LazyLock::new(|| schemars::schema_for!(WorldFile).to_value());
@@ -328,6 +358,12 @@ pub fn world_schema() -> Json {
 pub enum Source<'a> {
     JointPositions(&'a [String]),
     JointVelocities(&'a [String]),
+    /// Where things are or how they are turned.
+    Pose {
+        names: &'a [String],
+        of: Posed,
+        orientation: bool,
+    },
     /// `mean` is over the steps since the sample before.
     NormalForce {
         names: &'a [String],
@@ -338,8 +374,23 @@ pub enum Source<'a> {
         name: &'a str,
         size: [usize; 2],
     },
+    OpticalFlow {
+        camera: &'a str,
+        size: [usize; 2],
+        limit: f64,
+    },
     DifferenceOf(Modality),
 }
+
+/// What has a pose in the world.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Posed {
+    Body,
+    Site,
+}
+
+/// The largest displacement that an optical flow tells where a world says nothing, pixels.
+const FLOW_LIMIT: f64 = 8.0;
 
 impl Source<'_> {
     /// The key in a world file.
@@ -347,9 +398,14 @@ impl Source<'_> {
         match self {
             Self::JointPositions(_) => "joint_positions",
             Self::JointVelocities(_) => "joint_velocities",
+            Self::Pose { of: Posed::Body, orientation: false, .. } => "body_positions",
+            Self::Pose { of: Posed::Body, orientation: true, .. } => "body_orientations",
+            Self::Pose { of: Posed::Site, orientation: false, .. } => "site_positions",
+            Self::Pose { of: Posed::Site, orientation: true, .. } => "site_orientations",
             Self::NormalForce { .. } => "normal_force",
             Self::Sensor(_) => "sensor",
             Self::Camera { .. } => "camera",
+            Self::OpticalFlow { .. } => "optical_flow",
             Self::DifferenceOf(_) => "difference_of",
         }
     }
@@ -357,27 +413,42 @@ impl Source<'_> {
 
 impl Sensing {
     /// The keys of which a modality has exactly one.
-    const SOURCES: &str = "joint_positions, joint_velocities, normal_force, sensor, camera, difference_of";
+    const SOURCES: &str = "joint_positions, joint_velocities, body_positions, body_orientations, site_positions, \
+                           site_orientations, normal_force, sensor, camera, optical_flow, difference_of";
 
     /// What it is sensed by; of a file that was checked.
     pub fn source(&self) -> Source<'_> {
-        let mean = self.average_over.is_some();
+        self.sources().next().unwrap_or(Source::Sensor(&[]))
+    }
+
+    fn sources(&self) -> impl Iterator<Item = Source<'_>> {
+        let (mean, size) = (self.average_over.is_some(), self.size.unwrap_or([1, 1]));
+        fn pose(names: &Option<Vec<String>>, of: Posed, orientation: bool) -> Option<Source<'_>> {
+            names.as_deref().map(|names| Source::Pose { names, of, orientation })
+        }
+        let limit = self.limit_pixels.unwrap_or(FLOW_LIMIT);
         let sources = [
             self.joint_positions.as_deref().map(Source::JointPositions),
             self.joint_velocities.as_deref().map(Source::JointVelocities),
+            pose(&self.body_positions, Posed::Body, false),
+            pose(&self.body_orientations, Posed::Body, true),
+            pose(&self.site_positions, Posed::Site, false),
+            pose(&self.site_orientations, Posed::Site, true),
             self.normal_force.as_deref().map(|names| Source::NormalForce { names, mean }),
             self.sensor.as_deref().map(Source::Sensor),
-            self.camera.as_deref().map(|name| Source::Camera { name, size: self.size.unwrap_or([1, 1]) }),
-            self.difference_of.as_deref().and_then(Modality::new).map(Source::DifferenceOf),
+            self.camera.as_deref().map(|name| Source::Camera { name, size }),
+            self.optical_flow.as_deref().map(|camera| Source::OpticalFlow { camera, size, limit }),
+            // A text that is no modality's name is refused by the checks.
+            self.difference_of
+                .as_deref()
+                .map(|of| Source::DifferenceOf(Modality::new(of).unwrap_or(Modality::SETPOINT))),
         ];
-        sources.into_iter().flatten().next().unwrap_or(Source::Sensor(&[]))
+        sources.into_iter().flatten()
     }
 
-    fn sources(&self) -> usize {
-        let lists = [&self.joint_positions, &self.joint_velocities, &self.normal_force, &self.sensor];
-        lists.into_iter().filter(|list| list.is_some()).count()
-            + usize::from(self.camera.is_some())
-            + usize::from(self.difference_of.is_some())
+    /// Whether it is an image by itself.
+    fn is_image(&self) -> bool {
+        self.camera.is_some() || self.optical_flow.is_some()
     }
 }
 
@@ -588,7 +659,7 @@ impl World {
     pub(super) fn known(&self, modality: Modality) -> Option<Known> {
         let sensing = self.sensing(modality)?;
         let size = match sensing.source() {
-            Source::Camera { size, .. } => Some(size),
+            Source::Camera { size, .. } | Source::OpticalFlow { size, .. } => Some(size),
             Source::DifferenceOf(of) => self.sensing(of)?.size,
             _ => None,
         };
@@ -604,8 +675,8 @@ impl World {
         let sensing = self.sensing(modality)?;
         let default = match sensing.source() {
             Source::NormalForce { .. } => Scaling { scale: Scale::Shared, minimum: Some(0.0) },
-            Source::DifferenceOf(of) => Scaling::plain(self.sensing(of)?.camera.is_some()),
-            Source::Camera { .. } => Scaling::plain(true),
+            Source::DifferenceOf(of) => Scaling::plain(self.sensing(of)?.is_image()),
+            Source::Camera { .. } | Source::OpticalFlow { .. } => Scaling::plain(true),
             _ => Scaling::plain(false),
         };
         Some(Scaling {
@@ -734,18 +805,21 @@ fn modality<'a>(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), (
             format!("'{name}' means something else in the tables; give the modality another name"),
         ));
     }
-    let sources = sensing.sources();
+    let sources = sensing.sources().count();
     if sources != 1 {
         let found = if sources == 0 { "none" } else { "several" };
         return Err(("", format!("a modality has exactly one of {}; found {found}", Sensing::SOURCES)));
     }
     let misplaced = |key, of: &str| Err((key, format!("only {of} has '{key}'")));
-    let is_camera = sensing.camera.is_some();
+    let is_camera = sensing.is_image();
     if is_camera && sensing.size.is_none() {
         return Err(("", "a camera's image needs its size: rows and columns, as [96, 96]".into()));
     }
     if !is_camera && sensing.size.is_some() {
-        return misplaced("size", "a camera");
+        return misplaced("size", "a camera or an optical_flow");
+    }
+    if sensing.limit_pixels.is_some() && sensing.optical_flow.is_none() {
+        return misplaced("limit_pixels", "an optical_flow");
     }
     if sensing.average_over.is_some() && sensing.normal_force.is_none() {
         return misplaced("average_over", "a normal_force");
@@ -762,7 +836,7 @@ fn modality<'a>(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), (
     }
     let source =
         sensing.difference_of.as_ref().and_then(|of| file.modalities.iter().find(|(name, _)| name == of));
-    let is_image = is_camera || source.is_some_and(|(_, source)| source.camera.is_some());
+    let is_image = is_camera || source.is_some_and(|(_, source)| source.is_image());
     if is_image && !sensing.groups.is_empty() {
         return Err(("groups", "an image has no groups; 'regions' tell its parts apart".into()));
     }
