@@ -23,6 +23,9 @@ Layout = dict[str, Any]
 FINGER: Layout = json.loads((Path(__file__).parent / "models" / "finger.json").read_text())
 """The layout of the worlds `empty` and `cluttered`, also used for datasets that are older than layouts."""
 
+PAPER = ("empty", "cluttered")
+"""The worlds of the paper."""
+
 
 @dataclass(frozen=True)
 class Column:
@@ -153,6 +156,12 @@ class RecordedDataset:
     def scenario(self) -> str:
         """The world that was simulated: `empty`, `cluttered`, or the name of a world file."""
         return str(self.description["scenario"])
+
+    @property
+    def is_finger(self) -> bool:
+        """Whether it records what the built-in worlds `empty` and `cluttered` do."""
+        # The bounds of regions are single-precision numbers in a dataset's description, and decimal ones in FINGER.
+        return self.scenario in PAPER and self.layout["modalities"] == FINGER["modalities"]
 
     @property
     def sample_rate_hz(self) -> float:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.recorded import FINGER, Episode, Layout, RecordedDataset, image_shapes, vector_columns
+from harness.recorded import Episode, Layout, RecordedDataset, image_shapes, vector_columns
 
 try:
     import av
@@ -68,7 +68,7 @@ def write(source: RecordedDataset, episodes: Iterable[Episode], output: Path) ->
         fps=int(source.sample_rate_hz),
         features=_features(source.layout),
         root=output,
-        robot_type="soft_finger" if source.layout == FINGER else source.scenario,
+        robot_type="soft_finger" if source.is_finger else source.scenario,
         # Sets the decoder, which is not used here. Without it, LeRobot searches for the fastest decoder and warns of
         # missing ones.
         video_backend="pyav",

@@ -42,7 +42,7 @@ def write(source: RecordedDataset, episodes: Iterable[Episode], output: Path) ->
     # Without strict mode, Rerun warns of a wrong value and leaves it out.
     rr.set_strict_mode(True)
     layout = source.layout
-    robot = Robot(source) if layout == FINGER else None
+    robot = Robot(source) if source.is_finger else None
     output.mkdir()
     for episode in episodes:
         recording = rr.RecordingStream("harness", recording_id=f"{source.name}-episode-{episode.index:05}")
