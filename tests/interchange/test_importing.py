@@ -236,7 +236,8 @@ def test_a_damaged_or_missing_episode_is_found_and_not_trained_on(recordings, ha
     path.write_bytes(whole[:2000] + bytes([whole[2000] ^ 1]) + whole[2001:])
     for problem in ("SHA-256 differs", "missing"):
         answer = harness("verify")
-        assert answer.returncode == 1 and problem in answer.stdout and "harness import" in answer.stdout
+        assert answer.returncode == 1 and problem in answer.stdout
+        assert "import its mapping again" in answer.stdout
         answer = harness(*run)
         assert answer.returncode == 1 and "episode_00001.parquet" in answer.stderr, answer.stderr
         path.unlink(missing_ok=True)
@@ -282,7 +283,7 @@ def without(section: dict, key: str) -> dict:
         ),
         ({}, {"setpoint": "command[9:12]"}, r"episode 0: modalities.setpoint: command\[9:12\] gives no values"),
         ({}, {"setpoint": "trial"}, "modalities.setpoint: 'trial' holds no numbers"),
-        ({}, {"arm": {"from": "command[0:3]", "scale": [1, 2]}}, "arm.scale: must be 1 number or 3, not 2"),
+        ({}, {"arm": {"from": "command[0:3]", "scale": [1, 2]}}, "modalities.arm: scale: must be 1 number or 3, not 2"),
         ({}, {"arm": {"scale": 2}}, "missing 'modalities.arm.from'"),
         ({}, {"arm": {"from": "command[0:3]", "unit": "V"}}, "arm.unit: is that of the finger's"),
         ({}, {"arm": 3}, "modalities.arm: must be a column, or a list of columns, not 3"),
