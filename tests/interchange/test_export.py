@@ -58,6 +58,88 @@ def test_a_lerobot_dataset_opens_with_lerobot_and_holds_the_same(dataset, tmp_pa
     assert np.mean(errors) < 1.5 and np.max(errors) < 40, (np.mean(errors), np.max(errors))
 
 
+FEATURES = {
+    "twelve": {
+        "observation.state": ("proprioception", "arm"),
+        "observation.contact_force": ("contact_force",),
+        "observation.contact_force_mean": ("contact_force_mean",),
+        "observation.factors": ("factors",),
+        "action": ("setpoint",),
+    },
+    "suite_finger": {
+        "observation.joints": ("joints",),
+        "observation.joint_velocities": ("joint_velocities",),
+        "observation.contact_force": ("contact_force",),
+        "observation.jointpos": ("jointpos",),
+        "observation.jointvel": ("jointvel",),
+        "observation.touch": ("touch",),
+        "observation.framepos": ("framepos",),
+        "action": ("setpoint",),
+    },
+}
+"""LeRobot's features of the robots that the harness does not know, and the vectors that each is made of."""
+CAMERAS = {
+    "twelve": {"observation.images.external": "vision", "observation.images.wrist": "wrist"},
+    "suite_finger": {"observation.images.camera_0": "camera_0", "observation.images.camera_1": "camera_1"},
+}
+ELEMENTS = {
+    "twelve": ("observation.factors", ["factors_finger_stiffness [1]"]),
+    "suite_finger": ("observation.touch", ["touch_touchtop [N]", "touch_touchbottom [N]"]),
+}
+"""One of the features, and the names of its elements."""
+
+
+def test_the_dataset_of_a_foreign_robot_opens_with_lerobot_and_holds_the_same(foreign, tmp_path):
+    pytest.importorskip("lerobot", reason="lerobot is not installed; it needs Python 3.12: make interchange")
+    from lerobot.datasets import LeRobotDataset
+
+    output, source = export(foreign, "lerobot", tmp_path / "exported", progress=False), RecordedDataset(foreign)
+    found = LeRobotDataset("local/exported", root=output, video_backend="pyav", return_uint8=True)
+    assert (found.num_episodes, found.num_frames, found.fps) == (EPISODES, EPISODES * SAMPLES, 10)
+    features, cameras = FEATURES[source.scenario], CAMERAS[source.scenario]
+    exported = [name for name in found.meta.features if name == "action" or name.startswith("observation")]
+    assert sorted(exported) == sorted([*features, *cameras])
+    feature, names = ELEMENTS[source.scenario]
+    assert found.meta.features[feature]["names"] == names
+    errors = []
+    for index in source.episodes:
+        episode = source.read(index)
+        for sample in range(SAMPLES):
+            item = found[index * SAMPLES + sample]
+            for feature, vectors in features.items():
+                values = np.concatenate([episode.vectors[vector][sample] for vector in vectors])
+                np.testing.assert_array_equal(item[feature].numpy(), values, feature)
+            for feature, image in cameras.items():
+                frame = item[feature].permute(1, 2, 0).numpy()
+                errors.append(np.abs(frame.astype(int) - episode.images[image][sample]))
+    assert np.mean(errors) < 1.5 and np.max(errors) < 60, (np.mean(errors), np.max(errors))
+
+
+def test_the_recording_of_a_foreign_robot_opens_with_rerun_and_holds_the_same(foreign, tmp_path):
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    from PIL import Image
+
+    output, source = export(foreign, "rerun", tmp_path / "exported", progress=False), RecordedDataset(foreign)
+    recordings = sorted(output.iterdir())
+    assert len(recordings) == EPISODES
+    subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "verify", *recordings], check=True, capture_output=True
+    )
+    for index, file in enumerate(recordings):
+        episode, found = source.read(index), entities(file)
+        vectors = {vector for part in FEATURES[source.scenario].values() for vector in part}
+        assert vectors == set(vector_columns(source.layout))
+        for vector in vectors:
+            entity = found[f"/{vector}"]
+            assert entity["sample"] == list(range(SAMPLES))
+            np.testing.assert_array_equal(np.float32(entity["Scalars:scalars"]), episode.vectors[vector])
+        for image in CAMERAS[source.scenario].values():
+            entity = found["/world/camera" if image == "vision" else f"/world/{image}"]
+            pictures = [blob[0] for blob in entity["EncodedImage:blob"]]
+            frames = [np.array(Image.open(io.BytesIO(bytes(picture)))) for picture in pictures]
+            np.testing.assert_array_equal(frames, episode.images[image])
+
+
 def entities(path: Path) -> dict:
     """Every column of a recording that changes over time, by entity and component, and the timelines."""
     from rerun.chunk import RrdReader
