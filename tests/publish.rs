@@ -74,7 +74,7 @@ fn a_published_registry_answers_as_the_whole_one_but_for_single_samples() {
                   order by scenario, modality, index";
     assert_eq!(csv(&copy, forces), csv(&RESULTS, forces));
 
-    assert!(succeed(&copy, &["verify"]).contains("6 runs, 0 datasets, 42 files: all files are intact"));
+    assert!(succeed(&copy, &["verify"]).contains("6 runs, 0 datasets, 30 files: all files are intact"));
     let networks = files(&copy).keys().filter(|path| path.extension().unwrap() == "safetensors").count();
     assert_eq!(networks, 0);
 }

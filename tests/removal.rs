@@ -40,26 +40,29 @@ fn garbage_is_listed_with_its_size_and_removed_only_with_consent() {
 }
 
 #[test]
-fn a_run_of_before_another_one_with_its_settings_is_superseded() {
-    let results = results("superseded");
-    let (runs, again) = (results.join("runs/smoke"), names(&results.join("runs/smoke")));
-    let run = again.iter().find(|name| name.contains("seed0")).unwrap();
-    let record = fs::read_to_string(runs.join(run).join("run.json")).unwrap();
-    // The same settings on another dataset, a day later.
-    let later = run.replace("-seed0-", "-seed0-f");
-    let copy = runs.join(&later);
-    fs::create_dir(&copy).unwrap();
-    for file in names(&runs.join(run)) {
-        fs::copy(runs.join(run).join(&file), copy.join(&file)).unwrap();
+fn a_run_of_before_its_world_changed_is_superseded() {
+    let (results, folder) = (fresh("superseded"), tempfile::tempdir().unwrap());
+    for file in ["twelve.yaml", "twelve.xml"] {
+        let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("models").join(file)).unwrap();
+        fs::write(folder.path().join(file), text).unwrap();
     }
-    let year = record.split("\"started\": \"").nth(1).unwrap()[..4].parse::<u32>().unwrap();
-    let record = record.replace(run, &later).replace(
-        &format!("\"started\": \"{year}"),
-        &format!("\"started\": \"{}", year + 1),
-    );
-    fs::write(copy.join("run.json"), record).unwrap();
+    let spec = folder.path().join("spec.yaml");
+    let text = "name: twelve\nscenarios: [twelve.yaml]\ninput: proprioception\noutput: proprioception\nlatent: 2\n\
+                network: {preset: single_to_multi, hidden: [8]}\ntasks: [prediction]\n\
+                simulation: {episodes: 4, actuations_per_episode: 3}\ntraining: {epochs: 1, batch_size: 16}\n";
+    fs::write(&spec, text).unwrap();
+    succeed(&results, &["run", spec.to_str().unwrap()]);
+    let before = names(&results.join("runs/twelve"));
+    assert_eq!(succeed(&results, &["gc", "--only", "superseded"]), "nothing to remove\n");
+    let model = folder.path().join("twelve.xml");
+    let changed = fs::read_to_string(&model).unwrap().replacen("damping=\"", "damping=\"1", 1);
+    fs::write(&model, changed).unwrap();
+    // Runs are compared by the second in which they began.
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    succeed(&results, &["run", spec.to_str().unwrap()]);
+    assert_eq!(names(&results.join("runs/twelve")).len(), 2);
     let listed = succeed(&results, &["gc", "--only", "superseded"]);
-    assert!(listed.lines().next().unwrap().ends_with(&format!("superseded  smoke/{run}")), "{listed}");
+    assert!(listed.lines().next().unwrap().ends_with(&format!("superseded  twelve/{}", before[0])), "{listed}");
 }
 
 #[test]
@@ -86,7 +89,7 @@ fn chosen_runs_are_removed_and_one_in_use_is_kept() {
 fn two_runs_are_shown_side_by_side() {
     let results = results("diff");
     let runs = names(&results.join("runs/smoke"));
-    let shown = succeed(&results, &["diff", &runs[0], &runs[1]]);
+    let shown = succeed(&results, &["diff", &format!("smoke/{}", runs[0]), &format!("smoke/{}", runs[1])]);
     assert!(shown.contains(" seed ") && shown.contains("b - a") && shown.contains("wmape"), "{shown}");
     assert!(!shown.contains("batch_size"), "{shown}");
 }

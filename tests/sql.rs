@@ -133,7 +133,7 @@ fn tables_and_their_columns_can_be_listed() {
         for column in harness::schema::Table::Metrics.columns() {
             assert!(printed.contains(&column.name) && printed.contains(&*column.unit), "{sql}: {printed}");
         }
-        assert!(printed.contains("integer") && printed.contains("null where it is not defined"), "{printed}");
+        assert!(printed.contains("integer") && printed.contains("null if it is not defined"), "{printed}");
     }
     let refused = finish(&mut harness(&results, &["query", "describe metric"]));
     assert_eq!(refused.code, 2);

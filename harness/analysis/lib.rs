@@ -306,7 +306,7 @@ impl Analysis {
     /// Like [`query`](harness_registry::query).
     pub fn query(&self, experiments: &[&str], sql: &str) -> Result<DataFrame, QueryError> {
         let own = || experiments.iter().copied().filter(|name| self.experiments.contains_key(*name));
-        let rows = |of| own().map(|name| self.table(of, name, sql)).collect();
+        let rows = |of| own().filter_map(|name| self.table(of, name, sql).transpose()).collect();
         let recorded = || own().flat_map(|name| self.runs(name)).map(Run::recorded).collect();
         self.answer(sql, rows, recorded)
     }
@@ -345,17 +345,24 @@ impl Analysis {
         answer(sql, &|of| table(&self.registry, of, &recorded, sql))
     }
 
-    /// A table of an experiment's runs. It is taken from memory if the expected queries see all rows that `sql` sees.
-    fn table(&self, table: Table, experiment: &str, sql: &str) -> Result<LazyFrame, QueryError> {
+    /// A table of an experiment's runs; `None` if none of them has it. It is taken from memory if the expected queries see
+    /// all rows that `sql` sees.
+    fn table(&self, table: Table, experiment: &str, sql: &str) -> Result<Option<LazyFrame>, QueryError> {
         if self.expected.sees(sql, table) {
             let seen = self.seen(table, experiment)?.only(conditions(sql, table));
+            if seen.schema.is_empty() {
+                return Ok(None);
+            }
             seen.read(sql, &[])?;
             let schema = seen.schema.clone();
-            return Ok(lazily(seen, schema)?);
+            return Ok(Some(lazily(seen, schema)?));
         }
         let rows = self.run_table(table, experiment)?;
         let schema = rows.schema()?;
-        Ok(lazily(rows.only(conditions(sql, table)), schema)?)
+        if schema.is_empty() {
+            return Ok(None);
+        }
+        Ok(Some(lazily(rows.only(conditions(sql, table)), schema)?))
     }
 
     fn run_table(&self, table: Table, experiment: &str) -> Result<RunTable, QueryError> {

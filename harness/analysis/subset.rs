@@ -62,6 +62,9 @@ impl Subset<'_> {
         for (name, runs) in &self.runs {
             for runs in runs.chunk_by(|a, b| a.record.experiment == b.record.experiment) {
                 let seen = self.analysis.seen(of, &runs[0].record.experiment)?;
+                if seen.schema.is_empty() {
+                    continue;
+                }
                 seen.read(sql, &["run"])?;
                 let schema = seen.schema.clone();
                 let runs = runs.iter().map(|run| run.record.run.clone()).collect();

@@ -56,6 +56,11 @@ pub struct List {
 }
 
 impl List {
+    /// Whether runs are listed, and not the tasks of jobs.
+    pub fn reads_results(&self) -> bool {
+        !self.jobs
+    }
+
     /// Prints the runs with how they went, or the tasks of jobs.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         if self.jobs {

@@ -319,7 +319,8 @@ impl Command {
     /// Whether the command only reads results, so that the results folder must exist.
     fn reads_results(&self) -> bool {
         match self {
-            Self::Query(_) | Self::Claims(_) | Self::Compare(_) | Self::Ls(_) | Self::Show(_) => true,
+            Self::Query(_) | Self::Claims(_) | Self::Compare(_) | Self::Show(_) => true,
+            Self::Ls(list) => list.reads_results(),
             Self::Figures(_) | Self::Report(_) | Self::Publish(_) | Self::Verify | Self::Diff(_) => true,
             Self::Rm(_) | Self::Gc(_) | Self::Du => true,
             Self::Run(_) | Self::Collect(_) | Self::Validate(_) | Self::Submit(_) | Self::Cancel(_) => false,

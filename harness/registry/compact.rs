@@ -124,8 +124,10 @@ enum Place {
 impl RunTable {
     /// The table over `runs`, all of which must be finished runs of `experiment`.
     ///
+    /// Published runs that have no rows of the table have no file of it.
+    ///
     /// # Errors
-    /// When a run's record does not list the table's file.
+    /// When the record of another run does not list the table's file.
     pub fn new<'a>(
         registry: &Registry,
         table: Table,
@@ -134,6 +136,7 @@ impl RunTable {
     ) -> Result<Self, RegistryError> {
         let folder = registry.runs().join(experiment);
         let name = table.file_name();
+        let runs = runs.filter(|record| record.files.contains_key(&name) || !record.is_published());
         let file = |record: &RunRecord| {
             let listed = record.listed(&folder.join(&record.run), &name)?.clone();
             // Published runs are copies for version control, and few.
@@ -150,7 +153,7 @@ impl RunTable {
         Self { conditions: Arc::new(conditions), ..self }
     }
 
-    /// The names and types of the files' columns. Empty without runs.
+    /// The names and types of the files' columns. Empty if no run has a file of the table.
     ///
     /// # Errors
     /// When the first run's file is damaged.

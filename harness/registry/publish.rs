@@ -63,6 +63,9 @@ impl Registry {
                 let name = table.file_name();
                 let rows = TableFile::open(&record.check_file(folder, &name)?)?.table(None)?;
                 let kept = shown.keep(table, record, rows).map_err(TableError::from)?;
+                if kept.height() == 0 {
+                    continue;
+                }
                 write_table(&copy.path.join(&name), kept, &table.columns(), &record.stamp())?;
                 names.push(name);
             }

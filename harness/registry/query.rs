@@ -146,6 +146,9 @@ fn run_table(
     for runs in runs.chunk_by(|a, b| a.experiment == b.experiment) {
         let rows = RunTable::new(registry, table, &runs[0].experiment, runs.iter().copied())?;
         let schema = rows.schema()?;
+        if schema.is_empty() {
+            continue;
+        }
         frames.push(lazily(rows.only(conditions(sql, table)), schema)?);
     }
     if frames.len() < 2 {

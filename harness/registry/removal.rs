@@ -117,14 +117,16 @@ impl Registry {
         found
     }
 
-    /// The runs whose id, `experiment/id` or experiment is `wanted`, or begins with it up to a `-` or `/`.
+    /// The runs of the experiment `wanted`, or, without one of this name, those whose id or `experiment/id` begins with it.
     ///
     /// # Errors
     /// When there is none.
     pub fn matching(&self, wanted: &str) -> Result<Vec<Removable>, RegistryError> {
         let recorded = self.recorded();
-        let is_match = |record: &RunRecord| {
-            record.experiment == wanted || record.run.starts_with(wanted) || record.name().starts_with(wanted)
+        let is_experiment = recorded.iter().any(|(_, record)| record.experiment == wanted);
+        let is_match = |record: &RunRecord| match is_experiment {
+            true => record.experiment == wanted,
+            false => record.run.starts_with(wanted) || record.name().starts_with(wanted),
         };
         let mut matching = recorded.iter().filter(|(_, record)| is_match(record)).peekable();
         if matching.peek().is_none() {

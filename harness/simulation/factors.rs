@@ -234,7 +234,7 @@ mod tests {
     fn draws_stay_within_their_range_and_have_their_mean() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let mut mean_of = |drawing: Drawing, [low, high]: [f64; 2]| {
-            let values: Vec<f64> = (0..20_000).map(|_| draw_value(&drawing, &mut rng)).collect();
+            let values: Vec<f64> = (0..200_000).map(|_| draw_value(&drawing, &mut rng)).collect();
             assert!(values.iter().all(|value| (low..=high).contains(value)), "{drawing}");
             values.iter().sum::<f64>() / values.len() as f64
         };

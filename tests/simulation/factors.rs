@@ -216,7 +216,7 @@ const SOME: [&str; 6] =
 #[test]
 fn factors_off_leave_every_bit_as_in_a_world_that_declares_none() {
     let text = include_str!("../../models/cluttered.yaml");
-    let (before, after) = (text.find("factors:").unwrap(), text.find("# Told by").unwrap());
+    let (before, after) = (text.find("factors:").unwrap(), text.find("# The parts are found by").unwrap());
     let without =
         World::parse("plain.yaml", None, "cluttered", &(text[..before].to_owned() + &text[after..]));
     let own = scene(Scenario::CLUTTERED);
