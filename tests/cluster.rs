@@ -141,11 +141,17 @@ fn a_submission_is_three_jobs_that_wait_for_each_other() {
     fs::write(folder.join("train-1.log"), "task 1 begins\nsmoke: 3/8 epochs\n").unwrap();
     fs::write(folder.join("collect-1.log"), "task 1 ends with code 0\n").unwrap();
     let listed = with_slurm(slurm.path(), &results, &["ls", "--jobs"]).stdout;
-    for part in ["running", "node7", "1:23", "3/8 epochs", "pending", "Resources", "ended", "ends with code 0"] {
+    for part in
+        ["running", "node7", "1:23", "3/8 epochs", "pending", "Resources", "ended", "ends with code 0"]
+    {
         assert!(listed.contains(part), "{part}: {listed}");
     }
     let cancelled = with_slurm(slurm.path(), &results, &["cancel", "smoke"]);
-    assert!(cancelled.stdout.contains("is cancelled; what its tasks have done is kept"), "{}", cancelled.stdout);
+    assert!(
+        cancelled.stdout.contains("is cancelled; what its tasks have done is kept"),
+        "{}",
+        cancelled.stdout
+    );
     let calls = fs::read_to_string(slurm.path().join("calls")).unwrap();
     assert!(calls.lines().last().unwrap().ends_with("scancel 102"), "{calls}");
     let unknown = with_slurm(slurm.path(), &results, &["cancel", "other"]);

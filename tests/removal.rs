@@ -17,7 +17,8 @@ fn results(name: &str) -> PathBuf {
 
 fn names(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    let mut names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
     names.sort();
     names
 }
@@ -43,7 +44,8 @@ fn garbage_is_listed_with_its_size_and_removed_only_with_consent() {
 fn a_run_of_before_its_world_changed_is_superseded() {
     let (results, folder) = (fresh("superseded"), tempfile::tempdir().unwrap());
     for file in ["twelve.yaml", "twelve.xml"] {
-        let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("models").join(file)).unwrap();
+        let text =
+            fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("models").join(file)).unwrap();
         fs::write(folder.path().join(file), text).unwrap();
     }
     let spec = folder.path().join("spec.yaml");
@@ -62,14 +64,19 @@ fn a_run_of_before_its_world_changed_is_superseded() {
     succeed(&results, &["run", spec.to_str().unwrap()]);
     assert_eq!(names(&results.join("runs/twelve")).len(), 2);
     let listed = succeed(&results, &["gc", "--only", "superseded"]);
-    assert!(listed.lines().next().unwrap().ends_with(&format!("superseded  twelve/{}", before[0])), "{listed}");
+    assert!(
+        listed.lines().next().unwrap().ends_with(&format!("superseded  twelve/{}", before[0])),
+        "{listed}"
+    );
 }
 
 #[test]
 fn chosen_runs_are_removed_and_one_in_use_is_kept() {
     let results = results("removed");
     let run = names(&results.join("runs/smoke")).remove(0);
-    let file = fs::OpenOptions::new().write(true).open(results.join("runs/smoke").join(&run).join(".unfinished-lock"));
+    let file = fs::OpenOptions::new()
+        .write(true)
+        .open(results.join("runs/smoke").join(&run).join(".unfinished-lock"));
     let lock = file.unwrap();
     lock.lock().unwrap();
     let answer = finish(&mut harness(&results, &["rm", "smoke/", "--yes"]));

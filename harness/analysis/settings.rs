@@ -46,7 +46,8 @@ pub fn differing(a: &RunRecord, b: &RunRecord) -> Vec<(String, String, String)> 
     };
     let (a, b) = (all(a), all(b));
     let keys: BTreeSet<&String> = a.keys().chain(b.keys()).collect();
-    let values = keys.into_iter().map(|key| (key.clone(), value(&a, key).to_owned(), value(&b, key).to_owned()));
+    let values =
+        keys.into_iter().map(|key| (key.clone(), value(&a, key).to_owned(), value(&b, key).to_owned()));
     values.filter(|(_, a, b)| a != b).collect()
 }
 

@@ -1,8 +1,8 @@
 //! `harness query`, `ls`, `show` and `schema`.
 
 use super::layers;
-use super::{DONE, submit};
 use super::table::{print, shown};
+use super::{DONE, submit};
 use anyhow::Result;
 use clap::Args;
 use harness::registry::{self, Registry};
@@ -75,7 +75,8 @@ impl List {
         conditions.extend(self.status.iter().map(|status| format!("status = {}", text(status))));
         let chosen = if conditions.is_empty() { "true".to_owned() } else { conditions.join(" and ") };
         let order = if self.sort == "run" { String::new() } else { format!("{}, ", self.sort) };
-        let seconds = "collect_seconds + prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds";
+        let seconds =
+            "collect_seconds + prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds";
         print(&registry::query(
             registry,
             &format!(

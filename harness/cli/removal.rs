@@ -46,7 +46,8 @@ pub struct Collect {
 
 impl Collect {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let is_wanted = |reason: &Garbage| self.only.is_empty() || self.only.iter().any(|only| only == reason.name());
+        let is_wanted =
+            |reason: &Garbage| self.only.is_empty() || self.only.iter().any(|only| only == reason.name());
         let wanted: Vec<Garbage> = Garbage::ALL.into_iter().filter(is_wanted).collect();
         let found = registry.garbage(&wanted);
         for (reason, item) in &found {

@@ -94,14 +94,8 @@ fn make(
     }
     let samples = missing.len() * dataset.spec().samples_per_episode();
     progress.begin(&format!("collecting {}", scene.scenario()), samples as u64, "samples");
-    let work = Work {
-        dataset,
-        scene,
-        missing,
-        next: AtomicUsize::new(0),
-        failure: Mutex::new(None),
-        progress,
-    };
+    let work =
+        Work { dataset, scene, missing, next: AtomicUsize::new(0), failure: Mutex::new(None), progress };
     std::thread::scope(|scope| {
         let spawn = |_| scope.spawn(|| work.take_part());
         let workers: Vec<_> = (0..threads.clamp(1, missing.len())).map(spawn).collect();

@@ -28,10 +28,10 @@ pub use compact::RunTable;
 pub use provenance::{Provenance, Versions, peak_memory_bytes};
 pub use publish::Published;
 pub use query::{QueryError, answer, query, query_of, rows, save, table};
-pub use removal::{Garbage, Removable, Usage};
 pub use record::{
     FileRecord, ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings,
 };
+pub use removal::{Garbage, Removable, Usage};
 pub use rows::{Condition, Terms, conditions, implies};
 pub use verify::{Finding, Report};
 

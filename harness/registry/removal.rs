@@ -108,9 +108,7 @@ impl Registry {
             }
         }
         if wanted.contains(&Garbage::Unused) {
-            let is_unused = |folder: &PathBuf| {
-                Dataset::at(folder).is_ok() && !used.contains(&name(folder))
-            };
+            let is_unused = |folder: &PathBuf| Dataset::at(folder).is_ok() && !used.contains(&name(folder));
             let unused = folders(&self.datasets()).into_iter().filter(is_unused);
             found.extend(unused.map(|folder| (Garbage::Unused, removable(&folder, name(&folder)))));
         }
@@ -186,7 +184,11 @@ fn superseded<'a>(records: impl Iterator<Item = &'a RunRecord>) -> BTreeSet<Stri
 }
 
 fn removable(folder: &Path, name: String) -> Removable {
-    Removable { path: folder.to_owned(), name, bytes: files(folder).into_iter().map(|(_, bytes)| bytes).sum() }
+    Removable {
+        path: folder.to_owned(),
+        name,
+        bytes: files(folder).into_iter().map(|(_, bytes)| bytes).sum(),
+    }
 }
 
 fn name(path: &Path) -> String {

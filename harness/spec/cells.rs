@@ -73,7 +73,8 @@ impl Experiment {
                 found.push((run.scenario, simulation));
             }
         }
-        let with_world = |(origin, simulation): (Origin, Simulation)| Some((self.world(&origin)?, simulation));
+        let with_world =
+            |(origin, simulation): (Origin, Simulation)| Some((self.world(&origin)?, simulation));
         found.into_iter().filter_map(with_world).collect()
     }
 
