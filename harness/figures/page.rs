@@ -375,17 +375,20 @@ fn encoded([width, height]: [u32; 2], pixels: &[[u8; 3]]) -> Result<Vec<u8>, png
     Ok(bytes)
 }
 
+/// Red, green and blue.
+type Rgb = [u8; 3];
+
 /// The most frequent colours, and the place of each colour's nearest among them; `None` where one is too far from it.
-fn palette(pixels: &[[u8; 3]]) -> Option<(Vec<[u8; 3]>, BTreeMap<[u8; 3], u8>)> {
-    let mut counts: BTreeMap<[u8; 3], usize> = BTreeMap::new();
+fn palette(pixels: &[Rgb]) -> Option<(Vec<Rgb>, BTreeMap<Rgb, u8>)> {
+    let mut counts: BTreeMap<Rgb, usize> = BTreeMap::new();
     for run in pixels.chunk_by(|a, b| a == b) {
         *counts.entry(run[0]).or_default() += run.len();
     }
-    let mut colours: Vec<[u8; 3]> = counts.keys().copied().collect();
+    let mut colours: Vec<Rgb> = counts.keys().copied().collect();
     colours.sort_by_key(|colour| Reverse(counts[colour]));
     colours.truncate(PALETTE);
-    let nearest = |colour: &[u8; 3]| {
-        let distance = |other: &[u8; 3]| -> u32 {
+    let nearest = |colour: &Rgb| {
+        let distance = |other: &Rgb| -> u32 {
             colour.iter().zip(other).map(|(a, b)| u32::from(a.abs_diff(*b)).pow(2)).sum()
         };
         let distances = (0..=u8::MAX).zip(&colours).map(|(place, other)| (distance(other), place));

@@ -165,8 +165,8 @@ fn blocks(runs: &Runs) -> Result<Vec<Block>, FigureError> {
 /// Rows and columns of a scenario's frame difference, pixels.
 fn picture_size(runs: &Runs, scenario: &str) -> [usize; 2] {
     let of_scenario = runs.all.iter().filter(|run| run.record.spec.scenario.name() == scenario);
-    let sizes = of_scenario.filter_map(|run| run.record.layout.get(Modality::FRAME_DIFFERENCE)?.size());
-    sizes.last().unwrap_or_default()
+    let mut sizes = of_scenario.filter_map(|run| run.record.layout.get(Modality::FRAME_DIFFERENCE)?.size());
+    sizes.next_back().unwrap_or_default()
 }
 
 fn trials(runs: &Runs, scenario: &str, size: [usize; 2]) -> Result<Vec<Trial>, FigureError> {

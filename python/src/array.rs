@@ -53,6 +53,7 @@ struct Memory {
 
 // SAFETY: its fields never change, and its memory is used only by the thread that holds the interpreter's lock.
 unsafe impl Send for Memory {}
+// SAFETY: as above.
 unsafe impl Sync for Memory {}
 
 impl Memory {

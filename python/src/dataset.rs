@@ -153,12 +153,13 @@ impl Dataset {
             return Err(PyKeyError::new_err(format!("the dataset has no '{name}' in memory; it has {all}")));
         };
         let definition = &samples.layout()[modality];
-        // SAFETY (of both views): a dataset never changes, and the array owns a reference to it.
         match definition.size() {
             Some([rows, columns]) => {
                 let shape = [samples.len(), IMAGE_CHANNELS, rows, columns];
+                // SAFETY: a dataset never changes, and the array owns a reference to it.
                 pixels_last(unsafe { view(slf, samples.image(modality), &shape) }?)
             }
+            // SAFETY: as above.
             None => unsafe { view(slf, samples.vectors(modality), &[samples.len(), definition.width()]) },
         }
     }
