@@ -68,7 +68,7 @@ class Dataset:
     def seed(self) -> int | None:
         """Seed of the dataset. With the scenario and an episode's index it determines the episode. None if imported."""
     @property
-    def episodes(self) -> NDArray[np.uint64]:
+    def episodes(self) -> NDArray[np.int64]:
         """Range of each episode's samples, `[episodes, 2]`: the first, and one past the last."""
 
 @final

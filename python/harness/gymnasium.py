@@ -84,7 +84,11 @@ class SoftFinger(gymnasium.Env[Any, Any]):
 
 
 class SoftFingerVector(VectorEnv[Any, Any, Any]):
-    """`num_envs` fingers, stepped in parallel. The step after an episode's end ignores the action and resets."""
+    """`num_envs` fingers, stepped in parallel. The step after an episode's end ignores the action and resets.
+
+    An episode is truncated after `samples` actions, or after `max_episode_steps` if that is fewer, as Gymnasium's
+    `TimeLimit` does it for a single environment. -1 sets no such limit.
+    """
 
     metadata = {
         "render_modes": ["rgb_array"],
@@ -104,8 +108,11 @@ class SoftFingerVector(VectorEnv[Any, Any, Any]):
         render_mode: str | None = None,
         width: int = 480,
         height: int = 480,
+        max_episode_steps: int | None = None,
     ) -> None:
         check_render_mode(render_mode)
+        if max_episode_steps is not None and max_episode_steps != -1:
+            samples = min(samples, max_episode_steps)
         self.episodes = Episodes(scenario, task, num_envs, modalities=modalities, samples=samples, spec=spec)
         self.num_envs = num_envs
         self.render_mode = render_mode

@@ -85,8 +85,9 @@ def test_gymnasiums_checker_finds_nothing(name: str) -> None:
     environment.close()
 
 
-def test_a_vector_environment_is_as_many_single_ones() -> None:
-    name, arguments = "SoftFinger-Cluttered-Press-v0", {"samples": 4, "modalities": ("contact_force", "vision")}
+@pytest.mark.parametrize("limit", [{"samples": 4}, {"max_episode_steps": 3}])
+def test_a_vector_environment_is_as_many_single_ones(limit: dict[str, int]) -> None:
+    name, arguments = "SoftFinger-Cluttered-Press-v0", {**limit, "modalities": ("contact_force", "vision")}
     together = gymnasium.make_vec(name, 3, vectorization_mode="vector_entry_point", **arguments)
     apart = gymnasium.make_vec(name, 3, vectorization_mode="sync", **arguments)
     assert together.single_observation_space == apart.single_observation_space
