@@ -1,22 +1,44 @@
-//! What can be wrong with a spec, and how it is said.
+//! Errors in a spec, and their messages.
 
 use serde_yaml::Location;
 
-/// Why a spec was refused: one message that says what, where, and what is allowed.
+/// Why a spec was refused. The message says in one line what is wrong, where, and what is allowed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SpecError {
     /// The file could not be read as text.
     #[error("{path}: {message}")]
-    Unreadable { path: String, message: String },
-    /// Something in the file, at a line and a column counted from 1.
+    Unreadable {
+        /// Path of the file.
+        path: String,
+        /// Why it could not be read.
+        message: String,
+    },
+    /// A value or a key in the file is wrong.
     #[error("{path}:{line}:{column}: {message}")]
-    Invalid { path: String, line: u64, column: u64, message: String },
-    /// A name that is no world's.
+    Invalid {
+        /// Path of the file.
+        path: String,
+        /// Line of the fault, counted from 1.
+        line: u64,
+        /// Column of the fault, counted from 1.
+        column: u64,
+        /// What is wrong, and what is allowed.
+        message: String,
+    },
+    /// No world has the given name.
     #[error("{message}")]
-    NoWorld { message: String },
-    /// Something in an override.
+    NoWorld {
+        /// The unknown name, and the names that exist.
+        message: String,
+    },
+    /// An override is wrong.
     #[error("override '{text}': {message}")]
-    Override { text: String, message: String },
+    Override {
+        /// The override as it was given, shortened.
+        text: String,
+        /// What is wrong, and what is allowed.
+        message: String,
+    },
 }
 
 /// Where a value was written.
@@ -32,7 +54,7 @@ impl Origin {
     /// The beginning of the file.
     pub const START: Self = Self::File { line: 1, column: 1 };
 
-    /// A parser's location; where the parser knows none, the beginning of the file.
+    /// Returns a parser's location, or the beginning of the file if the location is unknown.
     pub fn at(location: Location) -> Self {
         if location == Location::UNKNOWN {
             return Self::START;
@@ -61,7 +83,7 @@ impl Problem {
         }
     }
 
-    /// Adds what was done to the file before it had this problem, unless the origin says so itself.
+    /// Adds `what` was done to the spec before the problem appeared. A problem in an override says so already.
     pub fn after(mut self, what: &str) -> Self {
         if matches!(self.origin, Origin::File { .. }) {
             self.message = format!("{} (after {what})", self.message);

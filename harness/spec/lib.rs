@@ -1,9 +1,9 @@
-//! What an experiment asks for: the types of a YAML spec, its validation, and the runs it expands to.
+//! The types of a YAML spec, its validation, and the runs that an experiment expands to.
 //!
 //! The types are strict: unknown keys, wrong types and impossible values are refused with file, line and
-//! column. A loaded [`Experiment`] is resolved: overrides applied, every default explicit, modalities in the
-//! order of [`Modality`], `quick` dealt with and empty, so that two specs that mean the same are equal.
-//! Derived values are kept out.
+//! column. A loaded [`Experiment`] is resolved: overrides are applied, every default is explicit, modalities are in
+//! the order of [`Modality`], and `quick` is applied or dropped. Two specs with the same meaning are therefore equal.
+//! Derived values are not stored.
 
 mod cells;
 mod episode;
@@ -35,19 +35,24 @@ use parse::{Entry, Node, Value};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Reads a spec, applies its own `quick` settings if `quick` says so, then `overrides` (`KEY=VALUE`, the key
-/// dotted and the value YAML), and resolves it. With `quick` its name ends in `-quick`, so that small results
-/// never stand among those that count. A setting that the spec varies is tried with its value in `quick` or in an
-/// override alone.
+/// Reads and resolves a spec. It applies the spec's `quick` settings if `quick` is true, and then `overrides`.
+///
+/// An override is `KEY=VALUE`, with a dotted key and a YAML value. With `quick`, the experiment's name ends in
+/// `-quick`, so that results of small runs are kept apart from the others. If `quick` or an override sets a setting
+/// that the spec varies, only that value is tried.
 ///
 /// # Errors
-/// The first fault of the spec as it stands in the file, of its `quick` settings, even when they are not
-/// applied, or of the overrides.
+/// Returns the first fault of the spec in the file, of its `quick` settings (even if they are not applied), or of the
+/// overrides.
 pub fn load(path: &Path, overrides: &[String], quick: bool) -> Result<Experiment, SpecError> {
     parse_spec(&path.display().to_string(), &parse::read(path)?, overrides, quick)
 }
 
-/// The same for a spec's text; `path` is what messages call it, and paths of world files start in its folder.
+/// Resolves a spec like [`load`], but from its text. Messages call the text `path`, and the paths of world files are
+/// relative to the folder of `path`.
+///
+/// # Errors
+/// See [`load`].
 pub fn parse_spec(
     path: &str,
     text: &str,
@@ -62,7 +67,7 @@ pub fn parse_spec(
     Ok(experiment)
 }
 
-/// What the name of an experiment ends in whose runs have its spec's `quick` settings.
+/// Suffix of the experiment's name if its `quick` settings are applied.
 pub const QUICK: &str = "-quick";
 
 const NOT_QUICK: &str = "there is no 'quick' section, so a quick run would be the full one under another name; add the \
@@ -99,7 +104,7 @@ fn load_text(path: &Path, text: &str, overrides: &[String], quick: bool) -> Resu
     Ok(experiment)
 }
 
-/// Checks what each combination of a reading, a role and the settings under `vary` makes of the experiment.
+/// Checks the experiment with each combination of a reading, a role and the settings under `vary`.
 fn check_variants(folder: &Path, tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
     let given = varied_settings(tree);
     for combination in experiment.combinations() {
@@ -115,7 +120,7 @@ fn check_variants(folder: &Path, tree: &Node, experiment: &Experiment) -> Result
     Ok(())
 }
 
-/// The settings that a tree varies, with each of their values, as they were written.
+/// Returns the settings that a tree varies: one entry for each value, as written in the spec.
 fn varied_settings(tree: &Node) -> Vec<Entry> {
     let section = |node: Option<&Node>| match node.map(|node| &node.value) {
         Some(Value::Section(entries)) => entries.clone(),
@@ -134,7 +139,8 @@ fn varied_settings(tree: &Node) -> Vec<Entry> {
     of_readings.chain(of_roles).chain(varied).collect()
 }
 
-/// The experiment that a tree describes, checked, with every default explicit; paths of world files start in `folder`.
+/// Returns the experiment that a tree describes, checked and with every default explicit. Paths of world files are
+/// relative to `folder`.
 fn resolve(folder: &Path, tree: &Node) -> Result<Experiment, Problem> {
     schema::check(tree)?;
     let mut experiment: Experiment = serde_json::from_value(tree.to_json())
@@ -147,7 +153,7 @@ fn resolve(folder: &Path, tree: &Node) -> Result<Experiment, Problem> {
     Ok(experiment)
 }
 
-/// The worlds of the files among `scenarios`.
+/// Loads the worlds of the world files among `scenarios`.
 fn worlds(folder: &Path, tree: &Node, scenarios: &[Origin]) -> Result<Vec<Arc<World>>, Problem> {
     let mut worlds: Vec<Arc<World>> = Vec::new();
     for (index, origin) in scenarios.iter().enumerate() {
@@ -166,7 +172,7 @@ fn worlds(folder: &Path, tree: &Node, scenarios: &[Origin]) -> Result<Vec<Arc<Wo
 }
 
 impl Experiment {
-    /// Sets what the spec leaves to its worlds: rates, and the worlds' own settings.
+    /// Sets the values that the spec leaves out to those of its worlds: the rates, and the worlds' own settings.
     fn take_defaults_of_worlds(&mut self, tree: &Node) -> Result<(), validate::Fault> {
         let worlds: Vec<Arc<World>> = self.scenarios.iter().filter_map(|origin| self.world(origin)).collect();
         let given = |key: &str| tree.get("simulation").is_some_and(|section| section.get(key).is_some());
@@ -195,8 +201,8 @@ impl Experiment {
         Ok(())
     }
 
-    /// Gives specs that mean the same the same value: the order of modalities, a weight of 1, a squared loss and the
-    /// default gap make no difference when they are left out, and `quick` has been dealt with.
+    /// Makes specs with the same meaning equal: sorts the modalities, makes the default weights, channels and gap
+    /// explicit, removes squared losses, which are the default, and clears `quick`.
     fn make_canonical(&mut self) {
         self.input.sort();
         self.output.sort();
@@ -208,7 +214,7 @@ impl Experiment {
         self.training
             .losses
             .retain(|modality, loss| self.output.contains(modality) && *loss != Loss::Squared);
-        // Only a dataset can tell whether a modality that no world declares is an image.
+        // A modality that no world declares may be an image: only its dataset defines it.
         let may_be_image = |modality: &Modality| {
             self.scenarios
                 .iter()
@@ -227,7 +233,7 @@ impl Experiment {
         self.quick.clear();
     }
 
-    /// The spec as YAML with every value explicit; loading it gives an equal experiment.
+    /// Returns the spec as YAML with every value explicit. Loading it gives an equal experiment.
     pub fn to_yaml(&self) -> String {
         serde_yaml::to_string(self).expect("a spec is plain data, which YAML can hold")
     }

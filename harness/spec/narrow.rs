@@ -1,12 +1,12 @@
-//! Overrides of an experiment, cut down to one of its runs.
+//! Narrows the overrides of an experiment to one of its runs.
 
 use super::cells::{DATASET_SEED, RunSpec, named};
 use super::types::Origin;
 use std::collections::BTreeMap;
 
 impl RunSpec {
-    /// What an override (`KEY=VALUE`) of the experiment comes to for this run alone: of `seeds=[0,1,2]` it is `seeds=[1]`
-    /// for a run of seed 1. Any other text stays as it is.
+    /// Narrows an override (`KEY=VALUE`) of the experiment to this run: `seeds=[0,1,2]` becomes `seeds=[1]` for a run with
+    /// seed 1. Overrides of single values, and texts that are no overrides, are returned unchanged.
     pub fn own_override(&self, text: &str) -> String {
         let Some((key, value)) = text.split_once('=') else { return text.to_owned() };
         match key.trim() {
@@ -20,7 +20,7 @@ impl RunSpec {
         }
     }
 
-    /// The override of `scenarios` by the one that is this run's: a world file by its path.
+    /// Returns the override of `scenarios` with only this run's scenario; a world file is given by its path.
     fn own_scenario(&self, given: &str) -> Option<String> {
         let all: Vec<Origin> =
             serde_yaml::from_str(given).or_else(|_| serde_yaml::from_str(given).map(|one| vec![one])).ok()?;
@@ -28,7 +28,7 @@ impl RunSpec {
         Some(format!("scenarios=[{}]", String::from(own)))
     }
 
-    /// The override of `vary` by the one combination of settings that this run has.
+    /// Returns the override of `vary` with only this run's values.
     fn own_variant(&self, varied: &str) -> Option<String> {
         let mut varied: BTreeMap<String, Vec<serde_json::Value>> = serde_yaml::from_str(varied).ok()?;
         for (key, values) in &mut varied {

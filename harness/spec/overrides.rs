@@ -4,7 +4,7 @@ use super::error::{Origin, Problem};
 use super::parse::{self, Entry, Node, Value};
 use super::schema;
 
-/// Key of the settings to try in every combination.
+/// Key of the settings that are tried in every combination.
 const VARY: &str = "vary";
 /// Keys of the other readings, and of the experiments that runs stand for.
 const READINGS: &str = "readings";
@@ -43,10 +43,10 @@ fn not_a_setting(key: &str, value: &str, names: &[&str]) -> String {
     format!("'{key}' is a section; override its keys one by one: {}", section.join(", "))
 }
 
-/// Applies settings to a tree that has passed the checks; of two for the same key, the later one stands. A setting that
-/// the tree varies is tried with the value given here alone.
+/// Applies settings to a tree that has passed the checks. If a key is set twice, the later value is used. A setting that
+/// the tree varies is tried only with the value given here.
 pub(super) fn apply(tree: &mut Node, settings: &[Entry]) {
-    // What is varied comes first, so that the order of the settings makes no difference to what is tried.
+    // `vary` is applied first, so that the result does not depend on the order of the settings.
     let (varied, others): (Vec<&Entry>, Vec<&Entry>) =
         settings.iter().partition(|setting| setting.key == VARY);
     for setting in varied.into_iter().chain(others) {
@@ -55,7 +55,7 @@ pub(super) fn apply(tree: &mut Node, settings: &[Entry]) {
     }
 }
 
-/// Leaves a setting that the tree varies this one value, also in readings and roles.
+/// Replaces all values of a varied setting by this one, also in readings and roles.
 fn try_alone(tree: &mut Node, setting: &Entry) {
     if let Some(Node { value: Value::Section(varied), .. }) = tree.get_mut(VARY)
         && let Some(entry) = varied.iter_mut().find(|entry| entry.key == setting.key)
@@ -74,14 +74,14 @@ fn try_alone(tree: &mut Node, setting: &Entry) {
     }
 }
 
-/// Gives a setting another value where it has one.
+/// Replaces the value of a setting if it has one.
 fn replace(settings: &mut Node, setting: &Entry) {
     if let Some(node) = settings.get_mut(&setting.key) {
         *node = setting.node.clone();
     }
 }
 
-/// Sets the value at `path`, and makes the sections on the way.
+/// Sets the value at `path`, and creates the sections above it.
 fn set(section: &mut Node, path: &str, setting: &Entry) {
     let (key, rest) = path.split_once('.').map_or((path, None), |(key, rest)| (key, Some(rest)));
     let Value::Section(entries) = &mut section.value else { return };

@@ -1,4 +1,4 @@
-//! YAML text to a tree in which every value knows where it was written.
+//! Parses YAML text into a tree in which every value has its place in the text.
 
 use super::error::{Origin, Problem, SpecError};
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
@@ -9,7 +9,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// The largest file that is read, bytes.
+/// Size of the largest file that is read, bytes.
 pub(super) const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// A YAML value and where it was written.
@@ -40,7 +40,7 @@ pub(super) struct Entry {
 }
 
 impl Node {
-    /// The value of `key`, if this is a section that has it.
+    /// Returns the value of `key`; `None` if this is not a section, or lacks the key.
     pub fn get(&self, key: &str) -> Option<&Node> {
         match &self.value {
             Value::Section(entries) => entries.iter().find(|entry| entry.key == key).map(|entry| &entry.node),
@@ -48,7 +48,7 @@ impl Node {
         }
     }
 
-    /// The same, to be changed.
+    /// Like [`Node::get`], but mutable.
     pub fn get_mut(&mut self, key: &str) -> Option<&mut Node> {
         match &mut self.value {
             Value::Section(entries) => {
@@ -58,8 +58,8 @@ impl Node {
         }
     }
 
-    /// Where the value at a dotted path was written; where it was not, the nearest section around it.
-    /// A number in the path is an index into a list.
+    /// Returns where the value at a dotted path was written. If it is missing, returns the place of the innermost
+    /// section around it. A number in the path is an index into a list.
     pub fn origin_of(&self, path: &str) -> &Origin {
         let mut node = self;
         for step in path.split('.') {
@@ -73,7 +73,7 @@ impl Node {
         &node.origin
     }
 
-    /// The same value, said to come from `origin` altogether.
+    /// Returns the value with `origin` as the place of all its parts.
     pub fn attributed_to(mut self, origin: &Origin) -> Node {
         self.origin = origin.clone();
         self.value = match self.value {
@@ -95,7 +95,7 @@ impl Node {
         self
     }
 
-    /// The value as JSON; a number that JSON cannot hold becomes null, so check the tree first.
+    /// Returns the value as JSON. A number that JSON cannot hold becomes null, so check the tree first.
     pub fn to_json(&self) -> serde_json::Value {
         match &self.value {
             Value::Null => serde_json::Value::Null,
@@ -112,7 +112,7 @@ impl Node {
 }
 
 impl fmt::Display for Value {
-    /// As a message names what was found.
+    /// Writes the value as it appears after "found" in a message.
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match self {
             Value::Null => write!(f, "nothing"),
@@ -127,14 +127,17 @@ impl fmt::Display for Value {
     }
 }
 
-/// A text from a file as a message quotes it: on one line, and not endless.
+/// Shortens a text to 60 characters on one line, to quote it in a message.
 pub(super) fn shorten(text: &str) -> String {
     const LONGEST: usize = 60;
     let shown: String = text.chars().take(LONGEST).flat_map(char::escape_debug).collect();
     if text.chars().nth(LONGEST).is_some() { shown + "…" } else { shown }
 }
 
-/// The text of a YAML file.
+/// Reads the text of a YAML file.
+///
+/// # Errors
+/// When the file is missing, is a directory, is larger than 1 MiB, can't be read, or is not UTF-8.
 pub fn read(path: &Path) -> Result<String, SpecError> {
     let unreadable = |message: String| SpecError::Unreadable { path: path.display().to_string(), message };
     if path.is_dir() {
@@ -145,7 +148,7 @@ pub fn read(path: &Path) -> Result<String, SpecError> {
         _ => unreadable(format!("can't be opened: {error}")),
     })?;
     let mut bytes = Vec::new();
-    // One byte more than allowed tells an oversized file, also where metadata has no size (a pipe, a device).
+    // Reading one byte more than allowed detects a file that is too large, even a pipe, whose metadata has no size.
     file.take(MAX_FILE_BYTES + 1)
         .read_to_end(&mut bytes)
         .map_err(|error| unreadable(format!("can't be read: {error}")))?;
@@ -159,13 +162,13 @@ pub fn read(path: &Path) -> Result<String, SpecError> {
     })
 }
 
-/// The tree of one YAML document.
+/// Parses one YAML document.
 pub(super) fn parse(text: &str) -> Result<Node, Problem> {
     let options = serde_yaml::options! {
         with_snippet: false,
         strict_booleans: true,
         non_finite_float_policy: NonFiniteFloatPolicy::PassThrough,
-        // A spec is small: anything near these limits is a mistake or an attack by nested aliases.
+        // A spec is small. A document that exceeds these limits is a mistake, or an attack with nested aliases.
         budget: serde_yaml::budget! { max_depth: 16, max_nodes: 100_000 },
         alias_limits: serde_yaml::alias_limits! { max_total_replayed_events: 10_000 },
     };

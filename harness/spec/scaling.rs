@@ -1,4 +1,4 @@
-//! How a modality's values are scaled for a network, and what range its predictions have.
+//! The scaling of a modality's values for a network, and the lower bound of its predictions.
 
 use super::modality::Modality;
 use super::types::{by_modality, names};
@@ -18,30 +18,33 @@ pub enum Scale {
 }
 names!(Scale { Shared => "shared", PerElement => "per_element" });
 
-/// How one modality is scaled and bounded.
+/// The scaling and the lower bound of one modality.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scaling {
+    /// Which standard deviation the values are divided by.
     pub scale: Scale,
-    /// The least value of a prediction, in physical units; predictions below it are set to it.
+    /// The least value of a prediction, in physical units. Lower predictions are set to it. `None` means no bound.
     pub minimum: Option<f64>,
 }
 
-/// One scaling a modality.
+/// The scaling of each modality.
 pub type Scalings = BTreeMap<Modality, Scaling>;
 
-/// What a spec says of how a modality is scaled; what it leaves out, the world or the dataset says.
+/// The scaling of a modality as given in a spec. Values that are left out come from the world or the dataset.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GivenScaling {
+    /// Which standard deviation the values are divided by; `None` if the spec does not say.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scale: Option<Scale>,
-    /// `Some(None)` is a `null` that stands in the spec.
+    /// The least value of a prediction, in physical units. `None` if the spec does not say; `Some(None)` if the spec
+    /// has `null`, which means no bound.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "present")]
     pub minimum: Option<Option<f64>>,
 }
 
-/// What a spec says of some modalities.
+/// The scaling of modalities as given in a spec.
 pub type GivenScalings = BTreeMap<Modality, GivenScaling>;
 
 fn present<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Option<f64>>, D::Error> {
@@ -49,7 +52,7 @@ fn present<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Option<f
 }
 
 impl GivenScaling {
-    /// With what it leaves out as in `default`.
+    /// Fills in the values that are left out with those of `default`.
     pub fn or(self, default: Scaling) -> Scaling {
         Scaling {
             scale: self.scale.unwrap_or(default.scale),
@@ -59,14 +62,15 @@ impl GivenScaling {
 }
 
 impl Scaling {
-    /// What a modality had before it was a setting: a vector's elements scaled one by one, and no minimum.
+    /// Returns the scaling that was in use before it became a setting: an image has one scale, each element of a vector
+    /// has its own, and there is no minimum.
     pub fn plain(is_image: bool) -> Self {
         let scale = if is_image { Scale::Shared } else { Scale::PerElement };
         Self { scale, minimum: None }
     }
 }
 
-/// A section a modality, each with the keys of [`GivenScaling`].
+/// The JSON schema of [`GivenScalings`]: one section for each modality, with the keys of [`GivenScaling`].
 pub(super) fn schema(generator: &mut SchemaGenerator) -> Schema {
     let scale = generator.subschema_for::<Scale>();
     let minimum = json_schema!({
