@@ -1,4 +1,4 @@
-//! The runs that an experiment expands to. All that decides one run's result is in its [`RunSpec`].
+//! The runs that an experiment expands to. A [`RunSpec`] holds everything that a run's result depends on.
 
 use super::modality::{Layout, Modality};
 use super::scaling::{GivenScaling, Scaling, Scalings};
@@ -11,44 +11,49 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::sync::Arc;
 
-/// Key of the setting that tells several datasets of one simulation apart.
+/// Key of the setting that distinguishes datasets of the same simulation.
 pub(super) const DATASET_SEED: &str = "simulation.seed";
 
-/// One run: a cell (scenario, modalities, latent size, network) with one seed. It holds everything that
-/// decides the result and nothing that does not, so runs of different experiments with equal specs are equal.
+/// The spec of one run: a cell (scenario, modalities, latent size, network) with one seed. It holds everything that the
+/// result depends on, and nothing else. Runs of different experiments with equal specs are therefore equal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunSpec {
+    /// The world that is simulated, or the imported dataset.
     pub scenario: Origin,
-    /// What the encoder is given, in the order of [`Modality`].
+    /// Input modalities of the encoder, in the order of [`Modality`].
     pub input: Vec<Modality>,
-    /// What the decoder predicts, in the order of [`Modality`].
+    /// Output modalities of the decoder, in the order of [`Modality`].
     pub output: Vec<Modality>,
     /// Size of the latent state.
     pub latent: usize,
-    /// The reading, the role and the settings that the experiment varies, as `reading=base,role=single_to_multi` or
-    /// `kl_weight=0.001,hidden=64`; empty where it varies none. A dataset's seed is not named.
+    /// The reading, the role and the varied settings: `reading=base,role=single_to_multi` or `kl_weight=0.001,hidden=64`.
+    /// It is empty if the experiment varies nothing. The seed of the dataset is left out.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub variant: String,
     /// Seed of the initial weights, the sampling and the order of batches.
     pub seed: u64,
-    /// What is trained, in this order.
+    /// Trainings in the order in which they are done.
     pub tasks: Vec<Task>,
+    /// Condition of the decoder.
     pub action: Action,
+    /// Layers of the networks.
     pub network: Network,
-    /// How the episodes are simulated; `None` where they are imported.
+    /// Settings of the simulation; `None` if the dataset is imported.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulation: Option<Simulation>,
+    /// Division of the dataset into training, validation and test set.
     pub split: Split,
-    /// Of each modality that is used; empty where all are scaled as they were before it was a setting, so that runs
-    /// keep the names they had then. [`RunSpec::scalings`] knows both.
+    /// Scaling of each modality that is used. It is empty if all scalings are those that were in use before scaling became
+    /// a setting, so that old runs keep their names. [`RunSpec::scalings`] handles both cases.
     #[serde(default, skip_serializing_if = "Scalings::is_empty")]
     pub scaling: Scalings,
+    /// Settings of the training.
     pub training: Training,
 }
 
 impl Experiment {
-    /// The runs by scenario, then variant, latent size and seed, each in the spec's order.
+    /// Returns the runs, ordered by scenario, variant, latent size and seed, each in the spec's order.
     pub fn runs(&self) -> Vec<RunSpec> {
         let variants = self.variants();
         let mut runs = Vec::new();
@@ -63,7 +68,7 @@ impl Experiment {
         runs
     }
 
-    /// The world and the simulation of each dataset that the runs need, without those that are imported.
+    /// Returns the world and the simulation settings of each dataset that the runs need, except imported datasets.
     pub fn simulated(&self) -> Vec<(Arc<World>, Simulation)> {
         let mut found: Vec<(Origin, Simulation)> = Vec::new();
         for run in self.runs() {
@@ -78,7 +83,7 @@ impl Experiment {
         found.into_iter().filter_map(with_world).collect()
     }
 
-    /// The experiment with each combination of what it varies, and what the combination is called.
+    /// Returns one experiment for each combination of the varied settings, with the name of the combination.
     fn variants(&self) -> Vec<(String, Experiment)> {
         let tree = serde_json::to_value(self).expect("an experiment is plain data");
         let variants = self.combinations().into_iter().map(|combination| {
@@ -95,7 +100,8 @@ impl Experiment {
         variants.collect()
     }
 
-    /// Every combination of a reading, a role and the settings under `vary`: one without any where there are none.
+    /// Returns every combination of a reading, a role and the settings under `vary`; a single empty combination if the
+    /// experiment has none of them.
     pub(super) fn combinations(&self) -> Vec<Combination<'_>> {
         let mut combinations = vec![Combination::default()];
         if !self.readings.is_empty() {
@@ -131,18 +137,18 @@ impl Experiment {
         }
     }
 
-    /// The world that a scenario is; `None` of an imported dataset.
+    /// Returns the world of a scenario; `None` for an imported dataset.
     pub fn world(&self, origin: &Origin) -> Option<Arc<World>> {
         let scenario = origin.scenario()?;
         let own = self.worlds.iter().find(|world| world.scenario() == scenario).cloned();
         own.or_else(|| World::named(scenario.name()))
     }
 
-    /// What is known of a modality before a model is compiled or a dataset opened; `None` where nothing is.
+    /// Returns what is known about a modality before a model is compiled or a dataset opened; `None` if nothing is known.
     pub(super) fn known(&self, origin: &Origin, modality: Modality) -> Option<Known> {
         match self.world(origin) {
             Some(world) => world.known(modality),
-            // Of an imported dataset, what its modality would be if it were the finger's. Sizes are its own.
+            // A modality of an imported dataset is assumed to be like the finger's modality of that name.
             None => {
                 let layout = Layout::finger();
                 let like = layout.get(modality)?;
@@ -152,14 +158,14 @@ impl Experiment {
         }
     }
 
-    /// The scaling of what is used, as a run's spec states it.
+    /// Returns the scaling of the modalities that are used, as stored in a run's spec.
     fn scaling_of_used(&self, origin: &Origin) -> Scalings {
         let used: Vec<Modality> = self.input.iter().chain(&self.output).copied().collect();
         let scaling = |modality: &Modality| {
             let given = self.scaling.get(modality).copied().unwrap_or_default();
             let known = self.known(origin, *modality).map(|known| known.scaling);
             if known.is_none() && given == GivenScaling::default() {
-                // Its dataset says how it is scaled.
+                // The dataset defines the scaling.
                 return None;
             }
             Some((*modality, given.or(known.unwrap_or(Scaling::plain(false)))))
@@ -173,19 +179,19 @@ impl Experiment {
     }
 }
 
-/// One of the combinations of what an experiment varies.
+/// One combination of the readings, roles and varied settings of an experiment.
 #[derive(Clone, Default)]
 pub(super) struct Combination<'a> {
-    /// What it is called, in parts: `reading=base`, `kl_weight=0.001`.
+    /// Parts of the name: `reading=base`, `kl_weight=0.001`.
     names: Vec<String>,
-    /// By dotted key; of two for the same key, the later one stands.
+    /// Settings by dotted key. If a key occurs twice, the later value is used.
     pub settings: Vec<(&'a str, &'a serde_json::Value)>,
 }
 
 static NO_SETTINGS: Settings = Settings::new();
 
 impl<'a> Combination<'a> {
-    /// This combination with each of several named groups of settings.
+    /// Returns this combination extended by each of several named groups of settings.
     fn each(&self, kind: &str, groups: &[(&str, &'a Settings)]) -> Vec<Self> {
         let with = |(name, settings): &(&str, &'a Settings)| {
             let mut combination = self.clone();
@@ -196,11 +202,11 @@ impl<'a> Combination<'a> {
         groups.iter().map(with).collect()
     }
 
-    /// This combination with each value of a setting.
+    /// Returns this combination extended by each value of a setting.
     fn each_value(&self, key: &'a str, values: &'a [serde_json::Value]) -> Vec<Self> {
         let with = |value: &'a serde_json::Value| {
             let mut combination = self.clone();
-            // Several datasets are no variants, as several seeds are none.
+            // Runs on several datasets belong to the same variant, as do runs with several seeds.
             if key != DATASET_SEED {
                 combination.names.push(named(key, value));
             }
@@ -210,13 +216,13 @@ impl<'a> Combination<'a> {
         values.iter().map(with).collect()
     }
 
-    /// `reading=base,role=multi_to_multi` or `kl_weight=0.001,hidden=64`; fit for a folder's name.
+    /// Returns the name: `reading=base,role=multi_to_multi` or `kl_weight=0.001,hidden=64`. It is a valid folder name.
     pub fn name(&self) -> String {
         self.names.join(",")
     }
 }
 
-/// Names the value of a setting: `kl_weight=0.001`.
+/// Returns the name of a setting with a value: `kl_weight=0.001`.
 pub(super) fn named(key: &str, value: &serde_json::Value) -> String {
     let key = key.split_once('.').map_or(key, |(_section, key)| key);
     let value: String = value.to_string().chars().filter(|c| !"\"[]{} ".contains(*c)).collect();
@@ -224,7 +230,7 @@ pub(super) fn named(key: &str, value: &serde_json::Value) -> String {
 }
 
 impl RunSpec {
-    /// What the networks are given or predict, in the order of [`Modality`].
+    /// Returns the input and output modalities, without duplicates, in the order of [`Modality`].
     pub fn modalities(&self) -> Vec<Modality> {
         let mut used: Vec<Modality> = self.input.iter().chain(&self.output).copied().collect();
         used.sort();
@@ -232,7 +238,7 @@ impl RunSpec {
         used
     }
 
-    /// How each modality that is used is scaled.
+    /// Returns the scaling of each modality that is used, given the dataset's layout.
     pub fn scalings(&self, layout: &Layout) -> Scalings {
         let of = |modality: Modality| {
             let definition = &layout[modality];
@@ -246,7 +252,10 @@ impl RunSpec {
         self.modalities().into_iter().map(|modality| (modality, of(modality))).collect()
     }
 
-    /// Refuses what a dataset of this layout can't be used for, in words.
+    /// Checks that the run can use a dataset with this layout.
+    ///
+    /// # Errors
+    /// When the network can't take the images, or a scaling does not suit a modality. Returns the message.
     pub fn check(&self, layout: &Layout) -> Result<(), String> {
         let images = |modalities: &[Modality]| -> Vec<(Modality, [usize; 2])> {
             let size = |modality: &Modality| Some((*modality, layout.get(*modality)?.size()?));
@@ -267,8 +276,8 @@ impl RunSpec {
         }
     }
 
-    /// Identifies the run: 16 hexadecimal digits of the SHA-256 of its JSON with keys sorted. It does not
-    /// depend on how the YAML was laid out, nor on which values were left to their defaults.
+    /// Returns the hash that identifies the run: the first 16 hexadecimal digits of the SHA-256 of its JSON with sorted
+    /// keys. It does not depend on the layout of the YAML, nor on whether defaults are written out.
     pub fn hash(&self) -> String {
         let mut json = serde_json::to_value(self).expect("a run's spec is plain data");
         json.sort_all_objects();
@@ -276,41 +285,42 @@ impl RunSpec {
         digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
     }
 
-    /// The run's spec as YAML with every value explicit.
+    /// Returns the run's spec as YAML with every value explicit.
     pub fn to_yaml(&self) -> String {
         serde_yaml::to_string(self).expect("a run's spec is plain data, which YAML can hold")
     }
 
-    /// The seed of the dataset; 0 of one that was imported.
+    /// Returns the seed of the dataset; 0 for an imported dataset.
     pub fn dataset_seed(&self) -> u64 {
         self.simulation.as_ref().map_or(0, |simulation| simulation.seed)
     }
 
-    /// The reading that the run takes; `None` where its experiment has no readings.
+    /// Returns the name of the run's reading; `None` if its experiment has no readings.
     pub fn reading(&self) -> Option<&str> {
         self.named("reading")
     }
 
-    /// The experiment that the run stands for; `None` where it stands for its own.
+    /// Returns the name of the run's role; `None` if its experiment has no roles.
     pub fn role(&self) -> Option<&str> {
         self.named("role")
     }
 
-    /// What the variant says of a key.
+    /// Returns the value of a key in the variant.
     fn named(&self, key: &str) -> Option<&str> {
         let parts = self.variant.split(',').filter_map(|part| part.split_once('='));
         parts.filter(|(own, _)| *own == key).map(|(_, value)| value).next()
     }
 
-    /// The cell in short, `cluttered-z64` or `cluttered-z64-kl_weight=0.001`; unique within an experiment.
+    /// Returns the name of the cell, which is unique within an experiment: `cluttered-z64` or
+    /// `cluttered-z64-kl_weight=0.001`.
     pub fn cell(&self) -> String {
         let Self { scenario, latent, variant, .. } = self;
         let separator = if variant.is_empty() { "" } else { "-" };
         format!("{scenario}-z{latent}{separator}{variant}")
     }
 
-    /// The run in short, `cluttered-z64-seed0` or, on another dataset than the first, `cluttered-z64-data1-seed0`;
-    /// unique within an experiment.
+    /// Returns the name of the run, which is unique within an experiment: `cluttered-z64-seed0`, or
+    /// `cluttered-z64-data1-seed0` if the seed of the dataset is not 0.
     pub fn label(&self) -> String {
         let data = match self.dataset_seed() {
             0 => String::new(),

@@ -41,8 +41,8 @@ impl Episode {
         self.layout.position(modality).map_or(&[], |index| &self.vectors[index])
     }
 
-    /// Returns the pixels of an image, `[samples, rows, columns, 3]`; empty if the modality is not a stored image, or if
-    /// images were not read.
+    /// Returns the pixels of an image, `[samples, rows, columns, 3]`; empty if the modality is not a stored image, or
+    /// if images were not read.
     pub fn image(&self, modality: Modality) -> &[u8] {
         self.layout.position(modality).map_or(&[], |index| &self.images[index])
     }

@@ -1,4 +1,4 @@
-//! Factors of variation: properties of a model that each episode draws anew, where a spec turns them on.
+//! Factors of variation: properties of a model that are drawn at random for each episode, if a spec turns them on.
 
 use super::modality::Element;
 use super::types::names;
@@ -95,26 +95,39 @@ pub struct Normal {
     pub range: [f64; 2],
 }
 
-/// A distribution that was checked.
+/// The distribution of a factor, after the checks.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Drawing {
+    /// Uniform between the lowest and the highest value.
     Uniform([f64; 2]),
+    /// Uniform in the logarithm, between the lowest and the highest value.
     LogUniform([f64; 2]),
+    /// A truncated normal distribution.
     Normal(Normal),
+    /// One of several values with equal probability.
     Choice(Vec<f64>),
 }
 
-/// What a factor changes.
+/// The property of a model that a factor changes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Property {
+    /// Stiffness of joints, multiplied.
     JointStiffness,
+    /// Damping of joints, multiplied.
     JointDamping,
+    /// Mass and inertia of bodies, multiplied.
     BodyMass,
+    /// Sliding, torsional and rolling friction of geoms, multiplied.
     GeomFriction,
+    /// Size of geoms, multiplied.
     GeomSize,
+    /// Red, green and blue of geoms, each with an offset.
     GeomColour,
+    /// Brightness of lights, multiplied.
     LightBrightness,
+    /// Position of cameras, with an offset along x, y and z, m.
     CameraPosition,
+    /// Orientation of cameras, turned by a rotation vector, rad.
     CameraRotation,
 }
 names!(Property {
@@ -130,7 +143,7 @@ names!(Property {
 });
 
 impl Property {
-    /// What its values are of, unless each thing has a single one.
+    /// Returns the names of the values that one object needs; none if it needs a single value.
     fn components(self) -> &'static [&'static str] {
         match self {
             Self::GeomColour => &["red", "green", "blue"],
@@ -139,7 +152,7 @@ impl Property {
         }
     }
 
-    /// Values that are drawn for one thing.
+    /// Returns the number of values that are drawn for one joint, body, geom, light or camera.
     pub fn width(self) -> usize {
         self.components().len().max(1)
     }
@@ -152,12 +165,12 @@ impl Property {
         }
     }
 
-    /// Whether a value is added to the model's own, rather than multiplied by it.
+    /// Returns whether the values are added to the model's own values. If not, they are multiplied.
     fn is_offset(self) -> bool {
         !self.components().is_empty()
     }
 
-    /// The values that can be drawn.
+    /// Returns the lowest and the highest value that a distribution may have.
     fn bounds(self) -> [f64; 2] {
         match self {
             Self::GeomColour => [-1.0, 1.0],
@@ -167,7 +180,8 @@ impl Property {
         }
     }
 
-    /// The elements of what a factor of that name draws; `things` are those that have values of their own, if any.
+    /// Returns the elements of the values that a factor with the name `factor` draws. `things` are the names of the
+    /// objects if each has values of its own; `None` if they share them.
     pub fn elements(self, factor: &str, things: Option<&[String]>) -> Vec<Element> {
         let starts = match things {
             Some(things) => things.iter().map(|thing| format!("{factor}_{thing}")).collect(),
@@ -182,7 +196,8 @@ impl Property {
 }
 
 impl Factor {
-    /// What it changes, and the patterns of the names of the things; of a file that was checked.
+    /// Returns the property that the factor changes, and the patterns of the names of the objects. The factor must have
+    /// passed the checks of a world file.
     pub fn property(&self) -> (Property, &[String]) {
         self.properties().next().unwrap_or((Property::JointStiffness, &[]))
     }
@@ -203,13 +218,14 @@ impl Factor {
         given.filter_map(|(property, patterns)| Some((*property, patterns.as_deref()?)))
     }
 
-    /// How its values are drawn; of a file that was checked.
+    /// Returns the distribution of the values. The factor must have passed the checks of a world file.
     pub fn drawing(&self) -> Drawing {
         let given = self.scale_by.iter().chain(&self.offset_by).flat_map(Distribution::drawings).next();
         given.unwrap_or(Drawing::Choice(vec![1.0]))
     }
 
-    /// What the schema can't say: the key at fault, if it is one, and what is wrong.
+    /// Checks the rules that the schema can't express. An error has the key at fault (empty for the factor as a whole) and
+    /// the message.
     pub(super) fn check(&self) -> Result<(), (String, String)> {
         let one_of = |what: &str, all: &str, found: usize| {
             let found = if found == 0 { "none" } else { "several" };
@@ -296,7 +312,7 @@ impl fmt::Display for Drawing {
     }
 }
 
-/// A list of patterns, which one text may stand for.
+/// The schema of a list of patterns. A single text is also accepted.
 fn globs(_: &mut SchemaGenerator) -> Schema {
     json_schema!({ "type": "array", "items": { "type": "string" } })
 }

@@ -1,4 +1,4 @@
-//! Modalities: their names, which specs and tables use, and what a dataset says of each.
+//! Modalities: their names, which specs and tables use, and their definitions, which a dataset stores.
 
 use super::scaling::Scale;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
@@ -7,20 +7,21 @@ use std::collections::BTreeSet;
 use std::ops::Index;
 use std::sync::{Arc, LazyLock, Mutex};
 
-/// Colour channels of an image.
+/// Number of colour channels of an image.
 pub const IMAGE_CHANNELS: usize = 3;
 
-/// What names of modalities, scenarios and their elements look like.
+/// Regular expression of the names of modalities, scenarios and their elements.
 pub(super) const NAME: &str = "^[a-z][a-z0-9_]{0,63}$";
 
-/// Whether a text matches [`NAME`].
+/// Returns whether a text can name a modality, a scenario or an element: 1 to 64 lower-case letters, digits and `_`, of
+/// which the first is a letter.
 pub fn is_name(text: &str) -> bool {
     (1..=64).contains(&text.len())
         && text.starts_with(|c: char| c.is_ascii_lowercase())
         && text.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
 }
 
-/// The one copy of a name, which lives as long as the process: names are few and short.
+/// Returns the single copy of a name. The copy is never freed, because names are few and short.
 pub fn intern(name: &str) -> &'static str {
     static NAMES: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
     let mut names = NAMES.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
@@ -32,17 +33,17 @@ pub fn intern(name: &str) -> &'static str {
     name
 }
 
-/// Gives a type around an interned name what all such names have: the text, an order, `Display` and serde. The names of
-/// `$first` come first in every order, then all others by the alphabet.
+/// Implements the text, the order, `Display` and serde for a type that wraps an interned name. The names in `$first` come
+/// first, and all others follow in alphabetical order.
 macro_rules! interned_name {
     ($type:ident, first: $first:ident, refused: $refused:literal) => {
         impl $type {
-            /// The one of that name; `None` where none can be called so.
+            /// Creates the value with this name; `None` if the name is not valid.
             pub fn new(name: &str) -> Option<Self> {
                 $crate::is_name(name).then(|| Self($crate::intern(name)))
             }
 
-            /// The name in specs, tables and file names.
+            /// Returns the name in specs, tables and file names.
             pub const fn name(self) -> &'static str {
                 self.0
             }
@@ -87,10 +88,10 @@ macro_rules! interned_name {
 }
 pub(super) use interned_name;
 
-/// The name of a modality, as specs and tables write it. What it stands for is in the dataset's [`Layout`].
+/// The name of a modality in specs and tables. The dataset's [`Layout`] defines the modality.
 ///
-/// Modalities are packed in the order of their names: those of the built-in worlds first, in the order of
-/// [`Modality::BUILT_IN`], then all others by the alphabet.
+/// Modalities are ordered by name: those of the built-in worlds come first, in the order of [`Modality::BUILT_IN`], and
+/// all others follow in alphabetical order. Networks take them in this order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Modality(&'static str);
 
@@ -101,16 +102,16 @@ impl Modality {
     pub const ARM: Self = Self("arm");
     /// Normal contact force of each link at the sampling instant, N.
     pub const CONTACT_FORCE: Self = Self("contact_force");
-    /// The same, averaged over the sampling interval that ends at the instant, N.
+    /// Normal contact force of each link, averaged over the sampling interval that ends at the sample, N.
     pub const CONTACT_FORCE_MEAN: Self = Self("contact_force_mean");
     /// The external camera's image.
     pub const VISION: Self = Self("vision");
-    /// This image minus the one a sample before, in [-1, 1]; zero at an episode's first sample.
+    /// The external camera's image minus the one of the sample before, in [-1, 1]; zero at an episode's first sample.
     pub const FRAME_DIFFERENCE: Self = Self("frame_difference");
-    /// What the actuators are commanded: every dataset records it, and the action is made of it.
+    /// The setpoints of the actuators. Every dataset records them, and the action is computed from them.
     pub const SETPOINT: Self = Self("setpoint");
-    /// The factors of variation that were drawn for an episode, the same at each of its samples: recorded where a spec turns
-    /// any on.
+    /// The values of the factors of variation that were drawn for an episode, the same at each of its samples. They are
+    /// recorded only if the spec turns on a factor.
     pub const FACTORS: Self = Self("factors");
 
     /// The modalities of the built-in worlds that a spec can name.
@@ -123,7 +124,7 @@ impl Modality {
         Self::FRAME_DIFFERENCE,
     ];
 
-    /// Names that mean something else in a column, a loss term or a saved network.
+    /// Names that a modality can't have, because columns, loss terms or saved networks use them for something else.
     pub(super) const RESERVED: [&str; 10] =
         ["dataset", "scenario", "episode", "sample", "time", "setpoint", "factors", "action", "kl", "total"];
 }
@@ -134,7 +135,7 @@ interned_name!(
     refused: "can't name a modality; use lower-case letters, digits and '_', a letter first"
 );
 
-/// The modalities of the built-in worlds by name, and any other name.
+/// Accepts the modalities of the built-in worlds, which editors complete, and any other valid name.
 impl JsonSchema for Modality {
     fn schema_name() -> std::borrow::Cow<'static, str> {
         "Modality".into()
@@ -155,34 +156,38 @@ impl JsonSchema for Modality {
     }
 }
 
-/// One value of a vector.
+/// One element of a vector.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Element {
     /// The end of its column's name: `rotation` in `arm_rotation`.
     pub name: String,
-    /// SI unit; empty where none is known.
+    /// SI unit; empty if it is unknown.
     #[serde(default)]
     pub unit: String,
 }
 
-/// What a modality's values are.
+/// Whether a modality is a vector or an image.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Kind {
+    /// A vector of numbers.
     Vector {
+        /// Names and units of the elements, in the order of the columns.
         elements: Vec<Element>,
     },
-    /// RGB, of so many rows and columns.
+    /// An RGB image.
     Image {
+        /// Rows and columns, pixels.
         size: [usize; 2],
     },
 }
 
-/// Elements that metrics sum up together.
+/// Elements for which metrics are computed together.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Group {
-    /// As the tables' column `direction` has it.
+    /// Name of the group in the column `direction` of the tables.
     pub name: String,
+    /// Indices of the elements in the vector.
     pub elements: Vec<usize>,
 }
 
@@ -196,36 +201,41 @@ pub enum Percentage {
     Wmape,
 }
 
-/// What a dataset says of one of its modalities.
+/// The definition of one modality of a dataset.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Definition {
+    /// Name of the modality.
     pub name: Modality,
-    /// In a sentence.
+    /// Description of the modality in one sentence.
     #[serde(default)]
     pub meaning: String,
+    /// Whether it is a vector or an image, with its elements or its size.
     #[serde(flatten)]
     pub kind: Kind,
-    /// The modality of which this is the change since the sample before; it is computed, not stored.
+    /// If this modality is the change of another one since the sample before: the other one. It is then computed, not
+    /// stored.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub difference_of: Option<Modality>,
+    /// Groups of elements for which metrics are computed together.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub groups: Vec<Group>,
-    /// What its values are divided by for a network, where a spec says nothing.
+    /// Which standard deviation the values are divided by for a network, if the spec does not say.
     pub scale: Scale,
-    /// The least value of a prediction, where a spec says nothing.
+    /// The least value of a prediction, in physical units, if the spec does not say.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub minimum: Option<f64>,
+    /// How errors are given in percent; `None` if they are not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub percentage: Option<Percentage>,
 }
 
 impl Definition {
-    /// Whether it is an image rather than a vector.
+    /// Returns whether the modality is an image rather than a vector.
     pub fn is_image(&self) -> bool {
         matches!(self.kind, Kind::Image { .. })
     }
 
-    /// Rows and columns of an image.
+    /// Returns the rows and columns of an image; `None` for a vector.
     pub fn size(&self) -> Option<[usize; 2]> {
         match self.kind {
             Kind::Image { size } => Some(size),
@@ -233,7 +243,7 @@ impl Definition {
         }
     }
 
-    /// Values of one sample.
+    /// Returns the number of values of one sample.
     pub fn width(&self) -> usize {
         match &self.kind {
             Kind::Image { size: [rows, columns] } => rows * columns * IMAGE_CHANNELS,
@@ -241,7 +251,7 @@ impl Definition {
         }
     }
 
-    /// The elements of a vector.
+    /// Returns the elements of a vector; none for an image.
     pub fn elements(&self) -> &[Element] {
         match &self.kind {
             Kind::Image { .. } => &[],
@@ -249,12 +259,12 @@ impl Definition {
         }
     }
 
-    /// The columns that hold a vector's elements.
+    /// Returns the names of the columns that hold a vector's elements.
     pub fn columns(&self) -> impl Iterator<Item = String> {
         self.elements().iter().map(|element| format!("{}_{}", self.name, element.name))
     }
 
-    /// The unit that all values share; `None` where they differ, so that they can't be summed up together.
+    /// Returns the unit of all values; `None` if the units differ, so that no common error can be computed.
     pub fn unit(&self) -> Option<&str> {
         match &self.kind {
             Kind::Image { .. } => Some("1"),
@@ -265,17 +275,17 @@ impl Definition {
         }
     }
 
-    /// Whether its values are contact forces, of which the table `forces` keeps the distribution.
+    /// Returns whether the values are contact forces. The table `forces` holds their distribution.
     pub fn is_force(&self) -> bool {
         !self.is_image() && self.unit() == Some("N")
     }
 
-    /// The first group that an element belongs to.
+    /// Returns the first group that contains an element.
     pub fn group_of(&self, element: usize) -> Option<&Group> {
         self.groups.iter().find(|group| group.elements.contains(&element))
     }
 
-    /// The last element of each group, or of all where there are none.
+    /// Returns the last element of each group, or the last element of the vector if it has no groups.
     pub fn last_elements(&self) -> Vec<usize> {
         match self.groups.as_slice() {
             [] => self.width().checked_sub(1).into_iter().collect(),
@@ -284,27 +294,28 @@ impl Definition {
     }
 }
 
-/// A part of what images show, whose error is reported apart.
+/// A part of the images for which a separate error is reported.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Region {
+    /// Name of the region in the tables.
     pub name: String,
-    /// It is told by its colour: (red - blue) / brightest channel lies in this range, the upper bound excluded.
+    /// A pixel belongs to the region if (red - blue) / brightest channel lies in this range, the upper bound excluded.
     pub red_minus_blue: [f32; 2],
 }
 
-/// What the samples of a dataset hold. It stands in `dataset.json`.
+/// Describes the samples of a dataset. It is stored in `dataset.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Layout {
-    /// Its modalities, [`Modality::SETPOINT`] among them, in the order of the columns.
+    /// The modalities, including [`Modality::SETPOINT`], in the order of the columns.
     pub modalities: Vec<Definition>,
-    /// Where two fit a pixel, it belongs to the later one.
+    /// The regions of the images. A pixel that matches several regions belongs to the last of them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub regions: Vec<Region>,
 }
 
 impl Layout {
-    /// That of the built-in worlds `empty` and `cluttered`, and of every dataset and run from before datasets said what
-    /// they hold.
+    /// Returns the layout of the built-in worlds `empty` and `cluttered`. Datasets and runs from before layouts were stored
+    /// have it as well.
     pub fn finger() -> Arc<Self> {
         static FINGER: LazyLock<Arc<Layout>> = LazyLock::new(|| {
             let text = include_str!("../../models/finger.json");
@@ -313,7 +324,7 @@ impl Layout {
         FINGER.clone()
     }
 
-    /// This layout and what was drawn for each episode.
+    /// Returns the layout with the modality [`Modality::FACTORS`] added, which has these elements.
     pub fn with_factors(&self, elements: Vec<Element>) -> Self {
         let mut layout = self.clone();
         layout.modalities.push(Definition {
@@ -329,43 +340,44 @@ impl Layout {
         layout
     }
 
-    /// What it says of a modality.
+    /// Returns the definition of a modality; `None` if the layout has no such modality.
     pub fn get(&self, modality: Modality) -> Option<&Definition> {
         self.modalities.iter().find(|definition| definition.name == modality)
     }
 
-    /// Where a modality stands.
+    /// Returns the index of a modality in `modalities`.
     pub fn position(&self, modality: Modality) -> Option<usize> {
         self.modalities.iter().position(|definition| definition.name == modality)
     }
 
-    /// The elements of the action, and of what the actuators are commanded.
+    /// Returns the elements of the action, which are those of the setpoint.
     pub fn action(&self) -> &[Element] {
         self.get(Modality::SETPOINT).map_or(&[], |definition| definition.elements())
     }
 
-    /// The vectors that are stored, in the order of their columns.
+    /// Returns the vectors that are stored, in the order of their columns.
     pub fn stored_vectors(&self) -> impl Iterator<Item = &Definition> {
         self.modalities
             .iter()
             .filter(|definition| !definition.is_image() && definition.difference_of.is_none())
     }
 
-    /// The images that are stored.
+    /// Returns the images that are stored.
     pub fn stored_images(&self) -> impl Iterator<Item = &Definition> {
         self.modalities
             .iter()
             .filter(|definition| definition.is_image() && definition.difference_of.is_none())
     }
 
-    /// What a spec can name as an input or output.
+    /// Returns the modalities that a spec can name as inputs or outputs.
     pub fn names(&self) -> impl Iterator<Item = Modality> {
         let names = self.modalities.iter().map(|definition| definition.name);
         names.filter(|name| ![Modality::SETPOINT, Modality::FACTORS].contains(name))
     }
 }
 
-/// For modalities that are known to be there, since the spec was compared with the layout.
+/// Returns the definition of a modality. It panics if the layout has no such modality, so use it only after the spec was
+/// compared with the layout.
 impl Index<Modality> for Layout {
     type Output = Definition;
 

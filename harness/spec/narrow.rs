@@ -5,8 +5,8 @@ use super::types::Origin;
 use std::collections::BTreeMap;
 
 impl RunSpec {
-    /// Narrows an override (`KEY=VALUE`) of the experiment to this run: `seeds=[0,1,2]` becomes `seeds=[1]` for a run with
-    /// seed 1. Overrides of single values, and texts that are no overrides, are returned unchanged.
+    /// Narrows an override (`KEY=VALUE`) of the experiment to this run: `seeds=[0,1,2]` becomes `seeds=[1]` for a run
+    /// with seed 1. Overrides of other settings, and texts that are not overrides, are returned unchanged.
     pub fn own_override(&self, text: &str) -> String {
         let Some((key, value)) = text.split_once('=') else { return text.to_owned() };
         match key.trim() {
