@@ -27,8 +27,8 @@ pub struct RunSpec {
     pub output: Vec<Modality>,
     /// Size of the latent state.
     pub latent: usize,
-    /// The reading, the role and the varied settings: `reading=base,role=single_to_multi` or `kl_weight=0.001,hidden=64`.
-    /// It is empty if the experiment varies nothing. The seed of the dataset is left out.
+    /// The reading, the role and the varied settings: `reading=base,role=single_to_multi` or
+    /// `kl_weight=0.001,hidden=64`. It is empty if the experiment varies nothing. The seed of the dataset is left out.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub variant: String,
     /// Seed of the initial weights, the sampling and the order of batches.
@@ -44,8 +44,8 @@ pub struct RunSpec {
     pub simulation: Option<Simulation>,
     /// Division of the dataset into training, validation and test set.
     pub split: Split,
-    /// Scaling of each modality that is used. It is empty if all scalings are those that were in use before scaling became
-    /// a setting, so that old runs keep their names. [`RunSpec::scalings`] handles both cases.
+    /// Scaling of each modality that is used. It is empty if all scalings are those that were in use before scaling
+    /// became a setting, so that old runs keep their names. [`RunSpec::scalings`] handles both cases.
     #[serde(default, skip_serializing_if = "Scalings::is_empty")]
     pub scaling: Scalings,
     /// Settings of the training.
@@ -144,7 +144,7 @@ impl Experiment {
         own.or_else(|| World::named(scenario.name()))
     }
 
-    /// Returns what is known about a modality before a model is compiled or a dataset opened; `None` if nothing is known.
+    /// Returns what is known about a modality before a model is compiled or a dataset opened; `None` if nothing is.
     pub(super) fn known(&self, origin: &Origin, modality: Modality) -> Option<Known> {
         match self.world(origin) {
             Some(world) => world.known(modality),

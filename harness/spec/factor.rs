@@ -224,8 +224,8 @@ impl Factor {
         given.unwrap_or(Drawing::Choice(vec![1.0]))
     }
 
-    /// Checks the rules that the schema can't express. An error has the key at fault (empty for the factor as a whole) and
-    /// the message.
+    /// Checks the rules that the schema can't express. An error has the key at fault (empty for the factor as a whole)
+    /// and the message.
     pub(super) fn check(&self) -> Result<(), (String, String)> {
         let one_of = |what: &str, all: &str, found: usize| {
             let found = if found == 0 { "none" } else { "several" };

@@ -33,8 +33,8 @@ pub fn intern(name: &str) -> &'static str {
     name
 }
 
-/// Implements the text, the order, `Display` and serde for a type that wraps an interned name. The names in `$first` come
-/// first, and all others follow in alphabetical order.
+/// Implements the text, the order, `Display` and serde for a type that wraps an interned name. The names in `$first`
+/// come first, and all others follow in alphabetical order.
 macro_rules! interned_name {
     ($type:ident, first: $first:ident, refused: $refused:literal) => {
         impl $type {
@@ -314,8 +314,8 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// Returns the layout of the built-in worlds `empty` and `cluttered`. Datasets and runs from before layouts were stored
-    /// have it as well.
+    /// Returns the layout of the built-in worlds `empty` and `cluttered`. Datasets and runs from before layouts were
+    /// stored have it as well.
     pub fn finger() -> Arc<Self> {
         static FINGER: LazyLock<Arc<Layout>> = LazyLock::new(|| {
             let text = include_str!("../../models/finger.json");
@@ -376,8 +376,8 @@ impl Layout {
     }
 }
 
-/// Returns the definition of a modality. It panics if the layout has no such modality, so use it only after the spec was
-/// compared with the layout.
+/// Returns the definition of a modality. Indexing panics if the layout has no such modality, so use it only after the
+/// spec was compared with the layout.
 impl Index<Modality> for Layout {
     type Output = Definition;
 

@@ -43,8 +43,8 @@ fn not_a_setting(key: &str, value: &str, names: &[&str]) -> String {
     format!("'{key}' is a section; override its keys one by one: {}", section.join(", "))
 }
 
-/// Applies settings to a tree that has passed the checks. If a key is set twice, the later value is used. A setting that
-/// the tree varies is tried only with the value given here.
+/// Applies settings to a tree that has passed the checks. If a key is set twice, the later value is used. A setting
+/// that the tree varies is tried only with the value given here.
 pub(super) fn apply(tree: &mut Node, settings: &[Entry]) {
     // `vary` is applied first, so that the result does not depend on the order of the settings.
     let (varied, others): (Vec<&Entry>, Vec<&Entry>) =

@@ -1,5 +1,5 @@
-//! The types of a spec. Their bounds stand in the `schemars` attributes, and nowhere else: the JSON schema
-//! that editors read and the checks that a spec goes through are both made from them.
+//! The types of a spec. Their bounds are defined only in the `schemars` attributes. Both the JSON schema for editors
+//! and the checks of a spec are generated from these attributes.
 
 use super::modality::{Modality, interned_name, is_name};
 use super::scaling::GivenScalings;
@@ -12,17 +12,17 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
-/// The largest seed, 2^53 - 1: up to here every reader of JSON and Parquet keeps an integer exact.
+/// The largest seed, 2^53 - 1. Every reader of JSON and Parquet represents integers up to this one exactly.
 pub const MAX_SEED: u64 = (1 << 53) - 1;
 
-/// Gives an enum its list and its names, which are also serde's (a test compares them).
+/// Implements the list of values and their names for an enum. A test checks that the names equal those of serde.
 macro_rules! names {
     ($type:ident { $($variant:ident => $name:literal),+ $(,)? }) => {
         impl $type {
             /// Every value, in the order of declaration.
             pub const ALL: &'static [Self] = &[$(Self::$variant),+];
 
-            /// The name in specs, tables and file names.
+            /// Returns the name in specs, tables and file names.
             pub const fn name(self) -> &'static str {
                 match self { $(Self::$variant => $name),+ }
             }
@@ -37,39 +37,38 @@ macro_rules! names {
 }
 pub(super) use names;
 
-/// The name of a world that is simulated: of a built-in one, or of a world file, whose name it is.
+/// The name of a simulated world: a built-in world, or a world file, whose file name it is.
 ///
-/// The paper's come first in every order, then all others by the alphabet.
+/// The paper's scenarios come first in every order, and all others follow in alphabetical order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Scenario(&'static str);
 
 impl Scenario {
-    /// Finger, arm and ground alone.
+    /// The paper's scenario with the finger, the arm and the ground.
     pub const EMPTY: Self = Self("empty");
-    /// Eight movable boxes besides, placed at random over the swept sector.
+    /// The paper's scenario with eight movable boxes, placed at random over the sector that the arm sweeps.
     pub const CLUTTERED: Self = Self("cluttered");
-    /// The paper's, which its figures and claims compare.
+    /// The two scenarios of the paper, which its figures and claims compare.
     pub const PAPER: [Self; 2] = [Self::EMPTY, Self::CLUTTERED];
 }
 
 interned_name!(Scenario, first: PAPER, refused: "can't name a scenario");
 
-/// What the samples of a cell come from. In a spec, the name of a built-in world, the path of a world file, or the name
-/// of an imported dataset.
+/// The source of a cell's samples. A spec gives the name of a built-in world, the path of a world file, or the name of an
+/// imported dataset.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Origin {
-    /// Episodes that are simulated here.
+    /// A simulated world.
     Simulated(Scenario),
-    /// The same, in the world of a file, as a spec names it. A run names its scenario instead.
+    /// The path of a world file as given in a spec. In the spec of a run, it is replaced by `Simulated`.
     File(String),
-    /// A dataset that was imported, by the name of its folder: `lab_finger-0123456789abcdef`, in which the digits are a
-    /// hash of its content.
+    /// An imported dataset, by the name of its folder: `lab_finger-0123456789abcdef`. The digits are a hash of its content.
     Imported(String),
 }
 
 impl Origin {
-    /// The name in tables and file names: that of a world file is its own without folder and ending.
+    /// Returns the name in tables and file names. For a world file, it is the file name without folder and extension.
     pub fn name(&self) -> &str {
         match self {
             Self::Simulated(scenario) => scenario.name(),
@@ -78,7 +77,7 @@ impl Origin {
         }
     }
 
-    /// The scenario that is simulated; `None` of an imported dataset, and of a file that can't name one.
+    /// Returns the scenario; `None` for an imported dataset, and for a file whose name is not a valid scenario.
     pub fn scenario(&self) -> Option<Scenario> {
         match self {
             Self::Simulated(scenario) => Some(*scenario),
@@ -129,10 +128,10 @@ impl TryFrom<String> for Origin {
     }
 }
 
-/// The name of an imported dataset, which no simulated one can have.
+/// Regular expression of the name of an imported dataset. No simulated dataset has such a name.
 const IMPORTED_NAME: &str = "^[a-z][a-z0-9_]{0,63}-[0-9a-f]{16}$";
 
-/// Whether a text matches [`IMPORTED_NAME`], and begins with no built-in world's name.
+/// Returns whether a text matches [`IMPORTED_NAME`] and does not begin with the name of a scenario of the paper.
 fn is_imported_name(text: &str) -> bool {
     let Some((name, hash)) = text.rsplit_once('-') else { return false };
     is_name(name)
@@ -141,7 +140,7 @@ fn is_imported_name(text: &str) -> bool {
         && hash.chars().all(|c| matches!(c, '0'..='9' | 'a'..='f'))
 }
 
-/// The built-in worlds by name, and two patterns.
+/// Accepts the names of the built-in worlds, which editors complete, paths of world files, and names of datasets.
 impl JsonSchema for Origin {
     fn schema_name() -> std::borrow::Cow<'static, str> {
         "Scenario".into()
@@ -329,9 +328,12 @@ pub struct Experiment {
     /// The decoder's condition.
     #[serde(default = "default_action")]
     pub action: Action,
+    /// Layers of the networks.
     pub network: Network,
+    /// Settings of the simulation, which define the dataset.
     #[serde(default)]
     pub simulation: Simulation,
+    /// Division of the dataset into training, validation and test set.
     #[serde(default)]
     pub split: Split,
     /// How each modality is scaled for the network, and the range of its predictions; both are undone, and hold, in
@@ -339,6 +341,7 @@ pub struct Experiment {
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     #[schemars(schema_with = "super::scaling::schema")]
     pub scaling: GivenScalings,
+    /// Settings of the training.
     #[serde(default)]
     pub training: Training,
     /// Settings to try in every combination, by dotted key: `training.kl_weight: [0, 0.001]`. Each combination makes
@@ -356,7 +359,7 @@ pub struct Experiment {
     /// Overrides that `--quick` applies, by dotted key as on the command line: `training.epochs: 3`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub quick: Settings,
-    /// What the world files among `scenarios` say, read when the spec was.
+    /// The contents of the world files among `scenarios`, read together with the spec.
     #[serde(skip)]
     pub worlds: Vec<Arc<World>>,
 }
@@ -383,7 +386,7 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// The name of the reading that the spec's own settings are.
+    /// The name of the reading with the spec's own settings.
     pub const BASE: &str = "base";
 }
 
@@ -391,6 +394,7 @@ impl Reading {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Network {
+    /// The network of the paper that the settings start from.
     #[serde(alias = "architecture")]
     pub preset: Preset,
     /// Units of each fully connected hidden layer. The paper gives their number, one, and not their width.
@@ -412,7 +416,7 @@ pub struct Network {
 }
 
 impl Network {
-    /// Channels of each convolution; those of the preset where none are given.
+    /// Returns the channels of each convolution, or those of the preset if none are given.
     pub fn channels(&self) -> &[usize] {
         match (&self.channels, self.preset) {
             (Some(channels), _) => channels,
@@ -458,8 +462,9 @@ pub struct Simulation {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Setting {
-    /// Lowest, highest.
+    /// The lowest and the highest value of a range.
     Range([f64; 2]),
+    /// A single number.
     Number(f64),
 }
 
@@ -467,7 +472,8 @@ pub enum Setting {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Split {
-    // Not written where it is the episode, so that runs keep the names they had before it was a setting.
+    /// The unit of the division.
+    // The default is not written, so that runs from before this setting keep their names.
     #[serde(skip_serializing_if = "is_default")]
     pub by: Division,
     /// Share for validation, in (0, 1); rounded to whole episodes or samples, at least one transition.
@@ -484,7 +490,7 @@ pub struct Split {
 }
 
 /// How a network is trained.
-// A setting that came later is not written where it has its default, so that runs keep the names they had before it.
+// The defaults of settings that were added later are not written, so that older runs keep their names.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Training {
@@ -543,6 +549,7 @@ pub struct Training {
     /// differ by rounding.
     #[serde(default = "yes", skip_serializing_if = "is_true")]
     pub tiles: bool,
+    /// The device on which a network is trained.
     pub device: Device,
 }
 
@@ -551,7 +558,7 @@ impl Simulation {
     pub(super) const KEYS: [&str; 6] =
         ["seed", "episodes", "actuations_per_episode", "actuation_seconds", "sample_rate_hz", "factors"];
 
-    /// The range of a world's setting; `None` if it has none of that name.
+    /// Returns the range of a world's setting; `None` if there is no such setting, or if it is a number.
     pub fn range(&self, setting: &str) -> Option<[f64; 2]> {
         match self.world.get(setting)? {
             Setting::Range(range) => Some(*range),
@@ -559,7 +566,7 @@ impl Simulation {
         }
     }
 
-    /// The number of a world's setting; `None` if it has none of that name.
+    /// Returns the number of a world's setting; `None` if there is no such setting, or if it is a range.
     pub fn number(&self, setting: &str) -> Option<f64> {
         match self.world.get(setting)? {
             Setting::Number(number) => Some(*number),
@@ -567,46 +574,46 @@ impl Simulation {
         }
     }
 
-    /// The same with another value of a world's setting.
+    /// Returns the simulation with another value of a world's setting.
     pub fn with(mut self, setting: &str, value: Setting) -> Self {
         self.world.insert(setting.to_owned(), value);
         self
     }
 
-    /// Samples recorded during one actuation.
+    /// Returns the number of samples recorded during one actuation.
     pub fn samples_per_actuation(&self) -> usize {
         (self.actuation_seconds * self.sample_rate_hz).round() as usize
     }
 
-    /// Samples recorded in one episode.
+    /// Returns the number of samples recorded in one episode.
     pub fn samples_per_episode(&self) -> usize {
         self.actuations_per_episode as usize * self.samples_per_actuation()
     }
 }
 
 impl Split {
-    /// The gap of a split by time where none is given, s: five of the default's actuations. The correlation of the
-    /// finger's angles with themselves is 0.19 after 1 s, 0.04 after 2 s and 0.00 after 5 s (cluttered scenario), so
-    /// what a sample shares with one after the gap is where the boxes were pushed.
+    /// The default gap of a split by time, s: five actuations of the default duration. The autocorrelation of the
+    /// finger's angles is 0.19 after 1 s, 0.04 after 2 s and 0.00 after 5 s (cluttered scenario). Samples before and after
+    /// the gap therefore have only the positions of the pushed boxes in common.
     pub const GAP_SECONDS: f64 = 5.0;
 
-    /// Episodes, or transitions, of each kind among `all`; `None` where none would be left for training.
+    /// Divides `all` episodes or transitions; `None` if none would be left for training.
     pub fn counts(&self, all: usize) -> Option<SplitCounts> {
         self.divide(all, 0, 1)
     }
 
-    /// Of an episode of `samples` samples, those for training, validation and test, split by time; `None` where no
+    /// Splits an episode of `samples` samples by time into the ranges for training, validation and test; `None` if no
     /// transition would be left for training.
     pub fn times(&self, samples: usize, sample_rate_hz: f64) -> Option<[Range<usize>; 3]> {
         let seconds = self.gap_seconds.unwrap_or(Self::GAP_SECONDS);
         let gap = (seconds * sample_rate_hz - 1e-9).ceil().max(0.0) as usize;
-        // A transition takes two samples.
+        // A transition consists of two samples.
         let SplitCounts { training, validation, test } = self.divide(samples, gap, 2)?;
         let (second, third) = (training + gap, samples - test);
         Some([0..training, second..second + validation, third..samples])
     }
 
-    /// Divides `all` things in a row, with `gap` of them left out twice and at least `least` of each kind.
+    /// Divides `all` items with two gaps of `gap` items between the parts. Each part has at least `least` items.
     fn divide(&self, all: usize, gap: usize, least: usize) -> Option<SplitCounts> {
         let share = |fraction: f64| ((all as f64 * fraction).round() as usize).max(least);
         let (validation, test) = (share(self.validation), share(self.test));
@@ -615,11 +622,14 @@ impl Split {
     }
 }
 
-/// Numbers of episodes, samples or transitions of each kind.
+/// Numbers of episodes, samples or transitions in each part of a split.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SplitCounts {
+    /// Number in the training set.
     pub training: usize,
+    /// Number in the validation set.
     pub validation: usize,
+    /// Number in the test set.
     pub test: usize,
 }
 
@@ -655,7 +665,7 @@ impl Default for Training {
             epochs: 200,
             patience: Some(20),
             stop: Stop::Total,
-            // What experiments/choose_kl_weight.yaml and choose_multi_losses.yaml found.
+            // Chosen with experiments/choose_kl_weight.yaml and choose_multi_losses.yaml.
             kl_weight: 1e-4,
             losses: BTreeMap::new(),
             loss_weights: BTreeMap::new(),
@@ -698,7 +708,7 @@ fn is_true(value: &bool) -> bool {
     *value
 }
 
-/// A list, or a single value, which specs of earlier versions have.
+/// Reads a list or a single value. Specs of earlier versions have single values.
 fn one_or_many<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<usize>, D::Error> {
     #[derive(Deserialize)]
     #[serde(untagged)]
@@ -718,7 +728,7 @@ fn maybe_one_or_many<'de, D: serde::Deserializer<'de>>(
     one_or_many(deserializer).map(Some)
 }
 
-/// A plain list: that it may be missing is no choice of a spec's.
+/// The schema of the list alone. Without it, the schema would also allow `null`.
 fn channels_schema(_: &mut SchemaGenerator) -> Schema {
     json_schema!({
         "type": "array", "maxItems": 16,
@@ -726,7 +736,7 @@ fn channels_schema(_: &mut SchemaGenerator) -> Schema {
     })
 }
 
-/// One loss a modality that is a vector.
+/// The schema of one loss for each modality that is a vector.
 fn losses_schema(generator: &mut SchemaGenerator) -> Schema {
     let mut schema = by_modality(generator.subschema_for::<Loss>()).to_value();
     if let Some(properties) = schema["properties"].as_object_mut() {
@@ -736,12 +746,13 @@ fn losses_schema(generator: &mut SchemaGenerator) -> Schema {
     schema.try_into().expect("an object with fewer properties is a schema")
 }
 
-/// One weight a modality.
+/// The schema of one weight for each modality.
 fn loss_weights_schema(_: &mut SchemaGenerator) -> Schema {
     by_modality(json_schema!({ "type": "number", "minimum": 0.0, "maximum": 1e6 }))
 }
 
-/// A section with such a value for each modality: those of the built-in worlds, for editors, and any other.
+/// The schema of a section with a value for each modality. It lists the modalities of the built-in worlds, which editors
+/// complete, and allows all others.
 pub(super) fn by_modality(value: Schema) -> Schema {
     let value = value.to_value();
     let properties: serde_json::Map<_, _> =

@@ -1,4 +1,4 @@
-//! Worlds: what a robot senses and does, and what is drawn for an episode, in a YAML file beside its MJCF.
+//! Worlds: a YAML file beside an MJCF model that defines the modalities, the action and the random parts of an episode.
 
 use super::error::{Problem, SpecError};
 use super::factor::Factor;
@@ -22,7 +22,7 @@ use std::sync::{Arc, LazyLock};
 /// The longest side of an image that a world can declare, pixels.
 pub const MAX_IMAGE_SIDE: usize = 1024;
 
-/// Sections of a file in the order in which they stand there.
+/// Entries of a section of a file, as names and values in the file's order.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ordered<T>(pub Vec<(String, T)>);
 
@@ -33,10 +33,12 @@ impl<T> Default for Ordered<T> {
 }
 
 impl<T> Ordered<T> {
+    /// Iterates over the names and values in the file's order.
     pub fn iter(&self) -> impl Iterator<Item = (&str, &T)> {
         self.0.iter().map(|(name, value)| (name.as_str(), value))
     }
 
+    /// Returns whether there is no entry.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -295,7 +297,7 @@ fn second() -> f64 {
     1.0
 }
 
-/// The plain schemas of values that may be left out: that they may is no choice of a file's.
+/// The schemas of the values of optional keys. Without them, the schemas would also allow `null`.
 mod plain {
     use super::{Interval, MAX_IMAGE_SIDE, Percentage, Scale, Sector};
     use schemars::{Schema, SchemaGenerator, json_schema};
@@ -346,54 +348,72 @@ use plain::{averaged, globs, groups, limit, number, percentage, rectangle, scale
 /// The schema of a world file.
 static SCHEMA: LazyLock<Json> = LazyLock::new(|| schemars::schema_for!(WorldFile).to_value());
 
-/// The JSON schema of a world file, for editors.
+/// Returns the JSON schema of a world file, for editors.
 pub fn world_schema() -> Json {
     let mut schema = SCHEMA.clone();
     schema::allow_single_values(&mut schema);
     schema
 }
 
-/// What a modality is sensed by.
+/// What the values of a modality are read from.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Source<'a> {
+    /// Positions (rad, m) of the joints whose names match these patterns.
     JointPositions(&'a [String]),
+    /// Velocities (rad/s, m/s) of the joints whose names match these patterns.
     JointVelocities(&'a [String]),
-    /// Where things are or how they are turned.
+    /// Positions or orientations of bodies or sites.
     Pose {
+        /// Patterns of the names of the bodies or sites.
         names: &'a [String],
+        /// Whether they are bodies or sites.
         of: Posed,
+        /// Whether the values are orientations (unit quaternions w, x, y, z) rather than positions (m).
         orientation: bool,
     },
-    /// `mean` is over the steps since the sample before.
+    /// Normal contact forces, N.
     NormalForce {
+        /// Patterns of the names of geoms or bodies.
         names: &'a [String],
+        /// Whether the forces are averaged over the steps since the sample before.
         mean: bool,
     },
+    /// Values of the sensors of the MJCF whose names match these patterns.
     Sensor(&'a [String]),
+    /// The image of a camera.
     Camera {
+        /// Name of the camera in the MJCF.
         name: &'a str,
+        /// Rows and columns, pixels.
         size: [usize; 2],
     },
+    /// The optical flow of a camera, as an image.
     OpticalFlow {
+        /// Name of the camera in the MJCF.
         camera: &'a str,
+        /// Rows and columns, pixels.
         size: [usize; 2],
+        /// The largest displacement that the image can encode, pixels.
         limit: f64,
     },
+    /// The change of another modality since the sample before.
     DifferenceOf(Modality),
 }
 
-/// What has a pose in the world.
+/// The kind of object whose pose is recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Posed {
+    /// A body, at its origin.
     Body,
+    /// A site.
     Site,
 }
 
-/// The largest displacement that an optical flow tells where a world says nothing, pixels.
+/// The default of the largest displacement that an optical flow can encode, pixels.
 const FLOW_LIMIT: f64 = 8.0;
 
 impl Source<'_> {
-    /// The key in a world file.
+    /// Returns the key in a world file.
     pub fn key(&self) -> &'static str {
         match self {
             Self::JointPositions(_) => "joint_positions",
@@ -416,7 +436,7 @@ impl Sensing {
     const SOURCES: &str = "joint_positions, joint_velocities, body_positions, body_orientations, site_positions, \
                            site_orientations, normal_force, sensor, camera, optical_flow, difference_of";
 
-    /// What it is sensed by; of a file that was checked.
+    /// Returns what the values are read from. The file must have passed the checks.
     pub fn source(&self) -> Source<'_> {
         self.sources().next().unwrap_or(Source::Sensor(&[]))
     }
@@ -438,7 +458,7 @@ impl Sensing {
             self.sensor.as_deref().map(Source::Sensor),
             self.camera.as_deref().map(|name| Source::Camera { name, size }),
             self.optical_flow.as_deref().map(|camera| Source::OpticalFlow { camera, size, limit }),
-            // A text that is no modality's name is refused by the checks.
+            // The checks refuse a text that is not the name of a modality.
             self.difference_of
                 .as_deref()
                 .map(|of| Source::DifferenceOf(Modality::new(of).unwrap_or(Modality::SETPOINT))),
@@ -446,51 +466,54 @@ impl Sensing {
         sources.into_iter().flatten()
     }
 
-    /// Whether it is an image by itself.
+    /// Returns whether it is the image or the flow of a camera. The difference of an image does not count.
     fn is_image(&self) -> bool {
         self.camera.is_some() || self.optical_flow.is_some()
     }
 }
 
-/// A world that was read: what a file says, and where.
+/// A world file that was read, with the places of its values for messages.
 #[derive(Debug, Clone)]
 pub struct World {
     scenario: Scenario,
-    /// As messages call the file.
+    /// Name of the file in messages.
     label: String,
-    /// Where the model's path starts; `None` of a built-in world.
+    /// The folder that the model's path is relative to; `None` for a built-in world.
     folder: Option<PathBuf>,
     file: WorldFile,
     tree: Node,
 }
 
-/// Two worlds that say the same are equal, wherever they lie.
+/// Worlds with the same name and content are equal, in whatever folder they are.
 impl PartialEq for World {
     fn eq(&self, other: &Self) -> bool {
         (self.scenario, &self.file) == (other.scenario, &other.file)
     }
 }
 
-/// Where a world's MJCF is.
+/// The place of a world's MJCF.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ModelFile {
-    /// In the program.
+    /// The model is part of the program.
     BuiltIn {
+        /// Name of the model's file without extension.
         name: &'static str,
+        /// Text of the MJCF.
         xml: &'static str,
     },
+    /// The model is in the file with this path.
     File(PathBuf),
 }
 
-/// What is known of a modality before the model is compiled.
+/// What is known about a modality before the model is compiled.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Known {
-    /// Rows and columns of an image; `None` of a vector.
+    /// Rows and columns of an image; `None` for a vector.
     pub size: Option<[usize; 2]>,
     pub scaling: Scaling,
 }
 
-/// Name, world file, MJCF.
+/// The built-in worlds: name, text of the world file, text of the MJCF.
 const BUILT_IN: [(&str, &str, &str); 4] = [
     ("empty", include_str!("../../models/empty.yaml"), include_str!("../../models/empty.xml")),
     ("cluttered", include_str!("../../models/cluttered.yaml"), include_str!("../../models/cluttered.xml")),
@@ -499,7 +522,7 @@ const BUILT_IN: [(&str, &str, &str); 4] = [
 ];
 
 impl World {
-    /// Every world that is part of the program.
+    /// Returns the worlds that are part of the program.
     pub fn built_in() -> &'static [Arc<World>] {
         static WORLDS: LazyLock<Vec<Arc<World>>> = LazyLock::new(|| {
             let read = |(name, yaml, _): &(&str, &str, &str)| {
@@ -511,15 +534,15 @@ impl World {
         &WORLDS
     }
 
-    /// The built-in world of that name.
+    /// Returns the built-in world with this name; `None` if there is none.
     pub fn named(name: &str) -> Option<Arc<World>> {
         Self::built_in().iter().find(|world| world.scenario.name() == name).cloned()
     }
 
-    /// The built-in world of that name, or the one in the file of that path.
+    /// Returns the built-in world with this name, or reads the world file with this path.
     ///
     /// # Errors
-    /// When there is neither, or the file is at fault.
+    /// When neither exists, or the file has a fault.
     pub fn find(name: &str) -> Result<Arc<World>, SpecError> {
         let looks_like_path = name.contains('/') || name.contains('.');
         match Self::named(name) {
@@ -533,15 +556,18 @@ impl World {
         }
     }
 
-    /// The built-in world of one of the paper's scenarios.
+    /// Returns the built-in world of one of the paper's scenarios.
+    ///
+    /// # Panics
+    /// When there is no built-in world with the scenario's name.
     pub fn paper(scenario: Scenario) -> Arc<World> {
         Self::named(scenario.name()).expect("the paper's scenarios are built-in worlds")
     }
 
-    /// Reads a world file, which is called as its scenario.
+    /// Reads a world file. The file's name without extension becomes the scenario.
     ///
     /// # Errors
-    /// The first fault of the file, at its line and column.
+    /// Returns the first fault of the file, with its line and column.
     pub fn load(path: &Path) -> Result<Arc<World>, SpecError> {
         let label = path.display().to_string();
         let name = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
@@ -561,15 +587,16 @@ impl World {
         Self::parse(&label, Some(folder), name, &parse::read(path)?).map(Arc::new)
     }
 
-    /// The world as its file is now; `None` of a built-in world.
+    /// Reads the world file again, as it is now; `None` for a built-in world.
     pub fn read_again(&self) -> Option<Result<Arc<World>, SpecError>> {
         self.folder.as_ref().map(|_| Self::load(Path::new(&self.label)))
     }
 
-    /// The world of a file's text: `label` is what messages call the file, `folder` is where the path of its model starts.
+    /// Parses the text of a world file. Messages call the file `label`, the path of its model is relative to `folder`, and
+    /// `name` becomes the scenario.
     ///
     /// # Errors
-    /// The first fault, at its line and column.
+    /// Returns the first fault, with its line and column.
     pub fn parse(label: &str, folder: Option<PathBuf>, name: &str, text: &str) -> Result<World, SpecError> {
         let parsed = || -> Result<(WorldFile, Node), Problem> {
             let mut tree = parse::parse(text)?;
@@ -594,25 +621,27 @@ impl World {
         Ok(World { scenario, label: label.to_owned(), folder, file, tree })
     }
 
+    /// Returns the name of the world.
     pub fn scenario(&self) -> Scenario {
         self.scenario
     }
 
+    /// Returns the description of the world, one sentence; empty if the file has none.
     pub fn description(&self) -> &str {
         &self.file.description
     }
 
-    /// What the file says.
+    /// Returns the content of the world file.
     pub fn file(&self) -> &WorldFile {
         &self.file
     }
 
-    /// As messages call the file.
+    /// Returns the name of the file in messages.
     pub fn label(&self) -> &str {
         &self.label
     }
 
-    /// Where its MJCF is.
+    /// Returns the place of the world's MJCF.
     pub fn model(&self) -> ModelFile {
         let built_in = BUILT_IN.iter().find(|(name, ..)| *name == self.scenario.name());
         match (&self.folder, built_in) {
@@ -621,14 +650,15 @@ impl World {
         }
     }
 
-    /// A fault of the world at a dotted path of its file.
+    /// Returns an error that points to the value at a dotted path of the world file.
     pub fn fault(&self, path: &str, message: impl Into<String>) -> SpecError {
         Problem::new(self.tree.origin_of(path), message).in_file(&self.label)
     }
 
-    /// What decides the content of the world's datasets besides the model and the settings; `None` of the two worlds
-    /// that there were before worlds were files, so that their datasets keep their names. Factors are left out: those that a
-    /// spec turns on are described with the settings, and others change nothing.
+    /// Returns the parts of the world file that define the content of its datasets, besides the model and the settings.
+    ///
+    /// It is `None` for the two worlds that existed before world files, so that their datasets keep their names. Factors
+    /// are left out: the settings describe those that a spec turns on, and the others change nothing.
     pub fn identity(&self) -> Option<Json> {
         if self.folder.is_none() && Scenario::PAPER.contains(&self.scenario) {
             return None;
@@ -637,17 +667,17 @@ impl World {
         Some(serde_json::to_value(file).expect("a world file is plain data"))
     }
 
-    /// The factors of variation that a spec turns on, by name, in the file's order.
+    /// Returns the names and definitions of the factors of variation that a spec turns on, in the file's order.
     pub fn factors<'a>(&'a self, spec: &'a Simulation) -> impl Iterator<Item = (&'a str, &'a Factor)> {
         self.file.factors.iter().filter(|(name, _)| spec.factors.iter().any(|on| on == name))
     }
 
-    /// The modalities that a spec can name.
+    /// Returns the modalities that a spec can name.
     pub fn modalities(&self) -> impl Iterator<Item = Modality> {
         self.file.modalities.iter().filter_map(|(name, _)| Modality::new(name))
     }
 
-    /// The regions of its images.
+    /// Returns the regions of the world's images.
     pub fn regions(&self) -> Vec<Region> {
         let region = |(name, colours): (&str, &Colours)| Region {
             name: name.to_owned(),
@@ -670,7 +700,7 @@ impl World {
         self.file.modalities.iter().find(|(name, _)| *name == modality.name()).map(|(_, sensing)| sensing)
     }
 
-    /// How a modality is scaled where a spec says nothing; `None` if the world has none of that name.
+    /// Returns the default scaling of a modality; `None` if the world has no such modality.
     pub fn scaling(&self, modality: Modality) -> Option<Scaling> {
         let sensing = self.sensing(modality)?;
         let default = match sensing.source() {
@@ -685,7 +715,7 @@ impl World {
         })
     }
 
-    /// The settings that a spec can change under `simulation`, with their own values.
+    /// Returns the world's settings that a spec can change under `simulation`, with their default values.
     pub fn settings(&self) -> Vec<(String, Setting)> {
         let ranges = self.file.action.actuators.iter();
         let ranges =
@@ -696,8 +726,8 @@ impl World {
         ranges.chain(clearances).collect()
     }
 
-    /// The settings with those that the world has and `given` lacks, and without settings and factors that it doesn't
-    /// have.
+    /// Returns `given` with the world's default for each missing setting, and without the settings and factors that the
+    /// world does not have.
     pub fn complete(&self, given: &Simulation) -> Simulation {
         let settings = self.settings().into_iter().map(|(name, own)| {
             let value = given.world.get(&name).copied().unwrap_or(own);
@@ -708,7 +738,7 @@ impl World {
         Simulation { world: settings.collect(), factors, ..given.clone() }
     }
 
-    /// The settings of an experiment that says nothing.
+    /// Returns the world's default settings.
     pub fn simulation(&self) -> Simulation {
         self.complete(&Simulation {
             sample_rate_hz: self.file.sample_rate_hz,
@@ -717,7 +747,7 @@ impl World {
         })
     }
 
-    /// Refuses a value that the world's setting can't have, in words.
+    /// Refuses a value that the world's setting can't have. The error is the message.
     pub(super) fn check_setting(&self, name: &str, value: &Setting) -> Result<(), String> {
         let own = self.settings().into_iter().find(|(own, _)| own == name).map(|(_, own)| own);
         match (own, value) {
@@ -733,18 +763,18 @@ impl World {
     }
 }
 
-/// The setting that changes the range of an element of the action: `lift_range_m`.
+/// Returns the name of the setting for the range of an element of the action: `lift_range_m`.
 pub fn range_setting(name: &str, actuator: &Actuator) -> String {
     let unit: String = actuator.unit.chars().filter(char::is_ascii_alphanumeric).collect();
     if unit.is_empty() { format!("{name}_range") } else { format!("{name}_range_{}", unit.to_lowercase()) }
 }
 
-/// The setting that changes how far apart bodies are placed.
+/// Returns the name of the setting for the smallest distance between placed bodies: `boxes_clearance_m`.
 pub fn clearance_setting(name: &str) -> String {
     format!("{name}_clearance_m")
 }
 
-/// What the schema can't say of a world file: the path at fault, and what is wrong.
+/// Checks the rules for a world file that the schema can't express. An error has the path at fault and the message.
 fn check(file: &WorldFile) -> Result<(), (String, String)> {
     if file.modalities.is_empty() {
         return Err(("modalities".into(), "a world without modalities records nothing".into()));
@@ -867,10 +897,10 @@ pub(super) fn ascending([low, high]: [f64; 2]) -> Result<(), String> {
     }
 }
 
-/// Which of `names` match one of the patterns, in their order.
+/// Returns the indices of the `names` that match one of the patterns, in ascending order.
 ///
 /// # Errors
-/// When a pattern is broken, or matches nothing: the pattern, and what is wrong with it.
+/// When a pattern is invalid or matches nothing. The error has the pattern and the message.
 pub fn matching<N: Borrow<str>>(patterns: &[String], names: &[N]) -> Result<Vec<usize>, (String, String)> {
     let mut found = Vec::new();
     for pattern in patterns {
