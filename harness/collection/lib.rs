@@ -1,4 +1,4 @@
-//! Making the episodes that a dataset lacks, on all cores.
+//! Simulates the missing episodes of a dataset in parallel.
 
 use harness_dataset::{CompiledModel, Dataset, DatasetError};
 use harness_shared::files::{FolderLock, LockError};
@@ -12,20 +12,22 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-/// Time between two looks at whether another process is done with a dataset.
+/// Time between two attempts to lock a dataset that another process has locked.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Why a dataset could not be collected.
 #[derive(Debug, thiserror::Error)]
 pub enum CollectionError {
+    /// An episode could not be simulated.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
+    /// The dataset could not be locked or written.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
 }
 
 impl CollectionError {
-    /// Whether this is the caller's own wish to stop.
+    /// Returns whether the caller cancelled the collection.
     pub fn is_cancelled(&self) -> bool {
         match self {
             Self::Simulation(error) => matches!(error, SimulationError::Cancelled { .. }),
@@ -34,7 +36,7 @@ impl CollectionError {
     }
 }
 
-/// The dataset of a scene under a spec, in `root`; nothing is read or written yet.
+/// Returns the dataset of a scene and a spec in the folder `root`. It reads and writes nothing.
 pub fn dataset_of(root: &Path, scene: &Scene, spec: &Simulation) -> Dataset {
     let layout = scene.layout_of(spec);
     let model =
@@ -42,14 +44,14 @@ pub fn dataset_of(root: &Path, scene: &Scene, spec: &Simulation) -> Dataset {
     Dataset::new(root, scene.world(), model, spec)
 }
 
-/// Simulates the missing episodes of `dataset` on `threads` threads, each with a simulator and a renderer of
-/// its own, and writes each as it is finished. Returns how many were made.
+/// Simulates the missing episodes of `dataset` and returns their number. Each of the `threads` threads has its own
+/// simulator and renderer, and writes each episode when it is finished.
 ///
-/// Other processes that collect the same dataset are waited for.
+/// If other processes collect the same dataset, it waits for them.
 ///
 /// # Errors
-/// When an episode diverges or can't be written, or the caller cancels: the others in progress stop at their next
-/// sample, those already written stay.
+/// When an episode can't be simulated or written, or the caller cancels. The other threads then stop at their next
+/// sample. Episodes that are already written are kept.
 pub fn collect(
     dataset: &Dataset,
     scene: &Scene,
@@ -61,11 +63,11 @@ pub fn collect(
     make(dataset, scene, &dataset.to_make(progress), threads, progress)
 }
 
-/// As [`collect`], but only a share of the episodes, the first of which is at the index `first` of the list that the shares
-/// are of. Other processes make the other shares at the same time.
+/// Like [`collect`], but simulates only the episodes of one shard. The shards divide a list in which the dataset's
+/// first episode has the index `first`. Other processes can simulate the other shards at the same time.
 ///
 /// # Errors
-/// As those of [`collect`].
+/// See [`collect`].
 pub fn collect_share(
     dataset: &Dataset,
     scene: &Scene,
@@ -81,7 +83,7 @@ pub fn collect_share(
     make(dataset, scene, &missing, threads, progress)
 }
 
-/// Makes these episodes of a dataset, whose folder the caller has locked.
+/// Simulates the episodes `missing` of a dataset whose folder the caller has locked.
 fn make(
     dataset: &Dataset,
     scene: &Scene,
@@ -99,8 +101,8 @@ fn make(
     std::thread::scope(|scope| {
         let spawn = |_| scope.spawn(|| work.take_part());
         let workers: Vec<_> = (0..threads.clamp(1, missing.len())).map(spawn).collect();
-        // A scope waits for what its threads do, and not for what they free when they end, as OpenGL drivers do. If the
-        // process exits meanwhile, both free the same memory.
+        // A scope does not wait until its threads have freed their thread-local memory, as OpenGL drivers do at a
+        // thread's end. If the process exits meanwhile, both free the same memory. Joining the threads prevents this.
         for worker in workers {
             worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         }
@@ -112,7 +114,7 @@ fn make(
     }
 }
 
-/// Locks the dataset's folder as soon as `attempt` succeeds.
+/// Locks the dataset's folder. It repeats `attempt` until it succeeds or the caller cancels.
 fn lock(
     dataset: &Dataset,
     attempt: fn(&Path) -> Result<Option<FolderLock>, LockError>,
@@ -138,7 +140,7 @@ fn lock(
     }
 }
 
-/// What the threads share.
+/// The data that the threads share.
 struct Work<'a> {
     dataset: &'a Dataset,
     scene: &'a Scene,
@@ -149,7 +151,7 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// Makes episodes until none is left or one failed.
+    /// Simulates episodes until none is left or one fails.
     fn take_part(&self) {
         if let Err(error) = self.make_episodes() {
             self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).get_or_insert(error);

@@ -1,4 +1,4 @@
-//! Many live simulations, stepped in parallel.
+//! Steps many live simulations in parallel.
 
 use super::SimulationError;
 use super::live::LiveSimulation;
@@ -6,20 +6,20 @@ use super::scene::Scene;
 use harness_spec::{Modality, Simulation};
 use rayon::prelude::*;
 
-/// The most simulations of a batch: beyond any use, and far below what memory holds.
+/// Largest number of simulations in a batch. It is more than anyone needs, and fits into memory.
 const MAX_BATCH: usize = 4096;
 
-/// Simulations of one scene that are independent of each other. Each takes part of the work of the caller's
-/// rayon pool; a single one stays on the caller's thread, and needs no pool.
+/// Independent simulations of one scene. They run in parallel on the caller's rayon pool. A single simulation runs on
+/// the caller's thread, without a pool.
 pub struct Batch {
     simulations: Vec<LiveSimulation>,
 }
 
 impl Batch {
-    /// `count` simulations, each at the start of the spec's first episode.
+    /// Creates `count` simulations, each at the start of the spec's first episode.
     ///
     /// # Errors
-    /// When `count` is 0 or too large, or as [`LiveSimulation::new`].
+    /// When `count` is 0 or above 4096, and for the reasons of [`LiveSimulation::new`].
     pub fn new(scene: &'static Scene, spec: &Simulation, count: usize) -> Result<Self, SimulationError> {
         if !(1..=MAX_BATCH).contains(&count) {
             return Err(SimulationError::Batch(format!(
@@ -30,15 +30,15 @@ impl Batch {
         Ok(Self { simulations: simulations.collect::<Result<_, _>>()? })
     }
 
-    /// Its simulations, at least one.
+    /// Returns the simulations; there is at least one.
     pub fn simulations(&self) -> &[LiveSimulation] {
         &self.simulations
     }
 
-    /// Takes a simulation to the start of an episode, as [`LiveSimulation::reset`].
+    /// Resets one simulation to the start of an episode, like [`LiveSimulation::reset`].
     ///
     /// # Errors
-    /// When there is no simulation of that index, and as [`LiveSimulation::reset`].
+    /// When there is no simulation with that index, and for the reasons of [`LiveSimulation::reset`].
     pub fn reset(&mut self, index: usize, seed: u64, episode: u32) -> Result<(), SimulationError> {
         let count = self.simulations.len();
         let simulation = self.simulations.get_mut(index).ok_or_else(|| {
@@ -50,11 +50,11 @@ impl Batch {
         simulation.reset(seed, episode)
     }
 
-    /// Takes each simulation to its next sample, as [`LiveSimulation::step`], those apart that are not `active`.
+    /// Advances each `active` simulation to its next sample, like [`LiveSimulation::step`].
     ///
     /// # Errors
-    /// When there are not as many setpoints as simulations, and as [`LiveSimulation::step`]; the others have been
-    /// stepped then.
+    /// When the number of setpoints or of `active` values differs from the number of simulations, and for the reasons
+    /// of [`LiveSimulation::step`]. If one simulation fails, the others have still been stepped.
     pub fn step(&mut self, setpoints: &[Vec<f64>], active: &[bool]) -> Result<(), SimulationError> {
         let count = self.simulations.len();
         for (name, found) in [("setpoints", setpoints.len()), ("active", active.len())] {
@@ -68,18 +68,18 @@ impl Batch {
         })
     }
 
-    /// Takes each simulation to its next sample along its episode's own plan.
+    /// Advances each simulation to its next sample along the plan of its episode.
     ///
     /// # Errors
-    /// When one diverges.
+    /// When a simulation diverges.
     pub fn follow(&mut self) -> Result<(), SimulationError> {
         self.each(|_, simulation| simulation.follow())
     }
 
-    /// A camera's images, `[count, rows, columns, 3]`, written to `frames`.
+    /// Writes a camera's images, `[count, rows, columns, 3]`, to `frames`.
     ///
     /// # Errors
-    /// As [`LiveSimulation::image`].
+    /// See [`LiveSimulation::image`].
     pub fn image(&mut self, modality: Modality, frames: &mut [u8]) -> Result<(), SimulationError> {
         let size = frames.len() / self.simulations.len();
         match self.simulations.as_mut_slice() {
@@ -91,14 +91,14 @@ impl Batch {
         }
     }
 
-    /// Works on each simulation; the first error is that of the lowest index.
+    /// Calls `work` for each simulation. If several fail, it returns the error of the lowest index.
     fn each(
         &mut self,
         work: impl Fn(usize, &mut LiveSimulation) -> Result<(), SimulationError> + Sync,
     ) -> Result<(), SimulationError> {
         let ends: Vec<_> = match self.simulations.as_mut_slice() {
             [simulation] => vec![work(0, simulation)],
-            // Contacts make one simulation's step several times as long as another's, so each is dealt out by itself.
+            // Contacts can make one simulation's step several times as long as another's, so each one is its own task.
             several => several
                 .par_iter_mut()
                 .enumerate()

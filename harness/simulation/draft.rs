@@ -1,4 +1,4 @@
-//! A first world file for any model.
+//! Writes a first world file for any model.
 
 use super::SimulationError;
 use super::scene::{compile_error, named, prepare};
@@ -6,11 +6,11 @@ use mujoco_rs::prelude::*;
 use std::fmt::Write;
 use std::path::Path;
 
-/// Sides of the images that a first world file asks for, pixels.
+/// Side of the images in a first world file, pixels.
 const SIDE: usize = 64;
 
-/// The text of a world file for the MJCF at `model`, which it calls `called`: all joints, links, sensors and
-/// cameras that have a name, and all actuators.
+/// Returns the text of a world file for the MJCF at the path `model`. The file has all named joints, links, sensors,
+/// cameras and actuators of the model, and refers to the model by the path `called`.
 ///
 /// # Errors
 /// When the model can't be compiled, or has no actuator with a name.
@@ -103,7 +103,7 @@ fn list(names: &[&str]) -> String {
     format!("[{}]", names.iter().map(|name| quoted(name)).collect::<Vec<_>>().join(", "))
 }
 
-/// As YAML takes any text.
+/// Quotes a text for YAML.
 fn quoted(text: &str) -> String {
     serde_json::Value::from(text).to_string()
 }

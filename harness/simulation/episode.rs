@@ -1,4 +1,4 @@
-//! Episodes: one seeded simulation each, recorded sample by sample.
+//! Simulates and records episodes, one seeded simulation each.
 
 use super::SimulationError;
 use super::camera::Camera;
@@ -9,17 +9,19 @@ use super::scene::Scene;
 use harness_spec::{Episode, IMAGE_CHANNELS, Modality, Simulation};
 use std::ops::ControlFlow;
 
-/// Simulates and films episodes of one scene, on the thread that made it.
+/// Simulates and renders episodes of one scene, on the thread that created it.
 pub struct Simulator<'s> {
     spec: Simulation,
     physics: Physics<'s>,
-    /// One for each of the scene's.
+    /// One for each recorded camera of the scene.
     cameras: Vec<Camera>,
-    /// Likewise.
+    /// One for each recorded flow of the scene.
     flows: Vec<Flow>,
 }
 
 impl<'s> Simulator<'s> {
+    /// Creates the simulation and the renderers of a scene.
+    ///
     /// # Errors
     /// When the spec's ranges or rates do not suit the scene, or there is no OpenGL to render with.
     pub fn new(scene: &'s Scene, spec: &Simulation) -> Result<Self, SimulationError> {
@@ -30,7 +32,7 @@ impl<'s> Simulator<'s> {
         Ok(Self { spec: spec.clone(), physics, cameras, flows })
     }
 
-    /// Simulates the episode of that index; `on_sample` is called after each sample and may cancel.
+    /// Simulates the episode with this index. It calls `on_sample` after each sample, which can cancel the episode.
     ///
     /// # Errors
     /// When the boxes find no place, the simulation diverges, rendering fails, or `on_sample` breaks.
@@ -61,10 +63,10 @@ impl<'s> Simulator<'s> {
     }
 }
 
-/// Simulates an episode again, without frames: the model's generalised positions at each sample.
+/// Simulates an episode without images and returns the model's generalised positions at each sample, `[samples, nq]`.
 ///
 /// # Errors
-/// As [`Simulator::run`], except for rendering and cancelling.
+/// See [`Simulator::run`]. Rendering and cancelling don't apply.
 pub fn replay(scene: &Scene, spec: &Simulation, index: u32) -> Result<Vec<Vec<f64>>, SimulationError> {
     let mut physics = Physics::new(scene, spec)?;
     let plan = EpisodePlan::draw(scene, spec, index)?;
@@ -76,7 +78,7 @@ pub fn replay(scene: &Scene, spec: &Simulation, index: u32) -> Result<Vec<Vec<f6
     Ok(states)
 }
 
-/// An episode with room for the samples of a plan.
+/// Creates the episode of a plan, with memory reserved for its samples.
 fn with_room(scene: &Scene, spec: &Simulation, plan: &EpisodePlan, samples: usize) -> Episode {
     let mut episode = Episode::new(scene.layout_of(spec), plan.episode, samples);
     for (values, readings) in episode.vectors.iter_mut().zip(&scene.readings) {
@@ -96,7 +98,7 @@ fn with_room(scene: &Scene, spec: &Simulation, plan: &EpisodePlan, samples: usiz
 
 /// Appends the vectors of one sample.
 fn record(episode: &mut Episode, scene: &Scene, instant: &Instant) {
-    // What the factors of variation are is known from the start; nothing is read for them.
+    // The factors of variation have no readings: their values were stored when the episode was created.
     for (position, (values, _)) in episode.vectors.iter_mut().zip(&scene.readings).enumerate() {
         values.extend(instant.vector(scene, position));
     }

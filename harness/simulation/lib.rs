@@ -1,8 +1,8 @@
-//! The simulated world: MuJoCo scenes, the arm's motion, what the robot senses, and the camera's frames.
+//! The simulation: MuJoCo scenes, the motion of the actuators, the sensed values, and the cameras' images.
 //!
-//! A [`Scene`] is a compiled model, shared by all threads; a [`Simulator`] steps and films it on one thread and
-//! yields [`Episode`]s. An episode depends on the spec, the scene and its own index, on nothing else. A
-//! [`LiveSimulation`] is stepped from outside instead, and a [`Batch`] of them in parallel.
+//! A [`Scene`] is a compiled model that all threads share. A [`Simulator`] simulates and renders it on one thread and
+//! returns [`Episode`]s. An episode depends only on the spec, the scene and its index. A [`LiveSimulation`] is stepped
+//! by its caller, and a [`Batch`] steps many of them in parallel.
 
 mod batch;
 mod camera;
@@ -33,68 +33,155 @@ pub use harness_spec::{Episode, Pose};
 use harness_spec::SpecError;
 use mujoco_rs::prelude::RendererError;
 
-/// The MuJoCo release that the bindings, the models and the published numbers are for.
+/// The MuJoCo version that the bindings, the models and the published numbers need.
 pub const MUJOCO_VERSION: &str = "3.17.0";
 
-/// The version of the MuJoCo library that this process runs.
+/// Returns the version of the MuJoCo library that this process has loaded.
 pub fn mujoco_version() -> &'static str {
     mujoco_rs::mujoco_version()
 }
 
-/// Why a scene, an episode or a picture could not be made.
+/// Why a scene, an episode or an image could not be created.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SimulationError {
+    /// The linked MuJoCo library has another version than [`MUJOCO_VERSION`].
     #[error("MuJoCo {found} is linked, but this program is built for {MUJOCO_VERSION}: run `make setup`")]
-    Version { found: String },
+    Version {
+        /// Version of the linked library.
+        found: String,
+    },
 
+    /// The world file has a fault.
     #[error(transparent)]
     World(#[from] SpecError),
 
+    /// MuJoCo can't read or compile the model.
     #[error("{scene} does not compile: {message}")]
-    Compile { scene: String, message: String },
+    Compile {
+        /// Where the model came from.
+        scene: String,
+        /// MuJoCo's message, on one line.
+        message: String,
+    },
 
+    /// The model lacks an object that is needed.
     #[error("{scene} has no {kind} named `{name}`")]
-    Missing { scene: String, kind: &'static str, name: String },
+    Missing {
+        /// Where the model came from.
+        scene: String,
+        /// Kind of the object: "body", "geom".
+        kind: &'static str,
+        /// Name that was looked up.
+        name: String,
+    },
 
+    /// The model can't be used for what was asked.
     #[error("{scene}: {problem}")]
-    Unsuitable { scene: String, problem: String },
+    Unsuitable {
+        /// Where the model came from.
+        scene: String,
+        /// What is wrong with the model.
+        problem: String,
+    },
 
+    /// A setting of the spec does not suit the scene.
     #[error("simulation.{field}: {problem}")]
-    Spec { field: String, problem: String },
+    Spec {
+        /// Key of the setting under `simulation`.
+        field: String,
+        /// What is wrong with its value.
+        problem: String,
+    },
 
+    /// A box could not be placed with the clearance that the spec asks for.
     #[error(
         "episode {episode}: no free place for box {placed} of {boxes} after {attempts} draws; \
          widen the ranges or the area that boxes are placed in, or lower simulation.{setting}"
     )]
-    Placement { episode: u32, placed: usize, boxes: usize, attempts: usize, setting: String },
+    Placement {
+        /// Index of the episode.
+        episode: u32,
+        /// Number of the box that has no place, counted from 1.
+        placed: usize,
+        /// Number of boxes in the scene.
+        boxes: usize,
+        /// Number of places that were drawn.
+        attempts: usize,
+        /// Key of the clearance under `simulation`.
+        setting: String,
+    },
 
+    /// MuJoCo reported that the simulation became unstable.
     #[error("episode {episode} of {scene} diverged {time_s:.3} s after its start: {what}")]
-    Diverged { scene: String, episode: u32, time_s: f64, what: String },
+    Diverged {
+        /// Where the model came from.
+        scene: String,
+        /// Index of the episode.
+        episode: u32,
+        /// Simulated time since the start of the episode, s.
+        time_s: f64,
+        /// MuJoCo's warning and its cause.
+        what: String,
+    },
 
+    /// The caller cancelled the episode.
     #[error("episode {episode} was cancelled")]
-    Cancelled { episode: u32 },
+    Cancelled {
+        /// Index of the episode.
+        episode: u32,
+    },
 
+    /// No OpenGL context could be created.
     #[error(
         "no OpenGL context for offscreen rendering: EGL says {cause}; install an EGL driver \
          (Debian: apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri)"
     )]
-    NoRenderer { cause: String },
+    NoRenderer {
+        /// Message of EGL.
+        cause: String,
+    },
 
+    /// OpenGL failed while rendering.
     #[error("rendering failed")]
     Render(#[source] RendererError),
 
+    /// A picture of this size can't be rendered.
     #[error("a picture of {width} x {height} pixels is out of range: each side must be 1 to {max}")]
-    PictureSize { width: u32, height: u32, max: u32 },
+    PictureSize {
+        /// Width, pixels.
+        width: u32,
+        /// Height, pixels.
+        height: u32,
+        /// Longest side that is allowed, pixels.
+        max: u32,
+    },
 
+    /// A setpoint has the wrong number of values, or a value that is not finite.
     #[error(
         "the setpoint {setpoint:?} of simulation {index} must be {expected} finite numbers, one an element of the action"
     )]
-    Setpoint { index: usize, setpoint: Vec<f64>, expected: usize },
+    Setpoint {
+        /// Index of the simulation in its batch.
+        index: usize,
+        /// The setpoint that was given.
+        setpoint: Vec<f64>,
+        /// Number of elements of the action.
+        expected: usize,
+    },
 
+    /// An argument of a batch is wrong. The text is the message.
     #[error("{0}")]
     Batch(String),
 
+    /// A state has the wrong number of generalised positions.
     #[error("a state of {found} values does not fit {scene}, which has {expected} position coordinates")]
-    StateSize { scene: String, found: usize, expected: usize },
+    StateSize {
+        /// Where the model came from.
+        scene: String,
+        /// Number of values that were given.
+        found: usize,
+        /// Number of generalised positions of the model.
+        expected: usize,
+    },
 }

@@ -1,4 +1,4 @@
-//! What is random about an episode: how the actuators move, and where boxes stand.
+//! The random parts of an episode: the actuators' motion, the places of the boxes, and the factors of variation.
 
 use super::SimulationError;
 use super::factors::FactorValues;
@@ -10,20 +10,20 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use sha2::{Digest, Sha256};
 
-/// All that decides an episode, given its scene.
+/// Everything that determines an episode of a given scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EpisodePlan {
     /// The episode's index in the dataset.
     pub episode: u32,
-    /// Where each box starts.
+    /// Start pose of each box.
     pub boxes: Vec<Pose>,
-    /// What it draws of the factors of variation that the spec turns on.
+    /// Values of the factors of variation that the spec turns on.
     pub factors: FactorValues,
     motion: Motion,
 }
 
 impl EpisodePlan {
-    /// Draws the plan of the episode of that index.
+    /// Draws the plan of the episode with this index.
     ///
     /// # Errors
     /// When the spec's rates do not suit the scene's step, or the boxes find no place.
@@ -36,13 +36,14 @@ impl EpisodePlan {
         Ok(Self { episode: index, boxes, factors, motion })
     }
 
-    /// Writes what the actuators are commanded during a simulation step.
+    /// Writes the setpoints of the actuators during a simulation step, counted from the episode's start, to `setpoint`.
     pub fn setpoint(&self, step: usize, setpoint: &mut [f64]) {
         self.motion.setpoint(step, setpoint);
     }
 }
 
-/// The episode's own random stream: independent of every other's, whichever thread runs it and when.
+/// Returns the random generator of an episode. It depends only on the seed, the scenario and the index, so episodes are
+/// independent of each other and of the thread that simulates them.
 fn episode_stream(scene: &Scene, seed: u64, index: u32) -> ChaCha8Rng {
     let identity = format!("harness episode: seed {seed}, scenario {}, index {index}", scene.scenario());
     ChaCha8Rng::from_seed(Sha256::digest(identity).into())

@@ -1,18 +1,19 @@
-//! What is read off the state after each step: contact forces, and signs that the simulation went wrong.
+//! Values that are computed from the state after each step: contact forces, and MuJoCo's warnings.
 
 use super::scene::Scene;
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_auxiliary::MjContact;
 use mujoco_rs::wrappers::mj_model::traits::ModelType;
 
-/// Each of the scene's forces: the sum of the normal components of a link's contacts, N.
+/// Returns the normal force on each sensed link, N: the sum over the link's contacts. There is one value for each of
+/// the scene's forces.
 pub fn link_forces(scene: &Scene, data: &MjData<impl ModelType>) -> Vec<f64> {
     let mut forces = vec![0.0; scene.forces];
     sum_forces(scene, data, &mut forces);
     forces
 }
 
-/// The same, written to `forces`. A contact of two links counts for both.
+/// Like [`link_forces`], but writes to `forces`. A contact between two links counts for both.
 pub(super) fn sum_forces(scene: &Scene, data: &MjData<impl ModelType>, forces: &mut [f64]) {
     forces.fill(0.0);
     if forces.is_empty() {
@@ -29,12 +30,13 @@ pub(super) fn sum_forces(scene: &Scene, data: &MjData<impl ModelType>, forces: &
     }
 }
 
-/// The normal component of a contact's force, N, as `mj_contactForce` gives it, without the friction.
+/// Returns the normal component of a contact's force, N. It equals the first value of `mj_contactForce`.
 fn normal_force(scene: &Scene, data: &MjData<impl ModelType>, contact: &MjContact) -> f64 {
     // Contacts without constraint rows (within the margin, or excluded) have no force.
     let Ok(first) = usize::try_from(contact.efc_address) else { return 0.0 };
     let rows = match contact.dim as usize {
-        // A pyramid's edges each carry a share of the normal force: the rows add up to it.
+        // Each edge of a pyramidal friction cone carries a part of the normal force, so the sum of the rows is the
+        // force.
         dim if dim > 1 && scene.model.is_pyramidal() => 2 * (dim - 1),
         _ => 1,
     };
@@ -62,7 +64,7 @@ impl MeanForces {
         self.steps += 1;
     }
 
-    /// Writes the mean over the steps added, N; starts anew.
+    /// Writes the mean over the added steps, N, and clears the sum.
     pub fn take(&mut self, mean: &mut [f64]) {
         for (mean, sum) in mean.iter_mut().zip(&self.sum) {
             *mean = sum / self.steps as f64;
@@ -76,10 +78,11 @@ impl MeanForces {
     }
 }
 
-/// What went wrong with the simulation so far, if anything did.
+/// Returns the first warning of the simulation so far, if there is one.
 ///
-/// MuJoCo counts a warning when positions, velocities or accelerations are not finite or huge (and then resets
-/// the state, which must not be taken for data), or when contacts or constraints did not fit its memory.
+/// MuJoCo counts a warning when positions, velocities or accelerations are huge or not finite. It then resets the
+/// state, so later values are not valid data. It also counts a warning when contacts or constraints do not fit its
+/// memory.
 pub(super) fn instability(data: &MjData<impl ModelType>) -> Option<String> {
     data.warning()
         .iter()

@@ -54,8 +54,8 @@ impl Scenario {
 
 interned_name!(Scenario, first: PAPER, refused: "can't name a scenario");
 
-/// The source of a cell's samples. A spec gives the name of a built-in world, the path of a world file, or the name of an
-/// imported dataset.
+/// The source of a cell's samples. A spec gives the name of a built-in world, the path of a world file, or the name of
+/// an imported dataset.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Origin {
@@ -63,7 +63,8 @@ pub enum Origin {
     Simulated(Scenario),
     /// The path of a world file as given in a spec. In the spec of a run, it is replaced by `Simulated`.
     File(String),
-    /// An imported dataset, by the name of its folder: `lab_finger-0123456789abcdef`. The digits are a hash of its content.
+    /// An imported dataset, by the name of its folder: `lab_finger-0123456789abcdef`. The digits are a hash of its
+    /// content.
     Imported(String),
 }
 
@@ -593,8 +594,8 @@ impl Simulation {
 
 impl Split {
     /// The default gap of a split by time, s: five actuations of the default duration. The autocorrelation of the
-    /// finger's angles is 0.19 after 1 s, 0.04 after 2 s and 0.00 after 5 s (cluttered scenario). Samples before and after
-    /// the gap therefore have only the positions of the pushed boxes in common.
+    /// finger's angles is 0.19 after 1 s, 0.04 after 2 s and 0.00 after 5 s (cluttered scenario). Samples before and
+    /// after the gap therefore have only the positions of the pushed boxes in common.
     pub const GAP_SECONDS: f64 = 5.0;
 
     /// Divides `all` episodes or transitions; `None` if none would be left for training.
@@ -751,8 +752,8 @@ fn loss_weights_schema(_: &mut SchemaGenerator) -> Schema {
     by_modality(json_schema!({ "type": "number", "minimum": 0.0, "maximum": 1e6 }))
 }
 
-/// The schema of a section with a value for each modality. It lists the modalities of the built-in worlds, which editors
-/// complete, and allows all others.
+/// The schema of a section with a value for each modality. It lists the modalities of the built-in worlds, which
+/// editors complete, and allows all others.
 pub(super) fn by_modality(value: Schema) -> Schema {
     let value = value.to_value();
     let properties: serde_json::Map<_, _> =

@@ -592,8 +592,8 @@ impl World {
         self.folder.as_ref().map(|_| Self::load(Path::new(&self.label)))
     }
 
-    /// Parses the text of a world file. Messages call the file `label`, the path of its model is relative to `folder`, and
-    /// `name` becomes the scenario.
+    /// Parses the text of a world file. Messages call the file `label`, the path of its model is relative to `folder`,
+    /// and `name` becomes the scenario.
     ///
     /// # Errors
     /// Returns the first fault, with its line and column.
@@ -657,8 +657,8 @@ impl World {
 
     /// Returns the parts of the world file that define the content of its datasets, besides the model and the settings.
     ///
-    /// It is `None` for the two worlds that existed before world files, so that their datasets keep their names. Factors
-    /// are left out: the settings describe those that a spec turns on, and the others change nothing.
+    /// It is `None` for the two worlds that existed before world files, so that their datasets keep their names.
+    /// Factors are left out: the settings describe those that a spec turns on, and the others change nothing.
     pub fn identity(&self) -> Option<Json> {
         if self.folder.is_none() && Scenario::PAPER.contains(&self.scenario) {
             return None;
