@@ -1,4 +1,4 @@
-//! Cameras: small frames for the networks, large pictures for people.
+//! Renders the cameras' images: small ones for the networks and large ones for figures and videos.
 
 use super::SimulationError;
 use super::factors::FactorValues;
@@ -10,16 +10,16 @@ use mujoco_rs::wrappers::mj_model::traits::ModelType;
 use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
 use std::sync::Arc;
 
-/// Longest side of a picture, pixels; larger buffers than a driver has would end the process.
+/// Longest side of a picture, pixels. A buffer larger than the driver's limit would end the process.
 const MAX_PICTURE_SIDE: u32 = 4096;
 
-/// Makes software rendering use the calling threads alone; they are as many as the cores already.
+/// Limits software rendering to the calling threads, because the simulators already use all cores.
 ///
-/// Mesa's llvmpipe otherwise starts a pool for every OpenGL context, which costs more than frames of 64 x 64
-/// do. A value of `LP_NUM_THREADS` that the user has set stays. Graphics cards ignore it.
+/// Otherwise Mesa's llvmpipe starts a thread pool for every OpenGL context, which costs more than rendering images of
+/// 64 x 64 pixels. A value of `LP_NUM_THREADS` that the user has set is kept. GPUs ignore the variable.
 ///
 /// # Safety
-/// Changes the environment, so no other thread may run: call it first thing in `main`.
+/// It changes the environment, so no other thread may run. Call it at the start of `main`.
 pub unsafe fn prepare_rendering() {
     if std::env::var_os("LP_NUM_THREADS").is_none() {
         // SAFETY: the caller promises that this is the only thread.
@@ -27,10 +27,10 @@ pub unsafe fn prepare_rendering() {
     }
 }
 
-/// Which OpenGL renderer answers, for example "llvmpipe (LLVM 15.0.6, 256 bits)".
+/// Returns the name of the OpenGL renderer, for example "llvmpipe (LLVM 15.0.6, 256 bits)".
 ///
 /// # Errors
-/// When there is no OpenGL to render with, or MuJoCo's library is of another version.
+/// When there is no OpenGL to render with, or MuJoCo's library has another version.
 pub fn renderer_name() -> Result<String, SimulationError> {
     prepare()?;
     let model = MjModel::from_xml_string("<mujoco/>").expect("an empty model compiles");
@@ -38,20 +38,23 @@ pub fn renderer_name() -> Result<String, SimulationError> {
     Ok(current_renderer_name())
 }
 
-/// Films a scene's state from one of its cameras, on the thread that made it.
+/// Renders a scene's state from one of its cameras, on the thread that created it.
 pub struct Camera {
     renderer: MjRenderer,
     renderer_name: String,
 }
 
 impl Camera {
+    /// Creates a renderer for the scene's view, which is MuJoCo's free camera if the scene has no camera. `width` and
+    /// `height` are in pixels.
+    ///
     /// # Errors
     /// When there is no OpenGL to render with, or the model's offscreen buffer is smaller than the frame.
     pub fn new(scene: &Scene, width: u32, height: u32) -> Result<Self, SimulationError> {
         Self::for_model(&scene.model, scene, scene.view, width, height)
     }
 
-    /// One that is recorded.
+    /// Creates a renderer for a camera that is recorded.
     pub(super) fn recording(scene: &Scene, recorded: &SceneCamera) -> Result<Self, SimulationError> {
         let [rows, columns] = recorded.size;
         Self::for_model(&scene.model, scene, Some(recorded.camera), columns as u32, rows as u32)
@@ -79,7 +82,7 @@ impl Camera {
         Ok(Self { renderer, renderer_name: current_renderer_name() })
     }
 
-    /// Draws the state: RGB, top row first, `[height, width, 3]`.
+    /// Renders the state and returns its RGB pixels, top row first, `[height, width, 3]`.
     ///
     /// # Errors
     /// When OpenGL fails.
@@ -89,16 +92,17 @@ impl Camera {
         Ok(self.renderer.rgb_flat().expect("colour rendering is on by default"))
     }
 
-    /// Which OpenGL renderer draws the frames.
+    /// Returns the name of the OpenGL renderer.
     pub fn renderer_name(&self) -> &str {
         &self.renderer_name
     }
 }
 
-/// Draws pictures for people: with shadows, smooth edges and round capsules, at any resolution.
+/// Renders pictures for figures and videos, with shadows, smooth edges and round capsules, up to 4096 pixels wide or
+/// high.
 pub struct SceneRenderer<'s> {
     scene: &'s Scene,
-    /// The scene's model with a better look, and without what an episode drew.
+    /// The scene's model with better visual quality, and without factors of variation.
     model: Arc<MjModel>,
     data: MjData<Arc<MjModel>>,
     camera: Camera,
@@ -106,6 +110,8 @@ pub struct SceneRenderer<'s> {
 }
 
 impl<'s> SceneRenderer<'s> {
+    /// Creates a renderer for pictures of `width` x `height` pixels from the scene's view.
+    ///
     /// # Errors
     /// When a side is 0 or above 4096 pixels, or there is no OpenGL to render with.
     pub fn new(scene: &'s Scene, width: u32, height: u32) -> Result<Self, SimulationError> {
@@ -113,11 +119,11 @@ impl<'s> SceneRenderer<'s> {
         Self::of_model(scene, good_looking(&scene.model, width, height), [width, height])
     }
 
-    /// A renderer from the same place, of a body in the middle and with a field of view of `angle_deg` from top to
-    /// bottom.
+    /// Creates a renderer whose camera is at the same place, but points at a body. Its vertical field of view is
+    /// `angle_deg` degrees.
     ///
     /// # Errors
-    /// As [`SceneRenderer::new`], and when the scene has no such body.
+    /// When the scene has no such body or no camera, and for the reasons of [`SceneRenderer::new`].
     pub fn close_up(
         scene: &'s Scene,
         width: u32,
@@ -145,12 +151,12 @@ impl<'s> SceneRenderer<'s> {
         Ok(Self { scene, data: MjData::new(model.clone()), model, camera, size })
     }
 
-    /// Draws what an episode drew of the factors of variation from now on, as in [`super::EpisodePlan`].
+    /// Renders all further pictures with these values of the factors of variation, as in [`super::EpisodePlan`].
     pub fn vary(&mut self, factors: &FactorValues) {
         self.data.swap_model(factors.apply(self.scene, &self.model));
     }
 
-    /// Where a geom's middle was in the world when the scene was drawn last, m.
+    /// Returns the position of a geom's centre in the world in the last picture, m.
     ///
     /// # Errors
     /// When the scene has no such geom.
@@ -158,16 +164,16 @@ impl<'s> SceneRenderer<'s> {
         Ok(self.data.geom_xpos()[self.scene.id(MjtObjBase::mjOBJ_GEOM, "geom", geom)?])
     }
 
-    /// Where a place in the world, m, lies in the picture that was drawn last: from its upper left corner to the
-    /// right and down, in parts of its width and height. The place must be before the camera.
+    /// Projects a point in the world (m) into the last picture. Returns the distance from the left edge as a fraction
+    /// of the width, and from the top edge as a fraction of the height. The point must be in front of the camera.
     ///
     /// # Panics
-    /// The scene has no camera.
+    /// When the scene has no camera.
     pub fn project(&self, place: [f64; 3]) -> [f64; 2] {
         let view = self.scene.view.expect("the built-in scenes have a camera");
         let (camera, turn) = (self.data.cam_xpos()[view], self.data.cam_xmat()[view]);
         let away: [f64; 3] = std::array::from_fn(|axis| place[axis] - camera[axis]);
-        // The camera's axes are the matrix's columns: right, up, and backwards.
+        // The columns of the matrix are the camera's axes: right, up and backwards.
         let [right, up, back]: [f64; 3] =
             std::array::from_fn(|column| (0..3).map(|row| turn[3 * row + column] * away[row]).sum());
         let half = (self.data.model().cam_fovy()[view].to_radians() / 2.0).tan();
@@ -175,10 +181,10 @@ impl<'s> SceneRenderer<'s> {
         [0.5 + right / (-back * 2.0 * half * aspect), 0.5 - up / (-back * 2.0 * half)]
     }
 
-    /// Draws the scene with these generalised positions, as [`super::replay`] returns them.
+    /// Renders the scene with these generalised positions, for example from [`super::replay`].
     ///
     /// # Errors
-    /// When the positions are not as many as the scene has, or OpenGL fails.
+    /// When the number of positions is not that of the scene, or OpenGL fails.
     pub fn render(&mut self, qpos: &[f64]) -> Result<RgbImage, SimulationError> {
         if qpos.len() != self.data.qpos().len() {
             return Err(SimulationError::StateSize {
@@ -203,7 +209,7 @@ fn check_size(width: u32, height: u32) -> Result<(), SimulationError> {
     Err(SimulationError::PictureSize { width, height, max: MAX_PICTURE_SIDE })
 }
 
-/// A copy of the model with MuJoCo's default visual quality, which the models lower for speed, and shadows.
+/// Returns a copy of the model with shadows and MuJoCo's default visual quality, which the models lower for speed.
 fn good_looking(model: &MjModel, width: u32, height: u32) -> MjModel {
     let mut model = model.clone();
     let visual = model.vis_mut();
@@ -212,7 +218,7 @@ fn good_looking(model: &MjModel, width: u32, height: u32) -> MjModel {
     let quality = &mut visual.quality;
     (quality.shadowsize, quality.offsamples) = (4096, 4);
     (quality.numslices, quality.numstacks, quality.numquads) = (28, 16, 4);
-    // The default covers less ground than the camera sees, and spoils the rest with moire.
+    // The default shadow map covers less ground than the camera sees, and causes moire on the rest.
     visual.map.shadowclip = 3.0;
     model.light_castshadow_mut().fill(true);
     model

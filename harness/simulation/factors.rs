@@ -1,4 +1,4 @@
-//! Factors of variation: what an episode draws of a model's own properties, and the model that comes of it.
+//! Factors of variation: draws random values for an episode and changes the properties of the model accordingly.
 
 use super::scene::Scene;
 use harness_spec::{Drawing, Element, Normal, Property, Scenario, Simulation};
@@ -9,29 +9,29 @@ use rand_distr::{Distribution, StandardNormal};
 use sha2::{Digest, Sha256};
 use std::sync::Arc;
 
-/// A factor of a world, whose names were looked up in the model.
+/// A factor of a world, with its names resolved in the model.
 #[derive(Debug, Clone)]
 pub(super) struct SceneFactor {
     pub name: String,
     pub property: Property,
     pub drawing: Drawing,
-    /// What it changes: joints, bodies, geoms, lights or cameras of the model, by their indices.
+    /// Indices of the joints, bodies, geoms, lights or cameras of the model that it changes.
     pub things: Vec<usize>,
-    /// Whether each of them has values of its own.
+    /// Whether each of them has its own values.
     pub each: bool,
-    /// What is drawn.
+    /// Names and units of the values that are drawn.
     pub elements: Vec<Element>,
 }
 
-/// What an episode draws of the factors that a spec turns on.
+/// The values that an episode draws for the factors of variation that a spec turns on.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FactorValues {
-    /// Factors of the scene by their indices, and the values of their elements.
+    /// For each factor its index in the scene, and the values of its elements.
     drawn: Vec<(usize, Vec<f64>)>,
 }
 
 impl FactorValues {
-    /// Draws each factor from a stream of its own, so that none changes with another that is turned on.
+    /// Draws each factor from its own random generator, so that its values don't depend on the other factors.
     pub(super) fn draw(scene: &Scene, spec: &Simulation, episode: u32) -> Self {
         let on = scene.factors.iter().enumerate().filter(|(_, factor)| spec.factors.contains(&factor.name));
         let draw = |(index, factor): (usize, &SceneFactor)| {
@@ -42,19 +42,19 @@ impl FactorValues {
         Self { drawn: on.map(draw).collect() }
     }
 
-    /// Every value, in the order of [`Scene::layout_of`]'s elements.
+    /// Returns all values, in the order of the elements of `factors` in [`Scene::layout_of`].
     pub fn values(&self) -> impl Iterator<Item = f64> {
         self.drawn.iter().flat_map(|(_, values)| values.iter().copied())
     }
 
-    /// What a geom's size is multiplied by.
+    /// Returns the number by which a geom's size is multiplied.
     pub(super) fn size_of(&self, scene: &Scene, geom: usize) -> f64 {
         let sizes =
             self.each(scene).filter(|(property, thing, _)| (*property, *thing) == (Property::GeomSize, geom));
         sizes.map(|(_, _, values)| values[0]).product()
     }
 
-    /// The property and the index of each thing that changes, with its values.
+    /// Returns each change: the property, the index of the object in the model, and the values.
     fn each<'a>(&'a self, scene: &'a Scene) -> impl Iterator<Item = (Property, usize, &'a [f64])> {
         self.drawn.iter().flat_map(|(index, values)| {
             let factor = &scene.factors[*index];
@@ -66,8 +66,8 @@ impl FactorValues {
         })
     }
 
-    /// A copy of a scene's model, or of one that only looks different, with these values; the model itself where nothing was
-    /// drawn.
+    /// Returns a copy of `model` with these values, or `model` itself if no factor is on. It must be the scene's model,
+    /// or a copy that differs only in visual settings.
     pub(super) fn apply(&self, scene: &Scene, model: &Arc<MjModel>) -> Arc<MjModel> {
         if self.drawn.is_empty() {
             return model.clone();
@@ -77,15 +77,15 @@ impl FactorValues {
             change(&mut varied, property, thing, values);
         }
         let mut data = MjData::new(varied);
-        // What follows from masses, sizes and cameras' places.
+        // Recomputes the constants that depend on masses, sizes and camera positions.
         data.set_const();
-        // The solver's tolerance and the cameras' clipping planes stay as they were compiled.
+        // The statistics define the solver's tolerance and the clipping planes, which must stay as compiled.
         *data.model_stat_mut() = model.stat().clone();
         Arc::new(MjModel::clone(data.model()))
     }
 }
 
-/// The stream of a factor in an episode.
+/// Returns the random generator of a factor in an episode.
 fn stream(factor: &str, seed: u64, scenario: Scenario, episode: u32) -> ChaCha8Rng {
     let identity = format!("harness factor {factor}: seed {seed}, scenario {scenario}, index {episode}");
     ChaCha8Rng::from_seed(Sha256::digest(identity).into())
@@ -100,7 +100,7 @@ fn draw_value(drawing: &Drawing, rng: &mut impl Rng) -> f64 {
     }
 }
 
-/// Draws until a value is accepted, of which at least a third are: the mean lies within the range.
+/// Draws until a value is accepted. The mean lies within the range, so at least a third of the draws are accepted.
 fn draw_normal(Normal { mean, deviation, range: [low, high] }: &Normal, rng: &mut impl Rng) -> f64 {
     loop {
         if high - low < *deviation {
@@ -119,7 +119,7 @@ fn draw_normal(Normal { mean, deviation, range: [low, high] }: &Normal, rng: &mu
     }
 }
 
-/// Changes one thing of a model.
+/// Changes a property of one object of a model.
 fn change(model: &mut MjModel, property: Property, thing: usize, values: &[f64]) {
     let scale = values[0];
     match property {
@@ -170,7 +170,7 @@ fn change(model: &mut MjModel, property: Property, thing: usize, values: &[f64])
     }
 }
 
-/// Degrees of freedom of a joint.
+/// Returns the indices of a joint's degrees of freedom.
 pub(super) fn dofs(model: &MjModel, joint: usize) -> std::ops::Range<usize> {
     let first = model.jnt_dofadr()[joint] as usize;
     let count = match model.jnt_type()[joint] {
@@ -181,7 +181,7 @@ pub(super) fn dofs(model: &MjModel, joint: usize) -> std::ops::Range<usize> {
     first..first + count
 }
 
-/// The colour that a geom is drawn in: its own, unless that is MuJoCo's default and it has a material.
+/// Returns the colour in which a geom is rendered: its own, or its material's if its own is MuJoCo's default.
 fn colour_of(model: &MjModel, geom: usize) -> [f32; 4] {
     const DEFAULT: [f32; 4] = [0.5, 0.5, 0.5, 1.0];
     let own = model.geom_rgba()[geom];
@@ -191,13 +191,13 @@ fn colour_of(model: &MjModel, geom: usize) -> [f32; 4] {
     }
 }
 
-/// Changes a geom's size, and the bounding volumes that collisions are looked for by.
+/// Scales a geom and the bounding volumes for collision detection.
 fn resize(model: &mut MjModel, geom: usize, scale: f64) {
     model.geom_size_mut()[geom].iter_mut().for_each(|value| *value *= scale);
     model.geom_aabb_mut()[geom].iter_mut().for_each(|value| *value *= scale);
     let growth = ((scale - 1.0) * model.geom_rbound()[geom]).max(0.0);
     model.geom_rbound_mut()[geom] *= scale;
-    // Those of its body contain it, wherever in the body it is: no part of it is further away than by its growth.
+    // The bounding volumes of its body must still contain it. No point of the geom moves further than `growth`.
     let body = model.geom_bodyid()[geom] as usize;
     let first = model.body_bvhadr()[body];
     let Ok(first) = usize::try_from(first) else { return };
@@ -207,7 +207,7 @@ fn resize(model: &mut MjModel, geom: usize, scale: f64) {
     }
 }
 
-/// The unit quaternion of a rotation vector, rad.
+/// Returns the unit quaternion of a rotation vector, rad.
 fn quaternion(vector: &[f64]) -> [f64; 4] {
     let angle = vector.iter().map(|value| value * value).sum::<f64>().sqrt();
     if angle == 0.0 {

@@ -1,4 +1,4 @@
-//! One simulation that is stepped from outside, a sample at a time: for control and reinforcement learning.
+//! A simulation that its caller steps sample by sample, for control and reinforcement learning.
 
 use super::SimulationError;
 use super::camera::{Camera, SceneRenderer};
@@ -13,36 +13,36 @@ use image::RgbImage;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 
-/// A simulation of a scene whose actuators are told a setpoint at each sample.
+/// A simulation of a scene whose actuators get a setpoint at each sample.
 ///
-/// What it senses is what an episode of a dataset records: the plan of an episode's own, followed by
-/// [`LiveSimulation::follow`], gives that episode's samples bit by bit.
+/// It senses the same values that a dataset's episode records. If it follows the episode's plan
+/// ([`LiveSimulation::follow`]), its samples are bit by bit those of the episode.
 pub struct LiveSimulation {
     spec: Simulation,
     physics: Physics<'static>,
     plan: EpisodePlan,
-    /// One for each of the scene's.
+    /// One for each recorded flow of the scene.
     flows: Vec<Flow>,
 }
 
 thread_local! {
-    /// This thread's cameras: OpenGL contexts belong to the thread that made them, and simulations go from thread to
-    /// thread.
+    /// This thread's cameras. An OpenGL context belongs to the thread that created it, but a simulation can move
+    /// between threads.
     static CAMERAS: RefCell<BTreeMap<(usize, Modality), Camera>> = const { RefCell::new(BTreeMap::new()) };
-    /// The renderer that this thread drew last, with its scenario and size: the next is most likely alike.
+    /// The renderer that this thread used last, with its scene and size. The next picture most likely has the same.
     static RENDERER: RefCell<Option<(Picture, Box<SceneRenderer<'static>>)>> = const { RefCell::new(None) };
 }
 
-/// What a renderer is made for: the scene, and width and height in pixels.
+/// Identifies a renderer: the scene, and the width and height in pixels.
 type Picture = (usize, u32, u32);
 
-/// Tells one scene from others as long as the process lives.
+/// Returns a number that identifies a scene while the process runs.
 fn key(scene: &'static Scene) -> usize {
     std::ptr::from_ref(scene).addr()
 }
 
 impl LiveSimulation {
-    /// A simulation at the start of the spec's first episode.
+    /// Creates a simulation at the start of the spec's first episode.
     ///
     /// # Errors
     /// When the spec's ranges or rates do not suit the scene, the boxes find no place, or the simulation diverges.
@@ -54,7 +54,8 @@ impl LiveSimulation {
         Ok(live)
     }
 
-    /// Goes to the start of the episode of that index in the dataset of that seed.
+    /// Resets the simulation to the start of an episode: the one with the index `episode` in the dataset with this
+    /// seed.
     ///
     /// # Errors
     /// When the boxes find no place, or the simulation diverges.
@@ -65,11 +66,12 @@ impl LiveSimulation {
         self.follow()
     }
 
-    /// Goes on to the next sample while the setpoint moves evenly to this one. What lies beyond the spec's ranges ends at
-    /// their bounds.
+    /// Advances to the next sample while the setpoint moves linearly to `setpoint`. Values outside the spec's ranges
+    /// are clipped to them.
     ///
     /// # Errors
-    /// When there are not as many values as the action has elements, one is not finite, or the simulation diverges.
+    /// When the number of values is not that of the action's elements, a value is not finite, or the simulation
+    /// diverges.
     pub fn step(&mut self, setpoint: &[f64]) -> Result<(), SimulationError> {
         let ranges = ranges(self.physics.scene, &self.spec);
         if setpoint.len() != ranges.len() || !setpoint.iter().all(|value| value.is_finite()) {
@@ -90,7 +92,7 @@ impl LiveSimulation {
         })
     }
 
-    /// Goes on to the next sample along the plan of the episode itself.
+    /// Advances to the next sample along the plan of the episode.
     ///
     /// # Errors
     /// When the simulation diverges.
@@ -99,51 +101,52 @@ impl LiveSimulation {
         self.physics.advance(|step, setpoint| plan.setpoint(step, setpoint))
     }
 
-    /// How it is simulated; the seed is that of the latest reset.
+    /// Returns the settings of the simulation. The seed is that of the last reset.
     pub fn spec(&self) -> &Simulation {
         &self.spec
     }
 
-    /// The scene that is simulated.
+    /// Returns the scene that is simulated.
     pub fn scene(&self) -> &'static Scene {
         self.physics.scene
     }
 
-    /// The setpoint at this sample.
+    /// Returns the setpoint at this sample, one value for each element of the action.
     pub fn setpoint(&self) -> &[f64] {
         &self.physics.instant.setpoint
     }
 
-    /// The ranges that setpoints are held to.
+    /// Returns the range of each element of the setpoint.
     pub fn setpoint_ranges(&self) -> Vec<[f64; 2]> {
         ranges(self.physics.scene, &self.spec)
     }
 
-    /// A vector at the sample; `None` if none of that name is sensed.
+    /// Returns the values of a vector at this sample; `None` if the scene does not sense a vector with this name.
     pub fn vector(&self, modality: Modality) -> Option<Vec<f32>> {
         let scene = self.physics.scene;
         let position = sensed_position(scene.layout(), modality)?;
         Some(self.physics.instant.vector(scene, position).collect())
     }
 
-    /// The end of the axis of the last link whose contacts are sensed, in the world, m; `None` without such links.
+    /// Returns the position of the fingertip in the world, m: the end of the axis of the last link whose contacts are
+    /// sensed. It is `None` if there is no such link.
     pub fn fingertip(&self) -> Option<[f64; 3]> {
         let tip = self.physics.scene.tip?;
         let (joint, middle) = (self.physics.data.xpos()[tip.body], self.physics.data.geom_xpos()[tip.geom]);
         Some(std::array::from_fn(|axis| 2.0 * middle[axis] - joint[axis]))
     }
 
-    /// Where each box is in the world.
+    /// Returns the pose of each box in the world.
     pub fn boxes(&self) -> impl Iterator<Item = Pose> {
         let qpos = &self.physics.instant.qpos;
         let boxes = self.physics.scene.placements.iter().flat_map(|placement| &placement.boxes);
         boxes.map(|body| std::array::from_fn(|axis| qpos[body.qpos + axis]))
     }
 
-    /// A camera's RGB image of the sample, or its flow, top row first, `[rows, columns, 3]`, written to `frame`.
+    /// Writes a camera's RGB image or optical flow at this sample to `frame`, top row first, `[rows, columns, 3]`.
     ///
     /// # Errors
-    /// When no camera of that name is recorded, or there is no OpenGL to render with.
+    /// When no camera is recorded for this modality, or there is no OpenGL to render with.
     pub fn image(&mut self, modality: Modality, frame: &mut [u8]) -> Result<(), SimulationError> {
         let scene = self.physics.scene;
         if let Some(place) = scene.flows.iter().position(|flow| flow.image.modality == modality) {
@@ -167,7 +170,7 @@ impl LiveSimulation {
         })
     }
 
-    /// A picture of the sample for people, of any size in pixels.
+    /// Renders a picture of this sample for figures and videos. `width` and `height` are in pixels.
     ///
     /// # Errors
     /// When a side is 0 or above 4096 pixels, or there is no OpenGL to render with.

@@ -1,24 +1,26 @@
-//! The commanded motion: smoothstep moves between random setpoints, on an exact time grid.
+//! The motion of the actuators: smoothstep moves between random setpoints, on an exact time grid.
 
 use super::SimulationError;
 use super::scene::{Scene, within};
 use harness_spec::{Simulation, Start};
 use rand::{Rng, RngExt};
 
-/// Steps, samples and actuations of an episode; whole numbers, so that no instant is off by a rounding.
+/// Steps, samples and actuations of an episode. They are integers, so that rounding can't shift an instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Timing {
     /// Duration of a step, s.
     pub step_s: f64,
     pub steps_per_sample: usize,
     pub steps_per_actuation: usize,
-    /// Samples an episode.
+    /// Number of samples in an episode.
     pub samples: usize,
 }
 
 impl Timing {
+    /// Computes the timing for a simulation step of `step_s` seconds.
+    ///
     /// # Errors
-    /// When a sampling interval is not a whole number of steps, or an actuation not of samples.
+    /// When a sampling interval is not a whole number of steps, or an actuation is not a whole number of samples.
     pub fn new(spec: &Simulation, step_s: f64) -> Result<Self, SimulationError> {
         let steps_per_sample = whole(1.0 / (spec.sample_rate_hz * step_s)).ok_or_else(|| SimulationError::Spec {
             field: "sample_rate_hz".into(),
@@ -44,7 +46,7 @@ impl Timing {
     }
 }
 
-/// The nearest whole number, when `value` is one but for rounding, and positive.
+/// Returns the nearest integer if it is positive and `value` differs from it only by rounding.
 fn whole(value: f64) -> Option<usize> {
     let nearest = value.round();
     let is_whole = (1.0..1e9).contains(&nearest) && (value - nearest).abs() < 1e-6 * nearest;
@@ -54,14 +56,14 @@ fn whole(value: f64) -> Option<usize> {
 /// The setpoint as a function of time.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Motion {
-    /// Where the moves start and end, one element of the action after the other.
+    /// Start and end of the moves, `[moves + 1, elements]`.
     waypoints: Vec<f64>,
     elements: usize,
     steps_per_move: usize,
 }
 
 impl Motion {
-    /// Draws as many uniformly random waypoints as the spec has actuations, and starts at `rest`.
+    /// Draws a uniformly random waypoint for each of the spec's actuations. The motion starts at `rest`.
     pub fn draw(
         ranges: &[[f64; 2]],
         rest: &[f64],
@@ -75,7 +77,7 @@ impl Motion {
         Self { waypoints, elements: ranges.len(), steps_per_move: timing.steps_per_actuation }
     }
 
-    /// Writes the setpoint at the start of a step; the last waypoint after the last move.
+    /// Writes the setpoint at the start of a step to `setpoint`. After the last move, it is the last waypoint.
     pub fn setpoint(&self, step: usize, setpoint: &mut [f64]) {
         let (index, last) = (step / self.steps_per_move, self.waypoints.len() / self.elements - 1);
         let [from, to] =
@@ -87,12 +89,12 @@ impl Motion {
     }
 }
 
-/// 3 u^2 - 2 u^3: from 0 to 1 with no velocity at either end.
+/// Returns 3 u^2 - 2 u^3, which rises from 0 to 1 with zero velocity at both ends.
 fn smoothstep(u: f64) -> f64 {
     u * u * (3.0 - 2.0 * u)
 }
 
-/// The ranges of the setpoint's elements.
+/// Returns the range of each element of the setpoint.
 pub(super) fn ranges(scene: &Scene, spec: &Simulation) -> Vec<[f64; 2]> {
     let own = scene.world().file().action.actuators.iter();
     let range = |(driven, (_, own)): (&super::scene::Driven, (&str, &harness_spec::Actuator))| {
@@ -101,7 +103,7 @@ pub(super) fn ranges(scene: &Scene, spec: &Simulation) -> Vec<[f64; 2]> {
     scene.actuators.iter().zip(own).map(range).collect()
 }
 
-/// The setpoint that every episode starts with.
+/// Returns the setpoint at the start of every episode.
 pub(super) fn rest(scene: &Scene, spec: &Simulation) -> Vec<f64> {
     let actuators = scene.world().file().action.actuators.iter();
     let start =
@@ -113,10 +115,10 @@ pub(super) fn rest(scene: &Scene, spec: &Simulation) -> Vec<f64> {
     ranges(scene, spec).into_iter().zip(actuators).map(start).collect()
 }
 
-/// Refuses ranges that the scene's joints or actuators would clip.
+/// Refuses ranges that exceed the limits of the scene's joints or actuators.
 ///
 /// # Errors
-/// Names the range, and what the scene allows.
+/// When a range is reversed or exceeds the limits. The error names the range and the limits.
 pub(super) fn check_ranges(spec: &Simulation, scene: &Scene) -> Result<(), SimulationError> {
     for ([low, high], driven) in ranges(scene, spec).into_iter().zip(&scene.actuators) {
         if !within([low, high], driven.limits) {

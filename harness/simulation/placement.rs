@@ -1,4 +1,4 @@
-//! Where the boxes of a world start.
+//! Places the boxes of a world at random.
 
 use super::SimulationError;
 use super::factors::FactorValues;
@@ -8,7 +8,7 @@ use harness_spec::{Pose, Simulation};
 use rand::{Rng, RngExt};
 use std::f64::consts::PI;
 
-/// Draws an episode may spend on its boxes: far more than a layout that exists needs.
+/// Largest number of draws for the boxes of one placement. If the boxes fit at all, far fewer are needed.
 const MAX_DRAWS: usize = 100_000;
 
 /// A circle on the ground that a body must stay in, m.
@@ -24,13 +24,13 @@ impl Footprint {
     }
 }
 
-/// Stands the scene's boxes on the ground, uniformly over their area, with random yaw.
+/// Places the scene's boxes on the ground, uniformly over their area, with random yaw.
 ///
-/// Around each box, and the place under an arm's body at rest, the circle that encloses it in any yaw is kept free, with
-/// the spec's clearance: draws that are too near to an earlier one are rejected.
+/// Each box is represented by the circle that encloses it at any yaw, and the place under an arm's body at rest by the
+/// body's circle. A draw is rejected if its circle is nearer to an earlier one than the spec's clearance.
 ///
 /// # Errors
-/// When the draws run out: the area is too small for the boxes.
+/// When a box has no place after the largest number of draws, because the area is too small.
 pub(super) fn place_boxes(
     scene: &Scene,
     spec: &Simulation,
@@ -84,7 +84,7 @@ pub(super) fn place_boxes(
     Ok(poses)
 }
 
-/// A point of the swept sector, each area as likely as any other of its size.
+/// Draws a point of the swept sector, uniformly over its area.
 fn draw_in_sector(mount: &Mount, ranges: &[[f64; 2]], rng: &mut impl Rng) -> [f64; 2] {
     let [[low, high], extension] = mount.elements.map(|element| ranges[element]);
     let rotation = rng.random_range(low..=high);
