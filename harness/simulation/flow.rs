@@ -1,7 +1,7 @@
-//! True optical flow: how far what a camera sees has moved in its image since the sample before.
+//! True optical flow: the displacement of each pixel's content in a camera's image since the sample before.
 //!
-//! A ray through each pixel's middle finds a place on a geom. Geoms are rigid, so their poses at the sample before tell where
-//! that place was then, and the camera's pose then tells in which pixel it was.
+//! A ray through the centre of each pixel hits a point on a geom. Geoms are rigid, so the geom's pose at the sample
+//! before gives the earlier position of that point. The camera's earlier pose then gives its earlier pixel.
 
 use super::physics::Instant;
 use super::scene::{Scene, SceneCamera};
@@ -9,22 +9,22 @@ use harness_spec::IMAGE_CHANNELS;
 use mujoco_rs::prelude::*;
 use std::sync::Arc;
 
-/// A camera's flow that is recorded.
+/// A camera whose optical flow is recorded.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SceneFlow {
     pub image: SceneCamera,
-    /// The largest displacement that is told, pixels.
+    /// The largest displacement that the image can encode, pixels.
     pub limit: f64,
 }
 
-/// The groups of geoms that cameras see.
+/// The geom groups that cameras render.
 const SEEN_GROUPS: [u8; 6] = [1, 1, 1, 0, 0, 0];
-/// How far away what no ray meets is taken to be, m.
+/// Assumed distance if a ray hits no geom, m.
 const FAR: f64 = 1e6;
-/// The part of a distance by which rounding may let a ray end before the place that it was sent to.
+/// Relative tolerance of a ray's length for rounding.
 const ROUNDING: f64 = 1e-6;
 
-/// Computes one camera's flow.
+/// Computes the optical flow of one camera.
 pub(super) struct Flow {
     of: SceneFlow,
     now: MjData<Arc<MjModel>>,
@@ -32,12 +32,12 @@ pub(super) struct Flow {
     pixels: Vec<u8>,
 }
 
-/// A camera at an instant.
+/// The pose of a camera at an instant.
 struct View {
     place: [f64; 3],
-    /// Its axes (right, up, backwards) are the columns.
+    /// Rotation matrix, row by row. Its columns are the camera's axes (right, up, backwards).
     turn: [f64; 9],
-    /// Pixels to a unit of the tangent.
+    /// Focal length, pixels.
     focal: f64,
     size: [usize; 2],
 }
@@ -48,8 +48,9 @@ impl Flow {
         Self { of, now: data(), before: data(), pixels: Vec::new() }
     }
 
-    /// The flow at a sample as pixels `[rows, columns, 3]`: red and green are 128 and 127 / limit more for each pixel to the
-    /// right and downwards, and blue is 255 where the place was seen at the sample before.
+    /// Computes the flow at a sample as an image, `[rows, columns, 3]`. Red is 128 plus 127 / limit for each pixel of
+    /// displacement to the right, and green is the same downwards. Blue is 255 if the point was visible at the sample
+    /// before, and 0 otherwise.
     pub fn draw(&mut self, instant: &Instant) -> &[u8] {
         for (data, qpos) in [(&mut self.now, &instant.qpos), (&mut self.before, &instant.qpos_before)] {
             data.swap_model(instant.model.clone());
@@ -72,7 +73,8 @@ impl Flow {
                 geoms[ray].map_or(place, |geom| self.moved_back(geom, place))
             })
             .collect();
-        // From the camera as it was to where each place was: what ends earlier meets something else.
+        // Rays from the earlier camera to the earlier points. A ray that ends before its point hits something in front
+        // of it.
         let ways: Vec<([f64; 3], f64)> = places.iter().map(|place| direction(before.place, *place)).collect();
         let directions: Vec<[f64; 3]> = ways.iter().map(|(direction, _)| *direction).collect();
         let (met, reached) = cast(&mut self.before, before.place, &directions);
@@ -93,7 +95,7 @@ impl Flow {
         &self.pixels
     }
 
-    /// Where a place on a geom was at the sample before.
+    /// Returns where a point on a geom was at the sample before.
     fn moved_back(&self, geom: usize, place: [f64; 3]) -> [f64; 3] {
         let (now, before) = (&self.now, &self.before);
         let away: [f64; 3] = std::array::from_fn(|axis| place[axis] - now.geom_xpos()[geom][axis]);
@@ -103,7 +105,7 @@ impl Flow {
     }
 }
 
-/// What rays of length 1 from a place meet: geoms, and how far away.
+/// Casts rays of length 1 from a point. Returns the geom that each one hits and the distance to it, m.
 fn cast(
     data: &mut MjData<Arc<MjModel>>,
     from: [f64; 3],
@@ -123,14 +125,14 @@ impl View {
         [0.5 * self.size[1] as f64, 0.5 * self.size[0] as f64]
     }
 
-    /// The direction, of length 1, that a place in the image (column, row) looks in.
+    /// Returns the direction, of length 1, of the ray through a point in the image (column, row).
     fn ray(&self, [column, row]: [f64; 2]) -> [f64; 3] {
         let [x, y] = self.middle();
         let own = [(column - x) / self.focal, (y - row) / self.focal, -1.0];
         direction([0.0; 3], to_world(&self.turn, own)).0
     }
 
-    /// Where in the image (column, row) a place in the world is; `None` behind the camera.
+    /// Projects a point in the world into the image (column, row); `None` if it is behind the camera.
     fn project(&self, place: [f64; 3]) -> Option<[f64; 2]> {
         let away = std::array::from_fn(|axis| place[axis] - self.place[axis]);
         let [right, up, back] = to_own(&self.turn, away);
@@ -139,19 +141,19 @@ impl View {
     }
 }
 
-/// The direction, of length 1, from a place to another, and how far that is.
+/// Returns the direction, of length 1, from one point to another, and the distance.
 fn direction(from: [f64; 3], to: [f64; 3]) -> ([f64; 3], f64) {
     let way: [f64; 3] = std::array::from_fn(|axis| to[axis] - from[axis]);
     let length = way.iter().map(|value| value * value).sum::<f64>().sqrt();
     (way.map(|value| value / length), length)
 }
 
-/// A vector along the columns of a rotation, given in the world.
+/// Transforms a vector from the world's axes to the columns of a rotation matrix.
 fn to_own(turn: &[f64; 9], vector: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|column| (0..3).map(|row| turn[3 * row + column] * vector[row]).sum())
 }
 
-/// The reverse of [`to_own`].
+/// Transforms a vector from the columns of a rotation matrix to the world's axes.
 fn to_world(turn: &[f64; 9], vector: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|row| (0..3).map(|column| turn[3 * row + column] * vector[column]).sum())
 }

@@ -1,4 +1,4 @@
-//! The stepping loop: drives the actuators along their motion and shows each sampled instant to an observer.
+//! The simulation loop: moves the actuators and passes each sampled instant to an observer.
 
 use super::SimulationError;
 use super::motion::{Timing, check_ranges};
@@ -10,19 +10,19 @@ use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::fun::utility::mju_mat_2_quat;
 use std::sync::Arc;
 
-/// MuJoCo's state of one scene on one thread.
+/// The simulation of one scene on one thread.
 pub(super) struct Physics<'s> {
     pub scene: &'s Scene,
     pub timing: Timing,
-    /// Of the episode's model.
+    /// MuJoCo's state, with the episode's model.
     pub data: MjData<Arc<MjModel>>,
-    /// What holds at the latest sampled instant.
+    /// Values at the latest sampled instant.
     pub instant: Instant,
-    /// What is commanded at this step.
+    /// Setpoint of this step.
     setpoint: Vec<f64>,
     /// Forces of the latest step.
     forces: Vec<f64>,
-    /// Forces since that instant.
+    /// Mean of the forces since the latest sampled instant.
     mean: MeanForces,
     /// The episode that is simulated, for messages.
     episode: u32,
@@ -30,18 +30,18 @@ pub(super) struct Physics<'s> {
     step: usize,
 }
 
-/// A sampled instant.
+/// The values at a sampled instant.
 pub(super) struct Instant {
     /// The scene's model, or a copy with the factors of variation that the episode drew.
     pub model: Arc<MjModel>,
-    /// Generalised positions; the state's own are those after the instant's step.
+    /// Generalised positions at the instant. Those in MuJoCo's state are already one step further.
     pub qpos: Vec<f64>,
-    /// Those at the sample before; at the first sample, the same.
+    /// Generalised positions at the sample before. At the first sample, they equal `qpos`.
     pub qpos_before: Vec<f64>,
-    /// Generalised velocities, likewise.
+    /// Generalised velocities at the instant.
     pub qvel: Vec<f64>,
     pub setpoint: Vec<f64>,
-    /// Of the scene's bodies and sites whose poses are sensed.
+    /// Poses of the scene's bodies and sites that are sensed.
     pub poses: Vec<Pose>,
     pub forces: Vec<f64>,
     /// Averaged over the steps since the previous sample.
@@ -64,13 +64,13 @@ impl Instant {
         value as f32
     }
 
-    /// The elements of a vector, by its position in the scene's layout.
+    /// Returns the elements of the vector with this index in the scene's layout.
     pub fn vector(&self, scene: &Scene, position: usize) -> impl Iterator<Item = f32> {
         scene.readings[position].iter().map(|reading| self.read(*reading))
     }
 }
 
-/// The pose of a body or a site, with an orientation whose w is not negative: both signs mean the same rotation.
+/// Returns the pose of a body or a site. The orientation's w is not negative, which makes the quaternion unique.
 fn pose_of(data: &MjData<Arc<MjModel>>, of: Posed, id: usize) -> Pose {
     let (place, turn) = match of {
         Posed::Body => (data.xpos()[id], data.xquat()[id]),
@@ -84,7 +84,7 @@ fn pose_of(data: &MjData<Arc<MjModel>>, of: Posed, id: usize) -> Pose {
     std::array::from_fn(|index| if index < 3 { place[index] } else { sign * turn[index - 3] })
 }
 
-/// The position in a layout of a vector that is sensed.
+/// Returns the index in a layout of a vector that is sensed; `None` for images, differences and unknown modalities.
 pub(super) fn sensed_position(layout: &Layout, modality: Modality) -> Option<usize> {
     let is_it = |definition: &harness_spec::Definition| {
         definition.name == modality && !definition.is_image() && definition.difference_of.is_none()
@@ -92,11 +92,14 @@ pub(super) fn sensed_position(layout: &Layout, modality: Modality) -> Option<usi
     layout.modalities.iter().position(is_it)
 }
 
-/// Receives each sampled instant, and the state whose derived quantities (poses for the camera) belong to it.
+/// Receives each sampled instant, and the state whose derived quantities (such as the poses for the camera) belong to
+/// it.
 pub(super) type Observer<'o> =
     dyn FnMut(&Instant, &mut MjData<Arc<MjModel>>) -> Result<(), SimulationError> + 'o;
 
 impl<'s> Physics<'s> {
+    /// Creates the simulation of a scene.
+    ///
     /// # Errors
     /// When the spec's ranges or rates do not suit the scene.
     pub fn new(scene: &'s Scene, spec: &Simulation) -> Result<Self, SimulationError> {
@@ -131,7 +134,7 @@ impl<'s> Physics<'s> {
     /// Simulates one episode from rest.
     ///
     /// # Errors
-    /// When the simulation diverges, or with what the observer returns.
+    /// When the simulation diverges, or the observer returns an error.
     pub fn run(&mut self, plan: &EpisodePlan, observe: &mut Observer<'_>) -> Result<(), SimulationError> {
         self.start(plan);
         for _ in 0..self.timing.samples {
@@ -141,11 +144,11 @@ impl<'s> Physics<'s> {
         Ok(())
     }
 
-    /// Simulates up to the next sampled instant, which is the start itself at first; `setpoint` writes what is
-    /// commanded at each step, counted from the start.
+    /// Simulates up to the next sampled instant. The first one is the start of the episode. `setpoint` writes the
+    /// setpoint of each step, counted from the start.
     ///
-    /// A step computes the forces and poses of the instant it starts from, and then moves the positions on.
-    /// So a sample takes its positions before a step, and everything else after it, at no extra cost.
+    /// MuJoCo's step computes the forces and poses of the instant at which it starts, and then advances the positions.
+    /// A sample therefore takes its positions before a step and everything else after it, at no extra cost.
     ///
     /// # Errors
     /// When the simulation diverges.
@@ -182,17 +185,17 @@ impl<'s> Physics<'s> {
         }
     }
 
-    /// Steps since the start.
+    /// Returns the number of steps since the start of the episode.
     pub fn step(&self) -> usize {
         self.step
     }
 
-    /// Takes the model that the episode drew, and puts what position servos drive at the motion's start and the boxes in
-    /// their places, all at rest.
+    /// Starts an episode: applies its factors of variation to the model, and sets the joints of position servos to the
+    /// start of the motion and the boxes to their poses, all at rest.
     pub fn start(&mut self, plan: &EpisodePlan) {
         (self.episode, self.step) = (plan.episode, 0);
         self.mean.clear();
-        // Always from the scene's own model, so that nothing is left of the episode before.
+        // Starts from the scene's own model, so that no change of the previous episode remains.
         self.instant.model = plan.factors.apply(self.scene, &self.scene.model);
         self.data.swap_model(self.instant.model.clone());
         self.data.reset();

@@ -1,4 +1,4 @@
-//! A scene: the compiled MuJoCo model of a world, with every name of the world file resolved once.
+//! A scene: the compiled MuJoCo model of a world, with the names of the world file resolved.
 
 use super::factors::{SceneFactor, dofs};
 use super::flow::SceneFlow;
@@ -14,7 +14,7 @@ use sha2::{Digest, Sha256};
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex, Once};
 
-/// A world's compiled model, shared by every thread that simulates it.
+/// The compiled model of a world. All threads that simulate it share it.
 #[derive(Debug)]
 pub struct Scene {
     /// Where the model came from, for messages.
@@ -24,26 +24,26 @@ pub struct Scene {
     model_sha256: String,
     pub(super) model: Arc<MjModel>,
     layout: Arc<Layout>,
-    /// For each of the layout's modalities what its elements are read from; empty where nothing is read.
+    /// For each modality of the layout, the sources of its elements; empty for images and differences.
     pub(super) readings: Vec<Vec<Reading>>,
     pub(super) cameras: Vec<SceneCamera>,
     pub(super) flows: Vec<SceneFlow>,
-    /// What poses are sensed of, by their indices in the model.
+    /// The bodies and sites whose poses are sensed, by their indices in the model.
     pub(super) posed: Vec<(Posed, usize)>,
     pub(super) actuators: Vec<Driven>,
-    /// For each geom, the force that its contacts add to.
+    /// For each geom, the index of the force to which its contacts are added.
     pub(super) force_of_geom: Vec<Option<usize>>,
-    /// Forces that are added up.
+    /// Number of contact forces that are sensed.
     pub(super) forces: usize,
     pub(super) placements: Vec<Placement>,
     pub(super) factors: Vec<SceneFactor>,
-    /// The camera that pictures for people are taken by; `None` for MuJoCo's free one.
+    /// The camera for figures and videos; `None` for MuJoCo's free camera.
     pub(super) view: Option<usize>,
     /// Body and geom of the last link whose contacts are sensed.
     pub(super) tip: Option<Tip>,
 }
 
-/// What an element of a vector is read from.
+/// The source of an element of a vector.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Reading {
     /// Index into `qpos`.
@@ -151,8 +151,8 @@ impl Scene {
     /// Compiles a world's model.
     ///
     /// # Errors
-    /// When the linked MuJoCo is another version, the model can't be read or compiled, or it lacks what the world file
-    /// names; then with the line of the world file.
+    /// When the linked MuJoCo has another version, the model can't be read or compiled, or it lacks an object that the
+    /// world file names. In the last case, the error has the line of the world file.
     pub fn new(world: Arc<World>) -> Result<Self, SimulationError> {
         match world.model() {
             ModelFile::BuiltIn { name, xml } => {
@@ -175,8 +175,8 @@ impl Scene {
         }
     }
 
-    /// Whether the world's files have changed since it was compiled so that its datasets would be others: the world file,
-    /// the model, or what the model includes. A built-in world has no files.
+    /// Returns whether the world file, the model or a file that the model includes has changed since the model was
+    /// compiled, so that the datasets would differ. It is false for a built-in world, which has no files.
     pub fn has_changed(&self) -> bool {
         let now = match self.world.read_again() {
             None => return false,
@@ -188,28 +188,29 @@ impl Scene {
         now.is_none_or(|now| identity(&now) != identity(self))
     }
 
-    /// The built-in world of one of the paper's scenarios.
+    /// Compiles the built-in world of one of the paper's scenarios.
     ///
     /// # Errors
-    /// When the linked MuJoCo is another version.
+    /// When the linked MuJoCo has another version.
     pub fn paper(scenario: Scenario) -> Result<Self, SimulationError> {
         Self::new(World::paper(scenario))
     }
 
-    /// Compiles MJCF text for a world; `name` says in messages where it came from. It must stand alone.
+    /// Compiles MJCF text for a world. The text must not use other files. Messages call it `name`.
     ///
     /// # Errors
-    /// As [`Scene::new`], except for reading.
+    /// For the reasons of [`Scene::new`], except that no file is read.
     pub fn from_xml(world: Arc<World>, xml: &str, name: String) -> Result<Self, SimulationError> {
         prepare()?;
         let model = MjModel::from_xml_string(xml).map_err(|error| compile_error(&name, error))?;
         Self::of_model(world, model, xml.to_owned(), digest(xml.as_bytes()), name)
     }
 
-    /// The scene of a world, which lives as long as the process; one each, as long as neither world nor model change.
+    /// Returns the scene of a world, which is kept until the process ends. Calls with the same world return the same
+    /// scene as long as neither the world nor its model changes.
     ///
     /// # Errors
-    /// As [`Scene::new`].
+    /// See [`Scene::new`].
     pub fn shared(world: Arc<World>) -> Result<&'static Self, SimulationError> {
         static SCENES: Mutex<Vec<&'static Scene>> = Mutex::new(Vec::new());
         let scene = Self::new(world)?;
@@ -277,35 +278,36 @@ impl Scene {
     /// Refuses settings that do not suit the model.
     ///
     /// # Errors
-    /// When a range leaves what joints and actuators allow, or a rate does not fit the model's step.
+    /// When a range exceeds the limits of joints or actuators, or a rate does not fit the model's time step.
     pub fn check(&self, spec: &Simulation) -> Result<(), SimulationError> {
         check_ranges(spec, self)?;
         Timing::new(spec, self.step_s()).map(drop)
     }
 
-    /// The world it is the model of.
+    /// Returns the world.
     pub fn world(&self) -> &Arc<World> {
         &self.world
     }
 
-    /// The world's name.
+    /// Returns the name of the world.
     pub fn scenario(&self) -> Scenario {
         self.world.scenario()
     }
 
-    /// What its samples hold where no factor of variation is on.
+    /// Returns the layout of the samples if no factor of variation is on.
     pub fn layout(&self) -> &Arc<Layout> {
         &self.layout
     }
 
-    /// What samples under a spec hold: where it turns factors on, what was drawn of them comes last.
+    /// Returns the layout of the samples under a spec. If the spec turns on factors, their values are the last
+    /// modality.
     pub fn layout_of(&self, spec: &Simulation) -> Arc<Layout> {
         let on = self.factors.iter().filter(|factor| spec.factors.contains(&factor.name));
         let elements: Vec<Element> = on.flat_map(|factor| factor.elements.clone()).collect();
         if elements.is_empty() { self.layout.clone() } else { Arc::new(self.layout.with_factors(elements)) }
     }
 
-    /// Each factor of variation: its name, what it changes, how it is drawn and the names of its values.
+    /// Returns for each factor of variation its name, its property, its distribution and the names of its values.
     pub fn factors(&self) -> impl Iterator<Item = (&str, Property, String, Vec<&str>)> {
         self.factors.iter().map(|factor| {
             let elements = factor.elements.iter().map(|element| element.name.as_str()).collect();
@@ -313,37 +315,37 @@ impl Scene {
         })
     }
 
-    /// Where the model came from.
+    /// Returns where the model came from, for messages.
     pub fn source(&self) -> &str {
         &self.name
     }
 
-    /// The MJCF text, without what it includes.
+    /// Returns the MJCF text, without the files that it includes.
     pub fn xml(&self) -> &str {
         &self.xml
     }
 
-    /// Identifies the model: the SHA-256 of its MJCF or, where that uses other files, of the compiled model.
+    /// Returns the SHA-256 of the MJCF or, if the MJCF uses other files, of the compiled model.
     pub fn model_sha256(&self) -> &str {
         &self.model_sha256
     }
 
-    /// Duration of a simulation step, s.
+    /// Returns the duration of a simulation step, s.
     pub fn step_s(&self) -> f64 {
         self.model.opt().timestep
     }
 
-    /// The generalised positions of the scene at rest.
+    /// Returns the generalised positions of the model's initial state (`qpos0`).
     pub fn rest(&self) -> &[f64] {
         self.model.qpos0()
     }
 
-    /// Bodies that an episode places.
+    /// Returns the number of bodies that an episode places.
     pub fn boxes(&self) -> usize {
         self.placements.iter().map(|placement| placement.boxes.len()).sum()
     }
 
-    /// The index of a named thing; `word` says in messages what kind it is.
+    /// Returns the index of a named object. Messages call its kind `word`.
     pub(super) fn id(
         &self,
         kind: MjtObjBase,
@@ -357,13 +359,13 @@ impl Scene {
         })
     }
 
-    /// The compiled model.
+    /// Returns the compiled model.
     pub fn model(&self) -> &MjModel {
         &self.model
     }
 }
 
-/// Empties MuJoCo's cache of meshes and textures, which would take a file that changed within a second for the old one.
+/// Clears MuJoCo's cache of meshes and textures. The cache would not notice a file that changed within the same second.
 fn forget_assets() {
     // SAFETY: the cache is the library's own, lives as long as the process, and guards itself with a lock.
     unsafe { mujoco_rs::mujoco_c::mj_clearCache(mujoco_rs::mujoco_c::mj_getCache()) };
@@ -412,7 +414,7 @@ pub(super) fn named(model: &MjModel, kind: MjtObjBase) -> Vec<(&str, usize)> {
 /// Names that a message lists at most.
 const NAMES_SHOWN: usize = 40;
 
-/// What a world file comes to on its model.
+/// A world file with its names resolved in the model.
 struct Resolved {
     layout: Layout,
     readings: Vec<Vec<Reading>>,
@@ -1015,7 +1017,7 @@ fn short_names(patterns: &[String], names: &[&str]) -> Vec<String> {
     if is_unique(&whole) { whole } else { (0..names.len()).map(|index| index.to_string()).collect() }
 }
 
-/// What must be done before MuJoCo is used.
+/// Checks the version of MuJoCo and silences its warnings. It must be called before MuJoCo is used.
 pub(super) fn prepare() -> Result<(), SimulationError> {
     require_mujoco_version()?;
     silence_mujoco_warnings();
