@@ -1,4 +1,4 @@
-//! The JSON schema of a spec, for editors, and the checks that follow from it: keys, types, choices, bounds.
+//! The JSON schema of a spec, for editors, and the checks against it: keys, types, choices and bounds.
 
 use super::error::Problem;
 use super::modality::Modality;
@@ -14,17 +14,17 @@ const TEXT: &str = "a text";
 
 static SCHEMA: LazyLock<Json> = LazyLock::new(build);
 
-/// The JSON schema of an experiment, with descriptions, defaults and bounds.
+/// Returns the JSON schema of an experiment, with descriptions, defaults and bounds.
 ///
-/// `quick` and `vary` list the settings by dotted key, so that editors complete those as well. Where a list is wanted,
-/// a single value will do.
+/// `quick` and `vary` list the settings by dotted key, so that editors complete those as well. A single value is also
+/// accepted for a list.
 pub fn schema() -> Json {
     let mut schema = SCHEMA.clone();
     allow_single_values(&mut schema);
     schema
 }
 
-/// The dotted keys of all settings, which an override or `quick` may change.
+/// Returns the dotted keys of all settings that an override or `quick` may change.
 pub fn setting_names() -> Vec<String> {
     properties(&SCHEMA["properties"]["quick"]).map(|(name, _)| name.clone()).collect()
 }
@@ -70,7 +70,7 @@ fn add_settings_of_worlds(simulation: &mut Json) {
         json!({ "description": "A setting of another world.", "anyOf": [range(""), number("")] });
 }
 
-/// The keys of a spec that `quick` and overrides don't change as a whole.
+/// The keys of a spec that `quick` and overrides can't replace as a whole.
 const NOT_OVERRIDDEN: [&str; 3] = ["quick", "readings", "roles"];
 
 /// Whether `vary` takes the setting: not what makes cells of its own.
@@ -178,7 +178,7 @@ pub(super) fn is_setting(key: &str) -> bool {
     setting_schema(key).is_some_and(|schema| schema.get("properties").is_none())
 }
 
-/// What a dotted key may hold.
+/// Returns the schema of the value of a dotted key.
 fn setting_schema(key: &str) -> Option<&'static Json> {
     let mut schema: &'static Json = &SCHEMA;
     if NOT_OVERRIDDEN.contains(&key.split('.').next().unwrap_or(key)) {
@@ -256,7 +256,7 @@ fn check_choice(
     Err(Problem::new(&node.origin, message))
 }
 
-/// What may be chosen besides the names that a schema lists.
+/// Describes the values that are allowed besides the names that a schema lists.
 fn other_choices(what: &str) -> &'static str {
     match what {
         "scenario" => ", the path of a world file, or the name of an imported dataset",
@@ -412,7 +412,7 @@ fn is_within_bounds(schema: &Json, value: &Value) -> bool {
     }
 }
 
-/// What a schema allows, in words.
+/// Describes in words what a schema allows.
 fn expected(root: &Json, schema: &Json) -> String {
     let (schema, definition) = resolve(root, schema);
     if let Some(choices) = choices(schema) {

@@ -1,4 +1,4 @@
-//! What the schema cannot say: rules that tie several settings together.
+//! Checks the rules that the schema can't express, because they depend on several settings.
 
 use super::modality::{Modality, is_name};
 use super::scaling::Scale;
@@ -9,12 +9,12 @@ use super::types::{
 };
 use super::world::World;
 
-/// Largest tensor of a network, values: 1 GiB in single precision.
+/// Largest number of values in a tensor of a network: 1 GiB in single precision.
 const MAX_TENSOR_LEN: usize = 1 << 28;
-/// Most samples of one scenario.
+/// Largest number of samples in one scenario.
 const MAX_SAMPLES: usize = 100_000_000;
 
-/// Most runs of one experiment.
+/// Largest number of runs in one experiment.
 const MAX_RUNS: usize = 10_000;
 
 /// A broken rule.
@@ -26,7 +26,7 @@ pub(super) struct Fault {
 }
 
 impl Fault {
-    /// A setting that two worlds have different values for, and the spec none.
+    /// Creates the fault of a setting that the spec leaves out, and for which two worlds have different defaults.
     pub fn between_worlds(key: &str, one: &World, other: &World) -> Self {
         let (one, other) = (one.scenario(), other.scenario());
         let path = format!("simulation.{key}");
@@ -40,7 +40,7 @@ fn fault(path: impl Into<String>, message: impl Into<String>) -> Result<(), Faul
     Err(Fault { path: path.into(), message: message.into() })
 }
 
-/// Refuses an experiment that cannot be run, or that would not mean what it says.
+/// Refuses an experiment that can't be run, or whose settings contradict each other.
 pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     name(&experiment.name)?;
     readings(experiment)?;
@@ -68,7 +68,7 @@ fn name(name: &str) -> Result<(), Fault> {
     fault("name", format!("'{name}' can't name a folder; use 1 to 64 ASCII letters, digits, '_' and '-'"))
 }
 
-/// Refuses names of readings and roles that can't tell them apart.
+/// Refuses names of readings and roles that are invalid or not unique.
 fn readings(experiment: &Experiment) -> Result<(), Fault> {
     for (index, Reading { name, .. }) in experiment.readings.iter().enumerate() {
         let path = format!("readings.{index}.name");
@@ -85,7 +85,7 @@ fn readings(experiment: &Experiment) -> Result<(), Fault> {
     Ok(())
 }
 
-/// What a name has to be that stands in `variant`.
+/// Message for an invalid name in the column `variant`.
 const NAME_RULE: &str =
     "'{}' can't name a reading; use 1 to 64 small letters, digits and '_', a letter first";
 
@@ -132,7 +132,7 @@ fn tasks(tasks: &[Task]) -> Result<(), Fault> {
     )
 }
 
-/// Refuses a name that is no built-in world's.
+/// Refuses a scenario that is not the name of a built-in world.
 fn scenarios(experiment: &Experiment) -> Result<(), Fault> {
     for (index, origin) in experiment.scenarios.iter().enumerate() {
         if let Origin::Simulated(scenario) = origin
@@ -149,7 +149,8 @@ fn scenarios(experiment: &Experiment) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Refuses a modality that one of the worlds does not declare; those of an imported dataset are compared when it is opened.
+/// Refuses a modality that one of the worlds does not declare. The modalities of an imported dataset are checked when
+/// it is opened.
 fn modalities(experiment: &Experiment) -> Result<(), Fault> {
     let lists = [("input", &experiment.input), ("output", &experiment.output)];
     let worlds: Vec<_> = experiment.scenarios.iter().filter_map(|origin| experiment.world(origin)).collect();
@@ -171,7 +172,7 @@ fn modalities(experiment: &Experiment) -> Result<(), Fault> {
     Ok(())
 }
 
-/// The images that networks are given and predict, with their rows and columns.
+/// The images among the inputs and outputs of a network, with their rows and columns.
 pub(super) struct Images<'a> {
     pub input: &'a [(Modality, [usize; 2])],
     pub output: &'a [(Modality, [usize; 2])],
@@ -185,7 +186,7 @@ fn frames(experiment: &Experiment) -> Result<(), Fault> {
         };
         let (input, output) = (images(&experiment.input), images(&experiment.output));
         let images = Images { input: &input, output: &output };
-        // The sizes of an imported dataset's images are known when it is opened.
+        // The image sizes of an imported dataset are not known before it is opened.
         let checked = match experiment.world(origin) {
             Some(_) => check_images(&images, &experiment.network, &experiment.training),
             None => convolves(&images, &experiment.network),
@@ -195,7 +196,7 @@ fn frames(experiment: &Experiment) -> Result<(), Fault> {
     Ok(())
 }
 
-/// A fault of a modality, where the spec names it.
+/// Replaces the modality in the path of a fault by its place in the spec.
 fn place(fault: Fault, experiment: &Experiment) -> Fault {
     let at = |list: &str, modalities: &[Modality]| {
         let index = modalities.iter().position(|modality| modality.name() == fault.path)?;
@@ -205,7 +206,7 @@ fn place(fault: Fault, experiment: &Experiment) -> Fault {
     Fault { path: path.unwrap_or(fault.path), message: fault.message }
 }
 
-/// Refuses images where there are no convolutions; the fault's path is the modality.
+/// Refuses images if the network has no convolutions. The fault's path is the modality.
 fn convolves(images: &Images, network: &Network) -> Result<(), Fault> {
     let Some((modality, _)) = images.input.iter().chain(images.output).next() else { return Ok(()) };
     if !network.channels().is_empty() {
@@ -221,7 +222,7 @@ fn convolves(images: &Images, network: &Network) -> Result<(), Fault> {
     )
 }
 
-/// Refuses images that the network can't take.
+/// Refuses images that the network can't process.
 pub(super) fn check_images(images: &Images, network: &Network, training: &Training) -> Result<(), Fault> {
     convolves(images, network)?;
     for (list, averaged) in [(images.input, true), (images.output, false)] {
@@ -242,7 +243,7 @@ pub(super) fn check_images(images: &Images, network: &Network, training: &Traini
     Ok(())
 }
 
-/// Each convolution halves both sides of its image, which must therefore be even. An input is averaged before.
+/// Refuses an image whose sides can't be halved by each convolution. An input is averaged before the convolutions.
 fn convolutions(
     modality: Modality,
     size: [usize; 2],
@@ -257,7 +258,7 @@ fn convolutions(
             format!("images of {rows} x {columns} pixels have no whole squares of {average} x {average}"),
         );
     }
-    // The side that can be halved least often.
+    // The side that can be halved fewer times.
     let [rows, columns] = size.map(|side| side / average);
     let side = if columns.trailing_zeros() < rows.trailing_zeros() { columns } else { rows };
     let (most, asked) = (side.trailing_zeros() as usize, network.channels().len());
@@ -283,7 +284,7 @@ fn convolutions(
     )
 }
 
-/// Bounds the largest tensors of the convolutions: the weights of the layer behind them, and a batch of what they make.
+/// Limits the size of the largest tensors: the weights of the layer after the convolutions, and a batch of its inputs.
 fn tensors([rows, columns]: [usize; 2], network: &Network, training: &Training) -> Result<(), Fault> {
     let convolutions = network.channels();
     let [rows, columns] = [rows, columns].map(|side| side >> convolutions.len());
@@ -311,7 +312,7 @@ fn precision(training: &Training) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Refuses a warm-up that never ends, and a decay that would turn weights around.
+/// Refuses a warm-up that is longer than the training, and a weight decay that would change the sign of weights.
 fn steps(training: &Training) -> Result<(), Fault> {
     let Training { learning_rate, warmup_epochs, weight_decay, epochs, .. } = *training;
     if warmup_epochs > epochs as f64 {
@@ -364,7 +365,7 @@ fn list(modalities: &[Modality]) -> String {
     modalities.iter().map(|modality| modality.name()).collect::<Vec<_>>().join(", ")
 }
 
-/// Refuses settings that no world has, and values that theirs can't have.
+/// Refuses settings that no world has, and values that are not valid for a world's setting.
 fn settings(experiment: &Experiment) -> Result<(), Fault> {
     let worlds: Vec<_> = experiment.scenarios.iter().filter_map(|origin| experiment.world(origin)).collect();
     let known: Vec<(String, Setting)> = worlds.iter().flat_map(|world| world.settings()).collect();

@@ -1,5 +1,5 @@
-//! Factors of variation: what each changes is measured in a scene whose laws are simple, and compared with what the laws
-//! say.
+//! Factors of variation: measures the effect of each factor in a simple scene, and compares it with the laws of
+//! physics.
 
 use super::{columns, live, scene, sensed, short, simulate};
 use harness_simulation::{Episode, EpisodePlan, LiveSimulation, Scene, SceneRenderer, Simulator};
@@ -90,7 +90,7 @@ fn bench() -> Scene {
     Scene::from_xml(world.into(), BENCH, "bench.xml".into()).unwrap()
 }
 
-/// Four seconds on the bench with these factors.
+/// Simulates the bench for four seconds with these factors.
 fn on_bench(factors: &[&str]) -> Episode {
     let factors = factors.iter().map(|name| (*name).to_owned()).collect();
     simulate(&bench(), &Simulation { actuations_per_episode: 4, factors, ..Simulation::default() }, 0)
@@ -116,13 +116,13 @@ fn stiffness_damping_mass_and_friction_change_motions_as_the_laws_of_mechanics_s
         assert_near(spring, 8.0 / (80.0 * scale), 1e-4);
         assert_near(damper, 2.0 / (5.0 * scale), 1e-4);
         assert_near(load, 0.5 * 0.1 / (2.0 * scale) * time * time, 1e-3);
-        // The friction of 0.3 gives way to a push of 4 N, and that of 0.6 does not.
+        // A push of 4 N overcomes the friction of 0.3, but not that of 0.6.
         let pushed = (4.0 - 0.3 * scale * gravity).max(0.0);
         assert_near(sled, 0.5 * pushed * time * time, 0.15);
     }
 }
 
-/// What the camera sees of the box: its pixels, their middle (column, row), and their mean colour.
+/// The box in the camera's image: its number of pixels, their centre (column, row), and their mean colour.
 fn box_in(episode: &Episode) -> (usize, [f64; 2], [f64; 3]) {
     let pixels = episode.image(Modality::VISION)[..SIDE * SIDE * 3].chunks_exact(3).enumerate();
     let red: Vec<_> = pixels.filter(|(_, pixel)| pixel[0] > pixel[1] + 20).collect();
@@ -249,7 +249,8 @@ fn an_episode_with_factors_depends_on_its_seed_and_index_alone() {
         assert!((low..=high).contains(one), "{name}: {one}");
     }
     assert!(drawn(&simulate(&scene, &Simulation { seed: 1, ..spec }, 0)) != first);
-    // Neither does one factor change with another, nor the motion or the places of boxes with any but their size.
+    // A factor does not depend on the others. The motion depends on no factor, and the boxes' places only on their
+    // size.
     let one = simulate(&scene, &varied(&["finger_stiffness"]), 0);
     let value = first.iter().find(|(name, _)| name == "finger_stiffness").unwrap();
     assert_eq!(drawn(&one), std::slice::from_ref(value));

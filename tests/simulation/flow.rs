@@ -1,4 +1,4 @@
-//! Optical flow and poses: of motions that are known, below a camera that looks straight down.
+//! Optical flow and poses of known motions, seen by a camera that looks straight down.
 
 use super::{sample_of, sensed, simulate};
 use harness_simulation::{Episode, LiveSimulation, Scene};
@@ -42,12 +42,12 @@ const STAGE: &str = r#"<mujoco model="stage">
 const SIDE: usize = 64;
 /// From the camera to the plate's upper face, m.
 const DISTANCE: f64 = 4.0 - 1.05;
-/// The largest displacement that is told, pixels.
+/// The largest displacement that the flow can encode, pixels.
 const LIMIT: f64 = 8.0;
-/// Half of what the next code stands for, and a little for rounding, pixels.
+/// Half a quantization step of the encoding, and a little for rounding, pixels.
 const TOLERANCE: f64 = 0.5 * LIMIT / 127.0 + 1e-4;
 
-/// Pixels to a unit of the tangent.
+/// Focal length, pixels.
 fn focal() -> f64 {
     0.5 * SIDE as f64 / 22.5f64.to_radians().tan()
 }
@@ -178,7 +178,7 @@ fn a_turning_camera_makes_all_it_sees_flow_the_other_way() {
             let (found, seen) = flow(&episode, sample, at);
             assert_flow(found, expected.map(|value| value.clamp(-LIMIT, LIMIT)));
             let was = [place[0] - expected[0], place[1] + expected[1]];
-            // What was on the very border may be told either way.
+            // A point exactly on the border may count as visible or as hidden.
             if was.iter().any(|value| (value.abs() - 32.0).abs() < 1e-3) {
                 continue;
             }
