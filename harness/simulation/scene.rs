@@ -395,7 +395,7 @@ const CAMERA: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_CAMERA, "camera");
 const LIGHT: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_LIGHT, "light");
 const ACTUATOR: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_ACTUATOR, "actuator");
 
-/// All things of a kind that have a name: names and indices, in the model's order.
+/// Returns the names and indices of all named objects of a kind, in the model's order.
 pub(super) fn named(model: &MjModel, kind: MjtObjBase) -> Vec<(&str, usize)> {
     let count = match kind {
         MjtObjBase::mjOBJ_JOINT => model.njnt(),
@@ -411,7 +411,7 @@ pub(super) fn named(model: &MjModel, kind: MjtObjBase) -> Vec<(&str, usize)> {
     with_name.filter(|(name, _)| !name.is_empty()).collect()
 }
 
-/// Names that a message lists at most.
+/// Largest number of names in a message.
 const NAMES_SHOWN: usize = 40;
 
 /// A world file with its names resolved in the model.
@@ -526,7 +526,7 @@ impl<'a> Resolver<'a> {
         })
     }
 
-    /// The things of a kind that patterns match: names and indices.
+    /// Returns the names and indices of the objects of a kind that match the patterns.
     fn matches(
         &self,
         (kind, word): (MjtObjBase, &str),
@@ -542,7 +542,7 @@ impl<'a> Resolver<'a> {
         Ok(found.into_iter().map(|index| all[index]).collect())
     }
 
-    /// What a modality holds, and what it is read from.
+    /// Returns the definition of a modality and the sources of its elements.
     fn modality(
         &mut self,
         name: Modality,
@@ -704,7 +704,7 @@ impl<'a> Resolver<'a> {
         Ok(sensed)
     }
 
-    /// A camera whose image follows from its field of view alone.
+    /// Returns the index of a camera. It must be a perspective camera defined only by its field of view.
     fn pinhole(&self, name: &str, path: &str) -> Result<usize, SimulationError> {
         let camera = self.find(CAMERA, name, path)?;
         let is_plain = self.model.cam_projection()[camera]
@@ -772,7 +772,7 @@ impl<'a> Resolver<'a> {
         Ok(sensed)
     }
 
-    /// What the actuators are commanded, as a modality.
+    /// Returns the modality of the actuators' setpoints and the sources of its elements.
     fn setpoint(&self) -> (Definition, Vec<Reading>) {
         let actuators = self.world.file().action.actuators.iter();
         let element = |(name, actuator): (&str, &harness_spec::Actuator)| Element {
@@ -885,7 +885,7 @@ impl<'a> Resolver<'a> {
         Ok(factors)
     }
 
-    /// Why a factor would not change a thing as it says, if it would not.
+    /// Returns why a factor can't change an object; `None` if it can.
     fn unchangeable(&self, property: Property, id: usize) -> Option<String> {
         let model = self.model;
         let nothing = |word: &str| Some(format!("has no {word} that a factor could multiply"));
@@ -1051,7 +1051,7 @@ fn silence_mujoco_warnings() {
 /// MuJoCo ends the process after an error: the reason has no other way out.
 fn print_fatal(message: &MjLogMessage) {
     if message.level() == MjtLogLevel::mjLOG_ERROR {
-        // A panic would hide it where the standard error is full.
+        // The result is ignored: a panic on a full standard error would hide the reason.
         let _ = writeln!(io::stderr(), "MuJoCo stops the program: {}", message.subject());
     }
 }

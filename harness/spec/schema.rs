@@ -85,7 +85,7 @@ fn several((key, setting): (&String, &Json)) -> (String, Json) {
     (key.clone(), json!({ "type": "array", "items": setting, "minItems": 1, "uniqueItems": true }))
 }
 
-/// Gives a section its keys, and no others.
+/// Sets the keys of a section and forbids all others.
 fn set_keys(section: &mut Json, keys: impl IntoIterator<Item = (String, Json)>) {
     section["properties"] = keys.into_iter().collect::<serde_json::Map<_, _>>().into();
     section["additionalProperties"] = json!(false);
@@ -128,7 +128,7 @@ pub(super) fn list_single_values(tree: &mut Node) {
     list_single(&SCHEMA, tree);
 }
 
-/// The same for a tree of another schema.
+/// Like [`list_single_values`], but for a tree of another schema.
 pub(super) fn list_single(root: &Json, tree: &mut Node) {
     list_below(root, root, tree);
 }
@@ -150,7 +150,7 @@ fn list_below(root: &Json, schema: &Json, node: &mut Node) {
     }
 }
 
-/// Whether a list may have a single item.
+/// Returns whether a list may have a single item.
 fn takes_one_item(schema: &Json) -> bool {
     let items = |bound: &str| schema[bound].as_u64();
     types(schema) == ["array"]
@@ -167,7 +167,7 @@ fn fits(root: &Json, schema: &Json, value: &Value) -> bool {
     has_type(schema, value) || takes_one_item(schema) && fits(root, &schema["items"], value)
 }
 
-/// Whether a setting is a list that may have a single item.
+/// Returns whether a setting is a list that may have a single item.
 pub(super) fn is_list(setting: &str) -> bool {
     setting_schema(setting).is_some_and(takes_one_item)
 }
@@ -355,7 +355,7 @@ fn nearest<'a>(found: &str, names: &[&'a str]) -> Option<&'a str> {
     nearest_by(|name| name).or_else(|| nearest_by(|name| name.rsplit('.').next().unwrap_or(name)))
 }
 
-/// Follows a reference into the definitions: the schema meant, and the definition's name.
+/// Follows a reference into the definitions. Returns the schema and the definition's name.
 fn resolve<'a>(root: &'a Json, schema: &'a Json) -> (&'a Json, &'a str) {
     let name = schema["$ref"].as_str().and_then(|reference| reference.strip_prefix("#/$defs/"));
     name.map_or((schema, ""), |name| (&root["$defs"][name], name))

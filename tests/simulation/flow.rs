@@ -109,7 +109,8 @@ fn assert_flow(found: [f64; 2], expected: [f64; 2]) {
     }
 }
 
-/// The change of a joint since the sample before: 0 is the camera's angle, 1 the plate's place, 2 its angle.
+/// Returns the change of a joint since the sample before. Joint 0 is the camera's angle, 1 the plate's position, 2 its
+/// angle.
 fn change(episode: &Episode, sample: usize, joint: usize) -> f64 {
     vector(episode, "joints", sample)[joint] - vector(episode, "joints", sample - 1)[joint]
 }
