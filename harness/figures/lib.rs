@@ -1,8 +1,9 @@
-//! The paper's figures, and one about it, drawn from the tables of finished runs.
+//! Draws the paper's nine figures, and one figure about the readings of the paper, from the tables of finished runs.
 //!
-//! One file a figure; each makes a [`Drawing`]: a [`page::Page`] and the numbers on it. The scenes are rendered by
-//! `simulation`, the diagrams are read off the networks that `learning` builds, everything else comes from
-//! [`source::Source`], by the runs that [`analysis`](harness_analysis) lets count. The same tables give the same bytes of SVG.
+//! Each figure has a file of its own, which makes a [`Drawing`]: a [`page::Page`] and the numbers on it. `simulation`
+//! renders the scenes. The diagrams show the parameters of the networks that `learning` builds. All other numbers come
+//! from [`source::Source`], which uses the runs that [`analysis`](harness_analysis) selects. The same tables give the
+//! same bytes of SVG.
 
 mod axes;
 mod curves;
@@ -35,66 +36,101 @@ use std::path::{Path, PathBuf};
 /// Why a figure can't be drawn.
 #[derive(Debug, thiserror::Error)]
 pub enum FigureError {
+    /// An experiment that the figure needs has no finished run.
     #[error("{} has no finished run of {experiment}; make them with `{command}`", root.display())]
-    NoRuns { experiment: String, root: PathBuf, command: String },
+    NoRuns {
+        /// The experiment's name.
+        experiment: String,
+        /// The results folder.
+        root: PathBuf,
+        /// The command that makes the missing runs.
+        command: String,
+    },
+    /// An experiment has finished runs, but a query over them gives no rows.
     #[error(
         "the finished runs of {experiment} in {} lack what the figure shows: a scenario, or a table that earlier \
          versions didn't write; make them with `{command}`, in a new results folder if they are of such a version",
         root.display()
     )]
-    NoRows { experiment: String, root: PathBuf, command: String },
+    NoRows {
+        /// The experiment's name.
+        experiment: String,
+        /// The results folder.
+        root: PathBuf,
+        /// The command that makes the experiment's runs.
+        command: String,
+    },
+    /// The runs differ in their settings and can't be shown in one figure.
     #[error(transparent)]
     Mixed(#[from] Mixed),
+    /// A query can't be answered, or the numbers can't be saved.
     #[error(transparent)]
     Query(#[from] QueryError),
+    /// A column of a table is missing or has an unexpected type.
     #[error("a table doesn't hold what it should: {0}")]
     Table(#[from] PolarsError),
+    /// A scene can't be simulated or rendered.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
+    /// A network that a diagram shows can't be built.
     #[error(transparent)]
     Learning(#[from] LearningError),
+    /// A picture can't be encoded or drawn, for the given reason.
     #[error("the picture can't be made: {0}")]
     Picture(String),
+    /// A file can't be written.
     #[error(transparent)]
     Write(#[from] WriteError),
 }
 
 impl FigureError {
-    /// Whether the figure waits for runs that aren't there.
+    /// Whether the figure can't be drawn because runs, or rows of their tables, are missing.
     pub fn is_missing_runs(&self) -> bool {
         matches!(self, Self::NoRuns { .. } | Self::NoRows { .. })
     }
 }
 
-/// A figure of the paper, or about it.
+/// A figure of the paper, or the figure about its readings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Figure {
+    /// The finger pressed on the ground among movable boxes.
     Task,
+    /// The robot, its joints, and the finger close up.
     SimEnv,
+    /// The network that predicts the next observation.
     PredictiveArch,
+    /// The network that reconstructs the observation.
     InformationLossArch,
+    /// Contact and force by link, in both scenarios.
     ForcesDataset,
+    /// Prediction errors over the latent size, with and without vision as an input.
     PredictionResults,
+    /// The predicted change of the camera's image beside the reference.
     PropriovisionToVision,
+    /// Reconstruction errors over the latent size, with and without vision as an input.
     ReconstructionPerformance,
+    /// Predictions over references at the fingertip.
     Regression,
-    /// What no figure of the paper shows: what depends on how it is read.
+    /// The gain by vision under each reading of the paper. The paper has no such figure.
     Readings,
 }
 
-/// A file that a figure is saved as.
+/// A file format in which a figure is saved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
+    /// The page as an SVG document.
     Svg,
+    /// The page as a PNG of 600 pixels per inch.
     Png,
-    /// The numbers.
+    /// The numbers that the figure shows.
     Csv,
 }
 
 impl Format {
+    /// All formats.
     pub const ALL: [Format; 3] = [Format::Svg, Format::Png, Format::Csv];
 
-    /// The ending of the file's name.
+    /// The extension of the file's name, without the dot.
     pub fn name(self) -> &'static str {
         match self {
             Format::Svg => "svg",
@@ -106,12 +142,14 @@ impl Format {
 
 /// A figure and the numbers that it shows.
 pub struct Drawing {
+    /// The figure itself.
     pub page: Page,
+    /// The numbers that the figure shows, as rows of its CSV file.
     pub data: DataFrame,
 }
 
 impl Figure {
-    /// Those of the paper in its order, and the one about it.
+    /// The paper's figures in the paper's order, then [`Figure::Readings`].
     pub const ALL: [Figure; 10] = [
         Figure::Task,
         Figure::PredictiveArch,
@@ -125,10 +163,10 @@ impl Figure {
         Figure::Readings,
     ];
 
-    /// The paper's figures, in its order: all but the last.
+    /// The paper's figures in the paper's order: all of [`Figure::ALL`] but the last.
     pub const OF_THE_PAPER: [Figure; 9] = *Self::ALL.first_chunk().unwrap();
 
-    /// The name in files and on the command line: the paper's label.
+    /// The name in files and on the command line. It is the figure's label in the paper.
     pub fn name(self) -> &'static str {
         match self {
             Figure::Task => "task",
@@ -144,7 +182,7 @@ impl Figure {
         }
     }
 
-    /// What it shows.
+    /// What the figure shows, in a few words for people.
     pub fn meaning(self) -> &'static str {
         match self {
             Figure::Task => "the finger pressed on the ground among movable boxes",
@@ -162,15 +200,15 @@ impl Figure {
         }
     }
 
-    /// Whether it depends on runs; the others show the simulated world alone.
+    /// Whether the figure depends on runs. The other figures only show the simulated scenes.
     pub fn shows_runs(self) -> bool {
         !matches!(self, Figure::Task | Figure::SimEnv)
     }
 
-    /// Draws it.
+    /// Draws the figure.
     ///
     /// # Errors
-    /// When its runs are missing ([`FigureError::is_missing_runs`]), or tables or pictures can't be made.
+    /// When its runs are missing ([`FigureError::is_missing_runs`]), or when a table can't be read or a picture made.
     pub fn draw(self, source: &Source) -> Result<Drawing, FigureError> {
         match self {
             Figure::Task => task::draw(),
@@ -188,7 +226,10 @@ impl Figure {
 }
 
 impl Drawing {
-    /// Writes `<folder>/<name>.<format>` of each format.
+    /// Writes `<folder>/<name>.<format>` for each format.
+    ///
+    /// # Errors
+    /// When the PNG can't be drawn, or a file can't be written.
     pub fn save(mut self, folder: &Path, name: &str, formats: &[Format]) -> Result<(), FigureError> {
         let svg = self.page.svg();
         for format in formats {

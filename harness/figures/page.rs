@@ -1,7 +1,7 @@
-//! A page to draw on: shapes, text and pictures in points, as SVG, and as PNG made of that SVG.
+//! A page with shapes, text and pictures. Lengths are in points. A page is saved as SVG, or as a PNG of that SVG.
 //!
-//! A plotting library would serve four of the nine figures; pictures with labels, grids of frames and diagrams of
-//! networks need a page like this one anyway, and axes on it are a small step ([`super::axes`]).
+//! The project has no plotting library, because one would help with only four of the paper's nine figures. Pictures
+//! with labels, grids of frames and diagrams of networks need a page like this one. Axes are in the module `axes`.
 
 use super::FigureError;
 use super::text::{self, EM, Face};
@@ -14,39 +14,49 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::io::Cursor;
 
-/// Width of a journal's column: 8.5 cm in points.
+/// Width of a journal's column, 8.5 cm, in points.
 pub const COLUMN: f64 = 241.0;
-/// Pixels a point of the PNG, 600 a inch.
+/// Pixels per point in the PNG, which has 600 pixels per inch.
 const PNG_SCALE: f32 = 600.0 / 72.0;
 
+/// Colour of text, axes and outlines.
 pub const BLACK: &str = "#1a1a1a";
+/// Colour of remarks and thin outlines.
 pub const GREY: &str = "#767676";
+/// Colour of grid lines and shaded rows.
 pub const PALE: &str = "#e4e4e4";
+/// Colour of the page.
 pub const WHITE: &str = "#ffffff";
-/// Of Okabe and Ito's palette, which the colour-blind can tell apart.
+/// Blue of Okabe and Ito's palette, whose colours colour-blind people can tell apart.
 pub const BLUE: &str = "#0072b2";
+/// Vermilion of Okabe and Ito's palette.
 pub const VERMILION: &str = "#d55e00";
+/// Green of Okabe and Ito's palette.
 pub const GREEN: &str = "#009e73";
-/// Of Tol's, to go with green.
+/// Wine of Tol's palette, used together with [`GREEN`].
 pub const WINE: &str = "#882255";
 
-/// A place, points from the page's upper left corner.
+/// A position `[x, y]` in points from the page's upper left corner. `y` grows downwards.
 pub type Point = [f64; 2];
 
 /// How a line is drawn.
 #[derive(Debug, Clone, Copy)]
 pub struct Stroke {
+    /// The colour as SVG writes it, `#rrggbb`.
     pub colour: &'static str,
-    /// Points.
+    /// The line's width, points.
     pub width: f64,
+    /// Whether the line is dashed. Dashes scale with the width.
     pub dashed: bool,
 }
 
 impl Stroke {
+    /// A solid line of this colour and width in points.
     pub const fn new(colour: &'static str, width: f64) -> Self {
         Self { colour, width, dashed: false }
     }
 
+    /// The same line, dashed.
     pub const fn dashed(self) -> Self {
         Self { dashed: true, ..self }
     }
@@ -61,28 +71,34 @@ impl Stroke {
     }
 }
 
-/// Where a text stands from its point.
+/// Which part of a line of text lies at its point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Anchor {
+    /// The line's beginning.
     Start,
+    /// The line's middle.
     Middle,
+    /// The line's end.
     End,
 }
 
 /// How a text is set.
 #[derive(Debug, Clone, Copy)]
 pub struct Type {
-    /// Points.
+    /// The font's size, points.
     pub size: f64,
+    /// The font's style. Markup in the text can change it.
     pub face: Face,
+    /// The colour as SVG writes it, `#rrggbb`.
     pub colour: &'static str,
+    /// Which part of the text lies at its point.
     pub anchor: Anchor,
-    /// Reads upwards.
+    /// Whether the text is turned by 90 degrees and reads upwards.
     pub upright: bool,
 }
 
 impl Type {
-    /// What axes are labelled with.
+    /// Labels of axes.
     pub const LABEL: Type =
         Type { size: 7.0, face: Face::Regular, colour: BLACK, anchor: Anchor::Middle, upright: false };
     /// Numbers at ticks, and notes.
@@ -90,27 +106,32 @@ impl Type {
     /// Headings.
     pub const BOLD: Type = Type { size: 7.5, face: Face::Bold, anchor: Anchor::Start, ..Self::LABEL };
 
+    /// The same type, with the text's beginning at the point.
     pub const fn start(self) -> Self {
         Self { anchor: Anchor::Start, ..self }
     }
 
+    /// The same type, with the text's end at the point.
     pub const fn end(self) -> Self {
         Self { anchor: Anchor::End, ..self }
     }
 
+    /// The same type, with the text's middle at the point.
     pub const fn middle(self) -> Self {
         Self { anchor: Anchor::Middle, ..self }
     }
 
+    /// The same type in this colour.
     pub const fn colour(self, colour: &'static str) -> Self {
         Self { colour, ..self }
     }
 
+    /// The same type, reading upwards.
     pub const fn upright(self) -> Self {
         Self { upright: true, ..self }
     }
 
-    /// The width of a text, points.
+    /// The width of a line of text, points.
     pub fn width(&self, text: &str) -> f64 {
         text::line(text, self.face, self.size).width
     }
@@ -119,11 +140,13 @@ impl Type {
 /// The shape of a data point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mark {
+    /// A circle.
     Disc,
+    /// An upright square.
     Square,
 }
 
-/// A page.
+/// A page that shapes, text and pictures are drawn on.
 pub struct Page {
     width: f64,
     height: f64,
@@ -133,28 +156,29 @@ pub struct Page {
 }
 
 impl Page {
-    /// An empty page of this size, points; the title says what is on it to those who can't see it.
+    /// An empty page of this width and height in points. The title describes the page to screen readers.
     pub fn new(width: f64, height: f64, title: &str) -> Self {
         Self { width, height, title: title.to_owned(), body: String::new(), glyphs: BTreeSet::new() }
     }
 
     fn put(&mut self, element: std::fmt::Arguments) {
-        // Writing to a string doesn't fail.
+        // Writing to a string can't fail.
         let _ = self.body.write_fmt(element);
         self.body.push('\n');
     }
 
+    /// Draws a straight line.
     pub fn line(&mut self, from: Point, to: Point, stroke: Stroke) {
         self.path(&[from, to], stroke);
     }
 
-    /// A line through the points.
+    /// Draws a line through the points.
     pub fn path(&mut self, points: &[Point], stroke: Stroke) {
         let path = path_data(points);
         self.put(format_args!("<path d=\"{path}\" {}/>", stroke.attributes()));
     }
 
-    /// A line through the points with a head at its last.
+    /// Draws a line through the points with an arrow head at the last point. Fewer than two points draw nothing.
     pub fn arrow(&mut self, points: &[Point], stroke: Stroke) {
         let [.., before, tip] = points else { return };
         let (dx, dy) = (tip[0] - before[0], tip[1] - before[1]);
@@ -170,7 +194,7 @@ impl Page {
         self.area(&head, stroke.colour, 1.0);
     }
 
-    /// A filled polygon.
+    /// Draws a filled polygon. The opacity is 0 to 1.
     pub fn area(&mut self, points: &[Point], colour: &str, opacity: f64) {
         let path = path_data(points);
         let opacity =
@@ -178,7 +202,7 @@ impl Page {
         self.put(format_args!("<path d=\"{path}Z\" fill=\"{colour}\"{opacity}/>"));
     }
 
-    /// A rectangle with rounded corners.
+    /// Draws a rectangle. `corner` is its upper left corner, and `radius` rounds its corners. Lengths are in points.
     pub fn rectangle(
         &mut self,
         corner: Point,
@@ -198,7 +222,7 @@ impl Page {
         ));
     }
 
-    /// A data point, `radius` points wide to each side; hollow ones have a rim of the colour.
+    /// Draws a data point of this radius in points. A hollow point is white with a rim of the colour.
     pub fn mark(&mut self, mark: Mark, centre: Point, radius: f64, colour: &'static str, hollow: bool) {
         let rim = 0.9;
         let (fill, radius) = if hollow { (WHITE, radius - rim / 2.0) } else { (colour, radius) };
@@ -227,14 +251,15 @@ impl Page {
         }
     }
 
-    /// Many small data points, in a few elements: where points of several elements overlap, the colour is denser.
+    /// Draws many small data points, `size` points wide. They are spread over a few SVG elements, which keeps the file
+    /// small. The colour is denser where points of several elements overlap.
     pub fn cloud(&mut self, mark: Mark, points: &[Point], size: f64, colour: &str, opacity: f64) {
         const LAYERS: usize = 8;
         let cap = if mark == Mark::Disc { "round" } else { "square" };
         for layer in 0..LAYERS.min(points.len()) {
             let mut path = String::new();
             for [x, y] in points.iter().skip(layer).step_by(LAYERS) {
-                // A line too short to be seen has caps of the line's width.
+                // The line itself is too short to be seen, but its caps are as wide as the stroke.
                 let _ = write!(path, "M{} {}h.01", number(*x), number(*y));
             }
             self.put(format_args!(
@@ -246,7 +271,8 @@ impl Page {
         }
     }
 
-    /// A line of text; the point lies on its base line. See [`text::line`] for the markup.
+    /// Writes a line of text with its base line at the point. In the text, `_{…}` is a subscript, `^{…}` a superscript,
+    /// and `*…*` italic.
     pub fn text(&mut self, text: &str, at: Point, how: Type) {
         let line = text::line(text, how.face, how.size);
         let shift = match how.anchor {
@@ -279,7 +305,11 @@ impl Page {
         self.put(format_args!("</g>"));
     }
 
-    /// A picture; its pixels stay squares where it is enlarged, if `crisp`.
+    /// Places a picture with its upper left corner at `corner`, scaled to `size` points. With `crisp`, an enlarged
+    /// picture's pixels stay sharp squares.
+    ///
+    /// # Errors
+    /// When the picture can't be encoded as PNG.
     pub fn picture(
         &mut self,
         picture: &RgbImage,
@@ -291,7 +321,7 @@ impl Page {
         DynamicImage::from(picture.clone())
             .write_to(&mut png, ImageFormat::Png)
             .map_err(|error| FigureError::Picture(error.to_string()))?;
-        // What browsers take for `pixelated`, which resvg takes in a style alone.
+        // Browsers treat this value as `pixelated`. resvg understands `pixelated` only in a `style` attribute.
         let rendering = if crisp { " image-rendering=\"optimizeSpeed\"" } else { "" };
         let [x, y] = corner.map(number);
         let [width, height] = size.map(number);
@@ -327,7 +357,10 @@ impl Page {
         svg
     }
 
-    /// The SVG document `svg` as a PNG of 600 pixels an inch.
+    /// Renders the SVG document `svg` as a PNG of 600 pixels per inch and returns the file's bytes.
+    ///
+    /// # Errors
+    /// When the document isn't valid SVG, has no size, or the PNG can't be encoded.
     pub fn png(svg: &str) -> Result<Vec<u8>, FigureError> {
         let failed = |reason: String| FigureError::Picture(reason);
         let tree = usvg::Tree::from_str(svg, &usvg::Options::default())
@@ -336,22 +369,24 @@ impl Page {
             [tree.size().width(), tree.size().height()].map(|side| (side * 0.75 * PNG_SCALE).round() as u32);
         let mut pixels =
             tiny_skia::Pixmap::new(width, height).ok_or_else(|| failed("the page has no size".into()))?;
-        // usvg counts 96 units an inch.
+        // usvg has 96 units per inch.
         let scale = 0.75 * PNG_SCALE;
         resvg::render(&tree, tiny_skia::Transform::from_scale(scale, scale), &mut pixels.as_mut());
-        // The page is opaque.
+        // The page is opaque, so the alpha channel can be dropped.
         let rgb: Vec<[u8; 3]> =
             pixels.pixels().iter().map(|pixel| [pixel.red(), pixel.green(), pixel.blue()]).collect();
         encoded([width, height], &rgb).map_err(|error| failed(error.to_string()))
     }
 }
 
-/// The most colours that a palette can have.
+/// Largest number of colours in a PNG's palette.
 const PALETTE: usize = 256;
-/// How far a colour may be from the nearest of a palette, with intensities to 255: what nobody sees in the few pixels of rare shades at edges.
+/// Largest allowed distance of a colour from the nearest colour of the palette, with intensities from 0 to 255. Only the
+/// few pixels of rare shades at edges change, so the difference isn't visible.
 const FARTHEST: u32 = 48;
 
-/// A PNG, with a palette of the most frequent colours where these are as good as all, which halves the file of a drawing.
+/// Encodes pixels as a PNG. If the most frequent colours are close enough to all others, the PNG has a palette of
+/// them, which halves the file of a drawing.
 fn encoded([width, height]: [u32; 2], pixels: &[[u8; 3]]) -> Result<Vec<u8>, png::EncodingError> {
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, width, height);
@@ -375,10 +410,11 @@ fn encoded([width, height]: [u32; 2], pixels: &[[u8; 3]]) -> Result<Vec<u8>, png
     Ok(bytes)
 }
 
-/// Red, green and blue.
+/// The intensities of red, green and blue.
 type Rgb = [u8; 3];
 
-/// The most frequent colours, and the place of each colour's nearest among them; `None` where one is too far from it.
+/// Returns the most frequent colours, and for each colour the index of the nearest of them. Returns `None` if a colour
+/// is farther than [`FARTHEST`] from its nearest one.
 fn palette(pixels: &[Rgb]) -> Option<(Vec<Rgb>, BTreeMap<Rgb, u8>)> {
     let mut counts: BTreeMap<Rgb, usize> = BTreeMap::new();
     for run in pixels.chunk_by(|a, b| a == b) {
@@ -406,12 +442,12 @@ fn path_data(points: &[Point]) -> String {
     path
 }
 
-/// A glyph's name in the document; the same in every figure, so that several fit into one page.
+/// A glyph's `id` in the SVG document. It is the same in every figure, so that an HTML page can hold several figures.
 fn glyph_name(face: Face, id: u32) -> String {
     format!("{}{id}", ["r", "b", "i"][face as usize])
 }
 
-/// A number to two decimals, as short as can be.
+/// A number with at most two decimals, without trailing zeros.
 fn number(value: f64) -> String {
     let text = format!("{value:.2}");
     let text = text.trim_end_matches('0').trim_end_matches('.');

@@ -1,4 +1,4 @@
-//! What figures are drawn from: the runs of the paper's two experiments, and their tables.
+//! The runs of the paper's experiments and their tables, from which figures are drawn.
 
 use super::FigureError;
 use harness_analysis::{Analysis, Run};
@@ -7,18 +7,20 @@ use polars::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// The paper's experiments; each has a spec of its name in `experiments/`.
+/// One of the paper's two experiments. Each has a spec of its name in `experiments/`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Study {
-    /// Proprioception alone is given.
+    /// The networks' only input is proprioception.
     SingleToMulti,
-    /// Proprioception and vision are given.
+    /// The networks' inputs are proprioception and vision.
     MultiToMulti,
 }
 
 impl Study {
+    /// Both studies, the one without vision first.
     pub const BOTH: [Study; 2] = [Study::SingleToMulti, Study::MultiToMulti];
 
+    /// The name of the study's experiment, which is also the role of its runs in the readings.
     pub fn name(self) -> &'static str {
         match self {
             Study::SingleToMulti => "single_to_multi",
@@ -26,7 +28,7 @@ impl Study {
         }
     }
 
-    /// What its networks are given, for people.
+    /// The inputs of the study's networks, in words for people.
     pub fn input(self) -> &'static str {
         match self {
             Study::SingleToMulti => "from proprioception",
@@ -35,17 +37,19 @@ impl Study {
     }
 }
 
-/// The experiments whose runs are drawn, by study.
+/// The names of the experiments whose runs are drawn.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Experiments {
+    /// The experiment of [`Study::SingleToMulti`].
     pub single_to_multi: String,
+    /// The experiment of [`Study::MultiToMulti`].
     pub multi_to_multi: String,
-    /// That with the readings of the paper, which stands for both.
+    /// The experiment with the readings of the paper. It has runs of both studies.
     pub readings: String,
 }
 
 impl Experiments {
-    /// Those of the paper; with `quick`, as `harness run … --quick` makes them.
+    /// The paper's experiments; with `quick`, those that `harness run … --quick` makes.
     pub fn of_the_paper(quick: bool) -> Self {
         let name = |name: &str| format!("{name}{}", if quick { QUICK } else { "" });
         Self {
@@ -55,7 +59,7 @@ impl Experiments {
         }
     }
 
-    /// The experiment of a study.
+    /// The name of a study's experiment.
     pub fn of(&self, study: Study) -> &str {
         match study {
             Study::SingleToMulti => &self.single_to_multi,
@@ -63,29 +67,31 @@ impl Experiments {
         }
     }
 
-    /// The names of the two studies.
+    /// The names of the two studies' experiments.
     pub fn names(&self) -> [String; 2] {
         Study::BOTH.map(|study| self.of(study).to_owned())
     }
 }
 
-/// The runs that count, seen as those of the two studies.
+/// The runs that an analysis selects, grouped by study.
 pub struct Source<'a> {
     analysis: &'a Analysis,
     experiments: Experiments,
 }
 
-/// The runs of a study: they differ in scenario, latent size and seed alone.
+/// The runs of a study. They differ only in scenario, latent size and seed.
 pub struct Runs<'a> {
     analysis: &'a Analysis,
+    /// The experiment's name.
     pub experiment: String,
-    /// By scenario, latent size and seed.
+    /// The runs, sorted by scenario, latent size and seed.
     pub all: &'a [Run],
     command: String,
 }
 
 impl<'a> Source<'a> {
-    /// The analysis must have the runs on simulated data of the experiments that are drawn, and no others of them.
+    /// A source of figures. The analysis must have all runs of `experiments` on simulated data, and no other runs of
+    /// these experiments.
     pub fn new(analysis: &'a Analysis, experiments: Experiments) -> Self {
         Self { analysis, experiments }
     }
@@ -93,8 +99,8 @@ impl<'a> Source<'a> {
     /// The runs of a study.
     ///
     /// # Errors
-    /// When there are none, and the message says what to run; or when they can't stand in one figure, and the message
-    /// names the settings in which they differ.
+    /// When the study has no runs; the message names the command that makes them. Also when the runs can't be shown in
+    /// one figure; the message names the settings in which they differ.
     pub fn runs(&self, study: Study) -> Result<Runs<'a>, FigureError> {
         let experiment = self.experiments.of(study).to_owned();
         let command = self.command(&experiment);
@@ -110,7 +116,7 @@ impl<'a> Source<'a> {
     /// The rows of a query over the runs of all readings of the paper.
     ///
     /// # Errors
-    /// When there are none, runs of one reading differ in settings, or the query has no rows.
+    /// When there are no such runs, when runs of one reading differ in settings, or when the query fails or has no rows.
     pub fn query_readings(&self, sql: &str) -> Result<DataFrame, FigureError> {
         let experiment = &self.experiments.readings;
         let runs = self.analysis.runs(experiment);
@@ -154,8 +160,8 @@ impl<'a> Runs<'a> {
         self.answered(self.analysis.query(&[&self.experiment], sql)?)
     }
 
-    /// The same over the run with the lowest seed of each cell, on the first dataset: one network a cell, to show single
-    /// samples.
+    /// The rows of a query over one run per cell: the run with the lowest seed on the first dataset. Figures of single
+    /// samples show only these networks.
     ///
     /// # Errors
     /// When the query can't be answered, or has no rows.
@@ -176,12 +182,12 @@ impl<'a> Runs<'a> {
         Ok(answer)
     }
 
-    /// What the samples of the runs' datasets hold.
+    /// The modalities of the samples in the runs' datasets.
     pub fn layout(&self) -> &'a Arc<Layout> {
         &self.all[0].record.layout
     }
 
-    /// The latent sizes there are, ascending.
+    /// The latent sizes of the runs, ascending.
     pub fn latents(&self) -> Vec<usize> {
         let mut latents: Vec<usize> = self.all.iter().map(|run| run.record.spec.latent).collect();
         latents.sort_unstable();
@@ -189,8 +195,8 @@ impl<'a> Runs<'a> {
         latents
     }
 
-    /// What the intervals of the cells' means are over: `3 datasets`, or `3 to 5 seeds` of one dataset; `None` where no
-    /// cell has an interval.
+    /// The number of datasets or seeds that the intervals of the cells' means are over, for example `3 datasets`, or
+    /// `3 to 5 seeds` of one dataset. `None` if no cell has an interval.
     pub fn replicates(&self) -> Option<String> {
         let mut cells: BTreeMap<String, BTreeMap<u64, usize>> = BTreeMap::new();
         for run in self.all {
@@ -208,25 +214,37 @@ impl<'a> Runs<'a> {
     }
 }
 
-/// A column of text, without nulls.
+/// The values of a column of text. Null becomes an empty string.
+///
+/// # Errors
+/// When the column is missing or isn't text.
 pub fn texts(table: &DataFrame, column: &str) -> Result<Vec<String>, FigureError> {
     let values = table.column(column)?.str()?;
     Ok(values.iter().map(|value| value.unwrap_or_default().to_owned()).collect())
 }
 
-/// A column of integers, without nulls.
+/// The values of a column of integers. Null becomes 0.
+///
+/// # Errors
+/// When the column is missing or can't be cast to integers.
 pub fn integers(table: &DataFrame, column: &str) -> Result<Vec<i64>, FigureError> {
     let values = table.column(column)?.cast(&DataType::Int64)?;
     Ok(values.i64()?.iter().map(Option::unwrap_or_default).collect())
 }
 
-/// A column of numbers; null stays `None`.
+/// The values of a column of numbers. Null becomes `None`.
+///
+/// # Errors
+/// When the column is missing or can't be cast to numbers.
 pub fn reals(table: &DataFrame, column: &str) -> Result<Vec<Option<f64>>, FigureError> {
     let values = table.column(column)?.cast(&DataType::Float64)?;
     Ok(values.f64()?.iter().collect())
 }
 
-/// The columns `dataset_seed` and `value`: each value with the seed of its dataset.
+/// The columns `dataset_seed` and `value` as pairs: each value with the seed of its dataset.
+///
+/// # Errors
+/// When one of the columns is missing or isn't numeric.
 pub fn replicated(table: &DataFrame) -> Result<Vec<(u64, Option<f64>)>, FigureError> {
     let seeds = integers(table, "dataset_seed")?.into_iter().map(|seed| seed as u64);
     Ok(seeds.zip(reals(table, "value")?).collect())

@@ -1,4 +1,5 @@
-//! Text as outlines of a font that is part of the program, so that a figure looks the same on every machine.
+//! Lays out text with a font that is part of the program. Figures contain the glyphs' outlines, so that they look the
+//! same on every machine.
 
 use skrifa::instance::{LocationRef, Size};
 use skrifa::outline::{DrawSettings, OutlinePen};
@@ -9,34 +10,40 @@ use std::sync::LazyLock;
 /// A style of the font.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Face {
+    /// Upright letters of normal weight.
     Regular,
+    /// Upright bold letters.
     Bold,
+    /// Slanted letters of normal weight.
     Italic,
 }
 
 /// A letter's place in a line of text.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Glyph {
+    /// The style of the font that has the glyph.
     pub face: Face,
+    /// The glyph's number in the font.
     pub id: u32,
     /// Distance from the line's beginning, points.
     pub x: f64,
     /// Height above the line, points.
     pub rise: f64,
-    /// Of the letters, points.
+    /// The font's size, points. It is smaller in subscripts and superscripts.
     pub size: f64,
 }
 
 /// A line of text, laid out.
 pub struct Line {
+    /// The line's letters from left to right.
     pub glyphs: Vec<Glyph>,
-    /// Points.
+    /// The line's width, points.
     pub width: f64,
     /// The text without its markup.
     pub plain: String,
 }
 
-/// Letters of a subscript or superscript are smaller by this factor.
+/// The size of letters in subscripts and superscripts, relative to the other letters.
 const SCRIPT: f64 = 0.72;
 
 static FONTS: LazyLock<[FontRef<'static>; 3]> = LazyLock::new(|| {
@@ -48,7 +55,7 @@ static FONTS: LazyLock<[FontRef<'static>; 3]> = LazyLock::new(|| {
     ]
 });
 
-/// Units of the fonts in which outlines are drawn, to the em.
+/// Number of font units per em. Outlines are in these units.
 pub const EM: f64 = 2048.0;
 
 /// Lays out a line in letters of `size` points. In the text, `_{…}` is a subscript, `^{…}` a superscript, and
@@ -84,12 +91,12 @@ fn glyph(face: Face, letter: char) -> (u32, f64) {
     (id.to_u32(), f64::from(advance.unwrap_or_default()))
 }
 
-/// A glyph's outline as SVG path data, in units of the font with y upwards.
+/// A glyph's outline as SVG path data, in font units ([`EM`]). `y` grows upwards.
 pub fn outline(face: Face, id: u32) -> String {
     let mut pen = Path::default();
     if let Some(glyph) = FONTS[face as usize].outline_glyphs().get(GlyphId::new(id)) {
         let settings = DrawSettings::unhinted(Size::unscaled(), LocationRef::default());
-        // Only a damaged font fails, and the fonts are part of the program.
+        // Drawing fails only if the font is damaged, and the fonts are part of the program.
         let _ = glyph.draw(settings, &mut pen);
     }
     pen.0
