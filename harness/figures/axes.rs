@@ -9,29 +9,30 @@ const AXIS: Stroke = Stroke::new(BLACK, 0.6);
 const GRID: Stroke = Stroke::new(PALE, 0.5);
 const TICK: f64 = 2.2;
 
-/// Values along an axis.
+/// Maps values to positions along an axis.
 #[derive(Debug, Clone)]
 pub struct Scale {
     low: f64,
     high: f64,
     step: f64,
     kind: Kind,
-    /// Where the low and the high end lie, points.
+    /// Positions of the low and the high end on the page, points.
     ends: [f64; 2],
 }
 
-/// How values become lengths.
+/// How values are mapped to positions.
 #[derive(Debug, Clone, Copy)]
 enum Kind {
     Linear,
-    /// `low` and `high` are powers of ten.
+    /// Logarithmic. `low` and `high` are exponents of ten.
     Logarithmic,
-    /// Linear around 0 and logarithmic far from it, on both sides: the inverse hyperbolic sine of values over this one.
+    /// Linear around 0 and logarithmic far from it, on both sides: the inverse hyperbolic sine of the value divided by
+    /// this number.
     Symmetric(f64),
 }
 
 impl Scale {
-    /// An axis over `[low, high]`, widened to round numbers, with about `ticks` of them.
+    /// A linear axis over `[low, high]`, widened to round numbers, with about `ticks` ticks at round numbers.
     pub fn linear(low: f64, high: f64, ticks: usize, ends: [f64; 2]) -> Self {
         let span = if high > low { high - low } else { 1.0 };
         let rough = span / ticks.max(1) as f64;
@@ -42,21 +43,21 @@ impl Scale {
         Self { low, high: if high > low { high } else { low + step }, step, kind: Kind::Linear, ends }
     }
 
-    /// An axis over `[low, high]` and a little beyond, linear where values are small beside `linear` and logarithmic where
-    /// they are large, with ticks at 0 and at the powers of ten above `linear`.
+    /// An axis over `[low, high]` with a small margin. It is linear for values much smaller than `linear`, and
+    /// logarithmic for values much larger. It has ticks at 0 and at the powers of ten above `linear`.
     pub fn symmetric(low: f64, high: f64, linear: f64, ends: [f64; 2]) -> Self {
         let (low, high) = ((low / linear).asinh(), (high.max(low) / linear).asinh());
         let margin = if high > low { (high - low) * 0.04 } else { 0.5 };
         Self { low: low - margin, high: high + margin, step: 1.0, kind: Kind::Symmetric(linear), ends }
     }
 
-    /// A logarithmic axis over the powers of ten around `[low, high]`, both above 0.
+    /// A logarithmic axis over `[low, high]`, widened to powers of ten. Both must be above 0.
     pub fn logarithmic(low: f64, high: f64, ends: [f64; 2]) -> Self {
         let (low, high) = (low.log10().floor(), high.log10().ceil());
         Self { low, high: high.max(low + 1.0), step: 1.0, kind: Kind::Logarithmic, ends }
     }
 
-    /// Where a value lies, points.
+    /// A value's position on the page, points.
     pub fn at(&self, value: f64) -> f64 {
         let value = match self.kind {
             Kind::Linear => value,
@@ -66,13 +67,13 @@ impl Scale {
         self.ends[0] + (value - self.low) / (self.high - self.low) * (self.ends[1] - self.ends[0])
     }
 
-    /// The value nearest to this one that the axis holds.
+    /// The value on the axis that is nearest to `value`.
     pub fn clamp(&self, value: f64) -> f64 {
         let [low, high] = self.range();
         value.clamp(low, high)
     }
 
-    /// The values at its ends.
+    /// The values at the axis' low and high end.
     pub fn range(&self) -> [f64; 2] {
         [self.low, self.high].map(|end| match self.kind {
             Kind::Linear => end,
@@ -81,7 +82,7 @@ impl Scale {
         })
     }
 
-    /// The values at its ticks, with their labels.
+    /// The values at the axis' ticks, with their labels.
     fn ticks(&self) -> Vec<(f64, String)> {
         if let Kind::Symmetric(linear) = self.kind {
             let [low, high] = self.range();
@@ -108,7 +109,7 @@ impl Scale {
     }
 }
 
-/// 0.001 to 1000, and beyond them 10^{n}.
+/// A power of ten in digits from 0.001 to 1000, and as `10^{n}` beyond.
 fn power_of_ten(exponent: f64) -> String {
     match exponent as i32 {
         exponent @ -3..=3 => format!("{}", 10f64.powi(exponent)),
@@ -116,41 +117,48 @@ fn power_of_ten(exponent: f64) -> String {
     }
 }
 
-/// The area that data are drawn in.
+/// The rectangle that data are drawn in, within its axes.
 #[derive(Debug, Clone, Copy)]
 pub struct Panel {
+    /// Distance of the left edge from the page's left edge, points.
     pub left: f64,
+    /// Distance of the upper edge from the page's upper edge, points.
     pub top: f64,
+    /// Width, points.
     pub width: f64,
+    /// Height, points.
     pub height: f64,
 }
 
 impl Panel {
+    /// Distance of the right edge from the page's left edge, points.
     pub fn right(&self) -> f64 {
         self.left + self.width
     }
 
+    /// Distance of the lower edge from the page's upper edge, points.
     pub fn bottom(&self) -> f64 {
         self.top + self.height
     }
 
-    /// The ends of a horizontal and of a vertical scale.
+    /// The ends of a horizontal scale: the left and the right edge, points.
     pub fn across(&self) -> [f64; 2] {
         [self.left, self.right()]
     }
 
+    /// The ends of a vertical scale: the lower and the upper edge, points.
     pub fn upwards(&self) -> [f64; 2] {
         [self.bottom(), self.top]
     }
 
-    /// The panel's letter and what it shows, above it.
+    /// Writes the panel's letter and title above it.
     pub fn heading(&self, page: &mut Page, letter: &str, title: &str) {
         let at = [self.left - 1.0, self.top - 4.5];
         page.text(letter, at, Type::BOLD);
         page.text(title, [at[0] + Type::BOLD.width(letter) + 3.5, at[1]], Type::LABEL.start());
     }
 
-    /// A vertical axis with lines across the panel; without a label it has no numbers either.
+    /// Draws a vertical axis with grid lines across the panel. Without a label, the axis has no numbers.
     pub fn left_axis(&self, page: &mut Page, scale: &Scale, label: Option<&str>) {
         let mut widest: f64 = 0.0;
         for (value, text) in scale.ticks() {
@@ -164,19 +172,20 @@ impl Panel {
         }
         page.line([self.left, self.top], [self.left, self.bottom()], AXIS);
         if let Some(label) = label {
-            // Wide numbers move the label, but not off the page.
+            // Wide numbers move the label to the left, but never off the page.
             let x = (self.left - TICK - 1.5 - widest - 3.5).max(Type::LABEL.size);
             page.text(label, [x, self.top + self.height / 2.0], Type::LABEL.upright());
         }
     }
 
-    /// A horizontal axis; without a label it has no numbers either.
+    /// Draws a horizontal axis. Without a label, the axis has no numbers.
     pub fn bottom_axis(&self, page: &mut Page, scale: &Scale, label: Option<&str>) {
         let mut free = f64::NEG_INFINITY;
         for (value, text) in scale.ticks() {
             let x = scale.at(value);
             page.line([x, self.bottom()], [x, self.bottom() + TICK], AXIS);
-            // Within the panel's width, so that neighbours don't meet; where they do, a tick has no number.
+            // Numbers stay within the panel's width, so that they don't overlap those of the next panel. A tick has no
+            // number if it would overlap the number before.
             let half = Type::SMALL.width(&text) / 2.0;
             let x = x.clamp(self.left - 1.0 + half, self.right() + 1.0 - half);
             if label.is_some() && x - half > free {
@@ -187,7 +196,7 @@ impl Panel {
         self.bottom_line(page, label);
     }
 
-    /// A horizontal axis of names, one below each of `centres`.
+    /// Draws a horizontal axis with a name below each of `centres`, which are horizontal positions in points.
     pub fn bottom_names(&self, page: &mut Page, centres: &[f64], names: &[String], label: &str) {
         for (x, name) in centres.iter().zip(names) {
             page.line([*x, self.bottom()], [*x, self.bottom() + TICK], AXIS);
@@ -203,22 +212,28 @@ impl Panel {
         }
     }
 
-    /// The middles of `count` equal parts of the panel's width.
+    /// Horizontal positions of the middles of `count` equal parts of the panel's width, points.
     pub fn slots(&self, count: usize) -> Vec<f64> {
         let slot = self.width / count.max(1) as f64;
         (0..count).map(|index| self.left + (index as f64 + 0.5) * slot).collect()
     }
 }
 
-/// How a series looks: the scenario is its colour, the direction its shape, so neither hangs on colour alone.
+/// How a series looks. Colours show scenarios, and shapes show directions, so that readers don't need colours to tell
+/// directions apart.
 #[derive(Debug, Clone, Copy)]
 pub struct Look {
+    /// The colour as SVG writes it, `#rrggbb`.
     pub colour: &'static str,
+    /// The shape of its points.
     pub mark: Mark,
+    /// Whether its points are hollow.
     pub hollow: bool,
+    /// Whether its line is dashed.
     pub dashed: bool,
 }
 
+/// The colour of a scenario.
 pub fn colour_of(scenario: Scenario) -> &'static str {
     match scenario {
         Scenario::EMPTY => BLUE,
@@ -226,13 +241,15 @@ pub fn colour_of(scenario: Scenario) -> &'static str {
     }
 }
 
+/// The look of a direction in this colour: hollow squares and a dashed line for adduction/abduction, filled discs and a
+/// solid line otherwise.
 pub fn look_of(colour: &'static str, direction: Direction) -> Look {
     let lateral = direction == Direction::ADDUCTION_ABDUCTION;
     let mark = if lateral { Mark::Square } else { Mark::Disc };
     Look { colour, mark, hollow: lateral, dashed: lateral }
 }
 
-/// What readers call a direction.
+/// A direction's name for people.
 pub fn words_of(direction: Direction) -> &'static str {
     match direction {
         Direction::FLEXION_EXTENSION => "flexion/extension",
@@ -241,12 +258,12 @@ pub fn words_of(direction: Direction) -> &'static str {
 }
 
 impl Look {
-    /// A point with its interval, if it has one.
+    /// Draws a value's mean as a point at `x`, with its interval as a bar, if it has one.
     pub fn point(&self, page: &mut Page, x: f64, scale: &Scale, value: &Interval) {
         if let Some((low, high)) = value.bounds {
             let stroke = Stroke::new(self.colour, 0.8);
             page.line([x, scale.at(scale.clamp(low))], [x, scale.at(scale.clamp(high))], stroke);
-            // An end without a cap lies beyond the axis.
+            // An end beyond the axis has no cap.
             for end in [low, high].into_iter().filter(|end| scale.clamp(*end) == *end) {
                 page.line([x - 1.5, scale.at(end)], [x + 1.5, scale.at(end)], stroke);
             }
@@ -254,6 +271,7 @@ impl Look {
         page.mark(self.mark, [x, scale.at(scale.clamp(value.mean))], 2.0, self.colour, self.hollow);
     }
 
+    /// Draws the series' line through the points, if there are at least two.
     pub fn path(&self, page: &mut Page, points: &[Point]) {
         let stroke = Stroke::new(self.colour, 0.9);
         if points.len() > 1 {
@@ -262,7 +280,7 @@ impl Look {
     }
 }
 
-/// Explains marks in a row that is centred about `middle`; `y` is its base line.
+/// Draws a legend of looks in one row. Its middle is at `middle`, and its base line at `y`, in points.
 pub fn legend(page: &mut Page, middle: f64, y: f64, entries: &[(Look, &str)]) {
     const KEY: f64 = 14.0;
     const GAP: f64 = 3.0;
@@ -278,7 +296,7 @@ pub fn legend(page: &mut Page, middle: f64, y: f64, entries: &[(Look, &str)]) {
     }
 }
 
-/// Explains colours in a row that is centred about `middle`; `y` is its base line.
+/// Draws a legend of colours in one row. Its middle is at `middle`, and its base line at `y`, in points.
 pub fn colour_legend(page: &mut Page, middle: f64, y: f64, entries: &[(&'static str, &str)]) {
     let how = Type::SMALL.start();
     let widths: Vec<f64> = entries.iter().map(|(_, words)| 10.0 + how.width(words)).collect();
@@ -290,7 +308,7 @@ pub fn colour_legend(page: &mut Page, middle: f64, y: f64, entries: &[(&'static 
     }
 }
 
-/// A remark in small grey letters.
+/// Writes a remark in small grey letters, centred at the point.
 pub fn remark(page: &mut Page, text: &str, at: Point) {
     page.text(text, at, Type::SMALL.colour(GREY));
 }

@@ -1,4 +1,4 @@
-//! An error over the latent size, by scenario and direction: panels of two figures.
+//! Panels that show an error over the latent size, by scenario and direction. Two figures consist of them.
 
 use super::FigureError;
 use super::axes::{Look, Panel, Scale, colour_of, legend, look_of, remark, words_of};
@@ -10,18 +10,24 @@ use harness_spec::{Modality, Scenario, Task};
 use polars::prelude::*;
 use std::collections::BTreeMap;
 
-/// What predicting zero gives, %: by SMAPE as by WMAPE, the error is then as large as the reference.
+/// The error of predicting zero, %. By SMAPE and by WMAPE, it is as large as the reference.
 const ZERO: f64 = 100.0;
 
-/// What a panel shows.
+/// Describes what a panel shows.
 pub struct Curves<'a> {
+    /// The runs of the study.
     pub runs: &'a Runs<'a>,
+    /// The networks' task.
     pub task: Task,
+    /// The modality whose error is shown.
     pub modality: Modality,
+    /// The error's metric, in percent.
     pub metric: Metric,
+    /// The panel's letter.
     pub letter: &'static str,
+    /// The panel's title.
     pub title: &'static str,
-    /// A baseline to show beside the networks: its name in the tables, and on the axis.
+    /// A baseline to show beside the networks: its name in the tables, and its name on the axis.
     pub baseline: Option<(&'static str, &'static str)>,
 }
 
@@ -33,17 +39,20 @@ struct Curve {
     baseline: Option<Interval>,
 }
 
-/// A panel's numbers.
+/// The numbers that a panel shows.
 pub struct Measured<'a> {
     of: &'a Curves<'a>,
     latents: Vec<usize>,
     curves: Vec<Curve>,
-    /// Columns of the figure's CSV.
+    /// The panel's rows of the figure's CSV file.
     pub data: DataFrame,
 }
 
 impl Curves<'_> {
-    /// Looks its numbers up.
+    /// Reads the panel's numbers from the tables.
+    ///
+    /// # Errors
+    /// When the query fails or has no rows.
     pub fn measure(&self) -> Result<Measured<'_>, FigureError> {
         let (task, modality, metric) = (self.task, self.modality, self.metric.name());
         let baseline = self.baseline.map_or(NETWORK, |(name, _)| name);
@@ -74,7 +83,7 @@ impl Curves<'_> {
                 if network.is_empty() {
                     continue;
                 }
-                // A baseline has no seed and no latent size: every run repeats its dataset's value.
+                // A baseline has no seed and no latent size. Every run on a dataset has the same value of it.
                 let baseline = self.baseline.and_then(|(name, _)| {
                     let rows = of(scenario, direction, name).into_iter();
                     let by_dataset: BTreeMap<u64, f64> =
@@ -123,18 +132,20 @@ impl Measured<'_> {
             .flat_map(|curve| curve.network.iter().map(|(_, value)| value).chain(&curve.baseline))
     }
 
-    /// What the vertical axis must reach: every mean, and every interval that isn't far wider than the rest.
+    /// The highest value on the vertical axis. The axis includes every mean, and every interval up to 1.3 times the
+    /// highest mean.
     fn highest(&self) -> f64 {
         let mean = self.values().map(|value| value.mean).fold(0.0, f64::max);
         self.values().map(|value| value.high().min(mean * 1.3)).fold(mean, f64::max)
     }
 
-    /// Whether a part of an interval lies beyond the axis.
+    /// Whether an end of an interval lies beyond the axis.
     fn is_cut(&self, scale: &Scale) -> bool {
         self.values().any(|value| [value.low(), value.high()].iter().any(|end| scale.clamp(*end) != *end))
     }
 
-    /// Draws the panel; without an axis label, its numbers stand at the panel to the left.
+    /// Draws the panel. Without an axis label it has no numbers at its vertical axis, because it shares those of the
+    /// panel to its left.
     fn draw(&self, page: &mut Page, panel: &Panel, scale: &Scale, label: Option<&str>) {
         panel.left_axis(page, scale, label);
         let note = Type::SMALL.colour(GREY);
@@ -180,7 +191,7 @@ impl Measured<'_> {
     }
 }
 
-/// The legend of all curves, two rows from `y` on.
+/// Draws the legend of all curves, in two rows from `y` on.
 pub fn explain(page: &mut Page, middle: f64, y: f64) {
     for (row, &scenario) in Scenario::PAPER.iter().enumerate() {
         let entries: Vec<(Look, String)> = Direction::FINGER
@@ -195,12 +206,12 @@ pub fn explain(page: &mut Page, middle: f64, y: f64) {
     }
 }
 
-/// Draws two panels side by side, on one axis. Whether a part of an interval lies beyond it.
+/// Draws two panels side by side, with one vertical scale. Returns whether an end of an interval lies beyond the axis.
 pub fn pair(page: &mut Page, [top, height]: [f64; 2], panels: [&Measured; 2], label: &str) -> bool {
     let left = Panel { left: 33.0, top, width: 97.0, height };
     let right = Panel { left: left.right() + 10.0, ..left };
     let highest = panels[0].highest().max(panels[1].highest());
-    // Where predicting zero would lie far above, a note of it has room at the top.
+    // If the error of predicting zero lies far above the axis, a note about it needs room at the top.
     let highest = if highest < 0.75 * ZERO { highest * 1.15 } else { highest.max(ZERO) };
     let scale = Scale::linear(0.0, highest, 5, left.upwards());
     panels[0].draw(page, &left, &scale, Some(label));
@@ -208,7 +219,7 @@ pub fn pair(page: &mut Page, [top, height]: [f64; 2], panels: [&Measured; 2], la
     panels.iter().any(|panel| panel.is_cut(&scale))
 }
 
-/// Remarks below the panels, a line each from `y` on.
+/// Writes remarks below the panels, one per line from `y` on. The first explains the bars.
 pub fn remarks(page: &mut Page, y: f64, is_cut: bool, lines: &[&str]) {
     let bars = match is_cut {
         true => "bars: 95 % intervals of the mean; without a cap, they go on beyond the axis",
@@ -219,7 +230,10 @@ pub fn remarks(page: &mut Page, y: f64, is_cut: bool, lines: &[&str]) {
     }
 }
 
-/// Panels' numbers one below the other.
+/// The rows of all panels as one table.
+///
+/// # Errors
+/// When the panels' columns differ.
 pub fn stack(panels: &[&Measured]) -> Result<DataFrame, FigureError> {
     let mut data = panels[0].data.clone();
     for panel in &panels[1..] {

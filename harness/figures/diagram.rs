@@ -1,4 +1,4 @@
-//! A network drawn from the shapes of its parameters: what two figures share.
+//! Draws a network's layers from the shapes of its parameters. Two figures show such a diagram.
 
 use super::FigureError;
 use super::page::{BLACK, GREY, Page, Point, Stroke, Type, WHITE};
@@ -12,24 +12,36 @@ use harness_spec::{Definition, IMAGE_CHANNELS, Layout, Modality, RunSpec, Task};
 use polars::prelude::*;
 use std::sync::Arc;
 
+/// Fill colour of inputs and outputs.
 pub const INPUT: &str = "#d8ebf7";
+/// Fill colour of the latent state.
 pub const LATENT: &str = "#fdebc8";
+/// Fill colour of the action.
 pub const ACTION: &str = "#d5efe4";
+/// Fill colour of layers that aren't trained.
 pub const FROZEN: &str = "#e2e2e2";
+/// Stroke of the arrows between blocks.
 pub const LINE: Stroke = Stroke::new(BLACK, 0.7);
 
-/// A network's layers, as its parameters have them.
+/// The inputs, outputs and parameters of a task's networks.
 pub struct Anatomy {
+    /// The networks' task.
     pub task: Task,
+    /// The modalities that the encoder is given.
     pub input: Vec<Definition>,
+    /// The modalities that the decoder gives.
     pub output: Vec<Definition>,
+    /// The latent sizes of the runs, ascending.
     pub latents: Vec<usize>,
-    /// For each latent size the parameters' names and shapes.
+    /// The parameters' names and shapes, for each of the latent sizes.
     networks: Vec<Vec<(String, Vec<usize>)>>,
 }
 
 impl Anatomy {
-    /// The networks of the multi-to-multi runs, one a latent size, built as training builds them.
+    /// Builds the networks of the multi-to-multi runs as training builds them, one for each latent size.
+    ///
+    /// # Errors
+    /// When the runs are missing, or a network can't be built.
     pub fn of(source: &Source, task: Task) -> Result<Self, FigureError> {
         let runs = source.runs(Study::MultiToMulti)?;
         let latents = runs.latents();
@@ -45,12 +57,13 @@ impl Anatomy {
         Ok(Self { task, input, output, latents, networks })
     }
 
-    /// The shape of a parameter, which is the same at every latent size but for the latent layers'.
+    /// The shape of a parameter at the smallest latent size. Only the layers next to the latent state depend on the
+    /// latent size.
     fn shape(&self, name: &str) -> Option<&[usize]> {
         self.networks[0].iter().find(|(found, _)| found == name).map(|(_, shape)| shape.as_slice())
     }
 
-    /// `factor` times the latent sizes, as "16, 64 or 128".
+    /// `factor` times the latent sizes in words, for example "16, 64 or 128".
     fn latent_words(&self, factor: usize) -> String {
         let sizes: Vec<String> = self.latents.iter().map(|latent| (factor * latent).to_string()).collect();
         match sizes.as_slice() {
@@ -60,7 +73,7 @@ impl Anatomy {
         }
     }
 
-    /// Parameters at the smallest and the largest latent size, in words.
+    /// The smallest and the largest number of parameters of the networks, in words.
     pub fn parameter_words(&self) -> String {
         let count = |network: &Vec<(String, Vec<usize>)>| -> usize {
             network.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum()
@@ -78,7 +91,10 @@ impl Anatomy {
         if first == last { format!("{first} parameters") } else { format!("{first} to {last} parameters") }
     }
 
-    /// Every parameter with its shape, at every latent size.
+    /// The figure's CSV rows: every parameter with its shape, at every latent size.
+    ///
+    /// # Errors
+    /// When Polars can't build the table.
     pub fn data(&self) -> Result<DataFrame, FigureError> {
         let rows: Vec<(usize, &str, &[usize])> = self
             .latents
@@ -99,7 +115,7 @@ impl Anatomy {
     }
 }
 
-/// Names and shapes of the parameters that a run's network has for a task.
+/// Names and shapes of the parameters of a run's network for a task.
 fn shapes(
     spec: &RunSpec,
     layout: &Arc<Layout>,
@@ -112,7 +128,7 @@ fn shapes(
     Ok(parameters.iter().map(|(name, var)| (name.clone(), var.dims().to_vec())).collect())
 }
 
-/// A box with lines of text, centred.
+/// Draws a box with centred lines of text. The first line is bold.
 pub fn block(page: &mut Page, centre: Point, size: [f64; 2], fill: &str, lines: &[String]) {
     let corner = [centre[0] - size[0] / 2.0, centre[1] - size[1] / 2.0];
     page.rectangle(corner, size, 2.0, fill, Some(Stroke::new(GREY, 0.6)));
@@ -124,7 +140,7 @@ pub fn block(page: &mut Page, centre: Point, size: [f64; 2], fill: &str, lines: 
     }
 }
 
-/// What readers call a modality, and its shape.
+/// A modality's name for people, and its shape.
 fn modality_lines(modality: &Definition) -> Vec<String> {
     let shape = match modality.size() {
         Some([rows, columns]) => format!("{rows} × {columns} × {IMAGE_CHANNELS}"),
@@ -133,19 +149,21 @@ fn modality_lines(modality: &Definition) -> Vec<String> {
     vec![modality.name.name().replace('_', " "), shape]
 }
 
-/// Height of a block of two lines, and of three.
+/// Height of a block with two lines, points.
 const TWO: f64 = 20.0;
+/// Height of a block with three lines, points.
 const THREE: f64 = 27.5;
-/// Widths of blocks: of a column for frames and one for vectors, beside each other.
+/// Width of blocks in the column for frames, points.
 const WIDE: f64 = 62.0;
+/// Width of blocks in the column for vectors, which is beside the column for frames, points.
 const NARROW: f64 = 50.0;
 const BETWEEN: f64 = 4.0;
-/// From one row of blocks to the next.
+/// Distance from one row of blocks to the next, points.
 const STEP: f64 = 36.0;
 const COLUMN_WIDTH: f64 = WIDE + BETWEEN + NARROW;
 
-/// Draws the network from `top` on, encoder downwards at the left and decoder upwards at the right; returns the
-/// height it takes.
+/// Draws the network from `top` on. Data flow downwards through the encoder at the left, and upwards through the
+/// decoder at the right. Returns the diagram's height in points.
 pub fn network(page: &mut Page, width: f64, top: f64, anatomy: &Anatomy) -> f64 {
     let frozen = anatomy.task == Task::Reconstruction;
     let left = 2.0;
@@ -167,7 +185,7 @@ pub fn network(page: &mut Page, width: f64, top: f64, anatomy: &Anatomy) -> f64 
     row(4) + THREE / 2.0 - top
 }
 
-/// Centres of the frames' and the vectors' column, and of both.
+/// Horizontal centres of the column for frames, of the column for vectors, and of both together.
 fn centres(left: f64) -> [f64; 3] {
     [left + WIDE / 2.0, left + WIDE + BETWEEN + NARROW / 2.0, left + COLUMN_WIDTH / 2.0]
 }
@@ -236,7 +254,7 @@ fn decoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Ana
     block(page, [both, row(3)], [COLUMN_WIDTH, TWO], WHITE, &lines);
 }
 
-/// The latent state between encoder and decoder, and the action beside it.
+/// Draws the latent state between encoder and decoder, and for predictions the action beside it.
 fn latent(page: &mut Page, [left, right]: [f64; 2], y: f64, anatomy: &Anatomy) {
     let (encoder, decoder) = (centres(left)[2], centres(right)[2]);
     let acting = anatomy.task == Task::Prediction;
@@ -257,8 +275,8 @@ fn latent(page: &mut Page, [left, right]: [f64; 2], y: f64, anatomy: &Anatomy) {
     }
 }
 
-/// How much smaller than an image the coarse picture between convolution and fully connected layer is: the latter's width
-/// holds as many of them as the convolution has channels.
+/// The convolution's stride, computed from the shapes of parameters. Between the convolution and the fully connected
+/// layer `dense` lies a coarse picture for each of the convolution's channels. Their number of pixels gives the stride.
 fn stride(
     anatomy: &Anatomy,
     dense: &str,
@@ -271,12 +289,12 @@ fn stride(
     Some((rows * columns / values).isqrt())
 }
 
-/// Rows and columns of the images among modalities, pixels; 0 without any.
+/// Rows and columns of the first image among modalities, pixels. Without an image, both are 0.
 fn image_size(modalities: &[Definition]) -> [usize; 2] {
     modalities.iter().find_map(Definition::size).unwrap_or_default()
 }
 
-/// Height of the taller of the two stacks of `modalities`.
+/// Height of the taller one of the two stacks of `modalities`, frames and vectors, in points.
 fn tallest(modalities: &[Definition]) -> f64 {
     let frames = modalities.iter().filter(|modality| modality.is_image()).count();
     stack_height(frames.max(modalities.len() - frames))
@@ -286,7 +304,7 @@ fn stack_height(count: usize) -> f64 {
     if count > 1 { count as f64 * 15.5 + 4.0 } else { TWO }
 }
 
-/// One block that names all `modalities`; its lower edge is that of a block of two lines at `y`.
+/// Draws one block with the names of all `modalities`. Its lower edge is that of a block with two lines at `y`.
 fn stack<'a>(page: &mut Page, x: f64, y: f64, width: f64, modalities: impl Iterator<Item = &'a Definition>) {
     let modalities: Vec<_> = modalities.collect();
     let height = stack_height(modalities.len());

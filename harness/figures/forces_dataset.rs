@@ -1,4 +1,5 @@
-//! How often each link of the finger is touched, how hard, and both at once.
+//! Figure of contacts and contact forces: how often each link of the finger is touched, how hard, and the distribution
+//! of the force over all samples.
 
 use super::axes::{Panel, Scale, colour_legend, colour_of, remark};
 use super::page::{COLUMN, Mark, Page, Point, Stroke, Type, WHITE};
@@ -12,14 +13,14 @@ const LEFT: f64 = 30.0;
 const WIDTH: f64 = COLUMN - LEFT - 5.0;
 const BETWEEN: f64 = 12.0;
 
-/// Contacts below which a link's quartiles would mean nothing.
+/// Least number of samples in contact for which a link's quantiles are shown.
 const FEWEST: f64 = 20.0;
-/// How far from the tip the links are whose forces over all samples are shown.
+/// The links in panel c, by their distance from the tip in links.
 const FROM_TIP: [usize; 5] = [0, 1, 7, 12, 14];
-/// The share of the samples in contact that have more force than each quantile of the table.
+/// For each quantile of the table, the share of the samples in contact whose force is larger.
 const MORE_THAN: [f64; 5] = [0.95, 0.75, 0.5, 0.25, 0.05];
 
-/// What the forces table is asked for.
+/// The query on the forces table: contacts and quantiles of the force by scenario, dataset and link.
 pub const SQL: &str = "select scenario, dataset_seed, index as link, modality, 'N' as unit, \
     max(samples) as samples, max(contacts) as contacts, max(100.0 * contacts / samples) as contact_percent, \
     max(mean) as mean, max(p05) as p05, max(p25) as p25, max(p50) as p50, max(p75) as p75, max(p95) as p95, \
@@ -27,20 +28,21 @@ pub const SQL: &str = "select scenario, dataset_seed, index as link, modality, '
     where modality = 'contact_force' and episode is null \
     group by scenario, dataset_seed, index, modality order by scenario, link";
 
-/// The forces on a link over a scenario's dataset, N.
+/// The forces on a link in a scenario's dataset, N.
 struct Link {
     index: usize,
     samples: f64,
     contacts: f64,
-    /// Over all samples.
+    /// Mean force over all samples.
     mean: f64,
-    /// Of the samples in contact: the table's five quantiles.
+    /// The force's quantiles of 5, 25, 50, 75 and 95 % over the samples in contact.
     quantiles: Option<[f64; 5]>,
     max: Option<f64>,
 }
 
+/// Draws the figure.
 pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
-    // Both studies are about the same datasets.
+    // Both studies have the same datasets, so either one's runs give the same figure.
     let runs = source
         .runs(Study::SingleToMulti)
         .or_else(|error| source.runs(Study::MultiToMulti).map_err(|_| error))?;
@@ -74,7 +76,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     Ok(Drawing { page, data })
 }
 
-/// The rows of each scenario's first dataset.
+/// The rows of each scenario's dataset with the lowest seed.
 fn of_first_datasets(rows: DataFrame) -> Result<DataFrame, FigureError> {
     let (scenarios, datasets) = (texts(&rows, "scenario")?, integers(&rows, "dataset_seed")?);
     let mut first: BTreeMap<&str, i64> = BTreeMap::new();
@@ -87,7 +89,7 @@ fn of_first_datasets(rows: DataFrame) -> Result<DataFrame, FigureError> {
     Ok(rows.filter(&BooleanChunked::from_iter_values("is_first".into(), is_first))?)
 }
 
-/// The links of the paper's scenarios that there are.
+/// The links of each of the paper's scenarios that has rows.
 fn by_scenario(rows: &DataFrame) -> Result<Vec<(Scenario, Vec<Link>)>, FigureError> {
     let (scenarios, links) = (texts(rows, "scenario")?, integers(rows, "link")?);
     let column = |name: &str| reals(rows, name);
@@ -112,7 +114,7 @@ fn by_scenario(rows: &DataFrame) -> Result<Vec<(Scenario, Vec<Link>)>, FigureErr
     Ok(Scenario::PAPER.into_iter().map(of).filter(|(_, links)| !links.is_empty()).collect())
 }
 
-/// Whether a link is touched often enough for its quantiles to mean something.
+/// Whether a link has enough samples in contact to show its quantiles.
 fn is_touched(link: &&Link) -> bool {
     link.contacts >= FEWEST
 }
@@ -124,7 +126,7 @@ fn least_and_most(scenarios: &[(Scenario, Vec<Link>)]) -> [f64; 2] {
     [least, shown().filter_map(|link| link.max).fold(1.0, f64::max)]
 }
 
-/// The middle of a link's bar and its width, beside those of the other scenarios.
+/// The horizontal middle of a link's bar and the bar's width, points. Bars of several scenarios are beside each other.
 fn place_of(panel: &Panel, link: &Link, count: usize, scenario: usize, scenarios: usize) -> [f64; 2] {
     let slot = panel.width / count as f64;
     let aside = (scenario as f64 - (scenarios as f64 - 1.0) / 2.0) * slot * 0.42;
@@ -175,7 +177,8 @@ fn how_hard(
     panel.heading(page, "b", "how hard, while it is touched");
 }
 
-/// How many of all samples have more than a force, for a few links: exact at the table's quantiles and the largest force.
+/// Draws the share of all samples whose force is at least as large as a given force, for a few links. The points are
+/// exact: they are at the table's quantiles and at the largest force.
 fn over_all_samples(
     page: &mut Page,
     panel: &Panel,
@@ -185,7 +188,7 @@ fn over_all_samples(
     first: bool,
 ) {
     let samples = links.iter().map(|link| link.samples).fold(1.0, f64::max);
-    // The links' numbers have room to the left.
+    // The links' numbers need room at the left.
     let x = Scale::logarithmic(forces[0] / 4.0, forces[1], panel.across());
     let y = Scale::logarithmic(100.0 / samples, 100.0, panel.upwards());
     panel.left_axis(page, &y, first.then_some("samples with ≥ force (%)"));

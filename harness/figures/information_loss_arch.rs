@@ -1,4 +1,4 @@
-//! The network that reconstructs: a new decoder on the frozen encoder.
+//! Diagram of the network that reconstructs the observation: a new decoder on the frozen encoder.
 
 use super::axes::remark;
 use super::diagram::{Anatomy, network};
@@ -7,6 +7,7 @@ use super::source::Source;
 use super::{Drawing, FigureError};
 use harness_spec::Task;
 
+/// Draws the figure.
 pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let anatomy = Anatomy::of(source, Task::Reconstruction)?;
     let mut page = Page::new(COLUMN, 200.0, "The network that reconstructs the observation");

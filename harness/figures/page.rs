@@ -381,8 +381,8 @@ impl Page {
 
 /// Largest number of colours in a PNG's palette.
 const PALETTE: usize = 256;
-/// Largest allowed distance of a colour from the nearest colour of the palette, with intensities from 0 to 255. Only the
-/// few pixels of rare shades at edges change, so the difference isn't visible.
+/// Largest allowed distance of a colour from the nearest colour of the palette, with intensities from 0 to 255. Only
+/// the few pixels of rare shades at edges change, so the difference isn't visible.
 const FARTHEST: u32 = 48;
 
 /// Encodes pixels as a PNG. If the most frequent colours are close enough to all others, the PNG has a palette of
@@ -413,7 +413,7 @@ fn encoded([width, height]: [u32; 2], pixels: &[[u8; 3]]) -> Result<Vec<u8>, png
 /// The intensities of red, green and blue.
 type Rgb = [u8; 3];
 
-/// Returns the most frequent colours, and for each colour the index of the nearest of them. Returns `None` if a colour
+/// Returns the most frequent colours, and the index of the nearest of them for each colour. Returns `None` if a colour
 /// is farther than [`FARTHEST`] from its nearest one.
 fn palette(pixels: &[Rgb]) -> Option<(Vec<Rgb>, BTreeMap<Rgb, u8>)> {
     let mut counts: BTreeMap<Rgb, usize> = BTreeMap::new();

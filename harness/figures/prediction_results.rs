@@ -1,4 +1,4 @@
-//! How well the next observation is predicted, over latent sizes.
+//! Figure of the error of predicting the next observation, over the latent size.
 
 use super::curves::{Curves, explain, pair, remarks, stack};
 use super::page::{COLUMN, Page};
@@ -7,8 +7,10 @@ use super::{Drawing, FigureError};
 use harness_metrics::Metric;
 use harness_spec::{Modality, Task};
 
+/// Height of a panel, points.
 const HEIGHT: f64 = 78.0;
 
+/// Draws the figure.
 pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let [single, multi] = [source.runs(Study::SingleToMulti)?, source.runs(Study::MultiToMulti)?];
     let curves = |runs, modality, metric, letter, title| Curves {

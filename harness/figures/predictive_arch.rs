@@ -1,4 +1,4 @@
-//! The network that predicts: the idea, and its layers.
+//! Diagram of the network that predicts the next observation: the idea, and the layers.
 
 use super::axes::remark;
 use super::diagram::{ACTION, Anatomy, INPUT, LATENT, LINE, block, network};
@@ -7,6 +7,7 @@ use super::source::Source;
 use super::{Drawing, FigureError};
 use harness_spec::Task;
 
+/// Draws the figure.
 pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let anatomy = Anatomy::of(source, Task::Prediction)?;
     let mut page = Page::new(COLUMN, 294.0, "The network that predicts the next observation");
@@ -24,7 +25,8 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     Ok(Drawing { page, data: anatomy.data()? })
 }
 
-/// Observation to state to next observation, with the action.
+/// Draws the idea: the encoder maps the observation to a state, and the predictor maps state and action to the next
+/// observation.
 fn idea(page: &mut Page, y: f64) {
     let lines = |name: &str, more: &str| vec![name.to_owned(), more.to_owned()];
     let boxes = [

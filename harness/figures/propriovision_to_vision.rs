@@ -1,4 +1,4 @@
-//! The predicted change of the camera's picture beside the reference, in each scenario.
+//! Figure of the predicted change of the camera's picture beside the reference, in each scenario.
 
 use super::axes::remark;
 use super::page::{COLUMN, GREY, Page, Stroke, Type};
@@ -14,13 +14,14 @@ const LEFT: f64 = 58.0;
 const GAP: f64 = 3.0;
 const TOP: f64 = 14.0;
 
-/// Trials that are shown of a scenario: of those that runs keep, the ones with the most motion.
+/// Number of trials shown per scenario: the ones with the most motion among those in the runs' tables.
 const TRIALS: usize = 3;
 
-/// The change that the strongest colours stand for, so that faint predictions can be seen beside the reference.
+/// The change that has the strongest colours. It is smaller than 1, so that faint predictions are visible beside the
+/// reference.
 const RANGE: f32 = 0.3;
 
-/// Colours of a change from -1 to 1 times the range: ColorBrewer's RdBu, which the colour-blind can read.
+/// Colours of changes from -1 to 1 times [`RANGE`]: ColorBrewer's RdBu, which colour-blind people can read.
 const COLOURS: [[f64; 3]; 7] = [
     [33.0, 102.0, 172.0],
     [103.0, 169.0, 207.0],
@@ -31,30 +32,31 @@ const COLOURS: [[f64; 3]; 7] = [
     [178.0, 24.0, 43.0],
 ];
 
-/// A test transition.
+/// A transition of the test set: a sample and the one before it.
 struct Trial {
     episode: i64,
-    /// The instant that is predicted.
+    /// The predicted sample's number in its episode.
     sample: i64,
     motion: f64,
-    /// What the camera saw at the instant before; only runs that reconstruct vision keep it.
+    /// The camera's picture at the sample before, RGB. Only runs that reconstruct vision have it.
     camera: Option<Vec<u8>>,
-    /// Mean over the colours of what changed, row by row, in [-1, 1].
+    /// The change of each pixel, row by row: the mean over the three colours, in [-1, 1].
     reference: Vec<f32>,
-    /// The same as predicted, by latent size.
+    /// The predicted changes in the same form, by latent size.
     predicted: BTreeMap<i64, Vec<f32>>,
 }
 
-/// What is shown of a scenario.
+/// The part of the figure that shows one scenario.
 struct Block {
     scenario: String,
-    /// Rows and columns of the camera's pictures, pixels.
+    /// Numbers of rows and columns of the camera's pictures, pixels.
     size: [usize; 2],
     trials: Vec<Trial>,
-    /// Squared error relative to predicting no change, by latent size.
+    /// Squared error relative to that of predicting no change, by latent size.
     errors: BTreeMap<i64, Interval>,
 }
 
+/// Draws the figure.
 pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let runs = source.runs(Study::MultiToMulti)?;
     let blocks = blocks(&runs)?;
@@ -79,17 +81,17 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
 }
 
 impl Block {
-    /// The latent sizes that predict one of the trials, ascending.
+    /// The latent sizes that have a prediction of at least one of the trials, ascending.
     fn latents(&self) -> BTreeSet<i64> {
         self.trials.iter().flat_map(|trial| trial.predicted.keys().copied()).collect()
     }
 
-    /// Whether it is known what the camera saw before each of the trials.
+    /// Whether each of the trials has the camera's picture before the change.
     fn has_camera(&self) -> bool {
         self.trials.iter().all(|trial| trial.camera.is_some())
     }
 
-    /// The side of its pictures if they fill the page's width.
+    /// The side of the block's pictures if they fill the page's width, points.
     fn side(&self) -> f64 {
         let columns = self.trials.len() as f64;
         (COLUMN - LEFT - 3.0 - GAP * (columns - 1.0)) / columns
@@ -119,7 +121,7 @@ impl Block {
             let predicted = latents.iter().map(|latent| trial.predicted.get(latent));
             pictures.extend(predicted.map(|change| change.map(|change| coloured(change, self.size))));
             for (row, picture) in pictures.iter().enumerate() {
-                // A network that has no prediction of this trial leaves its place empty.
+                // If a network has no prediction of this trial, its place stays empty.
                 let Some(picture) = picture else { continue };
                 page.picture(picture, corner(row, column), [side; 2], true)?;
                 page.rectangle(corner(row, column), [side; 2], 0.0, "none", Some(Stroke::new(GREY, 0.4)));
@@ -149,7 +151,7 @@ fn with_spread(value: &Interval) -> String {
     format!("{:.2}{spread}", value.mean)
 }
 
-/// The scenarios of the runs, in their order.
+/// The blocks of the runs' scenarios, in the order of the runs.
 fn blocks(runs: &Runs) -> Result<Vec<Block>, FigureError> {
     let mut scenarios: Vec<String> =
         runs.all.iter().map(|run| run.record.spec.scenario.name().to_owned()).collect();
@@ -162,7 +164,7 @@ fn blocks(runs: &Runs) -> Result<Vec<Block>, FigureError> {
     scenarios.into_iter().map(block).collect()
 }
 
-/// Rows and columns of a scenario's frame difference, pixels.
+/// Numbers of rows and columns of a scenario's frame difference, pixels.
 fn picture_size(runs: &Runs, scenario: &str) -> [usize; 2] {
     let of_scenario = runs.all.iter().filter(|run| run.record.spec.scenario.name() == scenario);
     let mut sizes = of_scenario.filter_map(|run| run.record.layout.get(Modality::FRAME_DIFFERENCE)?.size());
@@ -199,7 +201,7 @@ fn trials(runs: &Runs, scenario: &str, size: [usize; 2]) -> Result<Vec<Trial>, F
         }
     }
     trials.drain(..trials.len().saturating_sub(TRIALS));
-    // The picture before the change; runs without reconstruction don't have it.
+    // Only runs with reconstruction have the picture before the change.
     let seen = runs.query_first_seeds(&format!(
         "select episode, sample, reference from frames where {place} and task = 'reconstruction' \
          and modality = 'vision' order by latent"
@@ -220,7 +222,8 @@ fn trials(runs: &Runs, scenario: &str, size: [usize; 2]) -> Result<Vec<Trial>, F
     Ok(trials)
 }
 
-/// The mean over colours of a stored frame difference; the column's meaning says how it is coded.
+/// Decodes a stored frame difference and returns the mean over the three colours for each pixel. The meaning of the
+/// table's column documents the encoding.
 fn change(bytes: Option<&[u8]>, [rows, columns]: [usize; 2]) -> Result<Vec<f32>, FigureError> {
     let bytes = bytes.filter(|bytes| bytes.len() == rows * columns * IMAGE_CHANNELS);
     let bytes = bytes.ok_or_else(|| FigureError::Picture("a frame has the wrong size".into()))?;
@@ -230,7 +233,7 @@ fn change(bytes: Option<&[u8]>, [rows, columns]: [usize; 2]) -> Result<Vec<f32>,
     Ok(bytes.chunks_exact(IMAGE_CHANNELS).map(pixel).collect())
 }
 
-/// Squared error of the frame difference relative to no change, by latent size.
+/// Squared error of the frame difference relative to that of predicting no change, by latent size.
 fn errors(runs: &Runs, scenario: &str) -> Result<BTreeMap<i64, Interval>, FigureError> {
     let rows = runs.query(&format!(
         "select latent, dataset_seed, value from metrics join runs using (experiment, run, scenario, latent) \
@@ -252,7 +255,7 @@ fn colour(change: f32) -> Rgb<u8> {
     }))
 }
 
-/// The changes of a picture of that size, a row after the other.
+/// A picture of the changes, given row by row, of `rows` by `columns` pixels.
 fn coloured(change: &[f32], [rows, columns]: [usize; 2]) -> RgbImage {
     RgbImage::from_fn(columns as u32, rows as u32, |x, y| {
         colour(change[y as usize * columns + x as usize] / RANGE)
@@ -273,18 +276,18 @@ fn colour_bar(page: &mut Page, top: f64) -> Result<(), FigureError> {
     Ok(())
 }
 
-/// A change that is shown.
+/// A change that the figure shows, as the CSV file lists it.
 struct Shown<'a> {
     scenario: &'a str,
-    /// Counted from 1.
+    /// The trial's number within its scenario, from 1.
     number: u32,
     trial: &'a Trial,
-    /// That of the network that predicts it; of the reference, none.
+    /// The latent size of the network that predicts the change. `None` for the reference.
     latent: Option<i64>,
     change: &'a [f32],
 }
 
-/// The shown changes, a row of pixels a row.
+/// The figure's CSV rows: one for each row of pixels of each shown change.
 fn data(blocks: &[Block], experiment: &str) -> Result<DataFrame, FigureError> {
     let mut shown = Vec::new();
     for block in blocks {

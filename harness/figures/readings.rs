@@ -1,4 +1,4 @@
-//! What vision adds under each reading of the paper: a specification curve.
+//! Figure of the gain by vision under each reading of the paper: a specification curve.
 
 use super::axes::{Look, Panel, Scale, colour_of, remark};
 use super::page::{BLACK, COLUMN, GREY, Mark, PALE, Page, Stroke, Type};
@@ -13,14 +13,14 @@ const LEFT: f64 = 56.0;
 const WIDTH: f64 = 86.0;
 const BETWEEN: f64 = 12.0;
 const HEIGHT: f64 = 62.0;
-/// Of a row of the matrix below a panel.
+/// Height of a row of the matrix below a panel, points.
 const ROW: f64 = 7.6;
 
-/// What a panel shows, by its letter.
+/// The modality of each row of panels, with the label of its vertical axis.
 const QUANTITIES: [(Modality, &str); 2] =
     [(Modality::CONTACT_FORCE, "gain in R2, force"), (Modality::PROPRIOCEPTION, "gain in R2, angles")];
 
-/// What vision adds under one reading.
+/// The gain by vision under one reading: R² with vision minus R² without.
 struct Gain {
     modality: Modality,
     scenario: Scenario,
@@ -29,6 +29,7 @@ struct Gain {
     value: Interval,
 }
 
+/// Draws the figure.
 pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let gains = gains(source)?;
     let readings = readings(&gains);
@@ -81,7 +82,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     Ok(Drawing { page, data: data(&gains)? })
 }
 
-/// A value within the range that an axis reaches: every mean, and intervals that are not far wider than the means.
+/// Limits a value to the range of an axis. The range includes every mean, and a margin beyond the means for intervals.
 fn within(gains: &[&Gain], value: f64) -> f64 {
     let means = || gains.iter().map(|gain| gain.value.mean);
     let (low, high) = (means().fold(0.0, f64::min), means().fold(0.0, f64::max));
@@ -89,7 +90,7 @@ fn within(gains: &[&Gain], value: f64) -> f64 {
     value.clamp(low - margin, high + margin)
 }
 
-/// The matrix below a panel: a row for each reading, with a dot below its point.
+/// Draws the matrix below a panel. It has a row for each reading, with a large dot below the reading's point.
 fn choices(page: &mut Page, panel: &Panel, readings: &[String], gains: &[&Gain], slots: &[f64], named: bool) {
     for (row, reading) in readings.iter().enumerate() {
         let y = panel.bottom() + 7.0 + ROW * row as f64;
@@ -108,7 +109,7 @@ fn choices(page: &mut Page, panel: &Panel, readings: &[String], gains: &[&Gain],
     }
 }
 
-/// The readings, the base first.
+/// The names of the readings, the base first.
 fn readings(gains: &[Gain]) -> Vec<String> {
     let names: BTreeSet<&String> = gains.iter().map(|gain| &gain.reading).collect();
     let (base, others): (Vec<&String>, Vec<&String>) =
@@ -116,7 +117,8 @@ fn readings(gains: &[Gain]) -> Vec<String> {
     base.into_iter().chain(others).cloned().collect()
 }
 
-/// The R2 with vision minus that without, of the best latent size of each, on the same dataset with the same seed.
+/// The gains by vision. A gain is the R² with vision minus the R² without, on the same dataset and with the same seed.
+/// Each R² is that of the best latent size.
 fn gains(source: &Source) -> Result<Vec<Gain>, FigureError> {
     let [single, multi] = [Study::SingleToMulti, Study::MultiToMulti].map(Study::name);
     let rows = source.query_readings(&format!(

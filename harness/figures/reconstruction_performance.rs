@@ -1,4 +1,4 @@
-//! How well the observation is reconstructed from the latent state, over latent sizes.
+//! Figure of the error of reconstructing the observation from the latent state, over the latent size.
 
 use super::curves::{Curves, explain, pair, remarks, stack};
 use super::page::{COLUMN, Page};
@@ -7,6 +7,7 @@ use super::{Drawing, FigureError};
 use harness_metrics::Metric;
 use harness_spec::{Modality, Task};
 
+/// Draws the figure.
 pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let [single, multi] = [source.runs(Study::SingleToMulti)?, source.runs(Study::MultiToMulti)?];
     let curves = |runs, letter, title| Curves {
@@ -16,7 +17,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
         metric: Metric::Smape,
         letter,
         title,
-        // The training mean is the only baseline, and lies far above.
+        // The only baseline of reconstruction is the training mean. Its error is far too large for the axis.
         baseline: None,
     };
     let a = curves(&single, "a", Study::SingleToMulti.input());

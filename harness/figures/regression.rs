@@ -1,4 +1,4 @@
-//! Predictions over references at the fingertip, in clutter.
+//! Figure of predictions over references at the fingertip, in the cluttered scenario.
 
 use super::axes::{Look, Panel, Scale, legend, remark, words_of};
 use super::page::{COLUMN, GREEN, GREY, Mark, Page, Stroke, Type, WINE};
@@ -10,16 +10,18 @@ use harness_spec::{Modality, Scenario};
 use polars::prelude::*;
 use std::collections::BTreeMap;
 
-/// Points that a panel shows of each direction; more would hide one another.
+/// Largest number of points per panel and direction. More points would hide each other.
 const POINTS: usize = 400;
-/// Up to where the axes are about linear, and beyond which they are logarithmic, so that the many small values stand apart
-/// and the few large ones are there too.
+/// The axes of angles are about linear up to this angle and logarithmic beyond, so that they show the many small values
+/// as well as the few large ones.
 const LINEAR_RAD: f64 = 0.003;
+/// The same limit for the axes of forces.
 const LINEAR_N: f64 = 3.0;
 const LEFT: f64 = 33.0;
 const GAP: f64 = 5.0;
-/// From one line above a panel to the next.
+/// Distance between the lines of text above a panel, points.
 const LINE: f64 = 7.5;
+/// Width and height of a panel, points.
 const SIDE: f64 = (COLUMN - LEFT - 4.0 - 2.0 * GAP) / 3.0;
 
 fn look(direction: Direction) -> Look {
@@ -34,12 +36,15 @@ fn look(direction: Direction) -> Look {
 /// One study's predictions of one modality.
 struct Predictions {
     latents: Vec<usize>,
-    /// By latent size and direction: reference and prediction.
+    /// Pairs of reference and prediction, by latent size and direction.
     points: BTreeMap<(usize, Direction), Vec<[f64; 2]>>,
+    /// R² over all test samples, by latent size and direction.
     r2: BTreeMap<(usize, Direction), Interval>,
+    /// The figure's CSV rows of these predictions.
     data: DataFrame,
 }
 
+/// Draws the figure.
 pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let [single, multi] = [source.runs(Study::SingleToMulti)?, source.runs(Study::MultiToMulti)?];
     let of = |modality, panel| -> Result<[Predictions; 2], FigureError> {
@@ -78,19 +83,19 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     Ok(Drawing { page, data })
 }
 
-/// What two rows of panels show.
+/// Two rows of panels that show one quantity.
 struct Block {
     letter: &'static str,
     quantity: &'static str,
     unit: &'static str,
-    /// Up to where the axes are about linear.
+    /// The value up to which the axes are about linear.
     linear: f64,
-    /// What the marks stand for.
+    /// The names of the two directions' marks in the legend.
     names: [String; 2],
 }
 
 impl Block {
-    /// Draws a legend and two rows of panels: from proprioception alone, and with vision.
+    /// Draws a legend and two rows of panels: predictions without vision, and predictions with vision.
     fn draw(&self, page: &mut Page, top: f64, studies: &[Predictions; 2]) {
         let entries = [0, 1].map(|place| (look(Direction::FINGER[place]), self.names[place].as_str()));
         legend(page, COLUMN / 2.0, top, &entries);
@@ -117,7 +122,7 @@ impl Block {
         }
     }
 
-    /// The axes of all panels: over the references, and over the predictions.
+    /// The horizontal and the vertical axis of all panels. They include all references and all predictions.
     fn scales(&self, panel: &Panel, studies: &[Predictions; 2]) -> [Scale; 2] {
         let scale = |axis: usize, ends| {
             let values =
@@ -130,7 +135,7 @@ impl Block {
 }
 
 impl Predictions {
-    /// Draws the points of a latent size over the line of perfect predictions, and R2 above the panel.
+    /// Draws a latent size's points, the line of perfect predictions behind them, and R² above the panel.
     fn draw(&self, page: &mut Page, panel: &Panel, latent: usize, [x, y]: [&Scale; 2]) {
         let ([left, right], [bottom, top]) = (x.range(), y.range());
         let perfect = [left.max(bottom), right.min(top)].map(|value| [x.at(value), y.at(value)]);
@@ -155,7 +160,7 @@ fn r2_words(r2: &Interval) -> String {
     format!("R² {:.2}{spread}", r2.mean).replace('-', "\u{2212}")
 }
 
-/// The last joint of each direction, and the link that it turns.
+/// For each direction, the index of the last joint, which is also the index of the link that it turns.
 fn tips(runs: &Runs) -> [usize; 2] {
     let definition = &runs.layout()[Modality::PROPRIOCEPTION];
     Direction::FINGER.map(|direction| direction.elements(definition).last().copied().unwrap_or_default())
@@ -188,7 +193,7 @@ fn predictions(runs: &Runs, modality: Modality, panel: &str) -> Result<Predictio
     for row in 0..rows.height() {
         groups.entry(key(latents[row], links[row])).or_default().push(row);
     }
-    // Evenly over the test samples, so that no episode is preferred.
+    // Points are chosen evenly over the test samples, so that all episodes are represented equally.
     for rows in groups.values_mut() {
         let count = rows.len().min(POINTS);
         *rows = (0..count).map(|point| rows[point * rows.len() / count]).collect();

@@ -1,4 +1,4 @@
-//! The simulated robot: its arm's three joints, and the finger close up.
+//! Figure of the simulated robot: the three joints of its arm, and the finger close up.
 
 use super::page::{BLACK, BLUE, COLUMN, GREEN, Page, Point, Stroke, Type, WHITE, WINE};
 use super::task::{data, label};
@@ -7,13 +7,17 @@ use super::{Drawing, FigureError};
 use harness_simulation::{Scene, SceneRenderer, SimulationError, replay};
 use harness_spec::{Scenario, Simulation};
 
-/// An instant at which the finger bends both ways.
+/// The episode that is shown.
 const EPISODE: u32 = 0;
+/// The sample that is shown. At this sample the finger bends in both directions.
 const SAMPLE: usize = 40;
+/// Width of the left view, points.
 const WIDE: f64 = 142.0;
 const HEIGHT: f64 = 140.0;
+/// Width of the right view, points.
 const NARROW: f64 = COLUMN - WIDE - 3.0;
 
+/// Draws the figure.
 pub fn draw() -> Result<Drawing, FigureError> {
     let scene = Scene::paper(Scenario::EMPTY)?;
     let states = replay(&scene, &Simulation::default(), EPISODE)?;
@@ -24,7 +28,7 @@ pub fn draw() -> Result<Drawing, FigureError> {
     Ok(Drawing { page, data: data(scene.scenario(), EPISODE, sample, &states[sample])? })
 }
 
-/// A rendered part of the page.
+/// A part of the page with a rendered picture of the scene.
 struct SceneView<'s> {
     renderer: SceneRenderer<'s>,
     corner: Point,
@@ -32,7 +36,7 @@ struct SceneView<'s> {
 }
 
 impl<'s> SceneView<'s> {
-    /// Renders the state onto the page, a body in the middle.
+    /// Renders the state onto the page with a body in the middle.
     fn draw(
         page: &mut Page,
         scene: &'s Scene,
@@ -46,7 +50,7 @@ impl<'s> SceneView<'s> {
         Ok(Self { renderer, corner, size })
     }
 
-    /// A place in the world, m, on the page.
+    /// The position on the page of a place in the world, which is given in metres.
     fn at(&self, place: [f64; 3]) -> Point {
         let [x, y] = self.renderer.project(place);
         [self.corner[0] + x * self.size[0], self.corner[1] + y * self.size[1]]
@@ -57,7 +61,7 @@ impl<'s> SceneView<'s> {
     }
 }
 
-/// An arrow with heads at both ends.
+/// Draws an arrow with heads at both ends.
 fn double_arrow(page: &mut Page, points: &[Point], colour: &'static str) {
     let stroke = Stroke::new(colour, 1.0);
     let middle = points.len() / 2;
@@ -72,7 +76,7 @@ fn arm(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError>
     let carriage = view.renderer.place_of("arm_carriage")?;
     let base = view.renderer.place_of("finger_link_00")?;
 
-    // Around the column, on the side of the camera.
+    // An arc around the column, on the side of the camera.
     let arc: Vec<Point> = (0..=16)
         .map(|step| (170.0 + 6.0 * f64::from(step)).to_radians())
         .map(|angle| view.at([0.36 * angle.cos(), 0.36 * angle.sin(), 0.16]))
@@ -81,7 +85,7 @@ fn arm(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError>
     let end = arc[arc.len() - 1];
     page.text("*q*_{1} rotation", [end[0] + 4.0, end[1] + 6.0], name.start().colour(BLUE));
 
-    // Beside the shaft's upper part.
+    // An arrow beside the upper part of the shaft.
     let beside = |height: f64| {
         let [x, y] = view.at([carriage[0], carriage[1], height]);
         [x + 10.0, y]
@@ -91,7 +95,7 @@ fn arm(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError>
     double_arrow(page, &[beside(low), middle, beside(high)], GREEN);
     page.text("*q*_{2} lift", [middle[0] + 4.0, middle[1] + 2.5], name.start().colour(GREEN));
 
-    // Above the beam.
+    // An arrow above the beam.
     let along = |part: f64| {
         let [x, y] = view.at(std::array::from_fn(|axis| {
             let (from, to) = (carriage[axis], if axis == 2 { carriage[2] } else { base[axis] });
@@ -120,7 +124,7 @@ fn finger(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureErr
         page.rectangle([from, y - 4.0], [small.width(&text) + 3.0, 8.0], 1.5, WHITE, None);
         page.text(&text, [from + 1.5, y + 2.2], small.start());
     }
-    // Both ways to bend, seen from the finger's base: along the arm, and across it.
+    // The two directions of bending at the finger's base: along the arm, and across it.
     let base = view.renderer.place_of("finger_link_00")?;
     let reach = base[0].hypot(base[1]);
     let along = [base[0] / reach, base[1] / reach];

@@ -116,7 +116,7 @@ impl<'a> Source<'a> {
     /// The rows of a query over the runs of all readings of the paper.
     ///
     /// # Errors
-    /// When there are no such runs, when runs of one reading differ in settings, or when the query fails or has no rows.
+    /// When there are no such runs, runs of one reading differ in settings, or the query fails or has no rows.
     pub fn query_readings(&self, sql: &str) -> Result<DataFrame, FigureError> {
         let experiment = &self.experiments.readings;
         let runs = self.analysis.runs(experiment);

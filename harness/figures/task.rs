@@ -1,4 +1,4 @@
-//! The scene in which the robot's senses are recorded.
+//! Figure of the scene in which the robot's sensors are recorded.
 
 use super::page::{BLACK, COLUMN, Page, Point, Stroke, Type, WHITE};
 use super::{Drawing, FigureError};
@@ -6,12 +6,14 @@ use harness_simulation::{Scene, SceneRenderer, SimulationError, replay};
 use harness_spec::{Scenario, Simulation};
 use polars::prelude::*;
 
-/// An instant at which the finger is pressed on the ground beside boxes.
+/// The episode that is shown.
 const EPISODE: u32 = 7;
+/// The sample that is shown. At this sample the finger is pressed on the ground beside boxes.
 const SAMPLE: usize = 79;
-/// Pixels; as many as the page's PNG has.
+/// Width and height of the rendered picture, pixels. The page's PNG has the same size.
 const PICTURE: [u32; 2] = [2008, 1334];
 
+/// Draws the figure.
 pub fn draw() -> Result<Drawing, FigureError> {
     let scene = Scene::paper(Scenario::CLUTTERED)?;
     let states = replay(&scene, &Simulation::default(), EPISODE)?;
@@ -31,7 +33,7 @@ pub fn draw() -> Result<Drawing, FigureError> {
     Ok(Drawing { page, data: data(scene.scenario(), EPISODE, SAMPLE, state)? })
 }
 
-/// A name with a line to what it names.
+/// Writes a name beside the point `at`, shifted by `aside`, and draws a line from the point to the name.
 pub fn label(page: &mut Page, at: Point, aside: [f64; 2], text: &str) {
     let end = [at[0] + aside[0], at[1] + aside[1]];
     page.line(at, end, Stroke::new(BLACK, 0.6));
@@ -41,7 +43,10 @@ pub fn label(page: &mut Page, at: Point, aside: [f64; 2], text: &str) {
     page.text(text, [end[0], end[1] + 2.5], how);
 }
 
-/// The state that is drawn: MuJoCo's generalised positions.
+/// The figure's CSV rows: the drawn state as MuJoCo's generalised positions.
+///
+/// # Errors
+/// When Polars can't build the table.
 pub fn data(
     scenario: Scenario,
     episode: u32,

@@ -83,7 +83,8 @@ pub fn line(text: &str, face: Face, size: f64) -> Line {
     line
 }
 
-/// A letter's glyph and its advance in units of the font; the empty box of glyph 0 where the font lacks it.
+/// The number of a letter's glyph, and its advance in font units. A letter that the font lacks becomes glyph 0, an
+/// empty box.
 fn glyph(face: Face, letter: char) -> (u32, f64) {
     let font = &FONTS[face as usize];
     let id = font.charmap().map(letter).unwrap_or(GlyphId::NOTDEF);

@@ -1,10 +1,10 @@
-//! What the compiler has to be told: of what the pictures in a report are made.
+//! Build script: passes a hash of the sources of a report's pictures to the compiler. The cache of pictures uses it.
 
 use std::hash::{DefaultHasher, Hasher};
 use std::path::Path;
 
-/// All that decides a picture of the simulated world: the sources of the crates that this one is made of, the models, and
-/// the versions of what they use.
+/// Everything that pictures of the simulated scenes depend on: the sources of this crate and of the project's crates that
+/// it uses, the models, and the versions of all dependencies.
 const SOURCES: &[&str] = &[
     "../analysis",
     "../claims",
@@ -23,7 +23,7 @@ const SOURCES: &[&str] = &[
     "../../Cargo.lock",
 ];
 
-/// Their hash.
+/// The hash of all [`SOURCES`], in 16 hexadecimal digits.
 fn sources() -> String {
     let mut hasher = DefaultHasher::new();
     for path in SOURCES {
@@ -33,7 +33,7 @@ fn sources() -> String {
     format!("{:016x}", hasher.finish())
 }
 
-/// Adds a file, or those of a folder by their names.
+/// Adds a file to the hash, or all files of a folder in the order of their names.
 fn hash(path: &Path, hasher: &mut DefaultHasher) {
     hasher.write(path.as_os_str().as_encoded_bytes());
     if path.is_dir() {

@@ -1,14 +1,17 @@
-//! Pictures that take seconds to render and depend on the program alone, kept from one report to the next in the user's
-//! folder for caches: `$XDG_CACHE_HOME/harness`, or `~/.cache/harness`.
+//! Caches pictures that take seconds to render and depend only on the program. The cache is the folder
+//! `$XDG_CACHE_HOME/harness`, or `~/.cache/harness` if that variable isn't set.
 
 use harness_shared::seal;
 use std::path::{Path, PathBuf};
 
-/// What the program was made of: files of another program are not taken.
+/// The hash of the program's sources. It is part of a file's name, so that another build never uses the file.
 const SOURCES: &str = env!("HARNESS_SOURCES");
 
-/// What the file of this name holds, or what `make` gives, which the file then holds. Where it can't be read or written,
-/// or is damaged, it is made anew each time.
+/// Returns the content of the cached file of this name. If there is no such file, or it is damaged, the function calls
+/// `make`, tries to write the result to the file, and returns it. A cache that can't be written is no error.
+///
+/// # Errors
+/// When `make` fails.
 pub fn cached<E>(name: &str, make: impl FnOnce() -> Result<Vec<u8>, E>) -> Result<Vec<u8>, E> {
     let Some(folder) = folder() else { return make() };
     let path = folder.join(format!("{name}-{SOURCES}"));
@@ -23,6 +26,7 @@ pub fn cached<E>(name: &str, make: impl FnOnce() -> Result<Vec<u8>, E>) -> Resul
     Ok(made)
 }
 
+/// The cache's folder. `None` if it has no absolute path.
 fn folder() -> Option<PathBuf> {
     let absolute = |path: PathBuf| path.is_absolute().then_some(path);
     let given = std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from).and_then(absolute);
@@ -30,13 +34,13 @@ fn folder() -> Option<PathBuf> {
     Some(caches.join("harness"))
 }
 
-/// Removes what other programs kept under the name, so that the folder doesn't grow.
+/// Removes the files of this name that other builds have written, so that the folder doesn't grow.
 fn remove_others(folder: &Path, name: &str, kept: &Path) {
     let prefix = format!("{name}-");
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
         let found = entry.file_name().to_string_lossy().into_owned();
         if found.starts_with(&prefix) && entry.path() != kept {
-            // What stays takes room and does no other harm.
+            // A file that can't be removed only costs space.
             let _ = std::fs::remove_file(entry.path());
         }
     }

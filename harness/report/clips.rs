@@ -1,4 +1,4 @@
-//! Clips of both scenes.
+//! Renders a short clip of each scene.
 
 use super::cache::cached;
 use base64::Engine;
@@ -11,14 +11,15 @@ use image::RgbImage;
 use image::codecs::jpeg::JpegEncoder;
 use serde::{Deserialize, Serialize};
 
-/// Pixels.
+/// Width and height of a clip's pictures, pixels.
 const SIZE: [u32; 2] = [640, 400];
-/// Percent. Lower ones smear the ground's checks.
+/// JPEG quality, %. A lower quality blurs the checks of the ground.
 const QUALITY: u8 = 72;
-/// Samples of a clip: five actuations.
+/// Number of samples in a clip. They are five actuations.
 const SAMPLES: usize = 50;
 
-/// What is filmed: an episode and the sample at which it begins, both so that the finger is pressed on something.
+/// The episode of a scenario's clip and the clip's first sample. Both are chosen so that the finger is pressed on
+/// something.
 fn take(scenario: Scenario) -> (u32, usize) {
     match scenario {
         Scenario::EMPTY => (0, 20),
@@ -26,35 +27,39 @@ fn take(scenario: Scenario) -> (u32, usize) {
     }
 }
 
-/// A clip as the page shows it before it plays.
+/// A clip's description and its still picture, which the page shows before the clip plays.
 #[derive(Serialize, Deserialize)]
 pub struct Clip {
+    /// The scene's scenario.
     pub scenario: Scenario,
+    /// The episode that the clip shows.
     pub episode: u32,
-    /// The samples that it shows, both ends included.
+    /// The first and the last sample that the clip shows.
     pub samples: (usize, usize),
+    /// Width of the pictures, pixels.
     pub width: u32,
+    /// Height of the pictures, pixels.
     pub height: u32,
-    /// JPEG in base64.
+    /// The first picture: a JPEG file in base64.
     pub still: String,
 }
 
-/// A clip's pictures.
+/// A clip's pictures, which the page's script plays.
 #[derive(Serialize, Deserialize)]
 pub struct Frames {
     scenario: Scenario,
-    /// The first picture's sample.
+    /// The sample of the first picture.
     first: usize,
-    /// How long a sample lasts.
+    /// The time from one sample to the next, s.
     seconds: f64,
-    /// JPEG in base64.
+    /// The pictures: JPEG files in base64.
     frames: Vec<String>,
 }
 
-/// A clip of each scenario, simulated and rendered unless it was before.
+/// Returns a clip of each scenario. A clip that isn't in the cache is simulated and rendered.
 ///
 /// # Errors
-/// When the scene can't be simulated or rendered.
+/// When a scene can't be simulated or rendered, or a cached clip can't be decoded.
 pub fn film(progress: &dyn Progress) -> Result<Vec<(Clip, Frames)>, FigureError> {
     let unreadable = |error: serde_json::Error| FigureError::Picture(error.to_string());
     let film = |scenario: &Scenario| {

@@ -1,4 +1,4 @@
-//! The paper's figures as the page shows them.
+//! Draws the paper's figures for the page.
 
 use super::cache::cached;
 use super::{Part, part};
@@ -7,19 +7,19 @@ use harness_figures::{Figure, FigureError};
 use harness_shared::progress::Progress;
 use serde::Serialize;
 
-/// A figure, or why it isn't there.
+/// A figure, or the reason why it is missing.
 #[derive(Serialize)]
 pub struct Drawn {
     name: &'static str,
     meaning: &'static str,
-    /// An SVG element.
+    /// The figure as an SVG element.
     pub svg: Part<String>,
 }
 
-/// Draws all figures.
+/// Draws the paper's figures. A figure whose runs are missing becomes [`Part::Absent`].
 ///
 /// # Errors
-/// When one can't be drawn though its runs are there.
+/// When a figure can't be drawn although its runs exist.
 pub fn draw(source: &Source, progress: &dyn Progress) -> Result<Vec<Drawn>, FigureError> {
     progress.begin("drawing", Figure::OF_THE_PAPER.len() as u64, "figures");
     let drawn = Figure::OF_THE_PAPER.into_iter().map(|figure| {
@@ -34,7 +34,7 @@ pub fn draw(source: &Source, progress: &dyn Progress) -> Result<Vec<Drawn>, Figu
     drawn
 }
 
-/// A figure that shows the simulated world alone, rendered unless it was before.
+/// The SVG of a figure that doesn't depend on runs. It is taken from the cache, or drawn.
 fn rendered(
     figure: Figure,
     draw: impl FnOnce() -> Result<String, FigureError>,

@@ -1,4 +1,4 @@
-//! How well each joint's angle and each link's force is predicted.
+//! Collects how well each joint's angle and each link's contact force is predicted.
 
 use super::{Absent, of_both, short};
 use harness_analysis::{Interval, LEVEL, NETWORK, mean_interval};
@@ -10,39 +10,40 @@ use polars::prelude::{IntoLazy, col};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A mean over seeds and, with several of them, the ends of its interval.
+/// A mean over seeds: `[mean]` for one seed, or `[mean, low, high]` with the ends of its interval for several seeds.
 pub type Value = Vec<f64>;
 
-/// A metric of one cell, or of a baseline.
+/// The values of a metric for one cell, or for a baseline.
 #[derive(Serialize)]
 pub struct Series {
     #[serde(flatten)]
     of: Of,
-    /// How many seeds the means are over.
+    /// The number of seeds that the means are over.
     seeds: usize,
-    /// By joint or link; null where the metric isn't defined.
+    /// The value of each joint or link. `None` if the metric isn't defined there.
     values: Vec<Option<Value>>,
-    /// Of all joints or links of a direction, and of all: `fe`, `aa`, `all`.
+    /// The value over all joints or links of a direction (keys `fe` and `aa`), and over all of them (key `all`).
     overall: BTreeMap<String, Value>,
 }
 
-/// What a series is about.
+/// What a series shows. No two series have the same.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 struct Of {
     task: Task,
     modality: Modality,
     metric: String,
     scenario: Scenario,
-    /// A baseline has none.
+    /// The networks' latent size. `None` for a baseline.
     latent: Option<u64>,
-    /// What the networks are given.
+    /// The study's name.
     study: &'static str,
+    /// The networks' inputs, in words.
     input: &'static str,
     model: String,
     unit: String,
 }
 
-/// What rows of the metrics table are alike in but for their seeds.
+/// The columns of the metrics table by which rows are grouped. The rows of a group differ only in their seeds.
 #[derive(Deserialize)]
 struct Row {
     task: Task,
@@ -59,11 +60,13 @@ struct Row {
 /// A value's place in its series.
 #[derive(PartialEq, Eq, PartialOrd, Ord)]
 enum Place {
+    /// The joint or link of this index.
     Joint(usize),
+    /// All joints or links of the direction `fe` or `aa`, or `all` of them.
     Overall(String),
 }
 
-/// The series of both studies, and the studies without runs.
+/// Returns the series of both studies, and a reason for each study without runs.
 ///
 /// # Errors
 /// When a table can't be read.
@@ -71,7 +74,7 @@ pub fn series(source: &Source) -> Result<(Vec<Series>, BTreeSet<Absent>), Figure
     of_both(source, of_study)
 }
 
-/// What the metrics table is asked for.
+/// The query on the metrics table.
 pub const SQL: &str = "select task, modality, metric, scenario, latent, model, unit, direction, index, value \
     from metrics where modality in ('proprioception', 'contact_force') and model in ('network', 'persistence', 'ridge')";
 
@@ -103,7 +106,7 @@ fn of_study(runs: &Runs, study: Study) -> Result<Vec<Series>, FigureError> {
         if let Some(seeds) = of_seeds.get_as_series(group) {
             values.extend(seeds.f64()?.iter().flatten());
         }
-        // A baseline has neither seed nor latent size: every run repeats its value, and the first one's stands.
+        // A baseline has neither a seed nor a latent size. Every run has the same value of it, so one is kept.
         if !is_network {
             values.truncate(1);
         }
@@ -133,7 +136,7 @@ impl Series {
     }
 }
 
-/// An interval as the script takes it.
+/// Converts an interval to the form that the page's script reads.
 pub fn value(interval: &Interval) -> Value {
     let ends = interval.bounds.into_iter().flat_map(|(low, high)| [low, high]);
     std::iter::once(interval.mean).chain(ends).map(short).collect()
