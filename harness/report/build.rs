@@ -3,8 +3,8 @@
 use std::hash::{DefaultHasher, Hasher};
 use std::path::Path;
 
-/// Everything that pictures of the simulated scenes depend on: the sources of this crate and of the project's crates that
-/// it uses, the models, and the versions of all dependencies.
+/// Everything that pictures of the simulated scenes depend on: the sources of this crate and of the project's crates
+/// that it uses, the models, and the versions of all dependencies.
 const SOURCES: &[&str] = &[
     "../analysis",
     "../claims",

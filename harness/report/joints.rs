@@ -22,7 +22,7 @@ pub struct Series {
     seeds: usize,
     /// The value of each joint or link. `None` if the metric isn't defined there.
     values: Vec<Option<Value>>,
-    /// The value over all joints or links of a direction (keys `fe` and `aa`), and over all of them (key `all`).
+    /// The value over all joints or links of a direction (keys `fe` and `aa`), or over all of them (`all`).
     overall: BTreeMap<String, Value>,
 }
 
@@ -106,7 +106,7 @@ fn of_study(runs: &Runs, study: Study) -> Result<Vec<Series>, FigureError> {
         if let Some(seeds) = of_seeds.get_as_series(group) {
             values.extend(seeds.f64()?.iter().flatten());
         }
-        // A baseline has neither a seed nor a latent size. Every run has the same value of it, so one is kept.
+        // A baseline has no seed and no latent size. Every run has the same value of it, so one is kept.
         if !is_network {
             values.truncate(1);
         }

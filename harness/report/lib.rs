@@ -1,10 +1,10 @@
-//! A page to read: scenes, claims, figures, results to look closer at, training curves and runs.
+//! Makes the report: an HTML page with scenes, claims, readings, figures, charts, training curves and runs.
 //!
-//! The page is one HTML document that holds all it needs, so it opens from a disk and can be sent by mail. What
-//! there are no runs for is said in it, with the command that makes them. The same tables give the same bytes.
+//! The page is one self-contained HTML document, so it can be opened from a disk and sent by mail. Where runs are
+//! missing, the page names the command that makes them. The same tables give the same bytes.
 //!
-//! `page.html` is the template, in which minijinja escapes whatever is not said to be HTML already. `page.css` and
-//! `page.js` go into it as they are; a content security policy lets browsers run this script alone, and load nothing.
+//! `page.html` is the template. minijinja escapes every value in it that isn't marked as `safe`. `page.css` and `page.js`
+//! are inserted unchanged. A content security policy makes browsers run only this script and load no other file.
 
 mod cache;
 mod clips;
@@ -36,31 +36,37 @@ const TEMPLATE: &str = include_str!("page.html");
 const STYLE: &str = include_str!("page.css");
 const SCRIPT: &str = include_str!("page.js");
 
-/// Why there is no page.
+/// Why the page can't be made.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
+    /// A figure can't be drawn although its runs exist, or a table can't be read.
     #[error(transparent)]
     Figure(#[from] FigureError),
+    /// A claim can't be judged, for example because its query is wrong.
     #[error(transparent)]
     Claims(#[from] ClaimsError),
+    /// The runs can't be selected.
     #[error(transparent)]
     Analysis(#[from] AnalysisError),
+    /// A table of losses can't be read.
     #[error(transparent)]
     Query(#[from] QueryError),
+    /// The template can't be rendered.
     #[error("the page can't be put together: {0}")]
     Page(#[from] minijinja::Error),
+    /// The data for the page's script can't be written as JSON.
     #[error("the page's data can't be written: {0}")]
     Data(#[from] serde_json::Error),
 }
 
-/// Why a part of the page isn't there, and what brings it.
+/// Why a part of the page is missing, and the command that makes its runs.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 struct Absent {
     reason: String,
     command: Option<String>,
 }
 
-/// A part of the page, or why it isn't there.
+/// A part of the page, or the reason why it is missing.
 #[derive(Serialize)]
 #[serde(rename_all = "snake_case")]
 enum Part<T> {
@@ -68,10 +74,11 @@ enum Part<T> {
     Absent(Absent),
 }
 
-/// Takes what is missing for want of runs or of an OpenGL driver as a part that isn't there.
+/// Converts the result of making a part. If the part failed because runs are missing, because runs differ in their
+/// settings, or because there is no OpenGL driver, it becomes [`Part::Absent`].
 ///
 /// # Errors
-/// When it failed for any other reason.
+/// When the part failed for any other reason.
 fn part<T>(outcome: Result<T, FigureError>) -> Result<Part<T>, FigureError> {
     let (reason, command) = match outcome {
         Ok(part) => return Ok(Part::There(part)),
@@ -90,13 +97,13 @@ fn part<T>(outcome: Result<T, FigureError>) -> Result<Part<T>, FigureError> {
     Ok(Part::Absent(Absent { reason, command }))
 }
 
-/// A message as a sentence.
+/// Makes a message a sentence: with a capital letter and a full stop.
 fn sentence(text: &str) -> String {
     let (first, rest) = text.split_at(1);
     format!("{}{rest}.", first.to_uppercase())
 }
 
-/// What `of_study` makes of the runs of both studies, and the studies without runs.
+/// Calls `of_study` with the runs of each study. Returns all results, and a reason for each study without runs.
 fn of_both<T>(
     source: &Source,
     of_study: impl Fn(&Runs, Study) -> Result<Vec<T>, FigureError>,
@@ -111,7 +118,7 @@ fn of_both<T>(
     Ok((all, absent))
 }
 
-/// What the page's template is filled with.
+/// The values that the page's template uses.
 #[derive(Serialize)]
 struct Page {
     style: &'static str,
@@ -120,26 +127,27 @@ struct Page {
     quick: bool,
     /// The command that makes some runs in seconds.
     smoke: String,
-    /// How many runs are done.
+    /// The number of runs that are done.
     done: usize,
-    /// The commands that make what isn't there.
+    /// The commands that make the missing runs.
     commands: BTreeSet<String>,
-    /// Which runs were left out, and which can't be put together.
+    /// Notes about runs that were left out, and about runs whose settings differ.
     remarks: Vec<String>,
     clips: Part<Vec<clips::Clip>>,
     verdicts: verdicts::Verdicts,
     readings: Part<readings::Readings>,
     figures: Vec<figures::Drawn>,
     experiments: Vec<runs::Experiment>,
-    /// What isn't there of the results by joint and link, and of the regression.
+    /// Why results by joint and link are missing.
     joints_absent: BTreeSet<Absent>,
+    /// Why predictions over references are missing.
     regression_absent: BTreeSet<Absent>,
     has: Has,
     /// [`Data`] as JSON.
     data: String,
 }
 
-/// Which of the script's data there are.
+/// Whether the script has data for each of its charts.
 #[derive(Serialize)]
 struct Has {
     joints: bool,
@@ -147,7 +155,7 @@ struct Has {
     training: bool,
 }
 
-/// What the page's script draws and plays.
+/// The data of the charts and clips for the page's script.
 #[derive(Serialize)]
 struct Data {
     clips: Vec<clips::Frames>,
@@ -156,17 +164,19 @@ struct Data {
     training: Vec<training::Curves>,
 }
 
-/// Makes the page of a results folder: an HTML document.
+/// Makes the page of a results folder and returns it as an HTML document.
 ///
 /// # Arguments
-/// * `claims` the statements to judge
-/// * `readings` the experiment with the readings under which they are judged too
-/// * `settings` what the runs' settings must be
-/// * `quick` whether claims, figures and results are those of the runs with `--quick`
+/// * `registry`: the runs of the results folder
+/// * `claims`: the statements to judge
+/// * `readings`: the experiment with the readings of the paper, under which the claims are also judged
+/// * `settings`: the settings that runs must have to be used
+/// * `quick`: whether claims, figures and results use the runs made with `--quick`
+/// * `progress`: is told how far the work is
 ///
 /// # Errors
-/// When a table is damaged or doesn't hold what it should, or a claim's query is wrong. Missing runs and a missing
-/// OpenGL driver are no errors.
+/// When a table is damaged or has unexpected columns, or a claim's query is wrong. Missing runs and a missing OpenGL
+/// driver are no errors.
 pub fn page(
     registry: &Registry,
     claims: &[Claim],
@@ -233,20 +243,20 @@ pub fn page(
 
 fn render(page: &Page) -> Result<String, minijinja::Error> {
     let mut templates = Environment::new();
-    // A name that the template has and the page lacks is an error.
+    // A name in the template that the page doesn't define is an error.
     templates.set_undefined_behavior(UndefinedBehavior::SemiStrict);
-    // By the ending of its name, text is escaped for HTML.
+    // minijinja escapes text for HTML because the template's name ends in `.html`.
     templates.add_template("page.html", TEMPLATE)?;
     templates.get_template("page.html")?.render(Serde(page))
 }
 
-/// JSON that can stand in a `script` element: no text in it can end the element or open another.
+/// Escapes JSON for a `script` element, so that no text in it can end the element or open another one.
 fn script_safe(json: &str) -> String {
     json.replace('<', "\\u003c")
 }
 
-/// What browsers may do with the page: show its pictures, apply its style and run its script, which they know by its
-/// SHA-256. Text that gets past the escaping can't run, and nothing is loaded from anywhere.
+/// The page's content security policy. It allows the pictures in the page, and the style and the script with the SHA-256
+/// of ours. So text that isn't escaped can't run as a script, and browsers load no other file.
 fn policy() -> String {
     let digest = |text: &str| format!("'sha256-{}'", BASE64.encode(Sha256::digest(text)));
     format!(
@@ -256,7 +266,7 @@ fn policy() -> String {
     )
 }
 
-/// Five significant digits: what a picture can show, at half the size.
+/// Rounds to five significant digits. A chart can't show more, and the page's data are half as large.
 fn short(value: f64) -> f64 {
     format!("{value:.4e}").parse().unwrap_or(value)
 }

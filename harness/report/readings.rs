@@ -1,4 +1,4 @@
-//! The claims under each reading of the paper, and the choices that change a verdict.
+//! Judges the claims under each reading of the paper and lists the choices that change a verdict.
 
 use super::verdicts::class_of;
 use super::{Absent, Part, ReportError, part, sentence};
@@ -10,22 +10,22 @@ use harness_registry::Registry;
 use harness_spec::{Experiment, QUICK, Reading, Scenario};
 use serde::Serialize;
 
-/// A matrix of claims by readings.
+/// The verdicts of claims under each reading.
 #[derive(Serialize)]
 pub struct Readings {
-    /// The readings besides the base, which is the first column.
+    /// The readings except for the base.
     readings: Vec<Choice>,
     rows: Vec<Row>,
-    /// How many rows are the same under every reading.
+    /// The number of rows with the same verdict under every reading.
     same: usize,
-    /// How many claims no reading has runs for.
+    /// The number of claims that need runs that no reading has.
     left_out: usize,
     notes: Vec<String>,
-    /// What vision adds under each reading: an SVG element.
+    /// The figure of the gain by vision under each reading, as an SVG element.
     figure: Part<String>,
 }
 
-/// What a reading changes.
+/// A reading: a choice that differs from the base.
 #[derive(Serialize)]
 struct Choice {
     name: String,
@@ -40,7 +40,7 @@ struct Choice {
 struct Row {
     id: String,
     scenario: &'static str,
-    /// One a reading, the base first.
+    /// The verdict under each reading, the base first.
     cells: Vec<Cell>,
     changes: Vec<Change>,
 }
@@ -51,21 +51,23 @@ struct Cell {
     class: &'static str,
     verdict: String,
     value: String,
-    /// Whether another verdict is decided than under the base.
+    /// Whether the verdict differs from the base's, and one of the two is decided.
     changed: bool,
 }
 
-/// A choice that changes a verdict: its place among the readings.
+/// A reading that changes a row's verdict.
 #[derive(Serialize)]
 struct Change {
+    /// The index of the reading's cell in the row. The base has index 0.
     place: usize,
     name: String,
 }
 
-/// Judges the claims by the runs of an experiment with readings, if there are any.
+/// Judges the claims with the runs of the experiment `spec`, which has readings. Returns [`Part::Absent`] if the
+/// experiment has no finished runs.
 ///
 /// # Errors
-/// When a claim's query is wrong, or a table damaged.
+/// When a claim's query is wrong, or a table is damaged.
 pub fn of(
     registry: &Registry,
     analysis: &Analysis,

@@ -1,4 +1,4 @@
-//! Predictions over references at the fingertip.
+//! Collects predictions and references at the fingertip.
 
 use super::joints::{Value, value};
 use super::{Absent, of_both, short};
@@ -11,7 +11,7 @@ use harness_spec::{Modality, Scenario};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Samples of each cell that the page keeps; more would hide one another.
+/// Largest number of points in each cloud. More points would hide each other.
 const POINTS: usize = 300;
 
 /// One network's predictions of one joint or link.
@@ -22,23 +22,25 @@ pub struct Cloud {
     study: &'static str,
     input: &'static str,
     unit: &'static str,
-    /// The network's seed.
+    /// The seed of the network whose predictions are shown.
     seed: u64,
-    /// R2 over all test samples and seeds; null where it isn't defined.
+    /// R² over all test samples, as a mean over seeds. `None` if it isn't defined.
     r2: Option<Value>,
-    /// Episode, sample, reference, prediction; in the episodes' order.
+    /// Episode, sample, reference and prediction of each point, sorted by episode and sample.
     points: Vec<(u32, u32, f64, f64)>,
 }
 
+/// What a cloud shows.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 struct Of {
     modality: Modality,
     scenario: Scenario,
     latent: u64,
-    /// The joint or link.
+    /// The index of the joint or link, 0 at the finger's base.
     index: usize,
 }
 
+/// A row of the predictions table.
 #[derive(Deserialize)]
 struct Sample {
     #[serde(flatten)]
@@ -50,6 +52,7 @@ struct Sample {
     predicted: f64,
 }
 
+/// An R² of the metrics table.
 #[derive(Deserialize)]
 struct Score {
     #[serde(flatten)]
@@ -58,7 +61,7 @@ struct Score {
     value: Option<f64>,
 }
 
-/// The clouds of both studies, and the studies without runs.
+/// Returns the clouds of both studies, and a reason for each study without runs.
 ///
 /// # Errors
 /// When a table can't be read.
@@ -102,7 +105,7 @@ fn of_study(runs: &Runs, study: Study) -> Result<Vec<Cloud>, FigureError> {
     Ok(samples.into_iter().map(cloud).collect())
 }
 
-/// Evenly over the test samples, so that no episode is preferred.
+/// Chooses points evenly over the test samples, so that all episodes are represented equally.
 fn points(samples: &[Sample]) -> Vec<(u32, u32, f64, f64)> {
     let count = samples.len().min(POINTS);
     let chosen = (0..count).map(|point| &samples[point * samples.len() / count]);

@@ -1,4 +1,4 @@
-//! The runs and where their numbers come from.
+//! Describes the runs of a results folder in words: how they ended and where their numbers come from.
 
 use harness_registry::{Registry, RunRecord, Status, Timings};
 use harness_shared::numbers::duration;
@@ -9,8 +9,9 @@ use std::collections::BTreeMap;
 #[derive(Serialize)]
 pub struct Experiment {
     name: String,
+    /// The number of runs that are done.
     pub done: usize,
-    /// By scenario, settings that vary, latent size and seed.
+    /// All runs, sorted by scenario, settings that vary, latent size and seed.
     runs: Vec<Run>,
 }
 
@@ -20,18 +21,18 @@ struct Run {
     cell: String,
     status: &'static str,
     seed: u64,
-    /// Wall time of all that it took; empty of a run that isn't done.
+    /// Wall time of all stages together. Empty if the run isn't done.
     took: String,
     /// The spec's hash.
     spec: String,
-    /// The commit's first digits, with a plus if the source tree had changes that it lacks.
+    /// The commit's first eight digits, with a plus if the source tree had uncommitted changes.
     commit: String,
     host: String,
-    /// All of it, each with its name.
+    /// All values of the record, each with its name.
     details: Vec<(&'static str, String)>,
 }
 
-/// All runs of a results folder, by experiment.
+/// Returns all runs of a results folder, grouped by experiment.
 pub fn experiments(registry: &Registry) -> Vec<Experiment> {
     let mut experiments: BTreeMap<String, Vec<RunRecord>> = BTreeMap::new();
     for record in registry.records() {
@@ -76,11 +77,12 @@ impl Run {
     }
 }
 
+/// Wall time of all stages together, s.
 fn total(timings: &Timings) -> f64 {
     timings.collect + timings.prediction + timings.reconstruction.unwrap_or_default() + timings.evaluation
 }
 
-/// All that a record says of where a run's numbers come from.
+/// Names and values of everything that a record contains about a run, in words.
 fn details(record: &RunRecord) -> Vec<(&'static str, String)> {
     let by = &record.provenance;
     let commit = by.git_commit.as_ref().map(|commit| {

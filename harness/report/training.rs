@@ -1,4 +1,4 @@
-//! How the losses fell, epoch by epoch.
+//! Collects the losses of trainings by epoch.
 
 use super::short;
 use harness_registry::{QueryError, Registry, RunRecord, RunTable, Status};
@@ -7,10 +7,12 @@ use polars::prelude::{DataFrame, PolarsResult};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Epochs of each training that the page keeps, evenly chosen, the first and the last among them.
+/// Largest number of epochs per training in the page. They are evenly chosen and include the first and the last.
 const EPOCHS: usize = 100;
-/// The same of all trainings together, of which none keeps fewer than [`FEWEST_EPOCHS`].
+/// Target for the number of epochs of all trainings together. With many trainings, each has fewer epochs, but not fewer
+/// than [`FEWEST_EPOCHS`].
 const ALL_EPOCHS: usize = 60_000;
+/// Least number of epochs per training in the page, if the training has as many.
 const FEWEST_EPOCHS: usize = 10;
 
 /// The losses of one training.
@@ -20,11 +22,11 @@ pub struct Curves {
     run: String,
     task: String,
     epochs: Vec<i64>,
-    /// By term and split, a value an epoch.
+    /// The loss at each of the epochs, by term and split.
     terms: BTreeMap<String, BTreeMap<String, Vec<Option<f64>>>>,
 }
 
-/// The curves of all finished runs, by experiment, run and task.
+/// Returns the curves of all finished runs, sorted by experiment, run and task.
 ///
 /// # Errors
 /// When a table can't be read.
@@ -44,7 +46,7 @@ pub fn curves(registry: &Registry) -> Result<Vec<Curves>, QueryError> {
     Ok(curves)
 }
 
-/// The curves of runs whose rows follow each other, by run and task.
+/// Returns the curves of a table's runs by run and task. The rows of each run must follow each other.
 fn of_rows(experiment: &str, table: &DataFrame, kept: usize) -> PolarsResult<Vec<Curves>> {
     let text = |name: &str| table.column(name)?.str();
     let (runs, tasks, splits, terms) = (text("run")?, text("task")?, text("split")?, text("term")?);
@@ -93,7 +95,7 @@ impl Curves {
     }
 }
 
-/// At most `kept` of them, evenly chosen.
+/// Sorts epochs and chooses at most `kept` of them evenly.
 fn thinned(mut all: Vec<i64>, kept: usize) -> Vec<i64> {
     all.sort_unstable();
     all.dedup();

@@ -1,4 +1,4 @@
-//! The claims and what becomes of them.
+//! Judges the claims and puts the verdicts into words.
 
 use harness_analysis::{Analysis, Mixed};
 use harness_claims::{Claim, ClaimsError, Condition, Judgement, Verdict, corrected, judge};
@@ -7,22 +7,22 @@ use harness_spec::Scenario;
 use serde::Serialize;
 use std::collections::BTreeSet;
 
-/// All claims, judged.
+/// All claims with their verdicts.
 #[derive(Serialize)]
 pub struct Verdicts {
     claims: Vec<Judged>,
     counts: Counts,
-    /// How many verdicts are undecided after Holm's correction.
+    /// The number of verdicts that Holm's correction makes undecided.
     unsure: usize,
-    /// The commands that make the runs of the claims without data.
+    /// The commands that make the runs of claims without data.
     #[serde(skip)]
     pub commands: BTreeSet<String>,
-    /// Why runs can't be put together.
+    /// Messages about runs that can't be combined because their settings differ.
     #[serde(skip)]
     pub mixed: BTreeSet<String>,
 }
 
-/// How many judgements came out how.
+/// The number of judgements with each outcome.
 #[derive(Default, Serialize)]
 struct Counts {
     holds: usize,
@@ -31,7 +31,7 @@ struct Counts {
     untestable: usize,
 }
 
-/// A claim and its judgements in words: one a scenario, or one alone.
+/// A claim and its judgements in words. There is one judgement per scenario, or one over both scenarios.
 #[derive(Serialize)]
 struct Judged {
     id: String,
@@ -44,7 +44,7 @@ struct Judged {
     judgements: Vec<Words>,
 }
 
-/// What a claim requires.
+/// The requirement of a claim. Without it, the claim isn't testable.
 #[derive(Serialize)]
 struct Required {
     measured: String,
@@ -56,29 +56,31 @@ struct Required {
 #[derive(Serialize)]
 struct Words {
     scenario: &'static str,
-    /// The mean and its interval.
+    /// The mean and its interval, in words.
     value: String,
     verdict: String,
+    /// The verdict's class in the style sheet.
     class: &'static str,
-    /// The p-value after Holm's correction, of what is tested.
+    /// The p-value after Holm's correction. `None` if the judgement isn't a test.
     p: Option<String>,
-    /// Whether the verdict is the same after it.
+    /// Whether the verdict stays the same after the correction.
     stands: bool,
-    /// What is required and not met, of a claim that is not testable.
+    /// The requirement that isn't met, if the claim isn't testable.
     unmet: Option<String>,
-    /// What there is a value for, seed or episode, and the values.
+    /// What each value belongs to: a seed or an episode.
     each: &'static str,
+    /// The values, each with the number of its seed or episode.
     values: Vec<(String, String)>,
-    /// `None` without data.
+    /// The judgement as a picture. `None` without data.
     strip: Option<Strip>,
 }
 
-/// A judgement as a strip: where its numbers lie, in percent of its width.
+/// A judgement as a small picture. All positions are in percent of its width.
 #[derive(Serialize)]
 struct Strip {
     /// The condition's bound.
     bound: f64,
-    /// Where the condition is satisfied: from, and how wide.
+    /// The range in which the condition is satisfied: its beginning and its width.
     satisfied: [f64; 2],
     interval: [f64; 2],
     mean: f64,
@@ -86,8 +88,10 @@ struct Strip {
 }
 
 impl Verdicts {
+    /// Judges the claims with the runs of an analysis.
+    ///
     /// # Errors
-    /// When a claim's query is wrong, or a table damaged.
+    /// When a claim's query is wrong, or a table is damaged.
     pub fn of(analysis: &Analysis, claims: &[&Claim], quick: bool) -> Result<Self, ClaimsError> {
         let mut verdicts = Self {
             claims: Vec::new(),
@@ -177,7 +181,7 @@ impl Words {
     }
 }
 
-/// What the style knows a verdict by.
+/// The class of a verdict in the style sheet.
 pub fn class_of(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Holds => "holds",
@@ -187,7 +191,7 @@ pub fn class_of(verdict: Verdict) -> &'static str {
     }
 }
 
-/// A p-value to three digits after the point.
+/// A p-value in words, with three decimals.
 fn p_words(p: f64) -> String {
     if p < 0.001 { "p < 0.001".into() } else { format!("p = {p:.3}") }
 }
@@ -200,7 +204,7 @@ impl Strip {
         let all = || values.iter().copied().chain([bound, interval.low(), interval.high()]);
         let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
         let span = if high > low { high - low } else { 1.0 };
-        // Nothing lies at the very edge.
+        // A margin of 6 % keeps all marks away from the edges.
         let at = |value: f64| ((6.0 + 88.0 * (value - low) / span) * 10.0).round() / 10.0;
         let satisfied = match judgement.claim.condition {
             Condition::Above(_) => [at(bound), 100.0 - at(bound)],
