@@ -43,7 +43,7 @@ struct Of {
     unit: String,
 }
 
-/// The columns of the metrics table by which rows are grouped. The rows of a group differ only in their seeds.
+/// The columns of the metrics table by which rows are grouped. Rows of a group differ only in their seeds.
 #[derive(Deserialize)]
 struct Row {
     task: Task,

@@ -3,8 +3,8 @@
 //! The page is one self-contained HTML document, so it can be opened from a disk and sent by mail. Where runs are
 //! missing, the page names the command that makes them. The same tables give the same bytes.
 //!
-//! `page.html` is the template. minijinja escapes every value in it that isn't marked as `safe`. `page.css` and `page.js`
-//! are inserted unchanged. A content security policy makes browsers run only this script and load no other file.
+//! `page.html` is the template. minijinja escapes every value in it that isn't marked as `safe`. `page.css` and
+//! `page.js` are inserted unchanged. A content security policy lets browsers run only this script and load no file.
 
 mod cache;
 mod clips;
@@ -172,7 +172,7 @@ struct Data {
 /// * `readings`: the experiment with the readings of the paper, under which the claims are also judged
 /// * `settings`: the settings that runs must have to be used
 /// * `quick`: whether claims, figures and results use the runs made with `--quick`
-/// * `progress`: is told how far the work is
+/// * `progress`: shows how far the work is
 ///
 /// # Errors
 /// When a table is damaged or has unexpected columns, or a claim's query is wrong. Missing runs and a missing OpenGL
@@ -255,8 +255,8 @@ fn script_safe(json: &str) -> String {
     json.replace('<', "\\u003c")
 }
 
-/// The page's content security policy. It allows the pictures in the page, and the style and the script with the SHA-256
-/// of ours. So text that isn't escaped can't run as a script, and browsers load no other file.
+/// The page's content security policy. It allows the pictures in the page, and the page's own style and script by their
+/// SHA-256. Injected text can't run as a script, and browsers load no other file.
 fn policy() -> String {
     let digest = |text: &str| format!("'sha256-{}'", BASE64.encode(Sha256::digest(text)));
     format!(

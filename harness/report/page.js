@@ -1,14 +1,15 @@
 "use strict";
-// What moves on the page: clips, and charts to look closer at. Numbers come from the JSON beside this script.
+// Plays the clips and draws the interactive charts. The numbers come from the page's JSON element `data`.
 {
 const data = JSON.parse(document.getElementById("data").textContent);
 const SVG = "http://www.w3.org/2000/svg";
 
-/** An element with attributes and children; text is set as text, so nothing in the tables can become HTML. */
+/** Makes an HTML element with attributes and children. Strings become text nodes, so tables can't insert HTML. */
 function element(name, attributes = {}, ...children) {
   return fill(document.createElement(name), attributes, children);
 }
 
+/** Makes an SVG element with attributes and children. */
 function shape(name, attributes = {}, ...children) {
   return fill(document.createElementNS(SVG, name), attributes, children);
 }
@@ -19,16 +20,17 @@ function fill(made, attributes, children) {
   return made;
 }
 
-/** A number to four significant digits. */
+/** A number rounded to four significant digits. */
 function rounded(value) {
   return String(Number(value.toPrecision(4))).replace("-", "\u2212");
 }
 
-/** A mean and, in brackets, its interval. */
+/** A mean in words, followed by its interval in brackets if there is one. */
 function interval([mean, low, high]) {
   return low === undefined ? rounded(mean) : `${rounded(mean)} [${rounded(low)}, ${rounded(high)}]`;
 }
 
+/** The distinct values. Numbers are sorted, and other values keep their order. */
 function distinct(values) {
   const all = [...new Set(values)];
   return all.every((value) => typeof value === "number") ? all.sort((a, b) => a - b) : all;
@@ -36,7 +38,7 @@ function distinct(values) {
 
 // --- Clips ---
 
-/** Plays a clip's pictures at the speed of the simulation, over and over. */
+/** Plays a clip's pictures in a loop, at the speed of the simulation. */
 class Clip {
   constructor(figure, clip) {
     this.clip = clip;
@@ -75,12 +77,12 @@ class Clip {
 // --- Choices ---
 
 /**
- * Selects for the fields of rows. Each offers the values of those rows that fit the selects before it, and keeps what
- * was chosen where it can.
+ * Select elements for the fields of rows. Each select offers the values of the rows that match the selects before it. It
+ * keeps the chosen value as long as it is offered.
  *
- * A field has a `key` of the rows and a `label`, and may have `words` (what a value is called), `first` (the value to
- * begin with), `values` (what there is to choose, where it isn't a key of the rows) and `unless` (whether what was
- * chosen before makes it pointless).
+ * A field has a `key` of the rows and a `label`. These are optional: `words` (returns a value's name), `first` (the value
+ * chosen at first), `values` (the values to choose from, if `key` isn't a key of the rows), and `unless` (returns whether
+ * the field is hidden, given the values chosen before).
  */
 class Choices {
   constructor(place, rows, fields, changed) {
@@ -112,7 +114,7 @@ class Choices {
       const option = (value) => new Option(words(value), value, false, value === wanted);
       field.select.replaceChildren(...field.offered.map(option));
       chosen[field.key] = wanted;
-      // A row without a value fits all, as a baseline does every latent size.
+      // A row without a value matches every choice. For example, a baseline matches every latent size.
       if (!field.values) left = left.filter((row) => row[field.key] === null || row[field.key] === wanted);
     }
     this.changed(chosen, left);
@@ -123,7 +125,7 @@ class Choices {
 
 const MARGIN = { left: 58, right: 14, top: 10, bottom: 46 };
 
-/** Round values from low to high, about as many as asked for. */
+/** Round values from low to high, about `count` of them. */
 function ticks(low, high, count) {
   const rough = (high - low) / count;
   const power = 10 ** Math.floor(Math.log10(rough));
@@ -133,7 +135,7 @@ function ticks(low, high, count) {
   return Array.from({ length: last - first + 1 }, (_, index) => (first + index) * step);
 }
 
-/** Powers of ten from low to high, their multiples where there are few, and round values where there are none. */
+/** Powers of ten from low to high. A short axis also has their multiples, and a very short one has round values. */
 function logarithmicTicks(low, high) {
   if (high / low < 8) return ticks(low, high, 4);
   const all = [];
@@ -152,12 +154,13 @@ function mark(kind, hollow, [x, y]) {
 }
 
 /**
- * A chart as wide as its place. The pointer, a touch or the arrow keys show the values of a point.
+ * A chart that is as wide as its place. The pointer, a touch or the arrow keys show the values of a point.
  *
- * What it shows has axes `x` and `y` (`label`, `low`, `high`, and `ticks` or `logarithmic`) and `series`, each with a
- * `name`, an `entry` of the legend where that is shorter, a `look` (classes of the style sheet), `line` and `kind` (of
- * its marks), whether it lies `behind` others, and `points` with `x`, `y`, the ends of an interval `bounds`, and `says`,
- * lines for the tooltip. Series without a name can't be pointed at. A `small` chart leaves the legend to whoever shows it.
+ * The content has axes `x` and `y` (`label`, `low`, `high`, and `ticks` or `logarithmic`) and `series`. A series has a
+ * `name`, an optional shorter `entry` for the legend, a `look` (classes of the style sheet), `line` (whether it has a
+ * line), `kind` (the shape of its marks), `behind` (whether it lies behind other series), and `points`. A point has `x`,
+ * `y`, `bounds` (the ends of its interval) and `says` (the lines of its tooltip). A series without a name has no tooltips.
+ * A `small` chart has no legend of its own.
  */
 class Chart {
   constructor(place, name) {
@@ -222,7 +225,7 @@ class Chart {
     this.hide();
   }
 
-  /** Draws a series. Returns it with its points' places, if it has a name to point at. */
+  /** Draws a series. Returns its SVG group, and its points with their places if the series has a name. */
   drawSeries(series, across, up, y) {
     const group = shape("g", { class: `series ${series.look}` });
     const points = series.points.filter((point) => point.y !== null && point.y !== undefined);
@@ -248,7 +251,7 @@ class Chart {
       const [x, y] = [event.clientX - box.left, event.clientY - box.top];
       let best = { distance: 40 };
       this.points.forEach((points, series) => points.forEach(({ place }, point) => {
-        // Where marks cover one another, the one in front is meant.
+        // If marks overlap, the one in front is chosen.
         const distance = Math.hypot(place[0] - x, place[1] - y) + (this.content.series[series].behind ? 6 : 0);
         if (distance < best.distance) best = { distance, series, point };
       }));
@@ -296,7 +299,7 @@ class Chart {
   }
 }
 
-/** An entry for each look of the series that have a name. */
+/** The entries of the legend, one for each different entry of the series with a name. */
 function legendEntries(all) {
   const named = all.filter((series) => series.name);
   const entry = (series) => series.entry ?? series.name;
@@ -305,7 +308,7 @@ function legendEntries(all) {
   return entries.map((series) => element("li", {}, swatch(series), entry(series)));
 }
 
-/** What a series looks like, for the legend. */
+/** A sample of a series' line and mark for the legend. */
 function swatch(series) {
   const group = shape("g", { class: `series ${series.look}` });
   if (series.line) group.append(shape("path", { class: `line ${series.dash ?? ""}`, d: "M1 7H27" }));
@@ -329,12 +332,12 @@ const colourOf = (study) => (study === "single_to_multi" ? "first" : "second");
 
 const BOTH = "both";
 
-/** Names and looks of a row's line in one direction. */
+/** The name and the look of a row's series in one direction. */
 function lookOf(row, direction) {
   const lateral = direction === "aa";
   const looks = {
     network: [row.input, colourOf(row.study)],
-    // It needs nothing but what is predicted, so it is the same for both studies.
+    // Persistence needs no input of the networks, so it is the same for both studies.
     persistence: ["persistence", "baseline"],
     ridge: [`ridge regression ${row.input}`, colourOf(row.study) === "first" ? "third" : "fourth"],
   };
@@ -351,7 +354,7 @@ function lookOf(row, direction) {
   };
 }
 
-/** The rows without the second study's persistence, if there are two. */
+/** The rows without the second study's persistence, because both studies have the same. */
 function withoutTwins(rows) {
   const first = rows.find((row) => row.model === "persistence");
   return rows.filter((row) => row.model !== "persistence" || row === first);
@@ -364,17 +367,17 @@ function valuePoint(x, value, row, says) {
   return { x, y: value[0], bounds: value.length > 1 ? value.slice(1) : undefined, says: [says, line, ...seeds] };
 }
 
-/** The axis of a metric, for the networks: what lies beyond it of a baseline is marked so. */
+/** The axis of a metric. Its range is chosen for the networks. Baselines beyond it get the mark `beyond`. */
 function valueAxis(rows, series) {
   const { metric, unit } = rows[0];
   const label = withUnit(METRICS[metric] ?? metric, unit);
   const networks = series.filter((one) => !one.behind);
   const points = (networks.length ? networks : series).flatMap((one) => one.points);
-  // Nothing is defined here, as no percentage is of a link that is never touched.
+  // The metric isn't defined for any point. For example, a link that is never touched has no percentage.
   if (points.length === 0) return { label, low: 0, high: 1 };
   const means = points.map((point) => point.y);
   const ends = points.flatMap((point) => point.bounds ?? [point.y]);
-  // R2 has no lower bound, and where it is below -1 it matters little by how much.
+  // R2 has no lower bound, but values below -1 need not be told apart.
   if (metric === "r2") return { label, low: Math.max(-1, Math.floor(Math.min(0.9, ...ends) * 10) / 10), high: 1 };
   const most = Math.max(...means);
   const baselines = series.filter((one) => one.behind).flatMap((one) => one.points.map((point) => point.y));
@@ -394,7 +397,7 @@ function jointSeries(rows, directions) {
   })).filter((series) => series.points.length > 0);
 }
 
-/** Over latent sizes: all joints or links of a direction together. A baseline is the same at each. */
+/** Series over latent sizes, of all joints or links of a direction together. A baseline is the same at every size. */
 function latentSeries(rows, directions, latents) {
   const lines = new Map();
   for (const row of rows) {
@@ -413,7 +416,7 @@ function latentSeries(rows, directions, latents) {
   return [...lines.values()];
 }
 
-/** The latent size that most studies have; the smallest of several. */
+/** The smallest of the latent sizes that the most studies have. */
 function sharedLatent(rows) {
   const latents = distinct(rows.map((row) => row.latent).filter((latent) => latent !== null));
   const studies = (latent) => distinct(rows.filter((row) => row.latent === latent).map((row) => row.study)).length;
@@ -466,7 +469,7 @@ function showRegression(place) {
     chart ??= new Chart(place, "Prediction over reference");
     const clouds = left.filter((cloud) => chosen.direction === BOTH || directionOf(cloud.index) === chosen.direction);
     const series = clouds.map((cloud) => cloudSeries(cloud));
-    // The same axes for all that is comparable.
+    // All clouds of a modality and scenario have the same axes, so that they can be compared.
     const alike = data.regression.filter((cloud) => ["modality", "scenario"].every((key) => cloud[key] === chosen[key]));
     const values = alike.flatMap((cloud) => cloud.points.flatMap(([, , reference, predicted]) => [reference, predicted]));
     const [low, high] = [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))];
@@ -480,7 +483,7 @@ function cloudSeries(cloud) {
   const direction = directionOf(cloud.index);
   const part = cloud.modality === "proprioception" ? "joint" : "link";
   const r2 = cloud.r2 ? `, R\u00b2 ${interval(cloud.r2)}` : "";
-  // By reference, so that the arrow keys go from left to right.
+  // Points are sorted by reference, so that the arrow keys move from left to right.
   const samples = [...cloud.points].sort((a, b) => a[2] - b[2]);
   const points = samples.map(([episode, sample, reference, predicted]) => ({
     x: reference,
@@ -504,7 +507,7 @@ function cloudSeries(cloud) {
 const TERMS = { total: "weighted sum", kl: "Kullback-Leibler divergence" };
 const termWords = (term) => (Object.hasOwn(TERMS, term) ? TERMS[term] : modalityWords(term));
 
-/** The terms of a loss: their sum first, the divergence last, the errors between them. */
+/** The terms of a loss: the weighted sum first, then the errors, and the divergence last. */
 function orderedTerms(terms) {
   const errors = Object.keys(terms).filter((term) => !Object.hasOwn(TERMS, term));
   return ["total", ...errors, "kl"].filter((term) => Object.hasOwn(terms, term));
@@ -549,7 +552,7 @@ function curveChart(series, term, logarithmic) {
   return { small: true, x: { label: "epoch", low: 1, high: last }, y: { label, low, high, logarithmic }, series };
 }
 
-/** A run's losses as lines; in the background they are pale and have no names. */
+/** A run's losses as lines. In the background, lines are pale and have no names. */
 function curves(run, term, background) {
   const splits = run.terms[term] ?? {};
   return Object.keys(splits).map((split) => {
@@ -567,7 +570,7 @@ function curves(run, term, background) {
 
 const splitWords = (split) => ({ train: "training" })[split] ?? split;
 
-/** How a term ended: its mean over the last tenth of the epochs, and how far that is from the mean over the tenth before. */
+/** A term's mean over the last tenth of the epochs, and its change from the mean over the tenth before, in words. */
 function endWords(splits) {
   const parts = Object.entries(splits).map(([split, values]) => {
     const tenth = Math.max(1, Math.round(values.length / 10));
