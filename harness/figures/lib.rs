@@ -48,8 +48,8 @@ pub enum FigureError {
     },
     /// An experiment has finished runs, but a query over them gives no rows.
     #[error(
-        "the finished runs of {experiment} in {} lack what the figure shows: a scenario, or a table that earlier \
-         versions didn't write; make them with `{command}`, in a new results folder if they are of such a version",
+        "the finished runs of {experiment} in {} have no rows for the figure: a scenario is missing, or a table that \
+         earlier versions didn't write; run `{command}`, in a new results folder if an earlier version made the runs",
         root.display()
     )]
     NoRows {
@@ -66,8 +66,8 @@ pub enum FigureError {
     /// A query can't be answered, or the numbers can't be saved.
     #[error(transparent)]
     Query(#[from] QueryError),
-    /// A column of a table is missing or has an unexpected type.
-    #[error("a table doesn't hold what it should: {0}")]
+    /// A column of a table is missing or has an unexpected type, or a table can't be built.
+    #[error("a table has unexpected columns: {0}")]
     Table(#[from] PolarsError),
     /// A scene can't be simulated or rendered.
     #[error(transparent)]

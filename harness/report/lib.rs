@@ -86,7 +86,7 @@ fn part<T>(outcome: Result<T, FigureError>) -> Result<Part<T>, FigureError> {
             (format!("There is no finished run of {experiment}."), Some(command))
         }
         Err(FigureError::NoRows { experiment, command, .. }) => {
-            (format!("The finished runs of {experiment} lack what this shows."), Some(command))
+            (format!("The finished runs of {experiment} have no rows for this part."), Some(command))
         }
         Err(FigureError::Mixed(error)) => (sentence(&error.to_string()), None),
         Err(FigureError::Simulation(error @ SimulationError::NoRenderer { .. })) => {

@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 
 /// Largest number of epochs per training in the page. They are evenly chosen and include the first and the last.
 const EPOCHS: usize = 100;
-/// Target for the number of epochs of all trainings together. With many trainings, each has fewer epochs, but not fewer
-/// than [`FEWEST_EPOCHS`].
+/// Target for the number of epochs of all trainings together. If there are many trainings, each of them has fewer
+/// epochs, but at least [`FEWEST_EPOCHS`].
 const ALL_EPOCHS: usize = 60_000;
 /// Least number of epochs per training in the page, if the training has as many.
 const FEWEST_EPOCHS: usize = 10;

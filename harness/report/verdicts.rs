@@ -44,7 +44,7 @@ struct Judged {
     judgements: Vec<Words>,
 }
 
-/// The requirement of a claim. Without it, the claim isn't testable.
+/// The requirement of a claim. If it isn't met, the claim isn't testable.
 #[derive(Serialize)]
 struct Required {
     measured: String,
