@@ -12,7 +12,7 @@ import conftest
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "debug/harness"
-SPEC = ["experiments/smoke.yaml", f"seeds={list(range(20))}", "tasks=[prediction]", "training.epochs=400"]
+SPEC = ["experiments/smoke.yaml", f"seeds={list(range(20))}", "tasks=[prediction]", "training.epochs=2000", "training.patience=null"]
 RUNS = 40
 TASKS = 8
 
@@ -71,7 +71,9 @@ def processes(text: str) -> list[int]:
 
 def kill_when_training(cluster, results: Path, avoid: set[int]) -> int:
     """Waits for a task that trains, and is none of `avoid`; returns its index."""
+    end = time.monotonic() + 60
     while True:
+        assert time.monotonic() < end, "no other task trains"
         said = logs(results, "train")
         for index in running(cluster, "train"):
             if index not in avoid and processes(f"--shard {index}/{TASKS}") and "epochs" in said.get(index, ""):
