@@ -12,7 +12,7 @@ import conftest
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "debug/harness"
-SPEC = ["experiments/smoke.yaml", f"seeds={list(range(20))}", "tasks=[prediction]", "training.epochs=2000", "training.patience=null"]
+SPEC = ["experiments/smoke.yaml", f"seeds={list(range(20))}", "tasks=[prediction]", "training.epochs=700", "training.patience=null"]
 RUNS = 40
 TASKS = 8
 
