@@ -12,7 +12,7 @@ import conftest
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "debug/harness"
-SPEC = ["experiments/smoke.yaml", f"seeds={list(range(20))}", "tasks=[prediction]", "training.epochs=700", "training.patience=null"]
+SPEC = ["experiments/smoke.yaml", f"seeds={list(range(20))}", "tasks=[prediction]", "training.epochs=250", "training.patience=null"]
 RUNS = 40
 TASKS = 8
 
@@ -83,7 +83,7 @@ def kill_when_training(cluster, results: Path, avoid: set[int]) -> int:
 
 def test_an_experiment_whose_tasks_are_killed_ends_complete_and_equal(cluster, tmp_path):
     undisturbed, results = tmp_path / "undisturbed", tmp_path / "results"
-    harness(cluster, undisturbed, "run", *SPEC)
+    harness(cluster, undisturbed, "run", *SPEC, "--jobs", "2")
 
     resources = ["--tasks", str(TASKS), "--cpus", "1", "--time", "00:05:00"]
     said = harness(cluster, results, "submit", *SPEC, *resources)
