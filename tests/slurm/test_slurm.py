@@ -126,7 +126,9 @@ def test_an_experiment_whose_tasks_are_killed_ends_complete_and_equal(cluster, t
     assert "all files are intact" in harness(cluster, results, "verify")
     said = "".join(logs(results, "train").values())
     said += next((results / "jobs").glob("*/finish.log")).read_text(errors="replace")
-    # Each training says once that it is over; those that were interrupted say it when they have been resumed.
-    over = re.findall(r"(\S+) prediction: \d+ epochs in ", said)
-    assert len(over) == len(set(over)) == RUNS, sorted(over)
+    # Each training says that it is over, and how many of its epochs another process trained before.
+    over = re.findall(r"(\S+) prediction: \d+ epochs(, \d+ of them before,)? in ", said)
+    assert len({run for run, _ in over}) == RUNS, sorted(over)
+    whole = [run for run, before in over if not before]
+    assert len(whole) == len(set(whole)), sorted(whole)
     assert re.search(r"task \d begins on \S+, start 2", said), "no task was queued again"
