@@ -6,8 +6,8 @@ use super::motion::{Timing, check_ranges};
 use super::{MUJOCO_VERSION, SimulationError, mujoco_version};
 use harness_shared::seal::hex;
 use harness_spec::{
-    Definition, Element, Group, Kind, Layout, Modality, ModelFile, Percentage, Posed, Property, Scale,
-    Scenario, Simulation, Source, World, clearance_setting, matching, range_setting,
+    Definition, Element, Group, Kind, Layout, Modality, ModelFile, Percentage, Posed, Property, Scenario,
+    Simulation, Source, World, clearance_setting, matching, range_setting,
 };
 use mujoco_rs::prelude::*;
 use sha2::{Digest, Sha256};
@@ -234,22 +234,8 @@ impl Scene {
         name: String,
     ) -> Result<Self, SimulationError> {
         let resolved = Resolver::new(&world, &model).resolve()?;
-        let Resolved {
-            layout,
-            readings,
-            cameras,
-            flows,
-            posed,
-            actuators,
-            force_of_geom,
-            forces,
-            placements,
-            factors,
-            view,
-            tip,
-        } = resolved;
         // Frames that are larger than the model's offscreen buffer would be refused.
-        for camera in &cameras {
+        for camera in &resolved.cameras {
             let buffer = &mut model.vis_mut().global;
             buffer.offheight = buffer.offheight.max(camera.size[0] as i32);
             buffer.offwidth = buffer.offwidth.max(camera.size[1] as i32);
@@ -260,18 +246,18 @@ impl Scene {
             xml,
             model_sha256,
             model: Arc::new(model),
-            layout: Arc::new(layout),
-            readings,
-            cameras,
-            flows,
-            posed,
-            actuators,
-            force_of_geom,
-            forces,
-            placements,
-            factors,
-            view,
-            tip,
+            layout: Arc::new(resolved.layout),
+            readings: resolved.readings,
+            cameras: resolved.cameras,
+            flows: resolved.flows,
+            posed: resolved.posed,
+            actuators: resolved.actuators,
+            force_of_geom: resolved.force_of_geom,
+            forces: resolved.forces,
+            placements: resolved.placements,
+            factors: resolved.factors,
+            view: resolved.view,
+            tip: resolved.tip,
         })
     }
 
@@ -553,14 +539,10 @@ impl<'a> Resolver<'a> {
         let source = sensing.source();
         let scaling = self.world.scaling(name).unwrap_or(harness_spec::Scaling::plain(false));
         let mut definition = Definition {
-            name,
-            meaning: String::new(),
-            kind: Kind::Vector { elements: Vec::new() },
-            difference_of: None,
-            groups: Vec::new(),
             scale: scaling.scale,
             minimum: scaling.minimum,
             percentage: sensing.percentage,
+            ..Definition::vector(name, "", Vec::new())
         };
         let values = match source {
             Source::Camera { name, size } => {
@@ -781,17 +763,7 @@ impl<'a> Resolver<'a> {
         };
         let elements: Vec<Element> = actuators.map(element).collect();
         let readings = (0..elements.len()).map(Reading::Setpoint).collect();
-        let definition = Definition {
-            name: Modality::SETPOINT,
-            meaning: "Commanded setpoint of".into(),
-            kind: Kind::Vector { elements },
-            difference_of: None,
-            groups: Vec::new(),
-            scale: Scale::PerElement,
-            minimum: None,
-            percentage: None,
-        };
-        (definition, readings)
+        (Definition::vector(Modality::SETPOINT, "Commanded setpoint of", elements), readings)
     }
 
     fn actuators(&self) -> Result<Vec<Driven>, SimulationError> {

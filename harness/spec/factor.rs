@@ -2,6 +2,7 @@
 
 use super::modality::Element;
 use super::types::names;
+use super::world::plain::globs;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -312,10 +313,6 @@ impl fmt::Display for Drawing {
     }
 }
 
-/// The schema of a list of patterns. A single text is also accepted.
-fn globs(_: &mut SchemaGenerator) -> Schema {
-    json_schema!({ "type": "array", "items": { "type": "string" } })
-}
 fn range(_: &mut SchemaGenerator) -> Schema {
     json_schema!({ "type": "array", "minItems": 2, "maxItems": 2, "items": { "type": "number" } })
 }

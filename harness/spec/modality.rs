@@ -230,6 +230,20 @@ pub struct Definition {
 }
 
 impl Definition {
+    /// Returns the definition of a vector without groups, whose elements each have a scale of their own.
+    pub fn vector(name: Modality, meaning: impl Into<String>, elements: Vec<Element>) -> Self {
+        Self {
+            name,
+            meaning: meaning.into(),
+            kind: Kind::Vector { elements },
+            difference_of: None,
+            groups: Vec::new(),
+            scale: Scale::PerElement,
+            minimum: None,
+            percentage: None,
+        }
+    }
+
     /// Returns whether the modality is an image rather than a vector.
     pub fn is_image(&self) -> bool {
         matches!(self.kind, Kind::Image { .. })
@@ -327,16 +341,8 @@ impl Layout {
     /// Returns the layout with the modality [`Modality::FACTORS`] added, which has these elements.
     pub fn with_factors(&self, elements: Vec<Element>) -> Self {
         let mut layout = self.clone();
-        layout.modalities.push(Definition {
-            name: Modality::FACTORS,
-            meaning: "What the episode drew for factor".into(),
-            kind: Kind::Vector { elements },
-            difference_of: None,
-            groups: Vec::new(),
-            scale: Scale::PerElement,
-            minimum: None,
-            percentage: None,
-        });
+        let meaning = "What the episode drew for factor";
+        layout.modalities.push(Definition::vector(Modality::FACTORS, meaning, elements));
         layout
     }
 

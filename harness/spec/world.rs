@@ -298,7 +298,7 @@ fn second() -> f64 {
 }
 
 /// The schemas of the values of optional keys. Without them, the schemas would also allow `null`.
-mod plain {
+pub(super) mod plain {
     use super::{Interval, MAX_IMAGE_SIDE, Percentage, Scale, Sector};
     use schemars::{Schema, SchemaGenerator, json_schema};
 
