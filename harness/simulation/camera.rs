@@ -104,6 +104,8 @@ pub struct SceneRenderer<'s> {
     scene: &'s Scene,
     /// The scene's model with better visual quality, and without factors of variation.
     model: Arc<MjModel>,
+    /// The values of the model in `data`.
+    factors: FactorValues,
     data: MjData<Arc<MjModel>>,
     camera: Camera,
     size: [u32; 2],
@@ -148,12 +150,16 @@ impl<'s> SceneRenderer<'s> {
     fn of_model(scene: &'s Scene, model: MjModel, size: [u32; 2]) -> Result<Self, SimulationError> {
         let model = Arc::new(model);
         let camera = Camera::for_model(&model, scene, scene.view, size[0], size[1])?;
-        Ok(Self { scene, data: MjData::new(model.clone()), model, camera, size })
+        let data = MjData::new(model.clone());
+        Ok(Self { scene, model, factors: FactorValues::default(), data, camera, size })
     }
 
     /// Renders all further pictures with these values of the factors of variation, as in [`super::EpisodePlan`].
     pub fn vary(&mut self, factors: &FactorValues) {
-        self.data.swap_model(factors.apply(self.scene, &self.model));
+        if self.factors != *factors {
+            self.data.swap_model(factors.apply(self.scene, &self.model));
+            self.factors = factors.clone();
+        }
     }
 
     /// Returns the position of a geom's centre in the world in the last picture, m.
