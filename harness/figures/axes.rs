@@ -73,6 +73,11 @@ impl Scale {
         value.clamp(low, high)
     }
 
+    /// Whether an end of an interval lies beyond the axis.
+    pub fn cuts(&self, value: &Interval) -> bool {
+        [value.low(), value.high()].iter().any(|end| self.clamp(*end) != *end)
+    }
+
     /// The values at the axis' low and high end.
     pub fn range(&self) -> [f64; 2] {
         [self.low, self.high].map(|end| match self.kind {

@@ -141,7 +141,7 @@ impl Measured<'_> {
 
     /// Whether an end of an interval lies beyond the axis.
     fn is_cut(&self, scale: &Scale) -> bool {
-        self.values().any(|value| [value.low(), value.high()].iter().any(|end| scale.clamp(*end) != *end))
+        self.values().any(|value| scale.cuts(value))
     }
 
     /// Draws the panel. Without an axis label it has no numbers at its vertical axis, because it shares those of the

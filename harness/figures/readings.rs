@@ -43,14 +43,11 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
             of_row.iter().map(|gain| within(&of_row, end(&gain.value))).fold(0.0, of)
         };
         let (low, high) = (ends(f64::min, Interval::low), ends(f64::max, Interval::high));
-        is_cut |= of_row.iter().any(|gain| {
-            let scale = Scale::linear(low, high, 5, [0.0, 1.0]);
-            [gain.value.low(), gain.value.high()].iter().any(|end| scale.clamp(*end) != *end)
-        });
         for (column, scenario) in Scenario::PAPER.into_iter().enumerate() {
             let left = LEFT + column as f64 * (WIDTH + BETWEEN);
             let panel = Panel { left, top: 16.0 + row as f64 * block, width: WIDTH, height: HEIGHT };
             let scale = Scale::linear(low, high, 5, panel.upwards());
+            is_cut |= of_row.iter().any(|gain| scale.cuts(&gain.value));
             panel.left_axis(&mut page, &scale, (column == 0).then_some(label));
             panel.heading(&mut page, ["a", "b", "c", "d"][2 * row + column], scenario.name());
             let zero = scale.at(0.0);
