@@ -76,11 +76,42 @@ pub fn collect_share(
     threads: usize,
     progress: &dyn Progress,
 ) -> Result<usize, CollectionError> {
+    share(dataset, scene, shard, first, threads, progress).map(|(made, _)| made)
+}
+
+/// Like [`collect`], together with other processes: first the episodes of a shard, then those that the other processes
+/// have not simulated.
+///
+/// # Errors
+/// See [`collect`].
+pub fn collect_together(
+    dataset: &Dataset,
+    scene: &Scene,
+    shard: Shard,
+    threads: usize,
+    progress: &dyn Progress,
+) -> Result<usize, CollectionError> {
+    match share(dataset, scene, shard, 0, threads, progress)? {
+        (_, 0) => Ok(0),
+        (made, _) => Ok(made + collect(dataset, scene, threads, progress)?),
+    }
+}
+
+/// Simulates the missing episodes of a shard. Returns their number, and that of all missing episodes.
+fn share(
+    dataset: &Dataset,
+    scene: &Scene,
+    shard: Shard,
+    first: usize,
+    threads: usize,
+    progress: &dyn Progress,
+) -> Result<(usize, usize), CollectionError> {
     let _lock = lock(dataset, FolderLock::attempt_shared, progress)?;
     dataset.describe()?;
-    let mut missing = dataset.to_make(progress);
-    missing.retain(|episode| shard.contains(first + *episode as usize));
-    make(dataset, scene, &missing, threads, progress)
+    let missing = dataset.to_make(progress);
+    let of_shard = |episode: &u32| shard.contains(first + *episode as usize);
+    let own: Vec<u32> = missing.iter().copied().filter(of_shard).collect();
+    Ok((make(dataset, scene, &own, threads, progress)?, missing.len()))
 }
 
 /// Simulates the episodes `missing` of a dataset whose folder the caller has locked.

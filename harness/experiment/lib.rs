@@ -8,7 +8,7 @@ pub use model::{Model, ModelError, Values};
 pub use schedule::Summary;
 
 use evaluate::{Evaluated, SampledTransition};
-use harness_collection::{CollectionError, collect, collect_share, dataset_of};
+use harness_collection::{CollectionError, collect, collect_together, dataset_of};
 use harness_dataset::{Dataset, DatasetError, FramePlace, Imported, Partition, Samples, frame_bytes};
 use harness_learning::network::{Encoder, Parameters, architecture};
 use harness_learning::objective::{NormalizedData, Prediction, Reconstruction};
@@ -300,10 +300,10 @@ impl<'a> Runner<'a> {
         self.check_room(source, frames)?;
         match source {
             Source::Simulated { scene, dataset } => {
-                if let Some(shard) = self.shard {
-                    collect_share(dataset, scene, shard, 0, self.threads, self.progress)?;
-                }
-                collect(dataset, scene, self.threads, self.progress)?;
+                match self.shard {
+                    Some(shard) => collect_together(dataset, scene, shard, self.threads, self.progress)?,
+                    None => collect(dataset, scene, self.threads, self.progress)?,
+                };
                 Ok(dataset.load(frames, self.progress)?)
             }
             Source::Imported(dataset) => Ok(dataset.load(frames, self.progress)?),

@@ -66,7 +66,7 @@ impl Runner<'_> {
             let mut held = Vec::new();
             // One dataset is processed at a time, so that only its samples are in memory.
             for runs in by_data(pending) {
-                if self.fails_fast && !summary.failed.is_empty() {
+                if self.gives_up(&summary) {
                     summary.left += runs.len();
                     continue;
                 }
@@ -81,14 +81,18 @@ impl Runner<'_> {
                 }
                 self.say_if_changed(runs[0], &mut changed);
             }
-            let is_over = !self.waits || self.fails_fast && !summary.failed.is_empty();
-            if held.is_empty() || is_over {
+            if held.is_empty() || !self.waits || self.gives_up(&summary) {
                 summary.held = held.len();
                 return Ok(summary);
             }
             self.wait(&held)?;
             pending = held;
         }
+    }
+
+    /// Whether no further run is tried, because one failed.
+    fn gives_up(&self, summary: &Summary) -> bool {
+        self.fails_fast && !summary.failed.is_empty()
     }
 
     /// Reports, once for each world, that its files have changed since the plan was made.
