@@ -35,7 +35,7 @@ impl Remove {
 }
 
 #[derive(Args)]
-pub struct Collect {
+pub struct Gc {
     /// Only what is there for this reason; may be given several times [default: all of them]
     #[arg(long = "only", value_name = "REASON", value_parser = Garbage::ALL.map(Garbage::name))]
     only: Vec<String>,
@@ -44,7 +44,7 @@ pub struct Collect {
     yes: bool,
 }
 
-impl Collect {
+impl Gc {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let is_wanted =
             |reason: &Garbage| self.only.is_empty() || self.only.iter().any(|only| only == reason.name());
