@@ -1,18 +1,15 @@
 //! The targets of `make` in a fresh clone, with stand-ins for the programs that they call.
 
+use crate::common::write_script;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-/// Writes a script that records its name and arguments, and exits with `code`. A child process writes it, because a
-/// script can't be run while it is open for writing, and another test's child process could inherit the open file.
+/// Writes a script that records its name and arguments, and exits with `code`.
 fn stand_in(path: &Path, code: i32) {
     fs::create_dir_all(path.parent().unwrap()).unwrap();
     let name = path.file_name().unwrap().to_string_lossy();
-    let script = format!("#!/bin/sh\necho \"{name} $*\" >>\"$CALLS\"\nexit {code}\n");
-    let write = r#"printf %s "$2" >"$1" && chmod +x "$1""#;
-    let status = Command::new("sh").args(["-c", write, "sh"]).arg(path).arg(script).status();
-    assert!(status.unwrap().success());
+    write_script(path, &format!("echo \"{name} $*\" >>\"$CALLS\"\nexit {code}"));
 }
 
 /// The calls that a command makes, in order, and its exit code, in a clone where cargo and Python exit with these

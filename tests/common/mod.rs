@@ -65,3 +65,11 @@ pub fn smoke_run(name: &str) -> PathBuf {
     assert!(said.contains("2 done, 0 done before, 0 failed"), "{said}");
     results
 }
+
+/// Writes a shell script that can be run. A child process writes it, because a script can't be run while it is open for
+/// writing, and another test's child process could inherit the open file.
+pub fn write_script(path: &Path, text: &str) {
+    let write = r#"printf '#!/bin/sh\n%s\n' "$2" >"$1" && chmod +x "$1""#;
+    let status = std::process::Command::new("sh").args(["-c", write, "sh"]).arg(path).arg(text).status();
+    assert!(status.unwrap().success());
+}
