@@ -1,10 +1,9 @@
 //! Work that several processes divide, and its submission to Slurm, for which scripts stand in here. `make cluster` uses a
 //! real one.
 
-use crate::common::{Answer, SMOKE, finish, fresh, harness, succeed};
+use crate::common::{Answer, SMOKE, finish, fresh, harness, succeed, write_script};
 use std::collections::BTreeMap;
 use std::fs;
-use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::Command;
 
@@ -98,21 +97,17 @@ fn failing_fast_leaves_the_other_runs() {
     assert!(answer.stdout.contains("1 not tried, because of --fail-fast"), "{}", answer.stdout);
 }
 
-/// Puts an executable script into a folder.
-fn script(folder: &Path, name: &str, text: &str) {
-    let path = folder.join(name);
-    fs::write(&path, format!("#!/bin/sh\n{text}\n")).unwrap();
-    fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
-}
-
 /// A folder of programs with a Slurm that numbers jobs from 101 on, and notes what it is asked for in `calls`.
 fn slurm() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let calls = folder.path().join("calls");
     let count = format!("echo \"$0 $*\" >>{0}; grep -c sbatch {0}", calls.display());
-    script(folder.path(), "sbatch", &format!("n=$({count}); echo $((100 + n))"));
-    script(folder.path(), "scancel", &count);
-    script(folder.path(), "squeue", "echo '102|1|RUNNING|node7|1:23|None'; echo '102|2|PENDING|||Resources'");
+    write_script(&folder.path().join("sbatch"), &format!("n=$({count}); echo $((100 + n))"));
+    write_script(&folder.path().join("scancel"), &count);
+    write_script(
+        &folder.path().join("squeue"),
+        "echo '102|1|RUNNING|node7|1:23|None'; echo '102|2|PENDING|||Resources'",
+    );
     folder
 }
 
@@ -212,7 +207,7 @@ fn a_script_does_its_task_and_says_how_it_ended() {
     let results = fresh("scripted");
     let train = &scripts(&results, &["scenarios=[empty]", "training.epochs=1", "--tasks", "1"])["train"];
     let folder = tempfile::tempdir().unwrap();
-    script(folder.path(), "scontrol", "echo 'JobId=7 JobState=RUNNING'");
+    write_script(&folder.path().join("scontrol"), "echo 'JobId=7 JobState=RUNNING'");
     let path = folder.path().join("train.sh");
     fs::write(&path, train).unwrap();
     let programs = format!("{}:{}", folder.path().display(), std::env::var("PATH").unwrap());
@@ -235,7 +230,10 @@ fn what_cannot_be_submitted_is_refused_in_one_line_and_leaves_nothing() {
     assert_eq!(missing.code, 2);
     assert!(missing.stderr.contains("sbatch is not installed here"), "{}", missing.stderr);
     let refusing = tempfile::tempdir().unwrap();
-    script(refusing.path(), "sbatch", "echo 'sbatch: error: invalid partition specified: moon' >&2; exit 1");
+    write_script(
+        &refusing.path().join("sbatch"),
+        "echo 'sbatch: error: invalid partition specified: moon' >&2; exit 1",
+    );
     let refused = with_slurm(refusing.path(), &results, &["submit", SMOKE, "--partition", "moon"]);
     assert_eq!(refused.code, 1);
     assert_eq!(

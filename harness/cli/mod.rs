@@ -144,10 +144,10 @@ The number after ± is half of the 95 % interval of the mean over seeds (Student
   harness gc                                        list all of it with sizes, and ask
   harness gc --only quick --only failed --yes
 
-superseded: runs of which there is a later one with the same settings, on another dataset or by another revision of \
-the method. failed: runs that failed. quick: runs of `harness run --quick`. unused: simulated datasets that no remaining \
-run uses. Imported datasets always stay.")]
-    Gc(removal::Collect),
+superseded: a later run has the same settings, but another dataset or another revision of the method. failed: the run \
+failed. quick: the run was made with --quick. unused: no remaining run uses the simulated dataset. Imported datasets are \
+never removed.")]
+    Gc(removal::Gc),
     /// Show the space that each experiment and each dataset takes
     Du,
     /// Print the JSON schema of experiment specs, for editors, or the columns of the tables
@@ -214,9 +214,10 @@ const SUBMIT_HELP: &str = "Examples:
   harness ls --jobs
   harness cancel multi_to_multi
 
-Hands in up to three jobs with sbatch: an array that simulates the missing episodes, an array that divides the runs, and \
-one task that does what is left, should a task be lost. A task that reaches its time limit or is preempted saves its \
-state, is queued again and resumes. The results folder must be on a file system that all nodes share, with working locks.";
+The command submits up to three jobs with sbatch: an array that simulates the missing episodes, an array that divides \
+the runs, and one task that does the remaining runs if a task was lost. A task that reaches its time limit or is \
+preempted saves its state, is queued again, and resumes. All nodes must share the file system of the results folder, and \
+its locks must work across nodes.";
 
 const REPORT_HELP: &str = "Examples:
   harness report
@@ -302,7 +303,7 @@ fn execute(command: Command, registry: &Registry, threads: usize) -> anyhow::Res
         Command::Show(show) => show.execute(registry),
         Command::Diff(diff) => diff.execute(registry),
         Command::Rm(remove) => remove.execute(registry),
-        Command::Gc(collect) => collect.execute(registry),
+        Command::Gc(gc) => gc.execute(registry),
         Command::Du => removal::usage(registry),
         Command::Schema(schema) => schema.execute(),
         Command::Render(render) => render.execute(),

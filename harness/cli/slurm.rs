@@ -1,4 +1,4 @@
-//! Slurm: batch scripts that a person can read and edit, and the commands that hand them in and ask for them.
+//! Slurm: batch scripts that a person can read and edit, and the commands that submit, list and cancel jobs.
 
 use harness::registry::quoted;
 use serde::{Deserialize, Serialize};
@@ -69,7 +69,7 @@ pub enum Step {
     Collect,
     /// The runs, by an array.
     Train,
-    /// What is left if a task was lost, by one task.
+    /// The remaining runs if a task was lost, by one task.
     Finish,
 }
 
@@ -88,7 +88,7 @@ impl Step {
         match self {
             Self::Collect => "simulates the episodes that the datasets lack, divided among the tasks",
             Self::Train => "trains the runs that are not done yet, divided among the tasks",
-            Self::Finish => "does what is left, in case that a task was lost",
+            Self::Finish => "does the remaining runs if a task was lost",
         }
     }
 }
@@ -129,7 +129,7 @@ impl Job<'_> {
         head.extend(options.iter().cloned());
 
         let mut script = format!("#!/bin/bash\n# {}: {}.\n", self.experiment, step.purpose());
-        script += "# `harness submit` wrote this script. Edit it as you like, and hand it in by `sbatch`.\n";
+        script += "# `harness submit` wrote this script. You can edit it and submit it with `sbatch`.\n";
         for option in head {
             let _ = writeln!(script, "#SBATCH {option}");
         }
@@ -177,7 +177,7 @@ exit "$code"
     }
 }
 
-/// Hands a script in, to begin once the job `after` has ended, however it ended. Returns the job's number.
+/// Submits a script. Its job begins when the job `after` has ended, whether that succeeded or not. Returns the job's number.
 pub fn submit(script: &Path, after: Option<u64>) -> Result<u64, SlurmError> {
     let mut arguments = vec!["--parsable".to_owned()];
     arguments.extend(after.map(|job| format!("--dependency=afterany:{job}")));

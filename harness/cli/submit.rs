@@ -65,7 +65,7 @@ pub struct Submit {
     /// YAML file with these settings (tasks, throttle, cpus, memory, time, partition, options, setup); flags replace them
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Print the scripts, and hand in nothing
+    /// Print the scripts without submitting them
     #[arg(long)]
     dry_run: bool,
 }
@@ -122,7 +122,7 @@ impl Submit {
             match slurm::submit(&path, after) {
                 Ok(number) => record.steps.push((*step, number)),
                 Err(error) => {
-                    // Half of the work is not handed in: what was is taken back.
+                    // An experiment is submitted as a whole or not at all.
                     let numbers: Vec<u64> = record.steps.iter().map(|(_, number)| *number).collect();
                     if !numbers.is_empty() {
                         let _ = slurm::cancel(&numbers);
