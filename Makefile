@@ -2,6 +2,8 @@
 
 # `make run` uses the spec's `quick` settings (minutes). `make run QUICK=` runs the full experiment (hours).
 QUICK = --quick
+# The Python package is built for tests with the profile of plain cargo, so that the dependencies are compiled once.
+export MATURIN_PEP517_ARGS = --profile dev
 
 .DEFAULT_GOAL := help
 .PHONY: help setup run check test python soak lint bench interchange notebooks cluster
@@ -27,7 +29,7 @@ test: ## run every test, including those of the Python package; continue after f
 
 python: ## build the Python package into .venv and test it
 	@setup/setup.sh --python
-	PATH="$(CURDIR)/.venv/bin:$$PATH" MATURIN_PEP517_ARGS="--profile dev" .venv/bin/python -m pip install \
+	PATH="$(CURDIR)/.venv/bin:$$PATH" .venv/bin/python -m pip install \
 		--quiet --disable-pip-version-check --no-build-isolation --no-deps .
 	.venv/bin/python -m pytest --quiet tests/python_package
 
@@ -49,7 +51,7 @@ bench: ## compare the speed with PyTorch, Python's mujoco, PyBullet and MuJoCo i
 interchange: ## open exported data with LeRobot and Rerun and import it again (minutes; 6 GB of packages, once)
 	@setup/setup.sh --interchange
 	cargo build --bin harness
-	MATURIN_PEP517_ARGS="--profile dev" .venv-interchange/bin/python -m pip install --quiet --no-deps .
+	.venv-interchange/bin/python -m pip install --quiet --no-deps .
 	.venv-interchange/bin/python -m pytest tests/interchange
 
 cluster: ## run an experiment on a Slurm of four nodes on this machine, and kill its tasks (minutes; needs root)
@@ -59,7 +61,7 @@ cluster: ## run an experiment on a Slurm of four nodes on this machine, and kill
 
 notebooks: ## run the notebooks and save their outputs (minutes; 5 GB of packages, once)
 	@setup/setup.sh --notebooks
-	MATURIN_PEP517_ARGS="--profile dev" .venv-notebooks/bin/python -m pip install --quiet --disable-pip-version-check \
+	.venv-notebooks/bin/python -m pip install --quiet --disable-pip-version-check \
 		--no-deps .
 	.venv-notebooks/bin/python -m nbconvert --to notebook --execute --inplace --ExecutePreprocessor.record_timing=False \
 		python/notebooks/*.ipynb
