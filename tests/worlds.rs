@@ -636,7 +636,7 @@ fn no_size_of_the_finger_stands_in_the_program() {
 fn every_command_of_the_tutorial_works() {
     let text = fs::read_to_string(root().join("docs/your-own-robot.md")).unwrap();
     let commands: Vec<&str> =
-        text.split("```bash\n").skip(1).map(|part| part.split("```").next().unwrap()).collect();
+        text.split("```sh\n").skip(1).map(|part| part.split("```").next().unwrap()).collect();
     assert!(commands.len() >= 7, "{commands:?}");
     let folder = tempfile::tempdir().unwrap();
     for name in ["models", "experiments"] {
