@@ -6,7 +6,7 @@ QUICK = --quick
 export MATURIN_PEP517_ARGS = --profile dev
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run check test python soak lint bench interchange notebooks cluster
+.PHONY: help setup run check test package python docs soak lint bench interchange notebooks cluster
 
 help: ## show this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 8
@@ -27,11 +27,18 @@ test: ## run every test, including those of the Python package; continue after f
 	$(MAKE) --no-print-directory python || worst=1; \
 	exit $$worst
 
-python: ## build the Python package into .venv and test it
+package:
 	@setup/setup.sh --python
 	PATH="$(CURDIR)/.venv/bin:$$PATH" .venv/bin/python -m pip install \
 		--quiet --disable-pip-version-check --no-build-isolation --no-deps .
+
+python: package ## build the Python package into .venv and test it
 	.venv/bin/python -m pytest --quiet tests/python_package
+
+docs: package ## build the documentation site in target/docs; broken links are errors
+	@setup/setup.sh --docs
+	.venv/bin/python -m sphinx --quiet --fail-on-warning --fresh-env --conf-dir docs . target/docs
+	@echo 'open target/docs/index.html'
 
 soak: ## kill a run and a collection at many moments and compare the results; fuzz every reader (an hour)
 	@setup/setup.sh --test

@@ -5,6 +5,7 @@
 #   setup/setup.sh           installs what the harness needs
 #   setup/setup.sh --test    also what its tests need
 #   setup/setup.sh --python  also what building and testing the Python package needs
+#   setup/setup.sh --docs    also what building the documentation site needs
 #   setup/setup.sh --bench   also .venv-bench, with PyTorch and PyBullet for the benchmarks
 #   setup/setup.sh --interchange   also .venv-interchange, with LeRobot and Rerun
 #   setup/setup.sh --cluster  also Slurm, for its tests
@@ -141,6 +142,7 @@ case ${1-} in
     check_slurm
     ;;
 --python) install_packages .venv requirements-python.txt ;;
+--docs) install_packages .venv requirements-docs.txt ;;
 --bench)
     make_venv .venv-bench
     install_packages .venv-bench requirements-bench.txt

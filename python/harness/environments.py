@@ -1,9 +1,11 @@
-"""The finger as a `dm_env.Environment`, loaded as in dm_control.
+"""The finger as a `dm_env.Environment`, loaded as in dm_control::
 
     environment = harness.environments.load("cluttered", "push", seed=0)
     step = environment.reset()
     while not step.last():
         step = environment.step(policy(step.observation))
+
+`load` describes the arguments.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""The finger as Gymnasium environments. Importing this module registers them.
+"""The finger as Gymnasium environments. Importing this module registers them::
 
     import gymnasium
     import harness.gymnasium
