@@ -8,15 +8,15 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// A factor of variation: exactly one of `joint_stiffness`, `joint_damping`, `body_mass`, `geom_friction`, `geom_size`,
-/// `geom_colour`, `light_brightness`, `camera_position` and `camera_rotation`, and how it is drawn.
+/// `geom_colour`, `light_brightness`, `camera_position` and `camera_rotation`, and its distribution.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Factor {
-    /// The springs of joints.
+    /// Stiffness of joints.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub joint_stiffness: Option<Vec<String>>,
-    /// The dampers of joints.
+    /// Damping of joints.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub joint_damping: Option<Vec<String>>,
@@ -36,40 +36,42 @@ pub struct Factor {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub geom_colour: Option<Vec<String>>,
-    /// How bright lights are.
+    /// Brightness of lights.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub light_brightness: Option<Vec<String>>,
-    /// Where cameras are, m, along the axes of the body that carries them.
+    /// Positions of cameras, m, along the axes of the body that carries them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub camera_position: Option<Vec<String>>,
-    /// Where cameras look, rad: a rotation vector along the camera's own axes (right, up, backwards).
+    /// Orientations of cameras, rad: a rotation vector along the camera's own axes (right, up, backwards).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub camera_rotation: Option<Vec<String>>,
-    /// What the model's own value is multiplied by: for stiffness, damping, mass, friction, size and brightness.
+    /// Distribution of the number by which the model's value is multiplied, for stiffness, damping, mass, friction,
+    /// size and brightness.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "distribution")]
     pub scale_by: Option<Distribution>,
-    /// What is added to the model's own value: for each channel of a colour, and each axis of a position or rotation.
+    /// Distribution of the number that is added to the model's value, for each channel of a color and each axis of a
+    /// position or rotation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "distribution")]
     pub offset_by: Option<Distribution>,
-    /// Whether each joint, body, geom, light or camera has a value of its own, instead of one for all.
+    /// Whether each joint, body, geom, light or camera gets its own value. The default is one value for all.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub each: bool,
 }
 
-/// How a value is drawn: exactly one of `uniform`, `log_uniform`, `normal` and `choice`.
+/// The distribution of a value: exactly one of `uniform`, `log_uniform`, `normal` and `choice`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Distribution {
-    /// Uniformly between the lowest and the highest value.
+    /// Uniform between the lowest and the highest value.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "range")]
     pub uniform: Option<[f64; 2]>,
-    /// Uniformly in its logarithm, so that a half is as likely as a double.
+    /// Uniform in the logarithm, between the lowest and the highest value. A half is then as likely as a double.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "range")]
     pub log_uniform: Option<[f64; 2]>,
@@ -77,19 +79,19 @@ pub struct Distribution {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "normal")]
     pub normal: Option<Normal>,
-    /// One of several values, each as likely as the others.
+    /// One of several values with equal probability.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "values")]
     pub choice: Option<Vec<f64>>,
 }
 
-/// A normal distribution, of which what lies outside of a range is drawn again.
+/// A truncated normal distribution. Values outside of a range are drawn again.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Normal {
-    /// The mean, if nothing were cut off; within the range.
+    /// Mean before truncation. It must be within the range.
     pub mean: f64,
-    /// The standard deviation, if nothing were cut off.
+    /// Standard deviation before truncation.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub deviation: f64,
     /// Lowest and highest value.

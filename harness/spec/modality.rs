@@ -152,7 +152,7 @@ impl JsonSchema for Modality {
             "description": "A modality of another world, or of an imported dataset.", "type": "string", "pattern": NAME,
         });
         let choices: Vec<_> = choices.chain([other]).collect();
-        json_schema!({ "description": "What is sensed at a sample.", "oneOf": choices })
+        json_schema!({ "description": "A modality, which is recorded at each sample.", "oneOf": choices })
     }
 }
 

@@ -7,13 +7,14 @@ use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// What a modality's values are divided by, each minus its own mean.
+/// The standard deviation by which a modality's values are divided, after each value's own mean is subtracted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Scale {
-    /// One standard deviation for all values: errors count as they do in physical units.
+    /// One standard deviation for all values. Errors have the same relative weight as in physical units.
     Shared,
-    /// Each value's own standard deviation: a value that hardly varies counts as much as any other. Not for frames.
+    /// Each value's own standard deviation. A value that hardly varies has the same weight as all others. Images can't
+    /// have it.
     PerElement,
 }
 names!(Scale { Shared => "shared", PerElement => "per_element" });
@@ -22,9 +23,9 @@ names!(Scale { Shared => "shared", PerElement => "per_element" });
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scaling {
-    /// Which standard deviation the values are divided by.
+    /// The standard deviation by which the values are divided.
     pub scale: Scale,
-    /// The least value of a prediction, in physical units. Lower predictions are set to it. `None` means no bound.
+    /// The lowest value of a prediction, in physical units. Lower predictions are set to it. `None` means no bound.
     pub minimum: Option<f64>,
 }
 
@@ -35,10 +36,10 @@ pub type Scalings = BTreeMap<Modality, Scaling>;
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GivenScaling {
-    /// Which standard deviation the values are divided by; `None` if the spec does not say.
+    /// The standard deviation by which the values are divided; `None` if the spec does not say.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scale: Option<Scale>,
-    /// The least value of a prediction, in physical units. `None` if the spec does not say; `Some(None)` if the spec
+    /// The lowest value of a prediction, in physical units. `None` if the spec does not say; `Some(None)` if the spec
     /// has `null`, which means no bound.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "present")]
     pub minimum: Option<Option<f64>>,
@@ -74,7 +75,7 @@ impl Scaling {
 pub(super) fn schema(generator: &mut SchemaGenerator) -> Schema {
     let scale = generator.subschema_for::<Scale>();
     let minimum = json_schema!({
-        "description": "The least value of a prediction, in physical units; `null` for none.",
+        "description": "The lowest value of a prediction, in physical units. `null` means no bound.",
         "type": ["number", "null"],
     });
     by_modality(json_schema!({

@@ -61,7 +61,7 @@ fn add_settings_of_worlds(simulation: &mut Json) {
             simulation["properties"][name] = match setting {
                 Setting::Range(_) => range(&format!("Range of a setpoint: lowest, highest (world {world}).")),
                 Setting::Number(_) => number(&format!(
-                    "What is placed nearer than this to another is placed again, m (world {world})."
+                    "Smallest distance between placed bodies, m (world {world})."
                 )),
             };
         }

@@ -154,51 +154,51 @@ impl JsonSchema for Origin {
             })
         });
         let file = serde_json::json!({
-            "description": "A world file, by its path from the spec's folder.", "type": "string",
+            "description": "The path of a world file, relative to the spec's folder.", "type": "string",
             "pattern": "(/|\\.ya?ml$)",
         });
         let imported = serde_json::json!({
-            "description": "An imported dataset, by the name of its folder in results/datasets.", "type": "string",
+            "description": "An imported dataset: the name of its folder in results/datasets.", "type": "string",
             "pattern": IMPORTED_NAME,
         });
         let choices: Vec<_> = built_in.chain([file, imported]).collect();
-        json_schema!({ "description": "What the samples of a cell come from.", "oneOf": choices })
+        json_schema!({ "description": "The source of a cell's samples.", "oneOf": choices })
     }
 }
 
-/// What a split divides.
+/// The unit that a split divides.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Division {
-    /// Whole episodes: what the network is tested on are worlds that it has not seen.
+    /// Whole episodes. The episodes of the test set are not used in training.
     #[default]
     Episode,
-    /// The time of each episode: its first part is for training, then come a gap, validation, a gap and the test.
+    /// The time of each episode. Its first part is for training, followed by a gap, validation, a gap and the test.
     Time,
-    /// Transitions drawn at random, the same for all seeds of a run. It leaks: most test samples have neighbours in
-    /// training that are one sampling interval away, so errors are smaller than on anything new.
+    /// Transitions drawn at random, the same for all seeds. This split leaks: most test samples have a neighbor in
+    /// training that is one sampling interval away, so errors are smaller than on new data.
     Sample,
 }
 names!(Division { Episode => "episode", Time => "time", Sample => "sample" });
 
-/// How the arm's commanded motion conditions the decoder.
+/// The action that conditions the decoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Action {
-    /// The change of the arm's setpoint from this sample to the next.
+    /// The change of the setpoints from this sample to the next.
     Increment,
-    /// The arm's setpoint at the next sample.
+    /// The setpoints at the next sample.
     Target,
 }
 names!(Action { Increment => "increment", Target => "target" });
 
-/// What a network is trained for.
+/// The task that a network is trained for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Task {
-    /// Encoder and decoder together: the next observation, given this one and the action.
+    /// Encoder and decoder together predict the next observation from the present one and the action.
     Prediction,
-    /// A new decoder on the frozen encoder of the prediction: this observation again, without action.
+    /// A new decoder reconstructs the present observation from the frozen encoder of the prediction. It gets no action.
     Reconstruction,
 }
 names!(Task { Prediction => "prediction", Reconstruction => "reconstruction" });
@@ -207,157 +207,156 @@ names!(Task { Prediction => "prediction", Reconstruction => "reconstruction" });
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
-    /// Two fully connected layers on each side.
+    /// Two fully connected layers in the encoder, and two in the decoder.
     // Specs of earlier versions have the other names.
     #[serde(alias = "fully_connected")]
     SingleToMulti,
-    /// A 4 x 4 convolution of stride 2 on the frames, then two fully connected layers; the decoder mirrors it.
+    /// A 4 x 4 convolution of stride 2 on images, then two fully connected layers. The decoder mirrors the encoder.
     #[serde(alias = "convolutional")]
     MultiToMulti,
 }
 names!(Preset { SingleToMulti => "single_to_multi", MultiToMulti => "multi_to_multi" });
 
-/// Where an encoder joins frames and vectors.
+/// The layer in which an encoder joins images and vectors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Fusion {
-    /// In the first fully connected layer, behind the convolutions. The decoder's hidden layers serve both.
+    /// The first fully connected layer after the convolutions. Images and vectors share the decoder's hidden layers.
     #[default]
     Early,
-    /// Behind hidden layers of their own, normalized (layer normalization), in one more fully connected layer. The decoder
-    /// has hidden layers for each.
+    /// One more fully connected layer, after separate hidden layers with layer normalization for images and for
+    /// vectors. The decoder has separate hidden layers for each.
     Late,
 }
 names!(Fusion { Early => "early", Late => "late" });
 
-/// Arithmetic of a network's large matrix products.
+/// The number format in a network's large matrix products.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
-    /// 32 bits throughout.
+    /// 32-bit floats.
     F32,
-    /// Factors rounded to 16 bits, of which 8 are significant; sums and parameters stay f32. Several times as fast
-    /// where the processor has bf16 tiles (Intel AMX), not faster elsewhere.
+    /// Factors are rounded to 16 bits, of which 8 are significant. Sums and parameters stay f32. This is several times
+    /// as fast on a processor with bf16 tiles (Intel AMX), and not faster on others.
     Bf16,
 }
 names!(Precision { F32 => "f32", Bf16 => "bf16" });
 
-/// What a network is trained on.
+/// The device on which a network is trained.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Device {
-    /// The processor, on as many threads as the run has.
+    /// The processor, with as many threads as the run has.
     Cpu,
-    /// The first graphics card, through CUDA; for a harness that was built with `--features cuda`. A run is not the
-    /// same bit by bit there.
+    /// The first GPU, through CUDA. The harness must be built with `--features cuda`. Results are not reproducible bit
+    /// by bit.
     Cuda,
 }
 names!(Device { Cpu => "cpu", Cuda => "cuda" });
 
-/// How the learning rate changes over a training, after its warm-up.
+/// How the learning rate changes after the warm-up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Schedule {
-    /// Not at all.
+    /// It is constant.
     #[default]
     Constant,
-    /// Half a cosine, from its full value down to 0 at the end of the last of `epochs` (Loshchilov & Hutter, 2017,
-    /// without restarts), also where the training stops earlier.
+    /// It falls along half a cosine, which reaches 0 at the end of the last of `epochs` (Loshchilov & Hutter, 2017,
+    /// without restarts). Early stopping does not change the curve.
     Cosine,
 }
 names!(Schedule { Constant => "constant", Cosine => "cosine" });
 
-/// Which validation loss has to improve for a training to go on.
+/// The validation loss that must improve for training to continue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Stop {
     /// The weighted sum of all terms.
     #[default]
     Total,
-    /// The error of any output modality: the training goes on as long as one of them is still being learned, whatever
-    /// the sum does.
+    /// The error of any output modality. Training continues as long as one of them improves, even if their sum does
+    /// not.
     EveryTerm,
 }
 names!(Stop { Total => "total", EveryTerm => "every_term" });
 
-/// What the error of a predicted value costs, in normalized units.
+/// The loss of a predicted value, as a function of its error in normalized units.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Loss {
-    /// Its square: the mean of what may come is predicted best.
+    /// The squared error. The best prediction is the mean of the possible values.
     #[default]
     Squared,
-    /// Its absolute value: the median of what may come is predicted best.
+    /// The absolute error. The best prediction is the median of the possible values.
     Absolute,
-    /// Its square up to an error of 1, and from there on a line with the same slope: twice the absolute value, less 1
-    /// (Huber, 1964, times 2).
+    /// The squared error up to an error of 1, and twice the absolute error minus 1 above, which has the same slope
+    /// there. This is twice the loss of Huber (1964).
     Huber,
 }
 names!(Loss { Squared => "squared", Absolute => "absolute", Huber => "huber" });
 
-/// One experiment: a question that a YAML file asks.
+/// An experiment: the settings in one YAML file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Experiment {
-    /// Names the folder of the results: 1 to 64 letters, digits, `_` and `-`.
+    /// Name of the experiment and of the folder of its results: 1 to 64 letters, digits, `_` and `-`.
     #[schemars(regex(pattern = "^[A-Za-z0-9_-]{1,64}$"))]
     pub name: String,
-    /// The question, in a sentence.
+    /// The question of the experiment, in a sentence.
     #[serde(default)]
     pub description: String,
-    /// The worlds to simulate, by the names of built-in ones or the paths of world files, or imported datasets; each makes
-    /// cells of its own.
+    /// Sources of the samples: names of built-in worlds, paths of world files, or names of imported datasets. Each
+    /// makes its own cells.
     #[schemars(length(min = 1), extend("uniqueItems" = true))]
     pub scenarios: Vec<Origin>,
-    /// What the encoder is given. The order does not matter.
+    /// The modalities that the encoder gets. Their order does not matter.
     #[schemars(length(min = 1), extend("uniqueItems" = true))]
     pub input: Vec<Modality>,
-    /// What the decoder predicts. The order does not matter.
+    /// The modalities that the decoder predicts. Their order does not matter.
     #[schemars(length(min = 1), extend("uniqueItems" = true))]
     pub output: Vec<Modality>,
-    /// Sizes of the latent state; each makes cells of its own.
+    /// Sizes of the latent state. Each makes its own cells.
     #[schemars(length(min = 1), inner(range(min = 1, max = 4096)), extend("uniqueItems" = true))]
     pub latent: Vec<usize>,
-    /// Seeds of the runs (initial weights, sampling, order of batches); each makes a run of its own.
+    /// Seeds of the runs, for initial weights, sampling and the order of batches. Each makes its own runs.
     #[serde(default = "default_seeds")]
     #[schemars(length(min = 1), inner(range(min = 0, max = MAX_SEED)), extend("uniqueItems" = true))]
     pub seeds: Vec<u64>,
-    /// What is trained in every run, in this order; reconstruction needs prediction before it.
+    /// The tasks of every run, in this order. Reconstruction needs prediction before it.
     #[serde(default = "default_tasks")]
     #[schemars(length(min = 1), extend("uniqueItems" = true))]
     pub tasks: Vec<Task>,
-    /// The decoder's condition.
+    /// The action that the decoder gets.
     #[serde(default = "default_action")]
     pub action: Action,
-    /// Layers of the networks.
+    /// Layers of the network.
     pub network: Network,
-    /// Settings of the simulation, which define the dataset.
+    /// Settings of the simulation, which determine the dataset.
     #[serde(default)]
     pub simulation: Simulation,
-    /// Division of the dataset into training, validation and test set.
+    /// How the dataset is divided into training, validation and test set.
     #[serde(default)]
     pub split: Split,
-    /// How each modality is scaled for the network, and the range of its predictions; both are undone, and hold, in
-    /// physical units.
+    /// How each modality is scaled for the network, and the lower bound of its predictions in physical units.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     #[schemars(schema_with = "super::scaling::schema")]
     pub scaling: GivenScalings,
-    /// Settings of the training.
+    /// Settings of training.
     #[serde(default)]
     pub training: Training,
     /// Settings to try in every combination, by dotted key: `training.kl_weight: [0, 0.001]`. Each combination makes
-    /// cells of its own, told apart by the tables' column `variant`.
+    /// its own cells. The column `variant` of the tables names the combination.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub vary: BTreeMap<String, Vec<serde_json::Value>>,
-    /// Experiments that the runs stand for, each with its settings by dotted key. Each makes cells of its own, told apart
-    /// by the table `runs`, column `role`.
+    /// Other experiments, each with the settings in which it differs from the spec, by dotted key. Each makes its own
+    /// cells. The column `role` of the table `runs` names it.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub roles: BTreeMap<String, Settings>,
-    /// Other readings of what a text leaves open. Each makes cells of its own beside those of the spec's own settings, the
-    /// reading `base`; told apart by the table `runs`, column `reading`.
+    /// Alternative interpretations of choices that a paper leaves open. Each makes its own cells. The spec's own
+    /// settings are the reading `base`. The column `reading` of the table `runs` names the reading.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub readings: Vec<Reading>,
-    /// Overrides that `--quick` applies, by dotted key as on the command line: `training.epochs: 3`.
+    /// Settings that `--quick` replaces, by dotted key as on the command line: `training.epochs: 3`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub quick: Settings,
     /// The contents of the world files among `scenarios`, read together with the spec.
@@ -368,21 +367,21 @@ pub struct Experiment {
 /// Values of settings, by dotted key: `training.epochs: 3`.
 pub type Settings = BTreeMap<String, serde_json::Value>;
 
-/// A defensible reading of what a text leaves open: it changes one choice of the spec.
+/// An alternative interpretation of a choice that a paper leaves open.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Reading {
-    /// Names the reading in tables: 1 to 64 letters, digits and `_`, a letter first.
+    /// Name of the reading in tables: 1 to 64 letters, digits and `_`, starting with a letter.
     pub name: String,
-    /// What is left open.
+    /// The choice that the paper leaves open.
     pub choice: String,
-    /// What the spec's own settings choose.
+    /// The choice that the spec's own settings make.
     pub base: String,
-    /// What this reading chooses instead.
+    /// The choice that this reading makes.
     pub instead: String,
-    /// The sentence that leaves it open, with its place.
+    /// The sentence of the paper that leaves the choice open, with its place.
     pub paper: String,
-    /// The settings that differ, by dotted key.
+    /// The settings that differ from the spec's, by dotted key.
     pub settings: Settings,
 }
 
@@ -391,27 +390,28 @@ impl Reading {
     pub const BASE: &str = "base";
 }
 
-/// Layers of the networks, on each side. A preset is the paper's network; every other setting overrides a part of it.
+/// Layers of the encoder and the decoder. A preset is a network of the paper. Every other setting replaces a part of
+/// it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Network {
-    /// The network of the paper that the settings start from.
+    /// The network of the paper that the other settings modify.
     #[serde(alias = "architecture")]
     pub preset: Preset,
-    /// Units of each fully connected hidden layer. The paper gives their number, one, and not their width.
+    /// Units of each fully connected hidden layer. The paper has one such layer and does not give its width.
     #[serde(default = "default_hidden", deserialize_with = "one_or_many")]
     #[schemars(length(min = 1, max = 16), inner(range(min = 1, max = 16384)))]
     pub hidden: Vec<usize>,
-    /// Channels of each convolution on frames (4 x 4 kernels, stride 2); the decoder mirrors them. The preset's if left
-    /// out: `[16]` for multi_to_multi, none for single_to_multi. Without effect where no frames are used.
+    /// Channels of each convolution on images (4 x 4 kernels, stride 2). The decoder mirrors them. The default is the
+    /// preset's: `[16]` for multi_to_multi, none for single_to_multi. The setting has no effect without images.
     #[serde(default, deserialize_with = "maybe_one_or_many")]
     #[schemars(schema_with = "channels_schema")]
     pub channels: Option<Vec<usize>>,
-    /// Frames are averaged over squares of so many pixels before the encoder's first convolution.
+    /// Side of the squares of pixels over which images are averaged before the encoder's first convolution, in pixels.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     #[schemars(range(min = 1, max = 32))]
     pub average: usize,
-    /// Where the encoder joins frames and vectors.
+    /// The layer in which the encoder joins images and vectors.
     #[serde(default, skip_serializing_if = "is_early")]
     pub fusion: Fusion,
 }
@@ -427,33 +427,33 @@ impl Network {
     }
 }
 
-/// How episodes are simulated. Everything here decides a dataset's content, and so its hash.
+/// How episodes are simulated. A dataset's hash covers all of these settings except the number of episodes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct Simulation {
-    /// Seed of the dataset; an episode's stream is derived from it, the scenario and the episode's index.
+    /// Seed of the dataset. An episode's random stream is derived from it, the scenario and the episode's index.
     #[schemars(range(min = 0, max = MAX_SEED))]
     pub seed: u64,
-    /// Independent episodes, each from rest. A split by episode needs at least 3; one long episode is the paper's
-    /// continuous run.
+    /// Number of independent episodes, each of which starts at rest. A split by episode needs at least 3. One long
+    /// episode corresponds to the paper's continuous run.
     #[schemars(range(min = 1, max = 1_000_000))]
     pub episodes: u32,
-    /// Commanded arm moves an episode.
+    /// Number of commanded moves in an episode.
     #[schemars(range(min = 1, max = 100_000))]
     pub actuations_per_episode: u32,
-    /// Duration of one arm move, s; a whole number of samples.
+    /// Duration of a move, s. It must be a whole number of samples.
     #[schemars(range(max = 60.0), extend("exclusiveMinimum" = 0.0))]
     pub actuation_seconds: f64,
-    /// Samples recorded a second, Hz; a whole number of simulation steps must fit between two.
+    /// Samples recorded per second, Hz. There must be a whole number of simulation steps between two samples.
     #[schemars(range(max = 100_000.0), extend("exclusiveMinimum" = 0.0))]
     pub sample_rate_hz: f64,
-    /// Factors of variation of the world that each episode draws anew, by name; none where nothing is given, so that
-    /// datasets keep the names they had before.
+    /// Factors of variation of the world that each episode draws anew, by name. The default is none.
+    // The default is not written, so that datasets from before this setting keep their names.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[schemars(extend("uniqueItems" = true))]
     pub factors: Vec<String>,
-    /// What the world lets a spec change, by its name: the range of each actuator's setpoints, and the clearance of what
-    /// is placed. The world's own where nothing is given.
+    /// Values of the settings that the world defines, by name: the range of each actuator's setpoints, and the
+    /// clearance of placed bodies. The default is the world's value.
     #[serde(flatten)]
     #[schemars(skip)]
     pub world: BTreeMap<String, Setting>,
@@ -469,22 +469,22 @@ pub enum Setting {
     Number(f64),
 }
 
-/// What is for training, for validation and for the test.
+/// How a dataset is divided into training, validation and test set.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Split {
-    /// The unit of the division.
+    /// The unit that is divided.
     // The default is not written, so that runs from before this setting keep their names.
     #[serde(skip_serializing_if = "is_default")]
     pub by: Division,
-    /// Share for validation, in (0, 1); rounded to whole episodes or samples, at least one transition.
+    /// Share for validation, in (0, 1). It is rounded to whole episodes or samples, and to at least one transition.
     #[schemars(extend("exclusiveMinimum" = 0.0, "exclusiveMaximum" = 1.0))]
     pub validation: f64,
-    /// Share for the test, in (0, 1); rounded likewise.
+    /// Share for the test, in (0, 1), rounded in the same way.
     #[schemars(extend("exclusiveMinimum" = 0.0, "exclusiveMaximum" = 1.0))]
     pub test: f64,
-    /// Time that a split by time leaves out between training and validation, and between validation and test, s; 5
-    /// where none is given. Training becomes the shorter by it.
+    /// Time that a split by time leaves out between training and validation, and between validation and test, s. The
+    /// default is 5. It is taken from the training set.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0, max = 3600.0))]
     pub gap_seconds: Option<f64>,
@@ -495,58 +495,59 @@ pub struct Split {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Training {
-    /// Adam's step size.
+    /// Learning rate of Adam.
     #[schemars(range(max = 1.0), extend("exclusiveMinimum" = 0.0))]
     pub learning_rate: f64,
-    /// How the step size changes after the warm-up.
+    /// How the learning rate changes after the warm-up.
     #[serde(skip_serializing_if = "is_default")]
     pub schedule: Schedule,
-    /// Epochs over which the step size first rises, linearly from 0; parts of an epoch are allowed.
+    /// Number of epochs in which the learning rate first rises, linearly from 0. Fractions are allowed.
     #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(min = 0.0, max = 100_000.0))]
     pub warmup_epochs: f64,
-    /// Share of each weight, times the step size, that every step takes away (AdamW; Loshchilov & Hutter, 2019). Biases
-    /// are left alone.
+    /// Decoupled weight decay (AdamW; Loshchilov & Hutter, 2019). Each step subtracts this share of each weight, times
+    /// the learning rate. Biases do not decay.
     #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(min = 0.0, max = 1e6))]
     pub weight_decay: f64,
-    /// Largest Euclidean norm of the gradient of all parameters together; a longer one is scaled down to it. `null`
-    /// never scales.
+    /// Largest Euclidean norm of the gradient of all parameters together. A longer gradient is scaled down to it.
+    /// `null` means no limit.
     #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(max = 1e6), extend("exclusiveMinimum" = 0.0))]
     pub clip_norm: Option<f64>,
-    /// Samples a step.
+    /// Samples per step.
     #[schemars(range(min = 1, max = 65536))]
     pub batch_size: usize,
-    /// Epochs at most.
+    /// Largest number of epochs.
     #[schemars(range(min = 1, max = 100_000))]
     pub epochs: usize,
-    /// Epochs without a better validation loss before training stops, whereupon the parameters of the epoch with the
-    /// lowest total are kept; `null` never stops early, and keeps the last ones.
+    /// Number of epochs without a better validation loss after which training stops. The parameters of the epoch with
+    /// the lowest total are kept. With `null`, training does not stop early and the last parameters are kept.
     #[schemars(range(min = 1, max = 100_000))]
     pub patience: Option<usize>,
-    /// Which validation loss `patience` looks at; without effect where it is `null`.
+    /// The validation loss that `patience` refers to. It has no effect if `patience` is `null`.
     #[serde(skip_serializing_if = "is_default")]
     pub stop: Stop,
-    /// Weight of the Kullback-Leibler divergence beside the output modalities' mean losses.
+    /// Weight of the Kullback-Leibler divergence in the total loss. The weights of the output modalities are in
+    /// `loss_weights`.
     #[schemars(range(min = 0.0, max = 1e6))]
     pub kl_weight: f64,
-    /// What the errors of an output modality that is a vector cost in prediction; `squared` where nothing is given. Errors of
-    /// frames are squared.
+    /// Loss of each output modality that is a vector, in prediction. The default is `squared`. The loss of images is
+    /// always squared.
     #[serde(skip_serializing_if = "is_default")]
     #[schemars(schema_with = "losses_schema")]
     pub losses: BTreeMap<Modality, Loss>,
-    /// Weight of an output modality's mean loss; 1 where none is given.
+    /// Weight of the mean loss of each output modality. The default is 1.
     #[schemars(schema_with = "loss_weights_schema")]
     pub loss_weights: BTreeMap<Modality, f64>,
-    /// Share of what the convolution makes of the frames that each training step leaves out (dropout; Srivastava et
-    /// al., 2014), in [0, 1); without effect on a fully connected network.
+    /// Probability that a step of training drops an output of the last convolution (dropout; Srivastava et al., 2014),
+    /// in [0, 1). It has no effect on a fully connected network.
     #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1.0))]
     pub dropout: f64,
-    /// Of the matrix products.
+    /// The number format in large matrix products.
     pub precision: Precision,
-    /// Whether matrix products use the processor's tile unit (Intel AMX) where it has one. Results with and without it
+    /// Whether matrix products use the processor's tile unit (Intel AMX), if it has one. Results with and without it
     /// differ by rounding.
     #[serde(default = "yes", skip_serializing_if = "is_true")]
     pub tiles: bool,

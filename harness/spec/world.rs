@@ -74,45 +74,47 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for Ordered<T> {
     }
 }
 
-/// A world file. Names of joints, geoms, sensors, cameras, actuators and bodies are the MJCF's; where several are wanted,
-/// `*`, `?` and `[abc]` match as in a shell, and what matches is taken in the model's order.
+/// A world file. It refers to joints, geoms, sensors, cameras, actuators and bodies by their names in the MJCF. In
+/// lists of names, `*`, `?` and `[abc]` match as in a shell. Matches are in the model's order.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WorldFile {
-    /// The world, in a sentence.
+    /// Description of the world, in a sentence.
     #[serde(default)]
     pub description: String,
-    /// The MJCF file, by its path from this file's folder.
+    /// Path of the MJCF file, relative to this file's folder.
     pub model: String,
-    /// Simulation steps a second, Hz: 1 / the model's `timestep`.
+    /// Simulation steps per second, Hz: 1 / the model's `timestep`.
     #[schemars(range(max = 1_000_000.0), extend("exclusiveMinimum" = 0.0))]
     pub step_rate_hz: f64,
-    /// Samples recorded a second where a spec says nothing, Hz.
+    /// Samples recorded per second, Hz, if a spec does not set it.
     #[serde(default = "ten")]
     #[schemars(range(max = 100_000.0), extend("exclusiveMinimum" = 0.0))]
     pub sample_rate_hz: f64,
-    /// What is sensed at each sample, by name.
+    /// The modalities that are recorded at each sample, by name.
     #[schemars(with = "BTreeMap<String, Sensing>")]
     pub modalities: Ordered<Sensing>,
-    /// What moves.
+    /// The actuators and their random moves.
     pub action: Acting,
-    /// Bodies that each episode places at random, by a name for all of them.
+    /// Bodies that each episode places at random. Each entry has a name for a group of bodies.
     #[serde(default, skip_serializing_if = "Ordered::is_empty")]
     #[schemars(with = "BTreeMap<String, Placing>")]
     pub placement: Ordered<Placing>,
-    /// Properties of the model that each episode draws anew, by name; off unless a spec lists them in `simulation.factors`.
+    /// Factors of variation: properties of the model that each episode draws anew, by name. They are off unless a spec
+    /// lists them in `simulation.factors`.
     #[serde(default, skip_serializing_if = "Ordered::is_empty")]
     #[schemars(with = "BTreeMap<String, Factor>")]
     pub factors: Ordered<Factor>,
-    /// Parts of the images whose error is reported apart, by name; where two fit a pixel, it belongs to the later one.
+    /// Regions of the images whose errors are reported separately, by name. A pixel that matches two regions belongs to
+    /// the later one.
     #[serde(default, skip_serializing_if = "Ordered::is_empty")]
     #[schemars(with = "BTreeMap<String, Colours>")]
     pub regions: Ordered<Colours>,
 }
 
-/// One modality: exactly one of `joint_positions`, `joint_velocities`, `body_positions`, `body_orientations`,
-/// `site_positions`, `site_orientations`, `normal_force`, `sensor`, `camera`, `optical_flow` and `difference_of`, and what is
-/// to be known of it.
+/// A modality: exactly one of `joint_positions`, `joint_velocities`, `body_positions`, `body_orientations`,
+/// `site_positions`, `site_orientations`, `normal_force`, `sensor`, `camera`, `optical_flow` and `difference_of`, and
+/// its properties.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sensing {
@@ -124,19 +126,19 @@ pub struct Sensing {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub joint_velocities: Option<Vec<String>>,
-    /// Where bodies' origins are in the world: x, y and z, m.
+    /// Positions of the origins of bodies in world coordinates: x, y and z, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub body_positions: Option<Vec<String>>,
-    /// How bodies are turned in the world: unit quaternions w, x, y, z with w at least 0.
+    /// Orientations of bodies in world coordinates: unit quaternions w, x, y, z with w at least 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub body_orientations: Option<Vec<String>>,
-    /// Where sites are in the world: x, y and z, m.
+    /// Positions of sites in world coordinates: x, y and z, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub site_positions: Option<Vec<String>>,
-    /// How sites are turned in the world, as bodies.
+    /// Orientations of sites in world coordinates: unit quaternions w, x, y, z with w at least 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub site_orientations: Option<Vec<String>>,
@@ -152,25 +154,27 @@ pub struct Sensing {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "text")]
     pub camera: Option<String>,
-    /// The true optical flow of a camera: by how many pixels what is seen has moved since the sample before, as an image.
-    /// Red is 128 and 127 / `limit_pixels` more for each pixel to the right, green likewise downwards; blue is 255 where the
-    /// same place was seen before, and 0 where it was hidden or outside of the image.
+    /// The true optical flow of a camera, encoded as an image: the displacement of each visible point since the
+    /// previous sample, in pixels. Red is 128 plus 127 / `limit_pixels` for each pixel to the right, and green the same
+    /// for each pixel downwards. Blue is 255 if the point was visible in the previous image, and 0 if it was hidden or
+    /// outside of the image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "text")]
     pub optical_flow: Option<String>,
-    /// The largest displacement that an optical flow tells, pixels; 8 where nothing is said.
+    /// The largest displacement that an optical flow can encode, pixels. The default is 8.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "limit")]
     pub limit_pixels: Option<f64>,
-    /// The change of another modality since the sample before; zero at an episode's first.
+    /// The change of another modality since the previous sample. It is zero at an episode's first sample.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "text")]
     pub difference_of: Option<String>,
-    /// Rows and columns of a camera's image or flow, pixels.
+    /// Rows and columns of a camera's image or optical flow, pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "size")]
     pub size: Option<[usize; 2]>,
-    /// `sample`: forces are averaged over the steps since the sample before. They are those of the instant otherwise.
+    /// `sample` averages forces over the steps since the previous sample. The default is the force at the instant of
+    /// the sample.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "averaged")]
     pub average_over: Option<Interval>,
@@ -178,30 +182,30 @@ pub struct Sensing {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "text")]
     pub unit: Option<String>,
-    /// What metrics sum up together, by name: patterns of the names in the MJCF.
+    /// Groups of elements that have their own metrics, by name. Each group is a list of patterns of names in the MJCF.
     #[serde(default, skip_serializing_if = "Ordered::is_empty")]
     #[schemars(schema_with = "groups")]
     pub groups: Ordered<Vec<String>>,
-    /// What the values are divided by for a network: `shared` for forces and images, `per_element` for others where
-    /// nothing is said.
+    /// The standard deviation by which values are divided for a network. The default is `shared` for forces and images,
+    /// and `per_element` for others.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "scale")]
     pub scale: Option<Scale>,
-    /// The least value of a prediction; 0 for forces where nothing is said.
+    /// The lowest value of a prediction. The default is 0 for forces, and no bound for others.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "number")]
     pub minimum: Option<f64>,
-    /// How errors are given in percent: `wmape` for forces and `smape` for angles where nothing is said.
+    /// The metric for errors in percent. The default is `wmape` for forces and `smape` for angles.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "percentage")]
     pub percentage: Option<Percentage>,
 }
 
-/// What an average is over.
+/// The interval of an average.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Interval {
-    /// The time since the sample before.
+    /// The time since the previous sample.
     Sample,
 }
 
@@ -209,7 +213,7 @@ pub enum Interval {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Acting {
-    /// Duration of a move from one random setpoint to the next where a spec says nothing, s. It is a smoothstep.
+    /// Duration of a move from one random setpoint to the next, s, if a spec does not set it. A move is a smoothstep.
     #[serde(default = "second")]
     #[schemars(range(max = 60.0), extend("exclusiveMinimum" = 0.0))]
     pub seconds: f64,
@@ -218,75 +222,75 @@ pub struct Acting {
     pub actuators: Ordered<Actuator>,
 }
 
-/// An actuator that is commanded.
+/// An actuator that receives commands.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Actuator {
-    /// Its name in the MJCF, where it differs from the element's.
+    /// Name of the actuator in the MJCF, if it differs from the element's name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "text")]
     pub actuator: Option<String>,
-    /// Unit of its control.
+    /// Unit of the actuator's control.
     #[serde(default)]
     pub unit: String,
-    /// Setpoints are drawn between these, uniformly.
+    /// Lowest and highest setpoint. Setpoints are drawn uniformly between them.
     pub range: [f64; 2],
     /// The setpoint at an episode's start.
     #[serde(default)]
     pub start: Start,
 }
 
-/// Where in its range a setpoint starts.
+/// The place in an actuator's range where the setpoint starts.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Start {
-    /// At the lowest.
+    /// The lowest setpoint.
     Low,
-    /// Half-way.
+    /// The middle of the range.
     #[default]
     Middle,
-    /// At the highest.
+    /// The highest setpoint.
     High,
 }
 
-/// Bodies with free joints that each episode stands on the ground, uniformly over an area, with random yaw.
+/// Bodies with free joints that each episode places on the ground, uniformly over an area and with a random yaw.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Placing {
-    /// Each has a free joint and a box of the same name.
+    /// Names of the bodies. Each needs a free joint, and a box geom of the same name.
     #[schemars(schema_with = "globs")]
     pub bodies: Vec<String>,
-    /// A body that is drawn nearer than this to another is drawn again, m.
+    /// Smallest distance between two bodies, m. A body that is drawn nearer to another is drawn again.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub clearance_m: f64,
-    /// Over what an arm sweeps.
+    /// The area is the sector that an arm sweeps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "sector")]
     pub sector: Option<Sector>,
-    /// Over a rectangle: lowest and highest x, lowest and highest y, m.
+    /// The area is a rectangle: lowest and highest x, lowest and highest y, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "rectangle")]
     pub rectangle: Option<[[f64; 2]; 2]>,
 }
 
-/// What an arm sweeps that turns about a vertical axis and extends away from it. The place under `body` at an episode's
-/// start is kept free.
+/// The sector that an arm sweeps, if it turns about a vertical axis and extends away from it. The place under `body` at
+/// an episode's start is kept free.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sector {
     /// The element of the action that turns the arm.
     pub rotation: String,
-    /// The element of the action that extends it.
+    /// The element of the action that extends the arm.
     pub extension: String,
-    /// The body, with a geom of the same name, that it carries.
+    /// The body that the arm carries. It needs a geom of the same name.
     pub body: String,
 }
 
-/// Pixels by their colour.
+/// A region of pixels, selected by color.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Colours {
-    /// (red - blue) / brightest channel of the pixel is in this range, the upper bound excluded.
+    /// The range of (red - blue) / (the pixel's brightest channel). The upper bound is excluded.
     pub red_minus_blue: [f64; 2],
 }
 
