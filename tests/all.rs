@@ -9,6 +9,7 @@ mod cli;
 mod cluster;
 mod compacted;
 mod compare;
+mod cycles;
 mod figures;
 mod hostile;
 mod integrity;

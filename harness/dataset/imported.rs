@@ -1,10 +1,10 @@
 //! Imported datasets, which were recorded elsewhere. They are read like simulated datasets, but can't be collected.
 
-use super::store::{Description, episode_file, push_all, read_episode};
+use super::description::{Content, Description};
+use super::episode_file::{episode_file, push_all, read_episode};
 use super::{DatasetError, FramePlace, Recording, Samples};
 use harness_shared::progress::Progress;
 use harness_spec::{Layout, Modality, RunSpec};
-use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -15,43 +15,6 @@ pub struct Imported {
     name: String,
     layout: Arc<Layout>,
     content: Content,
-}
-
-/// The description of an imported dataset in `dataset.json`. The dataset's name contains its hash.
-#[derive(Debug, Clone, Deserialize)]
-pub(super) struct Content {
-    sample_rate_hz: f64,
-    /// The modalities of the episodes, in addition to the setpoint, which every episode has. Datasets that were
-    /// imported before layouts existed have only these names, and the finger's layout defines the rest.
-    modalities: Vec<Modality>,
-    #[serde(default)]
-    layout: Option<Layout>,
-    episodes: Vec<ImportedEpisode>,
-}
-
-#[derive(Debug, Clone, Deserialize)]
-struct ImportedEpisode {
-    samples: u32,
-}
-
-impl Content {
-    /// Returns the layout of the samples.
-    pub fn layout(&self) -> Arc<Layout> {
-        if let Some(layout) = &self.layout {
-            return Arc::new(layout.clone());
-        }
-        let mut layout = Layout::clone(&Layout::finger());
-        let held = |modality: Modality| modality == Modality::SETPOINT || self.modalities.contains(&modality);
-        layout.modalities.retain(|definition| held(definition.difference_of.unwrap_or(definition.name)));
-        // The colors of a real camera's images do not identify the robot's parts.
-        layout.regions.clear();
-        Arc::new(layout)
-    }
-
-    /// Returns the number of samples of each episode.
-    pub fn samples(&self) -> Vec<usize> {
-        self.episodes.iter().map(|episode| episode.samples as usize).collect()
-    }
 }
 
 impl Imported {

@@ -1,16 +1,19 @@
 //! Datasets on disk and in memory. Whatever determines a dataset's content also determines its name, so all experiments
 //! that need the dataset find it.
 
+mod description;
+mod episode_file;
 mod frame_store;
 mod imported;
 mod samples;
 mod store;
 mod verify;
 
+pub use description::layout_of;
 pub use frame_store::{FramePlace, frame_bytes};
 pub use imported::Imported;
 pub use samples::{Partition, Recording, Samples, frame_difference, physical};
-pub use store::{CompiledModel, Dataset, layout_of};
+pub use store::{CompiledModel, Dataset};
 pub use verify::{Inspection, inspect, is_lock};
 
 use harness_shared::files::{LockError, WriteError};

@@ -1,23 +1,18 @@
 //! Simulated datasets on disk. Each episode is a Parquet file, in a folder whose name is determined by the content.
 
-use super::imported::Content;
+use super::description::{Description, FORMAT, identify};
+use super::episode_file::{episode_file, open_episode, push_all, read_episode};
 use super::{DatasetError, FramePlace, Recording, Samples};
 use harness_shared::files::write_bytes;
 use harness_shared::progress::{Progress, Silent};
-use harness_shared::seal::hex;
-use harness_spec::{Definition, Episode, Layout, Scenario, Simulation, World};
+use harness_spec::{Episode, Layout, Scenario, Simulation, World};
 use harness_tables::schema::{image_columns, sample_columns};
 use harness_tables::{Stamp, TableError, TableFile, write_table};
 use polars::prelude::*;
 use rayon::prelude::*;
-use serde::Deserialize;
 use serde_json::json;
-use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// Version of the recordings. It is raised whenever the same spec would give other recordings than before.
-const FORMAT: u32 = 2;
 
 /// A simulated dataset on disk.
 #[derive(Debug, Clone)]
@@ -217,186 +212,4 @@ impl Dataset {
         let (path, samples) = (self.episode_path(index), self.spec.samples_per_episode());
         read_episode(&path, &self.name, index, samples, frames, &self.layout)
     }
-}
-
-/// Returns the name of an episode's file.
-pub(super) fn episode_file(index: u32) -> String {
-    format!("episode_{index:05}.parquet")
-}
-
-/// Appends episodes in order. As many episodes as there are threads are read at the same time, so only these are in
-/// memory.
-pub(super) fn push_all(
-    samples: &mut Samples,
-    episodes: u32,
-    read: impl Fn(u32) -> Result<Episode, DatasetError> + Sync,
-    progress: &dyn Progress,
-) -> Result<(), DatasetError> {
-    let at_once = rayon::current_num_threads();
-    for first in (0..episodes).step_by(at_once) {
-        if progress.cancelled() {
-            return Err(DatasetError::Cancelled);
-        }
-        let indices = first..episodes.min(first + at_once as u32);
-        let read: Vec<_> = indices.into_par_iter().map(&read).collect();
-        for episode in read {
-            let episode = episode?;
-            samples.push(&episode)?;
-            progress.advance(episode.samples as u64);
-        }
-    }
-    Ok(())
-}
-
-/// Reads the file of episode `index` of the dataset `dataset`. It must have `samples` samples of this layout.
-pub(super) fn read_episode(
-    path: &Path,
-    dataset: &str,
-    index: u32,
-    samples: usize,
-    frames: bool,
-    layout: &Arc<Layout>,
-) -> Result<Episode, DatasetError> {
-    let damaged = |problem: &str| DatasetError::Damaged { path: path.to_owned(), problem: problem.into() };
-    let mut wanted: Vec<String> = layout.stored_vectors().flat_map(Definition::columns).collect();
-    if frames {
-        wanted.extend(layout.stored_images().map(|image| image.name.name().to_owned()));
-    }
-    let table = open_episode(path, dataset, index, samples)?.table(Some(wanted))?;
-    let mut episode = Episode::new(layout.clone(), index, samples);
-    for (place, definition) in layout.modalities.iter().enumerate() {
-        if definition.difference_of.is_some() {
-            continue;
-        }
-        if !definition.is_image() {
-            let values = interleave(&table, definition).map_err(|_| damaged("a column is missing"))?;
-            episode.vectors[place] = values;
-        } else if frames {
-            let column = table.column(definition.name.name()).and_then(|column| column.binary().cloned());
-            for frame in column.map_err(|_| damaged("it has no frames"))?.iter() {
-                let frame = frame.filter(|frame| frame.len() == definition.width());
-                let frame = frame.ok_or_else(|| damaged("a frame has the wrong size"))?;
-                episode.images[place].extend_from_slice(frame);
-            }
-        }
-    }
-    Ok(episode)
-}
-
-/// Returns a simulated dataset's name: its scenario and the hash of what determines its content.
-fn identify(scenario: Scenario, description: &serde_json::Value) -> String {
-    let mut identity = description.clone();
-    // The number of episodes does not change their contents, so a longer dataset extends a shorter one.
-    identity["simulation"]["episodes"].take();
-    // The layout follows from the rest of the description.
-    if let Some(fields) = identity.as_object_mut() {
-        fields.remove("layout");
-    }
-    named_by_hash(scenario.name(), identity)
-}
-
-/// Returns `name` followed by the first digits of the hash of `identity`. The order of keys does not matter.
-fn named_by_hash(name: &str, mut identity: serde_json::Value) -> String {
-    identity.sort_all_objects();
-    let hash = hex(&Sha256::digest(identity.to_string()));
-    format!("{name}-{}", &hash[..16])
-}
-
-/// The contents of `dataset.json`.
-pub(super) struct Description(serde_json::Value);
-
-impl Description {
-    pub const FILE: &str = "dataset.json";
-
-    /// Reads the description in a dataset's folder. The error says why it can't be read.
-    pub fn read(folder: &Path) -> Result<Self, String> {
-        let bytes = std::fs::read(folder.join(Self::FILE)).map_err(|error| error.to_string())?;
-        serde_json::from_slice(&bytes).map(Self).map_err(|error| error.to_string())
-    }
-
-    /// Whether this version of the program reads and writes the dataset's format.
-    pub fn is_current(&self) -> bool {
-        self.0["format"] == FORMAT
-    }
-
-    /// Returns the scenario and the settings of a simulated dataset; `None` if this does not describe the dataset
-    /// `name`. The name is a hash of everything except the number of episodes.
-    pub fn simulated(&self, name: &str) -> Option<(Scenario, Simulation)> {
-        let scenario = Scenario::new(self.0["scenario"].as_str()?)?;
-        let simulation = serde_json::from_value(self.0["simulation"].clone()).ok()?;
-        (identify(scenario, &self.0) == name).then_some((scenario, simulation))
-    }
-
-    /// Returns the layout of the samples. Descriptions from before layouts existed have the layout of the finger.
-    pub fn layout(&self) -> Result<Arc<Layout>, String> {
-        match self.0.get("layout") {
-            Some(layout) => {
-                let layout = Layout::deserialize(layout).map_err(|error| format!("its layout: {error}"))?;
-                Ok(Arc::new(layout))
-            }
-            None => Ok(Layout::finger()),
-        }
-    }
-
-    /// Returns the description of an imported dataset; `None` if this does not describe the dataset `name`. The name
-    /// ends in a hash of the content.
-    pub fn imported(&self, name: &str) -> Option<Content> {
-        let content = self.0.get("imported")?;
-        let identity = json!({ "format": FORMAT, "imported": content });
-        let own_name = content["name"].as_str()?;
-        let described = self.is_current() && named_by_hash(own_name, identity) == name;
-        serde_json::from_value(content.clone()).ok().filter(|_| described)
-    }
-}
-
-/// Returns the layout of the samples of the dataset in a folder. The dataset can be simulated or imported.
-///
-/// # Errors
-/// When the description can't be read.
-pub fn layout_of(folder: &Path) -> Result<Arc<Layout>, DatasetError> {
-    let described = || {
-        let description = Description::read(folder)?;
-        let name = folder.file_name().unwrap_or_default().to_string_lossy();
-        match description.imported(&name) {
-            Some(content) => Ok(content.layout()),
-            None => description.layout(),
-        }
-    };
-    described().map_err(|problem| DatasetError::Damaged { path: folder.join(Description::FILE), problem })
-}
-
-/// Opens the file of episode `index` of the dataset `dataset`. It must have `samples` samples.
-pub(super) fn open_episode(
-    path: &Path,
-    dataset: &str,
-    index: u32,
-    samples: usize,
-) -> Result<TableFile, DatasetError> {
-    let damaged = |problem: String| DatasetError::Damaged { path: path.to_owned(), problem };
-    let file = TableFile::open(path).map_err(|error| match error {
-        TableError::Read { path, reason } => DatasetError::Damaged { path, problem: reason },
-        other => other.into(),
-    })?;
-    let footer = file.footer()?;
-    let says = |key: &str, value: &str| footer.stamp.get(key).is_some_and(|found| found == value);
-    if !says("dataset", dataset) || !says("episode", &index.to_string()) {
-        return Err(damaged(format!("it is not episode {index} of {dataset}")));
-    }
-    if footer.rows != samples {
-        return Err(damaged(format!("it has {} samples instead of {samples}", footer.rows)));
-    }
-    Ok(file)
-}
-
-/// Joins the columns of a vector, `[samples, elements]`.
-fn interleave(table: &DataFrame, definition: &Definition) -> PolarsResult<Vec<f32>> {
-    let width = definition.width();
-    let mut values = vec![0.0; table.height() * width];
-    for (index, name) in definition.columns().enumerate() {
-        let column = table.column(&name)?.f32()?;
-        for (row, value) in values.chunks_exact_mut(width).zip(column.iter()) {
-            row[index] = value.ok_or_else(|| PolarsError::NoData("an empty cell".into()))?;
-        }
-    }
-    Ok(values)
 }

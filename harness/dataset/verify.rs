@@ -1,7 +1,8 @@
 //! Checks the files of a dataset's folder.
 
 use super::DatasetError;
-use super::store::{Description, episode_file, open_episode};
+use super::description::Description;
+use super::episode_file::{episode_file, open_episode};
 use harness_shared::files::UNFINISHED;
 use harness_spec::Simulation;
 use harness_tables::{TableError, TableFile};

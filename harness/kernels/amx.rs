@@ -9,7 +9,7 @@
 //!
 //! Every element of the destination is summed in the same order for any number of threads.
 
-use crate::product::{Accumulate, Matrix};
+use crate::matrix::{Accumulate, Matrix};
 use rayon::prelude::*;
 use std::arch::asm;
 use std::arch::x86_64::*;

@@ -7,6 +7,7 @@ pub mod adam;
 #[cfg(target_arch = "x86_64")]
 mod amx;
 pub mod convolution;
+mod matrix;
 pub mod product;
 
 use pulp::{Arch, WithSimd};

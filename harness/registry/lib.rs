@@ -10,9 +10,11 @@
 //! results/compacted/<experiment>/<table>-<hash>.parquet      copies of the runs' rows, see `compact`
 //! ```
 
+mod command_line;
 mod commands;
 mod compact;
 mod episodes;
+mod error;
 mod folders;
 mod provenance;
 mod publish;
@@ -23,11 +25,12 @@ mod rows;
 mod sql;
 mod verify;
 
-pub use commands::quoted;
+pub use command_line::quoted;
 pub use compact::RunTable;
+pub use error::{QueryError, RegistryError};
 pub use provenance::{Provenance, Versions, peak_memory_bytes};
 pub use publish::Published;
-pub use query::{QueryError, answer, query, query_of, rows, save, table};
+pub use query::{answer, query, query_of, rows, save, table};
 pub use record::{
     FileRecord, ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings,
 };
@@ -35,10 +38,8 @@ pub use removal::{Garbage, Removable, Usage};
 pub use rows::{Condition, Terms, conditions, implies};
 pub use verify::{Finding, Report};
 
-use commands::command_in;
-use harness_shared::files::{FolderLock, LockError, WriteError, write_bytes};
+use harness_shared::files::{FolderLock, WriteError, write_bytes};
 use harness_spec::{Layout, RunSpec, Task};
-use harness_tables::TableError;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -54,83 +55,6 @@ const RECORD: &str = "run.json";
 const SPEC: &str = "spec.yaml";
 /// The file with the uncommitted changes of the source tree, as a patch.
 const UNCOMMITTED: &str = "uncommitted.diff";
-
-/// An error in reading or writing the results folder.
-#[derive(Debug, thiserror::Error)]
-pub enum RegistryError {
-    /// A file can't be written.
-    #[error(transparent)]
-    Write(#[from] WriteError),
-    /// A folder can't be locked.
-    #[error(transparent)]
-    Lock(#[from] LockError),
-    /// A table can't be read or written.
-    #[error(transparent)]
-    Table(#[from] TableError),
-    /// The results folder does not exist, or contains no results.
-    #[error("there are no results in {}: {problem}; --results names the folder that runs were written to", root.display())]
-    NoResults {
-        /// The results folder.
-        root: PathBuf,
-        /// Whether the folder or its contents are missing, in words.
-        problem: &'static str,
-    },
-    /// A run's record is damaged or missing.
-    #[error("{} is not the record of a run ({reason}); `{}` says how to repair it", path.display(), verify_command(path))]
-    Record {
-        /// The record's path.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// A folder contains the record of another run.
-    #[error("{} is the record of {of}, which belongs in another folder; `{}` says what to do", path.display(), verify_command(path))]
-    Misplaced {
-        /// The record's path.
-        path: PathBuf,
-        /// The run that the record describes, as `experiment/run`.
-        of: String,
-    },
-    /// A file of a run or dataset is damaged or missing.
-    #[error("{} is damaged ({reason}); `{}` says how to repair it", path.display(), verify_command(path))]
-    File {
-        /// The file's path.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// A dataset has fewer episodes than its description or a finished run names.
-    #[error("{} lacks {missing} of its {episodes} episodes; `{}` says how to repair it", path.display(), verify_command(path))]
-    Incomplete {
-        /// The dataset's folder.
-        path: PathBuf,
-        /// Number of missing episodes.
-        missing: usize,
-        /// Number of episodes that the dataset should have.
-        episodes: u32,
-    },
-    /// No run has a name that begins with the wanted text.
-    #[error("no run matches '{wanted}'{}; `{list}` lists them", nearest.as_ref().map(|n| format!(", the nearest is '{n}'")).unwrap_or_default())]
-    Unknown {
-        /// The wanted text.
-        wanted: String,
-        /// The id of the run that is most similar to it, if there are runs.
-        nearest: Option<String>,
-        /// The command that lists all runs.
-        list: String,
-    },
-    /// The target of publishing is the results folder itself.
-    #[error("{} can't be published into itself; choose another folder", .0.display())]
-    IntoItself(PathBuf),
-    /// The wanted text is the beginning of several runs' names.
-    #[error("'{wanted}' matches several runs: {}", matches.join(", "))]
-    Ambiguous {
-        /// The wanted text.
-        wanted: String,
-        /// The runs that match, as `experiment/run`.
-        matches: Vec<String>,
-    },
-}
 
 /// What will happen to a run, and why.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -432,19 +356,6 @@ impl Known {
             None => "new".into(),
         }
     }
-}
-
-/// The command that verifies the results folder that contains `path`.
-fn verify_command(path: &Path) -> String {
-    // How many levels below `runs` or `datasets` a path can be: a file of a run, a file of a dataset, a file of a
-    // misplaced run, and the folder of a dataset.
-    let names = [("runs", 3), ("datasets", 2), ("runs", 2), ("datasets", 1)];
-    let is_place = |(name, depth): &(&str, usize)| {
-        path.ancestors().nth(*depth).and_then(Path::file_name).is_some_and(|found| found == *name)
-    };
-    let root =
-        names.iter().find(|place| is_place(place)).and_then(|(_, depth)| path.ancestors().nth(depth + 1));
-    command_in(root.unwrap_or(Path::new(DEFAULT_ROOT)), "verify")
 }
 
 /// The settings in which two specs differ, such as `training.epochs (5, now 200)`.

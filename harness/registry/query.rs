@@ -4,9 +4,9 @@ use super::compact::RunTable;
 use super::folders::Recorded;
 use super::record::{RunRecord, runs_table};
 use super::rows::conditions;
-use super::{Registry, RegistryError, Status, sql};
+use super::{QueryError, Registry, RegistryError, Status, sql};
 use harness_dataset::layout_of;
-use harness_shared::files::{WriteError, write_whole};
+use harness_shared::files::write_whole;
 use harness_spec::Layout;
 use harness_tables::schema::{Column, Table, sample_columns};
 use harness_tables::{TableError, data_type, lazily, scan};
@@ -19,42 +19,6 @@ use std::sync::Arc;
 /// Address space for the stack on which a query is parsed and planned: `1+1+1…` nests as deep as it is long, and
 /// the parser and Polars walk what nests by recursion. Only what is used takes memory.
 const QUERY_STACK_BYTES: usize = 1 << 30;
-
-/// An error in answering a query, or in reading or writing its answer.
-#[derive(Debug, thiserror::Error)]
-pub enum QueryError {
-    /// A table's file is damaged or missing.
-    #[error(transparent)]
-    Registry(#[from] RegistryError),
-    /// Polars failed to compute the answer.
-    // Polars adds a plan of many lines.
-    #[error("the query can't be answered: {}", .0.to_string().lines().next().unwrap_or_default())]
-    Sql(#[source] PolarsError),
-    /// The query is wrong or not supported. The message says what to write instead.
-    #[error("the query can't be answered: {0}")]
-    Refused(String),
-    /// The answer's rows can't be converted to the wanted type.
-    #[error("the rows of the answer have unexpected types: {0}")]
-    Rows(serde_json::Error),
-    /// The output file's name has none of the supported endings.
-    #[error("can't write to '{}': its name must end in .parquet, .csv or .json", .0.display())]
-    Format(PathBuf),
-    /// The output file can't be written.
-    #[error(transparent)]
-    Write(#[from] WriteError),
-}
-
-impl From<PolarsError> for QueryError {
-    /// Unwraps a registry error that a lazily read table wrapped in a Polars error.
-    fn from(error: PolarsError) -> Self {
-        let PolarsError::IO { error, msg } = error else { return Self::Sql(error) };
-        match Arc::try_unwrap(error).map(std::io::Error::downcast::<RegistryError>) {
-            Ok(Ok(error)) => Self::Registry(error),
-            Ok(Err(error)) => Self::Sql(PolarsError::IO { error: Arc::new(error), msg }),
-            Err(error) => Self::Sql(PolarsError::IO { error, msg }),
-        }
-    }
-}
 
 /// Answers one statement of standard SQL over the tables of [`Table::ALL`].
 ///

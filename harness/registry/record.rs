@@ -1,6 +1,6 @@
 //! The record of a run (`run.json`), and the tables that a run writes.
 
-use super::commands::command_of;
+use super::command_line::command_of;
 use super::{Provenance, REVISION, RegistryError, RunFolder, SPEC, identity, peak_memory_bytes};
 use harness_metrics::Row;
 use harness_metrics::contact::{Contact, QUANTILES};

@@ -1,6 +1,7 @@
 //! Checks that every file of the results folder is as it was written, and suggests commands that repair damage.
 
-use super::commands::{Commands, quoted};
+use super::command_line::quoted;
+use super::commands::Commands;
 use super::episodes::episodes_used;
 use super::folders::{Recorded, folders, sorted};
 use super::record::RunRecord;

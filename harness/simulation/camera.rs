@@ -2,7 +2,8 @@
 
 use super::SimulationError;
 use super::factors::FactorValues;
-use super::scene::{Scene, SceneCamera, prepare};
+use super::resolve::SceneCamera;
+use super::scene::{Scene, prepare};
 use image::RgbImage;
 use mujoco_rs::prelude::*;
 use mujoco_rs::renderer::MjRenderer;

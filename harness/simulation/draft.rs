@@ -1,7 +1,8 @@
 //! Writes a first world file for any model.
 
 use super::SimulationError;
-use super::scene::{compile_error, named, prepare};
+use super::resolve::named;
+use super::scene::{compile_error, prepare};
 use mujoco_rs::prelude::*;
 use std::fmt::Write;
 use std::path::Path;

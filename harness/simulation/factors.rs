@@ -1,27 +1,14 @@
 //! Factors of variation: draws random values for an episode and changes the properties of the model accordingly.
 
+use super::resolve::{SceneFactor, dofs};
 use super::scene::Scene;
-use harness_spec::{Drawing, Element, Normal, Property, Scenario, Simulation};
+use harness_spec::{Drawing, Normal, Property, Scenario, Simulation};
 use mujoco_rs::prelude::*;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use sha2::{Digest, Sha256};
 use std::sync::Arc;
-
-/// A factor of a world, with its names resolved in the model.
-#[derive(Debug, Clone)]
-pub(super) struct SceneFactor {
-    pub name: String,
-    pub property: Property,
-    pub drawing: Drawing,
-    /// Indices of the joints, bodies, geoms, lights or cameras of the model that it changes.
-    pub things: Vec<usize>,
-    /// Whether each of them has its own values.
-    pub each: bool,
-    /// Names and units of the values that are drawn.
-    pub elements: Vec<Element>,
-}
 
 /// The values that an episode draws for the factors of variation that a spec turns on.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -168,17 +155,6 @@ fn change(model: &mut MjModel, property: Property, thing: usize, values: &[f64])
             model.cam_quat_mut()[thing] = turned;
         }
     }
-}
-
-/// Returns the indices of a joint's degrees of freedom.
-pub(super) fn dofs(model: &MjModel, joint: usize) -> std::ops::Range<usize> {
-    let first = model.jnt_dofadr()[joint] as usize;
-    let count = match model.jnt_type()[joint] {
-        MjtJoint::mjJNT_FREE => 6,
-        MjtJoint::mjJNT_BALL => 3,
-        _ => 1,
-    };
-    first..first + count
 }
 
 /// Returns the colour in which a geom is rendered: its own, or its material's if its own is MuJoCo's default.

@@ -4,18 +4,11 @@
 //! before gives the earlier position of that point. The camera's earlier pose then gives its earlier pixel.
 
 use super::physics::Instant;
-use super::scene::{Scene, SceneCamera};
+use super::resolve::{SceneCamera, SceneFlow};
+use super::scene::Scene;
 use harness_spec::IMAGE_CHANNELS;
 use mujoco_rs::prelude::*;
 use std::sync::Arc;
-
-/// A camera whose optical flow is recorded.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct SceneFlow {
-    pub image: SceneCamera,
-    /// The largest displacement that the image can encode, pixels.
-    pub limit: f64,
-}
 
 /// The geom groups that cameras render.
 const SEEN_GROUPS: [u8; 6] = [1, 1, 1, 0, 0, 0];

@@ -15,8 +15,10 @@ mod motion;
 mod physics;
 mod placement;
 mod plan;
+mod resolve;
 mod scene;
 mod sensors;
+mod timing;
 
 pub use batch::Batch;
 pub use camera::{Camera, SceneRenderer, prepare_rendering, renderer_name};

@@ -3,7 +3,6 @@
 use super::SimulationError;
 use super::camera::{Camera, SceneRenderer};
 use super::flow::Flow;
-use super::motion::ranges;
 use super::physics::{Physics, sensed_position};
 use super::plan::EpisodePlan;
 use super::scene::Scene;
@@ -73,7 +72,7 @@ impl LiveSimulation {
     /// When the number of values is not that of the action's elements, a value is not finite, or the simulation
     /// diverges.
     pub fn step(&mut self, setpoint: &[f64]) -> Result<(), SimulationError> {
-        let ranges = ranges(self.physics.scene, &self.spec);
+        let ranges = self.setpoint_ranges();
         if setpoint.len() != ranges.len() || !setpoint.iter().all(|value| value.is_finite()) {
             let (setpoint, expected) = (setpoint.to_vec(), ranges.len());
             return Err(SimulationError::Setpoint { index: 0, setpoint, expected });
@@ -118,7 +117,7 @@ impl LiveSimulation {
 
     /// Returns the range of each element of the setpoint.
     pub fn setpoint_ranges(&self) -> Vec<[f64; 2]> {
-        ranges(self.physics.scene, &self.spec)
+        self.physics.scene.ranges(&self.spec)
     }
 
     /// Returns the values of a vector at this sample; `None` if the scene does not sense a vector with this name.

@@ -1,57 +1,8 @@
-//! The motion of the actuators: smoothstep moves between random setpoints, on an exact time grid.
+//! The motion of the actuators: smoothstep moves between random setpoints.
 
-use super::SimulationError;
-use super::scene::{Scene, within};
-use harness_spec::{Simulation, Start};
+use super::timing::Timing;
+use harness_spec::Simulation;
 use rand::{Rng, RngExt};
-
-/// Steps, samples and actuations of an episode. They are integers, so that rounding can't shift an instant.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Timing {
-    /// Duration of a step, s.
-    pub step_s: f64,
-    pub steps_per_sample: usize,
-    pub steps_per_actuation: usize,
-    /// Number of samples in an episode.
-    pub samples: usize,
-}
-
-impl Timing {
-    /// Computes the timing for a simulation step of `step_s` seconds.
-    ///
-    /// # Errors
-    /// When a sampling interval is not a whole number of steps, or an actuation is not a whole number of samples.
-    pub fn new(spec: &Simulation, step_s: f64) -> Result<Self, SimulationError> {
-        let steps_per_sample = whole(1.0 / (spec.sample_rate_hz * step_s)).ok_or_else(|| SimulationError::Spec {
-            field: "sample_rate_hz".into(),
-            problem: format!(
-                "a whole number of steps of {step_s} s must fit between samples, which {} Hz does not give",
-                spec.sample_rate_hz
-            ),
-        })?;
-        let samples_per_actuation =
-            whole(spec.actuation_seconds * spec.sample_rate_hz).ok_or_else(|| SimulationError::Spec {
-                field: "actuation_seconds".into(),
-                problem: format!(
-                    "{} s must hold a whole number of samples at {} Hz",
-                    spec.actuation_seconds, spec.sample_rate_hz
-                ),
-            })?;
-        Ok(Self {
-            step_s,
-            steps_per_sample,
-            steps_per_actuation: samples_per_actuation * steps_per_sample,
-            samples: spec.actuations_per_episode as usize * samples_per_actuation,
-        })
-    }
-}
-
-/// Returns the nearest integer if it is positive and `value` differs from it only by rounding.
-fn whole(value: f64) -> Option<usize> {
-    let nearest = value.round();
-    let is_whole = (1.0..1e9).contains(&nearest) && (value - nearest).abs() < 1e-6 * nearest;
-    is_whole.then_some(nearest as usize)
-}
 
 /// The setpoint as a function of time.
 #[derive(Debug, Clone, PartialEq)]
@@ -94,45 +45,6 @@ fn smoothstep(u: f64) -> f64 {
     u * u * (3.0 - 2.0 * u)
 }
 
-/// Returns the range of each element of the setpoint.
-pub(super) fn ranges(scene: &Scene, spec: &Simulation) -> Vec<[f64; 2]> {
-    let own = scene.world().file().action.actuators.iter();
-    let range = |(driven, (_, own)): (&super::scene::Driven, (&str, &harness_spec::Actuator))| {
-        spec.range(&driven.setting).unwrap_or(own.range)
-    };
-    scene.actuators.iter().zip(own).map(range).collect()
-}
-
-/// Returns the setpoint at the start of every episode.
-pub(super) fn rest(scene: &Scene, spec: &Simulation) -> Vec<f64> {
-    let actuators = scene.world().file().action.actuators.iter();
-    let start =
-        |([low, high], (_, actuator)): ([f64; 2], (&str, &harness_spec::Actuator))| match actuator.start {
-            Start::Low => low,
-            Start::Middle => 0.5 * (low + high),
-            Start::High => high,
-        };
-    ranges(scene, spec).into_iter().zip(actuators).map(start).collect()
-}
-
-/// Refuses ranges that exceed the limits of the scene's joints or actuators.
-///
-/// # Errors
-/// When a range is reversed or exceeds the limits. The error names the range and the limits.
-pub(super) fn check_ranges(spec: &Simulation, scene: &Scene) -> Result<(), SimulationError> {
-    for ([low, high], driven) in ranges(scene, spec).into_iter().zip(&scene.actuators) {
-        if !within([low, high], driven.limits) {
-            let [min, max] = driven.limits;
-            let problem = format!(
-                "[{low}, {high}] must ascend and lie within [{min}, {max}], as {} allows",
-                scene.name
-            );
-            return Err(SimulationError::Spec { field: driven.setting.clone(), problem });
-        }
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -141,21 +53,6 @@ mod tests {
 
     fn timing() -> Timing {
         Timing::new(&Simulation::default(), 1e-3).unwrap()
-    }
-
-    #[test]
-    fn time_grid_of_the_defaults() {
-        let expected =
-            Timing { step_s: 1e-3, steps_per_sample: 100, steps_per_actuation: 1000, samples: 200 };
-        assert_eq!(timing(), expected);
-    }
-
-    #[test]
-    fn rates_off_the_grid_are_refused() {
-        let spec = Simulation { sample_rate_hz: 300.0, ..Default::default() };
-        assert!(Timing::new(&spec, 1e-3).unwrap_err().to_string().contains("sample_rate_hz"));
-        let spec = Simulation { actuation_seconds: 0.25, ..Default::default() };
-        assert!(Timing::new(&spec, 1e-3).unwrap_err().to_string().contains("actuation_seconds"));
     }
 
     #[test]

@@ -1,10 +1,11 @@
 //! The simulation loop: moves the actuators and passes each sampled instant to an observer.
 
 use super::SimulationError;
-use super::motion::{Timing, check_ranges};
 use super::plan::EpisodePlan;
-use super::scene::{Reading, Scene};
+use super::resolve::Reading;
+use super::scene::Scene;
 use super::sensors::{MeanForces, instability, sum_forces};
+use super::timing::Timing;
 use harness_spec::{Layout, Modality, Pose, Posed, Simulation};
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::fun::utility::mju_mat_2_quat;
@@ -103,8 +104,7 @@ impl<'s> Physics<'s> {
     /// # Errors
     /// When the spec's ranges or rates do not suit the scene.
     pub fn new(scene: &'s Scene, spec: &Simulation) -> Result<Self, SimulationError> {
-        check_ranges(spec, scene)?;
-        let timing = Timing::new(spec, scene.step_s())?;
+        let timing = scene.timing(spec)?;
         let data = MjData::new(scene.model.clone());
         let elements = scene.actuators.len();
         let instant = Instant {

@@ -2,8 +2,8 @@
 
 use super::SimulationError;
 use super::factors::FactorValues;
-use super::motion::{ranges, rest};
-use super::scene::{Area, Mount, Scene};
+use super::resolve::{Area, Mount};
+use super::scene::Scene;
 use harness_spec::{Pose, Simulation};
 use rand::{Rng, RngExt};
 use std::f64::consts::PI;
@@ -38,7 +38,7 @@ pub(super) fn place_boxes(
     episode: u32,
     rng: &mut impl Rng,
 ) -> Result<Vec<Pose>, SimulationError> {
-    let (ranges, rest) = (ranges(scene, spec), rest(scene, spec));
+    let (ranges, rest) = (scene.ranges(spec), scene.start(spec));
     let mounts = scene.placements.iter().filter_map(|placement| match &placement.area {
         Area::Sector(mount) => Some(mount),
         Area::Rectangle(_) => None,

@@ -2,7 +2,7 @@
 
 use super::SimulationError;
 use super::factors::FactorValues;
-use super::motion::{Motion, Timing, ranges, rest};
+use super::motion::Motion;
 use super::placement::place_boxes;
 use super::scene::Scene;
 use harness_spec::{Pose, Simulation};
@@ -26,11 +26,11 @@ impl EpisodePlan {
     /// Draws the plan of the episode with this index.
     ///
     /// # Errors
-    /// When the spec's rates do not suit the scene's step, or the boxes find no place.
+    /// When the spec's ranges or rates do not suit the scene, or the boxes find no place.
     pub fn draw(scene: &Scene, spec: &Simulation, index: u32) -> Result<Self, SimulationError> {
-        let timing = Timing::new(spec, scene.step_s())?;
+        let timing = scene.timing(spec)?;
         let mut rng = episode_stream(scene, spec.seed, index);
-        let motion = Motion::draw(&ranges(scene, spec), &rest(scene, spec), spec, &timing, &mut rng);
+        let motion = Motion::draw(&scene.ranges(spec), &scene.start(spec), spec, &timing, &mut rng);
         let factors = FactorValues::draw(scene, spec, index);
         let boxes = place_boxes(scene, spec, &factors, index, &mut rng)?;
         Ok(Self { episode: index, boxes, factors, motion })

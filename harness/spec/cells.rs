@@ -1,10 +1,10 @@
 //! The runs that an experiment expands to. A [`RunSpec`] holds everything that a run's result depends on.
 
-use super::modality::{Layout, Modality};
+use super::modality::{Layout, Modality, Scale};
+use super::origin::Origin;
 use super::scaling::{GivenScaling, Scaling, Scalings};
-use super::types::{
-    Action, Experiment, Network, Origin, Reading, Settings, Simulation, Split, Task, Training,
-};
+use super::simulation::Simulation;
+use super::types::{Action, Experiment, Network, Reading, Settings, Split, Task, Training};
 use super::validate::{Images, check_images};
 use super::world::{Known, World};
 use serde::{Deserialize, Serialize};
@@ -266,7 +266,7 @@ impl RunSpec {
         check_images(&images, &self.network, &self.training).map_err(|fault| fault.message)?;
         let by_element = self.scaling.iter().find(|(modality, scaling)| {
             layout.get(**modality).is_some_and(|definition| definition.is_image())
-                && scaling.scale == super::Scale::PerElement
+                && scaling.scale == Scale::PerElement
         });
         match by_element {
             Some((modality, _)) => {

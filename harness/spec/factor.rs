@@ -1,8 +1,8 @@
 //! Factors of variation: properties of a model that are drawn at random for each episode, if a spec turns them on.
 
 use super::modality::Element;
-use super::types::names;
-use super::world::plain::globs;
+use super::name::names;
+use super::values::{ascending, globs};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -283,7 +283,7 @@ impl Drawing {
                 })
             }
         };
-        super::world::ascending([low, high])?;
+        ascending([low, high])?;
         let [least, most] = property.bounds();
         if low < least || high > most {
             return Err(format!(

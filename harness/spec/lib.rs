@@ -6,17 +6,22 @@
 //! Derived values are not stored.
 
 mod cells;
+mod check;
 mod episode;
 mod error;
 mod factor;
 mod modality;
+mod name;
 mod narrow;
+mod origin;
 mod overrides;
 mod parse;
 mod scaling;
 mod schema;
+mod simulation;
 mod types;
 mod validate;
+mod values;
 mod world;
 
 pub use cells::RunSpec;
@@ -24,10 +29,14 @@ pub use episode::{Episode, Pose};
 pub use error::SpecError;
 pub use factor::{Distribution, Drawing, Factor, Normal, Property};
 pub use modality::*;
+pub use name::{intern, is_name};
+pub use origin::{Origin, Scenario};
 pub use parse::read as read_text;
-pub use scaling::{GivenScaling, GivenScalings, Scale, Scaling, Scalings};
+pub use scaling::{GivenScaling, GivenScalings, Scaling, Scalings};
 pub use schema::{schema, setting_names};
+pub use simulation::{MAX_SEED, Setting, Simulation};
 pub use types::*;
+pub use values::matching;
 pub use world::*;
 
 use error::Problem;

@@ -1,92 +1,13 @@
 //! Modalities: their names, which specs and tables use, and their definitions, which a dataset stores.
 
-use super::scaling::Scale;
+use super::name::{NAME, interned_name, names};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
 use std::ops::Index;
-use std::sync::{Arc, LazyLock, Mutex};
+use std::sync::{Arc, LazyLock};
 
 /// Number of colour channels of an image.
 pub const IMAGE_CHANNELS: usize = 3;
-
-/// Regular expression of the names of modalities, scenarios and their elements.
-pub(super) const NAME: &str = "^[a-z][a-z0-9_]{0,63}$";
-
-/// Returns whether a text can name a modality, a scenario or an element: 1 to 64 lower-case letters, digits and `_`, of
-/// which the first is a letter.
-pub fn is_name(text: &str) -> bool {
-    (1..=64).contains(&text.len())
-        && text.starts_with(|c: char| c.is_ascii_lowercase())
-        && text.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
-}
-
-/// Returns the single copy of a name. The copy is never freed, because names are few and short.
-pub fn intern(name: &str) -> &'static str {
-    static NAMES: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
-    let mut names = NAMES.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-    if let Some(known) = names.get(name) {
-        return known;
-    }
-    let name: &'static str = Box::leak(name.into());
-    names.insert(name);
-    name
-}
-
-/// Implements the text, the order, `Display` and serde for a type that wraps an interned name. The names in `$first`
-/// come first, and all others follow in alphabetical order.
-macro_rules! interned_name {
-    ($type:ident, first: $first:ident, refused: $refused:literal) => {
-        impl $type {
-            /// Creates the value with this name; `None` if the name is not valid.
-            pub fn new(name: &str) -> Option<Self> {
-                $crate::is_name(name).then(|| Self($crate::intern(name)))
-            }
-
-            /// Returns the name in specs, tables and file names.
-            pub const fn name(self) -> &'static str {
-                self.0
-            }
-
-            fn rank(self) -> usize {
-                Self::$first.iter().position(|other| *other == self).unwrap_or(Self::$first.len())
-            }
-        }
-
-        impl Ord for $type {
-            fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-                (self.rank(), self.0).cmp(&(other.rank(), other.0))
-            }
-        }
-
-        impl PartialOrd for $type {
-            fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-                Some(self.cmp(other))
-            }
-        }
-
-        impl std::fmt::Display for $type {
-            fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-                f.pad(self.0)
-            }
-        }
-
-        impl serde::Serialize for $type {
-            fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-                serializer.serialize_str(self.0)
-            }
-        }
-
-        impl<'de> serde::Deserialize<'de> for $type {
-            fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-                let name = String::deserialize(deserializer)?;
-                let refused = || serde::de::Error::custom(format!(concat!("'{}' ", $refused), name));
-                Self::new(&name).ok_or_else(refused)
-            }
-        }
-    };
-}
-pub(super) use interned_name;
 
 /// The name of a modality in specs and tables. The dataset's [`Layout`] defines the modality.
 ///
@@ -190,6 +111,18 @@ pub struct Group {
     /// Indices of the elements in the vector.
     pub elements: Vec<usize>,
 }
+
+/// The standard deviation by which a modality's values are divided, after each value's own mean is subtracted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Scale {
+    /// One standard deviation for all values. Errors have the same relative weight as in physical units.
+    Shared,
+    /// Each value's own standard deviation. A value that hardly varies has the same weight as all others. Images can't
+    /// have it.
+    PerElement,
+}
+names!(Scale { Shared => "shared", PerElement => "per_element" });
 
 /// How errors are given in percent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -390,4 +323,13 @@ impl Index<Modality> for Layout {
     fn index(&self, modality: Modality) -> &Definition {
         self.get(modality).unwrap_or_else(|| panic!("the dataset's layout holds no {modality}"))
     }
+}
+
+/// The schema of a section with a value for each modality. It lists the modalities of the built-in worlds, which
+/// editors complete, and allows all others.
+pub(super) fn by_modality(value: Schema) -> Schema {
+    let value = value.to_value();
+    let properties: serde_json::Map<_, _> =
+        Modality::BUILT_IN.iter().map(|modality| (modality.name().to_owned(), value.clone())).collect();
+    json_schema!({ "type": "object", "properties": properties, "additionalProperties": value })
 }

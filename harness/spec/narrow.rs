@@ -1,7 +1,7 @@
 //! Narrows the overrides of an experiment to one of its runs.
 
 use super::cells::{DATASET_SEED, RunSpec, named};
-use super::types::Origin;
+use super::origin::Origin;
 use std::collections::BTreeMap;
 
 impl RunSpec {

@@ -1,5 +1,6 @@
 //! Changes to single settings: `training.batch_size=512` on the command line, and a spec's own `quick`.
 
+use super::check::unknown;
 use super::error::{Origin, Problem};
 use super::parse::{self, Entry, Node, Value};
 use super::schema;
@@ -38,7 +39,7 @@ fn not_a_setting(key: &str, value: &str, names: &[&str]) -> String {
             let value = parse::shorten(value);
             if is_single { format!("{name}=[{value}]") } else { format!("{name}={value}") }
         };
-        return schema::unknown("key", key, "", names, suggest);
+        return unknown("key", key, "", names, suggest);
     }
     format!("'{key}' is a section; override its keys one by one: {}", section.join(", "))
 }

@@ -1,23 +1,9 @@
 //! The scaling of a modality's values for a network, and the lower bound of its predictions.
 
-use super::modality::Modality;
-use super::types::{by_modality, names};
-use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use super::modality::{Modality, Scale, by_modality};
+use schemars::{Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
-use std::fmt;
-
-/// The standard deviation by which a modality's values are divided, after each value's own mean is subtracted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Scale {
-    /// One standard deviation for all values. Errors have the same relative weight as in physical units.
-    Shared,
-    /// Each value's own standard deviation. A value that hardly varies has the same weight as all others. Images can't
-    /// have it.
-    PerElement,
-}
-names!(Scale { Shared => "shared", PerElement => "per_element" });
 
 /// The scaling and the lower bound of one modality.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

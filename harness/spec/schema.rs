@@ -1,16 +1,17 @@
-//! The JSON schema of a spec, for editors, and the checks against it: keys, types, choices and bounds.
+//! The JSON schema of a spec, for editors and for the checks.
 
+use super::check::{
+    allow_single_values, check_against, join, list_single, properties, property, resolve, takes_one_item,
+};
 use super::error::Problem;
-use super::modality::Modality;
-use super::parse::{Entry, Node, Value, shorten};
-use super::types::{Experiment, Origin, Setting};
+use super::origin::{IMPORTED_NAME, Origin};
+use super::parse::Node;
+use super::simulation::Setting;
+use super::types::Experiment;
 use super::world::World;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde_json::{Value as Json, json};
-use std::collections::HashSet;
 use std::sync::LazyLock;
-
-/// How a message calls a string.
-const TEXT: &str = "a text";
 
 static SCHEMA: LazyLock<Json> = LazyLock::new(build);
 
@@ -60,9 +61,9 @@ fn add_settings_of_worlds(simulation: &mut Json) {
             let world = world.scenario();
             simulation["properties"][name] = match setting {
                 Setting::Range(_) => range(&format!("Range of a setpoint: lowest, highest (world {world}).")),
-                Setting::Number(_) => number(&format!(
-                    "Smallest distance between placed bodies, m (world {world})."
-                )),
+                Setting::Number(_) => {
+                    number(&format!("Smallest distance between placed bodies, m (world {world})."))
+                }
             };
         }
     }
@@ -104,67 +105,9 @@ fn collect_settings(root: &Json, schema: &Json, prefix: &str, settings: &mut ser
     }
 }
 
-/// Lets a single value stand for each list that may have one item alone, down from `schema`.
-pub(super) fn allow_single_values(schema: &mut Json) {
-    match schema {
-        Json::Array(schemas) => schemas.iter_mut().for_each(allow_single_values),
-        Json::Object(keywords) => keywords.values_mut().for_each(allow_single_values),
-        _ => return,
-    }
-    if !takes_one_item(schema) {
-        return;
-    }
-    let mut either = json!({ "anyOf": [schema, schema["items"]] });
-    for key in ["description", "default"] {
-        if let Some(value) = either["anyOf"][0].as_object_mut().and_then(|list| list.remove(key)) {
-            either[key] = value;
-        }
-    }
-    *schema = either;
-}
-
-/// Makes a list of each single value that stands where the schema wants one: `latent: 4` is `latent: [4]`.
+/// Makes a list of each single value that stands where a spec has a list: `latent: 4` becomes `latent: [4]`.
 pub(super) fn list_single_values(tree: &mut Node) {
     list_single(&SCHEMA, tree);
-}
-
-/// Like [`list_single_values`], but for a tree of another schema.
-pub(super) fn list_single(root: &Json, tree: &mut Node) {
-    list_below(root, root, tree);
-}
-
-fn list_below(root: &Json, schema: &Json, node: &mut Node) {
-    let (schema, _) = resolve(root, schema);
-    let is_list = matches!(node.value, Value::List(_));
-    if takes_one_item(schema) && !is_list && fits(root, &schema["items"], &node.value) {
-        node.value = Value::List(vec![node.clone()]);
-    }
-    match &mut node.value {
-        Value::List(items) => items.iter_mut().for_each(|item| list_below(root, &schema["items"], item)),
-        Value::Section(entries) => {
-            entries
-                .iter_mut()
-                .for_each(|entry| list_below(root, property(schema, &entry.key), &mut entry.node));
-        }
-        _ => {}
-    }
-}
-
-/// Returns whether a list may have a single item.
-fn takes_one_item(schema: &Json) -> bool {
-    let items = |bound: &str| schema[bound].as_u64();
-    types(schema) == ["array"]
-        && items("minItems").is_none_or(|n| n <= 1)
-        && items("maxItems").is_none_or(|n| n >= 1)
-}
-
-/// Whether a value, or the list that is made of it, has the type that the schema wants.
-fn fits(root: &Json, schema: &Json, value: &Value) -> bool {
-    let (schema, _) = resolve(root, schema);
-    if choices(schema).is_some() {
-        return matches!(value, Value::Text(_));
-    }
-    has_type(schema, value) || takes_one_item(schema) && fits(root, &schema["items"], value)
 }
 
 /// Returns whether a setting is a list that may have a single item.
@@ -194,278 +137,39 @@ fn setting_schema(key: &str) -> Option<&'static Json> {
     Some(schema)
 }
 
-/// The schema of a section's key: its own, or the one that all others have; null or false where there is none.
-fn property<'a>(schema: &'a Json, key: &str) -> &'a Json {
-    match schema["properties"].get(key) {
-        Some(own) => own,
-        None if super::modality::is_name(key) => &schema["additionalProperties"],
-        None => &Json::Null,
-    }
-}
-
 /// Refuses a tree that the schema does not allow.
 pub(super) fn check(tree: &Node) -> Result<(), Problem> {
     check_against(&SCHEMA, tree)
 }
 
-/// Refuses a tree that another schema does not allow.
-pub(super) fn check_against(root: &Json, tree: &Node) -> Result<(), Problem> {
-    check_node(root, root, tree, "")
-}
-
-fn check_node(root: &Json, schema: &Json, node: &Node, path: &str) -> Result<(), Problem> {
-    let (schema, definition) = resolve(root, schema);
-    if let Some(choices) = choices(schema) {
-        return check_choice(root, schema, &choices, &definition.to_lowercase(), node, path);
+/// Accepts the names of the built-in worlds, which editors complete, paths of world files, and names of datasets.
+impl JsonSchema for Origin {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "Scenario".into()
     }
-    if let Some(either) = schema["anyOf"].as_array() {
-        if either.iter().any(|choice| check_node(root, choice, node, path).is_ok()) {
-            return Ok(());
-        }
-        return Err(Problem::new(&node.origin, unexpected(&expected(root, schema), &node.value, path)));
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        let built_in = World::built_in().iter().map(|world| {
+            serde_json::json!({
+                "description": world.description(), "type": "string", "const": world.scenario().name(),
+            })
+        });
+        let file = serde_json::json!({
+            "description": "The path of a world file, relative to the spec's folder.", "type": "string",
+            "pattern": "(/|\\.ya?ml$)",
+        });
+        let imported = serde_json::json!({
+            "description": "An imported dataset: the name of its folder in results/datasets.", "type": "string",
+            "pattern": IMPORTED_NAME,
+        });
+        let choices: Vec<_> = built_in.chain([file, imported]).collect();
+        json_schema!({ "description": "The source of a cell's samples.", "oneOf": choices })
     }
-    if !has_type(schema, &node.value) || !is_within_bounds(schema, &node.value) {
-        return Err(Problem::new(&node.origin, unexpected(&expected(root, schema), &node.value, path)));
-    }
-    match &node.value {
-        Value::List(items) => check_items(root, schema, items, path),
-        Value::Section(entries) => check_keys(root, schema, node, entries, path),
-        _ => Ok(()),
-    }
-}
-
-fn check_choice(
-    root: &Json,
-    schema: &Json,
-    choices: &[&str],
-    what: &str,
-    node: &Node,
-    path: &str,
-) -> Result<(), Problem> {
-    // What fits a pattern alone is compared with the worlds and datasets that have such names.
-    let fits_pattern = |text: &str| match what {
-        "scenario" => Origin::try_from(text.to_owned()).is_ok(),
-        "modality" => Modality::new(text).is_some(),
-        _ => false,
-    };
-    let message = match &node.value {
-        Value::Text(text) if choices.contains(&text.as_str()) || fits_pattern(text) => return Ok(()),
-        Value::Text(text) => unknown(what, text, path, choices, str::to_owned) + other_choices(what),
-        other => unexpected(&expected(root, schema), other, path),
-    };
-    Err(Problem::new(&node.origin, message))
-}
-
-/// Describes the values that are allowed besides the names that a schema lists.
-fn other_choices(what: &str) -> &'static str {
-    match what {
-        "scenario" => ", the path of a world file, or the name of an imported dataset",
-        "modality" => ", or a modality of another world or dataset",
-        _ => "",
-    }
-}
-
-fn check_items(root: &Json, schema: &Json, items: &[Node], path: &str) -> Result<(), Problem> {
-    let mut earlier = HashSet::new();
-    for item in items {
-        check_node(root, &schema["items"], item, path)?;
-        let value = item.to_json().to_string();
-        if schema["uniqueItems"] == true && !earlier.insert(value.clone()) {
-            return Err(Problem::new(&item.origin, format!("{value} stands twice in '{path}'")));
-        }
-    }
-    Ok(())
-}
-
-fn check_keys(
-    root: &Json,
-    schema: &Json,
-    section: &Node,
-    entries: &[Entry],
-    path: &str,
-) -> Result<(), Problem> {
-    let names: Vec<&str> = properties(schema).map(|(name, _)| name.as_str()).collect();
-    for entry in entries {
-        let own = property(schema, &entry.key);
-        if own.is_null() || own == false {
-            return Err(Problem::new(
-                &entry.key_origin,
-                unknown("key", &entry.key, path, &names, str::to_owned),
-            ));
-        }
-    }
-    let required = schema["required"].as_array().into_iter().flatten().filter_map(Json::as_str);
-    let missing: Vec<String> = required
-        .filter(|key| section.get(key).is_none())
-        .map(|key| format!("'{}'", join(path, key)))
-        .collect();
-    if !missing.is_empty() {
-        return Err(Problem::new(&section.origin, format!("missing {}", missing.join(", "))));
-    }
-    entries.iter().try_for_each(|entry| {
-        check_node(root, property(schema, &entry.key), &entry.node, &join(path, &entry.key))
-    })
-}
-
-fn unexpected(expected: &str, found: &Value, path: &str) -> String {
-    let place = if path.is_empty() { String::new() } else { format!("'{path}': ") };
-    let hint = if expected == TEXT { "; put a text that looks like something else in quotes" } else { "" };
-    format!("{place}expected {expected}, found {found}{hint}")
-}
-
-/// Says that a name is not known, which one may have been meant, as `suggest` writes it, and which there are.
-pub(super) fn unknown(
-    what: &str,
-    found: &str,
-    path: &str,
-    names: &[&str],
-    suggest: impl Fn(&str) -> String,
-) -> String {
-    let mut message = format!("unknown {what} '{}'", shorten(found));
-    if !path.is_empty() {
-        message += &format!(" in '{path}'");
-    }
-    if let Some(name) = nearest(found, names) {
-        message += &format!("; did you mean '{}'?", suggest(name));
-    } else {
-        message += ".";
-    }
-    // Of dotted keys only those of the section that was named, if it exists.
-    let section = found.rfind('.').map_or("", |dot| &found[..=dot]);
-    let is_near = |name: &&&str| name.starts_with(section);
-    let near: Vec<&str> = names.iter().filter(is_near).copied().collect();
-    let allowed = if near.is_empty() { names } else { &near };
-    message + &format!(" Allowed: {}", allowed.join(", "))
-}
-
-/// The name that differs by the fewest typing errors, if they are few; else the dotted key whose last part does.
-fn nearest<'a>(found: &str, names: &[&'a str]) -> Option<&'a str> {
-    // Comparing takes time and memory for each pair of letters; what is this long is no typing error.
-    if found.len() > 100 {
-        return None;
-    }
-    let found = found.to_lowercase();
-    let tolerated = (found.chars().count() / 3).max(1);
-    let nearest_by = |part: fn(&str) -> &str| {
-        let errors = |name: &&'a str| strsim::damerau_levenshtein(&found, part(name));
-        let (errors, name) =
-            names.iter().map(|name| (errors(name), *name)).min_by_key(|(errors, _)| *errors)?;
-        (errors <= tolerated).then_some(name)
-    };
-    nearest_by(|name| name).or_else(|| nearest_by(|name| name.rsplit('.').next().unwrap_or(name)))
-}
-
-/// Follows a reference into the definitions. Returns the schema and the definition's name.
-fn resolve<'a>(root: &'a Json, schema: &'a Json) -> (&'a Json, &'a str) {
-    let name = schema["$ref"].as_str().and_then(|reference| reference.strip_prefix("#/$defs/"));
-    name.map_or((schema, ""), |name| (&root["$defs"][name], name))
-}
-
-fn properties(schema: &Json) -> impl Iterator<Item = (&String, &Json)> {
-    schema["properties"].as_object().into_iter().flatten()
-}
-
-/// The values of an enumeration, which the schema gives one by one with their descriptions.
-fn choices(schema: &Json) -> Option<Vec<&str>> {
-    Some(schema["oneOf"].as_array()?.iter().filter_map(|choice| choice["const"].as_str()).collect())
-}
-
-fn types(schema: &Json) -> Vec<&str> {
-    match &schema["type"] {
-        Json::Array(types) => types.iter().filter_map(Json::as_str).collect(),
-        other => other.as_str().into_iter().collect(),
-    }
-}
-
-fn has_type(schema: &Json, value: &Value) -> bool {
-    let types = types(schema);
-    let is = |name| types.contains(&name);
-    match value {
-        Value::Null => is("null"),
-        Value::Bool(_) => is("boolean"),
-        Value::Integer(_) => is("integer") || is("number"),
-        Value::Float(_) => is("number"),
-        Value::Text(_) => is("string"),
-        Value::List(_) => is("array"),
-        Value::Section(_) => is("object"),
-    }
-}
-
-fn is_within_bounds(schema: &Json, value: &Value) -> bool {
-    let bound = |keyword: &str| schema[keyword].as_f64();
-    let is_number_within = |number: f64| {
-        number.is_finite()
-            && bound("minimum").is_none_or(|minimum| number >= minimum)
-            && bound("maximum").is_none_or(|maximum| number <= maximum)
-            && bound("exclusiveMinimum").is_none_or(|minimum| number > minimum)
-            && bound("exclusiveMaximum").is_none_or(|maximum| number < maximum)
-    };
-    match value {
-        // Every integer bound is below 2^53, so the rounding of larger values does not matter.
-        Value::Integer(integer) => is_number_within(*integer as f64),
-        Value::Float(float) => is_number_within(*float),
-        Value::List(items) => {
-            bound("minItems").is_none_or(|minimum| items.len() as f64 >= minimum)
-                && bound("maxItems").is_none_or(|maximum| items.len() as f64 <= maximum)
-        }
-        _ => true,
-    }
-}
-
-/// Describes in words what a schema allows.
-fn expected(root: &Json, schema: &Json) -> String {
-    let (schema, definition) = resolve(root, schema);
-    if let Some(choices) = choices(schema) {
-        return format!("one of {}{}", choices.join(", "), other_choices(&definition.to_lowercase()));
-    }
-    if let Some(either) = schema["anyOf"].as_array() {
-        return either.iter().map(|choice| expected(root, choice)).collect::<Vec<_>>().join(" or ");
-    }
-    let name = |name: &str| match name {
-        "integer" => format!("an integer{}", expected_bounds(schema)),
-        "number" => format!("a finite number{}", expected_bounds(schema)),
-        "string" => TEXT.into(),
-        "boolean" => "true or false".into(),
-        "array" => {
-            format!("a list of {}, each {}", expected_length(schema), expected(root, &schema["items"]))
-        }
-        "object" => "a section of keys".into(),
-        other => other.into(),
-    };
-    types(schema).into_iter().map(name).collect::<Vec<_>>().join(" or ")
-}
-
-fn expected_bounds(schema: &Json) -> String {
-    let words = [
-        ("minimum", "of at least"),
-        ("exclusiveMinimum", "above"),
-        ("maximum", "at most"),
-        ("exclusiveMaximum", "below"),
-    ];
-    let bounds: Vec<String> = words
-        .iter()
-        .filter_map(|(key, word)| schema[key].as_f64().map(|bound| format!("{word} {bound}")))
-        .collect();
-    if bounds.is_empty() { String::new() } else { format!(" {}", bounds.join(" and ")) }
-}
-
-fn expected_length(schema: &Json) -> String {
-    match (schema["minItems"].as_u64(), schema["maxItems"].as_u64()) {
-        (Some(minimum), Some(maximum)) if minimum == maximum => format!("{minimum} items"),
-        (Some(1), None) => "at least one item".into(),
-        (Some(1), Some(maximum)) => format!("one to {maximum} items"),
-        (None, Some(maximum)) => format!("at most {maximum} items"),
-        (None, None) => "items".into(),
-        (minimum, maximum) => unreachable!("no list of the spec has {minimum:?} to {maximum:?} items"),
-    }
-}
-
-fn join(prefix: &str, name: &str) -> String {
-    if prefix.is_empty() { name.to_owned() } else { format!("{prefix}.{name}") }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::check::expected;
     use super::*;
 
     /// A keyword that `check` overlooks would bind editors alone, so each must be one it knows.

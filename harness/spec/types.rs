@@ -1,170 +1,17 @@
 //! The types of a spec. Their bounds are defined only in the `schemars` attributes. Both the JSON schema for editors
 //! and the checks of a spec are generated from these attributes.
 
-use super::modality::{Modality, interned_name, is_name};
+use super::modality::{Layout, Modality, by_modality};
+use super::name::names;
+use super::origin::Origin;
 use super::scaling::GivenScalings;
+use super::simulation::{MAX_SEED, Simulation};
 use super::world::World;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::fmt;
 use std::ops::Range;
-use std::path::Path;
 use std::sync::Arc;
-
-/// The largest seed, 2^53 - 1. Every reader of JSON and Parquet represents integers up to this one exactly.
-pub const MAX_SEED: u64 = (1 << 53) - 1;
-
-/// Implements the list of values and their names for an enum. A test checks that the names equal those of serde.
-macro_rules! names {
-    ($type:ident { $($variant:ident => $name:literal),+ $(,)? }) => {
-        impl $type {
-            /// Every value, in the order of declaration.
-            pub const ALL: &'static [Self] = &[$(Self::$variant),+];
-
-            /// Returns the name in specs, tables and file names.
-            pub const fn name(self) -> &'static str {
-                match self { $(Self::$variant => $name),+ }
-            }
-        }
-
-        impl fmt::Display for $type {
-            fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-                f.pad(self.name())
-            }
-        }
-    };
-}
-pub(super) use names;
-
-/// The name of a simulated world: a built-in world, or a world file, whose file name it is.
-///
-/// The paper's scenarios come first in every order, and all others follow in alphabetical order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Scenario(&'static str);
-
-impl Scenario {
-    /// The paper's scenario with the finger, the arm and the ground.
-    pub const EMPTY: Self = Self("empty");
-    /// The paper's scenario with eight movable boxes, placed at random over the sector that the arm sweeps.
-    pub const CLUTTERED: Self = Self("cluttered");
-    /// The two scenarios of the paper, which its figures and claims compare.
-    pub const PAPER: [Self; 2] = [Self::EMPTY, Self::CLUTTERED];
-}
-
-interned_name!(Scenario, first: PAPER, refused: "can't name a scenario");
-
-/// The source of a cell's samples. A spec gives the name of a built-in world, the path of a world file, or the name of
-/// an imported dataset.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
-pub enum Origin {
-    /// A simulated world.
-    Simulated(Scenario),
-    /// The path of a world file as given in a spec. In the spec of a run, it is replaced by `Simulated`.
-    File(String),
-    /// An imported dataset, by the name of its folder: `lab_finger-0123456789abcdef`. The digits are a hash of its
-    /// content.
-    Imported(String),
-}
-
-impl Origin {
-    /// Returns the name in tables and file names. For a world file, it is the file name without folder and extension.
-    pub fn name(&self) -> &str {
-        match self {
-            Self::Simulated(scenario) => scenario.name(),
-            Self::File(path) => Path::new(path).file_stem().and_then(|stem| stem.to_str()).unwrap_or(path),
-            Self::Imported(name) => name,
-        }
-    }
-
-    /// Returns the scenario; `None` for an imported dataset, and for a file whose name is not a valid scenario.
-    pub fn scenario(&self) -> Option<Scenario> {
-        match self {
-            Self::Simulated(scenario) => Some(*scenario),
-            Self::File(_) => Scenario::new(self.name()),
-            Self::Imported(_) => None,
-        }
-    }
-}
-
-impl fmt::Display for Origin {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        f.pad(self.name())
-    }
-}
-
-impl From<Scenario> for Origin {
-    fn from(scenario: Scenario) -> Self {
-        Self::Simulated(scenario)
-    }
-}
-
-impl From<Origin> for String {
-    fn from(origin: Origin) -> Self {
-        match origin {
-            Origin::Simulated(scenario) => scenario.name().to_owned(),
-            Origin::File(path) => path,
-            Origin::Imported(name) => name,
-        }
-    }
-}
-
-impl TryFrom<String> for Origin {
-    type Error = String;
-
-    fn try_from(name: String) -> Result<Self, String> {
-        if name.contains('/') || name.ends_with(".yaml") || name.ends_with(".yml") {
-            return Ok(Self::File(name));
-        }
-        if is_imported_name(&name) {
-            return Ok(Self::Imported(name));
-        }
-        let scenario = Scenario::new(&name).map(Self::Simulated);
-        scenario.ok_or_else(|| {
-            format!(
-                "'{name}' is neither a built-in world, nor the path of a world file, nor an imported dataset"
-            )
-        })
-    }
-}
-
-/// Regular expression of the name of an imported dataset. No simulated dataset has such a name.
-const IMPORTED_NAME: &str = "^[a-z][a-z0-9_]{0,63}-[0-9a-f]{16}$";
-
-/// Returns whether a text matches [`IMPORTED_NAME`] and does not begin with the name of a scenario of the paper.
-fn is_imported_name(text: &str) -> bool {
-    let Some((name, hash)) = text.rsplit_once('-') else { return false };
-    is_name(name)
-        && Scenario::PAPER.iter().all(|scenario| scenario.name() != name)
-        && hash.len() == 16
-        && hash.chars().all(|c| matches!(c, '0'..='9' | 'a'..='f'))
-}
-
-/// Accepts the names of the built-in worlds, which editors complete, paths of world files, and names of datasets.
-impl JsonSchema for Origin {
-    fn schema_name() -> std::borrow::Cow<'static, str> {
-        "Scenario".into()
-    }
-
-    fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        let built_in = World::built_in().iter().map(|world| {
-            serde_json::json!({
-                "description": world.description(), "type": "string", "const": world.scenario().name(),
-            })
-        });
-        let file = serde_json::json!({
-            "description": "The path of a world file, relative to the spec's folder.", "type": "string",
-            "pattern": "(/|\\.ya?ml$)",
-        });
-        let imported = serde_json::json!({
-            "description": "An imported dataset: the name of its folder in results/datasets.", "type": "string",
-            "pattern": IMPORTED_NAME,
-        });
-        let choices: Vec<_> = built_in.chain([file, imported]).collect();
-        json_schema!({ "description": "The source of a cell's samples.", "oneOf": choices })
-    }
-}
 
 /// The unit that a split divides.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
@@ -427,48 +274,6 @@ impl Network {
     }
 }
 
-/// How episodes are simulated. A dataset's hash covers all of these settings except the number of episodes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default)]
-pub struct Simulation {
-    /// Seed of the dataset. An episode's random stream is derived from it, the scenario and the episode's index.
-    #[schemars(range(min = 0, max = MAX_SEED))]
-    pub seed: u64,
-    /// Number of independent episodes, each of which starts at rest. A split by episode needs at least 3. One long
-    /// episode corresponds to the paper's continuous run.
-    #[schemars(range(min = 1, max = 1_000_000))]
-    pub episodes: u32,
-    /// Number of commanded moves in an episode.
-    #[schemars(range(min = 1, max = 100_000))]
-    pub actuations_per_episode: u32,
-    /// Duration of a move, s. It must be a whole number of samples.
-    #[schemars(range(max = 60.0), extend("exclusiveMinimum" = 0.0))]
-    pub actuation_seconds: f64,
-    /// Samples recorded per second, Hz. There must be a whole number of simulation steps between two samples.
-    #[schemars(range(max = 100_000.0), extend("exclusiveMinimum" = 0.0))]
-    pub sample_rate_hz: f64,
-    /// Factors of variation of the world that each episode draws anew, by name. The default is none.
-    // The default is not written, so that datasets from before this setting keep their names.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    #[schemars(extend("uniqueItems" = true))]
-    pub factors: Vec<String>,
-    /// Values of the settings that the world defines, by name: the range of each actuator's setpoints, and the
-    /// clearance of placed bodies. The default is the world's value.
-    #[serde(flatten)]
-    #[schemars(skip)]
-    pub world: BTreeMap<String, Setting>,
-}
-
-/// The value of a world's setting.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
-pub enum Setting {
-    /// The lowest and the highest value of a range.
-    Range([f64; 2]),
-    /// A single number.
-    Number(f64),
-}
-
 /// How a dataset is divided into training, validation and test set.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -555,44 +360,6 @@ pub struct Training {
     pub device: Device,
 }
 
-impl Simulation {
-    /// The settings that every world has.
-    pub(super) const KEYS: [&str; 6] =
-        ["seed", "episodes", "actuations_per_episode", "actuation_seconds", "sample_rate_hz", "factors"];
-
-    /// Returns the range of a world's setting; `None` if there is no such setting, or if it is a number.
-    pub fn range(&self, setting: &str) -> Option<[f64; 2]> {
-        match self.world.get(setting)? {
-            Setting::Range(range) => Some(*range),
-            Setting::Number(_) => None,
-        }
-    }
-
-    /// Returns the number of a world's setting; `None` if there is no such setting, or if it is a range.
-    pub fn number(&self, setting: &str) -> Option<f64> {
-        match self.world.get(setting)? {
-            Setting::Number(number) => Some(*number),
-            Setting::Range(_) => None,
-        }
-    }
-
-    /// Returns the simulation with another value of a world's setting.
-    pub fn with(mut self, setting: &str, value: Setting) -> Self {
-        self.world.insert(setting.to_owned(), value);
-        self
-    }
-
-    /// Returns the number of samples recorded during one actuation.
-    pub fn samples_per_actuation(&self) -> usize {
-        (self.actuation_seconds * self.sample_rate_hz).round() as usize
-    }
-
-    /// Returns the number of samples recorded in one episode.
-    pub fn samples_per_episode(&self) -> usize {
-        self.actuations_per_episode as usize * self.samples_per_actuation()
-    }
-}
-
 impl Split {
     /// The default gap of a split by time, s: five actuations of the default duration. The autocorrelation of the
     /// finger's angles is 0.19 after 1 s, 0.04 after 2 s and 0.00 after 5 s (cluttered scenario). Samples before and
@@ -633,20 +400,6 @@ pub struct SplitCounts {
     pub validation: usize,
     /// Number in the test set.
     pub test: usize,
-}
-
-impl Default for Simulation {
-    fn default() -> Self {
-        Self {
-            seed: 0,
-            episodes: 200,
-            actuations_per_episode: 20,
-            actuation_seconds: 1.0,
-            sample_rate_hz: 10.0,
-            factors: Vec::new(),
-            world: BTreeMap::new(),
-        }
-    }
 }
 
 impl Default for Split {
@@ -742,7 +495,7 @@ fn channels_schema(_: &mut SchemaGenerator) -> Schema {
 fn losses_schema(generator: &mut SchemaGenerator) -> Schema {
     let mut schema = by_modality(generator.subschema_for::<Loss>()).to_value();
     if let Some(properties) = schema["properties"].as_object_mut() {
-        let layout = super::modality::Layout::finger();
+        let layout = Layout::finger();
         properties.retain(|name, _| Modality::new(name).is_some_and(|modality| !layout[modality].is_image()));
     }
     schema.try_into().expect("an object with fewer properties is a schema")
@@ -751,13 +504,4 @@ fn losses_schema(generator: &mut SchemaGenerator) -> Schema {
 /// The schema of one weight for each modality.
 fn loss_weights_schema(_: &mut SchemaGenerator) -> Schema {
     by_modality(json_schema!({ "type": "number", "minimum": 0.0, "maximum": 1e6 }))
-}
-
-/// The schema of a section with a value for each modality. It lists the modalities of the built-in worlds, which
-/// editors complete, and allows all others.
-pub(super) fn by_modality(value: Schema) -> Schema {
-    let value = value.to_value();
-    let properties: serde_json::Map<_, _> =
-        Modality::BUILT_IN.iter().map(|modality| (modality.name().to_owned(), value.clone())).collect();
-    json_schema!({ "type": "object", "properties": properties, "additionalProperties": value })
 }

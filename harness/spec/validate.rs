@@ -1,12 +1,11 @@
 //! Checks the rules that the schema can't express, because they depend on several settings.
 
-use super::modality::{Modality, is_name};
-use super::scaling::Scale;
-use super::schema::unknown;
-use super::types::{
-    Device, Division, Experiment, Network, Origin, Precision, Reading, Setting, Simulation, Split, Task,
-    Training,
-};
+use super::check::unknown;
+use super::modality::{Modality, Scale};
+use super::name::is_name;
+use super::origin::Origin;
+use super::simulation::{Setting, Simulation};
+use super::types::{Device, Division, Experiment, Network, Precision, Reading, Split, Task, Training};
 use super::world::World;
 
 /// Largest number of values in a tensor of a network: 1 GiB in single precision.

@@ -1,18 +1,20 @@
 //! Worlds: a YAML file beside an MJCF model that defines the modalities, the action and the random parts of an episode.
 
+use super::check::{allow_single_values, check_against, list_single, unknown};
 use super::error::{Problem, SpecError};
 use super::factor::Factor;
-use super::modality::{Modality, NAME, Percentage, Region, is_name};
+use super::modality::{Modality, Percentage, Region, Scale};
+use super::name::{NAME, is_name};
+use super::origin::Scenario;
 use super::parse::{self, Node, shorten};
-use super::scaling::{Scale, Scaling};
-use super::schema;
-use super::types::{Scenario, Setting, Simulation};
+use super::scaling::Scaling;
+use super::simulation::{Setting, Simulation};
+use super::values::{ascending, globs};
 use schemars::JsonSchema;
 use serde::de::{Deserializer, MapAccess, Visitor};
 use serde::ser::{SerializeMap, Serializer};
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
-use std::borrow::Borrow;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::marker::PhantomData;
@@ -302,13 +304,10 @@ fn second() -> f64 {
 }
 
 /// The schemas of the values of optional keys. Without them, the schemas would also allow `null`.
-pub(super) mod plain {
-    use super::{Interval, MAX_IMAGE_SIDE, Percentage, Scale, Sector};
+mod plain {
+    use super::{Interval, MAX_IMAGE_SIDE, Percentage, Scale, Sector, globs};
     use schemars::{Schema, SchemaGenerator, json_schema};
 
-    pub fn globs(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({ "type": "array", "items": { "type": "string" } })
-    }
     pub fn groups(generator: &mut SchemaGenerator) -> Schema {
         let globs = globs(generator).to_value();
         json_schema!({ "type": "object", "properties": {}, "additionalProperties": globs })
@@ -347,7 +346,7 @@ pub(super) mod plain {
         generator.subschema_for::<Sector>()
     }
 }
-use plain::{averaged, globs, groups, limit, number, percentage, rectangle, scale, sector, size, text};
+use plain::{averaged, groups, limit, number, percentage, rectangle, scale, sector, size, text};
 
 /// The schema of a world file.
 static SCHEMA: LazyLock<Json> = LazyLock::new(|| schemars::schema_for!(WorldFile).to_value());
@@ -355,7 +354,7 @@ static SCHEMA: LazyLock<Json> = LazyLock::new(|| schemars::schema_for!(WorldFile
 /// Returns the JSON schema of a world file, for editors.
 pub fn world_schema() -> Json {
     let mut schema = SCHEMA.clone();
-    schema::allow_single_values(&mut schema);
+    allow_single_values(&mut schema);
     schema
 }
 
@@ -554,7 +553,7 @@ impl World {
             None if looks_like_path => Self::load(Path::new(name)),
             None => {
                 let names: Vec<&str> = Self::built_in().iter().map(|world| world.scenario.name()).collect();
-                let message = schema::unknown("world", name, "", &names, str::to_owned);
+                let message = unknown("world", name, "", &names, str::to_owned);
                 Err(SpecError::NoWorld { message: format!("{message}, or the path of a world file") })
             }
         }
@@ -610,8 +609,8 @@ impl World {
                     "the file is empty; `harness world new MODEL.xml` writes one",
                 ));
             }
-            schema::list_single(&SCHEMA, &mut tree);
-            schema::check_against(&SCHEMA, &tree)?;
+            list_single(&SCHEMA, &mut tree);
+            check_against(&SCHEMA, &tree)?;
             let file: WorldFile = serde_json::from_value(tree.to_json())
                 .map_err(|error| Problem::new(&tree.origin, error.to_string()))?;
             check(&file).map_err(|(path, message)| Problem::new(tree.origin_of(&path), message))?;
@@ -805,8 +804,7 @@ fn check(file: &WorldFile) -> Result<(), (String, String)> {
                 for (key, element) in [("rotation", &sector.rotation), ("extension", &sector.extension)] {
                     let all: Vec<&str> = file.action.actuators.iter().map(|(name, _)| name).collect();
                     if !all.contains(&element.as_str()) {
-                        let message =
-                            schema::unknown("element of the action", element, "", &all, str::to_owned);
+                        let message = unknown("element of the action", element, "", &all, str::to_owned);
                         return Err((at(&format!(".sector.{key}")), message));
                     }
                 }
@@ -865,7 +863,7 @@ fn modality<'a>(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), (
         let sources: Vec<&str> =
             file.modalities.iter().filter(|(_, s)| s.difference_of.is_none()).map(|(n, _)| n).collect();
         if !sources.contains(&of.as_str()) {
-            return Err(("difference_of", schema::unknown("modality", of, "", &sources, str::to_owned)));
+            return Err(("difference_of", unknown("modality", of, "", &sources, str::to_owned)));
         }
     }
     let source =
@@ -891,31 +889,4 @@ fn named(what: &str, name: &str) -> Result<(), String> {
     Err(format!(
         "'{name}' can't name {what}; use lower-case letters, digits and '_', a letter first ({NAME})"
     ))
-}
-
-pub(super) fn ascending([low, high]: [f64; 2]) -> Result<(), String> {
-    if low <= high {
-        Ok(())
-    } else {
-        Err(format!("the range [{low}, {high}] is reversed; write [{high}, {low}]"))
-    }
-}
-
-/// Returns the indices of the `names` that match one of the patterns, in ascending order.
-///
-/// # Errors
-/// When a pattern is invalid or matches nothing. The error has the pattern and the message.
-pub fn matching<N: Borrow<str>>(patterns: &[String], names: &[N]) -> Result<Vec<usize>, (String, String)> {
-    let mut found = Vec::new();
-    for pattern in patterns {
-        let glob = glob::Pattern::new(pattern).map_err(|error| (pattern.clone(), error.msg.to_owned()))?;
-        let before = found.len();
-        found.extend((0..names.len()).filter(|index| glob.matches(names[*index].borrow())));
-        if found.len() == before {
-            return Err((pattern.clone(), "matches nothing".into()));
-        }
-    }
-    found.sort_unstable();
-    found.dedup();
-    Ok(found)
 }

@@ -11,7 +11,7 @@ mod plan;
 mod scope;
 mod window;
 
-use super::query::QueryError;
+use super::QueryError;
 use harness_tables::schema::Table;
 use plan::{Ctes, Planner};
 use polars::prelude::*;

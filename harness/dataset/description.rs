@@ -1,0 +1,132 @@
+//! The description of a dataset (`dataset.json`), and the dataset's name, which contains the description's hash.
+
+use super::DatasetError;
+use harness_shared::seal::hex;
+use harness_spec::{Layout, Modality, Scenario, Simulation};
+use serde::Deserialize;
+use serde_json::json;
+use sha2::{Digest, Sha256};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Version of the recordings. It is raised whenever the same spec would give other recordings than before.
+pub(super) const FORMAT: u32 = 2;
+
+/// Returns a simulated dataset's name: its scenario and the hash of what determines its content.
+pub(super) fn identify(scenario: Scenario, description: &serde_json::Value) -> String {
+    let mut identity = description.clone();
+    // The number of episodes does not change their contents, so a longer dataset extends a shorter one.
+    identity["simulation"]["episodes"].take();
+    // The layout follows from the rest of the description.
+    if let Some(fields) = identity.as_object_mut() {
+        fields.remove("layout");
+    }
+    named_by_hash(scenario.name(), identity)
+}
+
+/// Returns `name` followed by the first digits of the hash of `identity`. The order of keys does not matter.
+fn named_by_hash(name: &str, mut identity: serde_json::Value) -> String {
+    identity.sort_all_objects();
+    let hash = hex(&Sha256::digest(identity.to_string()));
+    format!("{name}-{}", &hash[..16])
+}
+
+/// The contents of `dataset.json`.
+pub(super) struct Description(pub serde_json::Value);
+
+impl Description {
+    pub const FILE: &str = "dataset.json";
+
+    /// Reads the description in a dataset's folder. The error says why it can't be read.
+    pub fn read(folder: &Path) -> Result<Self, String> {
+        let bytes = std::fs::read(folder.join(Self::FILE)).map_err(|error| error.to_string())?;
+        serde_json::from_slice(&bytes).map(Self).map_err(|error| error.to_string())
+    }
+
+    /// Whether this version of the program reads and writes the dataset's format.
+    pub fn is_current(&self) -> bool {
+        self.0["format"] == FORMAT
+    }
+
+    /// Returns the scenario and the settings of a simulated dataset; `None` if this does not describe the dataset
+    /// `name`. The name is a hash of everything except the number of episodes.
+    pub fn simulated(&self, name: &str) -> Option<(Scenario, Simulation)> {
+        let scenario = Scenario::new(self.0["scenario"].as_str()?)?;
+        let simulation = serde_json::from_value(self.0["simulation"].clone()).ok()?;
+        (identify(scenario, &self.0) == name).then_some((scenario, simulation))
+    }
+
+    /// Returns the layout of the samples. Descriptions from before layouts existed have the layout of the finger.
+    pub fn layout(&self) -> Result<Arc<Layout>, String> {
+        match self.0.get("layout") {
+            Some(layout) => {
+                let layout = Layout::deserialize(layout).map_err(|error| format!("its layout: {error}"))?;
+                Ok(Arc::new(layout))
+            }
+            None => Ok(Layout::finger()),
+        }
+    }
+
+    /// Returns the description of an imported dataset; `None` if this does not describe the dataset `name`. The name
+    /// ends in a hash of the content.
+    pub fn imported(&self, name: &str) -> Option<Content> {
+        let content = self.0.get("imported")?;
+        let identity = json!({ "format": FORMAT, "imported": content });
+        let own_name = content["name"].as_str()?;
+        let described = self.is_current() && named_by_hash(own_name, identity) == name;
+        serde_json::from_value(content.clone()).ok().filter(|_| described)
+    }
+}
+
+/// Returns the layout of the samples of the dataset in a folder. The dataset can be simulated or imported.
+///
+/// # Errors
+/// When the description can't be read.
+pub fn layout_of(folder: &Path) -> Result<Arc<Layout>, DatasetError> {
+    let described = || {
+        let description = Description::read(folder)?;
+        let name = folder.file_name().unwrap_or_default().to_string_lossy();
+        match description.imported(&name) {
+            Some(content) => Ok(content.layout()),
+            None => description.layout(),
+        }
+    };
+    described().map_err(|problem| DatasetError::Damaged { path: folder.join(Description::FILE), problem })
+}
+
+/// The description of an imported dataset in `dataset.json`. The dataset's name contains its hash.
+#[derive(Debug, Clone, Deserialize)]
+pub(super) struct Content {
+    pub sample_rate_hz: f64,
+    /// The modalities of the episodes, in addition to the setpoint, which every episode has. Datasets that were
+    /// imported before layouts existed have only these names, and the finger's layout defines the rest.
+    modalities: Vec<Modality>,
+    #[serde(default)]
+    layout: Option<Layout>,
+    episodes: Vec<ImportedEpisode>,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+struct ImportedEpisode {
+    samples: u32,
+}
+
+impl Content {
+    /// Returns the layout of the samples.
+    pub fn layout(&self) -> Arc<Layout> {
+        if let Some(layout) = &self.layout {
+            return Arc::new(layout.clone());
+        }
+        let mut layout = Layout::clone(&Layout::finger());
+        let held = |modality: Modality| modality == Modality::SETPOINT || self.modalities.contains(&modality);
+        layout.modalities.retain(|definition| held(definition.difference_of.unwrap_or(definition.name)));
+        // The colors of a real camera's images do not identify the robot's parts.
+        layout.regions.clear();
+        Arc::new(layout)
+    }
+
+    /// Returns the number of samples of each episode.
+    pub fn samples(&self) -> Vec<usize> {
+        self.episodes.iter().map(|episode| episode.samples as usize).collect()
+    }
+}

@@ -1,0 +1,39 @@
+//! Command lines of the harness, as text.
+
+use super::{DEFAULT_ROOT, Registry};
+use harness_spec::RunSpec;
+use std::path::Path;
+
+/// Joins words with spaces, each quoted for a POSIX shell where needed.
+pub fn quoted<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
+    let quote = |word: &'a str| match shlex::try_quote(word) {
+        Ok(quoted) => quoted.into_owned(),
+        // Only a null byte can't be quoted, and a program's arguments never contain one.
+        Err(_) => word.to_owned(),
+    };
+    words.into_iter().map(quote).collect::<Vec<_>>().join(" ")
+}
+
+impl Registry {
+    /// A command line of the harness for this results folder: `harness --results FOLDER` followed by `command`.
+    pub fn command(&self, command: &str) -> String {
+        command_in(&self.root, command)
+    }
+}
+
+/// A command line of the harness for the results folder `root`. The default folder needs no `--results`.
+pub(super) fn command_in(root: &Path, command: &str) -> String {
+    if root == Path::new(DEFAULT_ROOT) {
+        return format!("harness {command}");
+    }
+    format!("harness --results {} {command}", quoted([&*root.to_string_lossy()]))
+}
+
+/// The command that makes only the run of `spec`, one of the runs that `command` makes. Lists of seeds, latent sizes,
+/// scenarios and varied settings are reduced to the run's own values. Otherwise the records of a thousand runs with a
+/// thousand seeds would contain a million seeds.
+pub(super) fn command_of(command: &str, spec: &RunSpec) -> String {
+    let Some(words) = shlex::split(command) else { return command.to_owned() };
+    let own: Vec<String> = words.iter().map(|word| spec.own_override(word)).collect();
+    quoted(own.iter().map(String::as_str))
+}

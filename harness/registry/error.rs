@@ -1,0 +1,135 @@
+//! The errors of this crate.
+
+use super::DEFAULT_ROOT;
+use super::command_line::command_in;
+use harness_shared::files::{LockError, WriteError};
+use harness_tables::TableError;
+use polars::prelude::PolarsError;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// An error in reading or writing the results folder.
+#[derive(Debug, thiserror::Error)]
+pub enum RegistryError {
+    /// A file can't be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    /// A folder can't be locked.
+    #[error(transparent)]
+    Lock(#[from] LockError),
+    /// A table can't be read or written.
+    #[error(transparent)]
+    Table(#[from] TableError),
+    /// The results folder does not exist, or contains no results.
+    #[error("there are no results in {}: {problem}; --results names the folder that runs were written to", root.display())]
+    NoResults {
+        /// The results folder.
+        root: PathBuf,
+        /// Whether the folder or its contents are missing, in words.
+        problem: &'static str,
+    },
+    /// A run's record is damaged or missing.
+    #[error("{} is not the record of a run ({reason}); `{}` says how to repair it", path.display(), verify_command(path))]
+    Record {
+        /// The record's path.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A folder contains the record of another run.
+    #[error("{} is the record of {of}, which belongs in another folder; `{}` says what to do", path.display(), verify_command(path))]
+    Misplaced {
+        /// The record's path.
+        path: PathBuf,
+        /// The run that the record describes, as `experiment/run`.
+        of: String,
+    },
+    /// A file of a run or dataset is damaged or missing.
+    #[error("{} is damaged ({reason}); `{}` says how to repair it", path.display(), verify_command(path))]
+    File {
+        /// The file's path.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A dataset has fewer episodes than its description or a finished run names.
+    #[error("{} lacks {missing} of its {episodes} episodes; `{}` says how to repair it", path.display(), verify_command(path))]
+    Incomplete {
+        /// The dataset's folder.
+        path: PathBuf,
+        /// Number of missing episodes.
+        missing: usize,
+        /// Number of episodes that the dataset should have.
+        episodes: u32,
+    },
+    /// No run has a name that begins with the wanted text.
+    #[error("no run matches '{wanted}'{}; `{list}` lists them", nearest.as_ref().map(|n| format!(", the nearest is '{n}'")).unwrap_or_default())]
+    Unknown {
+        /// The wanted text.
+        wanted: String,
+        /// The id of the run that is most similar to it, if there are runs.
+        nearest: Option<String>,
+        /// The command that lists all runs.
+        list: String,
+    },
+    /// The target of publishing is the results folder itself.
+    #[error("{} can't be published into itself; choose another folder", .0.display())]
+    IntoItself(PathBuf),
+    /// The wanted text is the beginning of several runs' names.
+    #[error("'{wanted}' matches several runs: {}", matches.join(", "))]
+    Ambiguous {
+        /// The wanted text.
+        wanted: String,
+        /// The runs that match, as `experiment/run`.
+        matches: Vec<String>,
+    },
+}
+
+/// The command that verifies the results folder that contains `path`.
+fn verify_command(path: &Path) -> String {
+    // How many levels below `runs` or `datasets` a path can be: a file of a run, a file of a dataset, a file of a
+    // misplaced run, and the folder of a dataset.
+    let names = [("runs", 3), ("datasets", 2), ("runs", 2), ("datasets", 1)];
+    let is_place = |(name, depth): &(&str, usize)| {
+        path.ancestors().nth(*depth).and_then(Path::file_name).is_some_and(|found| found == *name)
+    };
+    let root =
+        names.iter().find(|place| is_place(place)).and_then(|(_, depth)| path.ancestors().nth(depth + 1));
+    command_in(root.unwrap_or(Path::new(DEFAULT_ROOT)), "verify")
+}
+
+/// An error in answering a query, or in reading or writing its answer.
+#[derive(Debug, thiserror::Error)]
+pub enum QueryError {
+    /// A table's file is damaged or missing.
+    #[error(transparent)]
+    Registry(#[from] RegistryError),
+    /// Polars failed to compute the answer.
+    // Polars adds a plan of many lines.
+    #[error("the query can't be answered: {}", .0.to_string().lines().next().unwrap_or_default())]
+    Sql(#[source] PolarsError),
+    /// The query is wrong or not supported. The message says what to write instead.
+    #[error("the query can't be answered: {0}")]
+    Refused(String),
+    /// The answer's rows can't be converted to the wanted type.
+    #[error("the rows of the answer have unexpected types: {0}")]
+    Rows(serde_json::Error),
+    /// The output file's name has none of the supported endings.
+    #[error("can't write to '{}': its name must end in .parquet, .csv or .json", .0.display())]
+    Format(PathBuf),
+    /// The output file can't be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+}
+
+impl From<PolarsError> for QueryError {
+    /// Unwraps a registry error that a lazily read table wrapped in a Polars error.
+    fn from(error: PolarsError) -> Self {
+        let PolarsError::IO { error, msg } = error else { return Self::Sql(error) };
+        match Arc::try_unwrap(error).map(std::io::Error::downcast::<RegistryError>) {
+            Ok(Ok(error)) => Self::Registry(error),
+            Ok(Err(error)) => Self::Sql(PolarsError::IO { error: Arc::new(error), msg }),
+            Err(error) => Self::Sql(PolarsError::IO { error, msg }),
+        }
+    }
+}

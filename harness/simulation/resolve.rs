@@ -1,0 +1,767 @@
+//! Looks up the names of a world file in its MuJoCo model.
+
+use super::SimulationError;
+use harness_spec::{
+    Definition, Drawing, Element, Group, Kind, Layout, Modality, Percentage, Posed, Property, Source, World,
+    clearance_setting, matching, range_setting,
+};
+use mujoco_rs::prelude::*;
+
+/// A world file with its names resolved in the model. The fields are those of the scene.
+pub(super) struct Resolved {
+    pub layout: Layout,
+    pub readings: Vec<Vec<Reading>>,
+    pub cameras: Vec<SceneCamera>,
+    pub flows: Vec<SceneFlow>,
+    pub posed: Vec<(Posed, usize)>,
+    pub actuators: Vec<Driven>,
+    pub force_of_geom: Vec<Option<usize>>,
+    pub forces: usize,
+    pub placements: Vec<Placement>,
+    pub factors: Vec<SceneFactor>,
+    pub view: Option<usize>,
+    pub tip: Option<Tip>,
+}
+
+/// The source of an element of a vector.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Reading {
+    /// Index into `qpos`.
+    Position(usize),
+    /// Index into `qvel`.
+    Velocity(usize),
+    /// A value of one of the scene's poses: x, y and z, then w, x, y and z.
+    Pose(usize, usize),
+    /// One of the scene's forces, at the instant.
+    Force(usize),
+    /// The same, averaged since the sample before.
+    MeanForce(usize),
+    /// Index into `sensordata`.
+    Sensor(usize),
+    /// An element of what the actuators are commanded.
+    Setpoint(usize),
+}
+
+/// A camera that is recorded.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SceneCamera {
+    pub modality: Modality,
+    /// Its place in the layout.
+    pub position: usize,
+    pub camera: usize,
+    /// Rows and columns.
+    pub size: [usize; 2],
+}
+
+/// The last link whose contacts are sensed.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Tip {
+    /// Its body, whose origin is its joint.
+    pub body: usize,
+    /// Its capsule, whose middle is half-way from the joint to the fingertip.
+    pub geom: usize,
+}
+
+/// An actuator that is commanded.
+#[derive(Debug, Clone)]
+pub(super) struct Driven {
+    /// Of a joint's position servo, the index into `qpos`: an episode starts with the joint at its setpoint.
+    pub qpos: Option<usize>,
+    pub actuator: usize,
+    /// Setpoints that the joint's and the actuator's limits allow.
+    pub limits: [f64; 2],
+    /// The setting of a spec that has its range.
+    pub setting: String,
+}
+
+/// Bodies that each episode places.
+#[derive(Debug, Clone)]
+pub(super) struct Placement {
+    pub boxes: Vec<FreeBox>,
+    /// The setting of a spec that has their clearance.
+    pub setting: String,
+    pub clearance_m: f64,
+    pub area: Area,
+}
+
+/// Where bodies are placed.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Area {
+    Sector(Mount),
+    /// Lowest and highest x and y, m.
+    Rectangle([[f64; 2]; 2]),
+}
+
+/// Where an arm's body hangs: at the bearing `bearing + rotation` and the distance `radius + extension` from the arm's
+/// vertical axis.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Mount {
+    /// The elements of the action that turn and extend it.
+    pub elements: [usize; 2],
+    /// The axis on the ground, m.
+    pub axis: [f64; 2],
+    /// Distance with the extension at 0, m.
+    pub radius: f64,
+    /// Bearing with the rotation at 0, rad.
+    pub bearing: f64,
+    /// Radius of the body, m.
+    pub body_radius: f64,
+}
+
+/// A box with a free joint.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FreeBox {
+    /// Index into `qpos` of its position (3 values) and orientation (4).
+    pub qpos: usize,
+    pub geom: usize,
+    /// Half of its sides, m.
+    pub half_size: [f64; 3],
+}
+
+impl Mount {
+    /// The point of the ground plane under the body, m.
+    pub fn below(&self, rotation: f64, extension: f64) -> [f64; 2] {
+        let (sin, cos) = (self.bearing + rotation).sin_cos();
+        let radius = self.radius + extension;
+        [self.axis[0] + radius * cos, self.axis[1] + radius * sin]
+    }
+}
+
+/// A camera whose optical flow is recorded.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SceneFlow {
+    pub image: SceneCamera,
+    /// The largest displacement that the image can encode, pixels.
+    pub limit: f64,
+}
+
+/// A factor of a world, with its names resolved in the model.
+#[derive(Debug, Clone)]
+pub(super) struct SceneFactor {
+    pub name: String,
+    pub property: Property,
+    pub drawing: Drawing,
+    /// Indices of the joints, bodies, geoms, lights or cameras of the model that it changes.
+    pub things: Vec<usize>,
+    /// Whether each of them has its own values.
+    pub each: bool,
+    /// Names and units of the values that are drawn.
+    pub elements: Vec<Element>,
+}
+
+const HINGE: MjtJoint = MjtJoint::mjJNT_HINGE;
+const SLIDE: MjtJoint = MjtJoint::mjJNT_SLIDE;
+const FREE: MjtJoint = MjtJoint::mjJNT_FREE;
+
+/// Kinds of things that a world file names, and the word for each.
+const JOINT: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_JOINT, "joint");
+const GEOM: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_GEOM, "geom");
+const BODY: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_BODY, "body");
+const SENSOR: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_SENSOR, "sensor");
+const SITE: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_SITE, "site");
+const CAMERA: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_CAMERA, "camera");
+const LIGHT: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_LIGHT, "light");
+const ACTUATOR: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_ACTUATOR, "actuator");
+
+/// Returns the names and indices of all named objects of a kind, in the model's order.
+pub(super) fn named(model: &MjModel, kind: MjtObjBase) -> Vec<(&str, usize)> {
+    let count = match kind {
+        MjtObjBase::mjOBJ_JOINT => model.njnt(),
+        MjtObjBase::mjOBJ_GEOM => model.ngeom(),
+        MjtObjBase::mjOBJ_BODY => model.nbody(),
+        MjtObjBase::mjOBJ_SENSOR => model.nsensor(),
+        MjtObjBase::mjOBJ_CAMERA => model.ncam(),
+        MjtObjBase::mjOBJ_LIGHT => model.nlight(),
+        MjtObjBase::mjOBJ_SITE => model.nsite(),
+        _ => model.nactuator(),
+    };
+    let with_name = (0..count as usize).filter_map(|id| Some((model.id_to_name(kind, id)?, id)));
+    with_name.filter(|(name, _)| !name.is_empty()).collect()
+}
+
+/// Largest number of names in a message.
+const NAMES_SHOWN: usize = 40;
+
+/// Looks the names of a world file up in its model, with errors that say what is missing where.
+pub(super) struct Resolver<'a> {
+    world: &'a World,
+    model: &'a MjModel,
+    force_of_geom: Vec<Option<usize>>,
+    forces: usize,
+    posed: Vec<(Posed, usize)>,
+    tip: Option<Tip>,
+}
+
+impl<'a> Resolver<'a> {
+    pub fn new(world: &'a World, model: &'a MjModel) -> Self {
+        let force_of_geom = vec![None; model.ngeom() as usize];
+        Self { world, model, force_of_geom, forces: 0, posed: Vec::new(), tip: None }
+    }
+
+    pub fn resolve(mut self) -> Result<Resolved, SimulationError> {
+        let (file, step_rate) = (self.world.file(), 1.0 / self.model.opt().timestep);
+        if (file.step_rate_hz - step_rate).abs() > 1e-6 * step_rate {
+            let message =
+                format!("the model's timestep is {} s; write {step_rate}", self.model.opt().timestep);
+            return Err(self.fault("step_rate_hz", message));
+        }
+        let actuators = self.actuators()?;
+        let mut modalities: Vec<(Definition, Vec<Reading>)> = Vec::new();
+        let (mut cameras, mut flows) = (Vec::new(), Vec::new());
+        for (name, sensing) in file.modalities.iter() {
+            let Some(modality) = Modality::new(name) else { continue };
+            let path = format!("modalities.{name}.{}", sensing.source().key());
+            let position = modalities.len();
+            match sensing.source() {
+                Source::Camera { name, size } => {
+                    let camera = self.find(CAMERA, name, &path)?;
+                    cameras.push(SceneCamera { modality, position, camera, size });
+                }
+                Source::OpticalFlow { camera, size, limit } => {
+                    let camera = self.pinhole(camera, &path)?;
+                    flows.push(SceneFlow { image: SceneCamera { modality, position, camera, size }, limit });
+                }
+                _ => {}
+            }
+            let sensed = self.modality(modality, sensing, &path, &modalities)?;
+            modalities.push(sensed);
+        }
+        let setpoint = self.setpoint();
+        let is_sensed =
+            |(definition, _): &(Definition, Vec<Reading>)| definition.elements() == setpoint.0.elements();
+        let place = modalities.iter().position(is_sensed).map_or(modalities.len(), |index| index + 1);
+        modalities.insert(place, setpoint);
+        let images = cameras.iter_mut().chain(flows.iter_mut().map(|flow| &mut flow.image));
+        images.filter(|image| image.position >= place).for_each(|image| image.position += 1);
+        let (placements, factors) = (self.placements(&actuators)?, self.factors()?);
+        let (definitions, readings) = modalities.into_iter().unzip();
+        let view = cameras.first().map(|camera| camera.camera).or((self.model.ncam() > 0).then_some(0));
+        Ok(Resolved {
+            layout: Layout { modalities: definitions, regions: self.world.regions() },
+            readings,
+            cameras,
+            flows,
+            posed: self.posed,
+            actuators,
+            force_of_geom: self.force_of_geom,
+            forces: self.forces,
+            placements,
+            factors,
+            view,
+            tip: self.tip,
+        })
+    }
+
+    fn fault(&self, path: &str, message: impl Into<String>) -> SimulationError {
+        self.world.fault(path, message).into()
+    }
+
+    fn list(all: &[(&str, usize)], word: &str) -> String {
+        if all.is_empty() {
+            return format!("the model has no {word} with a name");
+        }
+        let names: Vec<&str> = all.iter().take(NAMES_SHOWN).map(|(name, _)| *name).collect();
+        let more = if all.len() > NAMES_SHOWN { ", …" } else { "" };
+        format!("the model has {}{more}", names.join(", "))
+    }
+
+    fn find(
+        &self,
+        (kind, word): (MjtObjBase, &str),
+        name: &str,
+        path: &str,
+    ) -> Result<usize, SimulationError> {
+        let all = named(self.model, kind);
+        let found = all.iter().find(|(other, _)| *other == name).map(|(_, id)| *id);
+        found.ok_or_else(|| {
+            self.fault(path, format!("the model has no {word} '{name}'; {}", Self::list(&all, word)))
+        })
+    }
+
+    /// Returns the names and indices of the objects of a kind that match the patterns.
+    fn matches(
+        &self,
+        (kind, word): (MjtObjBase, &str),
+        patterns: &[String],
+        path: &str,
+    ) -> Result<Vec<(&'a str, usize)>, SimulationError> {
+        let all = named(self.model, kind);
+        let names: Vec<&str> = all.iter().map(|(name, _)| *name).collect();
+        let found = matching(patterns, &names).map_err(|(pattern, problem)| {
+            let there = Self::list(&all, word);
+            self.fault(path, format!("'{pattern}' {problem} among the model's {word} names; {there}"))
+        })?;
+        Ok(found.into_iter().map(|index| all[index]).collect())
+    }
+
+    /// Returns the definition of a modality and the sources of its elements.
+    fn modality(
+        &mut self,
+        name: Modality,
+        sensing: &harness_spec::Sensing,
+        path: &str,
+        others: &[(Definition, Vec<Reading>)],
+    ) -> Result<(Definition, Vec<Reading>), SimulationError> {
+        let source = sensing.source();
+        let scaling = self.world.scaling(name).unwrap_or(harness_spec::Scaling::plain(false));
+        let mut definition = Definition {
+            scale: scaling.scale,
+            minimum: scaling.minimum,
+            percentage: sensing.percentage,
+            ..Definition::vector(name, "", Vec::new())
+        };
+        let values = match source {
+            Source::Camera { name, size } => {
+                definition.kind = Kind::Image { size };
+                definition.meaning = format!("Image of the camera {name}");
+                return Ok((definition, Vec::new()));
+            }
+            Source::OpticalFlow { camera, size, limit } => {
+                definition.kind = Kind::Image { size };
+                definition.meaning =
+                    format!("Optical flow of the camera {camera}, up to {limit} pixels a sample");
+                return Ok((definition, Vec::new()));
+            }
+            Source::DifferenceOf(of) => {
+                definition.meaning = format!("Change of {of} since the sample before");
+                definition.difference_of = Some(of);
+                if let Some((other, _)) = others.iter().find(|(other, _)| other.name == of) {
+                    definition.kind = other.kind.clone();
+                    definition.groups = other.groups.clone();
+                    return Ok((definition, Vec::new()));
+                }
+                return Err(self.fault(path, format!("'{of}' must stand before what is its difference")));
+            }
+            Source::JointPositions(patterns) => {
+                definition.meaning = "Position of joint".into();
+                self.joints(patterns, path, ["rad", "m"], Reading::Position, |model, id| {
+                    model.jnt_qposadr()[id]
+                })?
+            }
+            Source::JointVelocities(patterns) => {
+                definition.meaning = "Velocity of joint".into();
+                self.joints(patterns, path, ["rad/s", "m/s"], Reading::Velocity, |model, id| {
+                    model.jnt_dofadr()[id]
+                })?
+            }
+            Source::NormalForce { names, mean } => {
+                definition.meaning = match mean {
+                    false => "Normal contact force, at the instant, on link".into(),
+                    true => {
+                        "Normal contact force, averaged over the interval up to the instant, on link".into()
+                    }
+                };
+                self.contact_forces(names, path, mean)?
+            }
+            Source::Pose { names, of, orientation } => {
+                definition.meaning = match orientation {
+                    false => "Position in the world of".into(),
+                    true => "Orientation in the world of".into(),
+                };
+                self.poses(names, path, of, orientation)?
+            }
+            Source::Sensor(patterns) => {
+                definition.meaning = "Value of sensor".into();
+                self.sensors(patterns, path, sensing.unit.as_deref().unwrap_or_default())?
+            }
+        };
+        let patterns = match source {
+            Source::JointPositions(names) | Source::JointVelocities(names) | Source::Sensor(names) => names,
+            Source::NormalForce { names, .. } | Source::Pose { names, .. } => names,
+            _ => &[],
+        };
+        let names: Vec<&str> = values.iter().map(|value| value.name.as_str()).collect();
+        let short = match source {
+            // Their names are those of columns already.
+            Source::Pose { .. } => names.iter().map(|name| (*name).to_owned()).collect(),
+            _ => short_names(patterns, &names),
+        };
+        let elements = short.into_iter().zip(&values);
+        let elements = elements.map(|(name, value)| Element { name, unit: value.unit.clone() }).collect();
+        definition.kind = Kind::Vector { elements };
+        for (group, patterns) in sensing.groups.iter() {
+            let path = format!("modalities.{name}.groups.{group}");
+            let elements = matching(patterns, &names).map_err(|(pattern, problem)| {
+                self.fault(&path, format!("'{pattern}' {problem} among {}", names.join(", ")))
+            })?;
+            definition.groups.push(Group { name: group.to_owned(), elements });
+        }
+        if definition.percentage.is_none() {
+            definition.percentage = match source {
+                Source::NormalForce { .. } => Some(Percentage::Wmape),
+                Source::JointPositions(_) if definition.unit() == Some("rad") => Some(Percentage::Smape),
+                _ => None,
+            };
+        }
+        Ok((definition, values.into_iter().map(|value| value.reading).collect()))
+    }
+
+    fn joints(
+        &self,
+        patterns: &[String],
+        path: &str,
+        units: [&str; 2],
+        reading: fn(usize) -> Reading,
+        address: fn(&MjModel, usize) -> i32,
+    ) -> Result<Vec<Sensed>, SimulationError> {
+        let found = self.matches(JOINT, patterns, path)?;
+        let joint = |(name, id): (&str, usize)| {
+            let unit = match self.model.jnt_type()[id] {
+                HINGE => units[0],
+                SLIDE => units[1],
+                other => {
+                    let message =
+                        format!("joint '{name}' is {other:?}; only hinges and slides can be sensed");
+                    return Err(self.fault(path, message));
+                }
+            };
+            let reading = reading(address(self.model, id) as usize);
+            Ok(Sensed { name: name.to_owned(), unit: unit.to_owned(), reading })
+        };
+        found.into_iter().map(joint).collect()
+    }
+
+    /// Positions or orientations of bodies or sites.
+    fn poses(
+        &mut self,
+        patterns: &[String],
+        path: &str,
+        of: Posed,
+        orientation: bool,
+    ) -> Result<Vec<Sensed>, SimulationError> {
+        let found = self.matches(if of == Posed::Body { BODY } else { SITE }, patterns, path)?;
+        let names: Vec<&str> = found.iter().map(|(name, _)| *name).collect();
+        let (values, unit) = match orientation {
+            false => (["x", "y", "z"].as_slice(), "m"),
+            true => (["w", "x", "y", "z"].as_slice(), "1"),
+        };
+        let first = if orientation { 3 } else { 0 };
+        let mut sensed = Vec::new();
+        for (name, (_, id)) in short_names(patterns, &names).into_iter().zip(found) {
+            let known = self.posed.iter().position(|posed| *posed == (of, id));
+            let pose = known.unwrap_or_else(|| {
+                self.posed.push((of, id));
+                self.posed.len() - 1
+            });
+            sensed.extend(values.iter().enumerate().map(|(index, value)| Sensed {
+                name: format!("{name}_{value}"),
+                unit: unit.to_owned(),
+                reading: Reading::Pose(pose, first + index),
+            }));
+        }
+        Ok(sensed)
+    }
+
+    /// Returns the index of a camera. It must be a perspective camera defined only by its field of view.
+    fn pinhole(&self, name: &str, path: &str) -> Result<usize, SimulationError> {
+        let camera = self.find(CAMERA, name, path)?;
+        let is_plain = self.model.cam_projection()[camera]
+            == mujoco_rs::wrappers::mj_model::MjtProjection::mjPROJ_PERSPECTIVE
+            && self.model.cam_sensorsize()[camera] == [0.0; 2];
+        if is_plain {
+            return Ok(camera);
+        }
+        let message = "is orthographic or has a sensor size; an optical flow is computed of a perspective camera with a fovy";
+        Err(self.fault(path, format!("camera '{name}' {message}")))
+    }
+
+    /// Forces on geoms or, where no geom matches, on all geoms of each body.
+    fn contact_forces(
+        &mut self,
+        patterns: &[String],
+        path: &str,
+        mean: bool,
+    ) -> Result<Vec<Sensed>, SimulationError> {
+        let bodies = self.matches(BODY, patterns, path);
+        let (found, of_bodies) = match self.matches(GEOM, patterns, path) {
+            Ok(geoms) => (geoms, false),
+            Err(error) => (bodies.map_err(|_| error)?, true),
+        };
+        let mut sensed = Vec::new();
+        for (name, id) in found {
+            let geoms = match of_bodies {
+                false => id..id + 1,
+                true => {
+                    let count = self.model.body_geomnum()[id] as usize;
+                    let first = self.model.body_geomadr()[id].max(0) as usize;
+                    first..first + count
+                }
+            };
+            let known = geoms.clone().next().and_then(|geom| self.force_of_geom[geom]);
+            let force = known.unwrap_or(self.forces);
+            let is_free = |geom: usize| self.force_of_geom[geom] == known;
+            if !geoms.clone().all(is_free) {
+                return Err(self.fault(path, format!("a geom of '{name}' belongs to another force as well")));
+            }
+            if known.is_none() {
+                self.forces += 1;
+            }
+            geoms.for_each(|geom| self.force_of_geom[geom] = Some(force));
+            let reading = if mean { Reading::MeanForce(force) } else { Reading::Force(force) };
+            sensed.push(Sensed { name: name.to_owned(), unit: "N".into(), reading });
+        }
+        if let (None, Some(last)) = (self.tip, sensed.last()) {
+            let id = |(kind, _): (MjtObjBase, &str)| self.model.name_to_id(kind, &last.name);
+            self.tip = id(BODY).zip(id(GEOM)).map(|(body, geom)| Tip { body, geom });
+        }
+        Ok(sensed)
+    }
+
+    fn sensors(&self, patterns: &[String], path: &str, unit: &str) -> Result<Vec<Sensed>, SimulationError> {
+        let mut sensed = Vec::new();
+        for (name, id) in self.matches(SENSOR, patterns, path)? {
+            let (first, count) = (self.model.sensor_adr()[id] as usize, self.model.sensor_dim()[id] as usize);
+            sensed.extend((0..count).map(|value| Sensed {
+                name: if count == 1 { name.to_owned() } else { format!("{name}_{value}") },
+                unit: unit.to_owned(),
+                reading: Reading::Sensor(first + value),
+            }));
+        }
+        Ok(sensed)
+    }
+
+    /// Returns the modality of the actuators' setpoints and the sources of its elements.
+    fn setpoint(&self) -> (Definition, Vec<Reading>) {
+        let actuators = self.world.file().action.actuators.iter();
+        let element = |(name, actuator): (&str, &harness_spec::Actuator)| Element {
+            name: name.to_owned(),
+            unit: actuator.unit.clone(),
+        };
+        let elements: Vec<Element> = actuators.map(element).collect();
+        let readings = (0..elements.len()).map(Reading::Setpoint).collect();
+        (Definition::vector(Modality::SETPOINT, "Commanded setpoint of", elements), readings)
+    }
+
+    fn actuators(&self) -> Result<Vec<Driven>, SimulationError> {
+        let mut driven = Vec::new();
+        for (name, actuator) in self.world.file().action.actuators.iter() {
+            let path = format!("action.actuators.{name}");
+            let own = if actuator.actuator.is_some() { format!("{path}.actuator") } else { path.clone() };
+            let id = self.find(ACTUATOR, actuator.actuator.as_deref().unwrap_or(name), &own)?;
+            let servo = self.servo(id);
+            let mut limits = [f64::NEG_INFINITY, f64::INFINITY];
+            let of_joint = servo.filter(|joint| self.model.jnt_limited()[*joint]);
+            let of_joint = of_joint.map(|joint| self.model.jnt_range()[joint]);
+            let of_actuator =
+                self.model.actuator_ctrllimited()[id].then(|| self.model.actuator_ctrlrange()[id]);
+            for [low, high] in [of_joint, of_actuator].into_iter().flatten() {
+                limits = [limits[0].max(low), limits[1].min(high)];
+            }
+            let [low, high] = actuator.range;
+            if !within([low, high], limits) {
+                let [min, max] = limits;
+                let message =
+                    format!("[{low}, {high}] must lie within [{min}, {max}], which the model allows");
+                return Err(self.fault(&format!("{path}.range"), message));
+            }
+            let qpos = servo.map(|joint| self.model.jnt_qposadr()[joint] as usize);
+            driven.push(Driven { qpos, actuator: id, limits, setting: range_setting(name, actuator) });
+        }
+        Ok(driven)
+    }
+
+    /// The hinge or slide whose position an actuator's control is.
+    fn servo(&self, actuator: usize) -> Option<usize> {
+        let model = self.model;
+        let (gain, bias) = (model.actuator_gainprm()[actuator][0], model.actuator_biasprm()[actuator][1]);
+        let is_servo = model.actuator_trntype()[actuator] == MjtTrn::mjTRN_JOINT
+            && model.actuator_biastype()[actuator] == MjtBias::mjBIAS_AFFINE
+            && gain != 0.0
+            && gain == -bias
+            && model.actuator_gear()[actuator][0] == 1.0;
+        let joint = usize::try_from(model.actuator_trnid()[actuator][0]).ok().filter(|_| is_servo)?;
+        [HINGE, SLIDE].contains(&model.jnt_type()[joint]).then_some(joint)
+    }
+
+    fn placements(&self, actuators: &[Driven]) -> Result<Vec<Placement>, SimulationError> {
+        let mut placements = Vec::new();
+        for (name, placing) in self.world.file().placement.iter() {
+            let path = format!("placement.{name}.bodies");
+            let bodies = self.matches(BODY, &placing.bodies, &path)?;
+            let boxes = bodies.into_iter().map(|(name, body)| self.free_box(name, body, &path));
+            let boxes = boxes.collect::<Result<Vec<_>, _>>()?;
+            let area = match (&placing.sector, placing.rectangle) {
+                (Some(sector), _) => Area::Sector(self.mount(name, sector, actuators)?),
+                (None, rectangle) => Area::Rectangle(rectangle.unwrap_or_default()),
+            };
+            let setting = clearance_setting(name);
+            placements.push(Placement { boxes, setting, clearance_m: placing.clearance_m, area });
+        }
+        Ok(placements)
+    }
+
+    /// The factors of variation, which must be able to change something.
+    fn factors(&self) -> Result<Vec<SceneFactor>, SimulationError> {
+        let mut factors = Vec::new();
+        for (name, factor) in self.world.file().factors.iter() {
+            let (property, patterns) = factor.property();
+            let path = format!("factors.{name}.{property}");
+            let kind = match property {
+                Property::JointStiffness | Property::JointDamping => JOINT,
+                Property::BodyMass => BODY,
+                Property::GeomFriction | Property::GeomSize | Property::GeomColour => GEOM,
+                Property::LightBrightness => LIGHT,
+                Property::CameraPosition | Property::CameraRotation => CAMERA,
+            };
+            let found = self.matches(kind, patterns, &path)?;
+            for (thing, id) in &found {
+                if let Some(problem) = self.unchangeable(property, *id) {
+                    return Err(self.fault(&path, format!("{} '{thing}' {problem}", kind.1)));
+                }
+            }
+            let (names, things): (Vec<&str>, Vec<usize>) = found.into_iter().unzip();
+            let names = factor.each.then(|| short_names(patterns, &names));
+            factors.push(SceneFactor {
+                name: name.to_owned(),
+                property,
+                drawing: factor.drawing(),
+                things,
+                each: factor.each,
+                elements: property.elements(name, names.as_deref()),
+            });
+        }
+        Ok(factors)
+    }
+
+    /// Returns why a factor can't change an object; `None` if it can.
+    fn unchangeable(&self, property: Property, id: usize) -> Option<String> {
+        let model = self.model;
+        let nothing = |word: &str| Some(format!("has no {word} that a factor could multiply"));
+        match property {
+            Property::JointStiffness if model.jnt_stiffness()[id] == 0.0 => nothing("stiffness"),
+            Property::JointDamping if dofs(model, id).all(|dof| model.dof_damping()[dof] == 0.0) => {
+                nothing("damping")
+            }
+            Property::BodyMass if model.body_mass()[id] == 0.0 => nothing("mass"),
+            Property::GeomFriction if model.geom_friction()[id][0] == 0.0 => nothing("friction"),
+            Property::GeomSize => {
+                let sizes = [
+                    MjtGeomBase::mjGEOM_SPHERE,
+                    MjtGeomBase::mjGEOM_CAPSULE,
+                    MjtGeomBase::mjGEOM_ELLIPSOID,
+                    MjtGeomBase::mjGEOM_CYLINDER,
+                    MjtGeomBase::mjGEOM_BOX,
+                ];
+                let is_known = sizes.contains(&model.geom_type()[id]);
+                (!is_known).then(|| {
+                    "is no sphere, capsule, ellipsoid, cylinder or box, which alone can change size".into()
+                })
+            }
+            Property::CameraRotation => {
+                let mode = model.cam_mode()[id];
+                let aims = [MjtCamLight::mjCAMLIGHT_TARGETBODY, MjtCamLight::mjCAMLIGHT_TARGETBODYCOM];
+                aims.contains(&mode).then(|| "looks at a body, wherever it is turned to".into())
+            }
+            _ => None,
+        }
+    }
+
+    /// Reads the body's place off the kinematics, and checks that the arm moves it on a vertical cylinder.
+    fn mount(
+        &self,
+        placed: &str,
+        sector: &harness_spec::Sector,
+        actuators: &[Driven],
+    ) -> Result<Mount, SimulationError> {
+        let path = format!("placement.{placed}.sector");
+        let body = self.find(BODY, &sector.body, &format!("{path}.body"))?;
+        let geom = self.find(GEOM, &sector.body, &format!("{path}.body"))?;
+        let names: Vec<&str> = self.world.file().action.actuators.iter().map(|(name, _)| name).collect();
+        let element = |name: &str| names.iter().position(|other| *other == name).unwrap_or_default();
+        let elements = [element(&sector.rotation), element(&sector.extension)];
+        let [Some(rotation), Some(extension)] = elements.map(|element| actuators[element].qpos) else {
+            return Err(self.fault(&path, "rotation and extension must be position servos of joints"));
+        };
+        let joint = self.model.actuator_trnid()[actuators[elements[0]].actuator][0] as usize;
+        let mut data = MjData::new(self.model);
+        let mut body_at = |turned: f64, extended: f64| {
+            let qpos = data.qpos_mut();
+            actuators.iter().filter_map(|driven| driven.qpos).for_each(|index| qpos[index] = 0.0);
+            (qpos[rotation], qpos[extension]) = (turned, extended);
+            data.kinematics();
+            (data.xpos()[body], data.xanchor()[joint])
+        };
+        let ([x, y, _], axis) = body_at(0.0, 0.0);
+        let (dx, dy) = (x - axis[0], y - axis[1]);
+        let mount = Mount {
+            elements,
+            axis: [axis[0], axis[1]],
+            radius: dx.hypot(dy),
+            bearing: dy.atan2(dx),
+            body_radius: self.model.geom_size()[geom][0],
+        };
+        let (found, _) = body_at(0.5, 0.25);
+        let expected = mount.below(0.5, 0.25);
+        if (found[0] - expected[0]).hypot(found[1] - expected[1]) > 1e-6 {
+            return Err(self.fault(
+                &path,
+                "the arm must turn the body about a vertical axis, counter-clockwise from above, and extend away from \
+                 that axis",
+            ));
+        }
+        Ok(mount)
+    }
+
+    fn free_box(&self, name: &str, body: usize, path: &str) -> Result<FreeBox, SimulationError> {
+        let geom = self.find(GEOM, name, path)?;
+        if self.model.geom_type()[geom] != MjtGeomBase::mjGEOM_BOX {
+            return Err(self.fault(path, format!("geom '{name}' must be a box")));
+        }
+        let joint = self.model.body_jntadr()[body];
+        if joint < 0 || self.model.jnt_type()[joint as usize] != FREE {
+            return Err(self.fault(path, format!("body '{name}' must have a free joint")));
+        }
+        let qpos = self.model.jnt_qposadr()[joint as usize] as usize;
+        Ok(FreeBox { qpos, geom, half_size: self.model.geom_size()[geom] })
+    }
+}
+
+/// One element as it was found in the model.
+struct Sensed {
+    name: String,
+    unit: String,
+    reading: Reading,
+}
+
+/// Whether a range lies within limits, which may have been rounded to a few decimals.
+pub(super) fn within([low, high]: [f64; 2], [min, max]: [f64; 2]) -> bool {
+    let slack = 1e-6;
+    low <= high && low >= min - slack && high <= max + slack
+}
+
+/// Names of elements for columns: what follows the pattern's fixed beginning, or else the whole names; in lower case, with
+/// `_` for what no column's name has.
+fn short_names(patterns: &[String], names: &[&str]) -> Vec<String> {
+    let prefix = match patterns {
+        [pattern] => pattern.split(['*', '?', '[']).next().unwrap_or_default(),
+        _ => "",
+    };
+    let ends = |prefix: &str| -> Vec<String> {
+        let end = |name: &&str| {
+            let end = name.strip_prefix(prefix).unwrap_or(name);
+            end.to_lowercase().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect()
+        };
+        names.iter().map(end).collect()
+    };
+    let is_unique = |ends: &[String]| {
+        let distinct: std::collections::BTreeSet<&String> = ends.iter().collect();
+        distinct.len() == ends.len() && ends.iter().all(|end| !end.is_empty())
+    };
+    let found = ends(prefix);
+    if is_unique(&found) {
+        return found;
+    }
+    let whole = ends("");
+    if is_unique(&whole) { whole } else { (0..names.len()).map(|index| index.to_string()).collect() }
+}
+
+/// Returns the indices of a joint's degrees of freedom.
+pub(super) fn dofs(model: &MjModel, joint: usize) -> std::ops::Range<usize> {
+    let first = model.jnt_dofadr()[joint] as usize;
+    let count = match model.jnt_type()[joint] {
+        MjtJoint::mjJNT_FREE => 6,
+        MjtJoint::mjJNT_BALL => 3,
+        _ => 1,
+    };
+    first..first + count
+}

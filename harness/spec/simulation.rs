@@ -1,0 +1,102 @@
+//! The settings of a simulation.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// The largest seed, 2^53 - 1. Every reader of JSON and Parquet represents integers up to this one exactly.
+pub const MAX_SEED: u64 = (1 << 53) - 1;
+
+/// How episodes are simulated. A dataset's hash covers all of these settings except the number of episodes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct Simulation {
+    /// Seed of the dataset. An episode's random stream is derived from it, the scenario and the episode's index.
+    #[schemars(range(min = 0, max = MAX_SEED))]
+    pub seed: u64,
+    /// Number of independent episodes, each of which starts at rest. A split by episode needs at least 3. One long
+    /// episode corresponds to the paper's continuous run.
+    #[schemars(range(min = 1, max = 1_000_000))]
+    pub episodes: u32,
+    /// Number of commanded moves in an episode.
+    #[schemars(range(min = 1, max = 100_000))]
+    pub actuations_per_episode: u32,
+    /// Duration of a move, s. It must be a whole number of samples.
+    #[schemars(range(max = 60.0), extend("exclusiveMinimum" = 0.0))]
+    pub actuation_seconds: f64,
+    /// Samples recorded per second, Hz. There must be a whole number of simulation steps between two samples.
+    #[schemars(range(max = 100_000.0), extend("exclusiveMinimum" = 0.0))]
+    pub sample_rate_hz: f64,
+    /// Factors of variation of the world that each episode draws anew, by name. The default is none.
+    // The default is not written, so that datasets from before this setting keep their names.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schemars(extend("uniqueItems" = true))]
+    pub factors: Vec<String>,
+    /// Values of the settings that the world defines, by name: the range of each actuator's setpoints, and the
+    /// clearance of placed bodies. The default is the world's value.
+    #[serde(flatten)]
+    #[schemars(skip)]
+    pub world: BTreeMap<String, Setting>,
+}
+
+/// The value of a world's setting.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Setting {
+    /// The lowest and the highest value of a range.
+    Range([f64; 2]),
+    /// A single number.
+    Number(f64),
+}
+
+impl Simulation {
+    /// The settings that every world has.
+    pub(super) const KEYS: [&str; 6] =
+        ["seed", "episodes", "actuations_per_episode", "actuation_seconds", "sample_rate_hz", "factors"];
+
+    /// Returns the range of a world's setting; `None` if there is no such setting, or if it is a number.
+    pub fn range(&self, setting: &str) -> Option<[f64; 2]> {
+        match self.world.get(setting)? {
+            Setting::Range(range) => Some(*range),
+            Setting::Number(_) => None,
+        }
+    }
+
+    /// Returns the number of a world's setting; `None` if there is no such setting, or if it is a range.
+    pub fn number(&self, setting: &str) -> Option<f64> {
+        match self.world.get(setting)? {
+            Setting::Number(number) => Some(*number),
+            Setting::Range(_) => None,
+        }
+    }
+
+    /// Returns the simulation with another value of a world's setting.
+    pub fn with(mut self, setting: &str, value: Setting) -> Self {
+        self.world.insert(setting.to_owned(), value);
+        self
+    }
+
+    /// Returns the number of samples recorded during one actuation.
+    pub fn samples_per_actuation(&self) -> usize {
+        (self.actuation_seconds * self.sample_rate_hz).round() as usize
+    }
+
+    /// Returns the number of samples recorded in one episode.
+    pub fn samples_per_episode(&self) -> usize {
+        self.actuations_per_episode as usize * self.samples_per_actuation()
+    }
+}
+
+impl Default for Simulation {
+    fn default() -> Self {
+        Self {
+            seed: 0,
+            episodes: 200,
+            actuations_per_episode: 20,
+            actuation_seconds: 1.0,
+            sample_rate_hz: 10.0,
+            factors: Vec::new(),
+            world: BTreeMap::new(),
+        }
+    }
+}
