@@ -1,11 +1,11 @@
 """The parts of the reference that the program itself prints, as Markdown.
 
-A comment `<!-- generated: NAME -->` in a page is replaced by the part with this name when the site is built.
+When the site is built, the part with this name replaces everything from a comment `<!-- generated: NAME -->` to the
+comment `<!-- end -->`. The text between them is for readers of the plain Markdown.
 """
 
 from __future__ import annotations
 
-import functools
 import json
 import os
 import re
@@ -205,12 +205,8 @@ def escape(text: str) -> str:
 PARTS = {"command-line": command_line, "spec-keys": spec_keys, "tables": tables, "world-keys": world_keys}
 
 
-@functools.cache
-def part(name: str) -> str:
-    """The part with this name."""
-    return PARTS[name]()
-
-
 def insert(text: str) -> str:
-    """Replaces the comments in a page."""
-    return re.sub(r"<!-- generated: ([\w-]+) -->", lambda found: part(found[1]), text)
+    """A page's text with its generated parts."""
+    return re.sub(
+        r"<!-- generated: ([\w-]+) -->.*?<!-- end -->", lambda found: PARTS[found[1]](), text, flags=re.DOTALL
+    )
