@@ -255,10 +255,11 @@ pub struct Network {
     #[schemars(schema_with = "channels_schema")]
     pub channels: Option<Vec<usize>>,
     /// Side of the squares of pixels over which images are averaged before the encoder's first convolution, in pixels.
+    /// The default is 1.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     #[schemars(range(min = 1, max = 32))]
     pub average: usize,
-    /// The layer in which the encoder joins images and vectors.
+    /// The layer in which the encoder joins images and vectors. The default is `early`.
     #[serde(default, skip_serializing_if = "is_early")]
     pub fusion: Fusion,
 }
@@ -278,7 +279,7 @@ impl Network {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Split {
-    /// The unit that is divided.
+    /// The unit that is divided. The default is `episode`.
     // The default is not written, so that runs from before this setting keep their names.
     #[serde(skip_serializing_if = "is_default")]
     pub by: Division,
@@ -303,20 +304,21 @@ pub struct Training {
     /// Learning rate of Adam.
     #[schemars(range(max = 1.0), extend("exclusiveMinimum" = 0.0))]
     pub learning_rate: f64,
-    /// How the learning rate changes after the warm-up.
+    /// How the learning rate changes after the warm-up. The default is `constant`.
     #[serde(skip_serializing_if = "is_default")]
     pub schedule: Schedule,
     /// Number of epochs in which the learning rate first rises, linearly from 0. Fractions are allowed.
+    /// The default is 0.
     #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(min = 0.0, max = 100_000.0))]
     pub warmup_epochs: f64,
     /// Decoupled weight decay (AdamW; Loshchilov & Hutter, 2019). Each step subtracts this share of each weight, times
-    /// the learning rate. Biases do not decay.
+    /// the learning rate. Biases do not decay. The default is 0.
     #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(min = 0.0, max = 1e6))]
     pub weight_decay: f64,
     /// Largest Euclidean norm of the gradient of all parameters together. A longer gradient is scaled down to it.
-    /// `null` means no limit.
+    /// `null` means no limit. It is the default.
     #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(max = 1e6), extend("exclusiveMinimum" = 0.0))]
     pub clip_norm: Option<f64>,
@@ -330,7 +332,7 @@ pub struct Training {
     /// the lowest total are kept. With `null`, training does not stop early and the last parameters are kept.
     #[schemars(range(min = 1, max = 100_000))]
     pub patience: Option<usize>,
-    /// The validation loss that `patience` refers to. It has no effect if `patience` is `null`.
+    /// The validation loss that `patience` refers to. It has no effect if `patience` is `null`. The default is `total`.
     #[serde(skip_serializing_if = "is_default")]
     pub stop: Stop,
     /// Weight of the Kullback-Leibler divergence in the total loss. The weights of the output modalities are in
@@ -346,14 +348,14 @@ pub struct Training {
     #[schemars(schema_with = "loss_weights_schema")]
     pub loss_weights: BTreeMap<Modality, f64>,
     /// Probability that a step of training drops an output of the last convolution (dropout; Srivastava et al., 2014),
-    /// in [0, 1). It has no effect on a fully connected network.
+    /// in [0, 1). It has no effect on a fully connected network. The default is 0.
     #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1.0))]
     pub dropout: f64,
     /// The number format in large matrix products.
     pub precision: Precision,
     /// Whether matrix products use the processor's tile unit (Intel AMX), if it has one. Results with and without it
-    /// differ by rounding.
+    /// differ by rounding. The default is `true`.
     #[serde(default = "yes", skip_serializing_if = "is_true")]
     pub tiles: bool,
     /// The device on which a network is trained.
