@@ -55,7 +55,7 @@ bench: ## compare the speed with PyTorch, Python's mujoco, PyBullet and MuJoCo i
 	cargo build --release --bins --examples
 	.venv-bench/bin/python harness/benches/compare.py --output results/reference/benchmarks.parquet
 
-interchange: ## open exported data with LeRobot and Rerun and import it again (minutes; 6 GB of packages, once)
+interchange: ## open exports with LeRobot, Rerun, MLflow and TensorBoard, and import (minutes; 6 GB of packages, once)
 	@setup/setup.sh --interchange
 	cargo build --bin harness
 	.venv-interchange/bin/python -m pip install --quiet --no-deps .

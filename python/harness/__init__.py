@@ -5,6 +5,7 @@ trained on the recorded data. The simulation, the training and the tables are wr
 them available in Python:
 
 - `run` does an experiment, `query` queries its tables, `compare` computes means over seeds.
+- `export_mlflow` and `export_tensorboard` write runs to the trackers of other projects.
 - `Dataset` opens a dataset, `load_model` opens a trained network.
 - `harness.environments` has the finger as a `dm_env.Environment`, `harness.gymnasium` as Gymnasium environments.
 - `SimulationBatch` is one simulation or many, stepped by setpoints.
@@ -31,7 +32,19 @@ if TYPE_CHECKING:
 
     from .torch import Transitions
 
-__all__ = ["Dataset", "Model", "SimulationBatch", "Summary", "compare", "load_model", "query", "run"]
+__all__ = [
+    "Dataset",
+    "Exported",
+    "Model",
+    "SimulationBatch",
+    "Summary",
+    "compare",
+    "export_mlflow",
+    "export_tensorboard",
+    "load_model",
+    "query",
+    "run",
+]
 
 
 class Summary(NamedTuple):
@@ -41,6 +54,15 @@ class Summary(NamedTuple):
     """Runs that this call completed."""
     skipped: int
     """Runs that were done before, or by another process."""
+
+
+class Exported(NamedTuple):
+    """Numbers of runs, by what an export did with them."""
+
+    exported: int
+    """Runs that this call wrote."""
+    skipped: int
+    """Runs that were there before and have not changed since."""
 
 
 def run(
@@ -115,6 +137,57 @@ def load_model(run: str, results: str | os.PathLike[str] = "results") -> Model:
     if the run isn't done or the network is damaged.
     """
     return Model(run, Path(results))
+
+
+def export_mlflow(
+    *experiments: str,
+    tracking_uri: str | None = None,
+    condition: str | None = None,
+    artifacts: bool = False,
+    results: str | os.PathLike[str] = "results",
+    progress: bool = True,
+) -> Exported:
+    """Writes runs to MLflow, each to the MLflow experiment of its own experiment's name.
+
+    experiments: names of experiments; all of them by default. tracking_uri: MLflow's server or store, such as
+    `sqlite:///mlflow.db`; MLflow's own default if None. condition: exports only the runs for which this SQL condition
+    over the table `runs` is true, such as `status = 'done' and seed < 3`. artifacts: also uploads each run's files.
+    results: the folder of datasets and runs. progress: shows a progress bar on stderr.
+
+    A run has all settings as parameters, the losses by epoch and the final metrics as metrics, and tags with its
+    name, hashes, seed, commit, versions and status. A run that was exported before is skipped, or replaced if it has
+    changed.
+
+    Raises ImportError if mlflow is not installed, KeyError if an experiment has no runs, ValueError if the condition is
+    wrong, and RuntimeError with MLflow's message if MLflow refuses something.
+    """
+    from .export import mlflow, runs
+
+    chosen = runs.read_runs(experiments, condition, Path(results))
+    return mlflow.write(chosen, tracking_uri, artifacts, progress)
+
+
+def export_tensorboard(
+    *experiments: str,
+    folder: str | os.PathLike[str],
+    condition: str | None = None,
+    results: str | os.PathLike[str] = "results",
+    progress: bool = True,
+) -> Exported:
+    """Writes runs for TensorBoard, each to `folder/EXPERIMENT/RUN`; `tensorboard --logdir folder` shows them.
+
+    experiments, condition, results and progress are those of `export_mlflow`. A run has the losses by epoch and the
+    final metrics as scalars, the settings in which the exported runs of its experiment differ as hyperparameters, and
+    the spec and tags as texts. TensorBoard stores scalars with 32 bits. A run that was exported before is skipped, or
+    replaced if it has changed.
+
+    Raises ImportError if tensorboard is not installed, KeyError if an experiment has no runs, ValueError if the
+    condition is wrong, and OSError if the folder can't be written.
+    """
+    from .export import runs, tensorboard
+
+    chosen = runs.read_runs(experiments, condition, Path(results))
+    return tensorboard.write(chosen, Path(folder), progress)
 
 
 class Dataset(_harness.Dataset):

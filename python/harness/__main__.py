@@ -13,7 +13,11 @@ def main() -> None:
     """Runs the command line and exits with its code."""
     command, *arguments = sys.argv[1:] or [""]
     if command in MODULES:
-        sys.exit(importlib.import_module(MODULES[command]).main(arguments))
+        try:
+            module = importlib.import_module(MODULES[command])
+        except ImportError as error:
+            sys.exit(f"error: {error}")
+        sys.exit(module.main(arguments))
     sys.exit(_harness.main(["harness", *sys.argv[1:]]))
 
 

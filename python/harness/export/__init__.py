@@ -1,6 +1,8 @@
 """Writes datasets as files of other projects: LeRobot datasets and Rerun recordings.
 
 harness export --format lerobot results/datasets/empty-0123456789abcdef exported
+
+The modules `mlflow` and `tensorboard` write runs; see `harness.export_mlflow` and `harness.export_tensorboard`.
 """
 
 from __future__ import annotations
@@ -12,9 +14,12 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from tqdm import tqdm
-
 from harness.recorded import Episode, RecordedDataset
+
+try:
+    from tqdm import tqdm as tqdm
+except ImportError as error:
+    raise ImportError(f"exporting needs the package tqdm: pip install tqdm ({error})") from error
 
 FORMATS = ("lerobot", "rerun")
 
