@@ -36,6 +36,9 @@ myst_heading_anchors = 4
 html_math_renderer = "mathml"
 highlight_language = "text"
 
+# The button copies commands without prompts and outputs.
+copybutton_prompt_text = "$ "
+
 # In docstrings, `name` is a link if it names an object, and code otherwise.
 default_role = "py:obj"
 autodoc_inherit_docstrings = False
@@ -61,7 +64,8 @@ def complete(app: Sphinx, name: str, source: list[str]) -> None:
     """Inserts the generated parts, and adds the links of the start page to the site's navigation."""
     source[0] = generated.insert(source[0])
     if name == root_doc:
-        source[0] = re.sub(r"^## (.+)\n\n(?:.+\n)+\n((?:- .+\n|  .+\n)+)", add_to_navigation, source[0], flags=re.MULTILINE)
+        section = r"^## (.+)\n\n(?:.+\n)+\n((?:(?:- |  ).+\n)+)"
+        source[0] = re.sub(section, add_to_navigation, source[0], flags=re.MULTILINE)
 
 
 def add_to_navigation(section: re.Match[str]) -> str:

@@ -52,15 +52,14 @@ def helps(words: list[str]) -> Iterator[tuple[list[str], str]]:
 
 def tables() -> str:
     """The columns of every table."""
-    described = {table["table"]: (table["meaning"], answer(f"describe {table['table']}")) for table in answer("show tables")}
-    of_runs = [columns for name, (_, columns) in described.items() if name != "episodes"]
-    shared = [column for column in of_runs[0] if all(column in columns for columns in of_runs)]
-    parts = [
-        "## Columns of every table of runs\n\nAll tables except `episodes` begin with these columns.\n\n" + column_table(shared)
-    ]
-    for name, (meaning, columns) in described.items():
-        own = [column for column in columns if name == "episodes" or column not in shared]
-        parts.append(f"## {name}\n\n{sentence(meaning)}\n\n{column_table(own)}")
+    names = {table["table"]: table["meaning"] for table in answer("show tables")}
+    columns = {name: answer(f"describe {name}") for name in names}
+    of_runs = [columns[name] for name in names if name != "episodes"]
+    shared = [column for column in of_runs[0] if all(column in others for others in of_runs)]
+    parts = [f"## Columns of all tables but episodes\n\n{column_list(shared)}"]
+    for name, meaning in names.items():
+        own = [column for column in columns[name] if name == "episodes" or column not in shared]
+        parts.append(f"## {name}\n\n{sentence(meaning)}\n\n{column_list(own)}")
     return "\n".join(parts)
 
 
@@ -72,15 +71,17 @@ def answer(sql: str) -> list[dict[str, str]]:
         return json.loads(file.read_text())
 
 
-def column_table(columns: list[dict[str, str]]) -> str:
-    """A table of columns. The elements of a vector share a row."""
-    lines = ["| column | type | unit | meaning |", "|---|---|---|---|"]
+def column_list(columns: list[dict[str, str]]) -> str:
+    """A definition list of columns. The elements of a vector share an item."""
+    items = []
     for _, group in groupby(columns, lambda column: (re.sub(r"_\d+$", "", column["column"]), column["unit"])):
-        first, *_, last = [*group] * 2
+        elements = list(group)
+        first, last = elements[0], elements[-1]
         name = f"`{first['column']}`" + (f" … `{last['column']}`" if last is not first else "")
-        unit = "" if first["unit"] == "1" else first["unit"]
-        lines.append(f"| {name} | {first['type']} | {unit} | {escape(first['meaning'])} |")
-    return "\n".join(lines) + "\n"
+        meaning = first["meaning"] if last is first else re.sub(r" \d+$", "", first["meaning"])
+        unit = first["unit"] if first["unit"] not in ("", "1") else None
+        items.append(f"{name}\n: {', '.join(filter(None, (first['type'], unit)))}; {meaning}\n")
+    return "\n".join(items)
 
 
 def spec_keys() -> str:
@@ -113,7 +114,8 @@ class Keys:
                 if inner:
                     about = {"description": inner.get("description", value.get("description", ""))}
                     pending.append((f"Each entry of `{key}`" if is_repeated else f"`{key}`", inner | about))
-                entries.append(self.entry(key, value, is_required=key in schema.get("required", []), has_keys=bool(inner)))
+                is_required = key in schema.get("required", [])
+                entries.append(self.entry(key, value, is_required=is_required, has_keys=inner is not None))
             parts.append(f"## {title}\n\n{sentence(schema['description'])}\n\n" + "\n".join(entries))
         return "\n".join(parts)
 
@@ -196,10 +198,6 @@ def sentence(text: str) -> str:
     if not text:
         return ""
     return text[0].upper() + text[1:] + ("" if text.endswith((".", ":")) else ".")
-
-
-def escape(text: str) -> str:
-    return text.replace("|", "\\|")
 
 
 PARTS = {"command-line": command_line, "spec-keys": spec_keys, "tables": tables, "world-keys": world_keys}

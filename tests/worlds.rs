@@ -630,33 +630,3 @@ fn no_size_of_the_finger_stands_in_the_program() {
     }
     assert!(files > 100 && found.is_empty(), "{files} files: {found:#?}");
 }
-
-/// Runs the commands of the tutorial in a copy of the folders that they name.
-#[test]
-fn every_command_of_the_tutorial_works() {
-    let text = fs::read_to_string(root().join("docs/your-own-robot.md")).unwrap();
-    let commands: Vec<&str> =
-        text.split("```sh\n").skip(1).map(|part| part.split("```").next().unwrap()).collect();
-    assert!(commands.len() >= 7, "{commands:?}");
-    let folder = tempfile::tempdir().unwrap();
-    for name in ["models", "experiments"] {
-        std::os::unix::fs::symlink(root().join(name), folder.path().join(name)).unwrap();
-    }
-    let program = Path::new(env!("CARGO_BIN_EXE_harness")).parent().unwrap();
-    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
-    let output = std::process::Command::new("bash")
-        .args(["-euc", &commands.concat()])
-        .current_dir(folder.path())
-        .env("PATH", path)
-        .env("XDG_CACHE_HOME", env!("CARGO_TARGET_TMPDIR"))
-        .output()
-        .unwrap();
-    let said =
-        String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{said}");
-    assert!(said.contains("1 done, 0 done before, 0 failed"), "{said}");
-    assert!(
-        folder.path().join("my_robot/report.html").exists()
-            && folder.path().join("my_robot/robot.png").exists()
-    );
-}
