@@ -33,8 +33,8 @@ suppress_warnings = ["myst.header"]
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 4
 # Blocks without a language are commands and outputs.
-html_math_renderer = "mathml"
 highlight_language = "text"
+html_math_renderer = "mathml"
 
 # The button copies commands without prompts and outputs.
 copybutton_prompt_text = "$ "
@@ -49,6 +49,7 @@ autodoc_mock_imports = ["av", "datasets", "lerobot", "mujoco", "rerun", "torch"]
 html_theme = "furo"
 html_title = f"harness {version}"
 html_copy_source = False
+html_show_search_summary = False
 html_show_copyright = False
 html_show_sphinx = False
 
