@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 from conftest import ROOT
 
+import harness
+
 PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "models/README.md", ROOT / "results/README.md"])
 
 BLOCK = re.compile(
@@ -121,3 +123,11 @@ def test_commands_of_a_page_work_and_print_what_it_shows(page: Path, library: Pa
 def test_every_block_of_a_page_has_a_language(page: Path) -> None:
     """Commands in other blocks, such as indented ones, would not be run."""
     assert not re.search(r"^(    |```)", BLOCK.sub("", page.read_text()), re.MULTILINE)
+
+
+def test_the_page_on_metrics_has_every_metric_and_baseline(library: Path) -> None:
+    page = (ROOT / "docs/metrics.md").read_text()
+    names = set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE))
+    rows = harness.query("select distinct metric, model from metrics", library)
+    metrics = {re.sub("^relative_error_.+", "relative_error_REGION", name) for name in rows["metric"]}
+    assert names == metrics | set(rows["model"]) - {"network"}
