@@ -86,12 +86,12 @@ def column_list(columns: list[dict[str, str]]) -> str:
 
 def spec_keys() -> str:
     """The keys of a spec."""
-    return Keys(json.loads(harness("schema"))).sections("A spec")
+    return Keys(json.loads(harness("schema"))).sections("Top level")
 
 
 def world_keys() -> str:
     """The keys of a world file."""
-    return Keys(json.loads(harness("world", "schema"))).sections("A world file")
+    return Keys(json.loads(harness("world", "schema"))).sections("Every key")
 
 
 class Keys:
