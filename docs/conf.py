@@ -41,6 +41,7 @@ copybutton_prompt_text = "$ "
 
 # In docstrings, `name` is a link if it names an object, and code otherwise.
 default_role = "py:obj"
+autoclass_content = "both"
 autodoc_inherit_docstrings = False
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"

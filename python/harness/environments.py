@@ -31,11 +31,17 @@ def load(
 ) -> "Environment":
     """Creates an environment.
 
-    scenario: a built-in world or the path of a world file. task: one of the finger's tasks in `harness.tasks.TASKS`, or
-    None. seed: the seed of a dataset, whose episodes the environment goes through from the first; random by default.
-    modalities: the observed modalities besides the task's `goal`; they may include `vision`. samples: actions per
-    episode, 0.1 s each. spec: an experiment's YAML file, whose simulation settings are used. Raises ValueError or
-    KeyError if an argument is wrong.
+    Args:
+        scenario: a built-in world, or the path of a world file.
+        task: one of the finger's tasks in `harness.tasks.TASKS`. Without one, there is no goal and every reward is 0.
+        seed: the seed of a dataset, whose episodes the environment goes through from the first; random by default.
+        modalities: the observed modalities besides the task's `goal`; all vectors by default.
+        samples: actions per episode, 0.1 s each with the default settings.
+        spec: an experiment's YAML file, whose simulation settings are used.
+
+    Raises:
+        ValueError: an argument is wrong.
+        KeyError: the world does not have one of the modalities.
     """
     return Environment(Episodes(scenario, task, modalities=modalities, samples=samples, spec=spec), seed)
 

@@ -37,10 +37,20 @@ class Episodes:
         samples: int = 100,
         spec: str | os.PathLike[str] | None = None,
     ) -> None:
-        """scenario: a built-in world, or the path of a world file. task: one of the finger's tasks in
-        `harness.tasks.TASKS`; without one, there is no goal and every reward is 0. count: number of simulations.
-        modalities: the observed modalities; all vectors by default. samples: actions per episode, 0.1 s each with the
-        default settings. spec: an experiment's YAML file, whose simulation settings are used."""
+        """Creates the simulations. `reset` starts their episodes.
+
+        Args:
+            scenario: a built-in world, or the path of a world file.
+            task: one of the finger's tasks in `harness.tasks.TASKS`. Without one, there is no goal and every reward is 0.
+            count: number of simulations.
+            modalities: the observed modalities; all vectors by default.
+            samples: actions per episode, 0.1 s each with the default settings.
+            spec: an experiment's YAML file, whose simulation settings are used.
+
+        Raises:
+            ValueError: an argument is wrong.
+            KeyError: the world does not have one of the modalities.
+        """
         if samples < 1:
             raise ValueError(f"samples: {samples} must be at least 1")
         self.simulations = SimulationBatch(scenario, count, None if spec is None else os.fspath(spec))
