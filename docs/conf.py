@@ -13,6 +13,7 @@ from types import ModuleType
 from docutils.nodes import SkipNode
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
+from sphinx.ext.napoleon import GoogleDocstring
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "docs"), str(ROOT / "python")]
@@ -24,7 +25,7 @@ author = "the harness developers"
 version = re.search(r'^version = "(.+)"', (ROOT / "Cargo.toml").read_text(), re.MULTILINE)[1]
 release = version
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_copybutton"]
 root_doc = "docs/index"
 include_patterns = ["*.md", "docs/*.md", "models/README.md", "results/README.md"]
 exclude_patterns = [".*", "fuzz", "harness", "python", "results/*/*", "target", "tests"]
@@ -62,6 +63,12 @@ def load_stub() -> None:
     exec(compile(path.read_text(), path, "exec", flags=__future__.annotations.compiler_flag), module.__dict__)
 
 
+def read_sections(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Formats the sections of a docstring, such as `Args:`. Attributes have none, but may contain colons."""
+    if what not in ("attribute", "property"):
+        lines[:] = GoogleDocstring(lines, what=what, name=name, obj=obj).lines()
+
+
 def complete(app: Sphinx, name: str, source: list[str]) -> None:
     """Inserts the generated parts, and adds the links of the start page to the site's navigation."""
     source[0] = generated.insert(source[0])
@@ -85,6 +92,7 @@ def redirect(app: Sphinx, error: Exception | None) -> None:
 def setup(app: Sphinx) -> None:
     load_stub()
     app.connect("build-finished", redirect)
+    app.connect("autodoc-process-docstring", read_sections)
     app.connect("source-read", complete)
     # Browsers show MathML without a script.
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math_block, None))

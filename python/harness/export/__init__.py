@@ -35,9 +35,10 @@ def export(
     """Writes a recorded dataset in the format of another project.
 
     Args:
-        dataset: the dataset's folder, `results/datasets/SCENARIO-HASH`. format: `lerobot` for a LeRobot dataset of
-        version 3, or `rerun` for a folder with one .rrd recording per episode. output: the folder to write, which must
-        not exist. It appears only after all files are written. episodes: the episodes to export; all of them if None.
+        dataset: the dataset's folder, `results/datasets/SCENARIO-HASH`.
+        format: `lerobot` for a LeRobot dataset of version 3, or `rerun` for a folder with one .rrd recording per episode.
+        output: the folder to write, which must not exist. It appears only after all files are written.
+        episodes: the episodes to export; all of them if None.
         progress: whether to show a progress bar on stderr.
 
     Returns:
