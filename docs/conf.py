@@ -9,7 +9,9 @@ import re
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Generic, TypeVar
 
+import numpy.typing
 from docutils.nodes import SkipNode
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
@@ -56,6 +58,10 @@ html_show_copyright = False
 html_show_sphinx = False
 
 
+class NDArray(Generic[TypeVar("Value")]):
+    """The type that signatures show as `NDArray[float64]`. NumPy's own is shown with its whole definition."""
+
+
 def load_stub() -> None:
     """Makes autodoc read the stub of the compiled module, which has the types and docstrings."""
     path = ROOT / "python/harness/_harness.pyi"
@@ -90,6 +96,7 @@ def redirect(app: Sphinx, error: Exception | None) -> None:
 
 
 def setup(app: Sphinx) -> None:
+    numpy.typing.NDArray = NDArray
     load_stub()
     app.connect("build-finished", redirect)
     app.connect("autodoc-process-docstring", read_sections)
