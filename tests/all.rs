@@ -19,6 +19,7 @@ mod make;
 mod many_runs;
 mod models;
 mod numbers;
+mod outside;
 mod publish;
 mod reference;
 mod removal;

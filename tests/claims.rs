@@ -707,7 +707,7 @@ fn the_figure_of_readings_shows_what_vision_adds_under_each() {
     let without = tempfile::tempdir().unwrap();
     std::fs::create_dir(without.path().join("runs")).unwrap();
     let answer = finish(&mut harness(without.path(), &["figures", "readings"]));
-    assert!(answer.stderr.contains("run experiments/readings.yaml"), "{}", answer.stderr);
+    assert!(answer.stderr.contains("run readings`"), "{}", answer.stderr);
 }
 
 #[test]
@@ -715,7 +715,7 @@ fn readings_without_runs_are_named_with_their_command() {
     let (folder, _registry) = results(&[0], |_| Same);
     let answer = finish(&mut harness(folder.path(), &["claims", "--readings"]));
     assert_eq!(answer.code, 1);
-    assert!(answer.stderr.contains(" run experiments/readings.yaml`"), "{}", answer.stderr);
+    assert!(answer.stderr.contains(" run readings`"), "{}", answer.stderr);
     let answer = finish(&mut harness(folder.path(), &["claims", "--readings", "experiments/smoke.yaml"]));
     assert!(answer.stderr.contains("smoke.yaml has no readings"), "{}", answer.stderr);
 }
@@ -965,7 +965,7 @@ fn without_runs_the_command_says_which_to_make() {
     std::fs::create_dir(nowhere.path().join("runs")).unwrap();
     let printed = succeed(nowhere.path(), &["claims", "--quick"]);
     for name in EXPERIMENTS {
-        assert!(printed.contains(&format!(" run experiments/{name}.yaml --quick\n")), "{printed}");
+        assert!(printed.contains(&format!(" run {name} --quick\n")), "{printed}");
     }
     for (arguments, expected) in [
         (&["claims", "nope"][..], "error: no claim is called 'nope'; did you mean '"),

@@ -438,7 +438,7 @@ fn missing_runs_are_named_with_the_command_and_the_others_are_drawn() {
     for name in ["task", "sim_env", "forces_dataset"] {
         assert!(all.stdout.contains(name) && out.join(format!("{name}.svg")).exists(), "{}", all.stdout);
     }
-    assert!(all.stderr.contains(" run experiments/multi_to_multi.yaml`"), "{}", all.stderr);
+    assert!(all.stderr.contains(" run multi_to_multi`"), "{}", all.stderr);
     assert!(!out.join("regression.svg").exists());
 
     let named = figures(&["regression"]);
@@ -446,7 +446,7 @@ fn missing_runs_are_named_with_the_command_and_the_others_are_drawn() {
     assert!(named.stderr.contains("no finished run of multi_to_multi"), "{}", named.stderr);
     let quick = figures(&["forces_dataset", "--quick"]);
     assert_eq!(quick.code, 1);
-    let command = " run experiments/single_to_multi.yaml --quick`";
+    let command = " run single_to_multi --quick`";
     assert!(
         quick.stderr.contains("single_to_multi-quick") && quick.stderr.contains(command),
         "{}",
@@ -489,7 +489,7 @@ fn one_seed_has_no_bars_and_other_settings_are_refused() {
     assert!(answer.code == 0 && drawn == one, "{}", answer.stderr);
     // Missing runs with a setting are listed with the command that makes them.
     let (answer, _) = draw("none", &["--where", "training.learning_rate=0.01"]);
-    let expected = " run experiments/multi_to_multi.yaml 'training.learning_rate=0.01'`";
+    let expected = " run multi_to_multi 'training.learning_rate=0.01'`";
     assert!(answer.code == 1 && answer.stderr.contains(expected), "{}", answer.stderr);
     for (setting, expected) in [
         (

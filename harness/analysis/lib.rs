@@ -203,15 +203,14 @@ impl Analysis {
         self.registry.root()
     }
 
-    /// The command that makes the runs of `experiments/NAME.yaml` with the requested settings, as quick runs if
-    /// `quick`.
+    /// The command that makes the runs of the experiment `name` with the requested settings, as quick runs if `quick`.
     pub fn command(&self, name: &str, quick: bool) -> String {
         let (option, ending) = if quick { (" --quick", QUICK) } else { ("", "") };
         let experiment = format!("{name}{ending}");
         let about = self.selection.settings.iter().filter(|setting| setting.is_about(&experiment));
         let overrides: String =
             about.filter_map(Setting::as_override).map(|text| format!(" {text}")).collect();
-        self.registry.command(&format!("run experiments/{name}.yaml{option}{overrides}"))
+        self.registry.command(&format!("run {name}{option}{overrides}"))
     }
 
     /// The names of the experiments that have runs which count, in alphabetical order.

@@ -22,8 +22,8 @@ pub struct Claims {
     /// Claims to judge; their queries and the value of every seed are printed too [default: all claims, in a table]
     #[arg(value_name = "CLAIM")]
     chosen: Vec<String>,
-    /// The file of claims
-    #[arg(long, value_name = "FILE", default_value = "experiments/claims.yaml")]
+    /// The file of claims; `claims` is the built-in one, unless the folder has a file experiments/claims.yaml
+    #[arg(long, value_name = "FILE", default_value = "claims")]
     file: PathBuf,
     /// Judge by the quick runs of the experiments
     #[arg(long)]
@@ -32,7 +32,7 @@ pub struct Claims {
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
     /// Judge under every reading of a spec, by its runs, and print which choices change a verdict
-    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "experiments/readings.yaml")]
+    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "readings")]
     readings: Option<PathBuf>,
     /// Print how many more datasets or seeds would decide the undecided claims, and the commands that make them
     #[arg(long, conflicts_with_all = ["readings", "output"])]
@@ -73,10 +73,7 @@ impl Claims {
     fn execute_readings(&self, registry: &Registry, path: &Path, chosen: &[&Claim]) -> Result<ExitCode> {
         let spec = spec::load(path, &[], self.quick)?;
         if spec.readings.is_empty() {
-            bail!(
-                "{} has no readings; name a spec with readings, such as experiments/readings.yaml",
-                shown(path)
-            );
+            bail!("{} has no readings; name a spec with readings, such as `readings`", shown(path));
         }
         let matrix = Readings::new(registry, &spec, chosen, &self.settings)?.judge(chosen)?;
         if matrix.rows.is_empty() {

@@ -8,6 +8,7 @@ mod claims;
 mod compare;
 mod diff;
 mod doctor;
+mod experiments;
 mod figures;
 mod inspect;
 mod interrupt;
@@ -48,7 +49,7 @@ use std::process::ExitCode;
 #[command(
     version,
     after_help = "Examples:
-  harness run experiments/multi_to_multi.yaml --quick
+  harness run multi_to_multi --quick
   harness query \"select scenario, latent, value from metrics where model = 'network' and metric = 'wmape' and index is null\"
   harness render cluttered --output scene.png"
 )]
@@ -72,14 +73,12 @@ fn text_path(path: &str) -> Result<PathBuf, std::convert::Infallible> {
 enum Command {
     /// Do all runs of an experiment that are not done yet
     #[command(after_help = "Examples:
-  harness run experiments/multi_to_multi.yaml
-  harness run experiments/multi_to_multi.yaml --quick --dry-run
-  harness run experiments/single_to_multi.yaml training.batch_size=512 latent=[8,16]")]
+  harness run multi_to_multi
+  harness run multi_to_multi --quick --dry-run
+  harness run my_spec.yaml training.batch_size=512 latent=[8,16]")]
     Run(run::Run),
     /// Simulate the missing episodes of an experiment's datasets, without training
-    #[command(
-        after_help = "Example:\n  harness collect experiments/multi_to_multi.yaml scenarios=[cluttered]"
-    )]
+    #[command(after_help = "Example:\n  harness collect multi_to_multi scenarios=[cluttered]")]
     Collect(run::Collect),
     /// Submit an experiment to a Slurm cluster: datasets first, then the runs, divided among tasks
     #[command(after_help = SUBMIT_HELP)]
@@ -90,8 +89,13 @@ enum Command {
   harness cancel multi_to_multi-20261122T093000Z    one job, as `harness ls --jobs` lists it")]
     Cancel(submit::Cancel),
     /// Check a spec and list its runs
-    #[command(after_help = "Example:\n  harness validate experiments/smoke.yaml training.epochs=3")]
+    #[command(after_help = "Example:\n  harness validate smoke training.epochs=3")]
     Validate(run::Validate),
+    /// List the built-in experiments, or print the spec of one
+    #[command(after_help = "Examples:
+  harness experiments
+  harness experiments multi_to_multi > my_spec.yaml")]
+    Experiments(experiments::Experiments),
     /// Answer a SQL query over the tables runs, epochs, metrics, predictions, forces, frames and episodes
     #[command(after_help = "Examples:
   harness query \"select run, status, prediction_seconds from runs\"
@@ -204,13 +208,13 @@ const FIGURES_HELP: &str = "Examples:
   harness figures --results results/reference
 
 Figures are 8.5 cm wide, a journal's column. Letters are outlines, so no font is needed to show them.
-They show the runs of experiments/single_to_multi.yaml and multi_to_multi.yaml. Missing runs are listed.
+They show the runs of single_to_multi and multi_to_multi. Missing runs are listed.
 Runs of one experiment that differ in settings can't be drawn together: select some of them with --where.";
 
 const SUBMIT_HELP: &str = "Examples:
-  harness submit experiments/multi_to_multi.yaml --tasks 16 --cpus 4 --memory 8G --time 04:00:00
-  harness submit experiments/multi_to_multi.yaml --partition cpu --throttle 8 --sbatch=--account=lab
-  harness submit experiments/multi_to_multi.yaml --config cluster.yaml --dry-run
+  harness submit multi_to_multi --tasks 16 --cpus 4 --memory 8G --time 04:00:00
+  harness submit multi_to_multi --partition cpu --throttle 8 --sbatch=--account=lab
+  harness submit multi_to_multi --config cluster.yaml --dry-run
   harness ls --jobs
   harness cancel multi_to_multi
 
@@ -294,6 +298,7 @@ fn execute(command: Command, registry: &Registry, threads: usize) -> anyhow::Res
         Command::Run(run) => run.execute(registry, threads),
         Command::Collect(collect) => collect.execute(registry, threads),
         Command::Validate(validate) => validate.execute(),
+        Command::Experiments(experiments) => experiments.execute(),
         Command::Query(query) => query.execute(registry),
         Command::Claims(claims) => claims.execute(registry),
         Command::Compare(compare) => compare.execute(registry),
@@ -325,7 +330,7 @@ impl Command {
             Self::Figures(_) | Self::Report(_) | Self::Publish(_) | Self::Verify | Self::Diff(_) => true,
             Self::Rm(_) | Self::Gc(_) | Self::Du => true,
             Self::Run(_) | Self::Collect(_) | Self::Validate(_) | Self::Submit(_) | Self::Cancel(_) => false,
-            Self::Schema(_) | Self::World(_) | Self::Render(_) | Self::Doctor => false,
+            Self::Experiments(_) | Self::Schema(_) | Self::World(_) | Self::Render(_) | Self::Doctor => false,
         }
     }
 }

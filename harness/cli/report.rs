@@ -18,10 +18,10 @@ pub struct Report {
     #[arg(long, value_name = "FILE", default_value = "report.html")]
     out: PathBuf,
     /// The file of claims
-    #[arg(long, value_name = "FILE", default_value = "experiments/claims.yaml")]
+    #[arg(long, value_name = "FILE", default_value = "claims")]
     claims: PathBuf,
     /// The spec with the readings under which claims are judged too
-    #[arg(long, value_name = "FILE", default_value = "experiments/readings.yaml")]
+    #[arg(long, value_name = "FILE", default_value = "readings")]
     readings: PathBuf,
     /// Report on the experiments' quick runs
     #[arg(long)]

@@ -18,7 +18,8 @@ use std::process::ExitCode;
 /// A spec and the settings to change in it.
 #[derive(Args)]
 pub struct Spec {
-    /// The experiment's YAML file
+    /// The experiment: the path of a YAML file, or a name. NAME stands for the file NAME.yaml or experiments/NAME.yaml,
+    /// or else for the built-in experiment (`harness experiments` lists them)
     #[arg(value_name = "SPEC")]
     path: PathBuf,
     /// Settings to change: training.epochs=5 latent=[8,16] seeds=7. A single value can replace a list. A setting that

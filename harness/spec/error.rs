@@ -25,6 +25,12 @@ pub enum SpecError {
         /// What is wrong, and what is allowed.
         message: String,
     },
+    /// No file has the given name, and no file that is part of the program.
+    #[error("{message}")]
+    NoFile {
+        /// The unknown name, and the names that exist.
+        message: String,
+    },
     /// No world has the given name.
     #[error("{message}")]
     NoWorld {

@@ -5,6 +5,7 @@
 //! the order of [`Modality`], and `quick` is applied or dropped. Two specs with the same meaning are therefore equal.
 //! Derived values are not stored.
 
+mod built_in;
 mod cells;
 mod check;
 mod episode;
@@ -24,6 +25,7 @@ mod validate;
 mod values;
 mod world;
 
+pub use built_in::{BuiltIn, SPECS, YamlFile, find};
 pub use cells::RunSpec;
 pub use episode::{Episode, Pose};
 pub use error::SpecError;
@@ -44,7 +46,8 @@ use parse::{Entry, Node, Value};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Reads and resolves a spec. It applies the spec's `quick` settings if `quick` is true, and then `overrides`.
+/// Reads and resolves a spec: a file, or one of [`SPECS`] by its name, as [`find`] does. It applies the spec's `quick`
+/// settings if `quick` is true, and then `overrides`.
 ///
 /// An override is `KEY=VALUE`, with a dotted key and a YAML value. With `quick`, the experiment's name ends in
 /// `-quick`, so that results of small runs are kept apart from the others. If `quick` or an override sets a setting
@@ -54,7 +57,8 @@ use std::sync::Arc;
 /// Returns the first fault of the spec in the file, of its `quick` settings (even if they are not applied), or of the
 /// overrides.
 pub fn load(path: &Path, overrides: &[String], quick: bool) -> Result<Experiment, SpecError> {
-    parse_spec(&path.display().to_string(), &parse::read(path)?, overrides, quick)
+    let YamlFile { label, folder, text } = find("experiment", path, SPECS)?;
+    parse_in(&folder, &label, &text, overrides, quick)
 }
 
 /// Resolves a spec like [`load`], but from its text. Messages call the text `path`, and the paths of world files are
@@ -68,8 +72,18 @@ pub fn parse_spec(
     overrides: &[String],
     quick: bool,
 ) -> Result<Experiment, SpecError> {
+    parse_in(Path::new(path).parent().unwrap_or(Path::new("")), path, text, overrides, quick)
+}
+
+fn parse_in(
+    folder: &Path,
+    label: &str,
+    text: &str,
+    overrides: &[String],
+    quick: bool,
+) -> Result<Experiment, SpecError> {
     let mut experiment =
-        load_text(Path::new(path), text, overrides, quick).map_err(|problem| problem.in_file(path))?;
+        load_text(folder, text, overrides, quick).map_err(|problem| problem.in_file(label))?;
     if quick {
         experiment.name.push_str(QUICK);
     }
@@ -82,7 +96,7 @@ pub const QUICK: &str = "-quick";
 const NOT_QUICK: &str = "there is no 'quick' section, so a quick run would be the full one under another name; add the \
                          section, or leave out --quick";
 
-fn load_text(path: &Path, text: &str, overrides: &[String], quick: bool) -> Result<Experiment, Problem> {
+fn load_text(folder: &Path, text: &str, overrides: &[String], quick: bool) -> Result<Experiment, Problem> {
     let mut tree = parse::parse(text)?;
     if matches!(tree.value, Value::Null) {
         return Err(Problem::new(
@@ -91,7 +105,6 @@ fn load_text(path: &Path, text: &str, overrides: &[String], quick: bool) -> Resu
         ));
     }
     schema::list_single_values(&mut tree);
-    let folder = path.parent().unwrap_or(Path::new(""));
     resolve(folder, &tree)?;
     let mut quick_tree = tree.clone();
     match tree.get("quick") {

@@ -33,6 +33,7 @@ impl Raise for SpecError {
             Self::Unreadable { path, .. } if !Path::new(path).exists() => {
                 PyFileNotFoundError::new_err(self.to_string())
             }
+            Self::NoFile { .. } => PyFileNotFoundError::new_err(self.to_string()),
             _ => self.value_error(),
         }
     }

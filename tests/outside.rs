@@ -1,0 +1,139 @@
+//! The program in a folder that is no clone of the repository: it contains the experiments, the claims and the worlds.
+
+use crate::common::{Answer, finish, harness};
+use harness::spec::SPECS;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+/// Runs a command in `folder`, with the results folder `results` in it.
+fn answer(folder: &Path, arguments: &[&str]) -> Answer {
+    finish(harness(Path::new("results"), arguments).current_dir(folder))
+}
+
+#[track_caller]
+fn succeed(folder: &Path, arguments: &[&str]) -> String {
+    let answer = answer(folder, arguments);
+    assert_eq!(answer.code, 0, "{arguments:?}: {}", answer.stderr);
+    answer.stdout
+}
+
+fn empty_folder() -> TempDir {
+    tempfile::tempdir().unwrap()
+}
+
+#[test]
+fn every_spec_in_experiments_is_built_in() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments");
+    let specs = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let specs = specs.filter(|path| path.extension().is_some_and(|extension| extension == "yaml"));
+    let mut specs: BTreeMap<String, String> = specs
+        .map(|path| {
+            (path.file_stem().unwrap().to_str().unwrap().to_owned(), fs::read_to_string(path).unwrap())
+        })
+        .collect();
+    specs.remove("claims").expect("the claims are no spec");
+    let built_in: BTreeMap<String, String> =
+        SPECS.iter().map(|spec| (spec.name.to_owned(), spec.text.to_owned())).collect();
+    assert_eq!(built_in, specs);
+}
+
+#[test]
+fn built_in_experiments_and_claims_need_no_clone() {
+    let folder = empty_folder();
+    for spec in SPECS {
+        let valid = succeed(folder.path(), &["validate", spec.name]);
+        assert!(valid.starts_with(&format!("{} is valid: ", spec.name)), "{valid}");
+    }
+    succeed(folder.path(), &["run", "smoke", "scenarios=[empty]", "seeds=[0]"]);
+    let command = succeed(folder.path(), &["query", "select command from runs"]);
+    assert!(command.contains("harness --results results run smoke 'scenarios=[empty]'"), "{command}");
+    assert!(succeed(folder.path(), &["verify"]).contains("all files are intact"));
+    for arguments in [&["claims"][..], &["claims", "force_is_quasi_static"]] {
+        let judged = succeed(folder.path(), arguments);
+        assert!(judged.contains("for those without data   harness run single_to_multi\n"), "{judged}");
+    }
+    let readings = answer(folder.path(), &["claims", "--readings"]);
+    assert!(readings.stderr.contains("there are no runs of readings; make them with `harness run readings`"));
+    succeed(folder.path(), &["report"]);
+}
+
+#[test]
+fn files_in_the_folder_come_before_built_in_ones() {
+    let folder = empty_folder();
+    let smoke = SPECS.iter().find(|spec| spec.name == "smoke").unwrap().text;
+    let runs = || succeed(folder.path(), &["validate", "smoke"]).lines().count() - 1;
+    let write = |path: &str, latent: &str| {
+        fs::write(folder.path().join(path), smoke.replace("latent: [4]", latent)).unwrap();
+    };
+    let built_in = runs();
+    fs::create_dir(folder.path().join("experiments")).unwrap();
+    write("experiments/smoke.yaml", "latent: [4, 5]");
+    assert_eq!(runs(), 2 * built_in);
+    write("smoke.yaml", "latent: [4, 5, 6]");
+    assert_eq!(runs(), 3 * built_in);
+    // A file that has exactly this name, without an extension, could always be named.
+    write("smoke", "latent: [4, 5, 6, 7]");
+    assert_eq!(runs(), 4 * built_in);
+    // Folders are no specs.
+    fs::remove_file(folder.path().join("smoke")).unwrap();
+    fs::create_dir(folder.path().join("smoke")).unwrap();
+    assert_eq!(runs(), 3 * built_in);
+
+    fs::create_dir_all(folder.path().join("results/runs")).unwrap();
+    fs::write(folder.path().join("experiments/claims.yaml"), "[]").unwrap();
+    let claims = answer(folder.path(), &["claims"]);
+    assert_eq!(
+        (claims.code, &*claims.stderr),
+        (2, "error: experiments/claims.yaml:1:1: the file holds no claims\n")
+    );
+}
+
+#[test]
+fn names_and_files_that_do_not_exist_are_refused_with_what_there_is() {
+    let folder = empty_folder();
+    let refused = |name: &str| {
+        let answer = answer(folder.path(), &["run", name]);
+        assert_eq!((answer.code, answer.stdout.as_str()), (2, ""));
+        answer.stderr
+    };
+    let unknown = refused("multi_to_mutli");
+    assert!(
+        unknown.starts_with("error: unknown experiment 'multi_to_mutli'; did you mean 'multi_to_multi'? Allowed: arm_and_vision, ")
+            && unknown.ends_with(", vision_assumptions, or the path of a file\n"),
+        "{unknown}"
+    );
+    let missing =
+        "experiments/smoke.yaml: there is no such file; the built-in experiment has the name 'smoke'";
+    assert_eq!(refused("experiments/smoke.yaml"), format!("error: {missing}\n"));
+    assert_eq!(refused("own/other.yaml"), "error: own/other.yaml: there is no such file\n");
+}
+
+/// A built-in spec has no folder that the paths of world files could be relative to.
+#[test]
+fn world_files_of_built_in_experiments_are_relative_to_the_current_folder() {
+    let folder = empty_folder();
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+    for file in ["twelve.yaml", "twelve.xml"] {
+        fs::copy(models.join(file), folder.path().join(file)).unwrap();
+    }
+    let valid = succeed(folder.path(), &["validate", "smoke", "scenarios=[twelve.yaml]"]);
+    assert!(valid.contains("twelve"), "{valid}");
+}
+
+#[test]
+fn experiments_lists_questions_and_prints_specs() {
+    let folder = empty_folder();
+    let list = succeed(folder.path(), &["experiments"]);
+    for spec in SPECS {
+        assert!(list.contains(&format!(" {} ", spec.name)), "{list}");
+        assert_eq!(succeed(folder.path(), &["experiments", spec.name]), spec.text);
+    }
+    assert!(
+        list.contains("What does vision add to proprioception when the next observation is predicted?"),
+        "{list}"
+    );
+    let unknown = answer(folder.path(), &["experiments", "somke"]);
+    assert!(unknown.code == 2 && unknown.stderr.contains("'smoke'"), "{}", unknown.stderr);
+}
