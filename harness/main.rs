@@ -15,5 +15,6 @@ fn main() -> ExitCode {
         harness::simulation::prepare_rendering();
         harness::learning::prepare_threads();
     }
-    harness::cli::main(std::env::args_os())
+    let program = std::env::current_exe().unwrap_or_else(|_| "harness".into());
+    harness::cli::main(std::env::args_os().collect(), vec![program.to_string_lossy().into_owned()])
 }

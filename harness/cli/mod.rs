@@ -41,6 +41,7 @@ use harness::spec::SpecError;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::OnceLock;
 
 /// A research harness for multi-modal perception of a soft robot.
 ///
@@ -258,10 +259,13 @@ pub fn prepare_process() {
     }
 }
 
+/// The words that this process was started with. In the Python package, those of the process are the interpreter's.
+static WORDS: OnceLock<Vec<OsString>> = OnceLock::new();
+
 /// Runs the command in `arguments`, whose first item is the program's name, prints its error if there is one, and
-/// returns the exit code.
-pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
-    let arguments = match Arguments::try_parse_from(arguments) {
+/// returns the exit code. `program` is the command that starts this program from any folder.
+pub fn main(arguments: Vec<OsString>, program: Vec<String>) -> ExitCode {
+    let arguments = match Arguments::try_parse_from(WORDS.get_or_init(|| arguments)) {
         Ok(arguments) => arguments,
         Err(told) => {
             // Help and version are errors of clap as well. If printing fails, nothing can be reported.
@@ -273,7 +277,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     // This fails only if the global pool exists already, and this is its first use.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
     let registry = Registry::new(&arguments.results);
-    let outcome = execute(arguments.command, &registry, threads);
+    let outcome = execute(arguments.command, &registry, threads, &program);
     for left_out in registry.left_out() {
         eprintln!("warning: {left_out}");
     }
@@ -290,7 +294,12 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     })
 }
 
-fn execute(command: Command, registry: &Registry, threads: usize) -> anyhow::Result<ExitCode> {
+fn execute(
+    command: Command,
+    registry: &Registry,
+    threads: usize,
+    program: &[String],
+) -> anyhow::Result<ExitCode> {
     if command.reads_results() {
         registry.check_there()?;
     }
@@ -302,7 +311,7 @@ fn execute(command: Command, registry: &Registry, threads: usize) -> anyhow::Res
         Command::Query(query) => query.execute(registry),
         Command::Claims(claims) => claims.execute(registry),
         Command::Compare(compare) => compare.execute(registry),
-        Command::Submit(submit) => submit.execute(registry, threads),
+        Command::Submit(submit) => submit.execute(registry, threads, program),
         Command::Cancel(cancel) => cancel.execute(registry),
         Command::Ls(list) => list.execute(registry),
         Command::Show(show) => show.execute(registry),
@@ -337,7 +346,7 @@ impl Command {
 
 /// The words of this process's command line. Invalid Unicode is replaced.
 fn words() -> impl Iterator<Item = String> {
-    std::env::args_os().map(|word| word.to_string_lossy().into_owned())
+    WORDS.get().into_iter().flatten().map(|word| word.to_string_lossy().into_owned())
 }
 
 /// The command line of this process, quoted for a shell. The program is named without its folder, so that records do

@@ -100,8 +100,8 @@ pub struct Job<'a> {
     pub folder: &'a Path,
     /// Where the command was typed: paths in it are relative to this folder.
     pub workdir: &'a Path,
-    /// The harness's own program, absolute.
-    pub program: &'a Path,
+    /// The command that starts the harness from any folder.
+    pub program: &'a [String],
     /// The results folder.
     pub results: &'a Path,
     /// Spec, changed settings and `--quick`, as they were typed.
@@ -170,7 +170,7 @@ if [ "$state" = JobState=RUNNING ] && [ "$code" -gt 128 ] &&
 fi
 exit "$code"
 "#,
-            program = word(self.program),
+            program = quoted(self.program.iter().map(String::as_str)),
             results = word(self.results),
         );
         script

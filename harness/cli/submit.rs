@@ -71,7 +71,7 @@ pub struct Submit {
 }
 
 impl Submit {
-    pub fn execute(self, registry: &Registry, threads: usize) -> Result<ExitCode> {
+    pub fn execute(self, registry: &Registry, threads: usize, program: &[String]) -> Result<ExitCode> {
         let experiment = self.spec.load()?;
         let provenance = provenance(threads, super::command_line());
         let plan = Runner::new(registry, threads, &provenance, &Silent).plan(&experiment)?;
@@ -90,7 +90,7 @@ impl Submit {
             experiment: &experiment.name,
             folder: &folder,
             workdir: &std::env::current_dir()?,
-            program: &std::env::current_exe()?,
+            program,
             results: &std::path::absolute(registry.root())?,
             words: &self.spec.words(),
             resources: &resources,

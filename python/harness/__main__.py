@@ -18,7 +18,7 @@ def main() -> None:
         except ImportError as error:
             sys.exit(f"error: {error}")
         sys.exit(module.main(arguments))
-    sys.exit(_harness.main(["harness", *sys.argv[1:]]))
+    sys.exit(_harness.main(["harness", *sys.argv[1:]], [sys.executable, "-m", "harness"]))
 
 
 if __name__ == "__main__":

@@ -7,8 +7,8 @@ from typing_extensions import disjoint_base
 
 __all__ = ["Dataset", "Model", "SimulationBatch", "Table", "compare", "main", "query", "run"]
 
-def main(arguments: list[str]) -> int:
-    """Runs the command line; returns its exit code."""
+def main(arguments: list[str], program: list[str]) -> int:
+    """Runs the command line; returns its exit code. program: the command that starts it, for scripts of Slurm jobs."""
 
 def run(
     path: Path, overrides: list[str], quick: bool, results: Path, progress: bool, jobs: int, memory: int | None

@@ -34,14 +34,14 @@ mod _harness {
     #[pymodule_export]
     use super::simulation::SimulationBatch;
 
-    /// Runs the command line; returns its exit code.
+    /// Runs the command line; returns its exit code. See [`cli::main`].
     #[pyfunction]
-    fn main(py: Python, arguments: Vec<OsString>) -> u8 {
+    fn main(py: Python, arguments: Vec<OsString>, program: Vec<String>) -> u8 {
         cli::prepare_process();
         // SAFETY: only the `harness` script calls this function, and its process does nothing else. The call restores
         // the signal's default action, which Python has replaced.
         unsafe { libc::signal(libc::SIGINT, libc::SIG_DFL) };
-        let code = py.detach(|| cli::main(arguments));
+        let code = py.detach(|| cli::main(arguments, program));
         // `ExitCode` does not return its number, but can be compared.
         (0..=u8::MAX).find(|number| ExitCode::from(*number) == code).unwrap_or(u8::MAX)
     }

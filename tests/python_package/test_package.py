@@ -323,11 +323,26 @@ def test_the_command_is_the_program(tmp_path: Path) -> None:
     assert answer("query", "select nothing from runs").returncode == 2
 
 
+def test_the_command_records_and_submits_what_starts_it_again(tmp_path: Path) -> None:
+    """The process's own words are those of the interpreter."""
+    command = Path(sys.executable).parent / "harness"
+
+    def answer(*arguments: str) -> str:
+        ended = subprocess.run([command, *arguments], cwd=tmp_path, capture_output=True, text=True, check=True)
+        return ended.stdout
+
+    answer("run", "smoke", "scenarios=[empty]")
+    recorded = harness.query("select command from runs", tmp_path / "results")["command"]
+    assert recorded.to_list() == ["harness run smoke 'scenarios=[empty]'"]
+    script = answer("submit", "smoke", "--dry-run")
+    assert f"\n{sys.executable} -m harness --results {tmp_path}/results --threads" in script
+
+
 def test_closed_outputs_of_the_command_lead_nowhere(results: Path) -> None:
     """The next file to be opened would take their place, and what is printed would go into it."""
     check = (
         "import os; from harness import _harness\n"
-        f"code = _harness.main(['harness', '--results', {str(results)!r}, 'ls'])\n"
+        f"code = _harness.main(['harness', '--results', {str(results)!r}, 'ls'], [])\n"
         "nowhere = all(os.readlink(f'/proc/self/fd/{stream}') == '/dev/null' for stream in (1, 2))\n"
         "os._exit(code if nowhere else 3)\n"
     )
