@@ -67,6 +67,9 @@ def load_stub() -> None:
     path = ROOT / "python/harness/_harness.pyi"
     module = sys.modules["harness._harness"] = ModuleType("harness._harness")
     exec(compile(path.read_text(), path, "exec", flags=__future__.annotations.compiler_flag), module.__dict__)
+    # The stub needs no library.
+    mujoco = sys.modules["harness._mujoco"] = ModuleType("harness._mujoco")
+    mujoco.load = lambda: None
 
 
 def read_sections(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:

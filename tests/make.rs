@@ -109,6 +109,8 @@ fn every_file_asks_for_the_mujoco_that_the_bindings_are_for() {
         }
     }
     assert!(named >= 5, "{named}");
+    let loaded = fs::read_to_string(root.join("python/harness/_mujoco.py")).unwrap();
+    assert!(loaded.contains(&format!("\nVERSION = \"{wanted}\"\n")), "{loaded}");
     for document in ["README.md", "models/README.md"] {
         for asked in fs::read_to_string(root.join(document)).unwrap().split("MuJoCo 3.").skip(1) {
             let asked = format!("3.{}", asked.split([' ', ':', ',']).next().unwrap());

@@ -24,6 +24,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 os.environ.setdefault("LP_NUM_THREADS", "0")
 os.environ.setdefault("CANDLE_NUM_THREADS", "1")
 
+from . import _mujoco
+
+_mujoco.load()
+
 from . import _harness
 from ._harness import Model, SimulationBatch
 
