@@ -1,0 +1,60 @@
+"""What the installed distribution says about itself, and the files about the project that other programs read."""
+
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import distribution
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+from harness import _mujoco
+
+DISTRIBUTION = distribution("soft-harness")
+VERSION = tomllib.loads((ROOT / "Cargo.toml").read_text())["workspace"]["package"]["version"]
+
+
+def test_the_distribution_has_a_name_a_version_and_a_licence_of_its_own() -> None:
+    assert DISTRIBUTION.version == VERSION
+    metadata = DISTRIBUTION.metadata
+    assert metadata["Name"] == "soft-harness"
+    assert metadata["License-Expression"] == "MIT OR Apache-2.0"
+    assert sorted(metadata.get_all("License-File")) == ["LICENSE-APACHE", "LICENSE-MIT"]
+    assert metadata.get_all("Project-URL") and metadata["Author"] and metadata["Keywords"]
+    for licence in metadata.get_all("License-File"):
+        text = DISTRIBUTION.read_text(f"licenses/{licence}")
+        assert text == (ROOT / licence).read_text()
+
+
+def test_the_distribution_has_the_command_and_requires_the_mujoco_that_it_loads() -> None:
+    [command] = DISTRIBUTION.entry_points
+    assert (command.group, command.name, command.value) == ("console_scripts", "harness", "harness.__main__:main")
+    assert f"mujoco=={_mujoco.VERSION}" in (DISTRIBUTION.requires or [])
+
+
+def test_without_mujoco_the_import_says_what_to_install(tmp_path: Path) -> None:
+    """Both without the package, and with a package whose library has another version."""
+    (tmp_path / "mujoco").mkdir()
+    (tmp_path / "mujoco" / "__init__.py").touch()
+    (tmp_path / "mujoco" / "libmujoco.so.3.0.0").touch()
+    missing = "import sys; sys.modules['mujoco'] = None; import harness"
+    other = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import harness"
+    for statement in (missing, other):
+        ended = subprocess.run([sys.executable, "-c", statement], cwd=tmp_path, capture_output=True, text=True)
+        expected = "ImportError: MuJoCo 3.17.0 is missing; install its Python package: pip install mujoco==3.17.0\n"
+        assert ended.stderr.endswith(expected), ended.stderr
+
+
+def test_the_citation_is_of_this_version() -> None:
+    assert f"\nversion: {VERSION}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+@pytest.mark.parametrize(
+    ("path", "schema"),
+    [("CITATION.cff", "vendor.citation-file-format"), (".github/workflows/ci.yml", "vendor.github-workflows")],
+)
+def test_files_for_other_programs_follow_their_schemas(path: str, schema: str) -> None:
+    check = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", schema, ROOT / path]
+    ended = subprocess.run(check, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
