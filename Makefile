@@ -6,10 +6,10 @@ QUICK = --quick
 export MATURIN_PEP517_ARGS = --profile dev
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run check test package python docs soak lint bench interchange notebooks cluster
+.PHONY: help setup run check test package python wheel wheel-trial docs soak lint bench interchange notebooks cluster
 
 help: ## show this list
-	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 8
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
 
 setup: ## make .venv with MuJoCo; check EGL and Rust
 	@setup/setup.sh
@@ -39,6 +39,19 @@ docs: package ## build the documentation site in target/docs; broken links are e
 	@setup/setup.sh --docs
 	.venv/bin/python -m sphinx --quiet --fail-on-warning --fresh-env --conf-dir docs . target/docs
 	@echo 'open target/docs/index.html'
+
+# The platform of MuJoCo's own wheel. zig compiles and links for its C library, and auditwheel checks the result.
+PLATFORM = manylinux_2_28
+wheel: ## build dist/*.whl, which can be installed without Rust or a compiler (a quarter of an hour, once)
+	@setup/setup.sh --wheel
+	rm -rf target/wheels dist/soft_harness-*.whl
+	PATH="$(CURDIR)/.venv-wheel/bin:$$PATH" maturin build --release --locked --zig --compatibility $(PLATFORM) \
+		--auditwheel skip --out target/wheels
+	PATH="$(CURDIR)/.venv-wheel/bin:$$PATH" auditwheel repair --only-plat --plat $(PLATFORM)_$(shell uname -m) \
+		--exclude 'libmujoco.so.*' --wheel-dir dist target/wheels/soft_harness-*.whl
+
+wheel-trial: ## install dist/*.whl in a bare Debian and run an experiment there (minutes; needs root and debootstrap)
+	setup/wheel_trial.sh
 
 soak: ## kill a run and a collection at many moments and compare the results; fuzz every reader (an hour)
 	@setup/setup.sh --test

@@ -10,6 +10,7 @@
 #   setup/setup.sh --interchange   also .venv-interchange, with LeRobot, Rerun, MLflow and TensorBoard
 #   setup/setup.sh --cluster  also Slurm, for its tests
 #   setup/setup.sh --notebooks     also .venv-notebooks, with Stable-Baselines3 and Jupyter
+#   setup/setup.sh --wheel    also .venv-wheel, with what builds a wheel
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -155,6 +156,10 @@ case ${1-} in
 --notebooks)
     make_venv .venv-notebooks
     install_packages .venv-notebooks requirements-notebooks.txt
+    ;;
+--wheel)
+    make_venv .venv-wheel
+    install_packages .venv-wheel requirements-wheel.txt
     ;;
 esac
 check_egl
