@@ -4,7 +4,9 @@ use crate::common::{Answer, finish, harness};
 use harness::spec::SPECS;
 use std::collections::BTreeMap;
 use std::fs;
+use std::os::unix::fs::symlink;
 use std::path::Path;
+use std::process::Command;
 use tempfile::TempDir;
 
 /// Runs a command in `folder`, with the results folder `results` in it.
@@ -120,6 +122,28 @@ fn world_files_of_built_in_experiments_are_relative_to_the_current_folder() {
     }
     let valid = succeed(folder.path(), &["validate", "smoke", "scenarios=[twelve.yaml]"]);
     assert!(valid.contains("twelve"), "{valid}");
+}
+
+/// As after `cargo install` and the removal of the clone: the folder in which cargo has linked MuJoCo does not exist.
+#[test]
+fn the_program_finds_mujoco_in_its_own_folder() {
+    let folder = empty_folder();
+    let mujoco = env!("MUJOCO_DYNAMIC_LINK_DIR").as_bytes();
+    let mut bytes = fs::read(env!("CARGO_BIN_EXE_harness")).unwrap();
+    while let Some(place) = bytes.windows(mujoco.len()).position(|part| part == mujoco) {
+        bytes[place..place + mujoco.len()].fill(b'x');
+    }
+    fs::write(folder.path().join("bytes"), bytes).unwrap();
+    let shell = |line: &str| Command::new("sh").args(["-c", line]).current_dir(&folder).output().unwrap();
+    // A child process writes the program; see `common::write_script`.
+    shell("cp bytes harness && chmod +x harness");
+    let version = || shell("./harness --version");
+    let library = format!("libmujoco.so.{}", harness::simulation::MUJOCO_VERSION);
+
+    let said = String::from_utf8(version().stderr).unwrap();
+    assert!(said.contains(&format!("error while loading shared libraries: {library}")), "{said}");
+    symlink(Path::new(env!("MUJOCO_DYNAMIC_LINK_DIR")).join(&library), folder.path().join(&library)).unwrap();
+    assert!(version().stdout.starts_with(b"harness "));
 }
 
 #[test]
