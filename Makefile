@@ -41,7 +41,7 @@ docs: package ## build the documentation site in target/docs; broken links are e
 	@echo 'open target/docs/index.html'
 
 # The platform of MuJoCo's own wheel. zig compiles and links for its C library, and auditwheel checks the result.
-PLATFORM = manylinux_2_28
+PLATFORM = manylinux_2_27
 wheel: ## build dist/*.whl, which can be installed without Rust or a compiler (a quarter of an hour, once)
 	@setup/setup.sh --wheel
 	rm -rf target/wheels dist/soft_harness-*.whl
