@@ -53,7 +53,7 @@ wheel: ## build dist/*.whl, which can be installed without Rust or a compiler (a
 wheel-trial: ## install dist/*.whl in a bare Debian and run an experiment there (minutes; needs root and debootstrap)
 	setup/wheel_trial.sh
 
-soak: ## kill a run and a collection at many moments and compare the results; fuzz every reader (an hour)
+soak: ## kill runs, searches and collections at many moments and compare the results; fuzz every reader (an hour)
 	@setup/setup.sh --test
 	cargo test -- --ignored --nocapture
 

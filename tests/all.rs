@@ -25,6 +25,7 @@ mod reference;
 mod removal;
 mod report;
 mod reproduction;
+mod search;
 mod sql;
 mod suggestions;
 mod tables;

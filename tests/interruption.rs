@@ -28,14 +28,14 @@ static ALONE: LazyLock<PathBuf> = LazyLock::new(|| undisturbed("alone", &TWELVE)
 // --- helpers ---
 
 /// A temporary results folder for one test.
-struct Results(tempfile::TempDir);
+pub struct Results(tempfile::TempDir);
 
 impl Results {
-    fn new() -> Self {
+    pub fn new() -> Self {
         Self(tempfile::tempdir().unwrap())
     }
 
-    fn path(&self) -> &Path {
+    pub fn path(&self) -> &Path {
         self.0.path()
     }
 }
@@ -70,7 +70,7 @@ fn numbers(results: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 
 /// Checks that two results folders have the same numbers, bit by bit.
 #[track_caller]
-fn assert_same(results: &Path, undisturbed: &Path) {
+pub fn assert_same(results: &Path, undisturbed: &Path) {
     let (found, expected) = (numbers(results), numbers(undisturbed));
     assert!(!expected.is_empty());
     assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>());
@@ -81,7 +81,7 @@ fn assert_same(results: &Path, undisturbed: &Path) {
 
 /// Checks that every table can be read and, if no process is working, that there are no unfinished files.
 #[track_caller]
-fn assert_whole(results: &Path, at_rest: bool) {
+pub fn assert_whole(results: &Path, at_rest: bool) {
     for path in files(results) {
         let name = name(&path);
         assert!(
@@ -97,7 +97,7 @@ fn assert_whole(results: &Path, at_rest: bool) {
 
 /// Starts the program. It finds no git repository: the repository's state is written to every file, and may change
 /// during the test.
-fn start(results: &Path, arguments: &[&str]) -> Child {
+pub fn start(results: &Path, arguments: &[&str]) -> Child {
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_harness"));
     command.arg("--results").arg(results).args(arguments);
     start_command(command.stdout(Stdio::piped()).stderr(Stdio::piped()))
@@ -118,13 +118,13 @@ fn start_command(command: &mut std::process::Command) -> Child {
 
 /// Runs the program to its end.
 #[track_caller]
-fn run(results: &Path, arguments: &[&str]) -> Answer {
+pub fn run(results: &Path, arguments: &[&str]) -> Answer {
     end(start(results, arguments))
 }
 
 /// Runs a command that must succeed, and returns its standard output.
 #[track_caller]
-fn succeed(results: &Path, arguments: &[&str]) -> String {
+pub fn succeed(results: &Path, arguments: &[&str]) -> String {
     let answer = run(results, arguments);
     assert_eq!(answer.code, 0, "{arguments:?}: {}", answer.stderr);
     answer.stdout
@@ -132,7 +132,7 @@ fn succeed(results: &Path, arguments: &[&str]) -> String {
 
 /// Waits for the end of a program whose output fits in a pipe.
 #[track_caller]
-fn end(child: Child) -> Answer {
+pub fn end(child: Child) -> Answer {
     let output = child.wait_with_output().unwrap();
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
     let (stdout, stderr) = (text(output.stdout), text(output.stderr));
@@ -151,13 +151,13 @@ fn wait_until(child: &mut Child, what: &str, so: impl Fn() -> bool) {
     }
 }
 
-fn signal(child: &Child, signal: libc::c_int) {
+pub fn signal(child: &Child, signal: libc::c_int) {
     // SAFETY: the child has not been waited for, so its process id is still valid.
     assert_eq!(unsafe { libc::kill(child.id() as libc::pid_t, signal) }, 0);
 }
 
 /// Kills a program after `delay`. Returns its answer if it ended before.
-fn kill_after(mut child: Child, delay: Duration) -> Option<Answer> {
+pub fn kill_after(mut child: Child, delay: Duration) -> Option<Answer> {
     let begin = Instant::now();
     while begin.elapsed() < delay {
         if child.try_wait().unwrap().is_some() {
@@ -176,7 +176,7 @@ fn has_state(results: &Path) -> bool {
 
 /// The counts in the summary of `harness run`: done, done before, failed.
 #[track_caller]
-fn counts(answer: &Answer) -> [usize; 3] {
+pub fn counts(answer: &Answer) -> [usize; 3] {
     let line = answer.stdout.lines().find(|line| line.contains(" done before, "));
     let line = line.unwrap_or_else(|| panic!("no summary: {}{}", answer.stdout, answer.stderr));
     let mut numbers = line.split(|c: char| !c.is_ascii_digit()).filter_map(|word| word.parse().ok());

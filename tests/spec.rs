@@ -1,15 +1,18 @@
 //! Specs: which are loaded, which are refused with which message, and which runs are the same.
 
 use harness_spec::{
-    self as spec, Action, Division, Experiment, Fusion, GivenScaling, Layout, Loss, Modality, Network,
-    Origin, Preset, Scale, Scaling, Scalings, Scenario, Schedule, Setting, Simulation, Split, SplitCounts,
-    Stop, Task, Training, World,
+    self as spec, Action, Candidates, Division, Experiment, Fusion, GivenScaling, Layout, Loss, Method,
+    Modality, Network, Origin, Preset, Scale, Scaling, Scalings, Scenario, Schedule, Search, Setting,
+    Simulation, Split, SplitCounts, Stop, Task, Training, World,
 };
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::fs;
 use std::path::Path;
+
+#[path = "spec/search.rs"]
+mod search;
 
 /// Path of the repository.
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
@@ -89,6 +92,7 @@ fn what_is_left_out_gets_its_default() {
             ..Training::default()
         },
         vary: Default::default(),
+        search: None,
         roles: Default::default(),
         readings: Vec::new(),
         quick: Default::default(),
@@ -165,7 +169,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         (
             "training:\n  bacth_size: 5\n",
             "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
-             learning_rate, schedule, warmup_epochs, weight_decay, clip_norm, batch_size, epochs, patience, stop, \
+             learning_rate, schedule, warmup_epochs, weight_decay, clip_norm, batch_size, epochs, last_epoch, patience, stop, \
              kl_weight, losses, loss_weights, dropout, precision, tiles, device",
         ),
         (
@@ -183,7 +187,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         (
             "seed: 1\n",
             "spec.yaml:7:1: unknown key 'seed'; did you mean 'seeds'? Allowed: name, description, scenarios, \
-             input, output, latent, seeds, tasks, action, network, simulation, split, scaling, training, vary, roles, \
+             input, output, latent, seeds, tasks, action, network, simulation, split, scaling, training, vary, search, roles, \
              readings, quick",
         ),
     ]);
@@ -1167,7 +1171,8 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             weight_decay: *[0.0, 0.01, 1.0].choose(random).unwrap(),
             clip_norm: *[None, Some(0.5), Some(10.0)].choose(random).unwrap(),
             batch_size: random.random_range(1..=4096),
-            epochs: random.random_range(1..=1000),
+            epochs: random.random_range(2..=1000),
+            last_epoch: if random.random() { None } else { Some(1) },
             patience: if random.random() { Some(random.random_range(1..=100)) } else { None },
             stop: *Stop::ALL.choose(random).unwrap(),
             kl_weight: random.random_range(0.0..1e6),
@@ -1183,6 +1188,14 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
         } else {
             Default::default()
         },
+        search: random.random::<bool>().then(|| Search {
+            method: Method::Sobol,
+            trials: random.random_range(1..=3),
+            seed: random.random_range(0..=spec::MAX_SEED),
+            space: [("network.average".into(), Candidates::Choice(vec![1.into()]))].into(),
+            objective: Default::default(),
+            halving: None,
+        }),
         roles: Default::default(),
         readings: Vec::new(),
         quick: Default::default(),

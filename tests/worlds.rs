@@ -382,7 +382,7 @@ fn a_world_that_changes_under_a_running_experiment_is_named_and_has_no_effect() 
         let runner = Runner::new(&registry, 1, &provenance, &editing);
         let plan = runner.plan(&experiment).unwrap();
         let datasets: Vec<_> = plan.iter().map(|planned| planned.folder.id().to_owned()).collect();
-        let summary = runner.run(&plan).unwrap();
+        let (summary, _) = runner.run(&experiment, plan).unwrap();
         assert_eq!((summary.done, summary.failed.len()), (2, 0));
         let said = editing.said.lock().unwrap().clone();
         let about: Vec<_> = said.iter().filter(|text| text.contains("has changed since")).collect();

@@ -19,6 +19,7 @@ mod removal;
 mod render;
 mod report;
 mod run;
+mod search;
 mod sheet;
 mod slurm;
 mod submit;

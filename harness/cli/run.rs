@@ -2,11 +2,11 @@
 
 use super::progress::Bars;
 use super::table::{print, shown};
-use super::{DONE, FAILED, interrupt, layers, output};
+use super::{DONE, FAILED, interrupt, layers, output, search};
 use anyhow::Result;
 use clap::Args;
 use harness::collection::{collect, collect_share, dataset_of};
-use harness::experiment::{Planned, Runner, Summary, describe, provenance};
+use harness::experiment::{Planned, Runner, Summary, best, describe, provenance};
 use harness::registry::{Decision, Registry, query_of, quoted};
 use harness::shard::Shard;
 use harness::simulation::Scene;
@@ -115,23 +115,31 @@ impl Run {
             memory: self.memory,
             ..Runner::new(registry, threads, &provenance, &bars)
         };
-        let mut plan = runner.plan(&experiment)?;
-        if let Some(shard) = self.share.shard {
-            let mut index = 0..;
-            plan.retain(|_| index.next().is_some_and(|index| shard.contains(index)));
-        }
+        let plan = runner.plan(&experiment)?;
+        let is_own = |index: usize| self.share.shard.is_none_or(|shard| shard.contains(index));
+        let own =
+            |plan: &[Planned]| -> Vec<usize> { (0..plan.len()).filter(|index| is_own(*index)).collect() };
         if self.dry_run {
+            let plan: Vec<&Planned> = own(&plan).into_iter().map(|index| &plan[index]).collect();
             print_plan(&plan);
+            search::print_rungs(&experiment);
             print_networks(&plan)?;
             return Ok(ExitCode::from(DONE));
         }
         registry.check_writable()?;
         interrupt::install()?;
-        let summary = runner.run(&plan)?;
-        if let Err(error) = print_results(registry, &experiment, &plan) {
+        let (summary, plan) = runner.run(&experiment, plan)?;
+        let best = best(&experiment, &plan);
+        let is_shown = |planned: &&Planned| match experiment.search {
+            Some(_) => best.iter().any(|best| best.is_of(&planned.spec)),
+            None => true,
+        };
+        let shown = own(&plan).into_iter().map(|index| &plan[index]).filter(is_shown);
+        if let Err(error) = print_results(registry, &experiment, shown) {
             eprintln!("warning: the results can't be shown: {error}");
         }
         print_summary(registry, &experiment, &summary);
+        search::print_best(registry, &experiment, &best, &self.spec.words());
         warn_of_loss();
         Ok(ExitCode::from(if summary.failed.is_empty() { DONE } else { FAILED }))
     }
@@ -194,20 +202,22 @@ fn warn_of_loss() {
     }
 }
 
-fn print_plan(plan: &[Planned]) {
+fn print_plan(plan: &[&Planned]) {
     for planned in plan {
         let (verb, reason) = match &planned.decision {
             Decision::Run { reason } => ("run", reason.as_str()),
             Decision::Resume { reason } => ("resume", reason.as_str()),
             Decision::Running { holder } => ("running", holder.as_str()),
             Decision::Skip => ("skip", "it is done"),
+            Decision::Diverged { reason } => ("failed", reason.as_str()),
         };
-        println!("{verb:<7} {:<36} {reason}", planned.folder.id());
+        let trial = search::described(&planned.spec);
+        println!("{verb:<7} {:<36} {trial}{reason}", planned.folder.id());
     }
 }
 
 /// Prints the layers of each network that the plan's runs train. Equal networks are printed once.
-fn print_networks(plan: &[Planned]) -> Result<()> {
+fn print_networks(plan: &[&Planned]) -> Result<()> {
     let mut networks: Vec<(String, Vec<&str>)> = Vec::new();
     for planned in plan {
         let (layers, run) = (layers::table(&planned.spec, planned.layout())?, planned.folder.id());
@@ -224,11 +234,20 @@ fn print_networks(plan: &[Planned]) -> Result<()> {
 }
 
 /// Prints the aggregate metrics of the plan's runs and of the baselines, averaged over seeds.
-fn print_results(registry: &Registry, experiment: &Experiment, plan: &[Planned]) -> Result<()> {
-    let runs: BTreeSet<&str> = plan.iter().map(|planned| planned.folder.id()).collect();
+fn print_results<'a>(
+    registry: &Registry,
+    experiment: &Experiment,
+    plan: impl Iterator<Item = &'a Planned>,
+) -> Result<()> {
+    let runs: BTreeSet<&str> = plan.map(|planned| planned.folder.id()).collect();
+    if runs.is_empty() {
+        return Ok(());
+    }
     let model = |name: &str| format!("avg(case when model = '{name}' then value end) as {name}");
-    let is_plain =
-        experiment.vary.is_empty() && experiment.readings.is_empty() && experiment.roles.is_empty();
+    let is_plain = experiment.vary.is_empty()
+        && experiment.readings.is_empty()
+        && experiment.roles.is_empty()
+        && experiment.search.is_none();
     let cell = if is_plain { "latent" } else { "latent, variant" };
     let answer = query_of(
         registry,
@@ -249,10 +268,21 @@ fn print_results(registry: &Registry, experiment: &Experiment, plan: &[Planned])
 }
 
 fn print_summary(registry: &Registry, experiment: &Experiment, summary: &Summary) {
-    let Summary { done, skipped, failed, held, left } = summary;
+    let Summary { done, continued, diverged, skipped, failed, held, left, awaited } = summary;
     let failed = failed.len();
     let why = if failed > 0 { format!(", `{}` says why", registry.command("ls")) } else { String::new() };
     println!("{done} done, {skipped} done before, {failed} failed{why}");
+    if *continued > 0 {
+        println!("{continued} trained on after a comparison of trials");
+    }
+    if *diverged > 0 {
+        println!("{diverged} diverged: their loss was no longer finite, so they are the worst trials");
+    }
+    if *awaited > 0 {
+        println!(
+            "{awaited} are left to other shares; when they are done, the same command trains the best trials on"
+        );
+    }
     if *held > 0 {
         println!("{held} left to the processes that work on them");
     }

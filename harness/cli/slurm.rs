@@ -106,6 +106,8 @@ pub struct Job<'a> {
     pub results: &'a Path,
     /// Spec, changed settings and `--quick`, as they were typed.
     pub words: &'a [String],
+    /// Whether a task waits for the runs of others, to compare them with its own (successive halving).
+    pub waits: bool,
     pub resources: &'a Resources,
 }
 
@@ -140,6 +142,7 @@ impl Job<'_> {
         }
         let (command, options) = match step {
             Step::Collect => ("collect", " --shard \"$SLURM_ARRAY_TASK_ID/$tasks\""),
+            Step::Train if self.waits => ("run", " --shard \"$SLURM_ARRAY_TASK_ID/$tasks\""),
             Step::Train => ("run", " --shard \"$SLURM_ARRAY_TASK_ID/$tasks\" --no-wait"),
             Step::Finish => ("run", ""),
         };

@@ -13,7 +13,7 @@ use clap::Args;
 use harness::experiment::{Runner, provenance};
 use harness::files::{write_bytes, write_whole};
 use harness::progress::Silent;
-use harness::registry::{Decision, Registry};
+use harness::registry::Registry;
 use serde::{Deserialize, Serialize};
 use serde_yaml::{MessageFormatter, UserMessageFormatter};
 use std::collections::BTreeMap;
@@ -75,7 +75,7 @@ impl Submit {
         let experiment = self.spec.load()?;
         let provenance = provenance(threads, super::command_line());
         let plan = Runner::new(registry, threads, &provenance, &Silent).plan(&experiment)?;
-        let to_do = plan.iter().filter(|planned| planned.decision != Decision::Skip).count();
+        let to_do = plan.iter().filter(|planned| !planned.is_settled()).count();
         if to_do == 0 {
             bail!(SubmitError::AllDone(experiment.name));
         }
@@ -93,6 +93,7 @@ impl Submit {
             program,
             results: &std::path::absolute(registry.root())?,
             words: &self.spec.words(),
+            waits: experiment.search.as_ref().is_some_and(|search| search.halving.is_some()),
             resources: &resources,
         };
         let steps = Step::ALL.into_iter().filter(|step| *step != Step::Collect || episodes > 0);

@@ -3,9 +3,11 @@
 mod evaluate;
 mod model;
 mod schedule;
+mod search;
 
 pub use model::{Model, ModelError, Values};
 pub use schedule::Summary;
+pub use search::{Best, best};
 
 use evaluate::{Evaluated, SampledTransition};
 use harness_collection::{CollectionError, collect, collect_together, dataset_of};
@@ -28,6 +30,7 @@ use harness_shared::shard::Shard;
 use harness_simulation::{Scene, SimulationError, mujoco_version};
 use harness_spec::{Experiment, Layout, Origin, RunSpec, Simulation, Task, World};
 use rayon::prelude::*;
+use search::{Rungs, Standing};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -155,6 +158,9 @@ pub struct Planned {
     /// The record that the run had when it was planned.
     record: Option<RunRecord>,
     source: Arc<Source>,
+    /// The run's trainings, of which this is one.
+    rungs: Rungs,
+    standing: Standing,
 }
 
 /// The origin of a scenario's samples.
@@ -198,6 +204,22 @@ impl Source {
 }
 
 impl Planned {
+    /// The shorter trainings of the run, the longest first.
+    fn earlier(&self) -> impl Iterator<Item = &RunFolder> {
+        self.rungs[..self.standing.rung].iter().rev().map(|(folder, _)| folder)
+    }
+
+    /// Whether a longer training of the run is done.
+    fn is_outdated(&self) -> bool {
+        let is_last = self.standing.rung + 1 == self.rungs.len();
+        !is_last && search::Record::read(&self.rungs).reached.is_some_and(|rung| rung > self.standing.rung)
+    }
+
+    /// Whether there is nothing to do for the run.
+    pub fn is_settled(&self) -> bool {
+        matches!(self.decision, Decision::Skip | Decision::Diverged { .. })
+    }
+
     /// Returns the layout of the dataset's samples.
     pub fn layout(&self) -> &Arc<Layout> {
         self.source.layout()
@@ -253,15 +275,29 @@ impl<'a> Runner<'a> {
                     source
                 }
             };
-            wanted.push((self.registry.run(&experiment.name, &spec, source.name()), spec, source));
+            let folder = |spec: RunSpec| (self.registry.run(&experiment.name, &spec, source.name()), spec);
+            let rungs: Rungs = Arc::new(experiment.rungs(&spec).into_iter().map(folder).collect());
+            wanted.push((rungs, source));
         }
+        Ok(self.planned(experiment, wanted))
+    }
+
+    /// Decides about each run, given its trainings and the origin of its samples.
+    fn planned(&self, experiment: &Experiment, wanted: Vec<(Rungs, Arc<Source>)>) -> Vec<Planned> {
+        let (runs, sources): (Vec<Rungs>, Vec<Arc<Source>>) = wanted.into_iter().unzip();
+        let standings = search::standings(experiment, &runs);
         let known = self.registry.known(&experiment.name);
-        let decide = |(folder, spec, _): &(RunFolder, RunSpec, _)| self.registry.decide(folder, spec, &known);
-        let decided: Vec<_> = wanted.par_iter().map(decide).collect();
-        let planned = wanted.into_iter().zip(decided).map(|((folder, spec, source), (decision, record))| {
-            Planned { spec, folder, decision, record, source }
+        let decide = |(rungs, standing): (&Rungs, &Standing)| {
+            let (folder, spec) = &rungs[standing.rung];
+            self.registry.decide(folder, spec, &known)
+        };
+        let decided: Vec<_> = runs.par_iter().zip(&standings).map(decide).collect();
+        let parts = runs.into_iter().zip(standings).zip(sources).zip(decided);
+        let planned = parts.map(|(((rungs, standing), source), (decision, record))| {
+            let (folder, spec) = rungs[standing.rung].clone();
+            Planned { spec, folder, decision, record, source, rungs, standing }
         });
-        Ok(planned.collect())
+        planned.collect()
     }
 
     fn source(&self, experiment: &Experiment, spec: &RunSpec) -> Result<Source, ExperimentError> {
@@ -369,6 +405,11 @@ impl ExperimentError {
             Self::Collection(error) => error.is_cancelled(),
             _ => false,
         }
+    }
+
+    /// Whether the training's loss was no longer finite. Another attempt would end in the same way.
+    fn is_divergence(&self) -> bool {
+        matches!(self, Self::Learning(LearningError::NotFinite { .. }))
     }
 }
 

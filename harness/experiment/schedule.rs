@@ -2,9 +2,9 @@
 //! results folder.
 
 use super::{ExperimentError, Planned, PreparedData, Runner, TrainingRun, describe, training_bytes};
-use harness_registry::{Decision, Outcome, Provenance, Status};
+use harness_registry::{Decision, Outcome, Provenance, RunRecord, Status};
 use harness_shared::memory;
-use harness_spec::{Division, RunSpec};
+use harness_spec::{Division, Experiment, RunSpec, Task};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -20,6 +20,10 @@ pub struct Summary {
     pub done: usize,
     /// Number of runs that were done before, or by another process.
     pub skipped: usize,
+    /// Number of trainings that this call finished and that continued a shorter one, by successive halving.
+    pub continued: usize,
+    /// Number of trials whose loss was no longer finite, now or before.
+    pub diverged: usize,
     /// The failed runs, each with its reason. Each failure was reported when it happened, and is in the run's record if
     /// that could be written.
     pub failed: Vec<String>,
@@ -27,12 +31,27 @@ pub struct Summary {
     pub held: usize,
     /// Runs that were left because one had failed.
     pub left: usize,
+    /// Runs of other shares that successive halving has to compare with this share's.
+    pub awaited: usize,
+}
+
+impl Summary {
+    /// Adds the outcome of the next runs. Runs that were done before count once, with the first runs.
+    fn add(&mut self, next: Summary) {
+        self.done += next.done;
+        self.continued += next.continued;
+        self.diverged += next.diverged;
+        self.failed.extend(next.failed);
+        (self.held, self.left) = (next.held, next.left);
+    }
 }
 
 /// The outcome of one run.
 enum End {
     Done,
     Skipped,
+    /// The loss of a trial was no longer finite.
+    Diverged,
     /// The run failed. Holds its id and the reason.
     Failed(String),
     /// Another process is working on the run.
@@ -42,19 +61,67 @@ enum End {
 }
 
 impl Runner<'_> {
-    /// Performs every run of a plan that isn't done yet. A run that fails leaves a record with the reason, and the
-    /// others continue, unless the runner fails fast. Runs that other processes are working on come last: if the runner
-    /// waits, this call waits for them, and performs them if the other process dies.
+    /// Performs every run of a plan that isn't done yet; a shard performs its share of them. A run that fails leaves a
+    /// record with the reason, and the others continue, unless the runner fails fast. Runs that other processes are working
+    /// on come last: if the runner waits, this call waits for them, and performs them if the other process dies.
+    ///
+    /// With successive halving, the runs up to a rung are compared when all of them are done, and the best are trained on.
+    /// A process that has done its own share performs the runs that no other process works on, or ends if the runner does
+    /// not wait. Returns the plan as it is at the end.
     ///
     /// # Errors
     /// When the caller cancels, or no threads can be started.
-    pub fn run(&self, plan: &[Planned]) -> Result<Summary, ExperimentError> {
+    pub fn run(
+        &self,
+        experiment: &Experiment,
+        mut plan: Vec<Planned>,
+    ) -> Result<(Summary, Vec<Planned>), ExperimentError> {
+        let is_own = |index: usize| self.shard.is_none_or(|shard| shard.contains(index));
+        let own: Vec<usize> = (0..plan.len()).filter(|index| is_own(*index)).collect();
+        let is_halving = experiment.search.as_ref().is_some_and(|search| search.halving.is_some());
+        let mut total = self.perform(own.into_iter().map(|index| &plan[index]).collect())?;
+        while is_halving {
+            plan = self.planned(
+                experiment,
+                plan.into_iter().map(|planned| (planned.rungs, planned.source)).collect(),
+            );
+            plan.iter().for_each(|planned| self.tidy(planned));
+            let pending: Vec<usize> = (0..plan.len()).filter(|index| !plan[*index].is_settled()).collect();
+            let pending_own: Vec<usize> = pending.iter().copied().filter(|index| is_own(*index)).collect();
+            if pending.is_empty() || !total.failed.is_empty() || total.held > 0 {
+                return Ok((total, plan));
+            }
+            if pending_own.is_empty() && !self.waits {
+                total.awaited = pending.len();
+                return Ok((total, plan));
+            }
+            let wanted = if pending_own.is_empty() { pending } else { pending_own };
+            total.add(self.perform(wanted.into_iter().map(|index| &plan[index]).collect())?);
+        }
+        Ok((total, plan))
+    }
+
+    /// Removes what a run's shorter trainings have left, and the states of a run that is not trained on.
+    fn tidy(&self, planned: &Planned) {
+        if planned.decision == Decision::Skip {
+            planned.earlier().for_each(|folder| self.registry.supersede(folder));
+        }
+        if planned.standing.is_last && planned.is_settled() {
+            planned.folder.remove_states();
+        }
+    }
+
+    /// Performs the given runs of a plan; see [`Runner::run`].
+    fn perform(&self, plan: Vec<&Planned>) -> Result<Summary, ExperimentError> {
         let mut summary = Summary::default();
-        let (skipped, mut pending): (Vec<&Planned>, Vec<&Planned>) =
-            plan.iter().partition(|planned| planned.decision == Decision::Skip);
-        summary.skipped = skipped.len();
+        let (settled, mut pending): (Vec<&Planned>, Vec<&Planned>) =
+            plan.into_iter().partition(|planned| planned.is_settled());
+        let (skipped, diverged): (Vec<&Planned>, Vec<&Planned>) =
+            settled.into_iter().partition(|planned| planned.decision == Decision::Skip);
+        (summary.skipped, summary.diverged) = (skipped.len(), diverged.len());
         // The process that finished them may have been killed before it removed their states.
-        skipped.iter().for_each(|planned| planned.folder.remove_states());
+        let unneeded = skipped.iter().filter(|planned| !planned.spec.may_continue());
+        unneeded.for_each(|planned| planned.folder.remove_states());
         if pending.iter().any(|planned| planned.spec.split.by == Division::Sample) {
             self.progress.say(
                 "split.by is sample: test samples have neighbours in the training data, so the errors are smaller \
@@ -72,7 +139,9 @@ impl Runner<'_> {
                 }
                 for (planned, end) in runs.iter().zip(self.work_on(&runs)?) {
                     match end {
+                        End::Done if planned.standing.rung > 0 => summary.continued += 1,
                         End::Done => summary.done += 1,
+                        End::Diverged => summary.diverged += 1,
                         End::Skipped => summary.skipped += 1,
                         End::Failed(failure) => summary.failed.push(failure),
                         End::Held => held.push(*planned),
@@ -222,7 +291,12 @@ impl WorkerPool<'_> {
     fn attempt(&self, planned: &Planned) -> Result<End, ExperimentError> {
         let Planned { spec, folder, .. } = planned;
         let registry = self.runner.registry;
-        let Some(_lock) = registry.claim(folder)? else { return Ok(End::Held) };
+        let Some(lock) = registry.claim(folder)? else { return Ok(End::Held) };
+        if planned.is_outdated() {
+            drop(lock);
+            registry.supersede(folder);
+            return Ok(End::Skipped);
+        }
         // Another process may have worked on the run since the plan was made.
         match folder.record() {
             Ok(Some(record)) if record.status == Status::Done => match folder.damage(&record) {
@@ -234,21 +308,32 @@ impl WorkerPool<'_> {
             Ok(Some(record))
                 if record.status == Status::Failed && planned.record.as_ref() != Some(&record) =>
             {
+                if record.diverged {
+                    return Ok(End::Diverged);
+                }
                 let reason = record.reason.unwrap_or_default();
                 return Ok(End::Failed(self.say_failed(planned, &format!("{reason} (in another process)"))));
             }
             _ => {}
         }
         let record = registry.begin(folder, spec, planned.layout(), &self.provenance)?;
+        planned.earlier().any(|earlier| folder.take_state(earlier, Task::Prediction));
         let end =
             self.train(planned).and_then(|outcome| Ok(registry.finish(folder, record.clone(), &outcome)?));
+        let diverged = spec.trial().is_some() && end.as_ref().is_err_and(ExperimentError::is_divergence);
         if let Err(error) = &end
             && !error.is_cancelled()
-            && let Err(second) = registry.fail(folder, record, &describe(error))
+            && let Err(second) = registry.fail(folder, RunRecord { diverged, ..record }, &describe(error))
         {
             self.say_failed(planned, &format!("its record can't be written: {}", describe(&second)));
         }
-        end.map(|()| End::Done)
+        if diverged {
+            self.runner.progress.say(&format!("{} diverged: it is the worst of the trials", folder.id()));
+            return Ok(End::Diverged);
+        }
+        end?;
+        planned.earlier().for_each(|earlier| registry.supersede(earlier));
+        Ok(End::Done)
     }
 
     fn train(&self, planned: &Planned) -> Result<Outcome, ExperimentError> {

@@ -68,7 +68,8 @@ impl Fit<'_> {
             Task::Prediction => "prediction",
             Task::Reconstruction => "reconstruction",
         };
-        self.progress.begin(stage, self.training.epochs as u64, "epochs");
+        let epochs = self.training.last_epoch.unwrap_or(self.training.epochs);
+        self.progress.begin(stage, epochs as u64, "epochs");
         self.progress.resume(state.epochs.len() as u64);
         while !self.finished(&state) {
             let epoch = match self.epoch(objective, &mut adam, state.epochs.len()) {
@@ -98,7 +99,7 @@ impl Fit<'_> {
             Stop::Total => state.best_epoch(),
             Stop::EveryTerm => state.last_improvement(),
         };
-        done >= self.training.epochs
+        done >= self.training.last_epoch.unwrap_or(self.training.epochs)
             || self.training.patience.is_some_and(|patience| done >= improved + patience)
     }
 

@@ -123,7 +123,9 @@ impl Asked {
     fn made(&self) -> Made {
         match spec::load(&self.spec, &self.overrides, self.quick) {
             Ok(experiment) => {
-                let specs = experiment.runs().iter().map(RunSpec::hash).collect();
+                let runs = experiment.runs();
+                let rungs = runs.iter().flat_map(|run| experiment.rungs(run));
+                let specs = rungs.map(|run| run.hash()).collect();
                 Made { experiment: experiment.name, specs }
             }
             _ => Made::default(),

@@ -16,6 +16,7 @@ mod compact;
 mod episodes;
 mod error;
 mod folders;
+mod losses;
 mod provenance;
 mod publish;
 mod query;
@@ -38,7 +39,7 @@ pub use removal::{Garbage, Removable, Usage};
 pub use rows::{Condition, Terms, conditions, implies};
 pub use verify::{Finding, Report};
 
-use harness_shared::files::{FolderLock, WriteError, write_bytes};
+use harness_shared::files::{FolderLock, WriteError, write_bytes, write_whole};
 use harness_spec::{Layout, RunSpec, Task};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -76,6 +77,11 @@ pub enum Decision {
     },
     /// The run is done, and all of its files are as they were written.
     Skip,
+    /// The run is a trial of a search, and its loss was no longer finite. Another attempt would end in the same way.
+    Diverged {
+        /// Why the run failed.
+        reason: String,
+    },
 }
 
 /// The results folder.
@@ -161,6 +167,10 @@ impl Registry {
                 None => return (Decision::Skip, Some(record.clone())),
                 Some(damage) => damage,
             },
+            Ok(Some(record)) if record.diverged => {
+                let reason = record.reason.clone().unwrap_or_default();
+                return (Decision::Diverged { reason }, Some(record.clone()));
+            }
             Ok(Some(RunRecord { status: Status::Failed, reason, .. })) => {
                 format!("it failed before: {}", reason.clone().unwrap_or_default())
             }
@@ -267,7 +277,8 @@ impl Registry {
         record.failed(reason).write(&folder.path.join(RECORD))
     }
 
-    /// Writes a run's tables, then its record with the status `done`, and removes the saved states of its training.
+    /// Writes a run's tables, then its record with the status `done`, and removes the saved states of its training, unless
+    /// successive halving may continue it.
     ///
     /// # Errors
     /// When a file can't be written, or a file that the record lists can't be read.
@@ -280,8 +291,11 @@ impl Registry {
         let record = record.done(outcome);
         outcome.write_tables(folder, &record)?;
         let files = record.expected_files();
+        let may_continue = record.spec.may_continue();
         record.with_files(folder, files)?.write(&folder.path.join(RECORD))?;
-        folder.remove_states();
+        if !may_continue {
+            folder.remove_states();
+        }
         Ok(())
     }
 }
@@ -311,6 +325,13 @@ impl RunFolder {
     /// Path of the file with the saved state of an unfinished training.
     pub fn state(&self, task: Task) -> PathBuf {
         self.path.join(format!("{}.state.safetensors", task.name()))
+    }
+
+    /// Copies the saved state of a shorter training to this run, if it has one and this run has none. Returns whether this
+    /// run has a state. Without one its training starts from the beginning, with the same result.
+    pub fn take_state(&self, shorter: &RunFolder, task: Task) -> bool {
+        let (from, to) = (shorter.state(task), self.state(task));
+        to.exists() || from.exists() && write_whole(&to, |file| std::fs::copy(&from, file).map(drop)).is_ok()
     }
 
     /// Removes the saved states of a finished run. Errors are ignored, because a remaining file only costs space.

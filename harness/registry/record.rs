@@ -185,6 +185,9 @@ pub struct RunRecord {
     pub status: Status,
     /// Why the run failed; `None` if it did not.
     pub reason: Option<String>,
+    /// Whether a trial of a search failed because its loss was no longer finite.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub diverged: bool,
     /// Hash of the spec.
     pub spec_hash: String,
     /// Name of the dataset's folder.
@@ -236,6 +239,7 @@ impl RunRecord {
             run: folder.id.clone(),
             status: Status::Running,
             reason: None,
+            diverged: false,
             spec_hash: spec.hash(),
             dataset: folder.dataset.clone(),
             started: Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),

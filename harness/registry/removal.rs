@@ -2,7 +2,7 @@
 
 use super::folders::{folders, sorted};
 use super::record::RunRecord;
-use super::{Registry, RegistryError, Status};
+use super::{Registry, RegistryError, RunFolder, Status};
 use harness_dataset::Dataset;
 use harness_shared::files::{FolderLock, UNFINISHED};
 use harness_spec::QUICK;
@@ -150,8 +150,7 @@ impl Registry {
             let holder = FolderLock::holder(&item.path);
             return Ok(Some(holder.unwrap_or_else(|| "another process".into())));
         };
-        let removed = self.root.join(format!("{UNFINISHED}removal-{}", std::process::id()));
-        std::fs::rename(&item.path, &removed).map_err(failed(&item.path))?;
+        let removed = self.set_aside(&item.path).map_err(failed(&item.path))?;
         drop(lock);
         std::fs::remove_dir_all(&removed).map_err(failed(&removed))?;
         if let Some(experiment) = item.path.parent() {
@@ -162,6 +161,28 @@ impl Registry {
             let _ = std::fs::remove_dir_all(left);
         }
         Ok(None)
+    }
+
+    /// Removes the folder of a run that a longer training replaces, unless a process works there. Errors are ignored,
+    /// because the next command on the experiment tries it again.
+    pub fn supersede(&self, folder: &RunFolder) {
+        if !folder.path.exists() {
+            return;
+        }
+        if let Ok(Some(lock)) = FolderLock::attempt(&folder.path)
+            && let Ok(removed) = self.set_aside(&folder.path)
+        {
+            drop(lock);
+            let _ = std::fs::remove_dir_all(removed);
+        }
+    }
+
+    /// Renames a folder, so that an interrupted removal leaves no part of it under its name. Returns the new path.
+    fn set_aside(&self, folder: &Path) -> std::io::Result<PathBuf> {
+        let target = tempfile::Builder::new().prefix(UNFINISHED).tempdir_in(&self.root)?.keep();
+        // An empty folder is replaced.
+        std::fs::rename(folder, &target)?;
+        Ok(target)
     }
 }
 

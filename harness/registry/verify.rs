@@ -225,7 +225,8 @@ impl Verification<'_> {
                 continue;
             }
             self.advance();
-            if record.status == Status::Done || !record.expects(&name) {
+            let may_grow = record.status != Status::Done || record.spec.may_continue();
+            if !may_grow || !record.expects(&name) {
                 report_stray(&path, report);
             } else if let Err(error) = seal::read(&path) {
                 report.broken(&path, error.to_string(), Some(remove(&path)));

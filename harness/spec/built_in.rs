@@ -39,6 +39,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "multi_to_multi_best",
     "multi_to_multi_continuous",
     "readings",
+    "search",
     "single_to_multi",
     "single_to_multi_best",
     "smoke",

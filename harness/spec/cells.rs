@@ -3,12 +3,14 @@
 use super::modality::{Layout, Modality, Scale};
 use super::origin::Origin;
 use super::scaling::{GivenScaling, Scaling, Scalings};
+use super::search::Trial;
 use super::simulation::Simulation;
 use super::types::{Action, Experiment, Network, Reading, Settings, Split, Task, Training};
 use super::validate::{Images, check_images};
 use super::world::{Known, World};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use std::borrow::Cow;
 use std::sync::Arc;
 
 /// Key of the setting that distinguishes datasets of the same simulation.
@@ -27,8 +29,9 @@ pub struct RunSpec {
     pub output: Vec<Modality>,
     /// Size of the latent state.
     pub latent: usize,
-    /// The reading, the role and the varied settings: `reading=base,role=single_to_multi` or
-    /// `kl_weight=0.001,hidden=64`. It is empty if the experiment varies nothing. The seed of the dataset is left out.
+    /// The reading, the role, the varied settings and the trial with its settings: `reading=base,role=single_to_multi`,
+    /// `kl_weight=0.001,hidden=64` or `trial=0017,learning_rate=0.00127`. It is empty if the experiment varies nothing. The
+    /// seed of the dataset is left out.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub variant: String,
     /// Seed of the initial weights, the sampling and the order of batches.
@@ -53,7 +56,8 @@ pub struct RunSpec {
 }
 
 impl Experiment {
-    /// Returns the runs, ordered by scenario, variant, latent size and seed, each in the spec's order.
+    /// Returns the runs, ordered by scenario, variant, latent size and seed, each in the spec's order. In a search with
+    /// successive halving, only the best trials get as far as these runs; see [`Experiment::rungs`].
     pub fn runs(&self) -> Vec<RunSpec> {
         let variants = self.variants();
         let mut runs = Vec::new();
@@ -66,6 +70,21 @@ impl Experiment {
             }
         }
         runs
+    }
+
+    /// Returns the runs of which successive halving makes one: its trainings up to each rung, and last the run itself. They
+    /// only train the prediction, by which trials are compared. Without halving, there is only the run itself.
+    pub fn rungs(&self, run: &RunSpec) -> Vec<RunSpec> {
+        let Some(halving) = self.search.as_ref().and_then(|search| search.halving.as_ref()) else {
+            return vec![run.clone()];
+        };
+        let epochs = halving.rungs(run.training.epochs);
+        let until = |epoch: &usize| RunSpec {
+            tasks: vec![Task::Prediction],
+            training: Training { last_epoch: Some(*epoch), ..run.training.clone() },
+            ..run.clone()
+        };
+        epochs[..epochs.len() - 1].iter().map(until).chain([run.clone()]).collect()
     }
 
     /// Returns the world and the simulation settings of each dataset that the runs need, except imported datasets.
@@ -85,11 +104,13 @@ impl Experiment {
 
     /// Returns one experiment for each combination of the varied settings, with the name of the combination.
     fn variants(&self) -> Vec<(String, Experiment)> {
-        let tree = serde_json::to_value(self).expect("an experiment is plain data");
+        let plain = Self { search: None, ..self.clone() };
+        let tree = serde_json::to_value(plain).expect("an experiment is plain data");
         let variants = self.combinations().into_iter().map(|combination| {
             let mut tree = tree.clone();
             for (key, value) in &combination.settings {
-                *key.split('.').fold(&mut tree, |section, key| &mut section[key]) = (*value).clone();
+                *key.split('.').fold(&mut tree, |section, key| &mut section[key]) =
+                    value.clone().into_owned();
             }
             let mut experiment: Experiment =
                 serde_json::from_value(tree).expect("every combination is checked when the spec is read");
@@ -100,8 +121,8 @@ impl Experiment {
         variants.collect()
     }
 
-    /// Returns every combination of a reading, a role and the settings under `vary`; a single empty combination if the
-    /// experiment has none of them.
+    /// Returns every combination of a reading, a role, the settings under `vary` and a trial; a single empty combination if
+    /// the experiment has none of them.
     pub(super) fn combinations(&self) -> Vec<Combination<'_>> {
         let mut combinations = vec![Combination::default()];
         if !self.readings.is_empty() {
@@ -115,6 +136,11 @@ impl Experiment {
         }
         for (key, values) in &self.vary {
             combinations = combinations.iter().flat_map(|one| one.each_value(key, values)).collect();
+        }
+        if let Some(search) = &self.search {
+            let trials = search.draw();
+            let keys: Vec<&str> = search.space.keys().map(String::as_str).collect();
+            combinations = combinations.iter().flat_map(|one| one.each_trial(&keys, &trials)).collect();
         }
         combinations
     }
@@ -185,7 +211,7 @@ pub(super) struct Combination<'a> {
     /// Parts of the name: `reading=base`, `kl_weight=0.001`.
     names: Vec<String>,
     /// Settings by dotted key. If a key occurs twice, the later value is used.
-    pub settings: Vec<(&'a str, &'a serde_json::Value)>,
+    pub settings: Vec<(&'a str, Cow<'a, serde_json::Value>)>,
 }
 
 static NO_SETTINGS: Settings = Settings::new();
@@ -196,7 +222,9 @@ impl<'a> Combination<'a> {
         let with = |(name, settings): &(&str, &'a Settings)| {
             let mut combination = self.clone();
             combination.names.push(format!("{kind}={name}"));
-            combination.settings.extend(settings.iter().map(|(key, value)| (key.as_str(), value)));
+            combination
+                .settings
+                .extend(settings.iter().map(|(key, value)| (key.as_str(), Cow::Borrowed(value))));
             combination
         };
         groups.iter().map(with).collect()
@@ -210,10 +238,24 @@ impl<'a> Combination<'a> {
             if key != DATASET_SEED {
                 combination.names.push(named(key, value));
             }
-            combination.settings.push((key, value));
+            combination.settings.push((key, Cow::Borrowed(value)));
             combination
         };
         values.iter().map(with).collect()
+    }
+
+    /// Returns this combination extended by each trial's settings, which have these keys.
+    fn each_trial(&self, keys: &[&'a str], trials: &[Trial]) -> Vec<Self> {
+        let with = |(number, trial): (usize, &Trial)| {
+            let mut combination = self.clone();
+            // An experiment has at most 10,000 runs. All numbers have the same length, so that they are sorted as texts.
+            combination.names.push(format!("trial={number:04}"));
+            combination.names.extend(trial.iter().map(|(key, value)| named(key, value)));
+            let settings = keys.iter().zip(trial.values());
+            combination.settings.extend(settings.map(|(key, value)| (*key, Cow::Owned(value.clone()))));
+            combination
+        };
+        trials.iter().enumerate().map(with).collect()
     }
 
     /// Returns the name: `reading=base,role=multi_to_multi` or `kl_weight=0.001,hidden=64`. It is a valid folder name.
@@ -305,18 +347,42 @@ impl RunSpec {
         self.named("role")
     }
 
+    /// Returns the number of the run's trial; `None` if its experiment is no search.
+    pub fn trial(&self) -> Option<usize> {
+        self.variant_parts().1?.parse().ok()
+    }
+
+    /// Whether successive halving may train the run on after its last epoch. Its state is kept until then.
+    pub fn may_continue(&self) -> bool {
+        self.trial().is_some() && self.training.last_epoch.is_some()
+    }
+
+    /// Divides the variant into the part before the trial, the trial's number, and the trial's settings. Without a trial,
+    /// all of it is the first part.
+    pub fn variant_parts(&self) -> (&str, Option<&str>, &str) {
+        let varied = self.variant.strip_prefix("trial=").map(|trial| ("", trial));
+        let Some((varied, trial)) = varied.or_else(|| self.variant.split_once(",trial=")) else {
+            return (&self.variant, None, "");
+        };
+        let (number, settings) = trial.split_once(',').unwrap_or((trial, ""));
+        (varied, Some(number), settings)
+    }
+
     /// Returns the value of a key in the variant.
     fn named(&self, key: &str) -> Option<&str> {
         let parts = self.variant.split(',').filter_map(|part| part.split_once('='));
         parts.filter(|(own, _)| *own == key).map(|(_, value)| value).next()
     }
 
-    /// Returns the name of the cell, which is unique within an experiment: `cluttered-z64` or
-    /// `cluttered-z64-kl_weight=0.001`.
+    /// Returns the name of the cell, which is unique within an experiment: `cluttered-z64`,
+    /// `cluttered-z64-kl_weight=0.001` or `cluttered-z64-trial=0017`. A trial's settings are left out, because a folder's
+    /// name must be short.
     pub fn cell(&self) -> String {
-        let Self { scenario, latent, variant, .. } = self;
-        let separator = if variant.is_empty() { "" } else { "-" };
-        format!("{scenario}-z{latent}{separator}{variant}")
+        let (varied, trial, _) = self.variant_parts();
+        let trial = trial.map(|number| format!("trial={number}")).unwrap_or_default();
+        let names: Vec<&str> = [varied, &trial].into_iter().filter(|name| !name.is_empty()).collect();
+        let separator = if names.is_empty() { "" } else { "-" };
+        format!("{}-z{}{separator}{}", self.scenario, self.latent, names.join(","))
     }
 
     /// Returns the name of the run, which is unique within an experiment: `cluttered-z64-seed0`, or

@@ -131,6 +131,7 @@ fn other_choices(what: &str) -> &'static str {
     match what {
         "scenario" => ", the path of a world file, or the name of an imported dataset",
         "modality" => ", or a modality of another world or dataset",
+        "samples" => "; a choice by the test samples would make their errors too small",
         _ => "",
     }
 }
@@ -240,7 +241,7 @@ fn choices(schema: &Json) -> Option<Vec<&str>> {
     Some(schema["oneOf"].as_array()?.iter().filter_map(|choice| choice["const"].as_str()).collect())
 }
 
-fn types(schema: &Json) -> Vec<&str> {
+pub(super) fn types(schema: &Json) -> Vec<&str> {
     match &schema["type"] {
         Json::Array(types) => types.iter().filter_map(Json::as_str).collect(),
         other => other.as_str().into_iter().collect(),
@@ -274,6 +275,10 @@ fn is_within_bounds(schema: &Json, value: &Value) -> bool {
         // Every integer bound is below 2^53, so the rounding of larger values does not matter.
         Value::Integer(integer) => is_number_within(*integer as f64),
         Value::Float(float) => is_number_within(*float),
+        Value::Section(keys) => {
+            bound("minProperties").is_none_or(|minimum| keys.len() as f64 >= minimum)
+                && bound("maxProperties").is_none_or(|maximum| keys.len() as f64 <= maximum)
+        }
         Value::List(items) => {
             bound("minItems").is_none_or(|minimum| items.len() as f64 >= minimum)
                 && bound("maxItems").is_none_or(|maximum| items.len() as f64 <= maximum)
@@ -298,6 +303,10 @@ pub(super) fn expected(root: &Json, schema: &Json) -> String {
         "boolean" => "true or false".into(),
         "array" => {
             format!("a list of {}, each {}", expected_length(schema), expected(root, &schema["items"]))
+        }
+        "object" if schema["maxProperties"] == 1 => {
+            let names: Vec<&str> = properties(schema).map(|(name, _)| name.as_str()).collect();
+            format!("a section with exactly one of {}", names.join(", "))
         }
         "object" => "a section of keys".into(),
         other => other.into(),

@@ -19,7 +19,9 @@ mod overrides;
 mod parse;
 mod scaling;
 mod schema;
+mod search;
 mod simulation;
+mod sobol;
 mod types;
 mod validate;
 mod values;
@@ -36,7 +38,9 @@ pub use origin::{Origin, Scenario};
 pub use parse::read as read_text;
 pub use scaling::{GivenScaling, GivenScalings, Scaling, Scalings};
 pub use schema::{schema, setting_names};
+pub use search::{Candidates, Halving, Method, Objective, Search, Trial};
 pub use simulation::{MAX_SEED, Setting, Simulation};
+pub use sobol::sobol;
 pub use types::*;
 pub use values::matching;
 pub use world::*;
@@ -126,12 +130,13 @@ fn load_text(folder: &Path, text: &str, overrides: &[String], quick: bool) -> Re
     Ok(experiment)
 }
 
-/// Checks the experiment with each combination of a reading, a role and the settings under `vary`.
+/// Checks the experiment with each combination of a reading, a role, the settings under `vary` and a trial.
 fn check_variants(folder: &Path, tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
     let given = varied_settings(tree);
     for combination in experiment.combinations() {
         let settings = combination.settings.iter().filter_map(|(key, value)| {
-            given.iter().find(|entry| entry.key == *key && entry.node.to_json() == **value).cloned()
+            let written = given.iter().find(|entry| entry.key == *key && entry.node.to_json() == **value);
+            written.cloned().or_else(|| drawn(tree, key, value))
         });
         let mut tree = tree.clone();
         overrides::apply(&mut tree, &settings.collect::<Vec<_>>());
@@ -140,6 +145,12 @@ fn check_variants(folder: &Path, tree: &Node, experiment: &Experiment) -> Result
         resolve(folder, &tree).map_err(|problem| problem.after(&format!("applying {what}")))?;
     }
     Ok(())
+}
+
+/// Returns a setting that a search draws, at the place of its distribution.
+fn drawn(tree: &Node, key: &str, value: &serde_json::Value) -> Option<Entry> {
+    let origin = &tree.get("search")?.get("space")?.get(key)?.origin;
+    Some(Entry { key: key.to_owned(), key_origin: origin.clone(), node: Node::of_json(value, origin) })
 }
 
 /// Returns the settings that a tree varies: one entry for each value, as written in the spec.

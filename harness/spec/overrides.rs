@@ -7,6 +7,8 @@ use super::schema;
 
 /// Key of the settings that are tried in every combination.
 const VARY: &str = "vary";
+/// Key of the settings that are drawn.
+const SEARCH: &str = "search";
 /// Keys of the other readings, and of the experiments that runs stand for.
 const READINGS: &str = "readings";
 const ROLES: &str = "roles";
@@ -47,22 +49,41 @@ fn not_a_setting(key: &str, value: &str, names: &[&str]) -> String {
 /// Applies settings to a tree that has passed the checks. If a key is set twice, the later value is used. A setting
 /// that the tree varies is tried only with the value given here.
 pub(super) fn apply(tree: &mut Node, settings: &[Entry]) {
-    // `vary` is applied first, so that the result does not depend on the order of the settings.
-    let (varied, others): (Vec<&Entry>, Vec<&Entry>) =
-        settings.iter().partition(|setting| setting.key == VARY);
+    // `vary` and `search` are applied first, so that the result does not depend on the order of the settings.
+    let (varied, others): (Vec<&Entry>, Vec<&Entry>) = settings
+        .iter()
+        .partition(|setting| setting.key == VARY || setting.key.split('.').next() == Some(SEARCH));
     for setting in varied.into_iter().chain(others) {
+        if setting.key == SEARCH && matches!(setting.node.value, Value::Null) {
+            remove(tree, SEARCH);
+            continue;
+        }
         set(tree, &setting.key, setting);
         try_alone(tree, setting);
     }
 }
 
-/// Replaces all values of a varied setting by this one, also in readings and roles.
+/// Removes a key of a section.
+fn remove(section: &mut Node, key: &str) {
+    if let Value::Section(entries) = &mut section.value {
+        entries.retain(|entry| entry.key != key);
+    }
+}
+
+/// Replaces all values of a varied or drawn setting by this one, also in readings and roles.
 fn try_alone(tree: &mut Node, setting: &Entry) {
     if let Some(Node { value: Value::Section(varied), .. }) = tree.get_mut(VARY)
         && let Some(entry) = varied.iter_mut().find(|entry| entry.key == setting.key)
     {
         let only = setting.node.clone();
         entry.node = Node { origin: only.origin.clone(), value: Value::List(vec![only]) };
+    }
+    if let Some(node) = tree.get_mut(SEARCH).and_then(|search| search.get_mut("space")?.get_mut(&setting.key))
+    {
+        let origin = setting.node.origin.clone();
+        let only = Node { origin: origin.clone(), value: Value::List(vec![setting.node.clone()]) };
+        let choice = Entry { key: "choice".into(), key_origin: origin.clone(), node: only };
+        *node = Node { origin, value: Value::Section(vec![choice]) };
     }
     if let Some(Node { value: Value::List(readings), .. }) = tree.get_mut(READINGS) {
         readings

@@ -59,18 +59,26 @@ impl Node {
     }
 
     /// Returns where the value at a dotted path was written. If it is missing, returns the place of the innermost
-    /// section around it. A number in the path is an index into a list.
+    /// section around it. A number in the path is an index into a list. A key may contain dots.
     pub fn origin_of(&self, path: &str) -> &Origin {
-        let mut node = self;
-        for step in path.split('.') {
-            let child = match &node.value {
-                Value::List(items) => step.parse().ok().and_then(|index: usize| items.get(index)),
-                _ => node.get(step),
-            };
-            let Some(child) = child else { break };
-            node = child;
+        if path.is_empty() {
+            return &self.origin;
         }
-        &node.origin
+        let below = |key: &str| match path.strip_prefix(key)? {
+            "" => Some(""),
+            rest => rest.strip_prefix('.'),
+        };
+        let child = match &self.value {
+            Value::List(items) => {
+                let (index, rest) = path.split_once('.').unwrap_or((path, ""));
+                index.parse().ok().and_then(|index: usize| Some((items.get(index)?, rest)))
+            }
+            Value::Section(entries) => {
+                entries.iter().find_map(|entry| Some((&entry.node, below(&entry.key)?)))
+            }
+            _ => None,
+        };
+        child.map_or(&self.origin, |(child, rest)| child.origin_of(rest))
     }
 
     /// Returns the value with `origin` as the place of all its parts.
@@ -93,6 +101,31 @@ impl Node {
             scalar => scalar,
         };
         self
+    }
+
+    /// Returns a JSON value as a node with `origin` as the place of all its parts.
+    pub fn of_json(json: &serde_json::Value, origin: &Origin) -> Self {
+        let value = match json {
+            serde_json::Value::Null => Value::Null,
+            serde_json::Value::Bool(value) => Value::Bool(*value),
+            serde_json::Value::Number(number) => match number.as_i128() {
+                Some(integer) => Value::Integer(integer),
+                None => Value::Float(number.as_f64().unwrap_or(f64::NAN)),
+            },
+            serde_json::Value::String(text) => Value::Text(text.clone()),
+            serde_json::Value::Array(items) => {
+                Value::List(items.iter().map(|item| Self::of_json(item, origin)).collect())
+            }
+            serde_json::Value::Object(entries) => {
+                let entry = |(key, value): (&String, _)| Entry {
+                    key: key.clone(),
+                    key_origin: origin.clone(),
+                    node: Self::of_json(value, origin),
+                };
+                Value::Section(entries.iter().map(entry).collect())
+            }
+        };
+        Self { origin: origin.clone(), value }
     }
 
     /// Returns the value as JSON. A number that JSON cannot hold becomes null, so check the tree first.

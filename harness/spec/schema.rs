@@ -2,6 +2,7 @@
 
 use super::check::{
     allow_single_values, check_against, join, list_single, properties, property, resolve, takes_one_item,
+    types,
 };
 use super::error::Problem;
 use super::origin::{IMPORTED_NAME, Origin};
@@ -47,7 +48,16 @@ fn build() -> Json {
     set_keys(&mut schema["$defs"]["Reading"]["properties"]["settings"], varied.clone());
     schema["properties"]["roles"]["additionalProperties"] = json!({ "type": "object" });
     set_keys(&mut schema["properties"]["roles"]["additionalProperties"], of_roles);
-    settings.insert("vary".into(), schema["properties"]["vary"].clone());
+    let drawn: Vec<(String, Json)> = varied
+        .iter()
+        .filter(|(key, _)| draws(key))
+        .map(|(key, setting)| (key.clone(), candidates(&schema, setting)))
+        .collect();
+    set_keys(&mut schema["$defs"]["Search"]["properties"]["space"], drawn);
+    settings.insert("search.space".into(), schema["$defs"]["Search"]["properties"]["space"].clone());
+    for key in ["vary", "search"] {
+        settings.insert(key.into(), schema["properties"][key].clone());
+    }
     set_keys(&mut schema["properties"]["quick"], settings);
     schema
 }
@@ -79,6 +89,44 @@ fn varies(key: &str) -> bool {
     const SECTIONS: [&str; 9] =
         ["input", "output", "tasks", "action", "network", "simulation", "split", "scaling", "training"];
     SECTIONS.contains(&key.split('.').next().unwrap_or(key))
+}
+
+/// Whether a search may draw the setting. Trials with other data, outputs or scales could not be compared by their
+/// losses.
+fn draws(key: &str) -> bool {
+    ["input", "action", "network", "training"].contains(&key.split('.').next().unwrap_or(key))
+}
+
+/// The distributions of a setting: one of those that suit its type.
+fn candidates(root: &Json, setting: &Json) -> Json {
+    let own = resolve(root, setting).0;
+    let range = |kind: &str, description: &str| {
+        let mut item = json!({ "type": kind });
+        for bound in ["minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"] {
+            if let Some(value) = own.get(bound) {
+                item[bound] = value.clone();
+            }
+        }
+        json!({ "description": description, "type": "array", "items": item, "minItems": 2, "maxItems": 2 })
+    };
+    let mut properties = serde_json::Map::new();
+    if types(own).contains(&"number") {
+        properties
+            .insert("uniform".into(), range("number", "Uniform between the lowest and the highest value."));
+        let description = "Uniform in the logarithm, between the lowest and the highest value.";
+        properties.insert("log_uniform".into(), range("number", description));
+    }
+    if types(own).contains(&"integer") {
+        let description = "An integer from the lowest to the highest value.";
+        properties.insert("integer".into(), range("integer", description));
+    }
+    let mut choice = several((&"choice".into(), setting)).1;
+    choice["description"] = "One of several values.".into();
+    properties.insert("choice".into(), choice);
+    json!({
+        "type": "object", "properties": properties, "additionalProperties": false, "minProperties": 1,
+        "maxProperties": 1,
+    })
 }
 
 /// A list of different values of a setting.
@@ -187,6 +235,8 @@ mod tests {
             "items",
             "minItems",
             "maxItems",
+            "minProperties",
+            "maxProperties",
             "uniqueItems",
             "minimum",
             "maximum",

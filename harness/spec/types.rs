@@ -5,6 +5,7 @@ use super::modality::{Layout, Modality, by_modality};
 use super::name::names;
 use super::origin::Origin;
 use super::scaling::GivenScalings;
+use super::search::Search;
 use super::simulation::{MAX_SEED, Simulation};
 use super::world::World;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
@@ -195,6 +196,11 @@ pub struct Experiment {
     /// its own cells. The column `variant` of the tables names the combination.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub vary: BTreeMap<String, Vec<serde_json::Value>>,
+    /// Settings to draw from distributions, one combination for each trial. Each trial makes its own cells. The column
+    /// `variant` of the tables names it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "search")]
+    pub search: Option<Search>,
     /// Other experiments, each with the settings in which it differs from the spec, by dotted key. Each makes its own
     /// cells. The column `role` of the table `runs` names it.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
@@ -328,6 +334,11 @@ pub struct Training {
     /// Largest number of epochs.
     #[schemars(range(min = 1, max = 100_000))]
     pub epochs: usize,
+    /// The epoch after which training ends, if it is before the last of `epochs`. The learning rate still follows
+    /// `epochs`. Successive halving sets it. The default is `null`.
+    #[serde(skip_serializing_if = "is_default")]
+    #[schemars(range(min = 1, max = 100_000))]
+    pub last_epoch: Option<usize>,
     /// Number of epochs without a better validation loss after which training stops. The parameters of the epoch with
     /// the lowest total are kept. With `null`, training does not stop early and the last parameters are kept.
     #[schemars(range(min = 1, max = 100_000))]
@@ -420,6 +431,7 @@ impl Default for Training {
             clip_norm: None,
             batch_size: 1024,
             epochs: 200,
+            last_epoch: None,
             patience: Some(20),
             stop: Stop::Total,
             // Chosen with experiments/choose_kl_weight.yaml and choose_multi_losses.yaml.
@@ -434,6 +446,9 @@ impl Default for Training {
     }
 }
 
+fn search(generator: &mut SchemaGenerator) -> Schema {
+    generator.subschema_for::<Search>()
+}
 fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }

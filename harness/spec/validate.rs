@@ -4,8 +4,11 @@ use super::check::unknown;
 use super::modality::{Modality, Scale};
 use super::name::is_name;
 use super::origin::Origin;
+use super::search::{Halving, Objective, Search};
 use super::simulation::{Setting, Simulation};
-use super::types::{Device, Division, Experiment, Network, Precision, Reading, Split, Task, Training};
+use super::types::{
+    Device, Division, Experiment, Network, Precision, Reading, Settings, Split, Task, Training,
+};
 use super::world::World;
 
 /// Largest number of values in a tensor of a network: 1 GiB in single precision.
@@ -55,7 +58,8 @@ pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     timing(experiment)?;
     samples(&experiment.simulation)?;
     scaling(experiment)?;
-    split(experiment)
+    split(experiment)?;
+    search(experiment)
 }
 
 fn name(name: &str) -> Result<(), Fault> {
@@ -93,13 +97,16 @@ fn runs(experiment: &Experiment) -> Result<(), Fault> {
     let seeds = experiment.seeds.len();
     let readings = if experiment.readings.is_empty() { 1 } else { experiment.readings.len() + 1 };
     let cells = readings.saturating_mul(experiment.roles.len().max(1));
-    let variants =
-        experiment.vary.values().fold(cells, |all: usize, values| all.saturating_mul(values.len()));
+    let varied = experiment.vary.values().fold(cells, |all: usize, values| all.saturating_mul(values.len()));
+    let trials = experiment.search.as_ref().map_or(1, |search| search.trials);
+    let variants = varied.saturating_mul(trials);
     let all = scenarios.saturating_mul(latent).saturating_mul(seeds).saturating_mul(variants);
     if all <= MAX_RUNS {
         return Ok(());
     }
-    let path = if variants > seeds.max(latent) {
+    let path = if trials > varied.max(seeds).max(latent) {
+        "search.trials"
+    } else if variants > seeds.max(latent) {
         "vary"
     } else if seeds > latent {
         "seeds"
@@ -313,7 +320,15 @@ fn precision(training: &Training) -> Result<(), Fault> {
 
 /// Refuses a warm-up that is longer than the training, and a weight decay that would change the sign of weights.
 fn steps(training: &Training) -> Result<(), Fault> {
-    let Training { learning_rate, warmup_epochs, weight_decay, epochs, .. } = *training;
+    let Training { learning_rate, warmup_epochs, weight_decay, epochs, last_epoch, .. } = *training;
+    if let Some(last) = last_epoch.filter(|last| *last >= epochs) {
+        return fault(
+            "training.last_epoch",
+            format!(
+                "the training ends after epoch {epochs} (training.epochs) anyway; use less than {last}, or leave it out"
+            ),
+        );
+    }
     if warmup_epochs > epochs as f64 {
         return fault(
             "training.warmup_epochs",
@@ -522,4 +537,81 @@ fn split(experiment: &Experiment) -> Result<(), Fault> {
         ),
         _ => Ok(()),
     }
+}
+
+/// Refuses a search whose trials can't be drawn or compared.
+fn search(experiment: &Experiment) -> Result<(), Fault> {
+    let Some(search) = &experiment.search else { return Ok(()) };
+    search.check().or_else(|(path, message)| fault(format!("search.{path}"), message))?;
+    for key in search.space.keys() {
+        let is_in = |settings: &Settings| settings.contains_key(key);
+        let place = if experiment.vary.contains_key(key) {
+            "vary"
+        } else if experiment.readings.iter().any(|reading| is_in(&reading.settings)) {
+            "readings"
+        } else if experiment.roles.values().any(is_in) {
+            "roles"
+        } else {
+            continue;
+        };
+        return fault(
+            format!("search.space.{key}"),
+            format!("'{key}' is also in '{place}'; leave it out of one of them"),
+        );
+    }
+    objective(experiment, search)?;
+    search.halving.as_ref().map_or(Ok(()), |rungs| halving(experiment, search, rungs))
+}
+
+/// Refuses an objective that is no term of the loss, or that means something else in each trial.
+fn objective(experiment: &Experiment, search: &Search) -> Result<(), Fault> {
+    let term = search.objective.term.as_str();
+    let outputs = experiment.output.iter().map(|modality| modality.name());
+    let terms: Vec<&str> = outputs.chain([Objective::TOTAL]).collect();
+    if !terms.contains(&term) {
+        let path = "search.objective.term";
+        return fault(path, unknown("term", term, path, &terms, str::to_owned));
+    }
+    let losses = "training.losses.";
+    let changes = |key: &str| match term {
+        Objective::TOTAL => {
+            key == "training.kl_weight" || key.starts_with("training.loss_weights") || key.starts_with(losses)
+        }
+        output => key.strip_prefix(losses) == Some(output),
+    };
+    let Some(key) = search.space.keys().find(|key| changes(key)) else { return Ok(()) };
+    let others: Vec<&str> =
+        terms.into_iter().filter(|other| *other != term && *other != Objective::TOTAL).collect();
+    let other = match others.as_slice() {
+        [] => String::new(),
+        others => format!(", or set search.objective.term to {}", others.join(" or ")),
+    };
+    fault(
+        format!("search.space.{key}"),
+        format!(
+            "the objective '{term}' depends on '{key}', so trials can't be compared by it; leave '{key}' out{other}"
+        ),
+    )
+}
+
+/// Refuses rungs that no training has, and trials that do not have the same rungs.
+fn halving(experiment: &Experiment, search: &Search, halving: &Halving) -> Result<(), Fault> {
+    let (least, epochs) = (halving.min_epochs, experiment.training.epochs);
+    if least >= epochs {
+        return fault(
+            "search.halving.min_epochs",
+            format!(
+                "{least} epochs are not less than training.epochs, {epochs}, so no trial would be stopped; use fewer"
+            ),
+        );
+    }
+    if experiment.training.last_epoch.is_some() {
+        return fault("training.last_epoch", "successive halving sets it; leave it out");
+    }
+    let of_length =
+        ["training.epochs", "training.last_epoch"].into_iter().find(|key| search.space.contains_key(*key));
+    of_length.map_or(Ok(()), |key| {
+        let message = format!("halving compares trials after the same epochs; leave '{key}' out");
+        fault(format!("search.space.{key}"), message)
+    })
 }

@@ -44,7 +44,7 @@ pub fn run(
     let shown: Box<dyn Progress> = if progress { Box::new(Bars::default()) } else { Box::new(Silent) };
     let listener = Listener { shown, cancelled: &cancelled };
     let runner = Runner { jobs, memory, ..Runner::new(&registry, threads, &provenance, &listener) };
-    let work = || runner.run(&runner.plan(&experiment)?);
+    let work = || runner.run(&experiment, runner.plan(&experiment)?).map(|(summary, _)| summary);
     let summary = interruptible(py, work, || cancelled.store(true, Ordering::Relaxed))?;
     warn(py, &registry)?;
     let summary = summary.map_err(|error: ExperimentError| error.raise())?;

@@ -1,0 +1,67 @@
+//! What `harness run` prints about a search.
+
+use harness::experiment::Best;
+use harness::numbers::rounded;
+use harness::registry::{Registry, quoted};
+use harness::spec::{Experiment, RunSpec};
+
+/// The settings of a trial for the plan: `learning_rate=0.00127 hidden=64: `; empty if the run is no trial.
+pub fn described(spec: &RunSpec) -> String {
+    match spec.variant_parts() {
+        (_, Some(_), settings) => format!("{}: ", settings.replace(',', " ")),
+        _ => String::new(),
+    }
+}
+
+/// Prints how many trials are trained up to which epoch.
+pub fn print_rungs(experiment: &Experiment) {
+    let Some(search) = &experiment.search else { return };
+    let Some(halving) = &search.halving else { return };
+    let mut trials = search.trials;
+    let rungs = halving.rungs(experiment.training.epochs).into_iter().map(|epochs| {
+        let rung = format!("{trials} to epoch {epochs}");
+        trials = halving.kept(trials);
+        rung
+    });
+    println!("\nsuccessive halving trains trials: {}", rungs.collect::<Vec<_>>().join(", the best "));
+}
+
+/// Prints the best trial of each scenario, latent size and combination of varied settings, and how to go on with it.
+/// `words` are the arguments of `harness run`.
+pub fn print_best(registry: &Registry, experiment: &Experiment, best: &[Best], words: &[String]) {
+    let Some(search) = &experiment.search else { return };
+    let term = &search.objective.term;
+    for best in best {
+        let loss = rounded(best.loss);
+        println!(
+            "best      {}: {term} {loss} on the validation samples, of {} trials",
+            best.run.cell(),
+            best.judged
+        );
+        println!("          {}", best.run.variant_parts().2.replace(',', " "));
+        let own = best.settings.iter().map(|(key, value)| format!("{key}={value}"));
+        let cell = cell(experiment, &best.run);
+        let words = words.iter().cloned().chain(["search=null".to_owned()]).chain(cell).chain(own);
+        let words: Vec<String> = words.collect();
+        let command = quoted(["run"].into_iter().chain(words.iter().map(String::as_str)));
+        println!("alone     {}", registry.command(&command));
+    }
+    if !best.is_empty() {
+        let by = format!("compare {} --by variant", quoted([experiment.name.as_str()]));
+        println!("compare   {}", registry.command(&by));
+    }
+}
+
+/// The overrides that limit the experiment to a run's scenario and latent size.
+fn cell(experiment: &Experiment, run: &RunSpec) -> Vec<String> {
+    let mut overrides = Vec::new();
+    if experiment.scenarios.len() > 1
+        && let Some(origin) = experiment.scenarios.iter().find(|origin| origin.name() == run.scenario.name())
+    {
+        overrides.push(format!("scenarios=[{}]", String::from(origin.clone())));
+    }
+    if experiment.latent.len() > 1 {
+        overrides.push(format!("latent=[{}]", run.latent));
+    }
+    overrides
+}

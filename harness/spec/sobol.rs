@@ -1,0 +1,67 @@
+//! Sobol's low-discrepancy sequence, with the direction numbers of Joe and Kuo (2008), `new-joe-kuo-6`.
+
+/// The dimensions after the first: the inner coefficients of the primitive polynomial as bits, and the initial
+/// direction numbers, as many as the polynomial's degree.
+const INITIAL: [(u32, &[u32]); 31] = [
+    (0, &[1]),
+    (1, &[1, 3]),
+    (1, &[1, 3, 1]),
+    (2, &[1, 1, 1]),
+    (1, &[1, 1, 3, 3]),
+    (4, &[1, 3, 5, 13]),
+    (2, &[1, 1, 5, 5, 17]),
+    (4, &[1, 1, 5, 5, 5]),
+    (7, &[1, 1, 7, 11, 19]),
+    (11, &[1, 1, 5, 1, 1]),
+    (13, &[1, 1, 1, 3, 11]),
+    (14, &[1, 3, 5, 5, 31]),
+    (1, &[1, 3, 3, 9, 7, 49]),
+    (13, &[1, 1, 1, 15, 21, 21]),
+    (16, &[1, 3, 1, 13, 27, 49]),
+    (19, &[1, 1, 1, 15, 7, 5]),
+    (22, &[1, 3, 1, 15, 13, 25]),
+    (25, &[1, 1, 5, 5, 19, 61]),
+    (1, &[1, 3, 7, 11, 23, 15, 103]),
+    (4, &[1, 3, 7, 13, 13, 15, 69]),
+    (7, &[1, 1, 3, 13, 7, 35, 63]),
+    (8, &[1, 3, 5, 9, 1, 25, 53]),
+    (14, &[1, 3, 1, 13, 9, 35, 107]),
+    (19, &[1, 3, 1, 5, 27, 61, 31]),
+    (21, &[1, 1, 5, 11, 19, 41, 61]),
+    (28, &[1, 3, 5, 3, 3, 13, 69]),
+    (31, &[1, 1, 7, 13, 1, 19, 1]),
+    (32, &[1, 3, 7, 5, 13, 19, 59]),
+    (37, &[1, 1, 3, 9, 25, 29, 41]),
+    (41, &[1, 3, 5, 13, 23, 1, 55]),
+    (42, &[1, 3, 7, 3, 13, 59, 17]),
+];
+
+/// Returns a coordinate of a point, times 2^32. Points are counted from 0 and dimensions as well. The points are those
+/// of SciPy's `Sobol(scramble=False)`.
+///
+/// # Panics
+/// When `dimension` is not below 32.
+pub fn sobol(point: u32, dimension: usize) -> u32 {
+    // Gray code: successive points differ in one direction number.
+    let gray = point ^ (point >> 1);
+    let directions = directions(dimension);
+    (0..u32::BITS).filter(|bit| gray >> bit & 1 == 1).fold(0, |sum, bit| sum ^ directions[bit as usize])
+}
+
+/// Returns the direction numbers of a dimension, times 2^32 (Bratley and Fox, 1988).
+fn directions(dimension: usize) -> [u32; u32::BITS as usize] {
+    let place = |bit: usize| u32::BITS as usize - 1 - bit;
+    let mut v = [0; u32::BITS as usize];
+    let Some(before) = dimension.checked_sub(1) else { return std::array::from_fn(|bit| 1 << place(bit)) };
+    let (coefficients, initial) = INITIAL[before];
+    let degree = initial.len();
+    for bit in 0..v.len() {
+        v[bit] = match initial.get(bit) {
+            Some(number) => number << place(bit),
+            None => (1..degree)
+                .filter(|k| coefficients >> (degree - 1 - k) & 1 == 1)
+                .fold(v[bit - degree] ^ (v[bit - degree] >> degree), |sum, k| sum ^ v[bit - k]),
+        };
+    }
+    v
+}
