@@ -143,7 +143,10 @@ case ${1-} in
     check_slurm
     ;;
 --python) install_packages .venv requirements-python.txt ;;
---docs) install_packages .venv requirements-docs.txt ;;
+--docs)
+    install_packages .venv requirements-python.txt
+    install_packages .venv requirements-docs.txt
+    ;;
 --bench)
     make_venv .venv-bench
     install_packages .venv-bench requirements-bench.txt
