@@ -80,7 +80,10 @@ impl Runner<'_> {
         let own: Vec<usize> = (0..plan.len()).filter(|index| is_own(*index)).collect();
         let is_halving = experiment.search.as_ref().is_some_and(|search| search.halving.is_some());
         let mut total = self.perform(own.into_iter().map(|index| &plan[index]).collect())?;
-        while is_halving {
+        if !is_halving {
+            return Ok((total, plan));
+        }
+        loop {
             plan = self.planned(
                 experiment,
                 plan.into_iter().map(|planned| (planned.rungs, planned.source)).collect(),
@@ -98,7 +101,6 @@ impl Runner<'_> {
             let wanted = if pending_own.is_empty() { pending } else { pending_own };
             total.add(self.perform(wanted.into_iter().map(|index| &plan[index]).collect())?);
         }
-        Ok((total, plan))
     }
 
     /// Removes what a run's shorter trainings have left, and the states of a run that is not trained on.
