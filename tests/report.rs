@@ -7,7 +7,7 @@ use harness::numbers::duration;
 use harness::registry::{Registry, query};
 use harness::seal::{self, hex};
 use harness::tables::{read_table, write_table};
-use polars::prelude::{Column, CsvReader, IntoColumn, SerReader};
+use polars::prelude::{Column, CsvReader, DataType, IntoColumn, SerReader};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeSet;
@@ -264,6 +264,46 @@ fn the_page_of_the_published_results_is_small() {
     assert!(long > 0, "no published training is long");
 }
 
+/// Two seeds on each of two datasets are two values, not four.
+#[test]
+fn intervals_of_joints_are_over_datasets() {
+    let results = folder("report_datasets");
+    let settings = ["latent=[2]", "scenarios=[cluttered]", "vary={simulation.seed: [0, 1]}"];
+    succeed(&results, &[&["run", SINGLE][..], &TINY, &settings].concat());
+    let data = data(&page_without_pictures(&results, "report.html", &[]));
+    let sql = "select dataset_seed, index, model, value from metrics join runs \
+               using (experiment, run, scenario, latent) where task = 'prediction' and modality = 'proprioception' \
+               and metric = 'rmse' and index = 17";
+    let found = query(&Registry::new(&results), sql).unwrap();
+    let column = |name: &str| found.column(name).unwrap().cast(&DataType::Float64).unwrap();
+    let (seeds, values) = (column("dataset_seed"), column("value"));
+    let (seeds, values) = (seeds.f64().unwrap(), values.f64().unwrap());
+    let models = found.column("model").unwrap().str().unwrap();
+    for (model, rows) in [("network", 4), ("persistence", 4)] {
+        let of = |seed: f64| -> Vec<f64> {
+            let is_of = |row: &usize| models.get(*row) == Some(model) && seeds.get(*row) == Some(seed);
+            (0..found.height()).filter(is_of).filter_map(|row| values.get(row)).collect()
+        };
+        assert_eq!(of(0.0).len() + of(1.0).len(), rows);
+        let means = [of(0.0), of(1.0)].map(|values| values.iter().sum::<f64>() / values.len() as f64);
+        let expected = mean_interval(&means, LEVEL).unwrap();
+        let is_shown = |row: &&Value| {
+            let has = |key: &str, value: &str| row[key] == value;
+            has("task", "prediction")
+                && has("modality", "proprioception")
+                && has("metric", "rmse")
+                && has("model", model)
+        };
+        let shown = data["joints"].as_array().unwrap().iter().find(is_shown).unwrap();
+        assert_eq!(shown["over"], "2 datasets");
+        let (low, high) = expected.bounds.unwrap();
+        let shown: Vec<f64> = serde_json::from_value(shown["values"][17].clone()).unwrap();
+        for (shown, expected) in shown.iter().zip([expected.mean, low, high]) {
+            assert!((shown - expected).abs() <= 1e-4 * expected.abs(), "{model}: {shown} {expected}");
+        }
+    }
+}
+
 #[test]
 fn times_are_what_a_person_would_say() {
     let said = [0.04, 9.94, 31.8, 119.4, 120.0, 2640.0, 7199.0, 7200.0, 18_720.0].map(duration);
@@ -292,6 +332,22 @@ fn the_same_tables_give_the_same_bytes_with_pictures_rendered_anew_or_before() {
         kept.len() == 4 && kept.iter().zip(expected).all(|(name, begin)| name.starts_with(begin)),
         "{kept:?}"
     );
+
+    // An image in another format is rendered again.
+    let format = |path: &Path| {
+        let bytes = fs::read(path).unwrap();
+        serde_json::from_slice::<Value>(&bytes[..bytes.len() - seal::BLANK.len()]).is_ok()
+    };
+    for name in &kept {
+        seal::write(&cache.join(name), [b"not JSON", seal::BLANK.as_bytes()].concat()).unwrap();
+        assert!(!format(&cache.join(name)));
+    }
+    let out = RESULTS.join("again.html");
+    let mut again = harness(&RESULTS, &["report", "--out", out.to_str().unwrap()]);
+    let answer = finish(again.env("XDG_CACHE_HOME", &caches));
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    assert!(*PAGE == fs::read_to_string(out).unwrap());
+    assert!(kept.iter().all(|name| format(&cache.join(name))));
 
     // Without a driver nothing can be rendered, so all images are from the cache. A damaged one is not used.
     assert!(*PAGE == page_without_driver(&RESULTS, "before.html", &[], &caches));

@@ -2,28 +2,42 @@
 //! `$XDG_CACHE_HOME/harness`, or `~/.cache/harness` if that variable isn't set.
 
 use harness_shared::seal;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 
 /// The hash of the program's sources. It is part of a file's name, so that another build never uses the file.
 const SOURCES: &str = env!("HARNESS_SOURCES");
 
-/// Returns the content of the cached file of this name. If there is no such file, or it is damaged, the function calls
+/// Returns the value in the cached file of this name. If there is no such file, or it can't be read, the function calls
 /// `make`, tries to write the result to the file, and returns it. A cache that can't be written is no error.
 ///
 /// # Errors
 /// When `make` fails.
-pub fn cached<E>(name: &str, make: impl FnOnce() -> Result<Vec<u8>, E>) -> Result<Vec<u8>, E> {
+pub fn cached<T, E>(name: &str, make: impl FnOnce() -> Result<T, E>) -> Result<T, E>
+where
+    T: Serialize + DeserializeOwned,
+{
     let Some(folder) = folder() else { return make() };
     let path = folder.join(format!("{name}-{SOURCES}"));
-    if let Ok(mut bytes) = seal::read(&path) {
-        bytes.truncate(bytes.len() - seal::BLANK.len());
-        return Ok(bytes);
+    if let Some(value) = read(&path) {
+        return Ok(value);
     }
     let made = make()?;
-    if seal::write(&path, [&made, seal::BLANK.as_bytes()].concat()).is_ok() {
+    let written = serde_json::to_vec(&made).is_ok_and(|mut bytes| {
+        bytes.extend_from_slice(seal::BLANK.as_bytes());
+        seal::write(&path, bytes).is_ok()
+    });
+    if written {
         remove_others(&folder, name, &path);
     }
     Ok(made)
+}
+
+/// Reads a cached file. `None` if there is none, its seal does not match, or it has another format.
+fn read<T: DeserializeOwned>(path: &Path) -> Option<T> {
+    let bytes = seal::read(path).ok()?;
+    serde_json::from_slice(&bytes[..bytes.len().checked_sub(seal::BLANK.len())?]).ok()
 }
 
 /// The cache's folder. `None` if it has no absolute path.

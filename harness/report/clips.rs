@@ -59,17 +59,15 @@ pub struct Frames {
 /// Returns a clip of each scenario. A clip that isn't in the cache is simulated and rendered.
 ///
 /// # Errors
-/// When a scene can't be simulated or rendered, or a cached clip can't be decoded.
+/// When a scene can't be simulated or rendered.
 pub fn film(progress: &dyn Progress) -> Result<Vec<(Clip, Frames)>, FigureError> {
-    let unreadable = |error: serde_json::Error| FigureError::Picture(error.to_string());
     let film = |scenario: &Scenario| {
-        let film = cached(&format!("clip-{scenario}"), || {
+        cached(&format!("clip-{scenario}"), || {
             progress.begin(&format!("filming {scenario}"), SAMPLES as u64, "frames");
             let clip = clip(*scenario, progress);
             progress.end();
-            serde_json::to_vec(&clip?).map_err(unreadable)
-        })?;
-        serde_json::from_slice(&film).map_err(unreadable)
+            clip
+        })
     };
     Scenario::PAPER.iter().map(film).collect()
 }

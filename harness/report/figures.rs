@@ -24,7 +24,7 @@ pub fn draw(source: &Source, progress: &dyn Progress) -> Result<Vec<Drawn>, Figu
     progress.begin("drawing", Figure::OF_THE_PAPER.len() as u64, "figures");
     let drawn = Figure::OF_THE_PAPER.into_iter().map(|figure| {
         let draw = || figure.draw(source).map(|drawing| drawing.page.svg());
-        let svg = if figure.shows_runs() { draw() } else { rendered(figure, draw) };
+        let svg = if figure.shows_runs() { draw() } else { cached(figure.name(), draw) };
         let svg = part(svg)?;
         progress.advance(1);
         Ok(Drawn { name: figure.name(), meaning: figure.meaning(), svg })
@@ -32,13 +32,4 @@ pub fn draw(source: &Source, progress: &dyn Progress) -> Result<Vec<Drawn>, Figu
     let drawn = drawn.collect();
     progress.end();
     drawn
-}
-
-/// The SVG of a figure that doesn't depend on runs. It is taken from the cache, or drawn.
-fn rendered(
-    figure: Figure,
-    draw: impl FnOnce() -> Result<String, FigureError>,
-) -> Result<String, FigureError> {
-    let svg = cached(figure.name(), || draw().map(String::into_bytes))?;
-    String::from_utf8(svg).map_err(|error| FigureError::Picture(error.to_string()))
 }

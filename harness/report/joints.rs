@@ -1,16 +1,16 @@
 //! Collects how well each joint's angle and each link's contact force is predicted.
 
 use super::{Absent, of_both, short};
-use harness_analysis::{Interval, LEVEL, NETWORK, mean_interval};
+use harness_analysis::{Interval, LEVEL, NETWORK, mean_interval, replicates};
 use harness_figures::FigureError;
 use harness_figures::source::{Runs, Source, Study};
 use harness_registry::rows;
 use harness_spec::{Modality, Scenario, Task};
-use polars::prelude::{IntoLazy, col};
+use polars::prelude::{DataType, IntoLazy, col};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A mean over seeds: `[mean]` for one seed, or `[mean, low, high]` with the ends of its interval for several seeds.
+/// A mean over datasets or seeds: `[mean]` for one of them, or `[mean, low, high]` with the ends of its interval.
 pub type Value = Vec<f64>;
 
 /// The values of a metric for one cell, or for a baseline.
@@ -18,8 +18,8 @@ pub type Value = Vec<f64>;
 pub struct Series {
     #[serde(flatten)]
     of: Of,
-    /// The number of seeds that the means are over.
-    seeds: usize,
+    /// The datasets or seeds that the means are over: `one seed`, `3 seeds` or `3 datasets`.
+    over: String,
     /// The value of each joint or link. `None` if the metric isn't defined there.
     values: Vec<Option<Value>>,
     /// The value over all joints or links of a direction (keys `fe` and `aa`), or over all of them (`all`).
@@ -43,7 +43,7 @@ struct Of {
     unit: String,
 }
 
-/// The columns of the metrics table by which rows are grouped. Rows of a group differ only in their seeds.
+/// The columns by which rows are grouped. Rows of a group differ only in their seed and the seed of their dataset.
 #[derive(Deserialize)]
 struct Row {
     task: Task,
@@ -56,6 +56,9 @@ struct Row {
     direction: Option<String>,
     index: Option<usize>,
 }
+
+/// A value with the seed of its dataset.
+type Replicate = (u64, f64);
 
 /// A value's place in its series.
 #[derive(PartialEq, Eq, PartialOrd, Ord)]
@@ -75,16 +78,17 @@ pub fn series(source: &Source) -> Result<(Vec<Series>, BTreeSet<Absent>), Figure
 }
 
 /// The query on the metrics table.
-pub const SQL: &str = "select task, modality, metric, scenario, latent, model, unit, direction, index, value \
-    from metrics where modality in ('proprioception', 'contact_force') and model in ('network', 'persistence', 'ridge')";
+pub const SQL: &str = "select task, modality, metric, scenario, latent, model, unit, direction, index, dataset_seed, \
+    value from metrics join runs using (experiment, run, scenario, latent) where modality in ('proprioception', 'contact_force') and model in ('network', 'persistence', 'ridge')";
 
 fn of_study(runs: &Runs, study: Study) -> Result<Vec<Series>, FigureError> {
     let keys =
         ["task", "modality", "metric", "scenario", "latent", "model", "unit", "direction", "index"].map(col);
-    let mut groups = runs.query(SQL)?.lazy().group_by_stable(keys).agg([col("value")]).collect()?;
-    let of_seeds = groups.drop_in_place("value")?;
-    let of_seeds = of_seeds.list()?;
-    let mut all: BTreeMap<Of, BTreeMap<Place, Vec<f64>>> = BTreeMap::new();
+    let values = [col("dataset_seed").cast(DataType::UInt64), col("value")];
+    let mut groups = runs.query(SQL)?.lazy().group_by_stable(keys).agg(values).collect()?;
+    let [datasets, values] = [groups.drop_in_place("dataset_seed")?, groups.drop_in_place("value")?];
+    let (datasets, values) = (datasets.list()?, values.list()?);
+    let mut all: BTreeMap<Of, BTreeMap<Place, Vec<Replicate>>> = BTreeMap::new();
     for (group, row) in rows::<Row>(&mut groups)?.into_iter().enumerate() {
         let is_network = row.model == NETWORK;
         let of = Of {
@@ -102,13 +106,15 @@ fn of_study(runs: &Runs, study: Study) -> Result<Vec<Series>, FigureError> {
             Some(joint) => Place::Joint(joint),
             None => Place::Overall(row.direction.unwrap_or_else(|| "all".into())),
         };
-        let values = all.entry(of).or_default().entry(place).or_default();
-        if let Some(seeds) = of_seeds.get_as_series(group) {
-            values.extend(seeds.f64()?.iter().flatten());
+        let found = all.entry(of).or_default().entry(place).or_default();
+        if let (Some(datasets), Some(values)) = (datasets.get_as_series(group), values.get_as_series(group)) {
+            let pairs = datasets.u64()?.iter().zip(values.f64()?.iter());
+            found.extend(pairs.filter_map(|(dataset, value)| dataset.zip(value)));
         }
-        // A baseline has no seed and no latent size. Every run has the same value of it, so one is kept.
+        // A baseline has no seed and no latent size. Every run on a dataset has the same value of it, so one is kept.
         if !is_network {
-            values.truncate(1);
+            found.sort_by_key(|(dataset, _)| *dataset);
+            found.dedup_by_key(|(dataset, _)| *dataset);
         }
     }
     let series = |(of, places): (Of, _)| {
@@ -119,11 +125,16 @@ fn of_study(runs: &Runs, study: Study) -> Result<Vec<Series>, FigureError> {
 }
 
 impl Series {
-    fn new(of: Of, width: usize, places: BTreeMap<Place, Vec<f64>>) -> Self {
-        let mut series = Self { of, seeds: 0, values: vec![None; width], overall: BTreeMap::new() };
-        for (place, seeds) in places {
-            series.seeds = series.seeds.max(seeds.len());
-            let Some(interval) = mean_interval(&seeds, LEVEL) else {
+    fn new(of: Of, width: usize, places: BTreeMap<Place, Vec<Replicate>>) -> Self {
+        let datasets: BTreeSet<u64> = places.values().flatten().map(|(dataset, _)| *dataset).collect();
+        let noun = if datasets.len() > 1 { "datasets" } else { "seeds" };
+        let mut most = 0;
+        let mut series =
+            Self { of, over: String::new(), values: vec![None; width], overall: BTreeMap::new() };
+        for (place, values) in places {
+            let values = replicates(values);
+            most = most.max(values.len());
+            let Some(interval) = mean_interval(&values, LEVEL) else {
                 continue;
             };
             match place {
@@ -132,6 +143,7 @@ impl Series {
                 Place::Overall(direction) => drop(series.overall.insert(direction, value(&interval))),
             }
         }
+        series.over = if most == 1 { "one seed".into() } else { format!("{most} {noun}") };
         series
     }
 }

@@ -325,7 +325,7 @@ const MODALITIES = { proprioception: "joint angles", contact_force: "contact for
 const spaced = (name) => name.replaceAll("_", " ");
 const modalityWords = (name) => MODALITIES[name] ?? spaced(name);
 const withUnit = (words, unit) => (unit === "1" ? words : `${words} (${unit})`);
-const seedWords = (seeds) => (seeds === 1 ? "one seed" : `mean over ${seeds} seeds [95 % interval]`);
+const overWords = (over) => (over === "one seed" ? over : `mean over ${over} [95 % interval]`);
 const colourOf = (study) => (study === "single_to_multi" ? "first" : "second");
 
 // --- By joint and link ---
@@ -363,8 +363,8 @@ function withoutTwins(rows) {
 function valuePoint(x, value, row, says) {
   const unit = row.unit === "1" ? "" : ` ${row.unit}`;
   const line = `${METRICS[row.metric] ?? row.metric} ${interval(value)}${unit}`;
-  const seeds = row.model === "network" ? [seedWords(row.seeds)] : [];
-  return { x, y: value[0], bounds: value.length > 1 ? value.slice(1) : undefined, says: [says, line, ...seeds] };
+  const over = row.model === "network" ? [overWords(row.over)] : [];
+  return { x, y: value[0], bounds: value.length > 1 ? value.slice(1) : undefined, says: [says, line, ...over] };
 }
 
 /** The axis of a metric. Its range is chosen for the networks. Baselines beyond it get the mark `beyond`. */
@@ -570,12 +570,19 @@ function curves(run, term, background) {
 
 const splitWords = (split) => ({ train: "training" })[split] ?? split;
 
-/** A term's mean over the last tenth of the epochs, and its change from the mean over the tenth before, in words. */
+/**
+ * A term's mean over the last tenth of the epochs, and its change from the mean over the tenth before, in words. Epochs
+ * without a value are left out.
+ */
 function endWords(splits) {
   const parts = Object.entries(splits).map(([split, values]) => {
     const tenth = Math.max(1, Math.round(values.length / 10));
-    const mean = (from, to) => values.slice(from, to).reduce((sum, value) => sum + value, 0) / tenth;
+    const mean = (from, to) => {
+      const there = values.slice(from, to).filter((value) => value !== null);
+      return there.reduce((sum, value) => sum + value, 0) / there.length;
+    };
     const [end, before] = [mean(values.length - tenth), mean(values.length - 2 * tenth, values.length - tenth)];
+    if (Number.isNaN(end)) return `${splitWords(split)} has no value`;
     if (values.length < 2 || !(Math.abs(before) > 0) || !Number.isFinite(end)) return `${splitWords(split)} ${rounded(end)}`;
     const change = 100 * (end / before - 1);
     const sign = change > 0 ? "+" : "";

@@ -229,6 +229,26 @@ def check_training(page: Page, epochs: pd.DataFrame):
         assert len(lines) == 2 * len(terms) and all(line.get_attribute("d") for line in lines), (scale, len(lines))
 
 
+def check_missing_losses(page: Page):
+    """Epochs without a loss are left out of the means at the end."""
+    before, rest = page.path.read_text().split('id="data">', 1)
+    text, after = rest.split("</script>", 1)
+    data = json.loads(text)
+    for run in data["training"]:
+        run["epochs"] = list(range(1, 21))
+        for splits in run["terms"].values():
+            # Without the missing ones, the mean of the last tenth is 3, and that of the tenth before is 4.
+            splits["train"] = 16 * [9] + [4, None, None, 3]
+            splits["validation"] = 18 * [9] + [None, None]
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder, "report.html")
+        copy.write_text(f'{before}id="data">{json.dumps(data)}</script>{after}')
+        altered = Page(page.browser, copy, None)
+        altered.open(DESKTOP)
+        said = altered.one("#training figure[data-term=kl] .aside").text
+    assert "training 3 (\u221225.0 %)" in said and "validation has no value" in said, said
+
+
 def check_clip(page: Page):
     picture, button = page.one(".clip img"), page.one(".clip button")
     before = picture.get_attribute("src")
@@ -366,6 +386,7 @@ def main():
                 read_on_desktop(page, *tables)
                 read_on_phone(page)
                 read_in_the_dark(page)
+                check_missing_losses(page)
         finally:
             browser.quit()
     print("the page reads well")
