@@ -6,6 +6,7 @@ use harness::analysis::{LEVEL, mean_interval};
 use harness::collection::dataset_of;
 use harness::figures::Figure;
 use harness::figures::page::{Anchor, Page, Stroke, Type};
+use harness::figures::source::{integers, texts};
 use harness::registry::{Registry, query};
 use harness::simulation::Scene;
 use harness::spec::{Modality, Scenario, Simulation};
@@ -219,6 +220,42 @@ fn pictures_with_the_most_motion_are_shown() {
             assert!(words.contains(&motion), "{motion} is not among {words:?}");
         }
     }
+}
+
+#[test]
+fn a_null_where_a_figure_needs_a_value_is_an_error() {
+    let table = df!("latent" => [Some(4i64), None], "scenario" => [Some("empty"), None]).unwrap();
+    assert!(integers(&table, "latent").unwrap_err().to_string().contains("'latent' contains null"));
+    assert!(texts(&table, "scenario").unwrap_err().to_string().contains("'scenario' contains null"));
+    assert_eq!(integers(&table.head(Some(1)), "latent").unwrap(), [4]);
+}
+
+/// The images of a world need not have the size of another's.
+#[test]
+fn changes_of_images_of_several_sizes_are_saved_whole() {
+    let (folder, results) = (tempfile::tempdir().unwrap(), fresh("figures_sizes"));
+    fs::write(folder.path().join("wide.xml"), include_str!("../models/empty.xml")).unwrap();
+    let world = include_str!("../models/empty.yaml");
+    let world = world.replace("model: empty.xml", "model: wide.xml").replace("[64, 64]", "[32, 96]");
+    fs::write(folder.path().join("wide.yaml"), world).unwrap();
+    let scenarios = format!("scenarios=[empty,{}]", folder.path().join("wide.yaml").display());
+    run(&results, MULTI, &["latent=[2]", "seeds=[0]", "network.channels=[4]", &scenarios]);
+    let out = results.join("drawn");
+    succeed(&results, &["figures", "propriovision_to_vision", "--out", out.to_str().unwrap()]);
+    let path = out.join("propriovision_to_vision.csv");
+    let table = CsvReader::new(fs::File::open(path).unwrap()).finish().unwrap();
+    // Three trials, each with a reference and a prediction.
+    let [empty, wide] = ["empty", "wide"].map(|scenario| {
+        let is_of: BooleanChunked =
+            (0..table.height()).map(|row| Some(text(&table, "scenario", row) == scenario)).collect();
+        table.filter(&is_of).unwrap()
+    });
+    assert_eq!((empty.height(), wide.height()), (3 * 2 * 64, 3 * 2 * 32));
+    let filled = |table: &DataFrame, column: &str| table.column(column).unwrap().null_count() == 0;
+    assert!(filled(&empty, "column_63") && !filled(&empty, "column_64") && filled(&wide, "column_95"));
+    assert!(table.column("column_96").is_err());
+    assert_eq!(real(&wide, "row", 31), Some(31.0));
+    assert_eq!(real(&wide, "row", 32), Some(0.0));
 }
 
 #[test]

@@ -67,7 +67,7 @@ pub enum FigureError {
     #[error(transparent)]
     Query(#[from] QueryError),
     /// A column of a table is missing or has an unexpected type, or a table can't be built.
-    #[error("a table has unexpected columns: {0}")]
+    #[error("a table has unexpected columns or values: {0}")]
     Table(#[from] PolarsError),
     /// A scene can't be simulated or rendered.
     #[error(transparent)]

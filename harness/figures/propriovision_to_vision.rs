@@ -284,28 +284,26 @@ struct Shown<'a> {
     trial: &'a Trial,
     /// The latent size of the network that predicts the change. `None` for the reference.
     latent: Option<i64>,
+    /// Numbers of rows and columns of the change, pixels.
+    size: [usize; 2],
     change: &'a [f32],
 }
 
-/// The figure's CSV rows: one for each row of pixels of each shown change.
+/// The figure's CSV rows: one for each row of pixels of each shown change. Changes may differ in size.
 fn data(blocks: &[Block], experiment: &str) -> Result<DataFrame, FigureError> {
     let mut shown = Vec::new();
     for block in blocks {
         let scenario = block.scenario.as_str();
         for (number, trial) in (1..).zip(&block.trials) {
-            shown.push(Shown { scenario, number, trial, latent: None, change: &trial.reference });
-            let predicted = trial.predicted.iter();
-            shown.extend(predicted.map(|(latent, change)| Shown {
-                scenario,
-                number,
-                trial,
-                latent: Some(*latent),
-                change,
-            }));
+            let show = |latent, change| Shown { scenario, number, trial, latent, size: block.size, change };
+            shown.push(show(None, trial.reference.as_slice()));
+            shown.extend(trial.predicted.iter().map(|(latent, change)| show(Some(*latent), change)));
         }
     }
-    let [height, width] = blocks.first().map_or([0, 0], |block| block.size);
-    let rows: Vec<&Shown> = shown.iter().flat_map(|shown| std::iter::repeat_n(shown, height)).collect();
+    let rows: Vec<&Shown> =
+        shown.iter().flat_map(|shown| std::iter::repeat_n(shown, shown.size[0])).collect();
+    let pixel_rows = || shown.iter().flat_map(|shown| shown.change.chunks_exact(shown.size[1]));
+    let width = shown.iter().map(|shown| shown.size[1]).max().unwrap_or_default();
     let model = |shown: &Shown| if shown.latent.is_some() { "network" } else { "reference" };
     let mut columns = vec![
         Column::new("experiment".into(), vec![experiment; rows.len()]),
@@ -316,11 +314,12 @@ fn data(blocks: &[Block], experiment: &str) -> Result<DataFrame, FigureError> {
         Column::new("motion".into(), rows.iter().map(|row| row.trial.motion).collect::<Vec<_>>()),
         Column::new("model".into(), rows.iter().map(|row| model(row)).collect::<Vec<_>>()),
         Column::new("latent".into(), rows.iter().map(|row| row.latent).collect::<Vec<_>>()),
-        Column::new("row".into(), (0..rows.len()).map(|row| (row % height) as u32).collect::<Vec<_>>()),
+        Column::new("row".into(), shown.iter().flat_map(|shown| 0..shown.size[0] as u32).collect::<Vec<_>>()),
     ];
     columns.extend((0..width).map(|column| {
-        let values = shown.iter().flat_map(|shown| shown.change.iter().skip(column).step_by(width));
-        let values: Vec<f32> = values.map(|change| (change * 1e4).round() / 1e4).collect();
+        // Narrower images have no value there.
+        let values: Vec<Option<f32>> =
+            pixel_rows().map(|row| row.get(column).map(|change| (change * 1e4).round() / 1e4)).collect();
         Column::new(format!("column_{column:02}").into(), values)
     }));
     Ok(DataFrame::new(rows.len(), columns)?)

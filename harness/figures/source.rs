@@ -214,22 +214,26 @@ impl<'a> Runs<'a> {
     }
 }
 
-/// The values of a column of text. Null becomes an empty string.
+/// The values of a column of text.
 ///
 /// # Errors
-/// When the column is missing or isn't text.
+/// When the column is missing, isn't text, or contains null.
 pub fn texts(table: &DataFrame, column: &str) -> Result<Vec<String>, FigureError> {
     let values = table.column(column)?.str()?;
-    Ok(values.iter().map(|value| value.unwrap_or_default().to_owned()).collect())
+    values.iter().map(|value| Ok(value.ok_or_else(|| null_in(column))?.to_owned())).collect()
 }
 
-/// The values of a column of integers. Null becomes 0.
+/// The values of a column of integers.
 ///
 /// # Errors
-/// When the column is missing or can't be cast to integers.
+/// When the column is missing, can't be cast to integers, or contains null.
 pub fn integers(table: &DataFrame, column: &str) -> Result<Vec<i64>, FigureError> {
     let values = table.column(column)?.cast(&DataType::Int64)?;
-    Ok(values.i64()?.iter().map(Option::unwrap_or_default).collect())
+    values.i64()?.iter().map(|value| value.ok_or_else(|| null_in(column))).collect()
+}
+
+fn null_in(column: &str) -> FigureError {
+    PolarsError::NoData(format!("the column '{column}' contains null").into()).into()
 }
 
 /// The values of a column of numbers. Null becomes `None`.
