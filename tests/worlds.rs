@@ -602,6 +602,37 @@ fn a_network_takes_and_predicts_images_that_are_no_squares() {
     succeed(&results, &["report", "--out", page.to_str().unwrap()]);
 }
 
+/// Regions are found by color, so they are those of the camera, wherever the optical flow stands.
+#[test]
+fn regions_and_motion_are_found_in_the_images_of_cameras() {
+    let flow = "  flow:\n    optical_flow: external\n    size: [64, 64]\n";
+    let change = "  flow_change:\n    difference_of: flow\n";
+    let own = EMPTY.replace("model: empty.xml", "model: own.xml");
+    let first = own.replacen("modalities:\n", &format!("modalities:\n{flow}{change}"), 1);
+    let last = own.replacen("\naction:", &format!("\n{flow}{change}action:"), 1);
+    let answers = [("flow_first", first), ("flow_last", last)].map(|(name, world)| {
+        let (folder, results) = (tempfile::tempdir().unwrap(), fresh(&format!("worlds_{name}")));
+        fs::write(folder.path().join("own.xml"), EMPTY_XML).unwrap();
+        fs::write(folder.path().join("own.yaml"), world).unwrap();
+        let spec = write_spec(folder.path(), "own.yaml", "arm", "[frame_difference, flow_change]");
+        let said = succeed(&results, &["run", spec.to_str().unwrap(), "latent=2", "tasks=prediction"]);
+        assert!(said.contains("1 done"), "{said}");
+        let sql = |sql: &str| {
+            let answer = folder.path().join("answer.json");
+            succeed(&results, &["query", sql, "--output", answer.to_str().unwrap()]);
+            fs::read_to_string(answer).unwrap()
+        };
+        let regions = sql("select metric, value from metrics where modality = 'flow_change' and metric like 'relative_error_%'");
+        assert_eq!(regions.trim(), "[]");
+        [
+            sql("select metric, value from metrics where modality = 'frame_difference' order by metric, model"),
+            sql("select modality, episode, sample, motion from frames order by modality, episode, sample"),
+        ]
+    });
+    assert!(answers[0][0].contains("relative_error_finger"), "{}", answers[0][0]);
+    assert_eq!(answers[0], answers[1]);
+}
+
 /// The sizes of the finger's modalities are defined by its models alone: 20 joints and links, 3 elements of the action,
 /// 64 pixels.
 #[test]

@@ -86,13 +86,12 @@ fn add(
     reference: &[f32],
     predicted: &[f32],
 ) -> Result<(), MetricsError> {
-    let layout = samples.layout();
-    if layout[modality].difference_of.is_none() || !layout[modality].is_image() || layout.regions.is_empty() {
+    if !evaluation.has_regions() {
         return evaluation.add(reference, predicted);
     }
     let regions = |sample: &usize| {
         let before = samples.previous_frame_bytes(modality, *sample);
-        parts::in_either(&layout.regions, before, samples.frame_bytes(modality, *sample))
+        parts::in_either(&samples.layout().regions, before, samples.frame_bytes(modality, *sample))
     };
     let regions: Vec<Option<u8>> = at.par_iter().flat_map_iter(regions).collect();
     evaluation.add_with_regions(reference, predicted, &regions)
@@ -130,18 +129,19 @@ fn prediction_rows<'a>(
 pub struct SampledTransition {
     /// The transition, given by its first sample.
     pub transition: usize,
-    /// Mean absolute change of the camera image from this sample to the next, in [0, 1].
+    /// Mean absolute change of the first camera's image from this sample to the next, in [0, 1].
     pub motion: f64,
 }
 
 /// Quantiles of the test transitions' motion at which the stored transitions are chosen.
 const MOTION_QUANTILES: [f64; 5] = [0.02, 0.3, 0.6, 0.85, 0.98];
 
-/// Returns the test transitions whose images are stored, from the least to the most motion; none without frames.
+/// Returns the test transitions whose images are stored, from the least to the most motion; none without
+/// images of a camera. The motion is that in the first camera's image.
 ///
 /// The choice depends only on the dataset, so the images of all networks can be compared.
 pub fn sample_transitions(samples: &Samples, test: &[usize]) -> Vec<SampledTransition> {
-    let Some(camera) = samples.layout().stored_images().next().map(|image| image.name) else {
+    let Some(camera) = samples.layout().camera_images().next().map(|image| image.name) else {
         return Vec::new();
     };
     if !samples.has_frames() || test.is_empty() {

@@ -106,8 +106,9 @@ impl Metric {
             });
             return percentage.into_iter().chain([R2, Rmse, Mae]).collect();
         }
-        // Regions are only defined for changes of an image.
-        let regions = if definition.difference_of.is_some() { regions } else { &[] };
+        // Regions are only defined for changes of a camera's image.
+        let has_regions = definition.difference_of.is_some() && !definition.optical_flow;
+        let regions = if has_regions { regions } else { &[] };
         let of_regions = regions.iter().map(|region| Self::of_region(&region.name));
         [RelativeError].into_iter().chain(of_regions).chain([Rmse, Mae]).collect()
     }
@@ -156,6 +157,11 @@ pub struct Evaluation {
 }
 
 impl Evaluation {
+    /// Returns whether the modality's metrics need the region of each pixel.
+    pub fn has_regions(&self) -> bool {
+        self.metrics.iter().any(|metric| matches!(metric, Metric::RelativeErrorOf(_)))
+    }
+
     /// Creates an evaluation of a modality. `regions` are the regions of its images.
     pub fn new(definition: &Definition, regions: &[Region]) -> Self {
         Self {

@@ -318,6 +318,7 @@ impl<'a> Resolver<'a> {
             }
             Source::OpticalFlow { camera, size, limit } => {
                 definition.kind = Kind::Image { size };
+                definition.optical_flow = true;
                 definition.meaning =
                     format!("Optical flow of the camera {camera}, up to {limit} pixels a sample");
                 return Ok((definition, Vec::new()));
@@ -328,6 +329,7 @@ impl<'a> Resolver<'a> {
                 if let Some((other, _)) = others.iter().find(|(other, _)| other.name == of) {
                     definition.kind = other.kind.clone();
                     definition.groups = other.groups.clone();
+                    definition.optical_flow = other.optical_flow;
                     return Ok((definition, Vec::new()));
                 }
                 return Err(self.fault(path, format!("'{of}' must stand before what is its difference")));

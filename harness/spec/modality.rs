@@ -149,6 +149,9 @@ pub struct Definition {
     /// stored.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub difference_of: Option<Modality>,
+    /// Whether an image encodes optical flow, or the change of one, instead of colors.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub optical_flow: bool,
     /// Groups of elements for which metrics are computed together.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub groups: Vec<Group>,
@@ -170,6 +173,7 @@ impl Definition {
             meaning: meaning.into(),
             kind: Kind::Vector { elements },
             difference_of: None,
+            optical_flow: false,
             groups: Vec::new(),
             scale: Scale::PerElement,
             minimum: None,
@@ -306,6 +310,11 @@ impl Layout {
         self.modalities
             .iter()
             .filter(|definition| definition.is_image() && definition.difference_of.is_none())
+    }
+
+    /// Returns the images of cameras, which are all stored images except optical flows.
+    pub fn camera_images(&self) -> impl Iterator<Item = &Definition> {
+        self.stored_images().filter(|definition| !definition.optical_flow)
     }
 
     /// Returns the modalities that a spec can name as inputs or outputs.
