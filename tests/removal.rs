@@ -41,6 +41,21 @@ fn garbage_is_listed_with_its_size_and_removed_only_with_consent() {
 }
 
 #[test]
+fn datasets_are_kept_while_a_damaged_run_may_use_them() {
+    let results = results("garbage_damaged");
+    let run = results.join("runs/smoke-quick");
+    fs::write(run.join(&names(&run)[0]).join("run.json"), "{").unwrap();
+    let answer = finish(&mut harness(&results, &["gc", "--yes"]));
+    assert_eq!((answer.code, answer.stdout.as_str()), (0, "nothing to remove\n"), "{}", answer.stderr);
+    let unused = names(&results.join("datasets")).into_iter().find(|name| name.starts_with("cluttered-"));
+    let kept = format!("warning: the dataset {} is kept: a run that is left out may use it", unused.unwrap());
+    assert!(answer.stderr.contains(&kept), "{}", answer.stderr);
+    succeed(&results, &["rm", "smoke", "--yes"]);
+    fs::remove_dir_all(run).unwrap();
+    assert!(succeed(&results, &["gc", "--yes"]).ends_with("2 folders removed\n"));
+}
+
+#[test]
 fn a_run_of_before_its_world_changed_is_superseded() {
     let (results, folder) = (fresh("superseded"), tempfile::tempdir().unwrap());
     for file in ["twelve.yaml", "twelve.xml"] {

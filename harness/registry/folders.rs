@@ -33,6 +33,12 @@ impl Registry {
         left_out.values().cloned().collect()
     }
 
+    /// Whether the reads so far have left out a run.
+    pub(super) fn leaves_out_runs(&self) -> bool {
+        let left_out = self.left_out.lock().unwrap_or_else(PoisonError::into_inner);
+        left_out.keys().any(|path| path.starts_with(self.runs()))
+    }
+
     /// Remembers that the run or dataset in a folder is left out. `why` is the whole message.
     pub(super) fn leave_out(&self, path: &Path, why: String) {
         let mut left_out = self.left_out.lock().unwrap_or_else(PoisonError::into_inner);

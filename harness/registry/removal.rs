@@ -90,6 +90,8 @@ impl Registry {
     }
 
     /// The runs of these reasons, and, if asked for, the datasets that no other run uses. Each comes once.
+    ///
+    /// No dataset counts as unused while runs are left out, because they may use it; see [`Registry::left_out`].
     pub fn garbage(&self, wanted: &[Garbage]) -> Vec<(Garbage, Removable)> {
         let recorded = self.recorded();
         let superseded = superseded(recorded.iter().map(|(_, record)| record));
@@ -109,8 +111,15 @@ impl Registry {
         }
         if wanted.contains(&Garbage::Unused) {
             let is_unused = |folder: &PathBuf| Dataset::at(folder).is_ok() && !used.contains(&name(folder));
-            let unused = folders(&self.datasets()).into_iter().filter(is_unused);
-            found.extend(unused.map(|folder| (Garbage::Unused, removable(&folder, name(&folder)))));
+            for folder in folders(&self.datasets()).into_iter().filter(is_unused) {
+                let name = name(&folder);
+                if self.leaves_out_runs() {
+                    let why = "a run that is left out may use it, and no other run does";
+                    self.leave_out(&folder, format!("the dataset {name} is kept: {why}"));
+                } else {
+                    found.push((Garbage::Unused, removable(&folder, name)));
+                }
+            }
         }
         found
     }
