@@ -5,10 +5,11 @@ use super::factors::FactorValues;
 use super::resolve::SceneCamera;
 use super::scene::{Scene, prepare};
 use image::RgbImage;
+use libloading::Library;
 use mujoco_rs::prelude::*;
 use mujoco_rs::renderer::MjRenderer;
 use mujoco_rs::wrappers::mj_model::traits::ModelType;
-use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
+use std::ffi::{CStr, c_char, c_uint};
 use std::sync::Arc;
 
 /// Longest side of a picture, pixels. A buffer larger than the driver's limit would end the process.
@@ -177,7 +178,7 @@ impl<'s> SceneRenderer<'s> {
     /// # Panics
     /// When the scene has no camera.
     pub fn project(&self, place: [f64; 3]) -> [f64; 2] {
-        let view = self.scene.view.expect("the built-in scenes have a camera");
+        let view = self.scene.view.expect("the scene has no camera to project into");
         let (camera, turn) = (self.data.cam_xpos()[view], self.data.cam_xmat()[view]);
         let away: [f64; 3] = std::array::from_fn(|axis| place[axis] - camera[axis]);
         // The columns of the matrix are the camera's axes: right, up and backwards.
@@ -238,37 +239,20 @@ fn open_renderer(model: &MjModel, width: u32, height: u32) -> Result<MjRenderer,
     })
 }
 
-/// Asks the OpenGL context that is current on this thread for its `GL_RENDERER`.
+/// Returns the `GL_RENDERER` of the OpenGL context that is current on this thread, or `unknown`.
 fn current_renderer_name() -> String {
     const GL_RENDERER: c_uint = 0x1F01;
     type GetString = unsafe extern "C" fn(c_uint) -> *const c_char;
-    unsafe extern "C" {
-        fn dlopen(file: *const c_char, flags: c_int) -> *mut c_void;
-        fn dlsym(library: *mut c_void, name: *const c_char) -> *mut c_void;
-    }
-    const RTLD_LAZY: c_int = 1;
-    // SAFETY: dlopen only counts a further use of the library that made the context; both functions have these
-    // types by their specifications; glGetString's result is a constant string or null.
-    unsafe {
-        let egl = dlopen(c"libEGL.so.1".as_ptr(), RTLD_LAZY);
-        if egl.is_null() {
-            return "unknown".to_owned();
+    type GetAddress = unsafe extern "C" fn(*const c_char) -> Option<GetString>;
+    let name = || {
+        // SAFETY: the library is the one that made the context, so loading it runs no code. Both functions have these
+        // types by their specifications. The result of glGetString is a constant string or null.
+        unsafe {
+            let egl = Library::new("libEGL.so.1").ok()?;
+            let get_string = egl.get::<GetAddress>(b"eglGetProcAddress\0").ok()?(c"glGetString".as_ptr())?;
+            let name = get_string(GL_RENDERER);
+            (!name.is_null()).then(|| CStr::from_ptr(name).to_string_lossy().into_owned())
         }
-        let address = dlsym(egl, c"eglGetProcAddress".as_ptr());
-        if address.is_null() {
-            return "unknown".to_owned();
-        }
-        let get_address: unsafe extern "C" fn(*const c_char) -> *mut c_void = std::mem::transmute(address);
-        let address = get_address(c"glGetString".as_ptr());
-        if address.is_null() {
-            return "unknown".to_owned();
-        }
-        let get_string: GetString = std::mem::transmute(address);
-        let name = get_string(GL_RENDERER);
-        if name.is_null() {
-            "unknown".to_owned()
-        } else {
-            CStr::from_ptr(name).to_string_lossy().into_owned()
-        }
-    }
+    };
+    name().unwrap_or_else(|| "unknown".to_owned())
 }
