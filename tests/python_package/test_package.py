@@ -1,5 +1,6 @@
 """Experiments, tables, datasets and networks, against independent readers of the same files."""
 
+import ast
 import os
 import shutil
 import signal
@@ -8,6 +9,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars
@@ -16,6 +18,7 @@ import pytest
 from conftest import ROOT, SMOKE
 
 import harness
+from harness import _harness
 
 
 def test_a_finished_experiment_is_skipped(results: Path) -> None:
@@ -354,3 +357,73 @@ def test_the_stubs_are_those_of_the_extension(tmp_path: Path) -> None:
     check = [sys.executable, "-m", "mypy.stubtest", "harness._harness", "--mypy-config-file", ROOT / "pyproject.toml"]
     ended = subprocess.run(check, cwd=tmp_path, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stdout + ended.stderr
+
+
+def has_type(value: Any, annotation: ast.expr) -> bool:
+    """Whether a value has exactly the type that an annotation of the stubs names."""
+    match annotation:
+        case ast.Name("Any"):
+            return True
+        case ast.Constant(None):
+            return value is None
+        case ast.Name(name):
+            return type(value).__name__ == name
+        case ast.BinOp(left, ast.BitOr(), right):
+            return has_type(value, left) or has_type(value, right)
+        case ast.Subscript(ast.Name("list"), item):
+            return type(value) is list and all(has_type(one, item) for one in value)
+        case ast.Subscript(ast.Name("dict"), ast.Tuple([key, item])):
+            items = value.items() if type(value) is dict else [(None, None)]
+            return all(has_type(name, key) and has_type(one, item) for name, one in items)
+        case ast.Subscript(ast.Name("tuple"), ast.Tuple([item, ast.Constant(end)])) if end is Ellipsis:
+            return type(value) is tuple and all(has_type(one, item) for one in value)
+        case ast.Subscript(ast.Name("tuple"), ast.Tuple(items)):
+            return type(value) is tuple and len(value) == len(items) and all(map(has_type, value, items))
+        case ast.Subscript(ast.Name("NDArray"), ast.Name("Any")):
+            return type(value) is np.ndarray
+        case ast.Subscript(ast.Name("NDArray"), ast.Attribute(_, kind)):
+            return type(value) is np.ndarray and value.dtype == getattr(np, kind)
+    raise AssertionError(f"the test does not know {ast.unparse(annotation)}")
+
+
+def test_what_is_returned_has_the_types_of_the_stubs(results: Path, folders: dict[str, Path]) -> None:
+    dataset = _harness.Dataset(folders["cluttered"])
+    [run] = harness.query("select run from runs where scenario = 'cluttered'", results)["run"]
+    model, simulation = _harness.Model(run, results), dataset.simulation(2)
+    observation = {name: dataset[name][:2] for name in model.input}
+    latent, _ = model.encode(observation)
+    action = np.zeros((2, 3), np.float32)
+    calls = {
+        "run": lambda: _harness.run(SMOKE, [], False, results, False, 1, None),
+        "query": lambda: _harness.query("select run from runs", results),
+        "compare": lambda: _harness.compare(["smoke"], [], results),
+        "Dataset.__len__": lambda: len(dataset),
+        "Dataset.__getitem__": lambda: dataset["vision"],
+        "Dataset.keys": dataset.keys,
+        "Dataset.simulation": dataset.simulation,
+        "Model.encode": lambda: model.encode(observation),
+        "Model.predict": lambda: model.predict(observation, action),
+        "Model.reconstruct": lambda: model.reconstruct(latent),
+        "SimulationBatch.reset": lambda: simulation.reset(0, 0, 0),
+        "SimulationBatch.step": lambda: simulation.step(simulation.setpoint),
+        "SimulationBatch.follow": simulation.follow,
+        "SimulationBatch.sense": lambda: simulation.sense("vision"),
+        "SimulationBatch.render": lambda: simulation.render(0, 16, 16),
+    }
+    objects = {"Dataset": dataset, "Model": model, "SimulationBatch": simulation}
+    stubs = ast.parse((ROOT / "python/harness/_harness.pyi").read_text()).body
+    functions = {stub.name: stub for stub in stubs if isinstance(stub, ast.FunctionDef)}
+    for stub in stubs:
+        if isinstance(stub, ast.ClassDef):
+            functions |= {f"{stub.name}.{part.name}": part for part in stub.body if isinstance(part, ast.FunctionDef)}
+    # What makes an object returns one of its own class, `main` prints, and the last one returns a capsule.
+    left_out = {"main", "Dataset.__new__", "Model.__new__", "SimulationBatch.__new__", "Table.__arrow_c_stream__"}
+    for name in sorted(functions.keys() - left_out):
+        stub = functions[name]
+        if stub.decorator_list:
+            owner, part = name.split(".")
+            value = getattr(objects[owner], part)
+        else:
+            value = calls.pop(name)()
+        assert stub.returns is not None and has_type(value, stub.returns), f"{name} returned {value!r}"
+    assert not calls
