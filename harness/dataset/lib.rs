@@ -1,6 +1,7 @@
 //! Datasets on disk and in memory. Whatever determines a dataset's content also determines its name, so all experiments
 //! that need the dataset find it.
 
+mod any;
 mod description;
 mod episode_file;
 mod frame_store;
@@ -9,6 +10,7 @@ mod samples;
 mod store;
 mod verify;
 
+pub use any::AnyDataset;
 pub use description::layout_of;
 pub use frame_store::{FramePlace, frame_bytes};
 pub use imported::Imported;

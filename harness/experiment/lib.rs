@@ -9,14 +9,15 @@ pub use model::{Model, ModelError, Values};
 pub use schedule::Summary;
 pub use search::{Best, best};
 
-use evaluate::{Evaluated, SampledTransition};
+use candle_core::Tensor;
+use evaluate::SampledTransition;
 use harness_collection::{CollectionError, collect, collect_together, dataset_of};
-use harness_dataset::{Dataset, DatasetError, FramePlace, Imported, Partition, Samples, frame_bytes};
-use harness_learning::network::{Encoder, Parameters, architecture};
-use harness_learning::objective::{NormalizedData, Prediction, Reconstruction};
+use harness_dataset::{AnyDataset, DatasetError, FramePlace, Imported, Partition, Samples, frame_bytes};
+use harness_learning::network::{Decoder, Encoder, Parameters, architecture};
+use harness_learning::objective::{NormalizedData, Objective, Prediction, Reconstruction};
 use harness_learning::random::{Random, Stream};
 use harness_learning::state::StateFile;
-use harness_learning::training::{Epoch, Fit};
+use harness_learning::training::Fit;
 use harness_learning::{self as learning, LearningError, Normalizers, checkpoint, open_device, predict};
 use harness_metrics::MetricsError;
 use harness_registry::{
@@ -28,7 +29,7 @@ use harness_shared::memory;
 use harness_shared::progress::Progress;
 use harness_shared::shard::Shard;
 use harness_simulation::{Scene, SimulationError, mujoco_version};
-use harness_spec::{Experiment, Layout, Origin, RunSpec, Simulation, Task, World};
+use harness_spec::{Experiment, Layout, Modality, Origin, RunSpec, Simulation, Task, World};
 use rayon::prelude::*;
 use search::{Rungs, Standing};
 use std::path::PathBuf;
@@ -66,8 +67,9 @@ pub enum ExperimentError {
     },
     /// The split leaves no training samples.
     #[error(
-        "the split leaves nothing for training; raise simulation.episodes or simulation.actuations_per_episode, or \
-         lower split.validation, split.test or, in a split by time, split.gap_seconds"
+        "the split leaves no samples for training; lower split.validation, split.test or, in a split by time, \
+         split.gap_seconds, or use a larger dataset (if it is simulated, raise simulation.episodes or \
+         simulation.actuations_per_episode)"
     )]
     NoTraining,
     /// The dataset does not fit in memory.
@@ -163,43 +165,17 @@ pub struct Planned {
     standing: Standing,
 }
 
-/// The origin of a scenario's samples.
-enum Source {
-    Simulated { scene: Box<Scene>, dataset: Dataset },
-    Imported(Imported),
+/// The origin of a scenario's samples: a dataset and, if it is simulated, its scene.
+struct Source {
+    dataset: AnyDataset,
+    scene: Option<Box<Scene>>,
 }
 
 impl Source {
-    /// Returns the dataset's name.
-    fn name(&self) -> &str {
-        match self {
-            Self::Simulated { dataset, .. } => dataset.name(),
-            Self::Imported(dataset) => dataset.name(),
-        }
-    }
-
-    /// Returns the number of samples in the whole dataset.
-    fn len(&self) -> usize {
-        match self {
-            Self::Simulated { dataset, .. } => dataset.len(),
-            Self::Imported(dataset) => dataset.len(),
-        }
-    }
-
     /// Returns the world if its files have changed since it was read.
     fn changed_world(&self) -> Option<&World> {
-        match self {
-            Self::Simulated { scene, .. } if scene.has_changed() => Some(scene.world()),
-            _ => None,
-        }
-    }
-
-    /// Returns the layout of the samples.
-    fn layout(&self) -> &Arc<Layout> {
-        match self {
-            Self::Simulated { dataset, .. } => dataset.layout(),
-            Self::Imported(dataset) => dataset.layout(),
-        }
+        let scene = self.scene.as_ref().filter(|scene| scene.has_changed())?;
+        Some(scene.world())
     }
 }
 
@@ -222,7 +198,7 @@ impl Planned {
 
     /// Returns the layout of the dataset's samples.
     pub fn layout(&self) -> &Arc<Layout> {
-        self.source.layout()
+        self.source.dataset.layout()
     }
 
     /// Whether two runs train on the same data, in the same form and on the same device.
@@ -275,7 +251,8 @@ impl<'a> Runner<'a> {
                     source
                 }
             };
-            let folder = |spec: RunSpec| (self.registry.run(&experiment.name, &spec, source.name()), spec);
+            let name = source.dataset.name();
+            let folder = |spec: RunSpec| (self.registry.run(&experiment.name, &spec, name), spec);
             let rungs: Rungs = Arc::new(experiment.rungs(&spec).into_iter().map(folder).collect());
             wanted.push((rungs, source));
         }
@@ -307,62 +284,59 @@ impl<'a> Runner<'a> {
                 let scene = Box::new(Scene::new(world)?);
                 let simulation = spec.simulation.clone().unwrap_or_default();
                 scene.check(&simulation)?;
-                let dataset = dataset_of(&root, &scene, &simulation);
-                Source::Simulated { scene, dataset }
+                let dataset = AnyDataset::Simulated(dataset_of(&root, &scene, &simulation));
+                Source { dataset, scene: Some(scene) }
             }
             (None, origin) => {
                 let dataset = Imported::open(&root, origin.name())?;
                 dataset.check(spec)?;
-                Source::Imported(dataset)
+                Source { dataset: AnyDataset::Imported(dataset), scene: None }
             }
         };
-        let check = spec.check(source.layout());
-        check
-            .map_err(|problem| ExperimentError::Unsuitable { dataset: source.name().to_owned(), problem })?;
+        let dataset = source.dataset.name().to_owned();
+        spec.check(source.dataset.layout())
+            .map_err(|problem| ExperimentError::Unsuitable { dataset, problem })?;
         Ok(source)
     }
 
     /// Returns where a run's frames are stored.
     fn frame_place(&self, Planned { spec, source, .. }: &Planned) -> FramePlace {
-        let layout = source.layout();
+        let layout = source.dataset.layout();
         match spec.modalities().iter().any(|modality| layout[*modality].is_image()) {
-            true => FramePlace::for_samples(layout, source.len(), self.memory),
+            true => FramePlace::for_samples(layout, source.dataset.len(), self.memory),
             false => FramePlace::Nowhere,
         }
     }
 
     /// Returns the samples of a run's dataset. Missing episodes are collected first.
     fn samples(&self, source: &Source, frames: FramePlace) -> Result<Samples, ExperimentError> {
-        self.check_room(source, frames)?;
-        match source {
-            Source::Simulated { scene, dataset } => {
-                match self.shard {
-                    Some(shard) => collect_together(dataset, scene, shard, self.threads, self.progress)?,
-                    None => collect(dataset, scene, self.threads, self.progress)?,
-                };
-                Ok(dataset.load(frames, self.progress)?)
-            }
-            Source::Imported(dataset) => Ok(dataset.load(frames, self.progress)?),
+        self.check_room(&source.dataset, frames)?;
+        if let (AnyDataset::Simulated(dataset), Some(scene)) = (&source.dataset, &source.scene) {
+            match self.shard {
+                Some(shard) => collect_together(dataset, scene, shard, self.threads, self.progress)?,
+                None => collect(dataset, scene, self.threads, self.progress)?,
+            };
         }
+        Ok(source.dataset.load(frames, self.progress)?)
     }
 
     /// Returns an error if there is no space for a dataset. Reports it if frames are stored on disk.
-    fn check_room(&self, source: &Source, frames: FramePlace) -> Result<(), ExperimentError> {
-        let dataset = source.name().to_owned();
+    fn check_room(&self, dataset: &AnyDataset, frames: FramePlace) -> Result<(), ExperimentError> {
+        let name = dataset.name().to_owned();
         let (needed, available) =
-            (Samples::bytes(source.layout(), source.len(), frames), memory::within_reach());
+            (Samples::bytes(dataset.layout(), dataset.len(), frames), memory::within_reach());
         if needed > available {
-            return Err(ExperimentError::Memory { dataset, needed, available });
+            return Err(ExperimentError::Memory { dataset: name, needed, available });
         }
         if frames != FramePlace::Disk {
             return Ok(());
         }
-        let (needed, folder) = (frame_bytes(source.layout(), source.len()), self.registry.datasets());
+        let (needed, folder) = (frame_bytes(dataset.layout(), dataset.len()), self.registry.datasets());
         if let Some(available) = free_bytes(&folder).filter(|available| needed > *available) {
-            return Err(ExperimentError::Disk { dataset, needed, available, folder });
+            return Err(ExperimentError::Disk { dataset: name, needed, available, folder });
         }
         self.progress.say(&format!(
-            "the frames of {dataset}, {:.1} GB, are in a temporary file next to it; --memory can keep them in memory",
+            "the frames of {name}, {:.1} GB, are in a temporary file next to it; --memory can keep them in memory",
             needed as f64 / 1e9
         ));
         Ok(())
@@ -390,7 +364,7 @@ impl<'a> Runner<'a> {
         }
         let forces = evaluate::forces(&data.samples);
         let sampled_transitions = evaluate::sample_transitions(&data.samples, &partition.test);
-        let bytes = Samples::bytes(source.layout(), source.len(), frames);
+        let bytes = Samples::bytes(source.dataset.layout(), source.dataset.len(), frames);
         let seconds = begin.elapsed().as_secs_f64();
         Ok(PreparedData { data, partition, baselines, forces, sampled_transitions, bytes, seconds })
     }
@@ -481,20 +455,9 @@ impl TrainingRun<'_> {
         Ok(outcome)
     }
 
-    fn fit<'a>(&'a self, task: Task, state: &'a StateFile) -> Fit<'a> {
-        Fit {
-            task,
-            training: &self.spec.training,
-            seed: self.spec.seed,
-            partition: &self.prepared.partition,
-            state,
-            progress: self.progress,
-        }
-    }
-
     /// Trains and evaluates the encoder and the decoder.
     fn predict(&self, outcome: &mut Outcome) -> Result<(Box<dyn Encoder>, Parameters), ExperimentError> {
-        let Self { spec, prepared: PreparedData { data, partition, sampled_transitions, .. }, .. } = self;
+        let (spec, PreparedData { data, partition, .. }) = (self.spec, self.prepared);
         let begin = Instant::now();
         let task = Task::Prediction;
         let mut parameters = Parameters::new();
@@ -515,30 +478,18 @@ impl TrainingRun<'_> {
             loss_weights: &spec.training.loss_weights,
             dropout: spec.training.dropout,
         };
-        let state = StateFile::at(self.folder.state(task));
-        let epochs = self.fit(task, &state).run(&objective, &parameters)?;
+        self.train(task, &objective, &parameters, outcome)?;
         outcome.timings.prediction = begin.elapsed().as_secs_f64();
-        checkpoint::save(&self.folder.checkpoint(task), &parameters, &data.normalizers)?;
         let begin = Instant::now();
         let latent = predict::encode(data, &*objective.encoder, &spec.input, &partition.test);
-        let latent = latent.map_err(LearningError::from)?;
-        let evaluated = evaluate::network(
-            data,
-            task,
-            &*objective.decoder,
-            &spec.output,
-            &latent,
-            &partition.test,
-            sampled_transitions,
-        )?;
-        add(outcome, task, epochs, evaluated);
+        self.evaluate(task, &*objective.decoder, &spec.output, latent, outcome)?;
         outcome.timings.evaluation += begin.elapsed().as_secs_f64();
         Ok((objective.encoder, parameters))
     }
 
     /// Trains and evaluates a new decoder on the latent states of the frozen encoder.
     fn reconstruct(&self, encoder: &dyn Encoder, outcome: &mut Outcome) -> Result<(), ExperimentError> {
-        let Self { spec, prepared: PreparedData { data, partition, sampled_transitions, .. }, .. } = self;
+        let (spec, PreparedData { data, partition, .. }) = (self.spec, self.prepared);
         let begin = Instant::now();
         let task = Task::Reconstruction;
         let mut parameters = Parameters::new();
@@ -556,32 +507,53 @@ impl TrainingRun<'_> {
             decoder: decoder.map_err(LearningError::from)?,
             input: &spec.input,
         };
-        let state = StateFile::at(self.folder.state(task));
-        let epochs = self.fit(task, &state).run(&objective, &parameters)?;
+        self.train(task, &objective, &parameters, outcome)?;
         outcome.timings.reconstruction = Some(begin.elapsed().as_secs_f64());
-        checkpoint::save(&self.folder.checkpoint(task), &parameters, &data.normalizers)?;
         let begin = Instant::now();
-        let test =
-            harness_learning::objective::rows(&latent, &partition.test).map_err(LearningError::from)?;
-        let evaluated = evaluate::network(
-            data,
-            task,
-            &*objective.decoder,
-            &spec.input,
-            &test,
-            &partition.test,
-            sampled_transitions,
-        )?;
-        add(outcome, task, epochs, evaluated);
+        let test = harness_learning::objective::rows(&latent, &partition.test);
+        self.evaluate(task, &*objective.decoder, &spec.input, test, outcome)?;
         outcome.timings.evaluation += begin.elapsed().as_secs_f64();
         Ok(())
     }
-}
 
-/// Adds the results of one task's training and evaluation.
-fn add(outcome: &mut Outcome, task: Task, epochs: Vec<Epoch>, evaluated: Evaluated) {
-    outcome.epochs.extend(epochs.into_iter().map(|epoch| (task, epoch)));
-    outcome.metrics.extend(evaluated.metrics);
-    outcome.predictions.extend(evaluated.predictions);
-    outcome.frames.extend(evaluated.frames);
+    /// Trains `parameters` on an objective and saves them. Adds the losses to the outcome.
+    fn train(
+        &self,
+        task: Task,
+        objective: &dyn Objective,
+        parameters: &Parameters,
+        outcome: &mut Outcome,
+    ) -> Result<(), ExperimentError> {
+        let fit = Fit {
+            task,
+            training: &self.spec.training,
+            seed: self.spec.seed,
+            partition: &self.prepared.partition,
+            state: &StateFile::at(self.folder.state(task)),
+            progress: self.progress,
+        };
+        let epochs = fit.run(objective, parameters)?;
+        checkpoint::save(&self.folder.checkpoint(task), parameters, &self.prepared.data.normalizers)?;
+        outcome.epochs.extend(epochs.into_iter().map(|epoch| (task, epoch)));
+        Ok(())
+    }
+
+    /// Evaluates a decoder on the latent states of the test transitions. Adds the results to the outcome.
+    fn evaluate(
+        &self,
+        task: Task,
+        decoder: &dyn Decoder,
+        output: &[Modality],
+        latent: Result<Tensor, candle_core::Error>,
+        outcome: &mut Outcome,
+    ) -> Result<(), ExperimentError> {
+        let PreparedData { data, partition, sampled_transitions, .. } = self.prepared;
+        let latent = latent.map_err(LearningError::from)?;
+        let evaluated =
+            evaluate::network(data, task, decoder, output, &latent, &partition.test, sampled_transitions)?;
+        outcome.metrics.extend(evaluated.metrics);
+        outcome.predictions.extend(evaluated.predictions);
+        outcome.frames.extend(evaluated.frames);
+        Ok(())
+    }
 }

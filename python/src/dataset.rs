@@ -4,56 +4,30 @@ use crate::array::{array, pixels_last, view};
 use crate::errors::Raise;
 use crate::simulation::{SimulationBatch, scene};
 use crate::work::interruptible;
-use harness::dataset::{self, DatasetError, FramePlace, Imported, Samples};
+use harness::dataset::{AnyDataset, DatasetError, FramePlace, Samples};
 use harness::progress::Silent;
-use harness::spec::{IMAGE_CHANNELS, Layout, Modality, Origin, World};
+use harness::spec::{IMAGE_CHANNELS, Modality, World};
 use pyo3::exceptions::{PyFileNotFoundError, PyKeyError, PyValueError};
 use pyo3::prelude::*;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// A dataset in memory; see `_harness.pyi`.
 #[pyclass(frozen, subclass)]
 pub struct Dataset {
     samples: Samples,
-    described: Described,
+    /// The dataset from which the samples were read.
+    described: AnyDataset,
 }
 
-/// The dataset from which the samples were read.
-enum Described {
-    Simulated(dataset::Dataset),
-    Imported(Imported),
-}
-
-impl Described {
-    /// Opens the dataset in a folder, whose name says whether it was simulated or imported.
-    fn at(folder: &Path) -> Result<Self, DatasetError> {
-        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        match (Origin::try_from(name), folder.parent()) {
-            (Ok(Origin::Imported(name)), Some(root)) => Imported::open(root, &name).map(Self::Imported),
-            _ => dataset::Dataset::at(folder).map(Self::Simulated),
-        }
-    }
-
-    /// Reads the samples. Frames are read if `frames` is true and the dataset has any. They stay on disk if they would
-    /// take more than an eighth of the free memory.
-    fn load(&self, frames: bool) -> Result<Samples, DatasetError> {
-        let layout = self.layout();
-        let place = |samples| match frames && layout.stored_images().next().is_some() {
-            true => FramePlace::for_samples(layout, samples, None),
-            false => FramePlace::Nowhere,
-        };
-        match self {
-            Self::Simulated(dataset) => dataset.load(place(dataset.len()), &Silent),
-            Self::Imported(dataset) => dataset.load(place(dataset.len()), &Silent),
-        }
-    }
-
-    fn layout(&self) -> &Layout {
-        match self {
-            Self::Simulated(dataset) => dataset.layout(),
-            Self::Imported(dataset) => dataset.layout(),
-        }
-    }
+/// Reads a dataset's samples. Frames are read if `frames` is true and the dataset has any. They stay on disk if they
+/// would take more than an eighth of the free memory.
+fn load(dataset: &AnyDataset, frames: bool) -> Result<Samples, DatasetError> {
+    let layout = dataset.layout();
+    let place = match frames && layout.stored_images().next().is_some() {
+        true => FramePlace::for_samples(layout, dataset.len(), None),
+        false => FramePlace::Nowhere,
+    };
+    dataset.load(place, &Silent)
 }
 
 #[pymethods]
@@ -69,8 +43,8 @@ impl Dataset {
             return Err(PyFileNotFoundError::new_err(message));
         }
         let read = || {
-            let described = Described::at(&folder)?;
-            Ok(Self { samples: described.load(frames)?, described })
+            let described = AnyDataset::at(&folder)?;
+            Ok(Self { samples: load(&described, frames)?, described })
         };
         interruptible(py, read, || ())?.map_err(|error: DatasetError| error.raise())
     }
@@ -81,33 +55,27 @@ impl Dataset {
 
     #[getter]
     fn name(&self) -> &str {
-        match &self.described {
-            Described::Simulated(dataset) => dataset.name(),
-            Described::Imported(dataset) => dataset.name(),
-        }
+        self.described.name()
     }
 
     #[getter]
     fn scenario(&self) -> &str {
         match &self.described {
-            Described::Simulated(dataset) => dataset.scenario().name(),
-            Described::Imported(dataset) => dataset.name(),
+            AnyDataset::Simulated(dataset) => dataset.scenario().name(),
+            AnyDataset::Imported(dataset) => dataset.name(),
         }
     }
 
     #[getter]
     fn sample_rate_hz(&self) -> f64 {
-        match &self.described {
-            Described::Simulated(dataset) => dataset.spec().sample_rate_hz,
-            Described::Imported(dataset) => dataset.sample_rate_hz(),
-        }
+        self.described.sample_rate_hz()
     }
 
     #[getter]
     fn seed(&self) -> Option<u64> {
         match &self.described {
-            Described::Simulated(dataset) => Some(dataset.spec().seed),
-            Described::Imported(_) => None,
+            AnyDataset::Simulated(dataset) => Some(dataset.spec().seed),
+            AnyDataset::Imported(_) => None,
         }
     }
 
@@ -121,7 +89,7 @@ impl Dataset {
     #[pyo3(signature = (count=1))]
     fn simulation(&self, py: Python, count: usize) -> PyResult<SimulationBatch> {
         match &self.described {
-            Described::Simulated(dataset) => {
+            AnyDataset::Simulated(dataset) => {
                 let name = dataset.scenario().name();
                 if World::named(name).is_none() {
                     return Err(PyValueError::new_err(format!(
@@ -131,7 +99,7 @@ impl Dataset {
                 }
                 SimulationBatch::start(py, scene(name)?, dataset.spec().clone(), count)
             }
-            Described::Imported(dataset) => {
+            AnyDataset::Imported(dataset) => {
                 Err(PyValueError::new_err(format!("{} was imported, not simulated", dataset.name())))
             }
         }
