@@ -144,7 +144,7 @@ fn run_key() -> Vec<Column> {
 
 fn run_details() -> Vec<Column> {
     vec![
-        text("status", "running, done or failed"),
+        text("status", "running, interrupted, done or failed"),
         text("reason", "why a run failed; null otherwise"),
         text("spec_hash", "hash of everything that determines the run"),
         text(

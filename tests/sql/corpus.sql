@@ -800,7 +800,7 @@ select latent * 9223372036854775807 from runs
 -- refuse: a sum that overflows | too large for 64 bits; make them real
 select sum(latent * 0 + 9223372036854775807) from runs
 
--- refuse: a remainder of zero | 5 % 0 is not a 64-bit integer
+-- refuse: a remainder of zero | 5 % 0 has no value, because the divisor is 0; leave out such rows, or write nullif(…, 0)
 select 5 % 0
 
 -- refuse: an unknown function | there is no function 'coalesc'; did you mean 'coalesce'?

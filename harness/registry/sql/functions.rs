@@ -306,8 +306,14 @@ pub fn arithmetic(left: Value, sign: char, right: Value) -> Answer<Value> {
     };
     let checked = move |a: i64, b: i64| {
         operation(a, b).ok_or_else(|| {
-            let advice = if sign == '%' { "" } else { "; make one of them real, such as with * 1.0" };
-            PolarsError::ComputeError(format!("{a} {sign} {b} is not a 64-bit integer{advice}").into())
+            let problem = match (sign, b) {
+                ('%', 0) => {
+                    "has no value, because the divisor is 0; leave out such rows, or write nullif(…, 0)"
+                }
+                ('%', _) => "is not a 64-bit integer",
+                _ => "is not a 64-bit integer; make one of them real, such as with * 1.0",
+            };
+            PolarsError::ComputeError(format!("{a} {sign} {b} {problem}").into())
         })
     };
     Ok(Value::new(of_two::<Int64Type>(left, right, kind, checked), kind))
