@@ -4,7 +4,7 @@
 use crate::common::finger::JOINTS;
 use crate::common::{finish, harness, succeed};
 use harness::claims::{
-    Claim, Condition, Each, Judgement, Matrix, Measured, Readings, Verdict, choose, corrected, judge, load,
+    Claim, Condition, Each, Judgment, Matrix, Measured, Readings, Verdict, choose, corrected, judge, load,
     runs,
 };
 use harness::learning::training::{Epoch, Losses, TOTAL};
@@ -254,24 +254,24 @@ fn results(seeds: &[u64], says: impl Fn(u64) -> Says) -> (TempDir, Registry) {
     (folder, registry)
 }
 
-/// The judgements of all claims, one for each scenario.
-fn judgements(registry: &Registry, quick: bool) -> Vec<Judgement<'static>> {
+/// The judgments of all claims, one for each scenario.
+fn judgments(registry: &Registry, quick: bool) -> Vec<Judgment<'static>> {
     let claims: Vec<&'static Claim> = CLAIMS.iter().collect();
     let runs = runs(registry, &claims, &[], quick).unwrap();
     claims.into_iter().flat_map(|claim| judge(&runs, claim, quick).unwrap()).collect()
 }
 
 #[track_caller]
-fn assert_verdicts(registry: &Registry, expected: impl Fn(&Judgement) -> Verdict) {
-    for judgement in judgements(registry, false) {
-        let Judgement { claim, scenario, measured, .. } = &judgement;
-        let found = judgement.verdict();
-        assert_eq!(found, expected(&judgement), "{} {scenario:?}: {measured:?}", claim.id());
+fn assert_verdicts(registry: &Registry, expected: impl Fn(&Judgment) -> Verdict) {
+    for judgment in judgments(registry, false) {
+        let Judgment { claim, scenario, measured, .. } = &judgment;
+        let found = judgment.verdict();
+        assert_eq!(found, expected(&judgment), "{} {scenario:?}: {measured:?}", claim.id());
     }
 }
 
-fn about_the_dataset(judgement: &Judgement) -> bool {
-    judgement.measured.each == Each::Episode
+fn about_the_dataset(judgment: &Judgment) -> bool {
+    judgment.measured.each == Each::Episode
 }
 
 // --- verdicts ---
@@ -292,12 +292,12 @@ fn no_claim_holds_where_the_tables_say_the_opposite() {
 fn no_claim_holds_by_networks_that_learned_nothing() {
     let (_folder, registry) = results(&[0, 1, 2], |_| Nothing);
     let (mut untestable, mut faint) = (0, 0);
-    for judgement in judgements(&registry, false) {
-        let Judgement { claim, measured, required, .. } = &judgement;
-        let verdict = judgement.verdict();
+    for judgment in judgments(&registry, false) {
+        let Judgment { claim, measured, required, .. } = &judgment;
+        let verdict = judgment.verdict();
         if claim.requires.is_some() {
             assert_eq!(verdict, Verdict::NotTestable, "{}: {measured:?} {required:?}", claim.id());
-            let (low, high) = judgement.interval().unwrap().bounds.unwrap();
+            let (low, high) = judgment.interval().unwrap().bounds.unwrap();
             untestable += 1;
             faint += usize::from(claim.condition.satisfied_by(low) && claim.condition.satisfied_by(high));
         } else {
@@ -311,9 +311,9 @@ fn no_claim_holds_by_networks_that_learned_nothing() {
 #[test]
 fn claims_are_undecided_where_seeds_disagree() {
     let (_folder, registry) = results(&[0, 1, 2, 3], |seed| if seed % 2 == 0 { Same } else { Opposite });
-    for judgement in judgements(&registry, false).iter().filter(|judgement| !about_the_dataset(judgement)) {
-        assert_eq!(judgement.verdict(), Verdict::Undecided, "{}", judgement.claim.id());
-        let Measured { each: Each::Seed, values } = &judgement.measured else { panic!("{judgement:?}") };
+    for judgment in judgments(&registry, false).iter().filter(|judgment| !about_the_dataset(judgment)) {
+        assert_eq!(judgment.verdict(), Verdict::Undecided, "{}", judgment.claim.id());
+        let Measured { each: Each::Seed, values } = &judgment.measured else { panic!("{judgment:?}") };
         assert_eq!(values.keys().copied().collect::<Vec<_>>(), [(0, 0), (0, 1), (0, 2), (0, 3)]);
     }
 }
@@ -323,8 +323,8 @@ fn a_single_seed_decides_nothing_but_shows_where_it_points() {
     for (says, satisfied, dataset) in [(Same, true, Verdict::Holds), (Opposite, false, Verdict::DoesNotHold)]
     {
         let (_folder, registry) = results(&[7], |_| says);
-        assert_verdicts(&registry, |judgement| {
-            if about_the_dataset(judgement) { dataset } else { Verdict::OneSeed { satisfied } }
+        assert_verdicts(&registry, |judgment| {
+            if about_the_dataset(judgment) { dataset } else { Verdict::OneSeed { satisfied } }
         });
     }
 }
@@ -335,8 +335,8 @@ fn claims_without_their_runs_are_undecided() {
     let registry = Registry::new(folder.path());
     assert_verdicts(&registry, |_| Verdict::NoData);
     write(&registry, "single_to_multi", &[0, 1, 2], |_| Same);
-    assert_verdicts(&registry, |judgement| {
-        let is_there = judgement.claim.experiments.iter().all(|name| name == "single_to_multi");
+    assert_verdicts(&registry, |judgment| {
+        let is_there = judgment.claim.experiments.iter().all(|name| name == "single_to_multi");
         if is_there { Verdict::Holds } else { Verdict::NoData }
     });
 }
@@ -352,9 +352,9 @@ fn a_seed_counts_only_when_all_its_runs_are_there() {
             finish_run(&registry, name, &spec, Opposite);
         }
     }
-    for judgement in judgements(&registry, false).iter().filter(|judgement| !about_the_dataset(judgement)) {
-        for measured in [Some(&judgement.measured), judgement.required.as_ref()].into_iter().flatten() {
-            assert_eq!((measured.each, measured.values.len()), (Each::Seed, 3), "{}", judgement.claim.id());
+    for judgment in judgments(&registry, false).iter().filter(|judgment| !about_the_dataset(judgment)) {
+        for measured in [Some(&judgment.measured), judgment.required.as_ref()].into_iter().flatten() {
+            assert_eq!((measured.each, measured.values.len()), (Each::Seed, 3), "{}", judgment.claim.id());
         }
     }
 }
@@ -370,8 +370,8 @@ fn runs_of_other_settings_are_refused_and_chosen_by_name() {
     let reads_it = |claim: &Claim| claim.experiments.iter().any(|name| name == "single_to_multi");
     assert_verdicts(
         &registry,
-        |judgement| {
-            if reads_it(judgement.claim) { Verdict::Mixed } else { Verdict::Holds }
+        |judgment| {
+            if reads_it(judgment.claim) { Verdict::Mixed } else { Verdict::Holds }
         },
     );
     let refused = "the runs of single_to_multi differ in training.batch_size (16, 1024); choose some, as with \
@@ -397,9 +397,9 @@ fn a_variant_is_a_setting_that_a_query_may_tell_apart() {
     for spec in sweep.runs() {
         finish_run(&registry, "single_to_multi", &spec, Same);
     }
-    assert!(judgements(&registry, false).iter().all(|judgement| {
-        let reads_it = judgement.claim.experiments.iter().any(|name| name == "single_to_multi");
-        judgement.verdict() == if reads_it { Verdict::Mixed } else { Verdict::NoData }
+    assert!(judgments(&registry, false).iter().all(|judgment| {
+        let reads_it = judgment.claim.experiments.iter().any(|name| name == "single_to_multi");
+        judgment.verdict() == if reads_it { Verdict::Mixed } else { Verdict::NoData }
     }));
     let query = "select scenario, seed, avg(value) as value from metrics where variant = 'kl_weight=0.5' and metric = \
                  'r2' group by scenario, seed";
@@ -464,8 +464,8 @@ fn quick_claims_are_about_quick_runs() {
         }
     }
     assert_verdicts(&registry, |_| Verdict::NoData);
-    for judgement in judgements(&registry, true) {
-        assert_eq!(judgement.verdict(), Verdict::Holds, "{}", judgement.claim.id());
+    for judgment in judgments(&registry, true) {
+        assert_eq!(judgment.verdict(), Verdict::Holds, "{}", judgment.claim.id());
     }
 }
 
@@ -492,23 +492,23 @@ fn several_datasets_count_as_datasets_whatever_their_seeds_say() {
         (folder, registry)
     };
     let (_folder, registry) = datasets(|_| Same);
-    let about_both = |judgement: &Judgement| !judgement.claim.experiments.contains(&"choose_action".into());
-    for judgement in judgements(&registry, false).iter().filter(|judgement| about_both(judgement)) {
-        assert_eq!(judgement.verdict(), Verdict::Holds, "{}: {judgement:?}", judgement.claim.id());
-        if !about_the_dataset(judgement) {
-            let places: Vec<_> = judgement.measured.values.keys().copied().collect();
+    let about_both = |judgment: &Judgment| !judgment.claim.experiments.contains(&"choose_action".into());
+    for judgment in judgments(&registry, false).iter().filter(|judgment| about_both(judgment)) {
+        assert_eq!(judgment.verdict(), Verdict::Holds, "{}: {judgment:?}", judgment.claim.id());
+        if !about_the_dataset(judgment) {
+            let places: Vec<_> = judgment.measured.values.keys().copied().collect();
             assert_eq!(places, [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]);
-            assert_eq!(judgement.measured.replicates().len(), 3);
+            assert_eq!(judgment.measured.replicates().len(), 3);
         }
     }
     // Four of six values agree with the paper, but one dataset disagrees, so the claims are undecided.
     let (folder, registry) = datasets(|spec| if spec.dataset_seed() == 2 { Opposite } else { Same });
     let mut undecided = 0;
-    for judgement in judgements(&registry, false).iter().filter(|judgement| about_both(judgement)) {
-        if !about_the_dataset(judgement) {
+    for judgment in judgments(&registry, false).iter().filter(|judgment| about_both(judgment)) {
+        if !about_the_dataset(judgment) {
             // A claim is not testable if its requirement is undecided.
-            let verdict = judgement.verdict();
-            let id = judgement.claim.id();
+            let verdict = judgment.verdict();
+            let id = judgment.claim.id();
             assert!(matches!(verdict, Verdict::Undecided | Verdict::NotTestable), "{id}: {verdict}");
             undecided += usize::from(verdict == Verdict::Undecided);
         }
@@ -569,17 +569,17 @@ fn a_correction_for_the_number_of_claims_stands_beside_the_verdicts() {
     // Each of these claims holds at 5 %, with an uncorrected p-value of about 0.01.
     let seeds: Vec<u64> = (0..5).collect();
     let (folder, registry) = results(&seeds, |seed| if seed == 4 { Nothing } else { Same });
-    let judged = judgements(&registry, false);
+    let judged = judgments(&registry, false);
     let both: Vec<(f64, f64)> = judged
         .iter()
         .zip(corrected(&judged))
-        .filter_map(|(judgement, corrected)| Some((judgement.p_value()?, corrected?)))
+        .filter_map(|(judgment, corrected)| Some((judgment.p_value()?, corrected?)))
         .collect();
     assert!(both.len() > 10 && both.iter().all(|(p, corrected)| corrected >= p));
     // Holm's correction multiplies the smallest p-value by the number of tests.
     let least = |of: fn(&(f64, f64)) -> f64| both.iter().map(of).fold(1.0, f64::min);
     assert_eq!(least(|both| both.1), (least(|both| both.0) * both.len() as f64).min(1.0));
-    let is_decided = |one: &Judgement| matches!(one.verdict(), Verdict::Holds | Verdict::DoesNotHold);
+    let is_decided = |one: &Judgment| matches!(one.verdict(), Verdict::Holds | Verdict::DoesNotHold);
     let unsure =
         judged.iter().zip(corrected(&judged)).filter(|(one, p)| is_decided(one) && p.unwrap() >= 0.05);
     let unsure = unsure.count();
@@ -609,9 +609,9 @@ fn a_choice_that_changes_a_verdict_is_named() {
     let place = |name: &str| matrix.readings.iter().position(|reading| *reading == name).unwrap();
     for row in &matrix.rows {
         let id = row.claim.id();
-        let verdict = |name: &str| row.judgements[place(name)].verdict();
+        let verdict = |name: &str| row.judgments[place(name)].verdict();
         for same in ["base", "many_episodes", "all_epochs"] {
-            assert_eq!(verdict(same), Verdict::Holds, "{id} {same}: {:?}", row.judgements[place(same)]);
+            assert_eq!(verdict(same), Verdict::Holds, "{id} {same}: {:?}", row.judgments[place(same)]);
         }
         let with_vision = row.claim.experiments.contains(&"multi_to_multi".to_owned());
         assert_eq!(verdict("target") == Verdict::Holds, !with_vision, "{id}: {:?}", verdict("target"));
@@ -650,9 +650,9 @@ fn matrix_on_the_page(results: &Path, matrix: &Matrix) {
         let shown = shown.split("</tr>").next().unwrap();
         let cells: Vec<&str> = shown.split("<td ").skip(1).collect();
         let changes: Vec<usize> = row.changes().map(|(place, _)| place).collect();
-        assert_eq!(cells.len(), row.judgements.len());
-        for (place, (cell, judgement)) in cells.iter().zip(&row.judgements).enumerate() {
-            let words = format!("<span class=\"hidden\">{}</span>", judgement.verdict());
+        assert_eq!(cells.len(), row.judgments.len());
+        for (place, (cell, judgment)) in cells.iter().zip(&row.judgments).enumerate() {
+            let words = format!("<span class=\"hidden\">{}</span>", judgment.verdict());
             assert!(cell.contains(&words), "{id}: {cell}");
             assert_eq!(cell.contains(" changed\""), changes.contains(&place), "{id}: {cell}");
         }
@@ -734,7 +734,7 @@ fn a_verdict_needs_the_whole_interval() {
     let claims = load_text(text).unwrap();
     let verdict = |values: &[f64]| {
         let measured = measured(values);
-        Judgement { claim: &claims[0], scenario: None, measured, required: None, mixed: Vec::new() }.verdict()
+        Judgment { claim: &claims[0], scenario: None, measured, required: None, mixed: Vec::new() }.verdict()
     };
     // Two values at a distance of d have the interval mean ± 12.71 d / 2, from a table of Student's t.
     assert_eq!(verdict(&[2.0, 2.1]), Verdict::Holds);
@@ -754,9 +754,9 @@ fn a_claim_is_testable_where_what_it_requires_holds() {
     let judged = |values: &[f64], required: &[f64]| {
         let required = Some(of(required));
         let claim = &claims[0];
-        let judgement =
-            Judgement { claim, scenario: None, measured: of(values), required, mixed: Vec::new() };
-        (judgement.verdict(), judgement.unmet())
+        let judgment =
+            Judgment { claim, scenario: None, measured: of(values), required, mixed: Vec::new() };
+        (judgment.verdict(), judgment.unmet())
     };
     assert_eq!(judged(&[2.0, 2.1], &[0.9, 0.91]), (Verdict::Holds, None));
     assert_eq!(judged(&[0.2, 0.3], &[0.9, 0.91]), (Verdict::DoesNotHold, None));

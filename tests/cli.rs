@@ -473,8 +473,8 @@ fn pictures_and_clips_have_the_size_and_length_asked_for() {
     let instant = image::open(instant).unwrap().into_rgb8();
     assert_eq!((rest.dimensions(), instant.dimensions()), ((160, 100), (160, 100)));
     assert!(rest != instant, "the finger has moved");
-    let colours = rest.pixels().collect::<std::collections::HashSet<_>>().len();
-    assert!(colours > 100, "a picture, not a surface: {colours} colours");
+    let colors = rest.pixels().collect::<std::collections::HashSet<_>>().len();
+    assert!(colors > 100, "a picture, not a surface: {colors} colors");
     let clip = std::io::BufReader::new(std::fs::File::open(clip).unwrap());
     let frames = image::codecs::gif::GifDecoder::new(clip).unwrap().into_frames().collect_frames().unwrap();
     assert_eq!(frames.len(), 4, "the episode has 30 samples");

@@ -502,10 +502,10 @@ fn a_split_by_sample_draws_every_transition_once_and_depends_on_the_datasets_see
     let mut all = [training.clone(), validation, test.clone()].concat();
     all.sort_unstable();
     assert_eq!(all, (0..299).chain(300..499).collect::<Vec<_>>());
-    // The documentation warns of this: nearly every test sample has a neighbour in the training set.
-    let neighbours =
+    // The documentation warns of this: nearly every test sample has a neighbor in the training set.
+    let neighbors =
         test.iter().filter(|&&at| training.contains(&(at + 1)) || training.contains(&(at.wrapping_sub(1))));
-    assert!(neighbours.count() > 40);
+    assert!(neighbors.count() > 40);
 }
 
 #[test]

@@ -69,8 +69,8 @@ fn svg(figure: Figure) -> String {
 fn words(figure: Figure) -> BTreeSet<String> {
     let svg = svg(figure);
     let document = roxmltree::Document::parse(&svg).unwrap();
-    let labelled = document.descendants().filter(|node| node.has_tag_name("g"));
-    labelled.filter_map(|node| node.attribute("aria-label")).map(str::to_owned).collect()
+    let labeled = document.descendants().filter(|node| node.has_tag_name("g"));
+    labeled.filter_map(|node| node.attribute("aria-label")).map(str::to_owned).collect()
 }
 
 #[test]
@@ -85,8 +85,8 @@ fn all_nine_are_drawn_from_tables_alone() {
         let picture = image::load_from_memory(&read(&DRAWN, figure, "png")).unwrap().into_rgb8();
         // 8.5 cm at 600 pixels per inch.
         assert_eq!(picture.width(), 2008, "{}", figure.name());
-        let colours: BTreeSet<[u8; 3]> = picture.pixels().map(|pixel| pixel.0).collect();
-        assert!(colours.len() > 20, "{} has {} colours", figure.name(), colours.len());
+        let colors: BTreeSet<[u8; 3]> = picture.pixels().map(|pixel| pixel.0).collect();
+        assert!(colors.len() > 20, "{} has {} colors", figure.name(), colors.len());
         assert!(csv(figure).height() > 0);
     }
 }

@@ -364,9 +364,9 @@ fn reference_adam_with_weight_decay_takes_the_steps_of_candles_adamw() {
         let learning_rate = 0.01 / f64::from(step + 1);
         ours.set_learning_rate(learning_rate);
         ours.step(&gradients(&weight, &bias)).unwrap();
-        for optimiser in &mut theirs {
-            optimiser.set_learning_rate(learning_rate);
-            optimiser.step(&gradients(&theirs_weight, &theirs_bias)).unwrap();
+        for optimizer in &mut theirs {
+            optimizer.set_learning_rate(learning_rate);
+            optimizer.step(&gradients(&theirs_weight, &theirs_bias)).unwrap();
         }
     }
     assert_close(&weight, &theirs_weight, 1e-6, "the weight");

@@ -1,7 +1,7 @@
 //! The metrics and baselines, compared with values calculated by hand and by scikit-learn.
 
 use finger::{ARM_JOINTS, FRAME_LEN, FRAME_SIDE, JOINTS};
-use harness_metrics::baselines::{GREY_SIDE, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
+use harness_metrics::baselines::{GRAY_SIDE, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
 use harness_metrics::contact::{Contact, by_link};
 use harness_metrics::parts::{in_either, region_of};
 use harness_metrics::series::{error_relative_to_mean, error_relative_to_zero, mae, r2, rmse, smape, wmape};
@@ -297,8 +297,8 @@ fn a_pixel_counts_for_what_it_shows_before_or_after_the_change() {
     let [ground, arm, finger] = [[216, 216, 208], [40, 44, 52], [180, 120, 10]];
     let frame = |pixels: [[u8; 3]; 4]| {
         let mut frame: Vec<u8> = ground.into_iter().flat_map(|value| [value; PLANE]).collect();
-        for (pixel, colour) in pixels.into_iter().enumerate() {
-            (0..3).for_each(|channel| frame[channel * PLANE + pixel] = colour[channel]);
+        for (pixel, color) in pixels.into_iter().enumerate() {
+            (0..3).for_each(|channel| frame[channel * PLANE + pixel] = color[channel]);
         }
         frame
     };
@@ -456,7 +456,7 @@ fn ridge_refuses_what_has_no_answer() {
 
 #[test]
 fn downsampling_averages_blocks_of_pixels() {
-    const BLOCK: usize = FRAME_SIDE / GREY_SIDE;
+    const BLOCK: usize = FRAME_SIDE / GRAY_SIDE;
     let mut frame = vec![10.0; FRAME_LEN];
     // The whole block in row 2, column 15 is changed, and one channel of one pixel of the block in row 0, column 1.
     for channel in frame.chunks_exact_mut(FRAME_SIDE * FRAME_SIDE) {
@@ -465,11 +465,11 @@ fn downsampling_averages_blocks_of_pixels() {
         }
     }
     frame[BLOCK] = 10.0 + 48.0;
-    let grey = downsample_frame(&frame, [FRAME_SIDE; 2]).unwrap();
-    let mut expected = [10.0; GREY_SIDE * GREY_SIDE];
-    expected[2 * GREY_SIDE + 15] = 255.0;
+    let gray = downsample_frame(&frame, [FRAME_SIDE; 2]).unwrap();
+    let mut expected = [10.0; GRAY_SIDE * GRAY_SIDE];
+    expected[2 * GRAY_SIDE + 15] = 255.0;
     expected[1] = 11.0;
-    assert_eq!(grey, expected);
+    assert_eq!(gray, expected);
     assert!(downsample_frame(&frame[1..], [FRAME_SIDE; 2]).is_err());
 }
 

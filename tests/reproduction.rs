@@ -4,7 +4,7 @@
 //! After other results were published, `UPDATE=1 cargo test --test all reproduction` updates the numbers.
 
 use harness::analysis::Interval;
-use harness::claims::{self, Claim, Judgement, Matrix, MatrixRow, Readings, Verdict};
+use harness::claims::{self, Claim, Judgment, Matrix, MatrixRow, Readings, Verdict};
 use harness::registry::{Registry, query};
 use harness::spec::{self, Experiment, Scenario};
 use std::fmt::Write;
@@ -24,7 +24,7 @@ fn page() -> PathBuf {
 /// The results that the comments refer to.
 struct Source<'a> {
     registry: &'a Registry,
-    judgements: Vec<Judgement<'a>>,
+    judgments: Vec<Judgment<'a>>,
     spec: &'a Experiment,
     matrix: Matrix<'a>,
 }
@@ -34,8 +34,8 @@ impl Source<'_> {
     fn answer(&self, mark: &str) -> String {
         let words: Vec<&str> = mark.split_whitespace().collect();
         match words.as_slice() {
-            ["value", id, scenario] => self.judgement(id, scenario).interval().map_or("-".into(), short),
-            ["verdict", id, scenario] => self.judgement(id, scenario).verdict().to_string(),
+            ["value", id, scenario] => self.judgment(id, scenario).interval().map_or("-".into(), short),
+            ["verdict", id, scenario] => self.judgment(id, scenario).verdict().to_string(),
             ["counts"] => self.counts(),
             ["statements"] => self.statements(),
             ["choices"] => self.choices(),
@@ -50,17 +50,17 @@ impl Source<'_> {
         }
     }
 
-    fn judgement(&self, id: &str, scenario: &str) -> &Judgement<'_> {
-        let is_it = |one: &&Judgement| one.claim.id() == id && place(one.scenario) == scenario;
-        self.judgements.iter().find(is_it).unwrap_or_else(|| panic!("there is no claim '{id} {scenario}'"))
+    fn judgment(&self, id: &str, scenario: &str) -> &Judgment<'_> {
+        let is_it = |one: &&Judgment| one.claim.id() == id && place(one.scenario) == scenario;
+        self.judgments.iter().find(is_it).unwrap_or_else(|| panic!("there is no claim '{id} {scenario}'"))
     }
 
     fn counts(&self) -> String {
         let count =
-            |of: &dyn Fn(Verdict) -> bool| self.judgements.iter().filter(|one| of(one.verdict())).count();
+            |of: &dyn Fn(Verdict) -> bool| self.judgments.iter().filter(|one| of(one.verdict())).count();
         let (hold, fail) = (count(&|v| v == Verdict::Holds), count(&|v| v == Verdict::DoesNotHold));
         let untestable = count(&|verdict| verdict == Verdict::NotTestable);
-        let all = self.judgements.len();
+        let all = self.judgments.len();
         format!(
             "Of {all} verdicts, {hold} say that a statement of the paper holds here, {fail} that it does not, and {} that \
              these runs do not decide it; {untestable} are not testable.",
@@ -72,7 +72,7 @@ impl Source<'_> {
     fn statements(&self) -> String {
         let mut table =
             "\n| statement | place | empty | cluttered | both |\n|---|---|---|---|---|\n".to_owned();
-        for own in self.judgements.chunk_by(|a, b| a.claim.id() == b.claim.id()) {
+        for own in self.judgments.chunk_by(|a, b| a.claim.id() == b.claim.id()) {
             let Claim { paper, section, .. } = own[0].claim;
             let cell = |scenario: Option<Scenario>| {
                 let found = own.iter().find(|one| one.scenario == scenario);
@@ -109,7 +109,7 @@ impl Source<'_> {
             "---|".repeat(names.len())
         );
         for row in self.matrix.rows.iter().filter(|row| row.changes().next().is_some()) {
-            let cells: Vec<String> = row.judgements.iter().map(|one| one.verdict().to_string()).collect();
+            let cells: Vec<String> = row.judgments.iter().map(|one| one.verdict().to_string()).collect();
             let (id, cells) = (row.claim.id(), cells.join(" | "));
             writeln!(table, "| `{id}` | {} | {cells} |", place(row.scenario)).unwrap();
         }
@@ -128,7 +128,7 @@ impl Source<'_> {
             (Verdict::NotTestable, "is not testable under"),
         ] {
             let own =
-                self.matrix.readings.iter().zip(&row.judgements).filter(|(_, one)| one.verdict() == verdict);
+                self.matrix.readings.iter().zip(&row.judgments).filter(|(_, one)| one.verdict() == verdict);
             let named = own.map(|(name, one)| {
                 format!("{} ({})", name.replace('_', " "), one.interval().map_or("-".into(), short))
             });
@@ -176,10 +176,10 @@ fn every_number_in_the_reproduction_is_what_its_query_gives() {
     let claims = claims::load(&root().join("experiments/claims.yaml")).unwrap();
     let chosen: Vec<&Claim> = claims.iter().collect();
     let runs = claims::runs(&registry, &chosen, &[], false).unwrap();
-    let judgements = chosen.iter().flat_map(|claim| claims::judge(&runs, claim, false).unwrap()).collect();
+    let judgments = chosen.iter().flat_map(|claim| claims::judge(&runs, claim, false).unwrap()).collect();
     let spec = spec::load(&root().join("experiments/readings.yaml"), &[], false).unwrap();
     let matrix = Readings::new(&registry, &spec, &chosen, &[]).unwrap().judge(&chosen).unwrap();
-    let source = Source { registry: &registry, judgements, spec: &spec, matrix };
+    let source = Source { registry: &registry, judgments, spec: &spec, matrix };
     let filled: String = parts(&text)
         .into_iter()
         .map(|(before, mark)| match mark {

@@ -510,7 +510,7 @@ fn frames_are_those_of_pythons_renderer() {
 }
 
 #[test]
-fn colours_tell_the_robots_parts_as_mujocos_segmentation_does() {
+fn colors_tell_the_robots_parts_as_mujocos_segmentation_does() {
     for scenario in Scenario::PAPER {
         let (scene, spec) = (scene(scenario), short());
         let episode = simulate(&scene, &spec, 0);
@@ -678,14 +678,14 @@ fn a_projected_place_is_where_the_picture_shows_it() {
     for (mut renderer, middle) in [(whole, None), (near, Some("finger_link_10"))] {
         let picture = renderer.render(scene.rest()).unwrap();
         let at = |geom: &str| renderer.project(renderer.place_of(geom).unwrap());
-        let colour = |geom: &str| {
+        let color = |geom: &str| {
             let [x, y] = at(geom);
             picture.get_pixel((x * f64::from(width)) as u32, (y * f64::from(height)) as u32).0
         };
-        // The finger's first link is yellow and its last crimson; ground, arm and shadows are grey.
-        let [red, green, blue] = colour("finger_link_00");
+        // The finger's first link is yellow and its last crimson; ground, arm and shadows are gray.
+        let [red, green, blue] = color("finger_link_00");
         assert!(red > green && green > 2 * blue, "{red} {green} {blue}");
-        let [red, green, blue] = colour("finger_link_19");
+        let [red, green, blue] = color("finger_link_19");
         assert!(red > 2 * blue && blue > green, "{red} {green} {blue}");
         if let Some(body) = middle {
             // The camera points to the body's origin, which is half a link (of 0.05 m) above the middle of its capsule.

@@ -5,7 +5,7 @@
     .venv-bench/bin/python harness/benches/compare.py --only training --match deep
 
 `make bench` also installs and builds what this program needs. In each round, the contenders run one after the other.
-Each number is the median over the rounds, so a change of the machine's speed favours none of them. A ratio above 1
+Each number is the median over the rounds, so a change of the machine's speed favors none of them. A ratio above 1
 means that the harness is faster. The column "at least" is the project's own target. Run this program on an otherwise
 idle machine.
 

@@ -49,12 +49,12 @@ GROUND_RGBA = (0.85, 0.85, 0.82, 1)
 def robot_urdf() -> str:
     """Returns the URDF. Joints 0 to 2 belong to the arm, the following ones to the finger, from base to tip."""
 
-    def link(name, mass, inertia, centre, shape, rgb, collides):
-        geometry = f'<origin xyz="{centre}"/><geometry>{shape}</geometry>'
+    def link(name, mass, inertia, center, shape, rgb, collides):
+        geometry = f'<origin xyz="{center}"/><geometry>{shape}</geometry>'
         moments = f'ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"'
         collision = f"<collision>{geometry}</collision>" if collides else ""
         return (
-            f'<link name="{name}"><inertial><origin xyz="{centre}"/><mass value="{mass}"/>'
+            f'<link name="{name}"><inertial><origin xyz="{center}"/><mass value="{mass}"/>'
             f'<inertia {moments}/></inertial><visual>{geometry}<material name="{name}">'
             f'<color rgba="{rgb[0]} {rgb[1]} {rgb[2]} 1"/></material></visual>{collision}</link>'
         )

@@ -76,7 +76,7 @@ def timed_steps(options: argparse.Namespace) -> list[float]:
                 batch[name] = tensor.contiguous(memory_format=torch.channels_last)
     modalities = [name.removeprefix("target.") for name in batch if name.startswith("target.")]
     weights = dict.fromkeys(modalities, 1.0)
-    optimiser = torch.optim.Adam(model.parameters(), lr=1e-3, fused=True)
+    optimizer = torch.optim.Adam(model.parameters(), lr=1e-3, fused=True)
 
     def total_loss(batch: dict[str, torch.Tensor]) -> torch.Tensor:
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=options.precision == "bf16"):
@@ -91,10 +91,10 @@ def timed_steps(options: argparse.Namespace) -> list[float]:
     for _ in range(WARM_UP_STEPS + options.steps):
         start = time.perf_counter()
         batch["noise"].normal_()
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         loss = total_loss(batch)
         loss.backward()
-        optimiser.step()
+        optimizer.step()
         loss.item()
         seconds.append(time.perf_counter() - start)
     return seconds[WARM_UP_STEPS:]

@@ -292,7 +292,7 @@ impl fmt::Display for Verdict {
 
 /// A claim and its measured values, for one scenario or for both together.
 #[derive(Debug, Clone)]
-pub struct Judgement<'a> {
+pub struct Judgment<'a> {
     /// The claim.
     pub claim: &'a Claim,
     /// The scenario, or `None` if the claim is about both together.
@@ -305,7 +305,7 @@ pub struct Judgement<'a> {
     pub mixed: Vec<Mixed>,
 }
 
-impl Judgement<'_> {
+impl Judgment<'_> {
     /// The mean over datasets and seeds, or over episodes, with its confidence interval. `None` without values.
     pub fn interval(&self) -> Option<Interval> {
         self.measured.interval()
@@ -348,9 +348,9 @@ impl Judgement<'_> {
     }
 }
 
-/// The p-values of judgements, corrected for the number of tests by the method of Holm. `None` where nothing is tested.
-pub fn corrected<'a, 'b: 'a>(judgements: impl IntoIterator<Item = &'a Judgement<'b>>) -> Vec<Option<f64>> {
-    let p_values: Vec<Option<f64>> = judgements.into_iter().map(Judgement::p_value).collect();
+/// The p-values of judgments, corrected for the number of tests by the method of Holm. `None` where nothing is tested.
+pub fn corrected<'a, 'b: 'a>(judgments: impl IntoIterator<Item = &'a Judgment<'b>>) -> Vec<Option<f64>> {
+    let p_values: Vec<Option<f64>> = judgments.into_iter().map(Judgment::p_value).collect();
     let mut corrected = holm(&p_values.iter().copied().flatten().collect::<Vec<_>>()).into_iter();
     p_values.into_iter().map(|p| p.and_then(|_| corrected.next())).collect()
 }
@@ -401,7 +401,7 @@ pub fn expect(analysis: Analysis, claims: &[&Claim], quick: bool) -> Analysis {
     analysis.expect(queries.iter().map(String::as_str))
 }
 
-/// Judges a claim by the runs of its experiments. Returns one judgement for each of its scenarios, or a single one.
+/// Judges a claim by the runs of its experiments. Returns one judgment for each of its scenarios, or a single one.
 ///
 /// # Errors
 /// When a query is invalid, or its answer does not have the columns and rows of a claim. Queries are checked even if
@@ -410,7 +410,7 @@ pub fn judge<'a>(
     analysis: &Analysis,
     claim: &'a Claim,
     quick: bool,
-) -> Result<Vec<Judgement<'a>>, ClaimsError> {
+) -> Result<Vec<Judgment<'a>>, ClaimsError> {
     // A query that names the column `variant` distinguishes the settings that variants name.
     let by_variant = claim.queries().all(|query| query.value.contains("variant"));
     let experiments = claim.experiments(quick).into_iter().map(|name| {
@@ -445,7 +445,7 @@ impl<'a> Evidence<'a> {
         claim: &'c Claim,
         sizes: &Sizes,
         quick: bool,
-    ) -> Result<Vec<Judgement<'c>>, ClaimsError> {
+    ) -> Result<Vec<Judgment<'c>>, ClaimsError> {
         let datasets = self.by_dataset();
         let measure = |query: &Spanned<String>| {
             let sql = claim.complete(&query.value, sizes, quick);
@@ -458,11 +458,11 @@ impl<'a> Evidence<'a> {
         let measured = measure(&claim.query)?;
         let required = claim.requires.as_ref().map(|requires| measure(&requires.query)).transpose()?;
         let mut required = required.into_iter().flatten();
-        let judgement = |(scenario, measured)| {
+        let judgment = |(scenario, measured)| {
             let required = required.next().map(|(_, measured)| measured);
-            Judgement { claim, scenario, measured, required, mixed: self.mixed.clone() }
+            Judgment { claim, scenario, measured, required, mixed: self.mixed.clone() }
         };
-        Ok(measured.into_iter().map(judgement).collect())
+        Ok(measured.into_iter().map(judgment).collect())
     }
 
     /// The runs of each dataset, with the dataset's seed. Queries are answered for each dataset separately, because

@@ -1,6 +1,6 @@
 //! Plans the runs that would decide undecided claims: how many more datasets or seeds, their duration and the commands.
 
-use super::{Claim, Each, Judgement, Verdict};
+use super::{Claim, Each, Judgment, Verdict};
 use harness_analysis::{Analysis, LEVEL, Run, replicates_needed};
 use harness_registry::quoted;
 use harness_spec::{Origin, Scenario};
@@ -61,20 +61,20 @@ impl Plan<'_> {
     pub const MOST: usize = 100;
 }
 
-/// Plans steps for those judgements that are undecided.
-pub fn plan<'a>(analysis: &Analysis, judgements: &[Judgement<'a>], quick: bool) -> Plan<'a> {
+/// Plans steps for those judgments that are undecided.
+pub fn plan<'a>(analysis: &Analysis, judgments: &[Judgment<'a>], quick: bool) -> Plan<'a> {
     let mut plan = Plan::default();
     let mut steps: BTreeMap<Vec<String>, Step<'a>> = BTreeMap::new();
-    for judgement in judgements {
-        let of = (judgement.claim, judgement.scenario);
-        if !matches!(judgement.verdict(), Verdict::Undecided | Verdict::OneSeed { .. }) {
+    for judgment in judgments {
+        let of = (judgment.claim, judgment.scenario);
+        if !matches!(judgment.verdict(), Verdict::Undecided | Verdict::OneSeed { .. }) {
             continue;
         }
-        if judgement.measured.each == Each::Episode {
+        if judgment.measured.each == Each::Episode {
             plan.by_episode.push(of);
             continue;
         }
-        match step(analysis, judgement, quick) {
+        match step(analysis, judgment, quick) {
             Some(step) => steps.entry(step.commands.clone()).or_insert(step).decides.push(of),
             None => plan.out_of_reach.push(of),
         }
@@ -84,28 +84,28 @@ pub fn plan<'a>(analysis: &Analysis, judgements: &[Judgement<'a>], quick: bool) 
     plan
 }
 
-/// The step that would decide a judgement. `None` if it would need more than [`Plan::MOST`] datasets or seeds.
-fn step<'a>(analysis: &Analysis, judgement: &Judgement, quick: bool) -> Option<Step<'a>> {
-    let replicates = judgement.measured.replicates();
+/// The step that would decide a judgment. `None` if it would need more than [`Plan::MOST`] datasets or seeds.
+fn step<'a>(analysis: &Analysis, judgment: &Judgment, quick: bool) -> Option<Step<'a>> {
+    let replicates = judgment.measured.replicates();
     let there = replicates.len();
     let needed = match there {
         // A single value has no standard deviation. Two values have an interval.
         1 => 2,
-        _ => replicates_needed(&replicates, judgement.claim.condition.bound(), LEVEL, Plan::MOST)?
+        _ => replicates_needed(&replicates, judgment.claim.condition.bound(), LEVEL, Plan::MOST)?
             .max(there + 1),
     };
     let count = needed - there;
-    let more = if judgement.measured.datasets().len() > 1 { More::Datasets } else { More::Seeds };
+    let more = if judgment.measured.datasets().len() > 1 { More::Datasets } else { More::Seeds };
     let (mut runs, mut seconds, mut commands) = (0, 0.0, Vec::new());
-    let claim = judgement.claim;
+    let claim = judgment.claim;
     for (name, experiment) in claim.experiments.iter().zip(claim.experiments(quick)) {
         let own =
-            |run: &&Run| judgement.scenario.is_none_or(|of| run.record.spec.scenario == Origin::from(of));
+            |run: &&Run| judgment.scenario.is_none_or(|of| run.record.spec.scenario == Origin::from(of));
         let own: Vec<&Run> = analysis.runs(&experiment).iter().filter(own).collect();
         let an_addition = one_more(&own, more);
         runs += count * an_addition.0;
         seconds += count as f64 * an_addition.1;
-        commands.push(command(&analysis.command(name, quick), judgement.scenario, &own, more, count));
+        commands.push(command(&analysis.command(name, quick), judgment.scenario, &own, more, count));
     }
     Some(Step { more, there, count, runs, seconds, commands, decides: Vec::new() })
 }

@@ -1,12 +1,12 @@
 //! Judges claims under several readings of the paper, to find the readings that change a verdict.
 
-use super::{Claim, ClaimsError, Evidence, Judgement, Sizes, Verdict};
+use super::{Claim, ClaimsError, Evidence, Judgment, Sizes, Verdict};
 use harness_analysis::{Analysis, AnalysisError, Run, Selection, Setting};
 use harness_registry::Registry;
 use harness_spec::{Experiment, Reading, Scenario};
 use std::collections::BTreeSet;
 
-/// The judgements of claims under all readings.
+/// The judgments of claims under all readings.
 pub struct Matrix<'a> {
     /// The names of the readings, the base reading first.
     pub readings: Vec<&'a str>,
@@ -18,29 +18,29 @@ pub struct Matrix<'a> {
     pub notes: Vec<String>,
 }
 
-/// The judgements of a claim in a scenario, under each reading.
+/// The judgments of a claim in a scenario, under each reading.
 pub struct Row<'a> {
     /// The claim.
     pub claim: &'a Claim,
     /// The scenario, or `None` if the claim is about both together.
     pub scenario: Option<Scenario>,
-    /// A judgement for each reading, in the order of [`Matrix::readings`].
-    pub judgements: Vec<Judgement<'a>>,
+    /// A judgment for each reading, in the order of [`Matrix::readings`].
+    pub judgments: Vec<Judgment<'a>>,
 }
 
 impl Row<'_> {
-    /// The judgement under the base reading.
-    pub fn base(&self) -> &Judgement<'_> {
-        &self.judgements[0]
+    /// The judgment under the base reading.
+    pub fn base(&self) -> &Judgment<'_> {
+        &self.judgments[0]
     }
 
-    /// The judgements that differ from the base reading's, if one of the two is decided. Each comes with the position
+    /// The judgments that differ from the base reading's, if one of the two is decided. Each comes with the position
     /// of its reading in [`Matrix::readings`].
-    pub fn changes(&self) -> impl Iterator<Item = (usize, &Judgement<'_>)> {
+    pub fn changes(&self) -> impl Iterator<Item = (usize, &Judgment<'_>)> {
         let base = self.base().verdict();
         let is_decided = |verdict: &Verdict| matches!(verdict, Verdict::Holds | Verdict::DoesNotHold);
-        self.judgements.iter().enumerate().skip(1).filter(move |(_, judgement)| {
-            let verdict = judgement.verdict();
+        self.judgments.iter().enumerate().skip(1).filter(move |(_, judgment)| {
+            let verdict = judgment.verdict();
             verdict != base && (is_decided(&verdict) || is_decided(&base)) && verdict != Verdict::NoData
         })
     }
@@ -100,9 +100,9 @@ impl<'a> Readings<'a> {
         let (mut rows, mut left_out) = (Vec::new(), Vec::new());
         for &claim in claims {
             let judged = readings.iter().map(|reading| self.judge_under(claim, reading));
-            let judged: Vec<Vec<Judgement<'c>>> = judged.collect::<Result<_, _>>()?;
+            let judged: Vec<Vec<Judgment<'c>>> = judged.collect::<Result<_, _>>()?;
             let mut own = by_scenario(claim, judged);
-            own.retain(|row| row.judgements.iter().any(|judgement| judgement.verdict() != Verdict::NoData));
+            own.retain(|row| row.judgments.iter().any(|judgment| judgment.verdict() != Verdict::NoData));
             if own.is_empty() {
                 left_out.push(claim);
             }
@@ -111,7 +111,7 @@ impl<'a> Readings<'a> {
         Ok(Matrix { readings, rows, left_out, notes: self.analysis.notes().to_vec() })
     }
 
-    fn judge_under<'c>(&self, claim: &'c Claim, reading: &str) -> Result<Vec<Judgement<'c>>, ClaimsError> {
+    fn judge_under<'c>(&self, claim: &'c Claim, reading: &str) -> Result<Vec<Judgment<'c>>, ClaimsError> {
         let experiments = claim.experiments.iter().map(|role| {
             let runs: Vec<_> = self.runs(reading, role).collect();
             let checked = self.analysis.check_alike(&runs);
@@ -140,14 +140,14 @@ impl<'a> Readings<'a> {
     }
 }
 
-/// Groups the judgements of a claim under each reading by scenario.
-fn by_scenario<'c>(claim: &'c Claim, judged: Vec<Vec<Judgement<'c>>>) -> Vec<Row<'c>> {
+/// Groups the judgments of a claim under each reading by scenario.
+fn by_scenario<'c>(claim: &'c Claim, judged: Vec<Vec<Judgment<'c>>>) -> Vec<Row<'c>> {
     let mut rows: Vec<Row> = Vec::new();
-    for judgements in judged {
-        for (place, judgement) in judgements.into_iter().enumerate() {
+    for judgments in judged {
+        for (place, judgment) in judgments.into_iter().enumerate() {
             match rows.get_mut(place) {
-                Some(row) => row.judgements.push(judgement),
-                None => rows.push(Row { claim, scenario: judgement.scenario, judgements: vec![judgement] }),
+                Some(row) => row.judgments.push(judgment),
+                None => rows.push(Row { claim, scenario: judgment.scenario, judgments: vec![judgment] }),
             }
         }
     }

@@ -6,7 +6,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use harness::analysis::{Analysis, Interval, Mixed, Setting};
 use harness::claims::{
-    self, Claim, Judgement, Matrix, MatrixRow, Measured, Plan, Readings, Requirement, Step, Verdict,
+    self, Claim, Judgment, Matrix, MatrixRow, Measured, Plan, Readings, Requirement, Step, Verdict,
     corrected,
 };
 use harness::numbers::{duration, rounded};
@@ -51,22 +51,22 @@ impl Claims {
             return self.execute_readings(registry, path, &chosen);
         }
         let runs = claims::runs(registry, &chosen, &self.settings, self.quick)?;
-        let mut judgements = Vec::new();
+        let mut judgments = Vec::new();
         for claim in chosen {
-            judgements.extend(claims::judge(&runs, claim, self.quick)?);
+            judgments.extend(claims::judge(&runs, claim, self.quick)?);
         }
         if let Some(path) = self.output {
-            return write(frame(&judgements.iter().collect::<Vec<_>>())?, &path);
+            return write(frame(&judgments.iter().collect::<Vec<_>>())?, &path);
         }
         if self.plan {
-            print_plan(&claims::plan(&runs, &judgements, self.quick));
+            print_plan(&claims::plan(&runs, &judgments, self.quick));
             return Ok(ExitCode::from(DONE));
         }
-        print(&judgements);
+        print(&judgments);
         if !self.chosen.is_empty() {
-            print_details(&judgements, self.quick);
+            print_details(&judgments, self.quick);
         }
-        print_summary(&runs, &judgements, self.quick);
+        print_summary(&runs, &judgments, self.quick);
         Ok(ExitCode::from(DONE))
     }
 
@@ -86,9 +86,9 @@ impl Claims {
             );
         }
         if let Some(path) = &self.output {
-            let judgements: Vec<&Judgement> = matrix.rows.iter().flat_map(|row| &row.judgements).collect();
-            let mut table = frame(&judgements)?;
-            let readings = matrix.readings.iter().cycle().take(judgements.len()).copied();
+            let judgments: Vec<&Judgment> = matrix.rows.iter().flat_map(|row| &row.judgments).collect();
+            let mut table = frame(&judgments)?;
+            let readings = matrix.readings.iter().cycle().take(judgments.len()).copied();
             table.insert_column(0, Column::new("reading".into(), readings.collect::<Vec<_>>()))?;
             return write(table, path);
         }
@@ -128,7 +128,7 @@ fn print_matrix(spec: &Experiment, matrix: &Matrix) {
     };
     line("", (0..matrix.readings.len()).map(|place| place.to_string()).collect());
     for row in &matrix.rows {
-        line(&named(row), row.judgements.iter().map(|one| symbol(one.verdict()).to_owned()).collect());
+        line(&named(row), row.judgments.iter().map(|one| symbol(one.verdict()).to_owned()).collect());
     }
     println!("\n+ holds, - does not hold, ? undecided, x not testable, . no data\n\n0 base");
     for (place, reading) in spec.readings.iter().enumerate() {
@@ -138,16 +138,16 @@ fn print_matrix(spec: &Experiment, matrix: &Matrix) {
     println!("\nChoices that change a verdict:");
     let mut changed = 0;
     for row in &matrix.rows {
-        let value = |judgement: &Judgement| judgement.interval().map_or("no value".into(), |i| i.to_string());
+        let value = |judgment: &Judgment| judgment.interval().map_or("no value".into(), |i| i.to_string());
         let mut changes = row.changes().peekable();
         if changes.peek().is_none() {
             continue;
         }
         changed += 1;
         println!("{}: base {}, {}", named(row), row.base().verdict(), value(row.base()));
-        for (place, judgement) in changes {
+        for (place, judgment) in changes {
             let Reading { choice, instead, .. } = &spec.readings[place - 1];
-            println!("  {choice}: {instead}: {}, {}", judgement.verdict(), value(judgement));
+            println!("  {choice}: {instead}: {}, {}", judgment.verdict(), value(judgment));
         }
     }
     println!(
@@ -195,25 +195,25 @@ fn print_plan(plan: &Plan) {
     }
 }
 
-fn print(judgements: &[Judgement]) {
-    let all: Vec<(&Judgement, Option<f64>)> = judgements.iter().zip(corrected(judgements)).collect();
-    let rows = all.chunk_by(|(a, _), (b, _)| a.claim.id() == b.claim.id()).map(|judgements| {
-        let claim = judgements[0].0.claim;
+fn print(judgments: &[Judgment]) {
+    let all: Vec<(&Judgment, Option<f64>)> = judgments.iter().zip(corrected(judgments)).collect();
+    let rows = all.chunk_by(|(a, _), (b, _)| a.claim.id() == b.claim.id()).map(|judgments| {
+        let claim = judgments[0].0.claim;
         // Each scenario has a line in the cell.
-        let lines = |of: &dyn Fn(&Judgement) -> String| {
-            judgements.iter().map(|(judgement, _)| of(judgement)).collect::<Vec<_>>().join("\n")
+        let lines = |of: &dyn Fn(&Judgment) -> String| {
+            judgments.iter().map(|(judgment, _)| of(judgment)).collect::<Vec<_>>().join("\n")
         };
-        let verdict = |(judgement, corrected): &(&Judgement, Option<f64>)| {
-            let mark = if judgement.stands(*corrected) { "" } else { " *" };
-            format!("{}{mark}", judgement.verdict())
+        let verdict = |(judgment, corrected): &(&Judgment, Option<f64>)| {
+            let mark = if judgment.stands(*corrected) { "" } else { " *" };
+            format!("{}{mark}", judgment.verdict())
         };
         [
             format!("{} ({})\n{}", claim.paper, claim.section, claim.id()),
             claim.measured.clone(),
-            lines(&|judgement| scenario(judgement).to_owned()),
-            lines(&|judgement| judgement.interval().map_or("-".into(), |interval| interval.to_string())),
+            lines(&|judgment| scenario(judgment).to_owned()),
+            lines(&|judgment| judgment.interval().map_or("-".into(), |interval| interval.to_string())),
             claim.condition.to_string(),
-            judgements.iter().map(verdict).collect::<Vec<_>>().join("\n"),
+            judgments.iter().map(verdict).collect::<Vec<_>>().join("\n"),
         ]
     });
     println!(
@@ -222,20 +222,20 @@ fn print(judgements: &[Judgement]) {
     );
 }
 
-fn scenario(judgement: &Judgement) -> &'static str {
-    judgement.scenario.map_or("both", Scenario::name)
+fn scenario(judgment: &Judgment) -> &'static str {
+    judgment.scenario.map_or("both", Scenario::name)
 }
 
-fn print_details(judgements: &[Judgement], quick: bool) {
-    for judgement in judgements {
-        let (id, scenario) = (judgement.claim.id(), scenario(judgement));
-        print_values(&format!("{id} {scenario}"), &judgement.measured);
-        if let Some(required) = &judgement.required {
+fn print_details(judgments: &[Judgment], quick: bool) {
+    for judgment in judgments {
+        let (id, scenario) = (judgment.claim.id(), scenario(judgment));
+        print_values(&format!("{id} {scenario}"), &judgment.measured);
+        if let Some(required) = &judgment.required {
             print_values(&format!("{id} {scenario} requires"), required);
         }
     }
-    for judgements in judgements.chunk_by(|a, b| a.claim.id() == b.claim.id()) {
-        let claim = judgements[0].claim;
+    for judgments in judgments.chunk_by(|a, b| a.claim.id() == b.claim.id()) {
+        let claim = judgments[0].claim;
         println!("\n{}:\n{}", claim.id(), claim.sql(quick));
         if let (Some(requirement), Some(sql)) = (&claim.requires, claim.required_sql(quick)) {
             println!("requires {}, {}:\n{sql}", requirement.measured, requirement.condition);
@@ -257,29 +257,29 @@ fn print_values(of: &str, measured: &Measured) {
     }
 }
 
-fn print_summary(runs: &Analysis, judgements: &[Judgement], quick: bool) {
-    let count = |verdict: fn(&Verdict) -> bool| judgements.iter().filter(|j| verdict(&j.verdict())).count();
+fn print_summary(runs: &Analysis, judgments: &[Judgment], quick: bool) {
+    let count = |verdict: fn(&Verdict) -> bool| judgments.iter().filter(|j| verdict(&j.verdict())).count();
     let (holds, fails) = (count(|v| *v == Verdict::Holds), count(|v| *v == Verdict::DoesNotHold));
     let untestable = count(|verdict| *verdict == Verdict::NotTestable);
     println!(
         "{holds} hold, {fails} do not hold, {} undecided, {untestable} not testable; intervals are 95 % over \
          datasets or, with one dataset, over seeds (forces: episodes)",
-        judgements.len() - holds - fails - untestable,
+        judgments.len() - holds - fails - untestable,
     );
-    let corrected = corrected(judgements);
-    let unsure = judgements.iter().zip(&corrected).filter(|(judgement, p)| !judgement.stands(**p)).count();
+    let corrected = corrected(judgments);
+    let unsure = judgments.iter().zip(&corrected).filter(|(judgment, p)| !judgment.stands(**p)).count();
     if unsure > 0 {
         let tests = corrected.iter().flatten().count();
         println!("* {unsure} of these verdicts are undecided after Holm's correction for {tests} tests");
     }
-    print_unmet(judgements);
+    print_unmet(judgments);
     let mixed: BTreeSet<String> =
-        judgements.iter().flat_map(|judgement| &judgement.mixed).map(Mixed::to_string).collect();
+        judgments.iter().flat_map(|judgment| &judgment.mixed).map(Mixed::to_string).collect();
     for text in runs.notes().iter().chain(&mixed) {
         println!("{text}");
     }
-    let lacking = judgements.iter().filter(|judgement| judgement.verdict() == Verdict::NoData);
-    let mut experiments: Vec<&String> = lacking.flat_map(|judgement| &judgement.claim.experiments).collect();
+    let lacking = judgments.iter().filter(|judgment| judgment.verdict() == Verdict::NoData);
+    let mut experiments: Vec<&String> = lacking.flat_map(|judgment| &judgment.claim.experiments).collect();
     experiments.sort_unstable();
     experiments.dedup();
     for experiment in experiments {
@@ -288,24 +288,24 @@ fn print_summary(runs: &Analysis, judgements: &[Judgement], quick: bool) {
 }
 
 /// Prints the requirements that do not hold, each with its claims.
-fn print_unmet(judgements: &[Judgement]) {
+fn print_unmet(judgments: &[Judgment]) {
     let mut claims: BTreeMap<(&str, String), Vec<&str>> = BTreeMap::new();
-    for judgement in judgements.iter().filter(|judgement| judgement.verdict() == Verdict::NotTestable) {
-        let key = (scenario(judgement), judgement.unmet().unwrap_or_default());
-        claims.entry(key).or_default().push(judgement.claim.id());
+    for judgment in judgments.iter().filter(|judgment| judgment.verdict() == Verdict::NotTestable) {
+        let key = (scenario(judgment), judgment.unmet().unwrap_or_default());
+        claims.entry(key).or_default().push(judgment.claim.id());
     }
     for ((scenario, unmet), claims) in claims {
         println!("not testable, {scenario}   {unmet}: {}", claims.join(", "));
     }
 }
 
-/// Converts judgements to a table with one row for each.
-fn frame(judgements: &[&Judgement]) -> Result<DataFrame> {
-    let text = |name: &str, of: &dyn Fn(&Judgement) -> Option<String>| {
-        Column::new(name.into(), judgements.iter().map(|judgement| of(judgement)).collect::<Vec<_>>())
+/// Converts judgments to a table with one row for each.
+fn frame(judgments: &[&Judgment]) -> Result<DataFrame> {
+    let text = |name: &str, of: &dyn Fn(&Judgment) -> Option<String>| {
+        Column::new(name.into(), judgments.iter().map(|judgment| of(judgment)).collect::<Vec<_>>())
     };
-    let numbers = |name: &str, of: &dyn Fn(&Judgement) -> Option<Interval>| {
-        let intervals: Vec<Option<Interval>> = judgements.iter().map(|judgement| of(judgement)).collect();
+    let numbers = |name: &str, of: &dyn Fn(&Judgment) -> Option<Interval>| {
+        let intervals: Vec<Option<Interval>> = judgments.iter().map(|judgment| of(judgment)).collect();
         let column = |end: &str, of: fn(Interval) -> Option<f64>| {
             let values: Vec<Option<f64>> = intervals.iter().map(|interval| interval.and_then(of)).collect();
             Column::new(format!("{name}{end}").into(), values)
@@ -317,28 +317,28 @@ fn frame(judgements: &[&Judgement]) -> Result<DataFrame> {
         ]
     };
     let requirement = |name: &str, of: &dyn Fn(&Requirement) -> String| {
-        text(name, &|judgement| judgement.claim.requires.as_ref().map(of))
+        text(name, &|judgment| judgment.claim.requires.as_ref().map(of))
     };
-    let counts = judgements.iter().map(|judgement| judgement.measured.values.len() as i64);
-    let datasets = judgements.iter().map(|judgement| judgement.measured.datasets().len() as i64);
+    let counts = judgments.iter().map(|judgment| judgment.measured.values.len() as i64);
+    let datasets = judgments.iter().map(|judgment| judgment.measured.datasets().len() as i64);
     let mut columns = vec![
-        text("claim", &|judgement| Some(judgement.claim.id().to_owned())),
-        text("paper", &|judgement| Some(judgement.claim.paper.clone())),
-        text("section", &|judgement| Some(judgement.claim.section.clone())),
-        text("measured", &|judgement| Some(judgement.claim.measured.clone())),
-        text("scenario", &|judgement| judgement.scenario.map(|scenario| scenario.name().to_owned())),
-        text("each", &|judgement| Some(judgement.measured.each.name().to_owned())),
+        text("claim", &|judgment| Some(judgment.claim.id().to_owned())),
+        text("paper", &|judgment| Some(judgment.claim.paper.clone())),
+        text("section", &|judgment| Some(judgment.claim.section.clone())),
+        text("measured", &|judgment| Some(judgment.claim.measured.clone())),
+        text("scenario", &|judgment| judgment.scenario.map(|scenario| scenario.name().to_owned())),
+        text("each", &|judgment| Some(judgment.measured.each.name().to_owned())),
         Column::new("datasets".into(), datasets.collect::<Vec<_>>()),
         Column::new("values".into(), counts.collect::<Vec<_>>()),
     ];
-    columns.extend(numbers("", &|judgement| judgement.interval()));
-    columns.push(text("condition", &|judgement| Some(judgement.claim.condition.to_string())));
+    columns.extend(numbers("", &|judgment| judgment.interval()));
+    columns.push(text("condition", &|judgment| Some(judgment.claim.condition.to_string())));
     columns.push(requirement("requires", &|requirement| requirement.measured.clone()));
-    columns.extend(numbers("required_", &|judgement| judgement.required.as_ref()?.interval()));
+    columns.extend(numbers("required_", &|judgment| judgment.required.as_ref()?.interval()));
     columns.push(requirement("required_condition", &|requirement| requirement.condition.to_string()));
-    let p_values: Vec<Option<f64>> = judgements.iter().map(|judgement| judgement.p_value()).collect();
+    let p_values: Vec<Option<f64>> = judgments.iter().map(|judgment| judgment.p_value()).collect();
     columns.push(Column::new("p".into(), p_values));
-    columns.push(Column::new("p_holm".into(), corrected(judgements.iter().copied())));
-    columns.push(text("verdict", &|judgement| Some(judgement.verdict().to_string())));
-    Ok(DataFrame::new(judgements.len(), columns)?)
+    columns.push(Column::new("p_holm".into(), corrected(judgments.iter().copied())));
+    columns.push(text("verdict", &|judgment| Some(judgment.verdict().to_string())));
+    Ok(DataFrame::new(judgments.len(), columns)?)
 }

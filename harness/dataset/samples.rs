@@ -214,7 +214,7 @@ impl Samples {
     /// The last episodes are for the test, those before them for validation, and the rest for training.
     ///
     /// Episodes are independent and have the same distribution, so their order does not matter. Splitting by episode
-    /// keeps the neighbours of a test sample out of the training data.
+    /// keeps the neighbors of a test sample out of the training data.
     fn partition_by_episode(&self, split: &Split) -> Option<Partition> {
         let counts = split.counts(self.episodes.len())?;
         let all = |episodes: &[Range<usize>]| episodes.iter().flat_map(transitions).collect();

@@ -126,7 +126,7 @@ impl Runner<'_> {
         unneeded.for_each(|planned| planned.folder.remove_states());
         if pending.iter().any(|planned| planned.spec.split.by == Division::Sample) {
             self.progress.say(
-                "split.by is sample: test samples have neighbours in the training data, so the errors are smaller \
+                "split.by is sample: test samples have neighbors in the training data, so the errors are smaller \
                  than on new data",
             );
         }

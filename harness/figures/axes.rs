@@ -1,6 +1,6 @@
 //! Axes, series and legends on a page.
 
-use super::page::{BLACK, BLUE, GREY, Mark, PALE, Page, Point, Stroke, Type, VERMILION};
+use super::page::{BLACK, BLUE, GRAY, Mark, PALE, Page, Point, Stroke, Type, VERMILION};
 use harness_analysis::Interval;
 use harness_metrics::Direction;
 use harness_spec::Scenario;
@@ -201,9 +201,9 @@ impl Panel {
         self.bottom_line(page, label);
     }
 
-    /// Draws a horizontal axis with a name below each of `centres`, which are horizontal positions in points.
-    pub fn bottom_names(&self, page: &mut Page, centres: &[f64], names: &[String], label: &str) {
-        for (x, name) in centres.iter().zip(names) {
+    /// Draws a horizontal axis with a name below each of `centers`, which are horizontal positions in points.
+    pub fn bottom_names(&self, page: &mut Page, centers: &[f64], names: &[String], label: &str) {
+        for (x, name) in centers.iter().zip(names) {
             page.line([*x, self.bottom()], [*x, self.bottom() + TICK], AXIS);
             page.text(name, [*x, self.bottom() + TICK + 6.5], Type::SMALL);
         }
@@ -224,12 +224,12 @@ impl Panel {
     }
 }
 
-/// How a series looks. Colours show scenarios, and shapes show directions, so that readers don't need colours to tell
+/// How a series looks. Colors show scenarios, and shapes show directions, so that readers don't need colors to tell
 /// directions apart.
 #[derive(Debug, Clone, Copy)]
 pub struct Look {
-    /// The colour as SVG writes it, `#rrggbb`.
-    pub colour: &'static str,
+    /// The color as SVG writes it, `#rrggbb`.
+    pub color: &'static str,
     /// The shape of its points.
     pub mark: Mark,
     /// Whether its points are hollow.
@@ -238,20 +238,20 @@ pub struct Look {
     pub dashed: bool,
 }
 
-/// The colour of a scenario.
-pub fn colour_of(scenario: Scenario) -> &'static str {
+/// The color of a scenario.
+pub fn color_of(scenario: Scenario) -> &'static str {
     match scenario {
         Scenario::EMPTY => BLUE,
         _ => VERMILION,
     }
 }
 
-/// The look of a direction in this colour: hollow squares and a dashed line for adduction/abduction, filled discs and a
+/// The look of a direction in this color: hollow squares and a dashed line for adduction/abduction, filled discs and a
 /// solid line otherwise.
-pub fn look_of(colour: &'static str, direction: Direction) -> Look {
+pub fn look_of(color: &'static str, direction: Direction) -> Look {
     let lateral = direction == Direction::ADDUCTION_ABDUCTION;
     let mark = if lateral { Mark::Square } else { Mark::Disc };
-    Look { colour, mark, hollow: lateral, dashed: lateral }
+    Look { color, mark, hollow: lateral, dashed: lateral }
 }
 
 /// A direction's name for people.
@@ -266,19 +266,19 @@ impl Look {
     /// Draws a value's mean as a point at `x`, with its interval as a bar, if it has one.
     pub fn point(&self, page: &mut Page, x: f64, scale: &Scale, value: &Interval) {
         if let Some((low, high)) = value.bounds {
-            let stroke = Stroke::new(self.colour, 0.8);
+            let stroke = Stroke::new(self.color, 0.8);
             page.line([x, scale.at(scale.clamp(low))], [x, scale.at(scale.clamp(high))], stroke);
             // An end beyond the axis has no cap.
             for end in [low, high].into_iter().filter(|end| scale.clamp(*end) == *end) {
                 page.line([x - 1.5, scale.at(end)], [x + 1.5, scale.at(end)], stroke);
             }
         }
-        page.mark(self.mark, [x, scale.at(scale.clamp(value.mean))], 2.0, self.colour, self.hollow);
+        page.mark(self.mark, [x, scale.at(scale.clamp(value.mean))], 2.0, self.color, self.hollow);
     }
 
     /// Draws the series' line through the points, if there are at least two.
     pub fn path(&self, page: &mut Page, points: &[Point]) {
-        let stroke = Stroke::new(self.colour, 0.9);
+        let stroke = Stroke::new(self.color, 0.9);
         if points.len() > 1 {
             page.path(points, if self.dashed { stroke.dashed() } else { stroke });
         }
@@ -295,25 +295,25 @@ pub fn legend(page: &mut Page, middle: f64, y: f64, entries: &[(Look, &str)]) {
     let mut x = middle - (widths.iter().sum::<f64>() + BETWEEN * (entries.len() as f64 - 1.0)) / 2.0;
     for ((look, words), width) in entries.iter().zip(widths) {
         look.path(page, &[[x, y - 2.2], [x + KEY, y - 2.2]]);
-        page.mark(look.mark, [x + KEY / 2.0, y - 2.2], 2.0, look.colour, look.hollow);
+        page.mark(look.mark, [x + KEY / 2.0, y - 2.2], 2.0, look.color, look.hollow);
         page.text(words, [x + KEY + GAP, y], how);
         x += width + BETWEEN;
     }
 }
 
-/// Draws a legend of colours in one row. Its middle is at `middle`, and its base line at `y`, in points.
-pub fn colour_legend(page: &mut Page, middle: f64, y: f64, entries: &[(&'static str, &str)]) {
+/// Draws a legend of colors in one row. Its middle is at `middle`, and its base line at `y`, in points.
+pub fn color_legend(page: &mut Page, middle: f64, y: f64, entries: &[(&'static str, &str)]) {
     let how = Type::SMALL.start();
     let widths: Vec<f64> = entries.iter().map(|(_, words)| 10.0 + how.width(words)).collect();
     let mut x = middle - (widths.iter().sum::<f64>() + 10.0 * (entries.len() as f64 - 1.0)) / 2.0;
-    for ((colour, words), width) in entries.iter().zip(widths) {
-        page.rectangle([x, y - 5.2], [6.0, 6.0], 1.0, colour, None);
+    for ((color, words), width) in entries.iter().zip(widths) {
+        page.rectangle([x, y - 5.2], [6.0, 6.0], 1.0, color, None);
         page.text(words, [x + 9.0, y], how);
         x += width + 10.0;
     }
 }
 
-/// Writes a remark in small grey letters, centred at the point.
+/// Writes a remark in small gray letters, centered at the point.
 pub fn remark(page: &mut Page, text: &str, at: Point) {
-    page.text(text, at, Type::SMALL.colour(GREY));
+    page.text(text, at, Type::SMALL.color(GRAY));
 }

@@ -1,8 +1,8 @@
 //! Panels that show an error over the latent size, by scenario and direction. Two figures consist of them.
 
 use super::FigureError;
-use super::axes::{Look, Panel, Scale, colour_of, legend, look_of, remark, words_of};
-use super::page::{BLACK, COLUMN, GREY, Page, Stroke, Type};
+use super::axes::{Look, Panel, Scale, color_of, legend, look_of, remark, words_of};
+use super::page::{BLACK, COLUMN, GRAY, Page, Stroke, Type};
 use super::source::{Runs, integers, replicated, texts};
 use harness_analysis::{Interval, LEVEL, NETWORK, intervals, mean_interval, replicates};
 use harness_metrics::{Direction, Metric};
@@ -148,7 +148,7 @@ impl Measured<'_> {
     /// panel to its left.
     fn draw(&self, page: &mut Page, panel: &Panel, scale: &Scale, label: Option<&str>) {
         panel.left_axis(page, scale, label);
-        let note = Type::SMALL.colour(GREY);
+        let note = Type::SMALL.color(GRAY);
         if scale.clamp(ZERO) == ZERO {
             let zero = scale.at(ZERO);
             page.line([panel.left, zero], [panel.right(), zero], Stroke::new(BLACK, 0.6).dashed());
@@ -157,7 +157,7 @@ impl Measured<'_> {
             let [x, y] = [panel.left + 3.0, panel.top + 9.0];
             page.text(&text, [x, y], note.start());
             let x = x + note.width(&text) + 5.0;
-            page.arrow(&[[x, y], [x, y - 8.0]], Stroke::new(GREY, 0.6));
+            page.arrow(&[[x, y], [x, y - 8.0]], Stroke::new(GRAY, 0.6));
         }
         let over = self.of.runs.replicates();
         let bars = over.map_or("one seed, no bars".to_owned(), |over| format!("bars: 95 % over {over}"));
@@ -170,13 +170,13 @@ impl Measured<'_> {
         let width = panel.width / names.len() as f64;
         if self.of.baseline.is_some() {
             let x = panel.right() - width;
-            page.line([x, panel.top], [x, panel.bottom()], Stroke::new(GREY, 0.5).dashed());
+            page.line([x, panel.top], [x, panel.bottom()], Stroke::new(GRAY, 0.5).dashed());
         }
         for curve in &self.curves {
             let second = [curve.scenario != Scenario::PAPER[0], curve.direction != Direction::FINGER[0]];
             let place = usize::from(second[0]) * 2 + usize::from(second[1]);
             let aside = (place as f64 - 1.5) * width * 0.17;
-            let look = look_of(colour_of(curve.scenario), curve.direction);
+            let look = look_of(color_of(curve.scenario), curve.direction);
             let at = |latent: &usize| slots[self.latents.binary_search(latent).unwrap_or_default()] + aside;
             let points: Vec<_> =
                 curve.network.iter().map(|(latent, value)| [at(latent), scale.at(value.mean)]).collect();
@@ -197,7 +197,7 @@ pub fn explain(page: &mut Page, middle: f64, y: f64) {
         let entries: Vec<(Look, String)> = Direction::FINGER
             .iter()
             .map(|&direction| {
-                (look_of(colour_of(scenario), direction), format!("{scenario}, {}", words_of(direction)))
+                (look_of(color_of(scenario), direction), format!("{scenario}, {}", words_of(direction)))
             })
             .collect();
         let entries: Vec<(Look, &str)> =

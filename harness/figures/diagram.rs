@@ -1,7 +1,7 @@
 //! Draws a network's layers from the shapes of its parameters. Two figures show such a diagram.
 
 use super::FigureError;
-use super::page::{BLACK, GREY, Page, Point, Stroke, Type, WHITE};
+use super::page::{BLACK, GRAY, Page, Point, Stroke, Type, WHITE};
 use super::source::{Source, Study};
 use super::text::Face;
 use candle_core::Device;
@@ -12,13 +12,13 @@ use harness_spec::{Definition, IMAGE_CHANNELS, Layout, Modality, RunSpec, Task};
 use polars::prelude::*;
 use std::sync::Arc;
 
-/// Fill colour of inputs and outputs.
+/// Fill color of inputs and outputs.
 pub const INPUT: &str = "#d8ebf7";
-/// Fill colour of the latent state.
+/// Fill color of the latent state.
 pub const LATENT: &str = "#fdebc8";
-/// Fill colour of the action.
+/// Fill color of the action.
 pub const ACTION: &str = "#d5efe4";
-/// Fill colour of layers that aren't trained.
+/// Fill color of layers that aren't trained.
 pub const FROZEN: &str = "#e2e2e2";
 /// Stroke of the arrows between blocks.
 pub const LINE: Stroke = Stroke::new(BLACK, 0.7);
@@ -128,15 +128,15 @@ fn shapes(
     Ok(parameters.iter().map(|(name, var)| (name.clone(), var.dims().to_vec())).collect())
 }
 
-/// Draws a box with centred lines of text. The first line is bold.
-pub fn block(page: &mut Page, centre: Point, size: [f64; 2], fill: &str, lines: &[String]) {
-    let corner = [centre[0] - size[0] / 2.0, centre[1] - size[1] / 2.0];
-    page.rectangle(corner, size, 2.0, fill, Some(Stroke::new(GREY, 0.6)));
+/// Draws a box with centered lines of text. The first line is bold.
+pub fn block(page: &mut Page, center: Point, size: [f64; 2], fill: &str, lines: &[String]) {
+    let corner = [center[0] - size[0] / 2.0, center[1] - size[1] / 2.0];
+    page.rectangle(corner, size, 2.0, fill, Some(Stroke::new(GRAY, 0.6)));
     let leading = 7.6;
     for (index, line) in lines.iter().enumerate() {
-        let y = centre[1] + 2.2 + leading * (index as f64 - (lines.len() as f64 - 1.0) / 2.0);
+        let y = center[1] + 2.2 + leading * (index as f64 - (lines.len() as f64 - 1.0) / 2.0);
         let face = if index == 0 { Face::Bold } else { Face::Regular };
-        page.text(line, [centre[0], y], Type { face, ..Type::SMALL });
+        page.text(line, [center[0], y], Type { face, ..Type::SMALL });
     }
 }
 
@@ -185,13 +185,13 @@ pub fn network(page: &mut Page, width: f64, top: f64, anatomy: &Anatomy) -> f64 
     row(4) + THREE / 2.0 - top
 }
 
-/// Horizontal centres of the column for frames, of the column for vectors, and of both together.
-fn centres(left: f64) -> [f64; 3] {
+/// Horizontal centers of the column for frames, of the column for vectors, and of both together.
+fn centers(left: f64) -> [f64; 3] {
     [left + WIDE / 2.0, left + WIDE + BETWEEN + NARROW / 2.0, left + COLUMN_WIDTH / 2.0]
 }
 
 fn encoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Anatomy, fill: &str) {
-    let [frames, vectors, both] = centres(left);
+    let [frames, vectors, both] = centers(left);
     let stride = stride(anatomy, "encoder.hidden_frame.weight", 1, "encoder.conv.weight", &anatomy.input);
     if let (Some(kernel), Some(stride)) = (anatomy.shape("encoder.conv.weight"), stride) {
         let [rows, columns] = image_size(&anatomy.input).map(|side| side / stride);
@@ -207,7 +207,7 @@ fn encoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Ana
         page.text(
             "ReLU",
             [frames + 3.0, row(1) + THREE / 2.0 + 7.5],
-            Type { size: 5.6, ..Type::SMALL.start().colour(GREY) },
+            Type { size: 5.6, ..Type::SMALL.start().color(GRAY) },
         );
     }
     if anatomy.shape("encoder.hidden_vector.weight").is_some() {
@@ -223,7 +223,7 @@ fn encoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Ana
 }
 
 fn decoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Anatomy) {
-    let [frames, vectors, both] = centres(left);
+    let [frames, vectors, both] = centers(left);
     let frame_outputs = || anatomy.output.iter().filter(|modality| modality.is_image());
     let stride = stride(anatomy, "decoder.frame.weight", 0, "decoder.conv.weight", &anatomy.output);
     if let (Some(kernel), Some(stride)) = (anatomy.shape("decoder.conv.weight"), stride) {
@@ -256,17 +256,17 @@ fn decoder(page: &mut Page, left: f64, row: impl Fn(usize) -> f64, anatomy: &Ana
 
 /// Draws the latent state between encoder and decoder, and for predictions the action beside it.
 fn latent(page: &mut Page, [left, right]: [f64; 2], y: f64, anatomy: &Anatomy) {
-    let (encoder, decoder) = (centres(left)[2], centres(right)[2]);
+    let (encoder, decoder) = (centers(left)[2], centers(right)[2]);
     let acting = anatomy.task == Task::Prediction;
     let how = if acting { "sampled: *μ* + *σε*" } else { "the mean *μ*" };
     let size = [62.0, THREE];
-    let centre = [if acting { encoder + 46.0 } else { (encoder + decoder) / 2.0 }, y];
+    let center = [if acting { encoder + 46.0 } else { (encoder + decoder) / 2.0 }, y];
     let lines = ["latent state *z*".to_owned(), anatomy.latent_words(1), how.to_owned()];
-    block(page, centre, size, LATENT, &lines);
+    block(page, center, size, LATENT, &lines);
     let above = y - STEP + TWO / 2.0;
-    page.arrow(&[[encoder, above], [encoder, y], [centre[0] - size[0] / 2.0, y]], LINE);
+    page.arrow(&[[encoder, above], [encoder, y], [center[0] - size[0] / 2.0, y]], LINE);
     let enter = if acting { decoder - 32.0 } else { decoder };
-    page.arrow(&[[centre[0] + size[0] / 2.0, y], [enter, y], [enter, above]], LINE);
+    page.arrow(&[[center[0] + size[0] / 2.0, y], [enter, y], [enter, above]], LINE);
     if acting {
         let width = anatomy.shape("decoder.hidden.weight").map_or(0, |shape| shape[1] - anatomy.latents[0]);
         let place = [decoder + 24.0, y];
@@ -318,7 +318,7 @@ fn stack<'a>(page: &mut Page, x: f64, y: f64, width: f64, modalities: impl Itera
         [width, height],
         2.0,
         INPUT,
-        Some(Stroke::new(GREY, 0.6)),
+        Some(Stroke::new(GRAY, 0.6)),
     );
     let lines: Vec<String> = modalities.iter().flat_map(|modality| modality_lines(modality)).collect();
     for (index, line) in lines.iter().enumerate() {

@@ -1,7 +1,7 @@
 //! Figure of contacts and contact forces: how often each link of the finger is touched, how hard, and the distribution
 //! of the force over all samples.
 
-use super::axes::{Panel, Scale, colour_legend, colour_of, remark};
+use super::axes::{Panel, Scale, color_legend, color_of, remark};
 use super::page::{COLUMN, Mark, Page, Point, Stroke, Type, WHITE};
 use super::source::{Source, Study, integers, reals, texts};
 use super::{Drawing, FigureError};
@@ -52,8 +52,8 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
 
     let mut page = Page::new(COLUMN, 378.0, "Contacts and contact forces by link of the finger");
     let entries: Vec<_> =
-        scenarios.iter().map(|(scenario, _)| (colour_of(*scenario), scenario.name())).collect();
-    colour_legend(&mut page, COLUMN / 2.0, 9.0, &entries);
+        scenarios.iter().map(|(scenario, _)| (color_of(*scenario), scenario.name())).collect();
+    color_legend(&mut page, COLUMN / 2.0, 9.0, &entries);
     let often = Panel { left: LEFT, top: 26.0, width: WIDTH, height: 58.0 };
     let hard = Panel { top: often.bottom() + 22.0, height: 92.0, ..often };
     how_often(&mut page, &often, &scenarios, count);
@@ -142,7 +142,7 @@ fn how_often(page: &mut Page, panel: &Panel, scenarios: &[(Scenario, Vec<Link>)]
         for link in links {
             let [x, bar] = place_of(panel, link, count, place, scenarios.len());
             let y = scale.at(share(link));
-            page.rectangle([x - bar / 2.0, y], [bar, panel.bottom() - y], 0.0, colour_of(*scenario), None);
+            page.rectangle([x - bar / 2.0, y], [bar, panel.bottom() - y], 0.0, color_of(*scenario), None);
         }
     }
     panel.bottom_names(page, &panel.slots(count), &vec![String::new(); count], "");
@@ -159,15 +159,15 @@ fn how_hard(
     let scale = Scale::logarithmic(forces[0], forces[1], panel.upwards());
     panel.left_axis(page, &scale, Some("force in contact (N)"));
     for (place, (scenario, links)) in scenarios.iter().enumerate() {
-        let colour = colour_of(*scenario);
+        let color = color_of(*scenario);
         for link in links.iter().filter(is_touched) {
             let [x, bar] = place_of(panel, link, count, place, scenarios.len());
             let (Some(quantiles), Some(max)) = (link.quantiles, link.max) else { continue };
             let [p05, p25, p50, p75, p95] = quantiles.map(|force| scale.at(force));
-            page.line([x, p05], [x, p95], Stroke::new(colour, 0.7));
-            page.rectangle([x - bar / 2.0, p75], [bar, (p25 - p75).max(0.5)], 0.0, colour, None);
+            page.line([x, p05], [x, p95], Stroke::new(color, 0.7));
+            page.rectangle([x - bar / 2.0, p75], [bar, (p25 - p75).max(0.5)], 0.0, color, None);
             page.line([x - bar / 2.0, p50], [x + bar / 2.0, p50], Stroke::new(WHITE, 0.8));
-            page.mark(Mark::Disc, [x, scale.at(max)], 0.9, colour, false);
+            page.mark(Mark::Disc, [x, scale.at(max)], 0.9, color, false);
         }
     }
     let name = |link: usize| if link.is_multiple_of(2) { link.to_string() } else { String::new() };
@@ -193,21 +193,21 @@ fn over_all_samples(
     let y = Scale::logarithmic(100.0 / samples, 100.0, panel.upwards());
     panel.left_axis(page, &y, first.then_some("samples with ≥ force (%)"));
     panel.bottom_axis(page, &x, Some("force (N)"));
-    let colour = colour_of(*scenario);
+    let color = color_of(*scenario);
     let is_shown = |link: &&Link| FROM_TIP.iter().any(|from_tip| link.index + from_tip + 1 == count);
     for link in links.iter().filter(is_touched).filter(is_shown) {
         let (Some(quantiles), Some(max)) = (link.quantiles, link.max) else { continue };
         let share = |part: f64| 100.0 * part * link.contacts / link.samples;
         let known = quantiles.into_iter().zip(MORE_THAN.map(share)).chain([(max, 100.0 / link.samples)]);
         let points: Vec<Point> = known.map(|(force, share)| [x.at(force), y.at(share)]).collect();
-        page.path(&points, Stroke::new(colour, 0.9));
+        page.path(&points, Stroke::new(color, 0.9));
         for point in &points {
-            page.mark(Mark::Disc, *point, 1.1, colour, false);
+            page.mark(Mark::Disc, *point, 1.1, color, false);
         }
         page.text(
             &link.index.to_string(),
             [points[0][0] - 3.0, points[0][1] + 2.1],
-            Type::SMALL.end().colour(colour),
+            Type::SMALL.end().color(color),
         );
     }
     let forces: f64 = links.iter().map(|link| link.mean * link.samples).sum();
@@ -220,7 +220,7 @@ fn over_all_samples(
         page.text(
             text,
             [panel.left + 3.0, panel.bottom() - 10.5 + 7.5 * row as f64],
-            Type::SMALL.start().colour(colour),
+            Type::SMALL.start().color(color),
         );
     }
 }

@@ -19,15 +19,15 @@ pub const COLUMN: f64 = 241.0;
 /// Pixels per point in the PNG, which has 600 pixels per inch.
 const PNG_SCALE: f32 = 600.0 / 72.0;
 
-/// Colour of text, axes and outlines.
+/// Color of text, axes and outlines.
 pub const BLACK: &str = "#1a1a1a";
-/// Colour of remarks and thin outlines.
-pub const GREY: &str = "#767676";
-/// Colour of grid lines and shaded rows.
+/// Color of remarks and thin outlines.
+pub const GRAY: &str = "#767676";
+/// Color of grid lines and shaded rows.
 pub const PALE: &str = "#e4e4e4";
-/// Colour of the page.
+/// Color of the page.
 pub const WHITE: &str = "#ffffff";
-/// Blue of Okabe and Ito's palette, whose colours colour-blind people can tell apart.
+/// Blue of Okabe and Ito's palette, whose colors color-blind people can tell apart.
 pub const BLUE: &str = "#0072b2";
 /// Vermilion of Okabe and Ito's palette.
 pub const VERMILION: &str = "#d55e00";
@@ -42,8 +42,8 @@ pub type Point = [f64; 2];
 /// How a line is drawn.
 #[derive(Debug, Clone, Copy)]
 pub struct Stroke {
-    /// The colour as SVG writes it, `#rrggbb`.
-    pub colour: &'static str,
+    /// The color as SVG writes it, `#rrggbb`.
+    pub color: &'static str,
     /// The line's width, points.
     pub width: f64,
     /// Whether the line is dashed. Dashes scale with the width.
@@ -51,9 +51,9 @@ pub struct Stroke {
 }
 
 impl Stroke {
-    /// A solid line of this colour and width in points.
-    pub const fn new(colour: &'static str, width: f64) -> Self {
-        Self { colour, width, dashed: false }
+    /// A solid line of this color and width in points.
+    pub const fn new(color: &'static str, width: f64) -> Self {
+        Self { color, width, dashed: false }
     }
 
     /// The same line, dashed.
@@ -67,7 +67,7 @@ impl Stroke {
         } else {
             String::new()
         };
-        format!("fill=\"none\" stroke=\"{}\" stroke-width=\"{}\"{dash}", self.colour, number(self.width))
+        format!("fill=\"none\" stroke=\"{}\" stroke-width=\"{}\"{dash}", self.color, number(self.width))
     }
 }
 
@@ -89,8 +89,8 @@ pub struct Type {
     pub size: f64,
     /// The font's style. Markup in the text can change it.
     pub face: Face,
-    /// The colour as SVG writes it, `#rrggbb`.
-    pub colour: &'static str,
+    /// The color as SVG writes it, `#rrggbb`.
+    pub color: &'static str,
     /// Which part of the text lies at its point.
     pub anchor: Anchor,
     /// Whether the text is turned by 90 degrees and reads upwards.
@@ -100,7 +100,7 @@ pub struct Type {
 impl Type {
     /// Labels of axes.
     pub const LABEL: Type =
-        Type { size: 7.0, face: Face::Regular, colour: BLACK, anchor: Anchor::Middle, upright: false };
+        Type { size: 7.0, face: Face::Regular, color: BLACK, anchor: Anchor::Middle, upright: false };
     /// Numbers at ticks, and notes.
     pub const SMALL: Type = Type { size: 6.2, ..Self::LABEL };
     /// Headings.
@@ -121,9 +121,9 @@ impl Type {
         Self { anchor: Anchor::Middle, ..self }
     }
 
-    /// The same type in this colour.
-    pub const fn colour(self, colour: &'static str) -> Self {
-        Self { colour, ..self }
+    /// The same type in this color.
+    pub const fn color(self, color: &'static str) -> Self {
+        Self { color, ..self }
     }
 
     /// The same type, reading upwards.
@@ -191,15 +191,15 @@ impl Page {
         self.path(&shaft, stroke);
         let head =
             [*tip, [neck[0] - dy * wide, neck[1] + dx * wide], [neck[0] + dy * wide, neck[1] - dx * wide]];
-        self.area(&head, stroke.colour, 1.0);
+        self.area(&head, stroke.color, 1.0);
     }
 
     /// Draws a filled polygon. The opacity is 0 to 1.
-    pub fn area(&mut self, points: &[Point], colour: &str, opacity: f64) {
+    pub fn area(&mut self, points: &[Point], color: &str, opacity: f64) {
         let path = path_data(points);
         let opacity =
             if opacity < 1.0 { format!(" fill-opacity=\"{}\"", number(opacity)) } else { String::new() };
-        self.put(format_args!("<path d=\"{path}Z\" fill=\"{colour}\"{opacity}/>"));
+        self.put(format_args!("<path d=\"{path}Z\" fill=\"{color}\"{opacity}/>"));
     }
 
     /// Draws a rectangle. `corner` is its upper left corner, and `radius` rounds its corners. Lengths are in points.
@@ -215,23 +215,23 @@ impl Page {
         let [width, height] = size.map(number);
         let radius = if radius > 0.0 { format!(" rx=\"{}\"", number(radius)) } else { String::new() };
         let stroke = border.map_or(String::new(), |stroke| {
-            format!(" stroke=\"{}\" stroke-width=\"{}\"", stroke.colour, number(stroke.width))
+            format!(" stroke=\"{}\" stroke-width=\"{}\"", stroke.color, number(stroke.width))
         });
         self.put(format_args!(
             "<rect x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\"{radius} fill=\"{fill}\"{stroke}/>"
         ));
     }
 
-    /// Draws a data point of this radius in points. A hollow point is white with a rim of the colour.
-    pub fn mark(&mut self, mark: Mark, centre: Point, radius: f64, colour: &'static str, hollow: bool) {
+    /// Draws a data point of this radius in points. A hollow point is white with a rim of the color.
+    pub fn mark(&mut self, mark: Mark, center: Point, radius: f64, color: &'static str, hollow: bool) {
         let rim = 0.9;
-        let (fill, radius) = if hollow { (WHITE, radius - rim / 2.0) } else { (colour, radius) };
-        let stroke = hollow.then_some(Stroke::new(colour, rim));
+        let (fill, radius) = if hollow { (WHITE, radius - rim / 2.0) } else { (color, radius) };
+        let stroke = hollow.then_some(Stroke::new(color, rim));
         match mark {
             Mark::Square => {
                 let side = radius * 1.8;
                 self.rectangle(
-                    [centre[0] - side / 2.0, centre[1] - side / 2.0],
+                    [center[0] - side / 2.0, center[1] - side / 2.0],
                     [side; 2],
                     0.0,
                     fill,
@@ -239,9 +239,9 @@ impl Page {
                 );
             }
             Mark::Disc => {
-                let [x, y] = centre.map(number);
+                let [x, y] = center.map(number);
                 let stroke = stroke.map_or(String::new(), |stroke| {
-                    format!(" stroke=\"{}\" stroke-width=\"{}\"", stroke.colour, number(stroke.width))
+                    format!(" stroke=\"{}\" stroke-width=\"{}\"", stroke.color, number(stroke.width))
                 });
                 self.put(format_args!(
                     "<circle cx=\"{x}\" cy=\"{y}\" r=\"{}\" fill=\"{fill}\"{stroke}/>",
@@ -252,8 +252,8 @@ impl Page {
     }
 
     /// Draws many small data points, `size` points wide. They are spread over a few SVG elements, which keeps the file
-    /// small. The colour is denser where points of several elements overlap.
-    pub fn cloud(&mut self, mark: Mark, points: &[Point], size: f64, colour: &str, opacity: f64) {
+    /// small. The color is denser where points of several elements overlap.
+    pub fn cloud(&mut self, mark: Mark, points: &[Point], size: f64, color: &str, opacity: f64) {
         const LAYERS: usize = 8;
         let cap = if mark == Mark::Disc { "round" } else { "square" };
         for layer in 0..LAYERS.min(points.len()) {
@@ -263,7 +263,7 @@ impl Page {
                 let _ = write!(path, "M{} {}h.01", number(*x), number(*y));
             }
             self.put(format_args!(
-                "<path d=\"{path}\" fill=\"none\" stroke=\"{colour}\" stroke-opacity=\"{}\" stroke-width=\"{}\" \
+                "<path d=\"{path}\" fill=\"none\" stroke=\"{color}\" stroke-opacity=\"{}\" stroke-width=\"{}\" \
                  stroke-linecap=\"{cap}\"/>",
                 number(opacity),
                 number(size),
@@ -285,7 +285,7 @@ impl Page {
         self.put(format_args!(
             "<g role=\"img\" aria-label=\"{}\" fill=\"{}\" transform=\"translate({x} {y}){turn}\">",
             escaped(&line.plain),
-            how.colour
+            how.color
         ));
         for glyph in &line.glyphs {
             if text::outline(glyph.face, glyph.id).is_empty() {
@@ -379,22 +379,22 @@ impl Page {
     }
 }
 
-/// Largest number of colours in a PNG's palette.
+/// Largest number of colors in a PNG's palette.
 const PALETTE: usize = 256;
-/// Largest allowed distance of a colour from the nearest colour of the palette, with intensities from 0 to 255. Only
+/// Largest allowed distance of a color from the nearest color of the palette, with intensities from 0 to 255. Only
 /// the few pixels of rare shades at edges change, so the difference isn't visible.
 const FARTHEST: u32 = 48;
 
-/// Encodes pixels as a PNG. If the most frequent colours are close enough to all others, the PNG has a palette of
+/// Encodes pixels as a PNG. If the most frequent colors are close enough to all others, the PNG has a palette of
 /// them, which halves the file of a drawing.
 fn encoded([width, height]: [u32; 2], pixels: &[[u8; 3]]) -> Result<Vec<u8>, png::EncodingError> {
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, width, height);
     encoder.set_compression(png::Compression::High);
     let data = match palette(pixels) {
-        Some((colours, places)) => {
+        Some((colors, places)) => {
             encoder.set_color(png::ColorType::Indexed);
-            encoder.set_palette(colours.as_flattened().to_vec());
+            encoder.set_palette(colors.as_flattened().to_vec());
             encoder.set_filter(png::Filter::NoFilter);
             pixels.iter().map(|pixel| places[pixel]).collect()
         }
@@ -413,25 +413,25 @@ fn encoded([width, height]: [u32; 2], pixels: &[[u8; 3]]) -> Result<Vec<u8>, png
 /// The intensities of red, green and blue.
 type Rgb = [u8; 3];
 
-/// Returns the most frequent colours, and the index of the nearest of them for each colour. Returns `None` if a colour
+/// Returns the most frequent colors, and the index of the nearest of them for each color. Returns `None` if a color
 /// is farther than [`FARTHEST`] from its nearest one.
 fn palette(pixels: &[Rgb]) -> Option<(Vec<Rgb>, BTreeMap<Rgb, u8>)> {
     let mut counts: BTreeMap<Rgb, usize> = BTreeMap::new();
     for run in pixels.chunk_by(|a, b| a == b) {
         *counts.entry(run[0]).or_default() += run.len();
     }
-    let mut colours: Vec<Rgb> = counts.keys().copied().collect();
-    colours.sort_by_key(|colour| Reverse(counts[colour]));
-    colours.truncate(PALETTE);
-    let nearest = |colour: &Rgb| {
+    let mut colors: Vec<Rgb> = counts.keys().copied().collect();
+    colors.sort_by_key(|color| Reverse(counts[color]));
+    colors.truncate(PALETTE);
+    let nearest = |color: &Rgb| {
         let distance = |other: &Rgb| -> u32 {
-            colour.iter().zip(other).map(|(a, b)| u32::from(a.abs_diff(*b)).pow(2)).sum()
+            color.iter().zip(other).map(|(a, b)| u32::from(a.abs_diff(*b)).pow(2)).sum()
         };
-        let distances = (0..=u8::MAX).zip(&colours).map(|(place, other)| (distance(other), place));
+        let distances = (0..=u8::MAX).zip(&colors).map(|(place, other)| (distance(other), place));
         distances.min().filter(|(distance, _)| *distance <= FARTHEST.pow(2)).map(|(_, place)| place)
     };
-    let places = counts.keys().map(|colour| Some((*colour, nearest(colour)?))).collect::<Option<_>>()?;
-    Some((colours, places))
+    let places = counts.keys().map(|color| Some((*color, nearest(color)?))).collect::<Option<_>>()?;
+    Some((colors, places))
 }
 
 fn path_data(points: &[Point]) -> String {

@@ -1,7 +1,7 @@
 //! Figure of the predicted change of the camera's picture beside the reference, in each scenario.
 
 use super::axes::remark;
-use super::page::{COLUMN, GREY, Page, Stroke, Type};
+use super::page::{COLUMN, GRAY, Page, Stroke, Type};
 use super::source::{Runs, Source, Study, integers, reals, replicated};
 use super::{Drawing, FigureError};
 use harness_analysis::{Interval, intervals};
@@ -17,12 +17,12 @@ const TOP: f64 = 14.0;
 /// Number of trials shown per scenario: the ones with the most motion among those in the runs' tables.
 const TRIALS: usize = 3;
 
-/// The change that has the strongest colours. It is smaller than 1, so that faint predictions are visible beside the
+/// The change that has the strongest colors. It is smaller than 1, so that faint predictions are visible beside the
 /// reference.
 const RANGE: f32 = 0.3;
 
-/// Colours of changes from -1 to 1 times [`RANGE`]: ColorBrewer's RdBu, which colour-blind people can read.
-const COLOURS: [[f64; 3]; 7] = [
+/// Colors of changes from -1 to 1 times [`RANGE`]: ColorBrewer's RdBu, which color-blind people can read.
+const COLORS: [[f64; 3]; 7] = [
     [33.0, 102.0, 172.0],
     [103.0, 169.0, 207.0],
     [209.0, 229.0, 240.0],
@@ -40,7 +40,7 @@ struct Trial {
     motion: f64,
     /// The camera's picture at the sample before, RGB. Only runs that reconstruct vision have it.
     camera: Option<Vec<u8>>,
-    /// The change of each pixel, row by row: the mean over the three colours, in [-1, 1].
+    /// The change of each pixel, row by row: the mean over the three colors, in [-1, 1].
     reference: Vec<f32>,
     /// The predicted changes in the same form, by latent size.
     predicted: BTreeMap<i64, Vec<f32>>,
@@ -68,7 +68,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
         block.draw(&mut page, top, side)?;
         top += block.height(side);
     }
-    colour_bar(&mut page, top + 5.0)?;
+    color_bar(&mut page, top + 5.0)?;
     let lines = [
         "error: squared, of all test samples, relative to predicting no change",
         "motion: mean absolute change of the image, of white minus black;",
@@ -117,14 +117,14 @@ impl Block {
                 let [rows, columns] = self.size.map(|side| side as u32);
                 pictures.push(RgbImage::from_raw(columns, rows, bytes.clone()));
             }
-            pictures.push(Some(coloured(&trial.reference, self.size)));
+            pictures.push(Some(colored(&trial.reference, self.size)));
             let predicted = latents.iter().map(|latent| trial.predicted.get(latent));
-            pictures.extend(predicted.map(|change| change.map(|change| coloured(change, self.size))));
+            pictures.extend(predicted.map(|change| change.map(|change| colored(change, self.size))));
             for (row, picture) in pictures.iter().enumerate() {
                 // If a network has no prediction of this trial, its place stays empty.
                 let Some(picture) = picture else { continue };
                 page.picture(picture, corner(row, column), [side; 2], true)?;
-                page.rectangle(corner(row, column), [side; 2], 0.0, "none", Some(Stroke::new(GREY, 0.4)));
+                page.rectangle(corner(row, column), [side; 2], 0.0, "none", Some(Stroke::new(GRAY, 0.4)));
             }
         }
         let mut names: Vec<[String; 2]> = Vec::new();
@@ -222,7 +222,7 @@ fn trials(runs: &Runs, scenario: &str, size: [usize; 2]) -> Result<Vec<Trial>, F
     Ok(trials)
 }
 
-/// Decodes a stored frame difference and returns the mean over the three colours for each pixel. The meaning of the
+/// Decodes a stored frame difference and returns the mean over the three colors for each pixel. The meaning of the
 /// table's column documents the encoding.
 fn change(bytes: Option<&[u8]>, [rows, columns]: [usize; 2]) -> Result<Vec<f32>, FigureError> {
     let bytes = bytes.filter(|bytes| bytes.len() == rows * columns * IMAGE_CHANNELS);
@@ -246,27 +246,27 @@ fn errors(runs: &Runs, scenario: &str) -> Result<BTreeMap<i64, Interval>, Figure
     ))
 }
 
-fn colour(change: f32) -> Rgb<u8> {
-    let place = f64::from((change.clamp(-1.0, 1.0) + 1.0) / 2.0) * (COLOURS.len() - 1) as f64;
-    let below = (place.floor() as usize).min(COLOURS.len() - 2);
+fn color(change: f32) -> Rgb<u8> {
+    let place = f64::from((change.clamp(-1.0, 1.0) + 1.0) / 2.0) * (COLORS.len() - 1) as f64;
+    let below = (place.floor() as usize).min(COLORS.len() - 2);
     let part = place - below as f64;
     Rgb(std::array::from_fn(|channel| {
-        (COLOURS[below][channel] * (1.0 - part) + COLOURS[below + 1][channel] * part).round() as u8
+        (COLORS[below][channel] * (1.0 - part) + COLORS[below + 1][channel] * part).round() as u8
     }))
 }
 
 /// A picture of the changes, given row by row, of `rows` by `columns` pixels.
-fn coloured(change: &[f32], [rows, columns]: [usize; 2]) -> RgbImage {
+fn colored(change: &[f32], [rows, columns]: [usize; 2]) -> RgbImage {
     RgbImage::from_fn(columns as u32, rows as u32, |x, y| {
-        colour(change[y as usize * columns + x as usize] / RANGE)
+        color(change[y as usize * columns + x as usize] / RANGE)
     })
 }
 
-fn colour_bar(page: &mut Page, top: f64) -> Result<(), FigureError> {
+fn color_bar(page: &mut Page, top: f64) -> Result<(), FigureError> {
     let (width, height, left) = (110.0, 6.0, LEFT + (COLUMN - LEFT - 110.0) / 2.0);
-    let bar = RgbImage::from_fn(111, 1, |x, _| colour(x as f32 / 55.0 - 1.0));
+    let bar = RgbImage::from_fn(111, 1, |x, _| color(x as f32 / 55.0 - 1.0));
     page.picture(&bar, [left, top], [width, height], false)?;
-    page.rectangle([left, top], [width, height], 0.0, "none", Some(Stroke::new(GREY, 0.4)));
+    page.rectangle([left, top], [width, height], 0.0, "none", Some(Stroke::new(GRAY, 0.4)));
     for (place, text) in [(0.0, format!("≤ \u{2212}{RANGE}")), (0.5, "0".into()), (1.0, format!("≥ {RANGE}"))]
     {
         page.text(&text, [left + place * width, top + height + 7.0], Type::SMALL);

@@ -1,7 +1,7 @@
 //! Figure of the gain by vision under each reading of the paper: a specification curve.
 
-use super::axes::{Look, Panel, Scale, colour_of, remark};
-use super::page::{BLACK, COLUMN, GREY, Mark, PALE, Page, Stroke, Type};
+use super::axes::{Look, Panel, Scale, color_of, remark};
+use super::page::{BLACK, COLUMN, GRAY, Mark, PALE, Page, Stroke, Type};
 use super::source::{Source, Study, integers, reals, texts};
 use super::{Drawing, FigureError};
 use harness_analysis::{Interval, LEVEL, mean_interval, replicates};
@@ -59,7 +59,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
             for (gain, x) in own.iter().zip(&slots) {
                 let decided = gain.value.bounds.is_some_and(|(low, high)| low > 0.0 || high < 0.0);
                 let look =
-                    Look { colour: colour_of(scenario), mark: Mark::Disc, hollow: !decided, dashed: false };
+                    Look { color: color_of(scenario), mark: Mark::Disc, hollow: !decided, dashed: false };
                 look.point(&mut page, *x, &scale, &gain.value);
             }
             choices(&mut page, &panel, &readings, &own, &slots, column == 0);
@@ -100,8 +100,8 @@ fn choices(page: &mut Page, panel: &Panel, readings: &[String], gains: &[&Gain],
         }
         for (gain, x) in gains.iter().zip(slots) {
             let is_own = gain.reading == *reading;
-            let (radius, colour) = if is_own { (2.0, BLACK) } else { (0.7, GREY) };
-            page.mark(Mark::Disc, [*x, y], radius, colour, false);
+            let (radius, color) = if is_own { (2.0, BLACK) } else { (0.7, GRAY) };
+            page.mark(Mark::Disc, [*x, y], radius, color, false);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Figure of predictions over references at the fingertip, in the cluttered scenario.
 
 use super::axes::{Look, Panel, Scale, legend, remark, words_of};
-use super::page::{COLUMN, GREEN, GREY, Mark, Page, Stroke, Type, WINE};
+use super::page::{COLUMN, GREEN, GRAY, Mark, Page, Stroke, Type, WINE};
 use super::source::{Runs, Source, Study, integers, reals, replicated};
 use super::{Drawing, FigureError};
 use harness_analysis::{Interval, intervals};
@@ -27,9 +27,9 @@ const SIDE: f64 = (COLUMN - LEFT - 4.0 - 2.0 * GAP) / 3.0;
 fn look(direction: Direction) -> Look {
     match direction {
         Direction::FLEXION_EXTENSION => {
-            Look { colour: GREEN, mark: Mark::Disc, hollow: false, dashed: false }
+            Look { color: GREEN, mark: Mark::Disc, hollow: false, dashed: false }
         }
-        _ => Look { colour: WINE, mark: Mark::Square, hollow: false, dashed: false },
+        _ => Look { color: WINE, mark: Mark::Square, hollow: false, dashed: false },
     }
 }
 
@@ -70,7 +70,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let lines = [
         format!("R²: of all test samples{spread}"),
         format!("dots: at most {POINTS} test samples of one network, evenly chosen; denser:"),
-        "several on one spot; grey line: perfect prediction; axes: linear".to_owned(),
+        "several on one spot; gray line: perfect prediction; axes: linear".to_owned(),
         format!("around 0, logarithmic beyond about {LINEAR_RAD} rad and {LINEAR_N} N"),
     ];
     for (row, line) in lines.iter().enumerate() {
@@ -139,15 +139,15 @@ impl Predictions {
     fn draw(&self, page: &mut Page, panel: &Panel, latent: usize, [x, y]: [&Scale; 2]) {
         let ([left, right], [bottom, top]) = (x.range(), y.range());
         let perfect = [left.max(bottom), right.min(top)].map(|value| [x.at(value), y.at(value)]);
-        page.line(perfect[0], perfect[1], Stroke::new(GREY, 0.6));
+        page.line(perfect[0], perfect[1], Stroke::new(GRAY, 0.6));
         for (line, direction) in Direction::FINGER.into_iter().enumerate() {
             let look = look(direction);
             let Some(points) = self.points.get(&(latent, direction)) else { continue };
             let places: Vec<_> = points.iter().map(|[r, p]| [x.at(*r), y.at(*p)]).collect();
-            page.cloud(look.mark, &places, 1.2, look.colour, 0.4);
+            page.cloud(look.mark, &places, 1.2, look.color, 0.4);
             if let Some(r2) = self.r2.get(&(latent, direction)) {
                 let at = [panel.left + 3.0, panel.top - 3.0 - LINE * (1 - line) as f64];
-                page.text(&r2_words(r2), at, Type::SMALL.start().colour(look.colour));
+                page.text(&r2_words(r2), at, Type::SMALL.start().color(look.color));
             }
         }
         let size = format!("*z* = {latent}");

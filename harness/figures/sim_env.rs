@@ -50,7 +50,7 @@ impl<'s> SceneView<'s> {
         Ok(Self { renderer, corner, size })
     }
 
-    /// The position on the page of a place in the world, which is given in metres.
+    /// The position on the page of a place in the world, which is given in meters.
     fn at(&self, place: [f64; 3]) -> Point {
         let [x, y] = self.renderer.project(place);
         [self.corner[0] + x * self.size[0], self.corner[1] + y * self.size[1]]
@@ -62,8 +62,8 @@ impl<'s> SceneView<'s> {
 }
 
 /// Draws an arrow with heads at both ends.
-fn double_arrow(page: &mut Page, points: &[Point], colour: &'static str) {
-    let stroke = Stroke::new(colour, 1.0);
+fn double_arrow(page: &mut Page, points: &[Point], color: &'static str) {
+    let stroke = Stroke::new(color, 1.0);
     let middle = points.len() / 2;
     page.arrow(&points[middle - 1..], stroke);
     let back: Vec<Point> = points[..=middle].iter().rev().copied().collect();
@@ -83,7 +83,7 @@ fn arm(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError>
         .collect();
     double_arrow(page, &arc, BLUE);
     let end = arc[arc.len() - 1];
-    page.text("*q*_{1} rotation", [end[0] + 4.0, end[1] + 6.0], name.start().colour(BLUE));
+    page.text("*q*_{1} rotation", [end[0] + 4.0, end[1] + 6.0], name.start().color(BLUE));
 
     // An arrow beside the upper part of the shaft.
     let beside = |height: f64| {
@@ -93,7 +93,7 @@ fn arm(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError>
     let (low, high) = (carriage[2] + 0.25, carriage[2] + 0.75);
     let middle = beside((low + high) / 2.0);
     double_arrow(page, &[beside(low), middle, beside(high)], GREEN);
-    page.text("*q*_{2} lift", [middle[0] + 4.0, middle[1] + 2.5], name.start().colour(GREEN));
+    page.text("*q*_{2} lift", [middle[0] + 4.0, middle[1] + 2.5], name.start().color(GREEN));
 
     // An arrow above the beam.
     let along = |part: f64| {
@@ -105,7 +105,7 @@ fn arm(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError>
     };
     double_arrow(page, &[along(0.3), along(0.65), along(1.0)], WINE);
     let [x, y] = along(0.75);
-    page.text("*q*_{3} extension", [x - 3.0, y - 4.0], name.end().colour(WINE));
+    page.text("*q*_{3} extension", [x - 3.0, y - 4.0], name.end().color(WINE));
 
     label(page, view.geom("finger_link_12")?, [-24.0, 6.0], "finger");
     page.text("a", [3.0, 9.0], Type::BOLD);
@@ -135,10 +135,10 @@ fn finger(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureErr
     };
     let middle = [COLUMN - NARROW + 30.0, 38.0];
     let ways = [(along, BLUE, "flexion/extension"), ([-along[1], along[0]], WINE, "adduction/abduction")];
-    for (row, (direction, colour, words)) in ways.into_iter().enumerate() {
+    for (row, (direction, color, words)) in ways.into_iter().enumerate() {
         let [x, y] = towards(direction);
-        double_arrow(page, &[[middle[0] - x, middle[1] - y], middle, [middle[0] + x, middle[1] + y]], colour);
-        page.text(words, [COLUMN - 3.0, HEIGHT - 12.0 + 8.5 * row as f64], small.end().colour(colour));
+        double_arrow(page, &[[middle[0] - x, middle[1] - y], middle, [middle[0] + x, middle[1] + y]], color);
+        page.text(words, [COLUMN - 3.0, HEIGHT - 12.0 + 8.5 * row as f64], small.end().color(color));
     }
     page.text("b", [COLUMN - NARROW + 3.0, 9.0], Type::BOLD);
     Ok(())

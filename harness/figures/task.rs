@@ -43,7 +43,7 @@ pub fn label(page: &mut Page, at: Point, aside: [f64; 2], text: &str) {
     page.text(text, [end[0], end[1] + 2.5], how);
 }
 
-/// The figure's CSV rows: the drawn state as MuJoCo's generalised positions.
+/// The figure's CSV rows: the drawn state as MuJoCo's generalized positions.
 ///
 /// # Errors
 /// When Polars can't build the table.

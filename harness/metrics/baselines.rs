@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use std::borrow::Cow;
 
 /// Largest number of rows and columns that [`downsample_frame`] returns.
-pub const GREY_SIDE: usize = 16;
+pub const GRAY_SIDE: usize = 16;
 
 /// Number of rows that ridge regression converts to f64 at a time. That many frames take 25 MB.
 const CHUNK_ROWS: usize = 256;
@@ -201,18 +201,18 @@ pub fn downsample_frame(frame: &[f32], size: [usize; 2]) -> Result<Vec<f32>, Met
     if frame.len() != width {
         return Err(MetricsError::Shape { what: "the camera frame", values: frame.len(), width });
     }
-    let [grey_rows, grey_columns] = size.map(|side| side.min(GREY_SIDE));
-    let mut grey = vec![(0.0, 0); grey_rows * grey_columns];
+    let [gray_rows, gray_columns] = size.map(|side| side.min(GRAY_SIDE));
+    let mut gray = vec![(0.0, 0); gray_rows * gray_columns];
     for channel in frame.chunks_exact(rows * columns) {
         for (pixel, value) in channel.iter().enumerate() {
             let (row, column) = (pixel / columns, pixel % columns);
             let (sum, count) =
-                &mut grey[row * grey_rows / rows * grey_columns + column * grey_columns / columns];
+                &mut gray[row * gray_rows / rows * gray_columns + column * gray_columns / columns];
             *sum += value;
             *count += 1;
         }
     }
-    Ok(grey.into_iter().map(|(sum, count)| sum / count as f32).collect())
+    Ok(gray.into_iter().map(|(sum, count)| sum / count as f32).collect())
 }
 
 /// Returns `[samples, inputs]` in f64, with a column of ones before the first column.

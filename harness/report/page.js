@@ -326,7 +326,7 @@ const spaced = (name) => name.replaceAll("_", " ");
 const modalityWords = (name) => MODALITIES[name] ?? spaced(name);
 const withUnit = (words, unit) => (unit === "1" ? words : `${words} (${unit})`);
 const overWords = (over) => (over === "one seed" ? over : `mean over ${over} [95 % interval]`);
-const colourOf = (study) => (study === "single_to_multi" ? "first" : "second");
+const colorOf = (study) => (study === "single_to_multi" ? "first" : "second");
 
 // --- By joint and link ---
 
@@ -336,10 +336,10 @@ const BOTH = "both";
 function lookOf(row, direction) {
   const lateral = direction === "aa";
   const looks = {
-    network: [row.input, colourOf(row.study)],
+    network: [row.input, colorOf(row.study)],
     // Persistence needs no input of the networks, so it is the same for both studies.
     persistence: ["persistence", "baseline"],
-    ridge: [`ridge regression ${row.input}`, colourOf(row.study) === "first" ? "third" : "fourth"],
+    ridge: [`ridge regression ${row.input}`, colorOf(row.study) === "first" ? "third" : "fourth"],
   };
   const [words, look] = looks[row.model];
   return {

@@ -3,7 +3,7 @@
 use super::verdicts::class_of;
 use super::{Absent, Part, ReportError, part, sentence};
 use harness_analysis::{Analysis, Setting};
-use harness_claims::{self as claims, Claim, Judgement, MatrixRow, Verdict};
+use harness_claims::{self as claims, Claim, Judgment, MatrixRow, Verdict};
 use harness_figures::Figure;
 use harness_figures::source::{Experiments, Source};
 use harness_registry::Registry;
@@ -107,20 +107,20 @@ impl Choice {
 impl Row {
     fn new(row: &MatrixRow, readings: &[&str]) -> Self {
         let changes: Vec<usize> = row.changes().map(|(place, _)| place).collect();
-        let cell = |(place, judgement): (usize, &Judgement)| Cell {
-            class: if judgement.verdict() == Verdict::NoData {
+        let cell = |(place, judgment): (usize, &Judgment)| Cell {
+            class: if judgment.verdict() == Verdict::NoData {
                 "missing"
             } else {
-                class_of(judgement.verdict())
+                class_of(judgment.verdict())
             },
-            verdict: judgement.verdict().to_string(),
-            value: judgement.interval().map_or_else(|| "no value".into(), |interval| interval.to_string()),
+            verdict: judgment.verdict().to_string(),
+            value: judgment.interval().map_or_else(|| "no value".into(), |interval| interval.to_string()),
             changed: changes.contains(&place),
         };
         Self {
             id: row.claim.id().to_owned(),
             scenario: row.scenario.map_or("both", Scenario::name),
-            cells: row.judgements.iter().enumerate().map(cell).collect(),
+            cells: row.judgments.iter().enumerate().map(cell).collect(),
             changes: changes
                 .iter()
                 .map(|&place| Change { place, name: readings[place].replace('_', " ") })

@@ -1,7 +1,7 @@
 //! Judges the claims and puts the verdicts into words.
 
 use harness_analysis::{Analysis, Mixed};
-use harness_claims::{Claim, ClaimsError, Condition, Judgement, Verdict, corrected, judge};
+use harness_claims::{Claim, ClaimsError, Condition, Judgment, Verdict, corrected, judge};
 use harness_shared::numbers::rounded;
 use harness_spec::Scenario;
 use serde::Serialize;
@@ -22,7 +22,7 @@ pub struct Verdicts {
     pub mixed: BTreeSet<String>,
 }
 
-/// The number of judgements with each outcome.
+/// The number of judgments with each outcome.
 #[derive(Default, Serialize)]
 struct Counts {
     holds: usize,
@@ -31,7 +31,7 @@ struct Counts {
     untestable: usize,
 }
 
-/// A claim and its judgements in words. There is one judgement per scenario, or one over both scenarios.
+/// A claim and its judgments in words. There is one judgment per scenario, or one over both scenarios.
 #[derive(Serialize)]
 struct Judged {
     id: String,
@@ -41,7 +41,7 @@ struct Judged {
     condition: String,
     sql: String,
     requires: Option<Required>,
-    judgements: Vec<Words>,
+    judgments: Vec<Words>,
 }
 
 /// The requirement of a claim. If it isn't met, the claim isn't testable.
@@ -52,7 +52,7 @@ struct Required {
     sql: String,
 }
 
-/// A judgement in words.
+/// A judgment in words.
 #[derive(Serialize)]
 struct Words {
     scenario: &'static str,
@@ -61,7 +61,7 @@ struct Words {
     verdict: String,
     /// The verdict's class in the style sheet.
     class: &'static str,
-    /// The p-value after Holm's correction. `None` if the judgement isn't a test.
+    /// The p-value after Holm's correction. `None` if the judgment isn't a test.
     p: Option<String>,
     /// Whether the verdict stays the same after the correction.
     stands: bool,
@@ -71,11 +71,11 @@ struct Words {
     each: &'static str,
     /// The values, each with the number of its seed or episode.
     values: Vec<(String, String)>,
-    /// The judgement as a picture. `None` without data.
+    /// The judgment as a picture. `None` without data.
     strip: Option<Strip>,
 }
 
-/// A judgement as a small picture. All positions are in percent of its width.
+/// A judgment as a small picture. All positions are in percent of its width.
 #[derive(Serialize)]
 struct Strip {
     /// The condition's bound.
@@ -100,21 +100,21 @@ impl Verdicts {
             commands: BTreeSet::new(),
             mixed: BTreeSet::new(),
         };
-        let judged: Vec<Vec<Judgement>> =
+        let judged: Vec<Vec<Judgment>> =
             claims.iter().map(|claim| judge(analysis, claim, quick)).collect::<Result<_, _>>()?;
         let mut p_values = corrected(judged.iter().flatten()).into_iter();
-        for (claim, judgements) in claims.iter().zip(&judged) {
-            for judgement in judgements {
-                verdicts.counts.add(judgement.verdict());
-                verdicts.mixed.extend(judgement.mixed.iter().map(Mixed::to_string));
-                if judgement.verdict() == Verdict::NoData {
+        for (claim, judgments) in claims.iter().zip(&judged) {
+            for judgment in judgments {
+                verdicts.counts.add(judgment.verdict());
+                verdicts.mixed.extend(judgment.mixed.iter().map(Mixed::to_string));
+                if judgment.verdict() == Verdict::NoData {
                     let command = |experiment: &String| analysis.command(experiment, quick);
                     verdicts.commands.extend(claim.experiments.iter().map(command));
                 }
             }
-            let p_values: Vec<Option<f64>> = p_values.by_ref().take(judgements.len()).collect();
-            let corrected = || judgements.iter().zip(p_values.iter().copied());
-            verdicts.unsure += corrected().filter(|(judgement, p)| !judgement.stands(*p)).count();
+            let p_values: Vec<Option<f64>> = p_values.by_ref().take(judgments.len()).collect();
+            let corrected = || judgments.iter().zip(p_values.iter().copied());
+            verdicts.unsure += corrected().filter(|(judgment, p)| !judgment.stands(*p)).count();
             verdicts.claims.push(Judged::new(claim, quick, corrected()));
         }
         Ok(verdicts)
@@ -138,7 +138,7 @@ impl Judged {
     fn new<'a>(
         claim: &Claim,
         quick: bool,
-        judgements: impl Iterator<Item = (&'a Judgement<'a>, Option<f64>)>,
+        judgments: impl Iterator<Item = (&'a Judgment<'a>, Option<f64>)>,
     ) -> Self {
         Self {
             id: claim.id().to_owned(),
@@ -152,31 +152,31 @@ impl Judged {
                 condition: requirement.condition.to_string(),
                 sql: claim.required_sql(quick).unwrap_or_default(),
             }),
-            judgements: judgements.map(|(judgement, corrected)| Words::new(judgement, corrected)).collect(),
+            judgments: judgments.map(|(judgment, corrected)| Words::new(judgment, corrected)).collect(),
         }
     }
 }
 
 impl Words {
-    fn new(judgement: &Judgement, corrected: Option<f64>) -> Self {
-        let verdict = judgement.verdict();
-        let values = judgement.measured.values.iter();
-        let several = judgement.measured.datasets().len() > 1;
+    fn new(judgment: &Judgment, corrected: Option<f64>) -> Self {
+        let verdict = judgment.verdict();
+        let values = judgment.measured.values.iter();
+        let several = judgment.measured.datasets().len() > 1;
         let place = |(dataset, n): &(u64, i64)| match several {
             true => format!("{n} of dataset {dataset}"),
             false => n.to_string(),
         };
         Self {
-            scenario: judgement.scenario.map_or("both", Scenario::name),
-            value: judgement.interval().map_or_else(|| "no value".into(), |interval| interval.to_string()),
+            scenario: judgment.scenario.map_or("both", Scenario::name),
+            value: judgment.interval().map_or_else(|| "no value".into(), |interval| interval.to_string()),
             verdict: verdict.to_string(),
             class: class_of(verdict),
             p: corrected.map(p_words),
-            stands: judgement.stands(corrected),
-            unmet: judgement.unmet().filter(|_| verdict == Verdict::NotTestable),
-            each: judgement.measured.each.name(),
+            stands: judgment.stands(corrected),
+            unmet: judgment.unmet().filter(|_| verdict == Verdict::NotTestable),
+            each: judgment.measured.each.name(),
             values: values.map(|(at, value)| (place(at), rounded(*value))).collect(),
-            strip: Strip::of(judgement),
+            strip: Strip::of(judgment),
         }
     }
 }
@@ -197,16 +197,16 @@ fn p_words(p: f64) -> String {
 }
 
 impl Strip {
-    fn of(judgement: &Judgement) -> Option<Self> {
-        let interval = judgement.interval()?;
-        let (Condition::Above(bound) | Condition::Below(bound)) = judgement.claim.condition;
-        let values: Vec<f64> = judgement.measured.values.values().copied().collect();
+    fn of(judgment: &Judgment) -> Option<Self> {
+        let interval = judgment.interval()?;
+        let (Condition::Above(bound) | Condition::Below(bound)) = judgment.claim.condition;
+        let values: Vec<f64> = judgment.measured.values.values().copied().collect();
         let all = || values.iter().copied().chain([bound, interval.low(), interval.high()]);
         let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
         let span = if high > low { high - low } else { 1.0 };
         // A margin of 6 % keeps all marks away from the edges.
         let at = |value: f64| ((6.0 + 88.0 * (value - low) / span) * 10.0).round() / 10.0;
-        let satisfied = match judgement.claim.condition {
+        let satisfied = match judgment.claim.condition {
             Condition::Above(_) => [at(bound), 100.0 - at(bound)],
             Condition::Below(_) => [0.0, at(bound)],
         };

@@ -91,7 +91,7 @@ impl Camera {
     pub fn capture<M: ModelType>(&mut self, data: &mut MjData<M>) -> Result<&[u8], SimulationError> {
         self.renderer.sync_data(data).map_err(SimulationError::Render)?;
         self.renderer.render().map_err(SimulationError::Render)?;
-        Ok(self.renderer.rgb_flat().expect("colour rendering is on by default"))
+        Ok(self.renderer.rgb_flat().expect("color rendering is on by default"))
     }
 
     /// Returns the name of the OpenGL renderer.
@@ -164,7 +164,7 @@ impl<'s> SceneRenderer<'s> {
         }
     }
 
-    /// Returns the position of a geom's centre in the world in the last picture, m.
+    /// Returns the position of a geom's center in the world in the last picture, m.
     ///
     /// # Errors
     /// When the scene has no such geom.
@@ -189,7 +189,7 @@ impl<'s> SceneRenderer<'s> {
         [0.5 + right / (-back * 2.0 * half * aspect), 0.5 - up / (-back * 2.0 * half)]
     }
 
-    /// Renders the scene with these generalised positions, for example from [`super::replay`].
+    /// Renders the scene with these generalized positions, for example from [`super::replay`].
     ///
     /// # Errors
     /// When the number of positions is not that of the scene, or OpenGL fails.

@@ -63,7 +63,7 @@ impl<'s> Simulator<'s> {
     }
 }
 
-/// Simulates an episode without images and returns the model's generalised positions at each sample, `[samples, nq]`.
+/// Simulates an episode without images and returns the model's generalized positions at each sample, `[samples, nq]`.
 ///
 /// # Errors
 /// See [`Simulator::run`]. Rendering and cancelling don't apply.

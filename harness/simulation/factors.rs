@@ -129,11 +129,11 @@ fn change(model: &mut MjModel, property: Property, thing: usize, values: &[f64])
         }
         Property::GeomSize => resize(model, thing, scale),
         Property::GeomColour => {
-            let mut colour = colour_of(model, thing);
-            for (channel, offset) in colour.iter_mut().zip(values) {
+            let mut color = color_of(model, thing);
+            for (channel, offset) in color.iter_mut().zip(values) {
                 *channel = (*channel + *offset as f32).clamp(0.0, 1.0);
             }
-            model.geom_rgba_mut()[thing] = colour;
+            model.geom_rgba_mut()[thing] = color;
         }
         Property::LightBrightness => {
             let of_light = [
@@ -142,7 +142,7 @@ fn change(model: &mut MjModel, property: Property, thing: usize, values: &[f64])
                 model.light_specular_mut()[thing],
             ];
             let [ambient, diffuse, specular] =
-                of_light.map(|colour| colour.map(|value| value * scale as f32));
+                of_light.map(|color| color.map(|value| value * scale as f32));
             model.light_ambient_mut()[thing] = ambient;
             model.light_diffuse_mut()[thing] = diffuse;
             model.light_specular_mut()[thing] = specular;
@@ -157,8 +157,8 @@ fn change(model: &mut MjModel, property: Property, thing: usize, values: &[f64])
     }
 }
 
-/// Returns the colour in which a geom is rendered: its own, or its material's if its own is MuJoCo's default.
-fn colour_of(model: &MjModel, geom: usize) -> [f32; 4] {
+/// Returns the color in which a geom is rendered: its own, or its material's if its own is MuJoCo's default.
+fn color_of(model: &MjModel, geom: usize) -> [f32; 4] {
     const DEFAULT: [f32; 4] = [0.5, 0.5, 0.5, 1.0];
     let own = model.geom_rgba()[geom];
     match usize::try_from(model.geom_matid()[geom]) {

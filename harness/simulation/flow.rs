@@ -1,6 +1,6 @@
 //! True optical flow: the displacement of each pixel's content in a camera's image since the sample before.
 //!
-//! A ray through the centre of each pixel hits a point on a geom. Geoms are rigid, so the geom's pose at the sample
+//! A ray through the center of each pixel hits a point on a geom. Geoms are rigid, so the geom's pose at the sample
 //! before gives the earlier position of that point. The camera's earlier pose then gives its earlier pixel.
 
 use super::physics::Instant;

@@ -176,14 +176,14 @@ pub enum SimulationError {
     #[error("{0}")]
     Batch(String),
 
-    /// A state has the wrong number of generalised positions.
+    /// A state has the wrong number of generalized positions.
     #[error("a state of {found} values does not fit {scene}, which has {expected} position coordinates")]
     StateSize {
         /// Where the model came from.
         scene: String,
         /// Number of values that were given.
         found: usize,
-        /// Number of generalised positions of the model.
+        /// Number of generalized positions of the model.
         expected: usize,
     },
 }

@@ -35,11 +35,11 @@ pub(super) struct Physics<'s> {
 pub(super) struct Instant {
     /// The scene's model, or a copy with the factors of variation that the episode drew.
     pub model: Arc<MjModel>,
-    /// Generalised positions at the instant. Those in MuJoCo's state are already one step further.
+    /// Generalized positions at the instant. Those in MuJoCo's state are already one step further.
     pub qpos: Vec<f64>,
-    /// Generalised positions at the sample before. At the first sample, they equal `qpos`.
+    /// Generalized positions at the sample before. At the first sample, they equal `qpos`.
     pub qpos_before: Vec<f64>,
-    /// Generalised velocities at the instant.
+    /// Generalized velocities at the instant.
     pub qvel: Vec<f64>,
     pub setpoint: Vec<f64>,
     /// Poses of the scene's bodies and sites that are sensed.

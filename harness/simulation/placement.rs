@@ -13,13 +13,13 @@ const MAX_DRAWS: usize = 100_000;
 
 /// A circle on the ground that a body must stay in, m.
 struct Footprint {
-    centre: [f64; 2],
+    center: [f64; 2],
     radius: f64,
 }
 
 impl Footprint {
     fn gap(&self, other: &Self) -> f64 {
-        let [dx, dy] = [0, 1].map(|axis| self.centre[axis] - other.centre[axis]);
+        let [dx, dy] = [0, 1].map(|axis| self.center[axis] - other.center[axis]);
         dx.hypot(dy) - self.radius - other.radius
     }
 }
@@ -46,7 +46,7 @@ pub(super) fn place_boxes(
     let mut taken: Vec<Footprint> = mounts
         .map(|mount| {
             let [rotation, extension] = mount.elements.map(|element| rest[element]);
-            Footprint { centre: mount.below(rotation, extension), radius: mount.body_radius }
+            Footprint { center: mount.below(rotation, extension), radius: mount.body_radius }
         })
         .collect();
     let mut poses = Vec::with_capacity(scene.boxes());
@@ -58,14 +58,14 @@ pub(super) fn place_boxes(
             let Some(free_box) = next else { break };
             let scale = factors.size_of(scene, free_box.geom);
             let [half_x, half_y, half_z] = free_box.half_size.map(|half| scale * half);
-            let centre = match &placement.area {
+            let center = match &placement.area {
                 Area::Sector(mount) => draw_in_sector(mount, &ranges, rng),
                 Area::Rectangle(sides) => sides.map(|[low, high]| rng.random_range(low..=high)),
             };
-            let drawn = Footprint { centre, radius: half_x.hypot(half_y) };
+            let drawn = Footprint { center, radius: half_x.hypot(half_y) };
             if taken.iter().all(|other| drawn.gap(other) >= clearance) {
                 let half_yaw = 0.5 * rng.random_range(-PI..PI);
-                let [x, y] = drawn.centre;
+                let [x, y] = drawn.center;
                 poses.push([x, y, half_z, half_yaw.cos(), 0.0, 0.0, half_yaw.sin()]);
                 taken.push(drawn);
                 next = boxes.next();

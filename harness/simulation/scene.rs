@@ -253,7 +253,7 @@ impl Scene {
         self.model.opt().timestep
     }
 
-    /// Returns the generalised positions of the model's initial state (`qpos0`).
+    /// Returns the generalized positions of the model's initial state (`qpos0`).
     pub fn rest(&self) -> &[f64] {
         self.model.qpos0()
     }

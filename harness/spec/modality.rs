@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use std::ops::Index;
 use std::sync::{Arc, LazyLock};
 
-/// Number of colour channels of an image.
+/// Number of color channels of an image.
 pub const IMAGE_CHANNELS: usize = 3;
 
 /// The name of a modality in specs and tables. The dataset's [`Layout`] defines the modality.

@@ -110,8 +110,8 @@ pub struct WorldFile {
     /// Regions of the images whose errors are reported separately, by name. A pixel that matches two regions belongs to
     /// the later one.
     #[serde(default, skip_serializing_if = "Ordered::is_empty")]
-    #[schemars(with = "BTreeMap<String, Colours>")]
-    pub regions: Ordered<Colours>,
+    #[schemars(with = "BTreeMap<String, Colors>")]
+    pub regions: Ordered<Colors>,
 }
 
 /// A modality: exactly one of `joint_positions`, `joint_velocities`, `body_positions`, `body_orientations`,
@@ -291,7 +291,7 @@ pub struct Sector {
 /// A region of pixels, selected by color.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Colours {
+pub struct Colors {
     /// The range of (red - blue) / (the pixel's brightest channel). The upper bound is excluded.
     pub red_minus_blue: [f64; 2],
 }
@@ -682,9 +682,9 @@ impl World {
 
     /// Returns the regions of the world's images.
     pub fn regions(&self) -> Vec<Region> {
-        let region = |(name, colours): (&str, &Colours)| Region {
+        let region = |(name, colors): (&str, &Colors)| Region {
             name: name.to_owned(),
-            red_minus_blue: colours.red_minus_blue.map(|bound| bound as f32),
+            red_minus_blue: colors.red_minus_blue.map(|bound| bound as f32),
         };
         self.file.regions.iter().map(region).collect()
     }
@@ -822,9 +822,9 @@ fn check(file: &WorldFile) -> Result<(), (String, String)> {
         named("a factor", name).map_err(|message| (at(""), message))?;
         factor.check().map_err(|(key, message)| (at(&key), message))?;
     }
-    for (name, colours) in file.regions.iter() {
+    for (name, colors) in file.regions.iter() {
         named("a region", name).map_err(|message| (format!("regions.{name}"), message))?;
-        ascending(colours.red_minus_blue).map_err(|m| (format!("regions.{name}.red_minus_blue"), m))?;
+        ascending(colors.red_minus_blue).map_err(|m| (format!("regions.{name}.red_minus_blue"), m))?;
     }
     Ok(())
 }

@@ -158,7 +158,7 @@ fn run_details() -> Vec<Column> {
         text(
             "split",
             "what is divided into training, validation and test: episode, time, or sample. With sample, test samples \
-             have neighbours in training, and errors are too small",
+             have neighbors in training, and errors are too small",
         ),
         text("started", "start, UTC"),
         real("collect_seconds", "s", "wall time spent on collecting and loading the dataset"),

@@ -181,7 +181,7 @@ def test_a_rerun_recording_opens_with_rerun_and_holds_the_same(dataset, tmp_path
 
 
 def test_the_finger_in_space_is_where_the_camera_saw_it(dataset, tmp_path):
-    """The recorded pose of a link, seen through the recorded camera, lies on a pixel of the link's colour."""
+    """The recorded pose of a link, seen through the recorded camera, lies on a pixel of the link's color."""
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     from rerun.chunk import RrdReader
 
@@ -192,7 +192,7 @@ def test_the_finger_in_space_is_where_the_camera_saw_it(dataset, tmp_path):
             camera |= chunk.to_record_batch().to_pydict()
     position = np.array(camera["Transform3D:translation"][0][0])
     rotation = rotation_matrix(camera["Transform3D:quaternion"][0][0])
-    focal, centre = np.array(camera["Pinhole:image_from_camera"][0][0]).reshape(3, 3).T[[0, 0], [0, 2]]
+    focal, center = np.array(camera["Pinhole:image_from_camera"][0][0]).reshape(3, 3).T[[0, 0], [0, 2]]
     found, frames = entities(file), RecordedDataset(dataset).read(2).images["vision"]
     # The upper half of the finger, which no box hides; MuJoCo's camera looks along -z, with y up.
     for link in range(10):
@@ -200,9 +200,9 @@ def test_the_finger_in_space_is_where_the_camera_saw_it(dataset, tmp_path):
             found[f"/world/robot/finger_link_{link:02}"]["Transform3D:translation"]
         ):
             x, y, z = rotation.T @ (np.array(translation[0]) - position)
-            column, row = centre + focal * x / -z, centre - focal * y / -z
+            column, row = center + focal * x / -z, center - focal * y / -z
             red, _, blue = frames[sample, int(row), int(column)].astype(int)
-            # The finger runs from yellow to crimson; everything else is grey, blue or green.
+            # The finger runs from yellow to crimson; everything else is gray, blue or green.
             assert red > blue + 50, (link, sample, frames[sample, int(row), int(column)])
 
 

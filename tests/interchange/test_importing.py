@@ -58,7 +58,7 @@ def test_what_comes_back_by_parquet_is_the_same_and_trains_the_same_bit_by_bit(d
     of_parts = pl.col("metric").str.starts_with("relative_error_")
     original, found = metrics(dataset.parents[1]), metrics(harness.results)
     assert len(original) > 900 and found.filter(~of_parts).equals(original.filter(~of_parts))
-    # Only a simulated dataset says by which colours its frames tell the robot's parts.
+    # Only a simulated dataset says by which colors its frames tell the robot's parts.
     assert len(found.filter(of_parts)) == 0 and len(original.filter(of_parts)) == 6
     assert harness("verify").returncode == 0
     # Once imported, it is not imported again.
@@ -114,10 +114,10 @@ def test_a_damaged_lerobot_dataset_is_an_error(dataset, harness, tmp_path):
 
 
 def robot_rows(episode: int, samples: int, generator: np.random.Generator) -> pl.DataFrame:
-    """What a real robot may have recorded: degrees, millimetres, lists, pictures as PNG, and no mean forces."""
+    """What a real robot may have recorded: degrees, millimeters, lists, pictures as PNG, and no mean forces."""
     pictures = []
     for sample in range(samples):
-        # Left half of one colour, right half of another; the colours tell episode and sample.
+        # Left half of one color, right half of another; the colors tell episode and sample.
         picture = np.zeros((96, 128, 3), np.uint8)
         picture[:, :64], picture[:, 64:] = (episode * 10, sample, 200), (0, sample, 9)
         buffer = io.BytesIO()

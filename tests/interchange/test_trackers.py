@@ -198,8 +198,8 @@ def test_what_cannot_be_exported_is_refused(results, tmp_path):
     logs = tmp_path / "logs"
     with pytest.raises(KeyError, match="'smok' has no runs; those that have: other, smoke"):
         package.export_tensorboard("smok", folder=logs, results=results)
-    with pytest.raises(ValueError, match="colour"):
-        package.export_tensorboard("smoke", folder=logs, condition="colour = 1", results=results)
+    with pytest.raises(ValueError, match="color"):
+        package.export_tensorboard("smoke", folder=logs, condition="color = 1", results=results)
     with pytest.raises(FileNotFoundError, match="there are no results in"):
         package.export_tensorboard("smoke", folder=logs, results=tmp_path)
     assert not logs.exists()

@@ -282,20 +282,20 @@ def check_width(page: Page):
     assert width <= page.run("return innerWidth") and not wide, (width, wide[:5])
 
 
-def luminance(colour: str) -> float:
-    parts = [int(part) / 255 for part in re.findall(r"\d+", colour)[:3]]
+def luminance(color: str) -> float:
+    parts = [int(part) / 255 for part in re.findall(r"\d+", color)[:3]]
     linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
 def check_contrast(page: Page, selector: str, least: float):
     """Text stands out from the ground by the ratio that WCAG defines."""
-    colours = page.run(
+    colors = page.run(
         "return [getComputedStyle(document.querySelector(arguments[0])).color,"
         " getComputedStyle(document.body).backgroundColor]", selector)
-    light, dark = sorted(map(luminance, colours), reverse=True)
-    assert (light + 0.05) / (dark + 0.05) >= least, (selector, colours)
-    return colours
+    light, dark = sorted(map(luminance, colors), reverse=True)
+    assert (light + 0.05) / (dark + 0.05) >= least, (selector, colors)
+    return colors
 
 
 def read_on_desktop(page: Page, metrics: pd.DataFrame, predictions: pd.DataFrame, epochs: pd.DataFrame):

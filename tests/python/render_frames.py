@@ -2,7 +2,7 @@
 
     render_frames.py MODEL.xml POSITIONS.f64 SIDE FRAMES.u8
 
-POSITIONS holds rows of generalised positions (little-endian 64-bit floats); FRAMES receives for each row the
+POSITIONS holds rows of generalized positions (little-endian 64-bit floats); FRAMES receives for each row the
 image of the camera `external`, SIDE x SIDE x 3 bytes.
 """
 

@@ -2,7 +2,7 @@
 
     segment_frames.py MODEL.xml POSITIONS.f64 SIDE PARTS.u8
 
-POSITIONS holds rows of generalised positions (little-endian 64-bit floats); PARTS receives for each row SIDE x SIDE
+POSITIONS holds rows of generalized positions (little-endian 64-bit floats); PARTS receives for each row SIDE x SIDE
 bytes of the image of the camera `external`: 1 where it shows the arm, 2 the finger, 0 anything else.
 """
 

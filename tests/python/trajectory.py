@@ -2,8 +2,8 @@
 
     trajectory.py MODEL.xml START.f64 CONTROLS.f64 STEPS_PER_SAMPLE POSITIONS.f64
 
-START holds the first generalised positions, CONTROLS one row of controls a step; POSITIONS receives a row of
-generalised positions before every STEPS_PER_SAMPLE-th step. All are little-endian 64-bit floats.
+START holds the first generalized positions, CONTROLS one row of controls a step; POSITIONS receives a row of
+generalized positions before every STEPS_PER_SAMPLE-th step. All are little-endian 64-bit floats.
 """
 
 import sys

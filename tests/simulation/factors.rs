@@ -122,7 +122,7 @@ fn stiffness_damping_mass_and_friction_change_motions_as_the_laws_of_mechanics_s
     }
 }
 
-/// The box in the camera's image: its number of pixels, their centre (column, row), and their mean colour.
+/// The box in the camera's image: its number of pixels, their center (column, row), and their mean color.
 fn box_in(episode: &Episode) -> (usize, [f64; 2], [f64; 3]) {
     let pixels = episode.image(Modality::VISION)[..SIDE * SIDE * 3].chunks_exact(3).enumerate();
     let red: Vec<_> = pixels.filter(|(_, pixel)| pixel[0] > pixel[1] + 20).collect();
@@ -158,10 +158,10 @@ fn a_box_of_another_size_stands_on_the_ground_and_is_seen_so() {
 }
 
 #[test]
-fn colour_and_light_change_pixels_by_as_much_as_was_drawn() {
+fn color_and_light_change_pixels_by_as_much_as_was_drawn() {
     let (own, paler, brighter) = (on_bench(&[]), on_bench(&["paler"]), on_bench(&["brighter"]));
-    let ((_, _, own_colour), (_, _, paler_colour)) = (box_in(&own), box_in(&paler));
-    for (own, paler) in own_colour.into_iter().zip(paler_colour) {
+    let ((_, _, own_color), (_, _, paler_color)) = (box_in(&own), box_in(&paler));
+    for (own, paler) in own_color.into_iter().zip(paler_color) {
         // Half of the light is reflected.
         assert!((paler - own - 0.5 * 0.15 * 255.0).abs() < 2.0, "{own} became {paler}");
     }
@@ -240,7 +240,7 @@ fn an_episode_with_factors_depends_on_its_seed_and_index_alone() {
         names.zip(values.into_iter().map(|column| column[0])).collect::<Vec<_>>()
     };
     let [first, second] = [drawn(&all[0]), drawn(&all[1])];
-    // Three colours, a damping and a stiffness, a size of each of eight boxes, a brightness and three angles.
+    // Three colors, a damping and a stiffness, a size of each of eight boxes, a brightness and three angles.
     assert_eq!(first.len(), 3 + 2 + 8 + 1 + 3, "{first:?}");
     for ((name, one), (_, other)) in first.iter().zip(&second) {
         assert_ne!(one, other, "{name} is drawn anew");
@@ -288,7 +288,7 @@ fn a_live_simulation_draws_the_factors_of_its_episode_at_each_reset() {
             other.reset(spec.seed, index).unwrap();
             other.render(64, 64).unwrap()
         });
-        assert_ne!(picture, plain, "pictures for people show the episode's colours and light");
+        assert_ne!(picture, plain, "pictures for people show the episode's colors and light");
     }
 }
 

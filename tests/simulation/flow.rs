@@ -191,9 +191,9 @@ fn a_turning_camera_makes_all_it_sees_flow_the_other_way() {
     assert!(inside > 50_000 && outside > 1000, "{inside} {outside}");
 }
 
-/// The flow is computed with rays, the frames are rendered: what was seen before has the colour that it had where it was.
+/// The flow is computed with rays, the frames are rendered: what was seen before has the color that it had where it was.
 #[test]
-fn frames_have_the_colours_of_the_frames_before_where_the_flow_says() {
+fn frames_have_the_colors_of_the_frames_before_where_the_flow_says() {
     let episode = filmed([-0.3, 0.3], [-0.9, 0.5], [-1.0, 1.0]);
     let (mut alike, mut all) = (0u32, 0u32);
     for sample in 1..episode.samples {
@@ -201,9 +201,9 @@ fn frames_have_the_colours_of_the_frames_before_where_the_flow_says() {
             let ([right, down], true) = flow(&episode, sample, at) else { continue };
             let was = [at[0] as f64 + 0.5 - right, at[1] as f64 + 0.5 - down];
             let was = was.map(|value| (value as usize).min(SIDE - 1));
-            let colours = [pixel(&episode, "vision", sample, at), pixel(&episode, "vision", sample - 1, was)];
+            let colors = [pixel(&episode, "vision", sample, at), pixel(&episode, "vision", sample - 1, was)];
             all += 1;
-            alike += u32::from(colours[0].iter().zip(colours[1]).all(|(a, b)| a.abs_diff(*b) < 12));
+            alike += u32::from(colors[0].iter().zip(colors[1]).all(|(a, b)| a.abs_diff(*b) < 12));
         }
     }
     let share = f64::from(alike) / f64::from(all);

@@ -252,10 +252,10 @@ fn of_rows(
             let is_first = window.step(binder, is_first);
             Ok(Value::new(window.ordered(is_first.cum_sum(false))?, Type::Integer))
         }
-        ("lag" | "lead", [value]) => neighbour(binder, window, name, number, value, 1, None),
+        ("lag" | "lead", [value]) => neighbor(binder, window, name, number, value, 1, None),
         ("lag" | "lead", [value, distance] | [value, distance, _]) => match distance.constant() {
             Some(AnyValue::Int64(distance @ 0..=1_000_000_000)) => {
-                neighbour(binder, window, name, number, value, distance, values.get(2))
+                neighbor(binder, window, name, number, value, distance, values.get(2))
             }
             _ => refuse(format!("{name} takes a column, and a number of rows")),
         },
@@ -278,7 +278,7 @@ fn of_rows(
 
 /// Binds `lag` or `lead`: the value of the row `distance` rows before or after. Where there is no such row, the value
 /// is `otherwise` or null.
-fn neighbour(
+fn neighbor(
     binder: &Binder,
     window: &mut Window,
     name: &str,

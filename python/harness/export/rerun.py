@@ -151,17 +151,17 @@ class Robot:
 
     def _shape(self, geom: int) -> rr.AsComponents:
         """Returns a geom's shape around its own origin. MuJoCo's sizes are radii and half lengths, m."""
-        size, colour = self.model.geom_size[geom], self.model.geom_rgba[geom]
+        size, color = self.model.geom_size[geom], self.model.geom_rgba[geom]
         kind = self.model.geom_type[geom]
         if kind == BOX:
-            return rr.Boxes3D(half_sizes=[size], colors=[colour], fill_mode="solid")
+            return rr.Boxes3D(half_sizes=[size], colors=[color], fill_mode="solid")
         lengths, radii = [2 * size[1]], [size[0]]
         if kind == CYLINDER:
-            return rr.Cylinders3D(lengths=lengths, radii=radii, colors=[colour], fill_mode="solid")
+            return rr.Cylinders3D(lengths=lengths, radii=radii, colors=[color], fill_mode="solid")
         # Rerun's capsule starts at its origin. MuJoCo's origin is in the middle of the capsule.
         middle = [[0, 0, -size[1]]]
         return rr.Capsules3D(
-            lengths=lengths, radii=radii, translations=middle, colors=[colour], fill_mode="solid"
+            lengths=lengths, radii=radii, translations=middle, colors=[color], fill_mode="solid"
         )
 
     def _send_surroundings(self, recording: rr.RecordingStream) -> None:
