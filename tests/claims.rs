@@ -754,8 +754,7 @@ fn a_claim_is_testable_where_what_it_requires_holds() {
     let judged = |values: &[f64], required: &[f64]| {
         let required = Some(of(required));
         let claim = &claims[0];
-        let judgment =
-            Judgment { claim, scenario: None, measured: of(values), required, mixed: Vec::new() };
+        let judgment = Judgment { claim, scenario: None, measured: of(values), required, mixed: Vec::new() };
         (judgment.verdict(), judgment.unmet())
     };
     assert_eq!(judged(&[2.0, 2.1], &[0.9, 0.91]), (Verdict::Holds, None));

@@ -134,6 +134,11 @@ fn mean_and_error(values: &[f64]) -> Option<(f64, Option<f64>)> {
     (!sorted.is_empty()).then_some((mean, error))
 }
 
+/// The mean over datasets and seeds with its interval, from the [`replicates`] of `values`. `None` without values.
+pub fn interval(values: impl IntoIterator<Item = (u64, f64)>) -> Option<Interval> {
+    mean_interval(&replicates(values), LEVEL)
+}
+
 /// The mean and interval of the values with the same key, for each key. An item of `values` is a key, the seed of a
 /// dataset, and a value. Values that are `None` are ignored.
 pub fn intervals<K: Ord>(values: impl IntoIterator<Item = (K, u64, Option<f64>)>) -> BTreeMap<K, Interval> {
@@ -141,6 +146,5 @@ pub fn intervals<K: Ord>(values: impl IntoIterator<Item = (K, u64, Option<f64>)>
     for (key, dataset, value) in values {
         by_key.entry(key).or_default().extend(value.map(|value| (dataset, value)));
     }
-    let interval = |(key, values)| Some((key, mean_interval(&replicates(values), LEVEL)?));
-    by_key.into_iter().filter_map(interval).collect()
+    by_key.into_iter().filter_map(|(key, values)| Some((key, interval(values)?))).collect()
 }

@@ -17,7 +17,9 @@ mod seen;
 mod settings;
 mod subset;
 
-pub use interval::{Interval, LEVEL, holm, intervals, mean_interval, p_value, replicates, replicates_needed};
+pub use interval::{
+    Interval, LEVEL, holm, interval, intervals, mean_interval, p_value, replicates, replicates_needed,
+};
 pub use means::{Mean, NETWORK, Of, compare};
 pub use settings::{Difference, Setting, differing};
 pub use subset::Subset;

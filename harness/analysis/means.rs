@@ -1,6 +1,6 @@
 //! Means of metrics over datasets and seeds.
 
-use super::{Analysis, AnalysisError, Interval, LEVEL, Run, Selection, mean_interval, replicates};
+use super::{Analysis, AnalysisError, Interval, Run, Selection, interval};
 use harness_registry::{QueryError, Registry, rows};
 use harness_spec::{Modality, Origin, Task};
 use polars::prelude::{Column, DataFrame, PolarsResult};
@@ -151,7 +151,7 @@ impl Analysis {
                 let mut datasets = BTreeSet::new();
                 values.retain(|(dataset, _)| datasets.insert(*dataset));
             }
-            let interval = mean_interval(&replicates(values.iter().copied()), LEVEL)?;
+            let interval = interval(values.iter().copied())?;
             Some(Mean { of, unit, interval, values: values.into_iter().map(|(_, value)| value).collect() })
         };
         Ok(found.into_iter().filter_map(mean).collect())

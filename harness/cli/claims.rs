@@ -6,8 +6,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use harness::analysis::{Analysis, Interval, Mixed, Setting};
 use harness::claims::{
-    self, Claim, Judgment, Matrix, MatrixRow, Measured, Plan, Readings, Requirement, Step, Verdict,
-    corrected,
+    self, Claim, Judgment, Matrix, MatrixRow, Measured, Plan, Readings, Requirement, Step, Verdict, corrected,
 };
 use harness::numbers::{duration, rounded};
 use harness::registry::{self, Registry};

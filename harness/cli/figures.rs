@@ -72,7 +72,7 @@ impl Figures {
         let (mut drawn, mut failed) = (0, false);
         for figure in wanted {
             let saved =
-                figure.draw(&source).and_then(|drawing| drawing.save(&self.out, figure.name(), &formats));
+                figure.render(&source).and_then(|drawing| drawing.save(&self.out, figure.name(), &formats));
             match saved {
                 Ok(()) => {
                     drawn += 1;

@@ -1,6 +1,6 @@
 //! Axes, series and legends on a page.
 
-use super::page::{BLACK, BLUE, GRAY, Mark, PALE, Page, Point, Stroke, Type, VERMILION};
+use super::page::{BLACK, BLUE, COLUMN, GRAY, Mark, PALE, Page, Point, Stroke, Type, VERMILION};
 use harness_analysis::Interval;
 use harness_metrics::Direction;
 use harness_spec::Scenario;
@@ -311,6 +311,19 @@ pub fn color_legend(page: &mut Page, middle: f64, y: f64, entries: &[(&'static s
         page.text(words, [x + 9.0, y], how);
         x += width + 10.0;
     }
+}
+
+/// Writes remarks below the panels of a page as wide as a column, one per line from `y` on.
+pub fn remarks(page: &mut Page, y: f64, lines: impl IntoIterator<Item = impl AsRef<str>>) {
+    for (row, line) in lines.into_iter().enumerate() {
+        remark(page, line.as_ref(), [COLUMN / 2.0, y + 8.5 * row as f64]);
+    }
+}
+
+/// A mean with two decimals and, if it has an interval, half of the interval's width: `0.91 ± 0.02`.
+pub fn mean_words(value: &Interval) -> String {
+    let spread = value.bounds.map_or(String::new(), |(low, high)| format!(" ± {:.2}", (high - low) / 2.0));
+    format!("{:.2}{spread}", value.mean).replace('-', "\u{2212}")
 }
 
 /// Writes a remark in small gray letters, centered at the point.

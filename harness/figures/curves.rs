@@ -1,10 +1,10 @@
 //! Panels that show an error over the latent size, by scenario and direction. Two figures consist of them.
 
 use super::FigureError;
-use super::axes::{Look, Panel, Scale, color_of, legend, look_of, remark, words_of};
-use super::page::{BLACK, COLUMN, GRAY, Page, Stroke, Type};
+use super::axes::{self, Look, Panel, Scale, color_of, legend, look_of, words_of};
+use super::page::{BLACK, GRAY, Page, Stroke, Type};
 use super::source::{Runs, integers, replicated, texts};
-use harness_analysis::{Interval, LEVEL, NETWORK, intervals, mean_interval, replicates};
+use harness_analysis::{Interval, NETWORK, interval, intervals};
 use harness_metrics::{Direction, Metric};
 use harness_spec::{Modality, Scenario, Task};
 use polars::prelude::*;
@@ -88,7 +88,7 @@ impl Curves<'_> {
                     let rows = of(scenario, direction, name).into_iter();
                     let by_dataset: BTreeMap<u64, f64> =
                         rows.filter_map(|row| Some((values[row].0, values[row].1?))).collect();
-                    mean_interval(&replicates(by_dataset), LEVEL)
+                    interval(by_dataset)
                 });
                 curves.push(Curve { scenario, direction, network, baseline });
             }
@@ -146,7 +146,7 @@ impl Measured<'_> {
 
     /// Draws the panel. Without an axis label it has no numbers at its vertical axis, because it shares those of the
     /// panel to its left.
-    fn draw(&self, page: &mut Page, panel: &Panel, scale: &Scale, label: Option<&str>) {
+    fn render(&self, page: &mut Page, panel: &Panel, scale: &Scale, label: Option<&str>) {
         panel.left_axis(page, scale, label);
         let note = Type::SMALL.color(GRAY);
         if scale.clamp(ZERO) == ZERO {
@@ -214,8 +214,8 @@ pub fn pair(page: &mut Page, [top, height]: [f64; 2], panels: [&Measured; 2], la
     // If the error of predicting zero lies far above the axis, a note about it needs room at the top.
     let highest = if highest < 0.75 * ZERO { highest * 1.15 } else { highest.max(ZERO) };
     let scale = Scale::linear(0.0, highest, 5, left.upwards());
-    panels[0].draw(page, &left, &scale, Some(label));
-    panels[1].draw(page, &right, &scale, None);
+    panels[0].render(page, &left, &scale, Some(label));
+    panels[1].render(page, &right, &scale, None);
     panels.iter().any(|panel| panel.is_cut(&scale))
 }
 
@@ -225,9 +225,7 @@ pub fn remarks(page: &mut Page, y: f64, is_cut: bool, lines: &[&str]) {
         true => "bars: 95 % intervals of the mean; without a cap, they go on beyond the axis",
         false => "bars: 95 % intervals of the mean, by Student's t",
     };
-    for (row, line) in [bars].iter().chain(lines).enumerate() {
-        remark(page, line, [COLUMN / 2.0, y + 8.5 * row as f64]);
-    }
+    axes::remarks(page, y, [bars].iter().chain(lines));
 }
 
 /// The rows of all panels as one table.

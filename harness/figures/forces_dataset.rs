@@ -1,7 +1,7 @@
 //! Figure of contacts and contact forces: how often each link of the finger is touched, how hard, and the distribution
 //! of the force over all samples.
 
-use super::axes::{Panel, Scale, color_legend, color_of, remark};
+use super::axes::{Panel, Scale, color_legend, color_of, remarks};
 use super::page::{COLUMN, Mark, Page, Point, Stroke, Type, WHITE};
 use super::source::{Source, Study, integers, reals, texts};
 use super::{Drawing, FigureError};
@@ -41,7 +41,7 @@ struct Link {
 }
 
 /// Draws the figure.
-pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
+pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     // Both studies have the same datasets, so either one's runs give the same figure.
     let runs = source
         .runs(Study::SingleToMulti)
@@ -70,9 +70,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
         "links with at least 20 samples in contact; c: a line is a link, and",
         "its points are the quantiles of b and the largest force",
     ];
-    for (row, line) in lines.into_iter().enumerate() {
-        remark(&mut page, line, [COLUMN / 2.0, 355.0 + 8.5 * row as f64]);
-    }
+    remarks(&mut page, 355.0, lines);
     Ok(Drawing { page, data })
 }
 

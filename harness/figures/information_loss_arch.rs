@@ -8,7 +8,7 @@ use super::{Drawing, FigureError};
 use harness_spec::Task;
 
 /// Draws the figure.
-pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
+pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let anatomy = Anatomy::of(source, Task::Reconstruction)?;
     let mut page = Page::new(COLUMN, 200.0, "The network that reconstructs the observation");
     let height = network(&mut page, COLUMN, 4.0, &anatomy);

@@ -209,18 +209,18 @@ impl Figure {
     ///
     /// # Errors
     /// When its runs are missing ([`FigureError::is_missing_runs`]), or when a table can't be read or a picture made.
-    pub fn draw(self, source: &Source) -> Result<Drawing, FigureError> {
+    pub fn render(self, source: &Source) -> Result<Drawing, FigureError> {
         match self {
-            Figure::Task => task::draw(),
-            Figure::SimEnv => sim_env::draw(),
-            Figure::PredictiveArch => predictive_arch::draw(source),
-            Figure::InformationLossArch => information_loss_arch::draw(source),
-            Figure::ForcesDataset => forces_dataset::draw(source),
-            Figure::PredictionResults => prediction_results::draw(source),
-            Figure::PropriovisionToVision => propriovision_to_vision::draw(source),
-            Figure::ReconstructionPerformance => reconstruction_performance::draw(source),
-            Figure::Regression => regression::draw(source),
-            Figure::Readings => readings::draw(source),
+            Figure::Task => task::render(),
+            Figure::SimEnv => sim_env::render(),
+            Figure::PredictiveArch => predictive_arch::render(source),
+            Figure::InformationLossArch => information_loss_arch::render(source),
+            Figure::ForcesDataset => forces_dataset::render(source),
+            Figure::PredictionResults => prediction_results::render(source),
+            Figure::PropriovisionToVision => propriovision_to_vision::render(source),
+            Figure::ReconstructionPerformance => reconstruction_performance::render(source),
+            Figure::Regression => regression::render(source),
+            Figure::Readings => readings::render(source),
         }
     }
 }

@@ -11,7 +11,7 @@ use harness_spec::{Modality, Task};
 const HEIGHT: f64 = 78.0;
 
 /// Draws the figure.
-pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
+pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let [single, multi] = [source.runs(Study::SingleToMulti)?, source.runs(Study::MultiToMulti)?];
     let curves = |runs, modality, metric, letter, title| Curves {
         runs,

@@ -8,7 +8,7 @@ use super::{Drawing, FigureError};
 use harness_spec::Task;
 
 /// Draws the figure.
-pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
+pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let anatomy = Anatomy::of(source, Task::Prediction)?;
     let mut page = Page::new(COLUMN, 294.0, "The network that predicts the next observation");
     idea(&mut page, 28.0);

@@ -1,6 +1,6 @@
 //! Figure of the predicted change of the camera's picture beside the reference, in each scenario.
 
-use super::axes::remark;
+use super::axes::{mean_words, remarks};
 use super::page::{COLUMN, GRAY, Page, Stroke, Type};
 use super::source::{Runs, Source, Study, integers, reals, replicated};
 use super::{Drawing, FigureError};
@@ -57,7 +57,7 @@ struct Block {
 }
 
 /// Draws the figure.
-pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
+pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let runs = source.runs(Study::MultiToMulti)?;
     let blocks = blocks(&runs)?;
     let side = blocks.iter().map(Block::side).fold(f64::INFINITY, f64::min);
@@ -65,7 +65,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let mut page = Page::new(COLUMN, height + 60.0, "Predicted change of the camera's picture");
     let mut top = 0.0;
     for block in &blocks {
-        block.draw(&mut page, top, side)?;
+        block.render(&mut page, top, side)?;
         top += block.height(side);
     }
     color_bar(&mut page, top + 5.0)?;
@@ -74,9 +74,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
         "motion: mean absolute change of the image, of white minus black;",
         "shown: the three kept test samples with the most of it",
     ];
-    for (row, line) in lines.into_iter().enumerate() {
-        remark(&mut page, line, [COLUMN / 2.0, top + 38.0 + 8.5 * row as f64]);
-    }
+    remarks(&mut page, top + 38.0, lines);
     Ok(Drawing { page, data: data(&blocks, runs.experiment.as_str())? })
 }
 
@@ -102,7 +100,7 @@ impl Block {
         TOP + rows as f64 * (side + GAP) + GAP
     }
 
-    fn draw(&self, page: &mut Page, top: f64, side: f64) -> Result<(), FigureError> {
+    fn render(&self, page: &mut Page, top: f64, side: f64) -> Result<(), FigureError> {
         let (latents, has_camera) = (self.latents(), self.has_camera());
         let corner = |row: usize, column: usize| {
             [LEFT + column as f64 * (side + GAP), top + TOP + row as f64 * (side + GAP)]
@@ -134,7 +132,7 @@ impl Block {
         names.push(["reference".into(), "change".into()]);
         names.extend(latents.iter().map(|latent| {
             let error = self.errors.get(latent);
-            let error = error.map_or(String::new(), |error| format!("error {}", with_spread(error)));
+            let error = error.map_or(String::new(), |error| format!("error {}", mean_words(error)));
             [format!("*z* = {latent}"), error]
         }));
         for (row, [name, more]) in names.iter().enumerate() {
@@ -144,11 +142,6 @@ impl Block {
         }
         Ok(())
     }
-}
-
-fn with_spread(value: &Interval) -> String {
-    let spread = value.bounds.map_or(String::new(), |(low, high)| format!(" ± {:.2}", (high - low) / 2.0));
-    format!("{:.2}{spread}", value.mean)
 }
 
 /// The blocks of the runs' scenarios, in the order of the runs.

@@ -4,7 +4,7 @@ use super::axes::{Look, Panel, Scale, color_of, remark};
 use super::page::{BLACK, COLUMN, GRAY, Mark, PALE, Page, Stroke, Type};
 use super::source::{Source, Study, integers, reals, texts};
 use super::{Drawing, FigureError};
-use harness_analysis::{Interval, LEVEL, mean_interval, replicates};
+use harness_analysis::{Interval, interval};
 use harness_spec::{Modality, Reading, Scenario};
 use polars::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -30,7 +30,7 @@ struct Gain {
 }
 
 /// Draws the figure.
-pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
+pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let gains = gains(source)?;
     let readings = readings(&gains);
     let matrix = ROW * readings.len() as f64;
@@ -149,7 +149,7 @@ fn gains(source: &Source) -> Result<Vec<Gain>, FigureError> {
             }
             for (reading, values) in by_reading {
                 let datasets = values.iter().map(|(dataset, _)| dataset).collect::<BTreeSet<_>>().len();
-                let Some(value) = mean_interval(&replicates(values), LEVEL) else { continue };
+                let Some(value) = interval(values) else { continue };
                 gains.push(Gain { modality, scenario, reading: reading.to_owned(), datasets, value });
             }
         }

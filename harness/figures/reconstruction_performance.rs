@@ -8,7 +8,7 @@ use harness_metrics::Metric;
 use harness_spec::{Modality, Task};
 
 /// Draws the figure.
-pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
+pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let [single, multi] = [source.runs(Study::SingleToMulti)?, source.runs(Study::MultiToMulti)?];
     let curves = |runs, letter, title| Curves {
         runs,

@@ -1,7 +1,7 @@
 //! Figure of predictions over references at the fingertip, in the cluttered scenario.
 
-use super::axes::{Look, Panel, Scale, legend, remark, words_of};
-use super::page::{COLUMN, GREEN, GRAY, Mark, Page, Stroke, Type, WINE};
+use super::axes::{Look, Panel, Scale, legend, mean_words, remarks, words_of};
+use super::page::{COLUMN, GRAY, GREEN, Mark, Page, Stroke, Type, WINE};
 use super::source::{Runs, Source, Study, integers, reals, replicated};
 use super::{Drawing, FigureError};
 use harness_analysis::{Interval, intervals};
@@ -26,9 +26,7 @@ const SIDE: f64 = (COLUMN - LEFT - 4.0 - 2.0 * GAP) / 3.0;
 
 fn look(direction: Direction) -> Look {
     match direction {
-        Direction::FLEXION_EXTENSION => {
-            Look { color: GREEN, mark: Mark::Disc, hollow: false, dashed: false }
-        }
+        Direction::FLEXION_EXTENSION => Look { color: GREEN, mark: Mark::Disc, hollow: false, dashed: false },
         _ => Look { color: WINE, mark: Mark::Square, hollow: false, dashed: false },
     }
 }
@@ -45,7 +43,7 @@ struct Predictions {
 }
 
 /// Draws the figure.
-pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
+pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let [single, multi] = [source.runs(Study::SingleToMulti)?, source.runs(Study::MultiToMulti)?];
     let of = |modality, panel| -> Result<[Predictions; 2], FigureError> {
         Ok([predictions(&single, modality, panel)?, predictions(&multi, modality, panel)?])
@@ -59,9 +57,9 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
     let tip = |link: usize| if Some(link) == tips.into_iter().max() { ", the tip" } else { "" };
     let links = tips.map(|link| format!("link {link}{}", tip(link)));
     let a = Block { letter: "a", quantity: "angle", unit: "rad", linear: LINEAR_RAD, names: joints };
-    a.draw(&mut page, 8.0, &angles);
+    a.render(&mut page, 8.0, &angles);
     let b = Block { letter: "b", quantity: "force", unit: "N", linear: LINEAR_N, names: links };
-    b.draw(&mut page, 232.0, &forces);
+    b.render(&mut page, 232.0, &forces);
     let spread = match [single.replicates(), multi.replicates()] {
         [Some(a), Some(b)] if a == b => format!(", mean over {a} ± 95 % interval"),
         [Some(a), Some(b)] => format!(", mean over {a} (above) and {b} (below) ± 95 %"),
@@ -73,9 +71,7 @@ pub fn draw(source: &Source) -> Result<Drawing, FigureError> {
         "several on one spot; gray line: perfect prediction; axes: linear".to_owned(),
         format!("around 0, logarithmic beyond about {LINEAR_RAD} rad and {LINEAR_N} N"),
     ];
-    for (row, line) in lines.iter().enumerate() {
-        remark(&mut page, line, [COLUMN / 2.0, 454.0 + 8.5 * row as f64]);
-    }
+    remarks(&mut page, 454.0, lines);
     let mut data = angles[0].data.clone();
     for more in [&angles[1], &forces[0], &forces[1]] {
         data.vstack_mut(&more.data)?;
@@ -96,7 +92,7 @@ struct Block {
 
 impl Block {
     /// Draws a legend and two rows of panels: predictions without vision, and predictions with vision.
-    fn draw(&self, page: &mut Page, top: f64, studies: &[Predictions; 2]) {
+    fn render(&self, page: &mut Page, top: f64, studies: &[Predictions; 2]) {
         let entries = [0, 1].map(|place| (look(Direction::FINGER[place]), self.names[place].as_str()));
         legend(page, COLUMN / 2.0, top, &entries);
         for (row, (study, kind)) in studies.iter().zip(Study::BOTH).enumerate() {
@@ -117,7 +113,7 @@ impl Block {
                 panel.left_axis(page, &y, first.then_some(predicted.as_str()));
                 let reference = if middle { format!("reference ({})", self.unit) } else { String::new() };
                 panel.bottom_axis(page, &x, (row == 1).then_some(reference.as_str()));
-                study.draw(page, &panel, *latent, [&x, &y]);
+                study.render(page, &panel, *latent, [&x, &y]);
             }
         }
     }
@@ -136,7 +132,7 @@ impl Block {
 
 impl Predictions {
     /// Draws a latent size's points, the line of perfect predictions behind them, and R² above the panel.
-    fn draw(&self, page: &mut Page, panel: &Panel, latent: usize, [x, y]: [&Scale; 2]) {
+    fn render(&self, page: &mut Page, panel: &Panel, latent: usize, [x, y]: [&Scale; 2]) {
         let ([left, right], [bottom, top]) = (x.range(), y.range());
         let perfect = [left.max(bottom), right.min(top)].map(|value| [x.at(value), y.at(value)]);
         page.line(perfect[0], perfect[1], Stroke::new(GRAY, 0.6));
@@ -147,17 +143,12 @@ impl Predictions {
             page.cloud(look.mark, &places, 1.2, look.color, 0.4);
             if let Some(r2) = self.r2.get(&(latent, direction)) {
                 let at = [panel.left + 3.0, panel.top - 3.0 - LINE * (1 - line) as f64];
-                page.text(&r2_words(r2), at, Type::SMALL.start().color(look.color));
+                page.text(&format!("R² {}", mean_words(r2)), at, Type::SMALL.start().color(look.color));
             }
         }
         let size = format!("*z* = {latent}");
         page.text(&size, [panel.right() - 2.0, panel.bottom() - 3.0], Type::SMALL.end());
     }
-}
-
-fn r2_words(r2: &Interval) -> String {
-    let spread = r2.bounds.map_or(String::new(), |(low, high)| format!(" ± {:.2}", (high - low) / 2.0));
-    format!("R² {:.2}{spread}", r2.mean).replace('-', "\u{2212}")
 }
 
 /// For each direction, the index of the last joint, which is also the index of the link that it turns.

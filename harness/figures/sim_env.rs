@@ -18,7 +18,7 @@ const HEIGHT: f64 = 140.0;
 const NARROW: f64 = COLUMN - WIDE - 3.0;
 
 /// Draws the figure.
-pub fn draw() -> Result<Drawing, FigureError> {
+pub fn render() -> Result<Drawing, FigureError> {
     let scene = Scene::paper(Scenario::EMPTY)?;
     let states = replay(&scene, &Simulation::default(), EPISODE)?;
     let sample = SAMPLE.min(states.len() - 1);
@@ -37,7 +37,7 @@ struct SceneView<'s> {
 
 impl<'s> SceneView<'s> {
     /// Renders the state onto the page with a body in the middle.
-    fn draw(
+    fn render(
         page: &mut Page,
         scene: &'s Scene,
         state: &[f64],
@@ -71,7 +71,7 @@ fn double_arrow(page: &mut Page, points: &[Point], color: &'static str) {
 }
 
 fn arm(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError> {
-    let view = SceneView::draw(page, scene, state, ([0.0, 0.0], [WIDE, HEIGHT]), ("arm_carriage", 31.0))?;
+    let view = SceneView::render(page, scene, state, ([0.0, 0.0], [WIDE, HEIGHT]), ("arm_carriage", 31.0))?;
     let name = Type { face: Face::Bold, ..Type::LABEL };
     let carriage = view.renderer.place_of("arm_carriage")?;
     let base = view.renderer.place_of("finger_link_00")?;
@@ -114,7 +114,7 @@ fn arm(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError>
 
 fn finger(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError> {
     let place = ([COLUMN - NARROW, 0.0], [NARROW, HEIGHT]);
-    let view = SceneView::draw(page, scene, state, place, ("finger_link_10", 13.0))?;
+    let view = SceneView::render(page, scene, state, place, ("finger_link_10", 13.0))?;
     let small = Type::SMALL;
     for link in [0, 5, 10, 15, 19] {
         let [x, y] = view.geom(&format!("finger_link_{link:02}"))?;

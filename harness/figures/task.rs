@@ -14,7 +14,7 @@ const SAMPLE: usize = 79;
 const PICTURE: [u32; 2] = [2008, 1334];
 
 /// Draws the figure.
-pub fn draw() -> Result<Drawing, FigureError> {
+pub fn render() -> Result<Drawing, FigureError> {
     let scene = Scene::paper(Scenario::CLUTTERED)?;
     let states = replay(&scene, &Simulation::default(), EPISODE)?;
     let state = &states[SAMPLE.min(states.len() - 1)];

@@ -20,11 +20,11 @@ pub struct Drawn {
 ///
 /// # Errors
 /// When a figure can't be drawn although its runs exist.
-pub fn draw(source: &Source, progress: &dyn Progress) -> Result<Vec<Drawn>, FigureError> {
+pub fn render(source: &Source, progress: &dyn Progress) -> Result<Vec<Drawn>, FigureError> {
     progress.begin("drawing", Figure::OF_THE_PAPER.len() as u64, "figures");
     let drawn = Figure::OF_THE_PAPER.into_iter().map(|figure| {
-        let draw = || figure.draw(source).map(|drawing| drawing.page.svg());
-        let svg = if figure.shows_runs() { draw() } else { cached(figure.name(), draw) };
+        let render = || figure.render(source).map(|drawing| drawing.page.svg());
+        let svg = if figure.shows_runs() { render() } else { cached(figure.name(), render) };
         let svg = part(svg)?;
         progress.advance(1);
         Ok(Drawn { name: figure.name(), meaning: figure.meaning(), svg })

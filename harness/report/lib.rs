@@ -193,7 +193,7 @@ pub fn page(
     let analysis = Analysis::new(registry, &selection)?;
     let analysis = claims::expect(analysis, &claims, quick).expect([joints::SQL, FORCES_SQL]);
     let source = Source::new(&analysis, drawn);
-    let figures = figures::draw(&source, progress)?;
+    let figures = figures::render(&source, progress)?;
     let verdicts = verdicts::Verdicts::of(&analysis, &claims, quick)?;
     let readings = readings::of(registry, &analysis, readings, &claims, settings)?;
     let experiments = runs::experiments(registry);

@@ -86,7 +86,7 @@ pub fn of(
     let rows: Vec<Row> = matrix.rows.iter().map(|row| Row::new(row, &matrix.readings)).collect();
     let drawn = Experiments { readings: spec.name.clone(), ..Experiments::of_the_paper(false) };
     let figure =
-        Figure::Readings.draw(&Source::new(readings.analysis(), drawn)).map(|drawing| drawing.page.svg());
+        Figure::Readings.render(&Source::new(readings.analysis(), drawn)).map(|drawing| drawing.page.svg());
     Ok(Part::There(Readings {
         readings: spec.readings.iter().map(Choice::new).collect(),
         same: rows.iter().filter(|row| row.changes.is_empty()).count(),

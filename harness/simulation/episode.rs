@@ -52,7 +52,7 @@ impl<'s> Simulator<'s> {
                 episode.images[recorded.position].extend_from_slice(camera.capture(data)?);
             }
             for (flow, recorded) in flows.iter_mut().zip(&scene.flows) {
-                episode.images[recorded.image.position].extend_from_slice(flow.draw(instant));
+                episode.images[recorded.image.position].extend_from_slice(flow.render(instant));
             }
             match on_sample() {
                 ControlFlow::Continue(()) => Ok(()),

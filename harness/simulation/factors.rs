@@ -141,8 +141,7 @@ fn change(model: &mut MjModel, property: Property, thing: usize, values: &[f64])
                 model.light_diffuse_mut()[thing],
                 model.light_specular_mut()[thing],
             ];
-            let [ambient, diffuse, specular] =
-                of_light.map(|color| color.map(|value| value * scale as f32));
+            let [ambient, diffuse, specular] = of_light.map(|color| color.map(|value| value * scale as f32));
             model.light_ambient_mut()[thing] = ambient;
             model.light_diffuse_mut()[thing] = diffuse;
             model.light_specular_mut()[thing] = specular;

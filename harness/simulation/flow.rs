@@ -44,7 +44,7 @@ impl Flow {
     /// Computes the flow at a sample as an image, `[rows, columns, 3]`. Red is 128 plus 127 / limit for each pixel of
     /// displacement to the right, and green is the same downwards. Blue is 255 if the point was visible at the sample
     /// before, and 0 otherwise.
-    pub fn draw(&mut self, instant: &Instant) -> &[u8] {
+    pub fn render(&mut self, instant: &Instant) -> &[u8] {
         for (data, qpos) in [(&mut self.now, &instant.qpos), (&mut self.before, &instant.qpos_before)] {
             data.swap_model(instant.model.clone());
             data.qpos_mut().copy_from_slice(qpos);

@@ -149,7 +149,7 @@ impl LiveSimulation {
     pub fn image(&mut self, modality: Modality, frame: &mut [u8]) -> Result<(), SimulationError> {
         let scene = self.physics.scene;
         if let Some(place) = scene.flows.iter().position(|flow| flow.image.modality == modality) {
-            frame.copy_from_slice(self.flows[place].draw(&self.physics.instant));
+            frame.copy_from_slice(self.flows[place].render(&self.physics.instant));
             return Ok(());
         }
         let recorded = scene.cameras.iter().find(|camera| camera.modality == modality);

@@ -1,7 +1,7 @@
 //! NumPy arrays over Rust's memory, and Rust vectors from NumPy arrays, by Python's buffer protocol.
 //!
-//! The crate numpy could do this too. However, its dependencies enable other features of crates that candle uses, so
-//! cargo would compile these crates twice.
+//! The crate numpy could do this too. However, it turns on the feature `std` of `num-complex`, on which gemm and candle
+//! depend, so cargo would compile these crates twice.
 
 use harness::spec::{Definition, IMAGE_CHANNELS};
 use pyo3::buffer::{Element, PyBuffer};
