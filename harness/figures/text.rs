@@ -98,7 +98,7 @@ pub fn outline(face: Face, id: u32) -> String {
     if let Some(glyph) = FONTS[face as usize].outline_glyphs().get(GlyphId::new(id)) {
         let settings = DrawSettings::unhinted(Size::unscaled(), LocationRef::default());
         // Drawing fails only if the font is damaged, and the fonts are part of the program.
-        let _ = glyph.render(settings, &mut pen);
+        let _ = glyph.draw(settings, &mut pen);
     }
     pen.0
 }
