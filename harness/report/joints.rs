@@ -79,7 +79,8 @@ pub fn series(source: &Source) -> Result<(Vec<Series>, BTreeSet<Absent>), Figure
 
 /// The query on the metrics table.
 pub const SQL: &str = "select task, modality, metric, scenario, latent, model, unit, direction, index, dataset_seed, \
-    value from metrics join runs using (experiment, run, scenario, latent) where modality in ('proprioception', 'contact_force') and model in ('network', 'persistence', 'ridge')";
+    value from metrics join runs using (experiment, run, scenario, latent) \
+    where modality in ('proprioception', 'contact_force') and model in ('network', 'persistence', 'ridge')";
 
 fn of_study(runs: &Runs, study: Study) -> Result<Vec<Series>, FigureError> {
     let keys =
