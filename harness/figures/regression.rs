@@ -68,7 +68,7 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let lines = [
         format!("R²: of all test samples{spread}"),
         format!("dots: at most {POINTS} test samples of one network, evenly chosen; denser:"),
-        "several on one spot; gray line: perfect prediction; axes: linear".to_owned(),
+        "several on one spot; grey line: perfect prediction; axes: linear".to_owned(),
         format!("around 0, logarithmic beyond about {LINEAR_RAD} rad and {LINEAR_N} N"),
     ];
     remarks(&mut page, 454.0, lines);
