@@ -9,6 +9,7 @@ use harness_kernels::convolution::LANES;
 use harness_kernels::product::{Arithmetic, Unit};
 use harness_learning::Normalizers;
 use harness_learning::frames::{Averaged, DenseFrames, Frames};
+use harness_learning::network::description::Description;
 use harness_learning::network::{Architecture, Observation, Parameters, Targets, scalar};
 use harness_learning::objective::{Draw, NormalizedData, Objective, Prediction, Weighted};
 use harness_learning::ops::{
@@ -17,6 +18,7 @@ use harness_learning::ops::{
 };
 use harness_learning::random::{Random, Stream};
 use harness_learning::state::StateFile;
+use harness_learning::tensors::TensorFile;
 use harness_learning::training::{Epoch, Fit, TOTAL, learning_rate};
 use harness_learning::{LearningError, checkpoint};
 use harness_shared::progress::Progress;
@@ -710,14 +712,8 @@ impl Bench {
         bench
     }
 
-    /// Trains from the beginning or from `state`, and returns the epochs and the parameters.
-    fn train(
-        &self,
-        seed: u64,
-        state: &StateFile,
-        progress: &dyn Progress,
-    ) -> std::result::Result<(Vec<Epoch>, Parameters), LearningError> {
-        let architecture = Architecture {
+    fn architecture(&self) -> Architecture {
+        Architecture {
             input: INPUT.to_vec(),
             output: OUTPUT.to_vec(),
             latent: 3,
@@ -725,7 +721,24 @@ impl Bench {
             action: ARM_JOINTS,
             network: self.network.clone(),
             arithmetic: Arithmetic::best(),
-        };
+        }
+    }
+
+    /// Describes the trained network.
+    fn description(&self) -> Description {
+        let (losses, normalizers) = (&self.training.losses, &self.data.normalizers);
+        Description::new(&self.architecture(), Task::Prediction, Action::Increment, losses, normalizers)
+            .unwrap()
+    }
+
+    /// Trains from the beginning or from `state`, and returns the epochs and the parameters.
+    fn train(
+        &self,
+        seed: u64,
+        state: &StateFile,
+        progress: &dyn Progress,
+    ) -> std::result::Result<(Vec<Epoch>, Parameters), LearningError> {
+        let architecture = self.architecture();
         let mut parameters = Parameters::new();
         let mut random = random(seed);
         let objective = Prediction {
@@ -1099,7 +1112,7 @@ fn checkpoints_bring_back_parameters_and_scales() {
     let (_, trained) = bench.train_undisturbed(7);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("network.safetensors");
-    checkpoint::save(&path, &trained, &bench.data.normalizers).unwrap();
+    checkpoint::save(&path, &trained, &bench.data.normalizers, &bench.description()).unwrap();
     let (_, other) = bench.train_undisturbed(8);
     assert!(bits(&trained) != bits(&other));
     let normalizers = checkpoint::load(&path, &other).unwrap();
@@ -1112,6 +1125,22 @@ fn checkpoints_bring_back_parameters_and_scales() {
     std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
     let error = checkpoint::load(&path, &other).unwrap_err();
     assert!(error.to_string().contains("network.safetensors is damaged"), "{error}");
+}
+
+#[test]
+fn a_checkpoint_contains_its_networks_description_and_older_ones_can_be_read_without() {
+    let bench = Bench::with_deep_network();
+    let (_, trained) = bench.train_undisturbed(7);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("network.safetensors");
+    checkpoint::save(&path, &trained, &bench.data.normalizers, &bench.description()).unwrap();
+    let TensorFile { tensors, note } = TensorFile::read(&path).unwrap();
+    assert_eq!(note["network"].to_string(), bench.description().json());
+    assert_eq!(note["network"]["outputs"][1]["minimum"], 0.0);
+    TensorFile { tensors, note: Default::default() }.write(&path).unwrap();
+    let (_, other) = bench.train_undisturbed(8);
+    assert_eq!(checkpoint::load(&path, &other).unwrap(), *bench.data.normalizers);
+    assert!(bits(&trained) == bits(&other));
 }
 
 #[test]
@@ -1176,6 +1205,23 @@ fn a_term_of_the_loss_is_a_finite_scalar() {
     assert_eq!(scalar(&Tensor::new(2.5f32, &Device::Cpu).unwrap()).unwrap(), 2.5);
 }
 
+/// Returns the names of all parameters in a network's description, sorted.
+fn described_parameters(architecture: &Architecture) -> Vec<String> {
+    let normalizers = Bench::new().data.normalizers;
+    let losses = BTreeMap::new();
+    let description =
+        Description::new(architecture, Task::Prediction, Action::Increment, &losses, &normalizers).unwrap();
+    let text: serde_json::Value = serde_json::from_str(&description.json()).unwrap();
+    let layers = ["encoder", "decoder"].into_iter().flat_map(|part| text[part].as_array().unwrap());
+    let values = layers.flat_map(|layer| {
+        let weights = layer["weights"].as_array().into_iter().flatten();
+        weights.chain(["weight", "bias"].into_iter().filter_map(|key| layer.get(key)))
+    });
+    let mut names: Vec<String> = values.map(|name| name.as_str().unwrap().to_owned()).collect();
+    names.sort();
+    names
+}
+
 #[test]
 fn the_number_of_parameters_is_known_before_they_are_made() {
     let sides: [&[Modality]; 4] = [
@@ -1203,6 +1249,7 @@ fn the_number_of_parameters_is_known_before_they_are_made() {
             let made: usize = parameters.values().map(|parameter| parameter.elem_count()).sum();
             let summary = architecture.summary().unwrap();
             assert_eq!(summary.parameters(), made, "{input:?} to {output:?}, {fusion}");
+            assert_eq!(described_parameters(&architecture), parameters.into_keys().collect::<Vec<_>>());
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Tables of network layers, for `harness show` and `harness run --dry-run`.
 
 use anyhow::Result;
-use harness::learning::network::{LayerSummary, architecture};
+use harness::learning::network::{architecture, description::Layer};
 use harness::spec::{Layout, RunSpec, Task};
 use std::sync::Arc;
 
@@ -31,7 +31,7 @@ pub fn table(spec: &RunSpec, layout: &Arc<Layout>) -> Result<String> {
     Ok(shown.collect::<Vec<_>>().join("\n"))
 }
 
-fn line(part: &str, layer: &LayerSummary) -> [String; 3] {
+fn line(part: &str, layer: &Layer) -> [String; 3] {
     let shape: Vec<String> = layer.output.iter().map(usize::to_string).collect();
     [format!("{part}.{}", layer.name), shape.join(" x "), layer.parameters.to_string()]
 }

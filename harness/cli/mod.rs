@@ -9,6 +9,7 @@ mod compare;
 mod diff;
 mod doctor;
 mod experiments;
+mod export;
 mod figures;
 mod inspect;
 mod interrupt;
@@ -33,7 +34,7 @@ use harness::analysis::AnalysisError;
 use harness::claims::ClaimsError;
 use harness::collection::CollectionError;
 use harness::dataset::DatasetError;
-use harness::experiment::{ExperimentError, describe};
+use harness::experiment::{ExperimentError, ModelError, describe};
 use harness::learning::LearningError;
 use harness::registry::{QueryError, Registry, RegistryError, quoted};
 use harness::report::ReportError;
@@ -189,6 +190,13 @@ Records, specs, epochs and metrics are copied. Tables about single samples are c
 where figures show them: predictions of the last two joints and links, and images, of each
 cell's lowest seed, but not of sweeps. Networks are not copied.")]
     Publish(publish::Publish),
+    /// Write a trained network as an ONNX model, for other programs
+    #[command(after_help = "Examples:
+  harness export --format onnx multi_to_multi_best/cluttered network.onnx
+  harness export --format onnx smoke/empty reconstruction.onnx --task reconstruction
+
+The model takes and returns SI units, and images as bytes. docs/networks.md describes it.")]
+    Export(export::Export),
     /// Check that all files of the results folder are as they were written
     #[command(after_help = "Examples:
   harness verify
@@ -325,6 +333,7 @@ fn execute(
         Command::Figures(figures) => figures.execute(registry),
         Command::Report(report) => report.execute(registry),
         Command::Publish(publish) => publish.execute(registry),
+        Command::Export(export) => export.execute(registry),
         Command::Verify => verify::execute(registry),
         Command::World(world) => world.execute(),
         Command::Doctor => doctor::execute(registry, threads),
@@ -338,6 +347,7 @@ impl Command {
             Self::Query(_) | Self::Claims(_) | Self::Compare(_) | Self::Show(_) => true,
             Self::Ls(list) => list.reads_results(),
             Self::Figures(_) | Self::Report(_) | Self::Publish(_) | Self::Verify | Self::Diff(_) => true,
+            Self::Export(_) => true,
             Self::Rm(_) | Self::Gc(_) | Self::Du => true,
             Self::Run(_) | Self::Collect(_) | Self::Validate(_) | Self::Submit(_) | Self::Cancel(_) => false,
             Self::Experiments(_) | Self::Schema(_) | Self::World(_) | Self::Render(_) | Self::Doctor => false,
@@ -406,12 +416,15 @@ fn is_usage(error: &anyhow::Error) -> bool {
             Some(ExperimentError::Dataset(DatasetError::NotImported { .. } | DatasetError::Lacks { .. }))
         )
         || matches!(error.downcast_ref(), Some(ExperimentError::Learning(LearningError::Device { .. })))
-        || matches!(
-            error.downcast_ref(),
-            Some(
-                RegistryError::Unknown { .. }
-                    | RegistryError::Ambiguous { .. }
-                    | RegistryError::NoResults { .. }
-            )
-        )
+        || matches!(error.downcast_ref(), Some(ModelError::NoReconstruction { .. }))
+        || matches!(error.downcast_ref(), Some(ModelError::Registry(error)) if is_wrong_name(error))
+        || error.downcast_ref().is_some_and(is_wrong_name)
+}
+
+/// Whether the arguments name a run or a results folder that does not exist, or several runs.
+fn is_wrong_name(error: &RegistryError) -> bool {
+    matches!(
+        error,
+        RegistryError::Unknown { .. } | RegistryError::Ambiguous { .. } | RegistryError::NoResults { .. }
+    )
 }

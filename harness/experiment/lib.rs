@@ -1,10 +1,12 @@
 //! Runs experiments: from a spec to episodes, a dataset, training, metrics and a record.
 
 mod evaluate;
+mod export;
 mod model;
 mod schedule;
 mod search;
 
+pub use export::{NetworkFile, network_files, onnx};
 pub use model::{Model, ModelError, Values};
 pub use schedule::Summary;
 pub use search::{Best, best};
@@ -13,7 +15,8 @@ use candle_core::Tensor;
 use evaluate::SampledTransition;
 use harness_collection::{CollectionError, collect, collect_together, dataset_of};
 use harness_dataset::{AnyDataset, DatasetError, FramePlace, Imported, Partition, Samples, frame_bytes};
-use harness_learning::network::{Decoder, Encoder, Parameters, architecture};
+use harness_learning::network::description::Description;
+use harness_learning::network::{Architecture, Decoder, Encoder, Parameters, architecture};
 use harness_learning::objective::{NormalizedData, Objective, Prediction, Reconstruction};
 use harness_learning::random::{Random, Stream};
 use harness_learning::state::StateFile;
@@ -478,7 +481,7 @@ impl TrainingRun<'_> {
             loss_weights: &spec.training.loss_weights,
             dropout: spec.training.dropout,
         };
-        self.train(task, &objective, &parameters, outcome)?;
+        self.train(task, &architecture, &objective, &parameters, outcome)?;
         outcome.timings.prediction = begin.elapsed().as_secs_f64();
         let begin = Instant::now();
         let latent = predict::encode(data, &*objective.encoder, &spec.input, &partition.test);
@@ -496,18 +499,15 @@ impl TrainingRun<'_> {
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
         let everything: Vec<usize> = (0..data.samples.len()).collect();
         let latent = predict::encode(data, encoder, &spec.input, &everything).map_err(LearningError::from)?;
-        let decoder = architecture(spec, data.samples.layout(), task).decoder(
-            &mut parameters,
-            &mut random,
-            &data.device,
-        );
+        let architecture = architecture(spec, data.samples.layout(), task);
+        let decoder = architecture.decoder(&mut parameters, &mut random, &data.device);
         let objective = Reconstruction {
             data,
             latent: &latent,
             decoder: decoder.map_err(LearningError::from)?,
             input: &spec.input,
         };
-        self.train(task, &objective, &parameters, outcome)?;
+        self.train(task, &architecture, &objective, &parameters, outcome)?;
         outcome.timings.reconstruction = Some(begin.elapsed().as_secs_f64());
         let begin = Instant::now();
         let test = harness_learning::objective::rows(&latent, &partition.test);
@@ -520,6 +520,7 @@ impl TrainingRun<'_> {
     fn train(
         &self,
         task: Task,
+        architecture: &Architecture,
         objective: &dyn Objective,
         parameters: &Parameters,
         outcome: &mut Outcome,
@@ -533,7 +534,9 @@ impl TrainingRun<'_> {
             progress: self.progress,
         };
         let epochs = fit.run(objective, parameters)?;
-        checkpoint::save(&self.folder.checkpoint(task), parameters, &self.prepared.data.normalizers)?;
+        let NormalizedData { normalizers, action, .. } = &self.prepared.data;
+        let network = Description::new(architecture, task, *action, &self.spec.training.losses, normalizers)?;
+        checkpoint::save(&self.folder.checkpoint(task), parameters, normalizers, &network)?;
         outcome.epochs.extend(epochs.into_iter().map(|epoch| (task, epoch)));
         Ok(())
     }

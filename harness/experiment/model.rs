@@ -3,11 +3,12 @@
 use candle_core::{Device, Tensor};
 use harness_learning::Normalizers;
 use harness_learning::frames::{DenseFrames, Frames};
-use harness_learning::network::{Decoder, Encoder, Observation, Parameters, architecture};
+use harness_learning::network::{Architecture, Decoder, Encoder, Observation, Parameters, architecture};
+use harness_learning::ops::arithmetic;
 use harness_learning::random::{Random, Stream};
 use harness_learning::{LearningError, checkpoint, predict};
 use harness_registry::{Registry, RegistryError, RunFolder, RunRecord, Status};
-use harness_spec::{IMAGE_CHANNELS, Modality, Task};
+use harness_spec::{IMAGE_CHANNELS, Modality, Precision, Task};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -92,12 +93,9 @@ impl Model {
     /// # Errors
     /// When no run or several runs match, the run isn't done, or its network is missing or damaged.
     pub fn load(registry: &Registry, wanted: &str) -> Result<Self, ModelError> {
-        let (folder, record) = registry.find(wanted)?;
-        if record.status != Status::Done {
-            return Err(ModelError::Unfinished { run: record.run, status: record.status });
-        }
+        let (folder, record) = finished(registry, wanted)?;
         let task = Task::Prediction;
-        let architecture = architecture(&record.spec, &record.layout, task);
+        let architecture = applied(&record, task);
         let mut parameters = Parameters::new();
         let mut random = Random::new(record.spec.seed, Stream::Parameters(task));
         let encoder = architecture.encoder(&mut parameters, &mut random, &Device::Cpu);
@@ -209,6 +207,23 @@ impl Model {
     }
 }
 
+/// Returns the finished run whose id, or `experiment/id`, begins with `wanted`.
+pub(crate) fn finished(registry: &Registry, wanted: &str) -> Result<(RunFolder, RunRecord), ModelError> {
+    let (folder, record) = registry.find(wanted)?;
+    match record.status {
+        Status::Done => Ok((folder, record)),
+        status => Err(ModelError::Unfinished { run: record.run, status }),
+    }
+}
+
+/// Returns the network that a run trained for `task`. It computes in f32, whatever the precision of the training.
+fn applied(record: &RunRecord, task: Task) -> Architecture {
+    Architecture {
+        arithmetic: arithmetic(record.spec.training.tiles, Precision::F32),
+        ..architecture(&record.spec, &record.layout, task)
+    }
+}
+
 /// Loads the parameters of a network and returns its normalizers. Fails if there is no file at `path`.
 fn load_network(path: &Path, parameters: &Parameters) -> Result<Normalizers, ModelError> {
     if !path.exists() {
@@ -221,8 +236,7 @@ fn load_reconstruction(folder: &RunFolder, record: &RunRecord) -> Result<Box<dyn
     let task = Task::Reconstruction;
     let mut parameters = Parameters::new();
     let mut random = Random::new(record.spec.seed, Stream::Parameters(task));
-    let decoder =
-        architecture(&record.spec, &record.layout, task).decoder(&mut parameters, &mut random, &Device::Cpu);
+    let decoder = applied(record, task).decoder(&mut parameters, &mut random, &Device::Cpu);
     let decoder = decoder.map_err(LearningError::from)?.detached();
     load_network(&folder.checkpoint(task), &parameters)?;
     Ok(decoder)

@@ -1,17 +1,27 @@
-//! Trained networks as safetensors files: the parameters by name, and the normalizers of the training.
+//! Trained networks as safetensors files: the parameters by name, the normalizers of the training, and a description
+//! from which other programs can rebuild the network.
 
 use super::LearningError;
-use super::network::Parameters;
+use super::network::{Parameters, description::Description};
 use super::tensors::TensorFile;
 use crate::{Normalizer, Normalizers};
 use candle_core::{Device, Result as CandleResult, Tensor};
 use harness_spec::Modality;
-use serde_json::Map;
+use serde_json::{Map, json};
 use std::collections::HashMap;
 use std::path::Path;
 
-/// Writes `parameters` and `normalizers` to a sealed file. A failed write leaves no partial file.
-pub fn save(path: &Path, parameters: &Parameters, normalizers: &Normalizers) -> Result<(), LearningError> {
+/// Key of the network's description in a file's note.
+const NETWORK: &str = "network";
+
+/// Writes `parameters`, `normalizers` and the `network`'s description to a sealed file. A failed write leaves no partial
+/// file.
+pub fn save(
+    path: &Path,
+    parameters: &Parameters,
+    normalizers: &Normalizers,
+    network: &Description,
+) -> Result<(), LearningError> {
     let mut tensors: HashMap<String, Tensor> =
         parameters.iter().map(|(name, var)| (name.clone(), var.as_tensor().clone())).collect();
     let named = normalizers.modalities.iter().map(|(modality, normalizer)| (modality.name(), normalizer));
@@ -22,7 +32,7 @@ pub fn save(path: &Path, parameters: &Parameters, normalizers: &Normalizers) -> 
             tensors.insert(format!("scale.{name}.minimum"), vector(&[minimum])?);
         }
     }
-    TensorFile { tensors, note: Map::new() }.write(path)
+    TensorFile { tensors, note: Map::from_iter([(NETWORK.to_owned(), json!(network))]) }.write(path)
 }
 
 fn vector(values: &[f32]) -> CandleResult<Tensor> {
@@ -36,11 +46,20 @@ fn vector(values: &[f32]) -> CandleResult<Tensor> {
 /// do not change in that case.
 pub fn load(path: &Path, parameters: &Parameters) -> Result<Normalizers, LearningError> {
     let damaged = |reason: String| LearningError::Damaged { path: path.to_owned(), reason };
-    let file = TensorFile::read(path)?;
+    let (file, normalizers) = open(path)?;
     let found = parameters.iter().map(|(name, parameter)| Ok((parameter, file.like(name, parameter)?)));
     for (parameter, tensor) in found.collect::<Result<Vec<_>, String>>().map_err(damaged)? {
         parameter.set(&tensor)?;
     }
+    Ok(normalizers)
+}
+
+/// Reads a file that [`save`] has written, with its normalizers. Files of earlier versions have no description.
+///
+/// # Errors
+/// When the file is damaged. The error names it.
+pub fn open(path: &Path) -> Result<(TensorFile, Normalizers), LearningError> {
+    let file = TensorFile::read(path)?;
     let normalizer = |name: &str| -> Option<Normalizer> {
         let part = |part: &str| -> Option<Vec<f32>> {
             file.tensors.get(&format!("scale.{name}.{part}"))?.to_vec1().ok()
@@ -51,6 +70,10 @@ pub fn load(path: &Path, parameters: &Parameters) -> Result<Normalizers, Learnin
     let names = file.tensors.keys().filter_map(|key| key.strip_prefix("scale.")?.strip_suffix(".mean"));
     let modalities = names.filter(|name| *name != "action").filter_map(Modality::new);
     let modalities = modalities.filter_map(|modality| Some((modality, normalizer(modality.name())?)));
-    let action = normalizer("action").ok_or_else(|| damaged("it has no scale of the action".into()))?;
-    Ok(Normalizers { modalities: modalities.collect(), action })
+    let modalities = modalities.collect();
+    let action = normalizer("action").ok_or_else(|| LearningError::Damaged {
+        path: path.to_owned(),
+        reason: "it has no scale of the action".into(),
+    })?;
+    Ok((file, Normalizers { modalities, action }))
 }

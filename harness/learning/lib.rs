@@ -6,6 +6,7 @@ pub mod memory;
 pub mod network;
 mod normalizer;
 pub mod objective;
+pub mod onnx;
 pub mod ops;
 pub mod predict;
 pub mod random;

@@ -1,7 +1,8 @@
 //! Decoders: from a latent state and an action to an observation.
 
+use super::description::{ACTION, LATENT, Layer};
 use super::layers::{Builder, FrameOutput, Perceptron};
-use super::{Architecture, Decoded, Decoder, LayerSummary, Targets, Term};
+use super::{Architecture, Decoded, Decoder, Targets, Term};
 use crate::ops::{Quantity, Stack, frame_decoder, frame_loss, vector_losses};
 use candle_core::{Result, Tensor};
 use harness_spec::{Fusion, Modality};
@@ -36,6 +37,7 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
         .transpose()?;
     let (frame_hidden, frames) = frames.map_or((None, None), |(own, output)| (own, Some(output)));
     Ok(Box::new(PerceptronDecoder {
+        condition: [architecture.latent, architecture.action],
         vectors_of: vectors_of(architecture),
         shared,
         vectors,
@@ -52,6 +54,8 @@ fn vectors_of(architecture: &Architecture) -> Vec<(Modality, usize)> {
 
 /// Hidden layers, which vectors and frames share or have separately, and the output layers of both.
 struct PerceptronDecoder {
+    /// Widths of the latent state and of the action; the latter is 0 without an action.
+    condition: [usize; 2],
     /// The predicted vectors with their widths. They lie side by side.
     vectors_of: Vec<(Modality, usize)>,
     /// Hidden layers that vectors and frames share.
@@ -133,6 +137,7 @@ impl Decoder for PerceptronDecoder {
     fn detached(&self) -> Box<dyn Decoder> {
         let detached = |layers: &Option<Perceptron>| layers.as_ref().map(Perceptron::detached);
         Box::new(Self {
+            condition: self.condition,
             vectors_of: self.vectors_of.clone(),
             shared: detached(&self.shared),
             vectors: detached(&self.vectors),
@@ -141,13 +146,28 @@ impl Decoder for PerceptronDecoder {
         })
     }
 
-    fn layers(&self) -> Result<Vec<LayerSummary>> {
+    fn layers(&self) -> Result<Vec<Layer>> {
+        let last = |layers: &[Layer], otherwise: &str| {
+            layers.last().map_or(otherwise, |layer| layer.name.as_str()).to_owned()
+        };
+        let [latent, action] = self.condition;
         let mut layers = Vec::new();
-        for perceptron in [&self.shared, &self.vectors, &self.frame_hidden].into_iter().flatten() {
-            layers.extend(perceptron.summary()?);
+        if action > 0 {
+            layers.push(Layer::concatenate("condition", &[LATENT, ACTION], latent + action));
+        }
+        if let Some(shared) = &self.shared {
+            layers.extend(shared.layers(&last(&layers, LATENT), true)?);
+        }
+        let common = last(&layers, LATENT);
+        if let Some(vectors) = &self.vectors {
+            layers.extend(vectors.layers(&common, false)?);
         }
         if let Some(frames) = &self.frames {
-            layers.extend(frames.summary()?);
+            let own = self.frame_hidden.as_ref().map(|own| own.layers(&common, true)).transpose()?;
+            let own = own.unwrap_or_default();
+            let input = last(&own, &common);
+            layers.extend(own);
+            layers.extend(frames.layers(&input)?);
         }
         Ok(layers)
     }

@@ -1,7 +1,8 @@
 //! Encoders: from an observation to a posterior.
 
-use super::layers::{Builder, Dense, FrameInput, Norm, Perceptron, numbered};
-use super::{Architecture, Encoder, LayerSummary, Observation, Posterior};
+use super::description::{Activation, Layer, Operation, POSTERIOR, VECTORS};
+use super::layers::{Builder, Dense, FLAT, FrameInput, Norm, Perceptron, numbered};
+use super::{Architecture, Encoder, Observation, Posterior};
 use crate::frames::Frames;
 use crate::ops::{Arithmetic, Dropout, Stack};
 use candle_core::{Result, Tensor};
@@ -48,8 +49,8 @@ fn to_posterior(
         let layer = builder.dense(&name, pair[0], pair[1])?;
         layers = layers.then(&name, layer);
     }
-    let last = builder.dense("posterior", hidden[hidden.len() - 1], 2 * architecture.latent)?;
-    Ok(layers.then("posterior", last))
+    let last = builder.dense(POSTERIOR, hidden[hidden.len() - 1], 2 * architecture.latent)?;
+    Ok(layers.then(POSTERIOR, last))
 }
 
 /// Returns the part of an observation. Fails if the caller did not supply it.
@@ -57,6 +58,15 @@ fn given<T>(part: &Option<T>) -> Result<&T> {
     match part {
         Some(part) => Ok(part),
         None => candle_core::bail!("the observation lacks a part that the encoder needs"),
+    }
+}
+
+/// Describes the first fully connected layer of an encoder that joins frames and vectors in it.
+fn first_layer(weights: &[&str]) -> Operation {
+    Operation::Dense {
+        weights: weights.iter().map(|weight| (*weight).to_owned()).collect(),
+        bias: "hidden.bias".into(),
+        activation: Activation::Relu,
     }
 }
 
@@ -85,8 +95,11 @@ impl Encoder for VectorEncoder {
         Box::new(Self(self.0.detached()))
     }
 
-    fn layers(&self) -> Result<Vec<LayerSummary>> {
-        self.0.summary()
+    fn layers(&self) -> Result<Vec<Layer>> {
+        let mut layers = self.0.layers(VECTORS, false)?;
+        // Its weight has the same name as in an encoder with frames.
+        layers[0].operation = first_layer(&["hidden_vector.weight"]);
+        Ok(layers)
     }
 }
 
@@ -143,16 +156,21 @@ impl Encoder for EarlyEncoder {
         })
     }
 
-    fn layers(&self) -> Result<Vec<LayerSummary>> {
-        let mut layers = self.frames.summary();
-        layers.push(LayerSummary {
+    fn layers(&self) -> Result<Vec<Layer>> {
+        let parts = [(FLAT, "hidden_frame.weight"), (VECTORS, "hidden_vector.weight")];
+        let (inputs, weights): (Vec<_>, Vec<_>) =
+            parts.into_iter().take(1 + usize::from(self.vector.is_some())).unzip();
+        let mut layers = self.frames.layers();
+        layers.push(Layer {
             name: "hidden".into(),
+            operation: first_layer(&weights),
+            inputs: inputs.into_iter().map(String::from).collect(),
             output: vec![self.bias.dim(0)?],
             parameters: self.frames.weight.elem_count()
                 + self.vector.as_ref().map_or(0, Tensor::elem_count)
                 + self.bias.elem_count(),
         });
-        layers.extend(self.rest.summary()?);
+        layers.extend(self.rest.layers("hidden", false)?);
         Ok(layers)
     }
 }
@@ -211,7 +229,7 @@ impl LateEncoder {
             .transpose()?;
         let inputs = (usize::from(frames.is_some()) + usize::from(vector.is_some())) * width;
         let joint = builder.dense("joint", inputs, width)?;
-        let posterior = builder.dense("posterior", width, 2 * architecture.latent)?;
+        let posterior = builder.dense(POSTERIOR, width, 2 * architecture.latent)?;
         Ok(Self { vector, frames, joint, posterior, arithmetic: architecture.arithmetic })
     }
 }
@@ -243,19 +261,24 @@ impl Encoder for LateEncoder {
         })
     }
 
-    fn layers(&self) -> Result<Vec<LayerSummary>> {
+    fn layers(&self) -> Result<Vec<Layer>> {
         let mut layers = Vec::new();
+        let mut parts = Vec::new();
         if let Some((perceptron, norm)) = &self.vector {
-            layers.extend(perceptron.summary()?);
-            layers.push(norm.summary("vector_norm")?);
+            layers.extend(perceptron.layers(VECTORS, true)?);
+            layers.push(norm.layer("vector_norm", &layers[layers.len() - 1].name)?);
+            parts.push("vector_norm");
         }
         if let Some(LateFrames { input, bias, norm }) = &self.frames {
-            layers.extend(input.summary());
-            layers.push(Dense { weight: input.weight.clone(), bias: bias.clone() }.summary("frame")?);
-            layers.push(norm.summary("frame_norm")?);
+            layers.extend(input.layers());
+            let dense = Dense { weight: input.weight.clone(), bias: bias.clone() };
+            layers.push(dense.layer("frame", FLAT, true)?);
+            layers.push(norm.layer("frame_norm", "frame")?);
+            parts.push("frame_norm");
         }
-        layers.push(self.joint.summary("joint")?);
-        layers.push(self.posterior.summary("posterior")?);
+        layers.push(Layer::concatenate("parts", &parts, self.joint.weight.dim(1)?));
+        layers.push(self.joint.layer("joint", "parts", true)?);
+        layers.push(self.posterior.layer(POSTERIOR, "joint", false)?);
         Ok(layers)
     }
 }

@@ -1,12 +1,15 @@
 //! The layers of encoders and decoders.
 
-use super::{LayerSummary, Parameters};
+use super::Parameters;
+use super::description::{Activation, Convolution, IMAGES, Layer, Operation};
 use crate::frames::{Averaged, Frames};
 use crate::ops::{Arithmetic, Dropout, FrameDecoder, Stack, TwoLayers, frame_encoder, linear, two_layers};
 use crate::random::Random;
 use candle_core::{DType, Device, Result, Tensor, Var};
 use std::sync::Arc;
 
+/// Name of the layer that flattens the convolutions' output.
+pub const FLAT: &str = "flat";
 /// Added to the variance in layer normalization, so that the divisor is not zero.
 const NORM_EPSILON: f32 = 1e-5;
 
@@ -135,10 +138,16 @@ impl Dense {
         linear(x, &self.weight, &self.bias, relu, arithmetic)
     }
 
-    /// Summarizes a fully connected layer.
-    pub fn summary(&self, name: &str) -> Result<LayerSummary> {
-        Ok(LayerSummary {
+    /// Describes a fully connected layer.
+    pub fn layer(&self, name: &str, input: &str, relu: bool) -> Result<Layer> {
+        Ok(Layer {
             name: name.to_owned(),
+            operation: Operation::Dense {
+                weights: vec![format!("{name}.weight")],
+                bias: format!("{name}.bias"),
+                activation: Activation::relu_if(relu),
+            },
+            inputs: vec![input.to_owned()],
             output: vec![self.bias.dim(0)?],
             parameters: self.weight.elem_count() + self.bias.elem_count(),
         })
@@ -187,9 +196,12 @@ impl Perceptron {
         Ok(x)
     }
 
-    /// Summarizes each layer.
-    pub fn summary(&self) -> Result<Vec<LayerSummary>> {
-        self.layers.iter().map(|(name, layer)| layer.summary(name)).collect()
+    /// Describes the layers, of which the first one takes `input`. The last one has a ReLU if `relu`.
+    pub fn layers(&self, input: &str, relu: bool) -> Result<Vec<Layer>> {
+        let inputs = std::iter::once(input).chain(self.layers.iter().map(|(name, _)| name.as_str()));
+        let last = self.layers.len().saturating_sub(1);
+        let layers = self.layers.iter().zip(inputs).enumerate();
+        layers.map(|(index, ((name, layer), input))| layer.layer(name, input, relu || index < last)).collect()
     }
 }
 
@@ -212,10 +224,20 @@ impl Norm {
         candle_nn::ops::layer_norm_slow(x, &self.weight, &self.bias, NORM_EPSILON)
     }
 
-    /// Summarizes the layer.
-    pub fn summary(&self, name: &str) -> Result<LayerSummary> {
+    /// Describes the layer.
+    pub fn layer(&self, name: &str, input: &str) -> Result<Layer> {
         let width = self.weight.dim(0)?;
-        Ok(LayerSummary { name: name.to_owned(), output: vec![width], parameters: 2 * width })
+        Ok(Layer {
+            name: name.to_owned(),
+            operation: Operation::LayerNormalization {
+                weight: format!("{name}.weight"),
+                bias: format!("{name}.bias"),
+                epsilon: f64::from(NORM_EPSILON),
+            },
+            inputs: vec![input.to_owned()],
+            output: vec![width],
+            parameters: 2 * width,
+        })
     }
 }
 
@@ -225,18 +247,18 @@ fn pack<'a>(convolutions: impl Iterator<Item = &'a Dense>, last: Option<&Tensor>
     Tensor::cat(&tensors.map(Tensor::flatten_all).collect::<Result<Vec<_>>>()?, 0)
 }
 
-/// Summarizes convolutions. If `coarse`, their output is the coarse image, otherwise the fine image.
-fn convolution_summaries(stack: &Stack, layers: &[Dense], coarse: bool) -> Vec<LayerSummary> {
-    let of = stack.layers().iter().zip(layers).enumerate().map(|(index, (sizes, layer))| LayerSummary {
-        name: numbered("conv", index),
-        output: if coarse {
-            vec![sizes.coarse_channels, sizes.coarse_size()[0], sizes.coarse_size()[1]]
-        } else {
-            vec![sizes.fine_channels, sizes.size[0], sizes.size[1]]
-        },
-        parameters: layer.weight.elem_count() + layer.bias.elem_count(),
-    });
-    of.collect()
+/// Appends the description of a layer that takes the output of the last one, or `input` if it is the first.
+fn append(
+    layers: &mut Vec<Layer>,
+    input: &str,
+    name: String,
+    operation: Operation,
+    output: Vec<usize>,
+    of: &[&Tensor],
+) {
+    let input = layers.last().map_or(input, |layer| layer.name.as_str()).to_owned();
+    let parameters = of.iter().map(|tensor| tensor.elem_count()).sum();
+    layers.push(Layer { name, operation, inputs: vec![input], output, parameters });
 }
 
 /// Convolutions of frames, and the weight of the fully connected layer after them.
@@ -272,9 +294,24 @@ impl FrameInput {
         frame_encoder(frames, &self.stack, &packed, &self.weight, self.arithmetic, dropout)
     }
 
-    /// Summarizes the convolutions.
-    pub fn summary(&self) -> Vec<LayerSummary> {
-        convolution_summaries(&self.stack, &self.convolutions, true)
+    /// Describes the layers before the fully connected one. The last of them is [`FLAT`].
+    pub fn layers(&self) -> Vec<Layer> {
+        let mut layers = Vec::new();
+        if self.average > 1 {
+            let first = &self.stack.layers()[0];
+            let operation = Operation::Average { size: self.average };
+            let output = vec![first.fine_channels, first.size[0], first.size[1]];
+            append(&mut layers, IMAGES, "average".into(), operation, output, &[]);
+        }
+        for (index, (sizes, layer)) in self.stack.layers().iter().zip(&self.convolutions).enumerate() {
+            let name = numbered("conv", index);
+            let operation = Operation::Convolution(Convolution::new(&name, Activation::Relu));
+            let [rows, columns] = sizes.coarse_size();
+            let output = vec![sizes.coarse_channels, rows, columns];
+            append(&mut layers, IMAGES, name, operation, output, &[&layer.weight, &layer.bias]);
+        }
+        append(&mut layers, IMAGES, FLAT.into(), Operation::Flatten, vec![self.stack.coarse_len()], &[]);
+        layers
     }
 }
 
@@ -313,10 +350,21 @@ impl FrameOutput {
         Ok(FrameDecoder { stack, weight: self.dense.weight.clone(), packed, arithmetic: self.arithmetic })
     }
 
-    /// Summarizes the layers in the order in which they are applied.
-    pub fn summary(&self) -> Result<Vec<LayerSummary>> {
-        let mut layers = vec![self.dense.summary("frame")?];
-        layers.extend(convolution_summaries(&self.stack, &self.convolutions, false).into_iter().rev());
+    /// Describes the layers, of which the first one takes `input`.
+    pub fn layers(&self, input: &str) -> Result<Vec<Layer>> {
+        let mut layers = vec![self.dense.layer("frame", input, true)?];
+        let stack = self.stack.layers();
+        let last = &stack[stack.len() - 1];
+        let [rows, columns] = last.coarse_size();
+        let coarse = vec![last.coarse_channels, rows, columns];
+        append(&mut layers, input, "coarse".into(), Operation::Reshape, coarse, &[]);
+        for (index, (sizes, layer)) in stack.iter().zip(&self.convolutions).enumerate().rev() {
+            let name = numbered("conv", index);
+            let activation = Activation::relu_if(index > 0);
+            let operation = Operation::TransposedConvolution(Convolution::new(&name, activation));
+            let output = vec![sizes.fine_channels, sizes.size[0], sizes.size[1]];
+            append(&mut layers, input, name, operation, output, &[&layer.weight, &layer.bias]);
+        }
         Ok(layers)
     }
 }

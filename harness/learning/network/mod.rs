@@ -5,6 +5,7 @@
 //! their layers. Training and prediction use only the traits [`Encoder`] and [`Decoder`].
 
 mod decoder;
+pub mod description;
 mod encoder;
 mod layers;
 
@@ -12,6 +13,7 @@ use super::ops::{self, Arithmetic, Dropout};
 use super::random::Random;
 use crate::frames::Frames;
 use candle_core::{DType, Device, Result, Tensor, Var};
+use description::Layer;
 use harness_spec::{IMAGE_CHANNELS, Layout, Loss, Modality, Network, RunSpec, Task};
 use layers::{Builder, Made};
 use std::collections::BTreeMap;
@@ -77,11 +79,15 @@ impl Architecture {
         decoder::build(self, &mut self.builder("decoder", Made::Variables { parameters, random, device }))
     }
 
-    /// Lists all layers of the encoder and the decoder in the order in which they are applied. Creates no parameters.
+    /// Lists all layers with parameters of the encoder and the decoder in the order in which they are applied. Creates no parameters.
     pub fn summary(&self) -> Result<Summary> {
+        let trained = |mut layers: Vec<Layer>| {
+            layers.retain(|layer| layer.parameters > 0);
+            layers
+        };
         Ok(Summary {
-            encoder: encoder::build(self, &mut self.builder("encoder", Made::Shapes))?.layers()?,
-            decoder: decoder::build(self, &mut self.builder("decoder", Made::Shapes))?.layers()?,
+            encoder: trained(self.encoder_layers()?),
+            decoder: trained(self.decoder_layers()?),
             observed: self
                 .input
                 .iter()
@@ -89,6 +95,16 @@ impl Architecture {
                 .map(|modality| self.layout[*modality].width())
                 .sum(),
         })
+    }
+
+    /// Describes the encoder's layers in the order in which they are applied. Creates no parameters.
+    fn encoder_layers(&self) -> Result<Vec<Layer>> {
+        encoder::build(self, &mut self.builder("encoder", Made::Shapes))?.layers()
+    }
+
+    /// Describes the decoder's layers in the order in which they are applied. Creates no parameters.
+    fn decoder_layers(&self) -> Result<Vec<Layer>> {
+        decoder::build(self, &mut self.builder("decoder", Made::Shapes))?.layers()
     }
 
     fn builder<'a>(&self, prefix: &'static str, made: Made<'a>) -> Builder<'a> {
@@ -126,8 +142,8 @@ pub trait Encoder: Send + Sync {
     /// Returns the same encoder over the same parameters, for which no gradients are computed.
     fn detached(&self) -> Box<dyn Encoder>;
 
-    /// Returns the layers in the order in which they are applied.
-    fn layers(&self) -> Result<Vec<LayerSummary>>;
+    /// Describes the layers in the order in which they are applied.
+    fn layers(&self) -> Result<Vec<Layer>>;
 }
 
 /// Maps a latent state, and an action if the decoder has one, to an observation.
@@ -141,35 +157,23 @@ pub trait Decoder: Send + Sync {
     /// Returns the same decoder over the same parameters, for which no gradients are computed.
     fn detached(&self) -> Box<dyn Decoder>;
 
-    /// Returns the layers in the order in which they are applied.
-    fn layers(&self) -> Result<Vec<LayerSummary>>;
+    /// Describes the layers in the order in which they are applied.
+    fn layers(&self) -> Result<Vec<Layer>>;
 }
 
-/// A layer's name, output shape and size, for display.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct LayerSummary {
-    /// Name of the layer's parameters, without the part that all of an encoder's or a decoder's parameters have in
-    /// common.
-    pub name: String,
-    /// Shape of one sample's output: `[width]` or `[channels, rows, columns]`.
-    pub output: Vec<usize>,
-    /// Number of weights and biases.
-    pub parameters: usize,
-}
-
-/// The layers of a network.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// The layers of a network that have parameters.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Summary {
     /// Layers of the encoder, in the order in which they are applied.
-    pub encoder: Vec<LayerSummary>,
+    pub encoder: Vec<Layer>,
     /// Layers of the decoder, in the order in which they are applied.
-    pub decoder: Vec<LayerSummary>,
+    pub decoder: Vec<Layer>,
     /// Number of values in one sample's input and output.
     observed: usize,
 }
 
 impl Summary {
-    fn layers(&self) -> impl Iterator<Item = &LayerSummary> {
+    fn layers(&self) -> impl Iterator<Item = &Layer> {
         self.encoder.iter().chain(&self.decoder)
     }
 

@@ -1,0 +1,66 @@
+//! The files of a run's trained networks, and the networks as ONNX models.
+
+use crate::model::{ModelError, finished};
+use harness_learning::network::architecture;
+use harness_learning::network::description::Description;
+use harness_learning::onnx::{self, Described};
+use harness_learning::{LearningError, checkpoint};
+use harness_registry::{Registry, RunFolder, RunRecord};
+use harness_spec::Task;
+use std::path::PathBuf;
+
+/// A trained network's file.
+pub struct NetworkFile {
+    /// What the network was trained for.
+    pub task: Task,
+    /// Path of the file.
+    pub path: PathBuf,
+    /// The network's description. Files of earlier versions do not contain it; it then comes from the run's spec.
+    pub description: Description,
+}
+
+/// Returns the network files of the finished run whose id, or `experiment/id`, begins with `wanted`.
+///
+/// # Errors
+/// When no run or several runs match, the run isn't done, or a network is missing or damaged.
+pub fn network_files(registry: &Registry, wanted: &str) -> Result<Vec<NetworkFile>, ModelError> {
+    let (folder, record) = finished(registry, wanted)?;
+    let file = |task: &Task| {
+        let Described { description, .. } = described(&folder, &record, *task)?;
+        Ok(NetworkFile { task: *task, path: folder.checkpoint(*task), description })
+    };
+    record.spec.tasks.iter().map(file).collect()
+}
+
+/// Returns the bytes of an ONNX model of the finished run whose id, or `experiment/id`, begins with `wanted`. It predicts
+/// the next observation, or reconstructs the present one, as `task` says.
+///
+/// # Errors
+/// Those of [`network_files`], and when the run did not train `task`.
+pub fn onnx(registry: &Registry, wanted: &str, task: Task) -> Result<Vec<u8>, ModelError> {
+    let (folder, record) = finished(registry, wanted)?;
+    if !record.spec.tasks.contains(&task) {
+        return Err(ModelError::NoReconstruction { run: record.run, tasks: record.spec.tasks });
+    }
+    let prediction = described(&folder, &record, Task::Prediction)?;
+    let decoding = described(&folder, &record, task)?;
+    let properties = [
+        ("run", record.run.as_str()),
+        ("experiment", &record.experiment),
+        ("dataset", &record.dataset),
+        ("scenario", record.spec.scenario.name()),
+    ];
+    Ok(onnx::model(&prediction, &decoding, &properties)?)
+}
+
+fn described(folder: &RunFolder, record: &RunRecord, task: Task) -> Result<Described, ModelError> {
+    let path = folder.checkpoint(task);
+    if !path.exists() {
+        return Err(ModelError::NoNetwork(path));
+    }
+    let (file, normalizers) = checkpoint::open(&path)?;
+    let network = architecture(&record.spec, &record.layout, task);
+    let spec = &record.spec;
+    let description = Description::new(&network, task, spec.action, &spec.training.losses, &normalizers);
+    Ok(Described { description: description.map_err(LearningError::from)?, file })
+}
