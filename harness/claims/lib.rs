@@ -5,10 +5,12 @@
 mod file;
 mod plan;
 mod readings;
+mod table;
 
 pub use file::load;
 pub use plan::{More, Plan, Step, plan};
 pub use readings::{Matrix, Readings, Row as MatrixRow};
+pub use table::table;
 
 use harness_analysis::{
     Analysis, AnalysisError, Interval, LEVEL, Mixed, Run, Selection, Setting, Subset, holm, mean_interval,
