@@ -84,17 +84,17 @@ class SoftFinger(gymnasium.Env[Any, Any]):
 
 
 class SoftFingerVector(VectorEnv[Any, Any, Any]):
-    """`num_envs` fingers, stepped in parallel. The step after an episode's end ignores the action and resets.
+    """`num_envs` fingers, stepped in parallel.
+
+    autoreset_mode: when an episode that has ended begins anew, as in Gymnasium's own vector environments. `NextStep`:
+    in the next step, which ignores the action. `SameStep`: in the step that ends it, with the last observation in
+    `info["final_obs"]`. `Disabled`: by `reset(options={"reset_mask": ended})`.
 
     An episode is truncated after `samples` actions, or after `max_episode_steps` if that is fewer, as Gymnasium's
     `TimeLimit` does it for a single environment. -1 sets no such limit.
     """
 
-    metadata = {
-        "render_modes": ["rgb_array"],
-        "render_fps": RENDER_FPS,
-        "autoreset_mode": AutoresetMode.NEXT_STEP,
-    }
+    metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
 
     def __init__(
         self,
@@ -109,8 +109,11 @@ class SoftFingerVector(VectorEnv[Any, Any, Any]):
         width: int = 480,
         height: int = 480,
         max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
         check_render_mode(render_mode)
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         if max_episode_steps is not None and max_episode_steps != -1:
             samples = min(samples, max_episode_steps)
         self.episodes = Episodes(scenario, task, num_envs, modalities=modalities, samples=samples, spec=spec)
@@ -124,15 +127,21 @@ class SoftFingerVector(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins an episode in each environment. With a single seed, environment `i` gets `seed + i`."""
+        """Begins an episode in each environment. With a single seed, environment `i` gets `seed + i`.
+
+        options: `{"reset_mask": mask}` begins an episode only where `mask` `[num_envs]` is true.
+        """
+        mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
+            raise ValueError(f"reset_mask: {mask!r} must be {self.num_envs} booleans")
         if isinstance(seed, (int, np.integer)):
             super().reset(seed=int(seed))
             seed = [int(seed) + index for index in range(self.num_envs)]
         seeds = [None] * self.num_envs if seed is None else seed
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed: {len(seeds)} seeds for {self.num_envs} environments")
-        for index, each in enumerate(seeds):
-            self.episodes.reset(index, each)
+        for index in np.flatnonzero(mask):
+            self.episodes.reset(int(index), seeds[index])
         info = {"seed": np.array(self.episodes.seeds), "episode": self.episodes.indices.copy()}
         return self.episodes.observe(), info
 
@@ -140,10 +149,29 @@ class SoftFingerVector(VectorEnv[Any, Any, Any]):
         self, actions: NDArray[np.float32]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         over = self.episodes.ended
+        if self.autoreset_mode == AutoresetMode.DISABLED and over.any():
+            raise ValueError(f"episodes have ended in the environments {np.flatnonzero(over)}; reset these first")
         rewards = self.episodes.step(actions, ~over)
-        for index in np.flatnonzero(over):
-            self.episodes.reset(int(index))
-        return self.episodes.observe(), rewards, np.zeros(self.num_envs, dtype=bool), self.episodes.ended, {}
+        ended, info = self.episodes.ended, {}
+        if self.autoreset_mode == AutoresetMode.SAME_STEP:
+            info = self._begin_anew(ended)
+        else:
+            for index in np.flatnonzero(over):
+                self.episodes.reset(int(index))
+            ended = self.episodes.ended
+        return self.episodes.observe(), rewards, np.zeros(self.num_envs, dtype=bool), ended, info
+
+    def _begin_anew(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
+        """Begins the next episode where one has ended. Returns the last observations, as Gymnasium's own environments."""
+        info: dict[str, Any] = {}
+        last = self.episodes.observe() if ended.any() else {}
+        for index in map(int, np.flatnonzero(ended)):
+            final = {name: values[index] for name, values in last.items()}
+            info = self._add_info(info, {"final_obs": final, "final_info": {}}, index)
+            self.episodes.reset(index)
+            begun = {"seed": self.episodes.seeds[index], "episode": int(self.episodes.indices[index])}
+            info = self._add_info(info, begun, index)
+        return info
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         if self.render_mode is None:

@@ -105,6 +105,48 @@ def test_a_vector_environment_is_as_many_single_ones(limit: dict[str, int]) -> N
         observations = steps[0][0], steps[1][0]
 
 
+def test_an_episode_can_begin_anew_in_the_step_that_ends_it() -> None:
+    name, arguments = "SoftFinger-Cluttered-Press-v0", {"samples": 3, "modalities": ("contact_force",)}
+    mode = gymnasium.vector.AutoresetMode.SAME_STEP
+    together = gymnasium.make_vec(name, 2, vectorization_mode="vector_entry_point", autoreset_mode=mode, **arguments)
+    apart = gymnasium.make_vec(name, 2, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **arguments)
+    assert together.metadata["autoreset_mode"] == apart.metadata["autoreset_mode"] == mode
+    together.action_space.seed(1)
+    together.reset(seed=7), apart.reset(seed=7)
+    ends = 0
+    for _ in range(7):
+        actions = together.action_space.sample()
+        mine, theirs = together.step(actions), apart.step(actions)
+        for key, values in mine[0].items():
+            assert np.array_equal(values, theirs[0][key]), key
+        for one, other in zip(mine[1:4], theirs[1:4]):
+            assert np.array_equal(one, other)
+        assert mine[4].keys() == theirs[4].keys()
+        if mine[3].any():
+            ends += 1
+            assert np.array_equal(mine[4]["episode"], theirs[4]["episode"])
+            for one, other in zip(mine[4]["final_obs"], theirs[4]["final_obs"]):
+                assert all(np.array_equal(one[key], other[key]) for key in other)
+    assert ends == 2
+
+
+def test_without_automatic_resets_ended_episodes_must_be_reset() -> None:
+    several = gymnasium.make_vec("SoftFinger-Empty-Reach-v0", 2, samples=1, autoreset_mode="Disabled")
+    several.reset(seed=0)
+    actions = np.zeros((2, 3), np.float32)
+    *_, ended, _ = several.step(actions)
+    assert ended.all()
+    with pytest.raises(ValueError, match=r"environments \[0 1\]; reset these first"):
+        several.step(actions)
+    _, info = several.reset(options={"reset_mask": ended})
+    assert info["episode"].tolist() == [1, 1]
+    *_, ended, _ = several.step(actions)
+    several.reset(options={"reset_mask": np.array([True, False])})
+    assert several.episodes.indices.tolist() == [2, 1]
+    with pytest.raises(ValueError, match="reset_mask"):
+        several.reset(options={"reset_mask": [1, 0]})
+
+
 def test_gymnasiums_own_processes_can_run_environments() -> None:
     several = gymnasium.make_vec("SoftFinger-Empty-Reach-v0", 2, vectorization_mode="async")
     several.reset(seed=0)
