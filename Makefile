@@ -72,7 +72,7 @@ interchange: ## open exports with LeRobot, Rerun, MLflow and TensorBoard, and im
 	@setup/setup.sh --interchange
 	cargo build --bin harness
 	.venv-interchange/bin/python -m pip install --quiet --no-deps .
-	.venv-interchange/bin/python -m pytest tests/interchange
+	.venv-interchange/bin/python -m pytest tests/interchange tests/python_package/test_networks.py
 
 cluster: ## run an experiment on a Slurm of four nodes on this machine, and kill its tasks (minutes; needs root)
 	@setup/setup.sh --cluster

@@ -48,7 +48,7 @@ autoclass_content = "both"
 autodoc_inherit_docstrings = False
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
-autodoc_mock_imports = ["av", "datasets", "lerobot", "mujoco", "rerun", "torch"]
+autodoc_mock_imports = ["av", "datasets", "lerobot", "mujoco", "rerun", "safetensors", "torch"]
 
 html_theme = "furo"
 html_title = f"harness {version}"

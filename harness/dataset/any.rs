@@ -1,8 +1,9 @@
 //! A dataset on disk that was simulated or imported.
 
+use super::description::is_imported;
 use super::{Dataset, DatasetError, FramePlace, Imported, Samples};
 use harness_shared::progress::Progress;
-use harness_spec::{Layout, Origin};
+use harness_spec::Layout;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -16,14 +17,14 @@ pub enum AnyDataset {
 }
 
 impl AnyDataset {
-    /// Opens the dataset in a folder, whose name says whether it was simulated or imported.
+    /// Opens the dataset in a folder, whose description says whether it was simulated or imported.
     ///
     /// # Errors
     /// When there is no description in the folder, or it is damaged.
     pub fn at(folder: &Path) -> Result<Self, DatasetError> {
-        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        match (Origin::try_from(name), folder.parent()) {
-            (Ok(Origin::Imported(name)), Some(root)) => Imported::open(root, &name).map(Self::Imported),
+        let name = folder.file_name().unwrap_or_default().to_string_lossy();
+        match folder.parent() {
+            Some(root) if is_imported(folder) => Imported::open(root, &name).map(Self::Imported),
             _ => Dataset::at(folder).map(Self::Simulated),
         }
     }

@@ -94,6 +94,11 @@ pub fn layout_of(folder: &Path) -> Result<Arc<Layout>, DatasetError> {
     described().map_err(|problem| DatasetError::Damaged { path: folder.join(Description::FILE), problem })
 }
 
+/// Returns whether the dataset in a folder was imported; false as well if its description can't be read.
+pub fn is_imported(folder: &Path) -> bool {
+    Description::read(folder).is_ok_and(|description| description.0.get("imported").is_some())
+}
+
 /// The description of an imported dataset in `dataset.json`. The dataset's name contains its hash.
 #[derive(Debug, Clone, Deserialize)]
 pub(super) struct Content {

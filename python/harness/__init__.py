@@ -4,18 +4,22 @@ An arm presses a soft finger on the ground and into boxes in a simulation. Condi
 trained on the recorded data. The simulation, the training and the tables are written in Rust, and this package makes
 them available in Python:
 
-- `run` does an experiment, `query` queries its tables, `compare` computes means over seeds.
+- `run` does an experiment, `collect` only simulates its datasets. `query` queries the tables.
+- `compare` computes means over seeds, `claims` judges the paper's statements, `figures` draws the paper's figures, and
+  `verify` checks all files.
 - `export_mlflow` and `export_tensorboard` write runs to the trackers of other projects.
-- `Dataset` opens a dataset, `load_model` opens a trained network.
+- `Dataset` opens a dataset, `load_model` opens a trained network. `load_network` opens it for PyTorch, and
+  `export_onnx` writes it for other programs.
 - `harness.environments` has the finger as a `dm_env.Environment`, `harness.gymnasium` as Gymnasium environments.
 - `SimulationBatch` is one simulation or many, stepped by setpoints.
 
 Units are SI. Long calls let other threads run, and Ctrl-C stops them. The next call of `run` continues from there.
 """
 
+import importlib.metadata
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -32,23 +36,35 @@ from . import _harness
 from ._harness import Model, SimulationBatch
 
 if TYPE_CHECKING:
+    import numpy as np
     import polars
+    from numpy.typing import NDArray
 
+    from .networks import Network
     from .torch import Transitions
 
 __all__ = [
     "Dataset",
     "Exported",
     "Model",
+    "Problem",
     "SimulationBatch",
     "Summary",
+    "claims",
+    "collect",
     "compare",
     "export_mlflow",
+    "export_onnx",
     "export_tensorboard",
+    "figures",
     "load_model",
+    "load_network",
     "query",
     "run",
+    "verify",
 ]
+
+__version__ = importlib.metadata.version(__name__)
 
 
 class Summary(NamedTuple):
@@ -91,13 +107,39 @@ def run(
     the override), RuntimeError with the reasons if some run failed, and KeyboardInterrupt if it is interrupted. After
     an interruption, the same call continues.
     """
-    changed = [f"{key}={json.dumps(value)}" for key, value in (overrides or {}).items()]
     if jobs < 1:
         raise ValueError(f"jobs: {jobs} must be at least 1")
     if memory is not None and not 0 <= memory <= 1e9:
         raise ValueError(f"memory: {memory} must be a number of gigabytes")
     frames = None if memory is None else int(memory * 1e9)
-    return Summary(*_harness.run(Path(path), changed, quick, Path(results), progress, jobs, frames))
+    return Summary(*_harness.run(Path(path), _changes(overrides), quick, Path(results), progress, jobs, frames))
+
+
+def collect(
+    path: str | os.PathLike[str],
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    quick: bool = False,
+    results: str | os.PathLike[str] = "results",
+    progress: bool = True,
+) -> dict[Path, int]:
+    """Simulates the missing episodes of an experiment's datasets, as `harness collect` does, without training.
+
+    The arguments are those of `run`. Returns the number of episodes that this call simulated, by the dataset's folder.
+    Raises the same errors as `run`. After an interruption, the same call continues.
+    """
+    return dict(_harness.collect(Path(path), _changes(overrides), quick, Path(results), progress))
+
+
+def _changes(overrides: Mapping[str, Any] | None) -> list[str]:
+    """Overrides as on the command line."""
+    return [f"{key}={json.dumps(value)}" for key, value in (overrides or {}).items()]
+
+
+def _settings(where: Mapping[str, Any] | None) -> list[str]:
+    """Settings that runs must have, as on the command line."""
+    wanted = (where or {}).items()
+    return [f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in wanted]
 
 
 def query(sql: str, results: str | os.PathLike[str] = "results") -> "polars.DataFrame":
@@ -129,9 +171,75 @@ def compare(
     """
     import polars
 
-    wanted = (where or {}).items()
-    settings = [f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in wanted]
-    return polars.DataFrame(_harness.compare(list(experiments), settings, Path(results)))
+    return polars.DataFrame(_harness.compare(list(experiments), _settings(where), Path(results)))
+
+
+def claims(
+    *names: str,
+    file: str | os.PathLike[str] = "experiments/claims.yaml",
+    quick: bool = False,
+    where: Mapping[str, Any] | None = None,
+    results: str | os.PathLike[str] = "results",
+) -> "polars.DataFrame":
+    """Judges which of the paper's statements hold, as `harness claims --output` does: a row for each verdict.
+
+    names: claims to judge; all of them by default. file: the file of claims. quick: judges by the quick runs of the
+    experiments. where: settings that the runs must have, as in `compare`. results: the folder of datasets and runs.
+
+    Raises FileNotFoundError if there is no such file, and ValueError for an unknown claim or a wrong file.
+    """
+    import polars
+
+    return polars.DataFrame(_harness.claims(list(names), Path(file), quick, _settings(where), Path(results)))
+
+
+def figures(
+    *names: str,
+    folder: str | os.PathLike[str] = "figures",
+    formats: Iterable[str] = ("svg", "png", "csv"),
+    quick: bool = False,
+    single: str | None = None,
+    multi: str | None = None,
+    where: Mapping[str, Any] | None = None,
+    results: str | os.PathLike[str] = "results",
+) -> list[Path]:
+    """Draws the paper's figures from the tables, as `harness figures` does, and returns the files.
+
+    names: figures to draw; by default all whose runs are there. folder: where to write `NAME.svg`, `NAME.png` and
+    `NAME.csv`. formats: which of these files to write. quick: draws the quick runs. single, multi: experiments to draw
+    instead of `single_to_multi` and `multi_to_multi`. where: settings that the runs must have, as in `compare`.
+
+    Raises ValueError for an unknown figure or format, and RuntimeError with the reasons if a named figure, or every
+    figure, can't be drawn.
+    """
+    formats = list(formats)
+    drawn, missing = _harness.figures(
+        list(names), Path(folder), formats, quick, single, multi, _settings(where), Path(results)
+    )
+    if missing and (names or not drawn):
+        raise RuntimeError("; ".join(f"{name} was not drawn: {reason}" for name, reason in missing))
+    return [Path(folder) / f"{name}.{format}" for name in drawn for format in formats]
+
+
+class Problem(NamedTuple):
+    """A problem that `verify` found."""
+
+    path: Path
+    """The file or folder."""
+    problem: str
+    """What is wrong with it."""
+    repair: str | None
+    """A command that repairs it, if one is known."""
+    broken: bool
+    """Whether data were lost or changed. If not, the problem is only a note."""
+
+
+def verify(results: str | os.PathLike[str] = "results") -> list[Problem]:
+    """Checks that all files of a results folder are as they were written, as `harness verify` does.
+
+    Returns the problems; none if all files are intact. Raises FileNotFoundError if there is no results folder.
+    """
+    return [Problem(*problem) for problem in _harness.verify(Path(results))[3]]
 
 
 def load_model(run: str, results: str | os.PathLike[str] = "results") -> Model:
@@ -141,6 +249,34 @@ def load_model(run: str, results: str | os.PathLike[str] = "results") -> Model:
     if the run isn't done or the network is damaged.
     """
     return Model(run, Path(results))
+
+
+def load_network(run: str, results: str | os.PathLike[str] = "results") -> "Network":
+    """Loads the network of the finished run whose id, or `experiment/id`, begins with `run`, as a `torch.nn.Module`.
+
+    See `harness.networks.Network`. Raises ImportError without the packages torch and safetensors, and otherwise the
+    errors of `load_model`.
+    """
+    try:
+        from .networks import Network, NetworkFile
+    except ImportError as error:
+        raise ImportError(f"load_network needs PyTorch: pip install torch safetensors ({error})") from error
+    files = {task: NetworkFile(path, json.loads(text)) for task, path, text in _harness.networks(run, Path(results))}
+    return Network(files["prediction"], files.get("reconstruction"))
+
+
+def export_onnx(
+    run: str,
+    output: str | os.PathLike[str],
+    task: str = "prediction",
+    results: str | os.PathLike[str] = "results",
+) -> None:
+    """Writes the network of a finished run to an ONNX file, as `harness export --format onnx` does.
+
+    task: `prediction` of the next observation, or `reconstruction` of the present one. Raises ValueError for another
+    task, RuntimeError if the run did not train it, and the errors of `load_model`.
+    """
+    _harness.export_onnx(run, Path(output), task, Path(results))
 
 
 def export_mlflow(
@@ -206,8 +342,41 @@ class Dataset(_harness.Dataset):
         first, end = self.episodes[index]
         return {name: self[name][first:end] for name in self.keys()}
 
-    def torch(self, input: list[str], output: list[str], action: str = "increment") -> "Transitions":
-        """Returns the transitions as a PyTorch map-style dataset; see `harness.torch.Transitions`."""
+    def split(
+        self,
+        part: str,
+        *,
+        by: str = "episode",
+        validation: float = 0.1,
+        test: float = 0.1,
+        gap_seconds: float | None = None,
+    ) -> "NDArray[np.int64]":
+        """Returns the samples from which the transitions of a part start: `training`, `validation` or `test`.
+
+        A transition leads from a sample to the next one. The other arguments are those of a spec's `split`, with the
+        same defaults, so the parts are those that a network is trained and tested on. Raises ValueError if a part
+        would have no transitions.
+        """
+        parts = ("training", "validation", "test")
+        if part not in parts:
+            raise ValueError(f"part: there is no '{part}'; allowed: {', '.join(parts)}")
+        if not (0 < validation < 1 and 0 < test < 1):
+            raise ValueError(f"validation, test: {validation} and {test} must be in (0, 1)")
+        if gap_seconds is not None and not 0 <= gap_seconds <= 3600:
+            raise ValueError(f"gap_seconds: {gap_seconds} must be in [0, 3600]")
+        return self.parts(by, validation, test, gap_seconds)[parts.index(part)]
+
+    def torch(
+        self,
+        input: list[str],
+        output: list[str],
+        action: str = "increment",
+        samples: "NDArray[np.int64] | None" = None,
+    ) -> "Transitions":
+        """Returns the transitions as a PyTorch map-style dataset; see `harness.torch.Transitions`.
+
+        samples: the samples from which the transitions start, such as `split("training")`; all by default.
+        """
         from .torch import Transitions
 
-        return Transitions(self, input, output, action)
+        return Transitions(self, input, output, action, samples)

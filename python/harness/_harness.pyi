@@ -2,10 +2,25 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from typing_extensions import disjoint_base
 
-__all__ = ["Dataset", "Model", "SimulationBatch", "Table", "compare", "main", "query", "run"]
+__all__ = [
+    "Dataset",
+    "Model",
+    "SimulationBatch",
+    "Table",
+    "claims",
+    "collect",
+    "compare",
+    "export_onnx",
+    "figures",
+    "main",
+    "networks",
+    "query",
+    "run",
+    "verify",
+]
 
 def main(arguments: list[str], program: list[str]) -> int:
     """Runs the command line; returns its exit code. program: the command that starts it, for scripts of Slurm jobs."""
@@ -20,6 +35,37 @@ def query(sql: str, results: Path) -> Table:
 
 def compare(experiments: list[str], settings: list[str], results: Path) -> Table:
     """See `harness.compare`."""
+
+def claims(
+    chosen: list[str], file: Path, quick: bool, settings: list[str], results: Path
+) -> Table:
+    """See `harness.claims`."""
+
+def figures(
+    names: list[str],
+    folder: Path,
+    formats: list[str],
+    quick: bool,
+    single: str | None,
+    multi: str | None,
+    settings: list[str],
+    results: Path,
+) -> tuple[list[str], list[tuple[str, str]]]:
+    """The figures that were drawn, and the others with the reason; see `harness.figures`."""
+
+def verify(results: Path) -> tuple[int, int, int, list[tuple[Path, str, str | None, bool]]]:
+    """Numbers of runs, datasets and files, and the problems; see `harness.verify`."""
+
+def collect(
+    path: Path, overrides: list[str], quick: bool, results: Path, progress: bool
+) -> list[tuple[Path, int]]:
+    """Each dataset's folder with the number of episodes that were simulated; see `harness.collect`."""
+
+def networks(run: str, results: Path) -> list[tuple[str, Path, str]]:
+    """Task, path and description, as JSON, of each network of a run; see `harness.load_network`."""
+
+def export_onnx(run: str, output: Path, task: str, results: Path) -> None:
+    """See `harness.export_onnx`."""
 
 @final
 class Table:
@@ -49,6 +95,12 @@ class Dataset:
     def keys(self) -> list[str]:
         """Names of the modalities that the dataset contains; an imported one may lack some."""
 
+    def parts(
+        self, by: str, validation: float, test: float, gap_seconds: float | None
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """First samples of the transitions for training, validation and test; see `harness.Dataset.split`."""
+
+    def __reduce__(self) -> tuple[type[Dataset], tuple[Path, bool]]: ...
     def simulation(self, count: int = 1) -> SimulationBatch:
         """Simulations of the same scenario with the dataset's settings, so that its episodes can be followed.
 
@@ -75,32 +127,34 @@ class Dataset:
 class Model:
     """The network of a finished run. It computes in physical units on the CPU and never changes.
 
-    Observations are dictionaries by modality: vectors `[batch, width]`, float32; vision `[batch, 64, 64, 3]`, uint8 or
-    float32 in [0, 1]; frame_difference `[batch, 64, 64, 3]`, float32 in [-1, 1]. Modalities that are not in `input` are
-    ignored.
+    Observations are dictionaries by the modalities of `input`: vectors `[batch, width]`; vision `[batch, 64, 64, 3]`,
+    uint8 or numbers in [0, 1]; frame_difference `[batch, 64, 64, 3]`, numbers in [-1, 1]. Arrays of other numeric types
+    and lists are converted to float32. A single sample can be given without the axis of the batch. The answer then has
+    no such axis either.
     """
 
     def __new__(cls, run: str, results: Path) -> Model: ...
+    def __reduce__(self) -> tuple[type[Model], tuple[str, Path]]: ...
     def encode(
-        self, observation: dict[str, NDArray[Any]]
+        self, observation: dict[str, ArrayLike]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Mean and log-variance of the posterior, `[batch, latent]` each.
 
-        Raises KeyError if a modality of `input` is missing, ValueError if one has the wrong shape, and TypeError if one
-        has the wrong type.
+        Raises KeyError if a modality of `input` is missing or there is another one, ValueError if one has the wrong
+        shape, and TypeError if one does not consist of numbers.
         """
 
     def predict(
-        self, observation: dict[str, NDArray[Any]], action: NDArray[np.float32]
+        self, observation: dict[str, ArrayLike], action: ArrayLike
     ) -> dict[str, NDArray[np.float32]]:
         """Predicts the observation one sample later from the posterior's mean, by modality of `output`.
 
-        action: `[batch, 3]`, float32, rotation (rad), lift and extension (m), in the form that `self.action` names.
-        Frames are `[batch, 64, 64, 3]`, those of vision in [0, 1]. Raises the same errors as `encode`.
+        action: `[batch, 3]`, rotation (rad), lift and extension (m), in the form that `self.action` names. Frames are
+        `[batch, 64, 64, 3]`, those of vision in [0, 1]. Raises the same errors as `encode`.
         """
 
-    def reconstruct(self, latent: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
-        """Reconstructs the observation from a latent state `[batch, latent]`, float32, by modality of `input`.
+    def reconstruct(self, latent: ArrayLike) -> dict[str, NDArray[np.float32]]:
+        """Reconstructs the observation from a latent state `[batch, latent]`, by modality of `input`.
 
         Raises RuntimeError if the run trained no reconstruction, and ValueError if `latent` has the wrong shape.
         """

@@ -19,9 +19,18 @@ class Transitions(torch.utils.data.Dataset[tuple[Observation, torch.Tensor, Obse
     spec), and the next observation by the modalities of `output`. All values are in physical units. Vectors are
     float32. Images are uint8, `[3, rows, columns]`. Their changes since the previous sample (`frame_difference`,
     `IMAGE_difference`) are float32 in [-1, 1]. The processes of a DataLoader share the dataset's memory.
+
+    samples: the samples from which the transitions start; all but the last of each episode by default.
     """
 
-    def __init__(self, data: "Dataset", input: list[str], output: list[str], action: str = "increment") -> None:
+    def __init__(
+        self,
+        data: "Dataset",
+        input: list[str],
+        output: list[str],
+        action: str = "increment",
+        samples: NDArray[np.int64] | None = None,
+    ) -> None:
         if action not in ("increment", "target"):
             raise ValueError(f"action: there is no '{action}'; allowed: increment, target")
         needed = {self._source(name) for name in [*input, *output]}
@@ -31,7 +40,10 @@ class Transitions(torch.utils.data.Dataset[tuple[Observation, torch.Tensor, Obse
         episodes = data.episodes.astype(np.int64)
         self.first = np.concatenate([np.full(end - first, first) for first, end in episodes])
         """The first sample of each sample's episode."""
-        self.samples = np.concatenate([np.arange(first, end - 1) for first, end in episodes])
+        starts = np.concatenate([np.arange(first, end - 1) for first, end in episodes])
+        if samples is not None and not np.isin(samples, starts).all():
+            raise ValueError("samples: a transition can't start from the last sample of an episode")
+        self.samples = starts if samples is None else np.asarray(samples)
         """The sample that each transition starts from."""
 
     def __len__(self) -> int:

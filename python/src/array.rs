@@ -145,13 +145,32 @@ pub fn pixels_last(planes: Bound<PyAny>) -> PyResult<Bound<PyAny>> {
     planes.call_method1("transpose", (0, 2, 3, 1))
 }
 
-/// Reads the values of an array in row-major order. `name` is the array's name in error messages.
+/// Returns what is given as a NumPy array. Lists and tensors are converted.
 ///
 /// # Errors
-/// TypeError if the array has another type, and ValueError if it has another shape.
+/// TypeError unless it consists of numbers. `name` is its name in the message.
+pub fn as_numbers<'py>(name: &str, given: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    let wrong = || PyTypeError::new_err(format!("'{name}' must be an array or a list of numbers"));
+    let array = given.py().import("numpy")?.call_method1("asarray", (given,)).map_err(|_| wrong())?;
+    let kind: String = array.getattr("dtype")?.getattr("kind")?.extract()?;
+    if matches!(kind.as_str(), "f" | "i" | "u") { Ok(array) } else { Err(wrong()) }
+}
+
+/// Returns the shape of a NumPy array.
+pub fn shape_of(array: &Bound<PyAny>) -> PyResult<Vec<usize>> {
+    array.getattr("shape")?.extract()
+}
+
+/// Reads numbers in row-major order. Numbers of another type, and lists, are converted. `name` is their name in error
+/// messages.
+///
+/// # Errors
+/// TypeError unless these are numbers, and ValueError if they have another shape.
 pub fn read<T: Item>(name: &str, given: &Bound<PyAny>, shape: &[usize]) -> PyResult<Vec<T>> {
-    let buffer = PyBuffer::<T>::get(given)
-        .map_err(|_| PyTypeError::new_err(format!("'{name}' must be a NumPy array of {}", T::NAME)))?;
+    let buffer = match PyBuffer::<T>::get(given) {
+        Ok(buffer) => buffer,
+        Err(_) => PyBuffer::<T>::get(&as_numbers(name, given)?.call_method1("astype", (T::NAME,))?)?,
+    };
     if buffer.shape() != shape {
         return Err(PyValueError::new_err(format!(
             "'{name}' has the shape {:?}, must be {shape:?}",
@@ -162,16 +181,22 @@ pub fn read<T: Item>(name: &str, given: &Bound<PyAny>, shape: &[usize]) -> PyRes
 }
 
 /// Reads a batch of images `[batch, rows, columns, 3]` and returns it as `[batch, channel, row, column]`. Images may be
-/// uint8, which is divided by 255; differences of images must be float32.
+/// uint8, which is divided by 255, or floating-point numbers. Differences of images are floating-point numbers.
 ///
 /// # Errors
-/// The same as [`read`].
+/// The same as [`read`], and TypeError for whole numbers of other types.
 pub fn read_frames(definition: &Definition, given: &Bound<PyAny>, batch: usize) -> PyResult<Vec<f32>> {
     let [rows, columns] = definition.size().unwrap_or_default();
     let (shape, name) = ([batch, rows, columns, IMAGE_CHANNELS], definition.name.name());
     if definition.difference_of.is_none() && PyBuffer::<u8>::get(given).is_ok() {
         let bytes: Vec<u8> = read(name, given, &shape)?;
         return Ok(planes(&bytes, definition.width()).map(|byte| f32::from(byte) / 255.0).collect());
+    }
+    let kind: String = as_numbers(name, given)?.getattr("dtype")?.getattr("kind")?.extract()?;
+    if kind != "f" {
+        let allowed =
+            if definition.difference_of.is_none() { "uint8, or float in [0, 1]" } else { "float in [-1, 1]" };
+        return Err(PyTypeError::new_err(format!("'{name}' must be {allowed}")));
     }
     let values: Vec<f32> = read(name, given, &shape)?;
     Ok(planes(&values, definition.width()).collect())

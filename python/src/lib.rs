@@ -7,6 +7,7 @@ mod array;
 mod dataset;
 mod errors;
 mod model;
+mod results;
 mod run;
 mod simulation;
 mod work;
@@ -28,7 +29,9 @@ mod _harness {
     #[pymodule_export]
     use super::dataset::Dataset;
     #[pymodule_export]
-    use super::model::Model;
+    use super::model::{Model, export_onnx, networks};
+    #[pymodule_export]
+    use super::results::{claims, collect, figures, verify};
     #[pymodule_export]
     use super::run::{Table, compare, query, run};
     #[pymodule_export]

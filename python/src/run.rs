@@ -1,8 +1,9 @@
 //! The Python functions `run`, `query` and `compare`.
 
 use crate::errors::Raise;
+use crate::results::settings as settings_of;
 use crate::work::interruptible;
-use harness::analysis::{self, Selection, Setting};
+use harness::analysis::{self, Selection};
 use harness::cli::progress::Bars;
 use harness::experiment::{ExperimentError, Runner, provenance};
 use harness::progress::{Progress, Silent};
@@ -41,8 +42,7 @@ pub fn run(
     let command = command(&path, &overrides, quick, &registry);
     let provenance = py.detach(|| provenance(threads, command));
     let cancelled = AtomicBool::new(false);
-    let shown: Box<dyn Progress> = if progress { Box::new(Bars::default()) } else { Box::new(Silent) };
-    let listener = Listener { shown, cancelled: &cancelled };
+    let listener = Listener::new(progress, &cancelled);
     let runner = Runner { jobs, memory, ..Runner::new(&registry, threads, &provenance, &listener) };
     let work = || runner.run(&experiment, runner.plan(&experiment)?).map(|(summary, _)| summary);
     let summary = interruptible(py, work, || cancelled.store(true, Ordering::Relaxed))?;
@@ -64,7 +64,7 @@ fn command(path: &Path, overrides: &[String], quick: bool, registry: &Registry) 
 }
 
 /// Warns of each run and dataset that the registry left out.
-fn warn(py: Python, registry: &Registry) -> PyResult<()> {
+pub fn warn(py: Python, registry: &Registry) -> PyResult<()> {
     let category = py.get_type::<PyUserWarning>();
     for left_out in registry.left_out() {
         let text = CString::new(left_out).unwrap_or_default();
@@ -74,9 +74,17 @@ fn warn(py: Python, registry: &Registry) -> PyResult<()> {
 }
 
 /// Passes progress on to `shown`, and reports a cancellation by Python.
-struct Listener<'a> {
+pub struct Listener<'a> {
     shown: Box<dyn Progress + 'a>,
     cancelled: &'a AtomicBool,
+}
+
+impl<'a> Listener<'a> {
+    /// Returns a listener that draws bars on the terminal if `shown`.
+    pub fn new(shown: bool, cancelled: &'a AtomicBool) -> Self {
+        let shown: Box<dyn Progress> = if shown { Box::new(Bars::default()) } else { Box::new(Silent) };
+        Self { shown, cancelled }
+    }
 }
 
 impl Progress for Listener<'_> {
@@ -125,9 +133,7 @@ pub fn compare(
     settings: Vec<String>,
     results: PathBuf,
 ) -> PyResult<Table> {
-    let settings: Result<Vec<Setting>, String> = settings.iter().map(|setting| setting.parse()).collect();
-    let settings = settings.map_err(PyValueError::new_err)?;
-    let selection = Selection { experiments, settings, simulated: false };
+    let selection = Selection { experiments, settings: settings_of(&settings)?, simulated: false };
     let registry = Registry::new(results);
     registry.check_there().map_err(Raise::raise)?;
     let means = interruptible(py, || analysis::compare(&registry, &selection), || ())?;
@@ -138,7 +144,7 @@ pub fn compare(
 
 /// A table that Python can read through Arrow's C stream interface.
 #[pyclass(frozen)]
-pub struct Table(DataFrame);
+pub struct Table(pub DataFrame);
 
 #[pymethods]
 impl Table {

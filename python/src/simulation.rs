@@ -11,7 +11,16 @@ use pyo3::types::{PyDict, PyTuple};
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, TryLockError};
 
-/// Simulations of one world, stepped in parallel; see `_harness.pyi`.
+/// `count` independent simulations of a world, stepped in parallel.
+///
+/// scenario: a built-in world's name (`empty`, `cluttered`) or the path of a world file. spec: an experiment's YAML
+/// file, whose simulation settings are used; the world's defaults without one.
+///
+/// Each simulation is at a sample of an episode. It senses the same values that a dataset records. With a dataset's
+/// settings, `follow` gives the samples of the dataset's episode bit for bit; `Dataset.simulation` uses these settings.
+///
+/// A call raises RuntimeError while a call in another thread is running, and in a forked process. A simulation that has
+/// become unstable raises RuntimeError until it is reset.
 #[pyclass(frozen)]
 pub struct SimulationBatch {
     work: Mutex<Work>,
@@ -119,6 +128,11 @@ impl SimulationBatch {
         Self::start(py, scene, settings, count)
     }
 
+    fn __repr__(&self) -> String {
+        format!("<harness.SimulationBatch {}: {} simulations>", self.scenario(), self.count)
+    }
+
+    /// Sets a simulation to the start of the episode with this index in the dataset with this seed.
     fn reset(&self, py: Python, index: usize, seed: u64, episode: u32) -> PyResult<()> {
         if seed > spec::MAX_SEED {
             return Err(PyValueError::new_err(format!("seed: {seed} is above {}", spec::MAX_SEED)));
@@ -126,6 +140,11 @@ impl SimulationBatch {
         self.work(py, |batch| batch.reset(index, seed, episode))
     }
 
+    /// Steps each simulation to its next sample, while the setpoint moves at constant speed to `setpoints[index]`.
+    ///
+    /// setpoints: `[count, elements]`, clipped to `setpoint_ranges`; for the finger rotation (rad), lift and extension
+    /// (m). active: `[count]`, the simulations to step; all by default. Raises ValueError for the wrong shape or a
+    /// value that is not finite.
     #[pyo3(signature = (setpoints, active=None))]
     fn step(&self, py: Python, setpoints: &Bound<PyAny>, active: Option<Vec<bool>>) -> PyResult<()> {
         let elements = self.layout().action().len();
@@ -135,10 +154,13 @@ impl SimulationBatch {
         self.work(py, |batch| batch.step(&setpoints, &active))
     }
 
+    /// Steps each simulation to its next sample, with the setpoints of its episode.
     fn follow(&self, py: Python) -> PyResult<()> {
         self.work(py, Batch::follow)
     }
 
+    /// Values of one of `modalities`: a vector `[count, elements]`, float32, or an image
+    /// `[count, rows, columns, 3]`, uint8. Raises KeyError for another modality.
     fn sense<'py>(&self, py: Python<'py>, modality: &str) -> PyResult<Bound<'py, PyAny>> {
         let found = Modality::new(modality).filter(|found| self.sensed().contains(&found.name()));
         let found = found.ok_or_else(|| {
@@ -157,6 +179,7 @@ impl SimulationBatch {
         }
     }
 
+    /// Renders a simulation in good quality, `[height, width, 3]`, each side 1 to 4096 pixels.
     fn render<'py>(
         &self,
         py: Python<'py>,
@@ -175,12 +198,13 @@ impl SimulationBatch {
         array(py, picture.into_raw(), &[height as usize, width as usize, IMAGE_CHANNELS])
     }
 
+    /// The world's name.
     #[getter]
     fn scenario(&self) -> &'static str {
         self.scene.scenario().name()
     }
 
-    /// Names of the sensed modalities, with the shape of one simulation's values.
+    /// Names of the modalities that are sensed, with the shape of one simulation's values.
     #[getter]
     fn modalities<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let shapes = PyDict::new(py);
@@ -201,26 +225,31 @@ impl SimulationBatch {
         self.layout().action().iter().map(|element| element.name.clone()).collect()
     }
 
+    /// Number of simulations.
     #[getter]
     fn count(&self) -> usize {
         self.count
     }
 
+    /// The seed of the spec's dataset.
     #[getter]
     fn seed(&self) -> u64 {
         self.spec.seed
     }
 
+    /// Time from one sample to the next, s.
     #[getter]
     fn sample_seconds(&self) -> f64 {
         1.0 / self.spec.sample_rate_hz
     }
 
+    /// Duration of a move from one setpoint to the next in a dataset's episode, s.
     #[getter]
     fn actuation_seconds(&self) -> f64 {
         self.spec.actuation_seconds
     }
 
+    /// Lowest and highest setpoint of each element of the action, `[elements, 2]`.
     #[getter]
     fn setpoint_ranges<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let ranges = self.lock()?.batch.simulations()[0].setpoint_ranges();
@@ -228,11 +257,13 @@ impl SimulationBatch {
         array(py, ranges.into_iter().flatten().collect(), &[count, 2])
     }
 
+    /// The setpoints at this sample, `[count, elements]`.
     #[getter]
     fn setpoint<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         self.gather(py, self.layout().action().len(), |live| live.setpoint().to_vec())
     }
 
+    /// Positions of the finger's end, m, `[count, 3]`. Raises ValueError if the world senses no forces of links.
     #[getter]
     fn fingertip<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         if self.lock()?.batch.simulations()[0].fingertip().is_none() {
@@ -241,6 +272,7 @@ impl SimulationBatch {
         self.gather(py, 3, |live| live.fingertip().unwrap_or_default().to_vec())
     }
 
+    /// Positions (m) and orientations (unit quaternions w, x, y, z) of the boxes, `[count, boxes, 7]`.
     #[getter]
     fn boxes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let places = |live: &LiveSimulation| live.boxes().flatten().collect::<Vec<f64>>();

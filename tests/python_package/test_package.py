@@ -1,7 +1,9 @@
 """Experiments, tables, datasets and networks, against independent readers of the same files."""
 
 import ast
+import inspect
 import os
+import pickle
 import shutil
 import signal
 import subprocess
@@ -164,6 +166,113 @@ def test_a_model_reconstructs_what_the_run_recorded_of_its_test_samples(results:
         assert reconstructed["proprioception"][sample, index] == pytest.approx(value, rel=1e-4, abs=1e-4)
 
 
+def test_a_model_takes_other_numbers_lists_and_single_samples(results: Path, folders: dict[str, Path]) -> None:
+    model, data = harness.load_model("smoke/empty", results), harness.Dataset(folders["empty"])
+    observation = {name: data[name][:3] for name in model.input}
+    action = data["setpoint"][1:4] - data["setpoint"][:3]
+    expected = model.predict(observation, action)
+    angles = observation["proprioception"]
+    for other in (angles.astype(np.float64), angles.tolist(), np.asfortranarray(angles)):
+        found = model.predict({**observation, "proprioception": other}, action.astype(np.float64).tolist())
+        assert all(np.array_equal(found[name], expected[name]) for name in expected)
+    in_unit = {**observation, "vision": observation["vision"] / 255}  # float64
+    assert np.allclose(model.encode(in_unit)[0], model.encode(observation)[0], atol=1e-6)
+    single = model.predict({name: values[1] for name, values in observation.items()}, action[1])
+    assert {name: values.shape for name, values in single.items()} == {
+        name: values.shape[1:] for name, values in expected.items()
+    }
+    assert all(np.allclose(single[name], expected[name][1], atol=1e-5) for name in expected)
+    latent, _ = model.encode({name: values[1] for name, values in observation.items()})
+    assert latent.shape == (4,) and model.reconstruct(latent)["vision"].shape == (64, 64, 3)
+
+
+def test_models_and_datasets_can_be_pickled_and_printed(results: Path, folders: dict[str, Path]) -> None:
+    model, data = harness.load_model("smoke/empty", results), harness.Dataset(folders["empty"], frames=False)
+    again, copied = pickle.loads(pickle.dumps(model)), pickle.loads(pickle.dumps(data))
+    observation = {name: np.zeros((1, *shape)) for name, shape in (("proprioception", (20,)), ("vision", (64, 64, 3)))}
+    assert np.array_equal(again.encode(observation)[0], model.encode(observation)[0])
+    assert (type(copied), copied.name, copied.keys()) == (harness.Dataset, data.name, data.keys())
+    assert repr(model) == (
+        f"<harness.Model smoke/{model.run}: proprioception, vision to proprioception, contact_force, frame_difference, "
+        "latent 4>"
+    )
+    assert repr(data) == f"<harness.Dataset {data.name}: 120 samples in 4 episodes>"
+    assert repr(data.simulation(2)) == "<harness.SimulationBatch empty: 2 simulations>"
+
+
+def test_a_split_is_that_of_a_run(results: Path, folders: dict[str, Path]) -> None:
+    data = harness.Dataset(folders["empty"])
+    parts = {part: data.split(part) for part in ("training", "validation", "test")}
+    assert parts["test"].tolist() == list(range(90, 119))
+    assert parts["validation"].tolist() == list(range(60, 89))
+    assert parts["training"].tolist() == [*range(29), *range(30, 59)]
+    tested = harness.query(
+        "select distinct episode, sample from predictions where scenario = 'empty' and sample is not null "
+        "and task = 'prediction'",
+        results,
+    )
+    assert tested.height > 0
+    first = dict(enumerate(data.episodes[:, 0]))
+    # `sample` is the predicted one.
+    assert {first[episode] + sample - 1 for episode, sample in tested.iter_rows()} <= set(parts["test"])
+    assert len(data.split("test", by="sample", test=0.5)) == 58
+
+
+def test_a_dataset_of_another_world_can_be_opened(tmp_path: Path) -> None:
+    made = harness.collect(SMOKE, {"scenarios": ["tendon"]}, results=tmp_path, progress=False)
+    ((folder, episodes),) = made.items()
+    assert episodes == 4
+    assert harness.collect(SMOKE, {"scenarios": ["tendon"]}, results=tmp_path, progress=False) == {folder: 0}
+    assert len(harness.Dataset(folder)) == 120
+
+
+def test_claims_figures_and_verification_are_those_of_the_commands(tmp_path: Path) -> None:
+    reference = ROOT / "results" / "reference"
+    command = [Path(sys.executable).parent / "harness", "--results", reference]
+    subprocess.run([*command, "claims", "--output", tmp_path / "verdicts.parquet"], cwd=ROOT, check=True)
+    verdicts = harness.claims(file=ROOT / "experiments/claims.yaml", results=reference)
+    assert verdicts.equals(polars.read_parquet(tmp_path / "verdicts.parquet")) and verdicts.height > 10
+    one = harness.claims(verdicts["claim"][0], file=ROOT / "experiments/claims.yaml", results=reference)
+    assert one["claim"].unique().to_list() == [verdicts["claim"][0]]
+    drawn = harness.figures("forces_dataset", folder=tmp_path, formats=["svg", "csv"], results=reference)
+    assert drawn == [tmp_path / "forces_dataset.svg", tmp_path / "forces_dataset.csv"]
+    subprocess.run([*command, "figures", "forces_dataset", "--out", tmp_path / "out"], cwd=ROOT, check=True)
+    assert all(path.read_bytes() == (tmp_path / "out" / path.name).read_bytes() for path in drawn)
+
+
+def test_verification_names_what_is_broken(results: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "results"
+    shutil.copytree(results, copy)
+    assert [problem for problem in harness.verify(copy) if problem.broken] == []
+    damaged = next((copy / "runs").rglob("metrics.parquet"))
+    damaged.write_bytes(damaged.read_bytes()[:-1])
+    (problem,) = [problem for problem in harness.verify(copy) if problem.broken]
+    assert problem.path == damaged and problem.problem and problem.repair
+
+
+def methods(stub: ast.ClassDef) -> list[ast.FunctionDef]:
+    """The methods and properties of a class that users call by name."""
+    return [item for item in stub.body if isinstance(item, ast.FunctionDef) and not item.name.startswith("__")]
+
+
+def test_everything_public_has_a_docstring_and_a_version() -> None:
+    assert harness.__version__.count(".") == 2
+    stub = ast.parse((ROOT / "python/harness/_harness.pyi").read_text())
+    compared = 0
+    for entry in stub.body:
+        if not isinstance(entry, ast.ClassDef) or entry.name == "Table":
+            continue
+        found = getattr(harness._harness, entry.name)
+        documented = [(found, entry), *((getattr(found, member.name), member) for member in methods(entry))]
+        for item, definition in documented:
+            if text := ast.get_docstring(definition):
+                assert inspect.getdoc(item) == text, (entry.name, definition.name)
+                compared += 1
+    assert compared > 40
+    for name in harness.__all__:
+        assert inspect.getdoc(getattr(harness, name)), name
+
+
 def test_a_run_without_a_reconstruction_says_so(tmp_path: Path) -> None:
     harness.run(SMOKE, {"scenarios": ["empty"], "tasks": ["prediction"]}, results=tmp_path, progress=False)
     model = harness.load_model("smoke", tmp_path)
@@ -249,11 +358,22 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         "lacking": lambda: model.encode({"vision": observation["vision"]}),
         "shape": lambda: model.encode({**observation, "proprioception": np.zeros((3, 19), np.float32)}),
         "batch": lambda: model.encode({**observation, "vision": data["vision"][:2]}),
-        "type": lambda: model.encode({**observation, "proprioception": np.zeros((3, 20))}),
+        "type": lambda: model.encode({**observation, "vision": data["vision"][:3].astype(np.int64)}),
+        "unknown": lambda: model.encode({**observation, "visoin": observation["vision"]}),
         "no array": lambda: model.encode({**observation, "proprioception": "1, 2, 3"}),
         "nothing": lambda: model.encode({}),
         "action": lambda: model.predict(observation, action[:, :2].copy()),
-        "action type": lambda: model.predict(observation, action.astype(np.float64)),
+        "action type": lambda: model.predict(observation, action.astype(bool)),
+        "part": lambda: data.split("all"),
+        "division": lambda: data.split("test", by="link"),
+        "shares": lambda: data.split("test", test=1.5),
+        "starts": lambda: data.torch(["arm"], ["arm"], samples=np.array([29])),
+        "claim": lambda: harness.claims("nothing", file=ROOT / "experiments/claims.yaml", results=results),
+        "claims": lambda: harness.claims(file=results / "none.yaml", results=results),
+        "figure": lambda: harness.figures("nothing", results=results),
+        "format": lambda: harness.figures(formats=["gif"], results=results),
+        "runs": lambda: harness.figures("regression", folder=results / "none", results=results),
+        "no results": lambda: harness.verify(results / "none"),
         "latent": lambda: model.reconstruct(np.zeros((3, 5), np.float32)),
         "no latent": lambda: model.reconstruct(np.zeros((0, 4), np.float32)),
     }[name]()
@@ -278,11 +398,22 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         ("lacking", KeyError, "proprioception"),
         ("shape", ValueError, r"proprioception.*\[3, 19\].*\[3, 20\]"),
         ("batch", ValueError, "vision"),
-        ("type", TypeError, "proprioception.*float32"),
-        ("no array", TypeError, "proprioception.*float32"),
+        ("type", TypeError, r"'vision' must be uint8, or float in \[0, 1\]"),
+        ("unknown", KeyError, "the observation has 'visoin'; the encoder of .* takes proprioception, vision"),
+        ("no array", TypeError, "'proprioception' must be an array or a list of numbers"),
         ("nothing", KeyError, "proprioception, vision"),
         ("action", ValueError, "action"),
         ("action type", TypeError, "action"),
+        ("part", ValueError, "allowed: training, validation, test"),
+        ("division", ValueError, "allowed: episode, time, sample"),
+        ("shares", ValueError, r"must be in \(0, 1\)"),
+        ("starts", (ValueError, ImportError), "last sample of an episode|torch"),
+        ("claim", ValueError, "no claim is called 'nothing'"),
+        ("claims", FileNotFoundError, "none.yaml"),
+        ("figure", ValueError, "there is no figure 'nothing'; allowed: .*regression"),
+        ("format", ValueError, "there is no format 'gif'; allowed: svg, png, csv"),
+        ("runs", RuntimeError, "regression was not drawn: "),
+        ("no results", FileNotFoundError, "there are no results in"),
         ("latent", ValueError, r"latent.*\[3, 5\].*\[3, 4\]"),
         ("no latent", ValueError, "latent has no samples"),
     ],

@@ -12,6 +12,7 @@ from harness.export import FORMATS, export
 EXAMPLES = """examples:
   harness export --format lerobot results/datasets/empty-0123456789abcdef exported
   harness export --format rerun results/datasets/empty-0123456789abcdef recordings --episodes 0 7
+  harness export --format onnx multi_to_multi_best/cluttered network.onnx
   harness export --format mlflow multi_to_multi sqlite:///mlflow.db
   harness export --format tensorboard multi_to_multi logs --condition "status = 'done' and seed = 0"
 """
@@ -20,17 +21,19 @@ EXAMPLES = """examples:
 def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="harness export",
-        description="Writes a dataset (lerobot, rerun) or the runs of an experiment (mlflow, tensorboard).",
+        description="Writes a dataset (lerobot, rerun), a trained network (onnx) or the runs of an experiment (mlflow, tensorboard).",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--format", choices=[*FORMATS, "mlflow", "tensorboard"], required=True)
-    parser.add_argument("source", help="the dataset's folder, as in results/datasets, or the experiment")
+    parser.add_argument("--format", choices=[*FORMATS, "onnx", "mlflow", "tensorboard"], required=True)
+    parser.add_argument("source", help="the dataset's folder, as in results/datasets, the run, or the experiment")
     parser.add_argument(
-        "output", help="the new folder of the dataset, MLflow's tracking URI, or TensorBoard's log folder"
+        "output", help="the new folder of the dataset, the network's file, MLflow's tracking URI, or TensorBoard's log folder"
     )
     datasets = parser.add_argument_group("datasets")
     datasets.add_argument("--episodes", type=int, nargs="+", metavar="N", help="these episodes [default: all]")
+    networks = parser.add_argument_group("networks")
+    networks.add_argument("--task", choices=["prediction", "reconstruction"], help="[default: prediction]")
     runs = parser.add_argument_group("runs")
     runs.add_argument("--results", metavar="DIR", help="folder of datasets and runs [default: results]")
     runs.add_argument("--condition", metavar="SQL", help="only runs for which this holds, over the table runs")
@@ -39,8 +42,12 @@ def main(words: list[str] | None = None) -> int:
     of_runs = {"--results": arguments.results, "--condition": arguments.condition, "--artifacts": arguments.artifacts}
     if arguments.format in FORMATS:
         misplaced = [option for option, value in of_runs.items() if value]
+        misplaced += ["--task"] * bool(arguments.task)
+    elif arguments.format == "onnx":
+        others = {"--episodes": arguments.episodes, "--condition": arguments.condition, "--artifacts": arguments.artifacts}
+        misplaced = [option for option, value in others.items() if value]
     else:
-        misplaced = ["--episodes"] * bool(arguments.episodes)
+        misplaced = ["--episodes"] * bool(arguments.episodes) + ["--task"] * bool(arguments.task)
         misplaced += ["--artifacts"] * (arguments.artifacts and arguments.format != "mlflow")
     if misplaced:
         parser.error(f"{misplaced[0]} can't be combined with --format {arguments.format}")
@@ -62,6 +69,9 @@ def _export(arguments: argparse.Namespace) -> str:
     if arguments.format in FORMATS:
         return str(export(arguments.source, arguments.format, arguments.output, arguments.episodes))
     results, condition = arguments.results or "results", arguments.condition
+    if arguments.format == "onnx":
+        harness.export_onnx(arguments.source, arguments.output, arguments.task or "prediction", results)
+        return str(arguments.output)
     if arguments.format == "mlflow":
         done = harness.export_mlflow(
             arguments.source,

@@ -1,0 +1,169 @@
+//! The Python functions `claims`, `figures`, `verify` and `collect`.
+
+use crate::errors::Raise;
+use crate::run::{Listener, Table, warn};
+use crate::work::interruptible;
+use harness::analysis::{Analysis, AnalysisError, Selection, Setting};
+use harness::claims::{self, ClaimsError};
+use harness::collection::{collect as collect_episodes, dataset_of};
+use harness::experiment::describe;
+use harness::figures::source::{Experiments, Source};
+use harness::figures::{Figure, Format};
+use harness::progress::Silent;
+use harness::registry::Registry;
+use harness::simulation::Scene;
+use harness::spec;
+use pyo3::PyErr;
+use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Parses settings that runs must have.
+pub fn settings(texts: &[String]) -> PyResult<Vec<Setting>> {
+    texts.iter().map(|text| text.parse().map_err(PyValueError::new_err)).collect()
+}
+
+/// Returns a results folder that exists.
+fn existing(results: PathBuf) -> PyResult<Registry> {
+    let registry = Registry::new(results);
+    registry.check_there().map_err(Raise::raise)?;
+    Ok(registry)
+}
+
+/// Judges claims; see `harness.claims`.
+#[pyfunction]
+pub fn claims(
+    py: Python,
+    chosen: Vec<String>,
+    file: PathBuf,
+    quick: bool,
+    settings: Vec<String>,
+    results: PathBuf,
+) -> PyResult<Table> {
+    let (settings, registry) = (self::settings(&settings)?, existing(results)?);
+    let judge = || -> PyResult<_> {
+        let all = claims::load(&file).map_err(Raise::raise)?;
+        let chosen = claims::choose(&all, &chosen).map_err(refused)?;
+        let runs = claims::runs(&registry, &chosen, &settings, quick).map_err(Raise::raise)?;
+        let mut judgements = Vec::new();
+        for claim in chosen {
+            judgements.extend(claims::judge(&runs, claim, quick).map_err(refused)?);
+        }
+        let table = claims::table(&judgements.iter().collect::<Vec<_>>());
+        table.map_err(|error| PyRuntimeError::new_err(error.to_string()))
+    };
+    let table = interruptible(py, judge, || ())??;
+    warn(py, &registry)?;
+    Ok(Table(table))
+}
+
+fn refused(error: ClaimsError) -> PyErr {
+    PyValueError::new_err(describe(&error))
+}
+
+/// The figures that were drawn, and the others with the reason.
+type Drawn = (Vec<String>, Vec<(String, String)>);
+
+/// Draws figures to a folder; see `harness.figures`.
+#[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "they are those of `harness.figures`, where each has its name")]
+pub fn figures(
+    py: Python,
+    names: Vec<String>,
+    folder: PathBuf,
+    formats: Vec<String>,
+    quick: bool,
+    single: Option<String>,
+    multi: Option<String>,
+    settings: Vec<String>,
+    results: PathBuf,
+) -> PyResult<Drawn> {
+    let figures = named("figure", &names, &Figure::ALL, Figure::name)?;
+    let formats = named("format", &formats, &Format::ALL, Format::name)?;
+    let (settings, registry) = (self::settings(&settings)?, existing(results)?);
+    let paper = Experiments::of_the_paper(quick);
+    let experiments = Experiments {
+        single_to_multi: single.unwrap_or(paper.single_to_multi),
+        multi_to_multi: multi.unwrap_or(paper.multi_to_multi),
+        readings: paper.readings,
+    };
+    let all = experiments.names().into_iter().chain([experiments.readings.clone()]).collect();
+    let selection = Selection { experiments: all, settings, simulated: true };
+    let draw = || -> Result<Drawn, AnalysisError> {
+        let analysis = Analysis::new(&registry, &selection)?;
+        let source = Source::new(&analysis, experiments);
+        let (mut drawn, mut missing) = (Vec::new(), Vec::new());
+        for figure in figures {
+            let saved =
+                figure.draw(&source).and_then(|drawing| drawing.save(&folder, figure.name(), &formats));
+            match saved {
+                Ok(()) => drawn.push(figure.name().to_owned()),
+                Err(error) => missing.push((figure.name().to_owned(), describe(&error))),
+            }
+        }
+        Ok((drawn, missing))
+    };
+    let drawn = interruptible(py, draw, || ())?.map_err(Raise::raise)?;
+    warn(py, &registry)?;
+    Ok(drawn)
+}
+
+/// Returns the items with these names, or all of them without names. Raises ValueError for another name.
+fn named<T: Copy>(what: &str, names: &[String], all: &[T], name: fn(T) -> &'static str) -> PyResult<Vec<T>> {
+    if names.is_empty() {
+        return Ok(all.to_vec());
+    }
+    let find = |wanted: &String| {
+        all.iter().copied().find(|item| name(*item) == wanted).ok_or_else(|| {
+            let allowed: Vec<&str> = all.iter().map(|item| name(*item)).collect();
+            PyValueError::new_err(format!("there is no {what} '{wanted}'; allowed: {}", allowed.join(", ")))
+        })
+    };
+    names.iter().map(find).collect()
+}
+
+/// A problem: path, what is wrong, a command that repairs it, and whether data were lost or changed.
+type Problem = (PathBuf, String, Option<String>, bool);
+
+/// Checks all files of a results folder. Returns the numbers of runs, datasets and files, and the problems; see
+/// `harness.verify`.
+#[pyfunction]
+pub fn verify(py: Python, results: PathBuf) -> PyResult<(usize, usize, usize, Vec<Problem>)> {
+    let registry = existing(results)?;
+    let report = interruptible(py, || registry.verify(&Silent), || ())?;
+    let problems = report.findings.into_iter();
+    let problems = problems.map(|finding| (finding.path, finding.problem, finding.mend, finding.broken));
+    Ok((report.runs, report.datasets, report.files, problems.collect()))
+}
+
+/// Simulates the missing episodes of an experiment's datasets. Returns each folder with the number of episodes that
+/// were simulated; see `harness.collect`.
+#[pyfunction]
+pub fn collect(
+    py: Python,
+    path: PathBuf,
+    overrides: Vec<String>,
+    quick: bool,
+    results: PathBuf,
+    progress: bool,
+) -> PyResult<Vec<(PathBuf, usize)>> {
+    let experiment = spec::load(&path, &overrides, quick).map_err(Raise::raise)?;
+    let registry = Registry::new(results);
+    registry.check_writable().map_err(|error| PyOSError::new_err(error.to_string()))?;
+    let cancelled = AtomicBool::new(false);
+    let listener = Listener::new(progress, &cancelled);
+    let work = || -> PyResult<Vec<(PathBuf, usize)>> {
+        let mut collected = Vec::new();
+        for (world, simulation) in experiment.simulated() {
+            let scene = Scene::new(world).map_err(Raise::raise)?;
+            scene.check(&simulation).map_err(Raise::raise)?;
+            let dataset = dataset_of(&registry.datasets(), &scene, &simulation);
+            let made = collect_episodes(&dataset, &scene, rayon::current_num_threads(), &listener);
+            let made = made.map_err(|error| PyRuntimeError::new_err(describe(&error)))?;
+            collected.push((dataset.folder().to_owned(), made));
+        }
+        Ok(collected)
+    };
+    interruptible(py, work, || cancelled.store(true, Ordering::Relaxed))?
+}

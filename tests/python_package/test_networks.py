@@ -1,0 +1,398 @@
+"""Networks rebuilt from their files, in PyTorch and in ONNX, compared with the harness's own predictions."""
+
+import itertools
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import yaml
+from conftest import ROOT, SMOKE
+from numpy.typing import NDArray
+
+import harness
+
+Arrays = dict[str, NDArray[Any]]
+Overrides = dict[str, Any]
+
+TOLERANCE = 1e-5
+"""Largest difference of a predicted value, in standard deviations of its modality."""
+SETTINGS = ("input", "output", "action", "tasks", "network", "scaling")
+"""The settings of a spec that determine what a network computes."""
+
+# Networks that no experiment has.
+OTHERS: dict[str, Overrides] = {
+    "vision alone": {"input": ["vision"], "output": ["vision"]},
+    "image change as input": {"input": ["frame_difference"], "output": ["frame_difference"]},
+    "two images": {"input": ["vision", "frame_difference"], "output": ["vision", "frame_difference"]},
+    "everything": {
+        "input": ["proprioception", "arm", "contact_force", "contact_force_mean", "vision", "frame_difference"],
+        "output": ["proprioception", "arm", "contact_force", "contact_force_mean", "vision", "frame_difference"],
+    },
+    "vectors from an image": {"input": ["vision"], "output": ["arm", "contact_force_mean"]},
+    "image from vectors": {"input": ["proprioception", "arm"], "output": ["frame_difference"]},
+    "late, vision alone": {"input": ["vision"], "output": ["vision"], "network.fusion": "late"},
+    "late, image from vectors": {"input": ["arm"], "output": ["vision"], "network.fusion": "late"},
+    "averaged": {"network.average": 2},
+    "averaged, late, deep": {
+        "network.average": 4,
+        "network.fusion": "late",
+        "network.hidden": [12, 8, 6],
+        "network.channels": [3, 5],
+    },
+    "deep": {"network.hidden": [12, 8, 6], "network.channels": [3, 5, 4, 2], "input": ["vision", "arm"]},
+    "deep, vectors": {"network.hidden": [12, 8, 6], "input": ["proprioception"], "output": ["contact_force"]},
+    "target": {"action": "target"},
+    "scaled by element": {"scaling": {"contact_force": {"scale": "per_element", "minimum": 0.1}}},
+    "trained in bf16": {"training.precision": "bf16"},
+    "other losses": {"training.losses": {"proprioception": "absolute", "contact_force": "huber"}},
+    "two cameras": {"scenarios": ["wrist"], "input": ["vision", "wrist"], "output": ["wrist", "proprioception"]},
+}
+
+
+def networks_of(spec: Path) -> Iterator[Overrides]:
+    """The settings of each network that an experiment trains."""
+    experiment = yaml.safe_load(spec.read_text())
+    base = {key: experiment[key] for key in SETTINGS if key in experiment}
+    roles = list((experiment.get("roles") or {"": {}}).values())
+    readings = [{}, *(reading["settings"] for reading in experiment.get("readings", []))]
+    vary = experiment.get("vary", {})
+    values = [[(key, value) for value in values] for key, values in vary.items()]
+    for role, reading, chosen in itertools.product(roles, readings, itertools.product(*values)):
+        changes = {**role, **reading, **dict(chosen)}
+        own = {key: value for key, value in changes.items() if key.split(".")[0] in SETTINGS}
+        yield {**base, **own}
+
+
+def kinds() -> dict[str, Overrides]:
+    """Every network of the repository's experiments, each once, and the others."""
+    found: dict[str, Overrides] = {}
+    texts = set()
+    for spec in sorted((ROOT / "experiments").glob("*.yaml")):
+        if spec.name == "claims.yaml":
+            continue
+        for index, settings in enumerate(networks_of(spec)):
+            text = json.dumps(settings, sort_keys=True)
+            if text not in texts:
+                texts.add(text)
+                found[f"{spec.stem} {index}" if index else spec.stem] = settings
+    return {**found, **OTHERS}
+
+
+KINDS = kinds()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A results folder for all networks, which share the datasets."""
+    return tmp_path_factory.mktemp("networks")
+
+
+class Trained:
+    """A trained network, observations and actions for it, and what the harness makes of them."""
+
+    def __init__(self, name: str, folder: Path) -> None:
+        whole = {key: value for key, value in KINDS[name].items() if "." not in key}
+        overrides = {key: value for key, value in KINDS[name].items() if "." in key}
+        tasks = ["prediction", "reconstruction"]
+        spec = {**yaml.safe_load(SMOKE.read_text()), "scenarios": ["empty"], **whole, "tasks": tasks}
+        self.results = folder / re.sub(r"\W+", "_", name)
+        if not self.results.exists():
+            self.results.mkdir()
+            (folder / "datasets").mkdir(exist_ok=True)
+            (self.results / "datasets").symlink_to(folder / "datasets")
+            (self.results / "smoke.yaml").write_text(yaml.safe_dump(spec))
+        harness.run(self.results / "smoke.yaml", overrides, results=self.results, progress=False)
+        self.run = harness.query("select run from runs", self.results).item()
+        self.model = harness.load_model(self.run, self.results)
+        data = harness.Dataset(self.results / "datasets" / self.model.dataset)
+        at = np.concatenate([np.arange(first + 1, end - 1) for first, end in data.episodes])
+        self.observation = {name: observed(data, name, at) for name in self.model.input}
+        setpoint, following = data["setpoint"][at], data["setpoint"][at + 1]
+        self.action = following - setpoint if self.model.action == "increment" else following.copy()
+        self.latent, self.log_variance = self.model.encode(self.observation)
+        self.predicted = self.model.predict(self.observation, self.action)
+        self.reconstructed = self.model.reconstruct(self.latent)
+
+    def assert_equal(self, found: Arrays, expected: Arrays) -> None:
+        """Compares values in standard deviations of their modality."""
+        assert found.keys() == expected.keys()
+        for name, values in expected.items():
+            assert found[name].shape == values.shape, name
+            error = np.abs(found[name] - values) / self.deviation(name)
+            assert error.max() <= TOLERANCE, (name, error.max())
+
+    def assert_same_posterior(self, mean: NDArray[Any], log_variance: NDArray[Any]) -> None:
+        assert np.abs(mean - self.latent).max() <= TOLERANCE
+        assert np.abs(log_variance - self.log_variance).max() <= TOLERANCE
+
+    def deviation(self, name: str) -> NDArray[Any]:
+        path = self.results / "runs" / "smoke" / self.run / "prediction.safetensors"
+        return read_file(path)[1][f"scale.{name}.deviation"]
+
+
+def observed(data: harness.Dataset, name: str, at: NDArray[Any]) -> NDArray[Any]:
+    """The values of a modality at some samples, none of which is an episode's first."""
+    if name == "frame_difference":
+        change: NDArray[Any] = (data["vision"][at].astype(np.float32) - data["vision"][at - 1]) / np.float32(255)
+        return change
+    values: NDArray[Any] = data[name][at]
+    return values
+
+
+def read_file(path: Path) -> tuple[dict[str, Any], Arrays]:
+    """The description and the tensors of a network's file, as its format is documented, without a library."""
+    data = path.read_bytes()
+    end = 8 + int.from_bytes(data[:8], "little")
+    header = json.loads(data[8:end])
+    note = json.loads(header.pop("__metadata__")["harness"])
+    tensors = {}
+    for name, entry in header.items():
+        first, last = entry["data_offsets"]
+        assert entry["dtype"] == "F32"
+        tensors[name] = np.frombuffer(data[end + first : end + last], "<f4").reshape(entry["shape"])
+    return note.get("network"), tensors
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def trained(request: pytest.FixtureRequest, folder: Path) -> Trained:
+    return Trained(request.param, folder)
+
+
+def test_the_kinds_have_every_value_of_every_setting_of_a_network() -> None:
+    schema = json.loads((ROOT / "experiments" / "schema.json").read_text())
+    settings = schema["$defs"]["Network"]["properties"]
+    used: dict[str, set[Any]] = {key: set() for key in settings}
+    for overrides in KINDS.values():
+        network = {**overrides.get("network", {})}
+        network |= {key.removeprefix("network."): value for key, value in overrides.items() if key.startswith("network.")}
+        for key, value in network.items():
+            used[key].add(json.dumps(value))
+
+    def values(name: str) -> set[str]:
+        found = schema["$defs"][name]
+        return {json.dumps(choice["const"]) for choice in found["oneOf"]}
+
+    assert used["preset"] == values("Preset")
+    assert used["fusion"] | {'"early"'} == values("Fusion")
+    lengths = {key: {len(list(np.atleast_1d(json.loads(value)))) > 1 for value in used[key]} for key in ("hidden", "channels")}
+    assert lengths == {"hidden": {False, True}, "channels": {False, True}}
+    assert used["average"] == {"2", "4"}
+    assert set(settings) == {"preset", "fusion", "hidden", "channels", "average"}, "a new setting needs new kinds"
+
+
+def test_onnx_agrees_with_the_harness(trained: Trained, tmp_path: Path) -> None:
+    for task, expected in (("prediction", trained.predicted), ("reconstruction", trained.reconstructed)):
+        path = tmp_path / f"{task}.onnx"
+        harness.export_onnx(trained.run, path, task, trained.results)
+        model = onnx.load(path)
+        onnx.checker.check_model(model, full_check=True)
+        session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+        given = dict(trained.observation)
+        if task == "prediction":
+            given["action"] = trained.action
+        assert {value.name for value in session.get_inputs()} == given.keys()
+        names = [value.name for value in session.get_outputs()]
+        answer = dict(zip(names, session.run(names, given), strict=True))
+        trained.assert_same_posterior(answer.pop("latent.mean"), answer.pop("latent.log_variance"))
+        trained.assert_equal({name.split(".")[1]: values for name, values in answer.items()}, expected)
+        one = session.run(names, {name: values[:1] for name, values in given.items()})
+        assert all(len(values) == 1 for values in one)
+
+
+def test_torch_agrees_with_the_harness(trained: Trained) -> None:
+    torch = pytest.importorskip("torch", reason="`make interchange` tests with torch")
+    network = harness.load_network(trained.run, trained.results)
+    with torch.no_grad():
+        mean, log_variance = network.encode(trained.observation)
+        predicted = network(trained.observation, trained.action)
+        reconstructed = network.reconstruct(mean)
+    trained.assert_same_posterior(mean.numpy(), log_variance.numpy())
+    trained.assert_equal({name: values.numpy() for name, values in predicted.items()}, trained.predicted)
+    trained.assert_equal({name: values.numpy() for name, values in reconstructed.items()}, trained.reconstructed)
+
+
+def test_a_file_says_everything_about_its_tensors(trained: Trained) -> None:
+    for task, path, text in harness._harness.networks(trained.run, trained.results):
+        description, tensors = read_file(path)
+        assert description == json.loads(text)
+        assert (description["format"], description["task"]) == (1, task)
+        layers = [*description.get("encoder", []), *description["decoder"]]
+        named = [name for layer in layers for name in names_in(layer)]
+        assert sorted(named) == sorted(name for name in tensors if not name.startswith("scale."))
+        parameters = {name: tensors[name].size for name in named}
+        assert sum(layer["parameters"] for layer in layers) == sum(parameters.values())
+        for quantity in [*description.get("inputs", []), *description["outputs"]]:
+            assert tensors[quantity["mean"]].size == np.prod(quantity["shape"])
+
+
+def names_in(layer: dict[str, Any]) -> list[str]:
+    """The names of a layer's tensors."""
+    return [*layer.get("weights", []), *(layer[key] for key in ("weight", "bias") if key in layer)]
+
+
+@pytest.fixture(scope="module")
+def smoke(folder: Path) -> Trained:
+    return Trained("smoke", folder)
+
+
+def test_an_onnx_model_says_what_it_takes_and_returns(smoke: Trained, tmp_path: Path) -> None:
+    harness.export_onnx("smoke/", tmp_path / "network.onnx", results=smoke.results)
+    model = onnx.load(tmp_path / "network.onnx")
+    properties = {entry.key: entry.value for entry in model.metadata_props}
+    assert (properties["run"], properties["experiment"]) == (smoke.run, "smoke")
+    assert json.loads(properties["network"])["latent"] == 4
+    assert model.opset_import[0].version == 17
+    session = onnxruntime.InferenceSession(tmp_path / "network.onnx", providers=["CPUExecutionProvider"])
+    inputs = {value.name: (value.type, value.shape) for value in session.get_inputs()}
+    assert inputs == {
+        "proprioception": ("tensor(float)", ["batch", 20]),
+        "vision": ("tensor(uint8)", ["batch", 64, 64, 3]),
+        "action": ("tensor(float)", ["batch", 3]),
+    }
+    outputs = {value.name: value.shape for value in session.get_outputs()}
+    assert outputs == {
+        "latent.mean": ["batch", 4],
+        "latent.log_variance": ["batch", 4],
+        "predicted.proprioception": ["batch", 20],
+        "predicted.contact_force": ["batch", 20],
+        "predicted.frame_difference": ["batch", 64, 64, 3],
+    }
+    told = {value.name: value.doc_string for value in model.graph.input}
+    assert told["action"] == "increment: rotation (rad), lift (m), extension (m)"
+
+
+PROGRAM = [sys.executable, "-c", "import sys; from harness import _harness; sys.exit(_harness.main(sys.argv))"]
+"""The program without the commands that are written in Python."""
+
+
+@pytest.mark.parametrize(("command", "usage"), [([sys.executable, "-m", "harness"], 1), (PROGRAM, 2)])
+def test_both_commands_write_the_same_model(smoke: Trained, tmp_path: Path, command: list[str], usage: int) -> None:
+    command = [*command, "export", "--results", str(smoke.results), "--format", "onnx"]
+    for task in ("prediction", "reconstruction"):
+        by_function, by_command = tmp_path / f"{task}.onnx", tmp_path / f"new/{task}.onnx"
+        harness.export_onnx(smoke.run, by_function, task, smoke.results)
+        subprocess.run([*command, smoke.run, by_command, "--task", task], check=True, capture_output=True)
+        assert by_function.read_bytes() == by_command.read_bytes()
+    wrong = subprocess.run([*command, "nothing", tmp_path / "x.onnx"], capture_output=True, text=True)
+    assert (wrong.returncode, wrong.stderr.count("\n")) == (usage, 1), wrong.stderr
+    assert not (tmp_path / "x.onnx").exists()
+
+
+def test_the_program_says_which_formats_the_package_has(tmp_path: Path) -> None:
+    wrong = subprocess.run([*PROGRAM, "export", "--format", "lerobot", "x", tmp_path / "y"], capture_output=True, text=True)
+    assert wrong.returncode == 2 and "the Python package (pip install .) also exports datasets" in wrong.stderr
+
+
+def test_a_wrong_export_says_what_is_allowed(smoke: Trained, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="there is no 'regression'; allowed: prediction, reconstruction"):
+        harness.export_onnx(smoke.run, tmp_path / "x.onnx", "regression", smoke.results)
+    with pytest.raises(KeyError, match="nothing"):
+        harness.export_onnx("nothing", tmp_path / "x.onnx", results=smoke.results)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_files_of_earlier_versions_are_described_by_the_runs_spec(smoke: Trained, tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch", reason="`make interchange` tests with torch")
+    from harness.networks import Network, NetworkFile
+
+    (_, path, text), _ = harness._harness.networks(smoke.run, smoke.results)
+    without = tmp_path / "prediction.safetensors"
+    data = path.read_bytes()
+    end = 8 + int.from_bytes(data[:8], "little")
+    header = json.loads(data[8:end])
+    del header["__metadata__"]
+    head = json.dumps(header).encode()
+    without.write_bytes(len(head).to_bytes(8, "little") + head + data[end:])
+    with pytest.raises(ValueError, match="no description"):
+        NetworkFile(without)
+    network = Network(NetworkFile(without, json.loads(text)))
+    with torch.no_grad():
+        predicted = network(smoke.observation, smoke.action)
+    smoke.assert_equal({name: values.numpy() for name, values in predicted.items()}, smoke.predicted)
+    with pytest.raises(RuntimeError, match="no reconstruction"):
+        network.reconstruct(smoke.latent)
+
+
+def test_a_torch_network_can_be_trained_and_refuses_wrong_observations(smoke: Trained) -> None:
+    torch = pytest.importorskip("torch", reason="`make interchange` tests with torch")
+    network = harness.load_network(smoke.run, smoke.results)
+    _, tensors = read_file(smoke.results / "runs" / "smoke" / smoke.run / "prediction.safetensors")
+    parameters = dict(network.named_parameters())
+    assert {name for name in tensors if not name.startswith("scale.")} < parameters.keys()
+    sum(values.sum() for values in network(smoke.observation, smoke.action).values()).backward()
+    assert all(parameters[name].grad is not None for name in parameters if not name.startswith("reconstruction."))
+    with pytest.raises(KeyError, match="lacks vision; the network takes proprioception, vision"):
+        network({"proprioception": smoke.observation["proprioception"]}, smoke.action)
+    with pytest.raises(KeyError, match="has visoin"):
+        network({**smoke.observation, "visoin": smoke.observation["vision"]}, smoke.action)
+    with pytest.raises(ValueError, match=r"'action' has the shape \[1, 3\], must be"):
+        network(smoke.observation, smoke.action[:1])
+    assert network.to(torch.device("cpu")).state_dict()["scale_vision_mean"].dtype == torch.float32
+
+
+def test_without_torch_one_line_says_what_to_install() -> None:
+    script = (
+        "import sys; sys.modules['torch'] = None; import harness\n"
+        "try: harness.load_network('run')\n"
+        "except ImportError as error: print(error)"
+    )
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    assert said.startswith("load_network needs PyTorch: pip install torch safetensors (") and said.count("\n") == 1
+
+
+def code_in_the_documentation(library: str) -> str:
+    text = (ROOT / "docs" / "networks.md").read_text()
+    (code,) = re.findall(rf"```python\n# {library}\n(.*?)```", text, re.DOTALL)
+    return code
+
+
+def test_the_numpy_code_in_the_documentation_predicts(folder: Path) -> None:
+    trained = Trained("single_to_multi", folder)
+    description, tensors = read_file(trained.results / "runs" / "smoke" / trained.run / "prediction.safetensors")
+    names: dict[str, Any] = {"network": description, "tensors": tensors}
+    names |= {"observation": trained.observation, "action": trained.action}
+    exec(code_in_the_documentation("numpy"), names)
+    trained.assert_equal(names["predicted"], trained.predicted)
+
+
+def test_the_torch_code_in_the_documentation_computes_every_layer(folder: Path) -> None:
+    torch = pytest.importorskip("torch", reason="`make interchange` tests with torch")
+    names: dict[str, Any] = {}
+    exec(code_in_the_documentation("torch"), names)
+    computed = set()
+    for kind in ("averaged", "averaged, late, deep"):
+        trained = Trained(kind, folder)
+        network = harness.load_network(trained.run, trained.results)
+        tensors = dict(network.named_parameters())
+        values = network._normalized(trained.observation)
+        for layer in network.description["encoder"]:
+            values[layer["name"]] = names["compute"](layer, [values[name] for name in layer["inputs"]], tensors)
+        mean, log_variance = values["posterior"].detach().numpy().reshape(-1, 2, trained.model.latent).swapaxes(0, 1)
+        trained.assert_same_posterior(mean, log_variance)
+        values |= {"latent": values["posterior"][:, : trained.model.latent], "action": torch.tensor(trained.action)}
+        values["action"] = (values["action"] - network.scale_action_mean) / network.scale_action_deviation
+        for layer in network.description["decoder"]:
+            values[layer["name"]] = names["compute"](layer, [values[name] for name in layer["inputs"]], tensors)
+        image = values["conv"].detach() * network.scale_frame_difference_deviation
+        image += network.scale_frame_difference_mean.reshape(image.shape[1:])
+        found = {"frame_difference": image.permute(0, 2, 3, 1).numpy()}
+        trained.assert_equal(found, {"frame_difference": trained.predicted["frame_difference"]})
+        computed |= {layer["kind"] for part in ("encoder", "decoder") for layer in network.description[part]}
+    assert computed == {
+        "concatenate",
+        "flatten",
+        "reshape",
+        "average",
+        "dense",
+        "convolution",
+        "transposed_convolution",
+        "layer_normalization",
+    }
