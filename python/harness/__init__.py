@@ -64,7 +64,7 @@ __all__ = [
     "verify",
 ]
 
-__version__ = importlib.metadata.version(__name__)
+__version__ = importlib.metadata.version("soft-harness")
 
 
 class Summary(NamedTuple):
