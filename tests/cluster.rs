@@ -1,7 +1,7 @@
 //! Work that several processes divide, and its submission to Slurm, for which scripts stand in here. `make cluster` uses a
 //! real one.
 
-use crate::common::{Answer, SMOKE, finish, fresh, harness, succeed, write_script};
+use crate::common::{Answer, Disk, SMOKE, finish, fresh, harness, succeed, write_script};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -77,12 +77,15 @@ fn shards_collect_the_same_datasets_with_those_that_vary() {
 
 #[test]
 fn what_is_no_shard_is_refused_in_one_line() {
-    for shard in ["9/8", "0/3", "3", "1/0", "1/1000000", "a/b"] {
-        let answer = finish(&mut harness(Path::new("nowhere"), &["run", SMOKE, "--shard", shard]));
-        assert_eq!(answer.code, 2, "{shard}");
-        let said = answer.stderr.lines().next().unwrap();
-        assert!(said.contains("a shard is I/N, with I from 1 to N"), "{said}");
+    for shard in ["9/8", "0/8", "0/3", "3", "1/0", "1/1000000", "a/b", "1/8/8", ""] {
+        for command in ["run", "collect"] {
+            let answer = finish(&mut harness(Path::new("nowhere"), &[command, SMOKE, "--shard", shard]));
+            assert_eq!(answer.code, 2, "{command} {shard}");
+            let said = answer.stderr.lines().next().unwrap();
+            assert!(said.contains("a shard is I/N, with I from 1 to N"), "{said}");
+        }
     }
+    assert!(!Path::new("nowhere").exists());
 }
 
 #[test]
@@ -247,4 +250,83 @@ fn what_cannot_be_submitted_is_refused_in_one_line_and_leaves_nothing() {
     assert_eq!(unknown.code, 2);
     assert!(unknown.stderr.contains("cluster.yaml:2:1: "), "{}", unknown.stderr);
     assert!(unknown.stderr.contains("partitions"), "{}", unknown.stderr);
+}
+
+/// The last line of a refusal, which is its only error. Only this line remains to be read after a long plan.
+#[track_caller]
+fn refusal(answer: &Answer, code: i32) -> String {
+    assert_eq!((answer.code, answer.stdout.as_str()), (code, ""), "{}", answer.stderr);
+    answer.stderr.lines().last().unwrap().strip_prefix("error: ").unwrap().to_owned()
+}
+
+#[test]
+fn a_submission_of_which_one_job_is_refused_is_cancelled() {
+    let (results, slurm) = (fresh("submitted-in-part"), slurm());
+    let calls = slurm.path().join("calls");
+    // The second job is refused, in two lines as by the real sbatch.
+    let script = format!(
+        "echo \"sbatch $*\" >>{0}; [ $(grep -c sbatch {0}) = 1 ] && echo 101 && exit; \
+         echo 'sbatch: error: invalid partition specified: moon' >&2; \
+         echo 'sbatch: error: Batch job submission failed: Invalid partition name specified' >&2; exit 1",
+        calls.display()
+    );
+    write_script(&slurm.path().join("sbatch"), &script);
+    let answer = with_slurm(slurm.path(), &results, &["submit", SMOKE, "--partition", "moon"]);
+    assert_eq!(
+        refusal(&answer, 1).replace("error: ", ""),
+        "sbatch failed: sbatch: invalid partition specified: moon; sbatch: Batch job submission failed: Invalid \
+         partition name specified"
+    );
+    let calls = fs::read_to_string(calls).unwrap();
+    assert!(calls.lines().last().unwrap().ends_with("scancel 101"), "{calls}");
+    assert!(fs::read_dir(results.join("jobs")).unwrap().next().is_none());
+    assert_eq!(with_slurm(slurm.path(), &results, &["cancel", "smoke"]).code, 2);
+}
+
+#[test]
+fn a_full_disk_submits_nothing() {
+    // Room for one of the three scripts.
+    let Some(disk) = Disk::new(4) else {
+        println!("skipped: no small disk can be mounted here");
+        return;
+    };
+    let slurm = slurm();
+    let said = refusal(&with_slurm(slurm.path(), disk.path(), &["submit", SMOKE]), 1);
+    assert!(
+        said.starts_with("can't write ") && said.ends_with("train.sh: No space left on device (os error 28)"),
+        "{said}"
+    );
+    assert!(!slurm.path().join("calls").exists(), "nothing was asked of Slurm");
+    assert!(fs::read_dir(disk.path().join("jobs")).unwrap().next().is_none());
+}
+
+#[test]
+fn jobs_that_cannot_be_cancelled_or_listed_are_kept() {
+    let (results, slurm) = (fresh("uncancelled"), slurm());
+    with_slurm(slurm.path(), &results, &["submit", SMOKE]);
+    let folder = fs::read_dir(results.join("jobs")).unwrap().next().unwrap().unwrap().path();
+    for arguments in [&["cancel", "smoke"][..], &["ls", "--jobs"]] {
+        let answer = finish(harness(&results, arguments).env("PATH", "/nowhere"));
+        let said = refusal(&answer, 2);
+        assert!(
+            said.starts_with("squeue is not installed here, so this is no machine of a Slurm cluster"),
+            "{said}"
+        );
+    }
+    write_script(
+        &slurm.path().join("scancel"),
+        "echo 'scancel: error: Kill job error on job id 102: Access/permission denied' >&2; exit 1",
+    );
+    let said = refusal(&with_slurm(slurm.path(), &results, &["cancel", "smoke"]), 1);
+    let expected = "scancel failed: scancel: error: Kill job error on job id 102: Access/permission denied";
+    assert_eq!(format!("error: {said}").matches(expected).count(), 1, "{said}");
+    assert!(folder.join("job.json").is_file() && folder.join("train.sh").is_file());
+    let config = slurm.path().join("cluster.yaml");
+    fs::write(&config, "tasks: many\n").unwrap();
+    let words = ["submit", SMOKE, "--config", config.to_str().unwrap()];
+    let said = refusal(&with_slurm(slurm.path(), &results, &words), 2);
+    assert!(said.contains("cluster.yaml:1:8: "), "{said}");
+    let missing = ["submit", SMOKE, "--config", "/nowhere.yaml"];
+    assert!(refusal(&with_slurm(slurm.path(), &results, &missing), 2).starts_with("/nowhere.yaml: "));
+    assert_eq!(fs::read_dir(results.join("jobs")).unwrap().count(), 1);
 }

@@ -1,6 +1,6 @@
 //! Killed, stopped by a signal, run twice at the same time, out of memory or disk: no results are lost or changed.
 
-use crate::common::{Answer, SMOKE, smoke_run};
+use crate::common::{Answer, Disk, SMOKE, smoke_run};
 use harness::files::{FolderLock, LOCK, UNFINISHED};
 use harness::tables::read_footer;
 use rand::{RngExt, SeedableRng};
@@ -583,37 +583,6 @@ fn a_run_whose_folder_cannot_be_written_fails_and_the_others_go_on() {
     let answer = run(results.path(), &["run", SMOKE]);
     assert_eq!((answer.code, counts(&answer)), (1, [1, 0, 1]), "{}", answer.stderr);
     assert!(answer.stderr.contains(&format!("{id} failed: can't lock ")), "{}", answer.stderr);
-}
-
-/// A small disk in memory, which only root can create.
-struct Disk(tempfile::TempDir);
-
-impl Disk {
-    fn new(kilobytes: usize) -> Option<Self> {
-        let folder = tempfile::tempdir().unwrap();
-        let options = format!("size={kilobytes}k");
-        let disk = Self(folder);
-        disk.mount(&["-t", "tmpfs", "-o", &options, "tmpfs"]).then_some(disk)
-    }
-
-    fn path(&self) -> &Path {
-        self.0.path()
-    }
-
-    fn remount(&self, options: &str) {
-        assert!(self.mount(&["-o", &format!("remount,{options}")]));
-    }
-
-    fn mount(&self, arguments: &[&str]) -> bool {
-        let output = std::process::Command::new("mount").args(arguments).arg(self.path()).output();
-        output.is_ok_and(|output| output.status.success())
-    }
-}
-
-impl Drop for Disk {
-    fn drop(&mut self) {
-        let _ = std::process::Command::new("umount").arg(self.path()).output();
-    }
 }
 
 #[test]

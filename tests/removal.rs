@@ -1,6 +1,6 @@
 //! `harness rm`, `gc`, `du`, `diff` and the choices of `ls`.
 
-use crate::common::{SMOKE, finish, fresh, harness, succeed};
+use crate::common::{Disk, SMOKE, finish, fresh, harness, succeed};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -128,4 +128,72 @@ fn runs_are_listed_by_experiment_status_and_order() {
     for part in ["datasets", "runs", "smoke-quick", "in all"] {
         assert!(used.contains(part), "{used}");
     }
+}
+
+/// The only line of a refusal.
+#[track_caller]
+fn refusal(results: &Path, arguments: &[&str], code: i32) -> String {
+    let answer = finish(&mut harness(results, arguments));
+    assert_eq!((answer.code, answer.stdout.as_str()), (code, ""), "{arguments:?}: {}", answer.stderr);
+    let line =
+        answer.stderr.trim_end().strip_prefix("error: ").unwrap_or_else(|| panic!("{}", answer.stderr));
+    assert!(!line.contains('\n'), "{line}");
+    line.to_owned()
+}
+
+#[test]
+fn what_cannot_be_removed_or_compared_is_refused_in_one_line() {
+    let results = results("refused");
+    let nowhere = Path::new("nowhere");
+    for arguments in [&["rm", "smoke"][..], &["gc"], &["du"], &["diff", "a", "b"], &["ls"]] {
+        assert!(
+            refusal(nowhere, arguments, 2).starts_with("there are no results in nowhere"),
+            "{arguments:?}"
+        );
+    }
+    assert!(!nowhere.exists());
+    let runs = names(&results.join("runs/smoke"));
+    let said = refusal(&results, &["rm", &format!("smoke/{}", runs[0]), "smok/", "--yes"], 2);
+    assert!(said.starts_with("no run matches 'smok/', the nearest is "), "{said}");
+    assert!(refusal(&results, &["diff", &runs[1], "nothing"], 2).starts_with("no run matches 'nothing'"));
+    assert!(
+        refusal(&results, &["diff", "smoke/", &runs[1]], 2).starts_with("'smoke/' matches several runs: ")
+    );
+    for arguments in
+        [&["gc", "--only", "old"][..], &["ls", "--status", "lost"], &["ls", "--sort", "colour"], &["rm"]]
+    {
+        let answer = finish(&mut harness(&results, arguments));
+        assert_eq!((answer.code, answer.stdout.as_str()), (2, ""), "{arguments:?}");
+        assert!(answer.stderr.starts_with("error: "), "{}", answer.stderr);
+    }
+    assert_eq!(names(&results.join("runs/smoke")), runs);
+    assert_eq!(names(&results.join("datasets")).len(), 2);
+}
+
+#[test]
+fn runs_are_removed_from_a_full_disk_but_not_from_one_that_cannot_be_written() {
+    let Some(disk) = Disk::new(8000) else {
+        println!("skipped: no small disk can be mounted here");
+        return;
+    };
+    let run = [&["run", SMOKE, "scenarios=[empty]", "seeds=[0,1]"][..], &SHORT].concat();
+    succeed(disk.path(), &run);
+    let runs = names(&disk.path().join("runs/smoke"));
+    disk.remount("ro");
+    let answer = finish(&mut harness(disk.path(), &["rm", &runs[0], "--yes"]));
+    assert_eq!(answer.code, 1);
+    let said = answer.stderr.trim_end();
+    assert!(
+        said.starts_with("error: can't lock ") && said.ends_with("Read-only file system (os error 30)"),
+        "{said}"
+    );
+    assert_eq!(names(&disk.path().join("runs/smoke")), runs);
+    disk.remount("rw");
+    let fills = "dd if=/dev/zero of=\"$1/rest\" bs=4k 2>/dev/null; ! { echo more >\"$1/more\"; } 2>/dev/null";
+    let full = std::process::Command::new("sh").args(["-c", fills, "sh"]).arg(disk.path()).status();
+    assert!(full.unwrap().success());
+    let removed = succeed(disk.path(), &["rm", &runs[0], "--yes"]);
+    assert!(removed.ends_with("1 folders removed\n"), "{removed}");
+    assert_eq!(names(&disk.path().join("runs/smoke")), runs[1..]);
+    assert!(succeed(disk.path(), &["verify"]).ends_with("all files are intact\n"));
 }

@@ -113,26 +113,14 @@ impl Submit {
         registry.check_writable()?;
         interrupt::install()?;
         let mut record = Record { experiment: experiment.name.clone(), steps: Vec::new() };
-        for (step, script) in &scripts {
-            let path = folder.join(format!("{}.sh", step.name()));
-            write_whole(&path, |file| {
-                std::fs::write(file, script)?;
-                std::fs::set_permissions(file, std::fs::Permissions::from_mode(0o755))
-            })?;
-            let after = record.steps.last().map(|(_, number)| *number);
-            match slurm::submit(&path, after) {
-                Ok(number) => record.steps.push((*step, number)),
-                Err(error) => {
-                    // An experiment is submitted as a whole or not at all.
-                    let numbers: Vec<u64> = record.steps.iter().map(|(_, number)| *number).collect();
-                    if !numbers.is_empty() {
-                        let _ = slurm::cancel(&numbers);
-                    }
-                    let _ = std::fs::remove_dir_all(&folder);
-                    return Err(error.into());
-                }
+        if let Err(error) = record.submit(&folder, &scripts) {
+            // An experiment is submitted as a whole or not at all.
+            let numbers: Vec<u64> = record.steps.iter().map(|(_, number)| *number).collect();
+            if !numbers.is_empty() {
+                let _ = slurm::cancel(&numbers);
             }
-            write_bytes(&folder.join(DESCRIPTION), serde_json::to_string_pretty(&record)?.as_bytes())?;
+            let _ = std::fs::remove_dir_all(&folder);
+            return Err(error);
         }
         let jobs = record.steps.iter().map(|(step, number)| format!("{} {number}", step.name()));
         println!("{to_do} runs of {} submitted: {}", experiment.name, jobs.collect::<Vec<_>>().join(", "));
@@ -182,6 +170,25 @@ struct Record {
     experiment: String,
     /// Slurm's number of each step.
     steps: Vec<(Step, u64)>,
+}
+
+impl Record {
+    /// Writes all scripts to a folder, and then submits one after the other.
+    fn submit(&mut self, folder: &Path, scripts: &[(Step, String)]) -> Result<()> {
+        let path = |step: Step| folder.join(format!("{}.sh", step.name()));
+        for (step, script) in scripts {
+            write_whole(&path(*step), |file| {
+                std::fs::write(file, script)?;
+                std::fs::set_permissions(file, std::fs::Permissions::from_mode(0o755))
+            })?;
+        }
+        for (step, _) in scripts {
+            let after = self.steps.last().map(|(_, number)| *number);
+            self.steps.push((*step, slurm::submit(&path(*step), after)?));
+            write_bytes(&folder.join(DESCRIPTION), serde_json::to_string_pretty(self)?.as_bytes())?;
+        }
+        Ok(())
+    }
 }
 
 /// All jobs that were submitted from this results folder, by the names of their folders.

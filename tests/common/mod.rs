@@ -73,3 +73,34 @@ pub fn write_script(path: &Path, text: &str) {
     let status = std::process::Command::new("sh").args(["-c", write, "sh"]).arg(path).arg(text).status();
     assert!(status.unwrap().success());
 }
+
+/// A small disk in memory, which only root can create.
+pub struct Disk(tempfile::TempDir);
+
+impl Disk {
+    pub fn new(kilobytes: usize) -> Option<Self> {
+        let folder = tempfile::tempdir().unwrap();
+        let options = format!("size={kilobytes}k");
+        let disk = Self(folder);
+        disk.mount(&["-t", "tmpfs", "-o", &options, "tmpfs"]).then_some(disk)
+    }
+
+    pub fn path(&self) -> &Path {
+        self.0.path()
+    }
+
+    pub fn remount(&self, options: &str) {
+        assert!(self.mount(&["-o", &format!("remount,{options}")]));
+    }
+
+    fn mount(&self, arguments: &[&str]) -> bool {
+        let output = std::process::Command::new("mount").args(arguments).arg(self.path()).output();
+        output.is_ok_and(|output| output.status.success())
+    }
+}
+
+impl Drop for Disk {
+    fn drop(&mut self) {
+        let _ = std::process::Command::new("umount").arg(self.path()).output();
+    }
+}
