@@ -20,6 +20,7 @@ mod many_runs;
 mod models;
 mod numbers;
 mod outside;
+mod pack;
 mod publish;
 mod reference;
 mod removal;

@@ -1215,6 +1215,18 @@ fn a_resolved_spec_loads_as_the_same_experiment() {
 }
 
 #[test]
+fn a_runs_spec_can_be_written_as_an_experiment_of_its_own() {
+    let mut random = ChaCha8Rng::seed_from_u64(2);
+    for _ in 0..100 {
+        let runs = random_experiment(&mut random).runs();
+        let run = runs.choose(&mut random).unwrap();
+        let experiment = load(&run.to_experiment_yaml("one"));
+        assert_eq!(experiment.name, "one");
+        assert_eq!(experiment.runs(), [spec::RunSpec { variant: String::new(), ..run.clone() }]);
+    }
+}
+
+#[test]
 fn a_damaged_spec_is_refused_in_one_line_without_panic() {
     let text = fs::read_to_string(experiments().join("multi_to_multi.yaml")).unwrap();
     let body = &text[text.find("name:").unwrap()..];

@@ -14,6 +14,7 @@ mod figures;
 mod inspect;
 mod interrupt;
 mod layers;
+mod pack;
 pub mod progress;
 mod publish;
 mod removal;
@@ -197,6 +198,12 @@ cell's lowest seed, but not of sweeps. Networks are not copied.")]
 
 The model takes and returns SI units, and images as bytes. docs/networks.md describes it.")]
     Export(export::Export),
+    /// Write runs with their networks to one file, from which another machine predicts the same
+    #[command(after_help = PACK_HELP)]
+    Pack(pack::Pack),
+    /// Add the runs of a pack to the results folder
+    #[command(after_help = UNPACK_HELP)]
+    Unpack(pack::Unpack),
     /// Check that all files of the results folder are as they were written
     #[command(after_help = "Examples:
   harness verify
@@ -232,6 +239,22 @@ The command submits up to three jobs with sbatch: an array that simulates the mi
 the runs, and one task that does the remaining runs if a task was lost. A task that reaches its time limit or is \
 preempted saves its state, is queued again, and resumes. All nodes must share the file system of the results folder, and \
 its locks must work across nodes.";
+
+const PACK_HELP: &str = "Examples:
+  harness pack multi_to_multi --output multi_to_multi.harness
+  harness pack smoke/empty-z4 smoke/cluttered-z4 --output two.harness --datasets
+  tar tvf two.harness                               a pack is a plain tar archive
+
+A pack contains all files of the finished runs: records, specs, tables and networks. Its manifest.json lists the \
+versions of the harness and MuJoCo, and the size and SHA-256 of each file. The datasets of built-in worlds can be \
+collected again where the pack is unpacked, so they are packed only with --datasets.";
+
+const UNPACK_HELP: &str = "Examples:
+  harness unpack multi_to_multi.harness
+  harness unpack multi_to_multi.harness --results /data/results
+
+Every file is checked before the first run appears. Runs that are there already with the same content are skipped. If \
+a run is there with other content, nothing is unpacked.";
 
 const REPORT_HELP: &str = "Examples:
   harness report
@@ -334,6 +357,8 @@ fn execute(
         Command::Report(report) => report.execute(registry),
         Command::Publish(publish) => publish.execute(registry),
         Command::Export(export) => export.execute(registry),
+        Command::Pack(pack) => pack.execute(registry),
+        Command::Unpack(unpack) => unpack.execute(registry),
         Command::Verify => verify::execute(registry),
         Command::World(world) => world.execute(),
         Command::Doctor => doctor::execute(registry, threads),
@@ -348,7 +373,8 @@ impl Command {
             Self::Ls(list) => list.reads_results(),
             Self::Figures(_) | Self::Report(_) | Self::Publish(_) | Self::Verify | Self::Diff(_) => true,
             Self::Export(_) => true,
-            Self::Rm(_) | Self::Gc(_) | Self::Du => true,
+            Self::Rm(_) | Self::Gc(_) | Self::Du | Self::Pack(_) => true,
+            Self::Unpack(_) => false,
             Self::Run(_) | Self::Collect(_) | Self::Validate(_) | Self::Submit(_) | Self::Cancel(_) => false,
             Self::Experiments(_) | Self::Schema(_) | Self::World(_) | Self::Render(_) | Self::Doctor => false,
         }
@@ -378,6 +404,7 @@ fn all_threads() -> usize {
 fn is_cancelled(error: &anyhow::Error) -> bool {
     error.downcast_ref().is_some_and(ExperimentError::is_cancelled)
         || error.downcast_ref().is_some_and(CollectionError::is_cancelled)
+        || pack::is_cancelled(error)
 }
 
 /// Whether the error is in the arguments, the spec or the query, so that the exit code is [`USAGE`].
@@ -393,6 +420,7 @@ fn is_usage(error: &anyhow::Error) -> bool {
             Some(QueryError::Sql(_) | QueryError::Refused(_) | QueryError::Format(_))
         )
         || submit::is_usage(error)
+        || pack::is_usage(error)
         || error.is::<world::WorldError>()
         || matches!(
             error.downcast_ref(),

@@ -23,9 +23,9 @@ impl Remove {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let mut chosen: Vec<Removable> = Vec::new();
         for wanted in &self.runs {
-            for run in registry.matching(wanted)? {
-                if !chosen.contains(&run) {
-                    chosen.push(run);
+            for (folder, record) in registry.matching(wanted)? {
+                if !chosen.iter().any(|run| run.path == folder) {
+                    chosen.push(Removable::new(&folder, record.name()));
                 }
             }
         }

@@ -8,6 +8,7 @@
 //!     epochs.parquet, metrics.parquet, predictions.parquet, forces.parquet, frames.parquet,
 //!     prediction.safetensors, reconstruction.safetensors
 //! results/compacted/<experiment>/<table>-<hash>.parquet      copies of the runs' rows, see `compact`
+//! results/specs/<dataset>.yaml        collects a dataset that unpacked runs used and that was not packed
 //! ```
 
 mod command_line;
@@ -17,6 +18,7 @@ mod episodes;
 mod error;
 mod folders;
 mod losses;
+mod pack;
 mod provenance;
 mod publish;
 mod query;
@@ -29,6 +31,8 @@ mod verify;
 pub use command_line::quoted;
 pub use compact::RunTable;
 pub use error::{QueryError, RegistryError};
+pub use folders::Recorded;
+pub use pack::{PackError, Packed, Unpacked};
 pub use provenance::{Provenance, Versions, peak_memory_bytes};
 pub use publish::Published;
 pub use query::{answer, query, query_of, rows, save, table};
@@ -118,6 +122,11 @@ impl Registry {
     /// The folder that contains all datasets.
     pub fn datasets(&self) -> PathBuf {
         self.root.join("datasets")
+    }
+
+    /// The spec that collects a dataset which unpacked runs used, if the dataset was not packed.
+    pub fn dataset_spec(&self, dataset: &str) -> PathBuf {
+        self.root.join("specs").join(format!("{dataset}.yaml"))
     }
 
     fn runs(&self) -> PathBuf {

@@ -154,6 +154,11 @@ pub struct FileRecord {
 }
 
 impl FileRecord {
+    /// The entry of a file with these bytes, of which a table has `rows`.
+    pub(super) fn of(bytes: &[u8], rows: Option<usize>) -> Self {
+        Self { bytes: bytes.len() as u64, rows, sha256: hex(&Sha256::digest(bytes)) }
+    }
+
     /// Reads the file at `path`.
     ///
     /// # Errors
@@ -164,13 +169,24 @@ impl FileRecord {
             Ok(bytes) => bytes,
             Err(error) => return damaged(error.to_string()),
         };
+        match self.check(&bytes) {
+            Ok(()) => Ok(bytes),
+            Err(reason) => damaged(reason),
+        }
+    }
+
+    /// Compares the bytes of the file with this entry.
+    ///
+    /// # Errors
+    /// When their number or their checksum is not this one. Returns the reason.
+    pub(super) fn check(&self, bytes: &[u8]) -> Result<(), String> {
         if bytes.len() as u64 != self.bytes {
-            return damaged(format!("it has {} bytes instead of {}", bytes.len(), self.bytes));
+            return Err(format!("it has {} bytes instead of {}", bytes.len(), self.bytes));
         }
-        if hex(&Sha256::digest(&bytes)) != self.sha256 {
-            return damaged("it is not as it was written: its SHA-256 differs".into());
+        if hex(&Sha256::digest(bytes)) != self.sha256 {
+            return Err("it is not as it was written: its SHA-256 differs".into());
         }
-        Ok(bytes)
+        Ok(())
     }
 }
 
@@ -299,10 +315,7 @@ impl RunRecord {
             let damaged = |reason: String| RegistryError::File { path: path.clone(), reason };
             let bytes = std::fs::read(&path).map_err(|error| damaged(error.to_string()))?;
             let rows = if name.ends_with(".parquet") { Some(read_footer(&path)?.rows) } else { None };
-            files.insert(
-                name,
-                FileRecord { bytes: bytes.len() as u64, rows, sha256: hex(&Sha256::digest(bytes)) },
-            );
+            files.insert(name, FileRecord::of(&bytes, rows));
         }
         Ok(Self { files, ..self })
     }

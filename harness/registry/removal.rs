@@ -1,10 +1,10 @@
 //! What takes space in the results folder, and what of it can be removed.
 
-use super::folders::{folders, sorted};
+use super::folders::{Recorded, folders, sorted};
 use super::record::RunRecord;
 use super::{Registry, RegistryError, RunFolder, Status};
 use harness_dataset::Dataset;
-use harness_shared::files::{FolderLock, UNFINISHED};
+use harness_shared::files::{FolderLock, UNFINISHED, WriteError};
 use harness_spec::QUICK;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -105,7 +105,7 @@ impl Registry {
             ];
             let applies = |(reason, applies): &(Garbage, bool)| *applies && wanted.contains(reason);
             match reasons.into_iter().find(applies) {
-                Some((reason, _)) => found.push((reason, removable(folder, record.name()))),
+                Some((reason, _)) => found.push((reason, Removable::new(folder, record.name()))),
                 None => drop(used.insert(record.dataset.clone())),
             }
         }
@@ -117,7 +117,7 @@ impl Registry {
                     let why = "a run that is left out may use it, and no other run does";
                     self.leave_out(&folder, format!("the dataset {name} is kept: {why}"));
                 } else {
-                    found.push((Garbage::Unused, removable(&folder, name)));
+                    found.push((Garbage::Unused, Removable::new(&folder, name)));
                 }
             }
         }
@@ -128,19 +128,19 @@ impl Registry {
     ///
     /// # Errors
     /// When there is none.
-    pub fn matching(&self, wanted: &str) -> Result<Vec<Removable>, RegistryError> {
-        let recorded = self.recorded();
+    pub fn matching(&self, wanted: &str) -> Result<Vec<Recorded>, RegistryError> {
+        let mut recorded = self.recorded();
         let is_experiment = recorded.iter().any(|(_, record)| record.experiment == wanted);
         let is_match = |record: &RunRecord| match is_experiment {
             true => record.experiment == wanted,
             false => record.run.starts_with(wanted) || record.name().starts_with(wanted),
         };
-        let mut matching = recorded.iter().filter(|(_, record)| is_match(record)).peekable();
-        if matching.peek().is_none() {
+        recorded.retain(|(_, record)| is_match(record));
+        if recorded.is_empty() {
             // It names the nearest run.
             self.find(wanted)?;
         }
-        Ok(matching.map(|(folder, record)| removable(folder, record.name())).collect())
+        Ok(recorded)
     }
 
     /// Removes a run's or a dataset's folder, unless a process works there: then nothing changes, and who it is comes back.
@@ -153,7 +153,7 @@ impl Registry {
     pub fn remove(&self, item: &Removable) -> Result<Option<String>, RegistryError> {
         let failed = |path: &Path| {
             let path = path.to_owned();
-            move |error: std::io::Error| RegistryError::File { path, reason: error.to_string() }
+            move |source: std::io::Error| WriteError { path, source }
         };
         let Some(lock) = FolderLock::attempt(&item.path)? else {
             let holder = FolderLock::holder(&item.path);
@@ -166,7 +166,7 @@ impl Registry {
             // Fails unless it is empty.
             let _ = std::fs::remove_dir(experiment);
         }
-        for left in sorted(&self.root).iter().filter(|path| name(path).starts_with(UNFINISHED)) {
+        for left in sorted(&self.root).iter().filter(|path| name(path).starts_with(&prefix)) {
             let _ = std::fs::remove_dir_all(left);
         }
         Ok(None)
@@ -213,11 +213,10 @@ fn superseded<'a>(records: impl Iterator<Item = &'a RunRecord>) -> BTreeSet<Stri
     superseded
 }
 
-fn removable(folder: &Path, name: String) -> Removable {
-    Removable {
-        path: folder.to_owned(),
-        name,
-        bytes: files(folder).into_iter().map(|(_, bytes)| bytes).sum(),
+impl Removable {
+    /// A folder with its size.
+    pub fn new(path: &Path, name: String) -> Self {
+        Self { path: path.to_owned(), name, bytes: files(path).into_iter().map(|(_, bytes)| bytes).sum() }
     }
 }
 

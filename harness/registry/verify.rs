@@ -164,8 +164,8 @@ impl Verification<'_> {
         }
     }
 
-    /// Reports missing datasets that finished runs used. For published runs, whose datasets are not copied, this is no
-    /// damage.
+    /// Reports missing datasets that finished runs used. This is no damage for published runs, whose datasets are not
+    /// copied, and for datasets that were not packed.
     fn datasets_that_are_gone(&self, there: &[PathBuf], report: &mut Report) {
         let there: BTreeSet<_> = there.iter().filter_map(|folder| folder.file_name()?.to_str()).collect();
         let records = || self.recorded.iter().map(|(_, record)| record);
@@ -173,8 +173,16 @@ impl Verification<'_> {
             |record: &&RunRecord| record.status == Status::Done && !there.contains(record.dataset.as_str());
         for name in self.used.keys().filter(|name| !there.contains(*name)) {
             let users = || records().filter(|record| record.dataset == *name && is_gone(record));
-            let collect = users().find_map(|record| self.commands.collect(record));
             let path = self.registry.datasets().join(name);
+            let spec = self.registry.dataset_spec(name);
+            if spec.is_file() {
+                let problem =
+                    format!("{} unpacked runs used this dataset, which was not packed", users().count());
+                let words = quoted(["collect", &*spec.to_string_lossy()]);
+                report.note(&path, problem, Some(self.registry.command(&words)));
+                continue;
+            }
+            let collect = users().find_map(|record| self.commands.collect(record));
             report.broken(
                 &path,
                 format!("{} finished runs used this dataset, which is not there", users().count()),

@@ -1,10 +1,12 @@
 //! Files that are written completely or not at all, and folders in which one process writes at a time.
 
+use std::ffi::CString;
 use std::fs::{File, OpenOptions, Permissions};
 use std::io::{self, Write};
+use std::mem::MaybeUninit;
+use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use sysinfo::Disks;
 
 /// Prefix of the name of a file that is not complete yet.
 pub const UNFINISHED: &str = ".unfinished-";
@@ -144,11 +146,18 @@ fn remove_unfinished(folder: &Path) {
     }
 }
 
-/// Returns the free space, in bytes, of the disk that holds `path`. This is the disk whose mount point is the longest
-/// prefix of the path.
+/// Returns the free space, in bytes, that this user may use on the file system of `path`, which need not exist yet.
 pub fn free_bytes(path: &Path) -> Option<u64> {
     let path = std::path::absolute(path).ok()?;
-    let disks = Disks::new_with_refreshed_list();
-    let holders = disks.iter().filter(|disk| path.starts_with(disk.mount_point()));
-    holders.max_by_key(|disk| disk.mount_point().as_os_str().len()).map(|disk| disk.available_space())
+    let there = path.ancestors().find(|folder| folder.exists())?;
+    let there = CString::new(there.as_os_str().as_bytes()).ok()?;
+    let mut about = MaybeUninit::<libc::statvfs>::uninit();
+    // SAFETY: the path ends in a null byte. `statvfs` fills in `about` if it returns 0.
+    let about = unsafe {
+        match libc::statvfs(there.as_ptr(), about.as_mut_ptr()) {
+            0 => about.assume_init(),
+            _ => return None,
+        }
+    };
+    Some(about.f_bavail.saturating_mul(about.f_frsize))
 }

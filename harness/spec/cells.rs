@@ -332,6 +332,20 @@ impl RunSpec {
         serde_yaml::to_string(self).expect("a run's spec is plain data, which YAML can hold")
     }
 
+    /// Returns the YAML of an experiment `name` whose only run is this one. Its variant, which names settings that the
+    /// run's own experiment varies, is left out.
+    pub fn to_experiment_yaml(&self, name: &str) -> String {
+        let mut json = serde_json::to_value(self).expect("a run's spec is plain data");
+        let fields = json.as_object_mut().expect("a run's spec is an object");
+        fields.remove("variant");
+        for (of_run, of_experiment) in [("scenario", "scenarios"), ("latent", "latent"), ("seed", "seeds")] {
+            let value = fields.remove(of_run).expect("every run's spec has it");
+            fields.insert(of_experiment.to_owned(), vec![value].into());
+        }
+        fields.insert("name".to_owned(), name.into());
+        serde_yaml::to_string(&json).expect("a run's spec is plain data, which YAML can hold")
+    }
+
     /// Returns the seed of the dataset; 0 for an imported dataset.
     pub fn dataset_seed(&self) -> u64 {
         self.simulation.as_ref().map_or(0, |simulation| simulation.seed)

@@ -1,0 +1,133 @@
+//! `harness pack` and `harness unpack`.
+
+use super::progress::Bars;
+use super::{DONE, interrupt};
+use anyhow::Result;
+use clap::Args;
+use harness::collection::dataset_of;
+use harness::experiment::describe;
+use harness::files::write_bytes;
+use harness::numbers::bytes;
+use harness::registry::{PackError, Packed, Recorded, Registry, RunRecord, Status, Versions, quoted};
+use harness::simulation::{Scene, mujoco_version};
+use harness::spec::parse_spec;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[derive(Args)]
+pub struct Pack {
+    /// Experiments, or runs by id, experiment/id or the beginning of either
+    #[arg(required = true, value_name = "RUN")]
+    runs: Vec<String>,
+    /// The file to write, for example smoke.harness; it must not exist
+    #[arg(long, short, value_name = "FILE")]
+    output: PathBuf,
+    /// Also pack the datasets that the runs used
+    #[arg(long)]
+    datasets: bool,
+}
+
+impl Pack {
+    pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        let mut chosen: Vec<Recorded> = Vec::new();
+        for wanted in &self.runs {
+            for (folder, record) in registry.matching(wanted)? {
+                if !chosen.iter().any(|(other, _)| *other == folder) {
+                    chosen.push((folder, record));
+                }
+            }
+        }
+        interrupt::install()?;
+        let versions = Versions { mujoco: mujoco_version(), candle: harness::learning::CANDLE_VERSION };
+        let packed = registry.pack(&chosen, self.datasets, versions, &self.output, &Bars::default())?;
+        for (_, record) in chosen.iter().filter(|(_, record)| record.status != Status::Done) {
+            eprintln!("{} is left out: it is {}", record.name(), record.status.name());
+        }
+        let Packed { runs, datasets, files, bytes: size } = packed;
+        let datasets =
+            if self.datasets { format!("{datasets} datasets") } else { "without their datasets".into() };
+        println!("{runs} runs, {datasets}: {files} files, {} in {}", bytes(size), self.output.display());
+        println!("unpack it with: harness unpack {}", quoted([&*self.output.to_string_lossy()]));
+        Ok(ExitCode::from(DONE))
+    }
+}
+
+#[derive(Args)]
+pub struct Unpack {
+    /// A file that `harness pack` wrote
+    #[arg(value_name = "FILE")]
+    pack: PathBuf,
+}
+
+impl Unpack {
+    pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        interrupt::install()?;
+        let unpacked = registry.unpack(&self.pack, &Bars::default())?;
+        for record in &unpacked.lacking {
+            let how = match collection_of(registry, record) {
+                Ok(spec) => {
+                    let spec = quoted([&*spec.to_string_lossy()]);
+                    format!("collect the same samples with: {}", registry.command(&format!("collect {spec}")))
+                }
+                Err(reason) => format!("{reason}, so it can only come with `harness pack --datasets`"),
+            };
+            println!("dataset {} is not here. To predict its samples, {how}", record.dataset);
+        }
+        let (runs, datasets, same) = (unpacked.runs, unpacked.datasets, unpacked.same);
+        let root = registry.root().display();
+        println!("{runs} runs and {datasets} datasets unpacked into {root}, {same} were there before");
+        println!("list them with: {}", registry.command("ls"));
+        Ok(ExitCode::from(DONE))
+    }
+}
+
+/// Writes a spec with which `harness collect` simulates a run's dataset, and returns its path.
+///
+/// # Errors
+/// When this program can't simulate the dataset. Returns the reason.
+fn collection_of(registry: &Registry, record: &RunRecord) -> Result<PathBuf, String> {
+    if record.spec.simulation.is_none() {
+        return Err("It was imported".into());
+    }
+    let path = registry.dataset_spec(&record.dataset);
+    let text = record.spec.to_experiment_yaml(&record.experiment);
+    if !makes(&text, record, registry) {
+        let by = &record.provenance;
+        return Err(format!(
+            "This program does not simulate it: the world {} is not built in, or was another one in harness {} with MuJoCo {}",
+            record.spec.scenario, by.harness_version, by.mujoco_version
+        ));
+    }
+    write_bytes(&path, text.as_bytes()).map_err(|error| describe(&error))?;
+    Ok(path)
+}
+
+/// Whether the dataset of a spec is that of a run.
+fn makes(spec: &str, record: &RunRecord, registry: &Registry) -> bool {
+    let Ok(experiment) = parse_spec("spec", spec, &[], false) else { return false };
+    experiment.simulated().into_iter().any(|(world, simulation)| {
+        Scene::new(world).is_ok_and(|scene| {
+            scene.check(&simulation).is_ok()
+                && dataset_of(&registry.datasets(), &scene, &simulation).name() == record.dataset
+        })
+    })
+}
+
+/// Whether an error is the user's.
+pub fn is_usage(error: &anyhow::Error) -> bool {
+    matches!(
+        error.downcast_ref(),
+        Some(
+            PackError::Exists(_)
+                | PackError::NotDone(_)
+                | PackError::NotAPack { .. }
+                | PackError::Format { .. }
+                | PackError::Read { .. }
+        )
+    )
+}
+
+/// Whether an error is that a signal stopped the work.
+pub fn is_cancelled(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(PackError::Cancelled))
+}
