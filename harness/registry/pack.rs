@@ -643,7 +643,7 @@ impl<'a> Pack<'a> {
         }
         let mut end = [1; END];
         let read = file.seek(SeekFrom::End(-(END as i64))).and_then(|_| file.read_exact(&mut end));
-        if read.is_err() || end != [0; END] || about.len() % TAR_BLOCK != 0 {
+        if read.is_err() || end != [0; END] || !about.len().is_multiple_of(TAR_BLOCK) {
             return Err(damaged("its end is missing".into()));
         }
         Ok(Self { path, manifest })
