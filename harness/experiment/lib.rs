@@ -535,7 +535,8 @@ impl TrainingRun<'_> {
         };
         let epochs = fit.run(objective, parameters)?;
         let NormalizedData { normalizers, action, .. } = &self.prepared.data;
-        let network = Description::new(architecture, task, *action, &self.spec.training.losses, normalizers)?;
+        let network = Description::new(architecture, task, *action, &self.spec.training.losses, normalizers)
+            .map_err(LearningError::from)?;
         checkpoint::save(&self.folder.checkpoint(task), parameters, normalizers, &network)?;
         outcome.epochs.extend(epochs.into_iter().map(|epoch| (task, epoch)));
         Ok(())

@@ -166,6 +166,7 @@ impl Registry {
             // Fails unless it is empty.
             let _ = std::fs::remove_dir(experiment);
         }
+        let prefix = set_aside_prefix();
         for left in sorted(&self.root).iter().filter(|path| name(path).starts_with(&prefix)) {
             let _ = std::fs::remove_dir_all(left);
         }
@@ -188,11 +189,16 @@ impl Registry {
 
     /// Renames a folder, so that an interrupted removal leaves no part of it under its name. Returns the new path.
     fn set_aside(&self, folder: &Path) -> std::io::Result<PathBuf> {
-        let target = tempfile::Builder::new().prefix(UNFINISHED).tempdir_in(&self.root)?.keep();
+        let target = tempfile::Builder::new().prefix(&set_aside_prefix()).tempdir_in(&self.root)?.keep();
         // An empty folder is replaced.
         std::fs::rename(folder, &target)?;
         Ok(target)
     }
+}
+
+/// How the names of folders begin that are being removed.
+fn set_aside_prefix() -> String {
+    format!("{UNFINISHED}removal-")
 }
 
 /// The names of done runs of which there is a later one with the same settings.

@@ -4,7 +4,7 @@ use crate::errors::Raise;
 use crate::run::{Listener, Table, warn};
 use crate::work::interruptible;
 use harness::analysis::{Analysis, AnalysisError, Selection, Setting};
-use harness::claims::{self, ClaimsError};
+use harness::claims::ClaimsError;
 use harness::collection::{collect as collect_episodes, dataset_of};
 use harness::experiment::describe;
 use harness::figures::source::{Experiments, Source};
@@ -14,7 +14,7 @@ use harness::registry::Registry;
 use harness::simulation::Scene;
 use harness::spec;
 use pyo3::PyErr;
-use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -43,14 +43,14 @@ pub fn claims(
 ) -> PyResult<Table> {
     let (settings, registry) = (self::settings(&settings)?, existing(results)?);
     let judge = || -> PyResult<_> {
-        let all = claims::load(&file).map_err(Raise::raise)?;
-        let chosen = claims::choose(&all, &chosen).map_err(refused)?;
-        let runs = claims::runs(&registry, &chosen, &settings, quick).map_err(Raise::raise)?;
-        let mut judgements = Vec::new();
+        let all = harness::claims::load(&file).map_err(Raise::raise)?;
+        let chosen = harness::claims::choose(&all, &chosen).map_err(refused)?;
+        let runs = harness::claims::runs(&registry, &chosen, &settings, quick).map_err(Raise::raise)?;
+        let mut judgments = Vec::new();
         for claim in chosen {
-            judgements.extend(claims::judge(&runs, claim, quick).map_err(refused)?);
+            judgments.extend(harness::claims::judge(&runs, claim, quick).map_err(refused)?);
         }
-        let table = claims::table(&judgements.iter().collect::<Vec<_>>());
+        let table = harness::claims::table(&judgments.iter().collect::<Vec<_>>());
         table.map_err(|error| PyRuntimeError::new_err(error.to_string()))
     };
     let table = interruptible(py, judge, || ())??;
@@ -96,7 +96,7 @@ pub fn figures(
         let (mut drawn, mut missing) = (Vec::new(), Vec::new());
         for figure in figures {
             let saved =
-                figure.draw(&source).and_then(|drawing| drawing.save(&folder, figure.name(), &formats));
+                figure.render(&source).and_then(|drawing| drawing.save(&folder, figure.name(), &formats));
             match saved {
                 Ok(()) => drawn.push(figure.name().to_owned()),
                 Err(error) => missing.push((figure.name().to_owned(), describe(&error))),
