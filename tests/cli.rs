@@ -112,7 +112,7 @@ fn an_experiment_writes_everything_and_a_second_run_does_nothing() {
     let before = contents(&RESULTS);
     let said = succeed(&RESULTS, &["run", SMOKE]);
     assert!(said.contains("0 done, 2 done before, 0 failed"), "{said}");
-    assert!(said.contains("persistence") && said.contains("relative_error"), "the results: {said}");
+    assert!(said.contains("persistence") && said.contains("relative error ↓"), "the results: {said}");
     assert!(contents(&RESULTS) == before, "nothing was written");
 }
 
@@ -306,7 +306,7 @@ fn queries_print_or_write_their_answer() {
     let folder = Folder::new();
     let query = "select scenario, count(*) as samples, max(time) as last from episodes group by scenario order by scenario";
     let printed = succeed(&RESULTS, &["query", query]);
-    assert!(printed.contains("cluttered       120   2.900"), "{printed}");
+    assert!(printed.contains("cluttered      120  2.900"), "{printed}");
     for ending in ["parquet", "csv", "json", "JSON"] {
         let path = folder.path(&format!("answer.{ending}"));
         let said = succeed(&RESULTS, &["query", query, "--output", path.to_str().unwrap()]);
@@ -422,7 +422,7 @@ fn runs_are_listed_and_shown() {
         2,
         "{list}"
     );
-    let shown = succeed(&RESULTS, &["show", "cluttered"]);
+    let shown = succeed(&RESULTS, &["show", "cluttered", "--all"]);
     for part in ["smoke/cluttered-z4-seed0-", ": done", "epochs: 2", "mujoco_version", "3.17.0", "wmape"] {
         assert!(shown.contains(part), "no {part} in {shown}");
     }
@@ -493,6 +493,43 @@ fn the_doctor_names_what_is_there_and_what_is_not() {
     assert_eq!(failed.len(), 2, "{}", ill.stdout);
     assert!(failed[0].contains("rendering  no OpenGL context"), "{}", ill.stdout);
     assert!(failed[1].contains("can't write /proc/nope"), "{}", ill.stdout);
+}
+
+#[test]
+fn shells_complete_every_command() {
+    let help = succeed(&RESULTS, &["--help"]);
+    let listed =
+        help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+    let commands: Vec<&str> = listed
+        .filter_map(|line| line.strip_prefix("  ")?.split(' ').next())
+        .filter(|name| !name.is_empty())
+        .collect();
+    assert!(commands.len() > 20, "{commands:?}");
+    for (shell, mention) in [
+        ("bash", &|name: &str| format!("harness,{name})")),
+        ("zsh", &|name: &str| format!("\n'{name}:")),
+        ("fish", &|name: &str| format!(" -a \"{name}\" ")),
+    ] as [(&str, &dyn Fn(&str) -> String); 3]
+    {
+        let script = succeed(&RESULTS, &["completions", shell]);
+        for name in &commands {
+            assert!(script.contains(&mention(name)), "{shell} does not know {name}");
+        }
+        assert!(script.contains("dry-run"), "{shell} does not know --dry-run");
+    }
+    // Bash accepts the script, and completes the beginning of a command and of an option with it.
+    let complete = |words: &str, current: usize| {
+        let script = format!(
+            "source <({} completions bash); COMP_WORDS=({words}); COMP_CWORD={current}; \
+             _harness harness \"${{COMP_WORDS[{current}]}}\" \"${{COMP_WORDS[{current} - 1]}}\"; echo ${{COMPREPLY[*]}}",
+            env!("CARGO_BIN_EXE_harness")
+        );
+        let output = std::process::Command::new("bash").args(["-c", &script]).output().unwrap();
+        assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    assert_eq!(complete("harness comp", 1), "compare completions\n");
+    assert_eq!(complete("harness run --dry", 2), "--dry-run\n");
 }
 
 #[test]

@@ -218,11 +218,13 @@ fn all_formats_say_the_same() {
     assert_eq!(header[2..5], ["empty, latent 2", "empty, latent 4", "cluttered, latent 4"]);
     assert_eq!(header[5..7], ["persistence, empty", "persistence, cluttered"]);
 
-    let mut lines = text.lines().filter_map(|line| line.strip_prefix('│'));
-    assert!(header.iter().all(|name| text.contains(name)));
-    lines.next();
+    let (table, note) = text.split_once("\n\n").unwrap();
+    assert!(header.iter().all(|name| table.contains(name)));
+    assert!(note.ends_with("; ↑ higher is better, ↓ lower is better\n"), "{note}");
+    let mut lines = table.lines().skip(2);
     for row in &rows {
         let line = lines.next().unwrap();
+        assert!(line.contains(if row[1] == "R2" { "R2 ↑" } else { " ↓" }), "{line}");
         for cell in row {
             let plain = cell.strip_prefix("**").map_or((*cell).to_owned(), |best| best.replace("**", ""));
             assert!(line.contains(&plain), "no {plain} in {line}");

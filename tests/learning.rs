@@ -753,7 +753,15 @@ impl Bench {
             dropout: self.training.dropout,
         };
         let partition = &self.partition;
-        let fit = Fit { task: Task::Prediction, training: &self.training, seed, partition, state, progress };
+        let fit = Fit {
+            task: Task::Prediction,
+            training: &self.training,
+            seed,
+            partition,
+            state,
+            progress,
+            log: &|_| (),
+        };
         let epochs = fit.run(&objective, &parameters)?;
         Ok((epochs, parameters))
     }
@@ -864,7 +872,15 @@ fn every_epoch_visits_every_transition_once_in_an_order_of_its_own() {
     let training = Training { epochs: 3, batch_size: 4, patience: None, ..Training::default() };
     let (state, progress) = (StateFile::none(), &harness_shared::progress::Silent);
     let task = Task::Prediction;
-    let fit = Fit { task, training: &training, seed: 0, partition: &partition, state: &state, progress };
+    let fit = Fit {
+        task,
+        training: &training,
+        seed: 0,
+        partition: &partition,
+        state: &state,
+        progress,
+        log: &|_| (),
+    };
     fit.run(&protocol, &parameters).unwrap();
     let orders: Vec<Vec<usize>> = protocol.asked(true).chunks(10).map(<[usize]>::to_vec).collect();
     assert_eq!(orders.len(), 3);
@@ -957,9 +973,9 @@ fn a_training_tells_its_losses_before_it_counts_the_epoch() {
             lowest = (validation, *epoch);
             "lowest so far".to_owned()
         } else {
-            format!("lowest {:.4}, epoch {}", lowest.0, lowest.1)
+            format!("lowest {:.4} in epoch {}", lowest.0, lowest.1)
         };
-        expected.push(format!("validation {validation:.4} ({best}), training {train:.4}"));
+        expected.push(format!("validation {validation:.4}, {best}, training {train:.4}"));
         expected.push("advance 1".to_owned());
     }
     expected.push("end".to_owned());
@@ -1088,7 +1104,15 @@ fn patience_counts_from_the_best_total_or_from_the_last_term_that_improved() {
         let training = Training { epochs: 7, patience: Some(2), stop, ..Training::default() };
         let (state, progress) = (StateFile::none(), &harness_shared::progress::Silent);
         let task = Task::Prediction;
-        let fit = Fit { task, training: &training, seed: 0, partition: &partition, state: &state, progress };
+        let fit = Fit {
+            task,
+            training: &training,
+            seed: 0,
+            partition: &partition,
+            state: &state,
+            progress,
+            log: &|_| (),
+        };
         let done = fit.run(&scripted, &parameters).unwrap().len();
         let kept = parameter.to_scalar::<f32>().unwrap();
         assert_eq!(kept, scripted.reached.borrow()[2], "the parameters of the third epoch, the best total");

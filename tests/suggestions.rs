@@ -103,7 +103,7 @@ fn suggested(text: &str) -> BTreeSet<String> {
     for line in text.lines() {
         let quoted = line.split('`').skip(1).step_by(2).filter(|quoted| quoted.starts_with("harness "));
         let aligned =
-            ["repair: ", "queries   ", "for those without data   ", "continue with the same command: "];
+            ["repair: ", "next       ", "for those without data   ", "continue with the same command: "];
         let aligned = aligned.iter().filter_map(|before| line.split_once(before)).map(|(_, command)| command);
         commands.extend(quoted.chain(aligned.filter(|command| begins(command))).map(str::to_owned));
         let html = line.split("<code>").skip(1).filter_map(|rest| rest.split_once("</code>"));

@@ -1,7 +1,7 @@
 //! `harness claims`.
 
 use super::DONE;
-use super::table::{shown, wrapped};
+use super::table::{Grid, LINE, fitted, print_command, print_text, shown, width};
 use anyhow::{Result, bail};
 use clap::Args;
 use harness::analysis::{Analysis, Mixed, Setting};
@@ -120,10 +120,14 @@ fn print_matrix(spec: &Experiment, matrix: &Matrix) {
         let scenario = row.scenario.map_or("", Scenario::name);
         format!("{} {scenario}", row.claim.id()).trim_end().to_owned()
     };
-    let width = matrix.rows.iter().map(|row| named(row).len()).max().unwrap_or_default();
+    let longest = matrix.rows.iter().map(|row| named(row).len()).max().unwrap_or_default();
+    let is_narrow = width().is_some_and(|limit| usize::from(limit) < longest + 1 + 2 * matrix.readings.len());
     let line = |name: &str, cells: Vec<String>| {
         let cells: String = cells.iter().map(|cell| format!("{cell:>2}")).collect();
-        println!("{name:width$} {cells}");
+        match is_narrow {
+            true => println!("{name}\n {cells}"),
+            false => println!("{name:longest$} {cells}"),
+        }
     };
     line("", (0..matrix.readings.len()).map(|place| place.to_string()).collect());
     for row in &matrix.rows {
@@ -132,7 +136,7 @@ fn print_matrix(spec: &Experiment, matrix: &Matrix) {
     println!("\n+ holds, - does not hold, ? undecided, x not testable, . no data\n\n0 base");
     for (place, reading) in spec.readings.iter().enumerate() {
         let Reading { name, choice, base, instead, .. } = reading;
-        println!("{} {name}: {choice}: {instead}; in the base: {base}", place + 1);
+        print_text(&format!("{} {name}: {choice}: {instead}; in the base: {base}", place + 1));
     }
     println!("\nChoices that change a verdict:");
     let mut changed = 0;
@@ -143,23 +147,23 @@ fn print_matrix(spec: &Experiment, matrix: &Matrix) {
             continue;
         }
         changed += 1;
-        println!("{}: base {}, {}", named(row), row.base().verdict(), value(row.base()));
+        print_text(&format!("{}: base {}, {}", named(row), row.base().verdict(), value(row.base())));
         for (place, judgment) in changes {
             let Reading { choice, instead, .. } = &spec.readings[place - 1];
-            println!("  {choice}: {instead}: {}, {}", judgment.verdict(), value(judgment));
+            print_text(&format!("  {choice}: {instead}: {}, {}", judgment.verdict(), value(judgment)));
         }
     }
-    println!(
+    print_text(&format!(
         "{} of {} verdicts are the same under every reading; {} claims need runs that no reading has",
         matrix.rows.len() - changed,
         matrix.rows.len(),
         matrix.left_out.len()
-    );
-    matrix.notes.iter().for_each(|note| println!("{note}"));
+    ));
+    matrix.notes.iter().for_each(|note| print_text(note));
 }
 
 fn print_plan(plan: &Plan) {
-    let listed = |claims: &[(&Claim, Option<Scenario>)]| {
+    let named = |claims: &[(&Claim, Option<Scenario>)]| {
         let name = |(claim, scenario): &(&Claim, Option<Scenario>)| {
             format!("{} {}", claim.id(), scenario.map_or("both", Scenario::name))
         };
@@ -168,13 +172,13 @@ fn print_plan(plan: &Plan) {
     for step in &plan.steps {
         let Step { more, there, count, runs, seconds, .. } = step;
         let purpose = if *there == 1 { "give an interval to" } else { "decide" };
-        println!(
+        print_text(&format!(
             "{}, {runs} runs, about {}, would {purpose} {}:",
             more.counted(*count),
             duration(*seconds),
-            listed(&step.decides)
-        );
-        step.commands.iter().for_each(|command| println!("  {command}"));
+            named(&step.decides)
+        ));
+        step.commands.iter().for_each(|command| print_command("  ", command));
     }
     let most = Plan::MOST;
     for (claims, why) in [
@@ -182,43 +186,69 @@ fn print_plan(plan: &Plan) {
         (&plan.by_episode, "a dataset of more episodes may decide".to_owned()),
     ] {
         if !claims.is_empty() {
-            println!("{why}: {}", listed(claims));
+            print_text(&format!("{why}: {}", named(claims)));
         }
     }
     if plan.steps.is_empty() && plan.out_of_reach.is_empty() && plan.by_episode.is_empty() {
         println!("no claim that was measured is undecided");
     } else {
-        println!(
-            "assuming that means and standard deviations stay the same, and that runs take as long as before"
+        print_text(
+            "assuming that means and standard deviations stay the same, and that runs take as long as before",
         );
     }
 }
 
+/// Prints the claims as a table or, if it is too wide for the terminal, as a list.
 fn print(judgments: &[Judgment]) {
     let all: Vec<(&Judgment, Option<f64>)> = judgments.iter().zip(corrected(judgments)).collect();
-    let rows = all.chunk_by(|(a, _), (b, _)| a.claim.id() == b.claim.id()).map(|judgments| {
+    let claims: Vec<_> = all.chunk_by(|(a, _), (b, _)| a.claim.id() == b.claim.id()).collect();
+    let rows = claims.iter().map(|judgments| {
         let claim = judgments[0].0.claim;
         // Each scenario has a line in the cell.
         let lines = |of: &dyn Fn(&Judgment) -> String| {
             judgments.iter().map(|(judgment, _)| of(judgment)).collect::<Vec<_>>().join("\n")
         };
-        let verdict = |(judgment, corrected): &(&Judgment, Option<f64>)| {
-            let mark = if judgment.stands(*corrected) { "" } else { " *" };
-            format!("{}{mark}", judgment.verdict())
-        };
         [
             format!("{} ({})\n{}", claim.paper, claim.section, claim.id()),
             claim.measured.clone(),
             lines(&|judgment| scenario(judgment).to_owned()),
-            lines(&|judgment| judgment.interval().map_or("-".into(), |interval| interval.to_string())),
+            lines(&value),
             claim.condition.to_string(),
             judgments.iter().map(verdict).collect::<Vec<_>>().join("\n"),
         ]
     });
-    println!(
-        "{}",
-        wrapped(["claim", "measured", "scenario", "value", "condition", "verdict"], rows.collect())
-    );
+    let header = ["claim", "measured", "scenario", "value", "condition", "verdict"];
+    let table = Grid { ruled: true, ..Grid::of_texts(header, rows.collect()) };
+    match width() {
+        Some(limit) if !table.fits(limit) => {
+            let claims: Vec<String> = claims.iter().map(|judgments| listed(judgments, limit)).collect();
+            println!("{}\n", claims.join("\n\n"));
+        }
+        limit => println!("{}\n", table.text(limit.or(Some(LINE)))),
+    }
+}
+
+/// A claim with a line for each scenario.
+fn listed(judgments: &[(&Judgment, Option<f64>)], limit: u16) -> String {
+    let claim = judgments[0].0.claim;
+    let heading = format!("{}: {} ({})", claim.id(), claim.paper, claim.section);
+    let measured = format!("  measured: {}; condition: {}", claim.measured, claim.condition);
+    let lines = judgments.iter().map(|one| {
+        let text = format!("  {}: {}: {}", scenario(one.0), value(one.0), verdict(one));
+        fitted(&text, Some(limit))
+    });
+    let head = [fitted(&heading, Some(limit)), fitted(&measured, Some(limit))];
+    head.into_iter().chain(lines).collect::<Vec<_>>().join("\n")
+}
+
+fn value(judgment: &Judgment) -> String {
+    judgment.interval().map_or("-".into(), |interval| interval.to_string())
+}
+
+/// The verdict, with a mark if it does not stand after the correction for several tests.
+fn verdict((judgment, corrected): &(&Judgment, Option<f64>)) -> String {
+    let mark = if judgment.stands(*corrected) { "" } else { " *" };
+    format!("{}{mark}", judgment.verdict())
 }
 
 fn scenario(judgment: &Judgment) -> &'static str {
@@ -252,7 +282,7 @@ fn print_values(of: &str, measured: &Measured) {
     let values: Vec<String> =
         measured.values.iter().map(|(at, value)| format!("{}: {}", place(at), rounded(*value))).collect();
     if !values.is_empty() {
-        println!("{of}: {}", values.join(", "));
+        print_text(&format!("{of}: {}", values.join(", ")));
     }
 }
 
@@ -260,29 +290,31 @@ fn print_summary(runs: &Analysis, judgments: &[Judgment], quick: bool) {
     let count = |verdict: fn(&Verdict) -> bool| judgments.iter().filter(|j| verdict(&j.verdict())).count();
     let (holds, fails) = (count(|v| *v == Verdict::Holds), count(|v| *v == Verdict::DoesNotHold));
     let untestable = count(|verdict| *verdict == Verdict::NotTestable);
-    println!(
+    print_text(&format!(
         "{holds} hold, {fails} do not hold, {} undecided, {untestable} not testable; intervals are 95 % over \
          datasets or, with one dataset, over seeds (forces: episodes)",
         judgments.len() - holds - fails - untestable,
-    );
+    ));
     let corrected = corrected(judgments);
     let unsure = judgments.iter().zip(&corrected).filter(|(judgment, p)| !judgment.stands(**p)).count();
     if unsure > 0 {
         let tests = corrected.iter().flatten().count();
-        println!("* {unsure} of these verdicts are undecided after Holm's correction for {tests} tests");
+        print_text(&format!(
+            "* {unsure} of these verdicts are undecided after Holm's correction for {tests} tests"
+        ));
     }
     print_unmet(judgments);
     let mixed: BTreeSet<String> =
         judgments.iter().flat_map(|judgment| &judgment.mixed).map(Mixed::to_string).collect();
     for text in runs.notes().iter().chain(&mixed) {
-        println!("{text}");
+        print_text(text);
     }
     let lacking = judgments.iter().filter(|judgment| judgment.verdict() == Verdict::NoData);
     let mut experiments: Vec<&String> = lacking.flat_map(|judgment| &judgment.claim.experiments).collect();
     experiments.sort_unstable();
     experiments.dedup();
     for experiment in experiments {
-        println!("for those without data   {}", runs.command(experiment, quick));
+        print_command("for those without data   ", &runs.command(experiment, quick));
     }
 }
 
@@ -294,6 +326,6 @@ fn print_unmet(judgments: &[Judgment]) {
         claims.entry(key).or_default().push(judgment.claim.id());
     }
     for ((scenario, unmet), claims) in claims {
-        println!("not testable, {scenario}   {unmet}: {}", claims.join(", "));
+        print_text(&format!("not testable, {scenario}   {unmet}: {}", claims.join(", ")));
     }
 }

@@ -1,8 +1,8 @@
 //! `harness compare`.
 
 use super::DONE;
-use super::sheet::{Sheet, Style};
-use super::table::shown;
+use super::sheet::{Sheet, Style, best, rounded};
+use super::table::{shown, width};
 use anyhow::Result;
 use clap::builder::PossibleValuesParser;
 use clap::{Args, ValueEnum};
@@ -45,7 +45,7 @@ pub struct Compare {
 }
 
 /// Parses the name of a metric.
-fn metric(name: &str) -> Result<String, String> {
+pub fn metric(name: &str) -> Result<String, String> {
     let names = Metric::GENERAL.map(Metric::name).join(", ");
     let found = Metric::named(name).map(|metric| metric.name().to_owned());
     found.ok_or_else(|| format!("the metrics are {names}, and relative_error_REGION of a world's regions, as relative_error_finger"))
@@ -103,7 +103,7 @@ impl Compare {
         if comparison.values.is_empty() {
             return Err(CompareError::Empty(registry.command("compare")).into());
         }
-        print!("{}", comparison.sheet(self.format).render(self.format));
+        print!("{}", comparison.sheet(self.format).render(self.format, width()));
         Ok(ExitCode::from(DONE))
     }
 }
@@ -194,22 +194,20 @@ impl<'a> Comparison<'a> {
         let rows = self.units.iter().map(|(subject, unit)| {
             let values =
                 sides.iter().map(|side| self.values.get(&(subject.clone(), (*side).clone())).copied());
-            (self.words(subject, unit), self.cells(subject, unit, values, style))
+            (self.words(subject, unit, style), self.cells(subject, unit, values, style))
         });
-        Sheet { header: header.collect(), rows: rows.collect(), notes: self.notes.clone() }
+        let rows: Vec<_> = rows.collect();
+        // The last two words are the modality and the metric.
+        let titles = rows.first().map_or(0, |(words, _)| words.len() - 2);
+        Sheet { titles, header: header.collect(), rows, notes: self.notes.clone() }
     }
 
     /// The words of a row: task, keys, modality, metric and unit.
-    fn words(&self, subject: &Subject, unit: &str) -> Vec<String> {
+    fn words(&self, subject: &Subject, unit: &str, style: Style) -> Vec<String> {
         let metric = &self.metrics[subject.metric];
-        let metric = match metric.as_str() {
-            "smape" | "wmape" | "r2" | "rmse" | "mae" => metric.to_uppercase(),
-            name => name.replace('_', " "),
-        };
-        let metric = if unit == "1" { metric } else { format!("{metric} ({unit})") };
         let mut words = vec![subject.task.name().to_owned()];
         words.extend(subject.place.words());
-        words.extend([subject.modality.name().replace('_', " "), metric]);
+        words.extend([subject.modality.name().replace('_', " "), style.metric(metric, unit)]);
         words
     }
 
@@ -222,20 +220,12 @@ impl<'a> Comparison<'a> {
         style: Style,
     ) -> Vec<String> {
         let intervals: Vec<Option<Interval>> = values.map(|mean| Some(mean?.interval)).collect();
-        let means = intervals.iter().flatten().map(|interval| interval.mean);
-        let best = match self.metrics[subject.metric].as_str() {
-            _ if intervals.iter().flatten().count() < 2 => None,
-            "r2" => means.max_by(f64::total_cmp),
-            _ => means.min_by(f64::total_cmp),
-        };
-        let decimals = match unit {
-            "%" => 2,
-            "1" => 3,
-            _ => 4,
-        };
+        let means: Vec<Option<f64>> =
+            intervals.iter().map(|interval| Some(interval.as_ref()?.mean)).collect();
+        let best = best(&self.metrics[subject.metric], &means);
         let cell = |interval: &Option<Interval>| {
             let Some(interval) = interval else { return String::new() };
-            let number = |value: f64| without_negative_zero(format!("{value:.decimals$}"));
+            let number = |value: f64| rounded(value, unit);
             let half = interval.bounds.map(|(_, high)| number(high - interval.mean));
             style.number(&number(interval.mean), half.as_deref(), best == Some(interval.mean))
         };
@@ -254,12 +244,5 @@ impl<'a> Comparison<'a> {
             (Some(seeds), _) => format!("mean ± half of the 95 % interval over {seeds} seeds"),
             _ => String::new(),
         }
-    }
-}
-
-fn without_negative_zero(number: String) -> String {
-    match number.strip_prefix('-') {
-        Some(zero) if zero.chars().all(|digit| matches!(digit, '0' | '.')) => zero.to_owned(),
-        _ => number,
     }
 }

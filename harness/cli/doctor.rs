@@ -1,6 +1,6 @@
 //! `harness doctor`: checks this machine.
 
-use super::table::shown;
+use super::table::{print_beside, shown};
 use super::{DONE, FAILED};
 use anyhow::Result;
 use harness::experiment::describe;
@@ -19,7 +19,7 @@ pub fn execute(registry: &Registry, threads: usize) -> Result<ExitCode> {
             Err(text) => ("FAIL", text),
         };
         healthy &= outcome.is_ok();
-        println!("{mark:<5} {name:<10} {text}");
+        print_beside([(format!("{mark:<5} {name:<9}"), text.clone())]);
     };
     check("rendering", renderer_name().map_err(|error| describe(&error)));
     check("MuJoCo", mujoco());

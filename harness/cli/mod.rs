@@ -15,11 +15,13 @@ mod inspect;
 mod interrupt;
 mod layers;
 mod pack;
+mod plot;
 pub mod progress;
 mod publish;
 mod removal;
 mod render;
 mod report;
+mod results;
 mod run;
 mod search;
 mod sheet;
@@ -27,10 +29,13 @@ mod slurm;
 mod submit;
 mod table;
 mod verify;
+mod watch;
 mod world;
 
 use anyhow::bail;
-use clap::{Parser, Subcommand};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap_complete::Shell;
 use harness::analysis::AnalysisError;
 use harness::claims::ClaimsError;
 use harness::collection::CollectionError;
@@ -54,16 +59,16 @@ use std::sync::OnceLock;
     version,
     after_help = "Examples:
   harness run multi_to_multi --quick
-  harness query \"select scenario, latent, value from metrics where model = 'network' and metric = 'wmape' and index is null\"
+  harness query \"select run, status, prediction_seconds from runs\"
   harness render cluttered --output scene.png"
 )]
 struct Arguments {
     /// Folder of datasets and runs
     // Parsed as text, because Polars only supports paths in UTF-8.
-    #[arg(long, global = true, value_name = "DIR", default_value = "results", value_parser = text_path)]
+    #[arg(long, global = true, value_name = "DIR", default_value = "results", value_parser = text_path, display_order = 100)]
     results: PathBuf,
     /// Threads for simulation and training [default: all processors]
-    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), display_order = 100)]
     threads: Option<u16>,
     #[command(subcommand)]
     command: Command,
@@ -103,7 +108,7 @@ enum Command {
     /// Answer a SQL query over the tables runs, epochs, metrics, predictions, forces, frames and episodes
     #[command(after_help = "Examples:
   harness query \"select run, status, prediction_seconds from runs\"
-  harness query \"select scenario, latent, value from metrics where model = 'network' and metric = 'wmape' and index is null\"
+  harness query \"select run, modality, value from metrics where metric = 'r2'\"
   harness query \"select * from epochs where term = 'total'\" --output curves.csv
 
 `harness schema --tables` lists the columns.")]
@@ -135,7 +140,13 @@ The number after ± is half of the 95 % interval of the mean over seeds (Student
     Compare(compare::Compare),
     /// List all runs
     Ls(inspect::List),
-    /// Show one run: its spec, its networks' layers, provenance, times and metrics
+    /// Show what runs now: losses, rates, remaining time and processes, refreshed each second
+    #[command(after_help = "Examples:
+  harness watch                    until nothing runs any more, or Ctrl-C
+  harness watch multi_to_multi
+  harness watch --once             for scripts")]
+    Watch(watch::Watch),
+    /// Show one run: settings, times and metrics, or everything with --all
     #[command(after_help = "Example:\n  harness show cluttered-z64-seed0")]
     Show(inspect::Show),
     /// Show in what two runs differ: settings, code, versions, machine, and metrics side by side
@@ -178,6 +189,13 @@ A spec names a world file in its `scenarios`, as a path relative to the spec's f
     /// Draw the paper's figures from the tables, as SVG and PNG, each with its numbers as CSV
     #[command(after_help = FIGURES_HELP)]
     Figures(figures::Figures),
+    /// Plot a metric over a setting, with the intervals of `compare`, as SVG, PNG or CSV
+    #[command(after_help = "Examples:
+  harness plot smoke --x latent --y r2 --by modality --facet scenario
+  harness plot --x latent --y r2 --modality contact_force --by experiment,scenario --output forces.png
+
+A point is the mean of a network's metric over all joints, links or pixels, over datasets and seeds.")]
+    Plot(plot::Plot),
     /// Write an HTML report: scenes, claims, interactive results, figures, training curves, runs
     #[command(after_help = REPORT_HELP)]
     Report(report::Report),
@@ -214,6 +232,16 @@ are intact, and 1 otherwise.")]
     Verify,
     /// Check this machine: rendering, MuJoCo, threads, memory, disk
     Doctor,
+    /// Print a script with which a shell completes the harness's commands and options
+    #[command(after_help = "Examples:
+  harness completions bash > ~/.local/share/bash-completion/completions/harness
+  harness completions zsh > ~/.zfunc/_harness          with fpath+=~/.zfunc before compinit in ~/.zshrc
+  harness completions fish > ~/.config/fish/completions/harness.fish")]
+    Completions {
+        /// The shell
+        #[arg(value_name = "SHELL", value_parser = PossibleValuesParser::new(["bash", "zsh", "fish"]).try_map(|name| name.parse::<Shell>()))]
+        shell: Shell,
+    },
 }
 
 const FIGURES_HELP: &str = "Examples:
@@ -297,7 +325,7 @@ static WORDS: OnceLock<Vec<OsString>> = OnceLock::new();
 /// Runs the command in `arguments`, whose first item is the program's name, prints its error if there is one, and
 /// returns the exit code. `program` is the command that starts this program from any folder.
 pub fn main(arguments: Vec<OsString>, program: Vec<String>) -> ExitCode {
-    let arguments = match Arguments::try_parse_from(WORDS.get_or_init(|| arguments)) {
+    let arguments = match parsed(WORDS.get_or_init(|| arguments)) {
         Ok(arguments) => arguments,
         Err(told) => {
             // Help and version are errors of clap as well. If printing fails, nothing can be reported.
@@ -326,6 +354,37 @@ pub fn main(arguments: Vec<OsString>, program: Vec<String>) -> ExitCode {
     })
 }
 
+/// Parses the arguments. The examples in a command's help fit the terminal.
+fn parsed(arguments: &[OsString]) -> Result<Arguments, clap::Error> {
+    let mut command = Arguments::command();
+    if let Some(limit) = table::width() {
+        command = with_fitting_examples(command, limit);
+    }
+    let matches = command.try_get_matches_from_mut(arguments)?;
+    Arguments::from_arg_matches(&matches).map_err(|error| error.format(&mut command))
+}
+
+/// Makes the examples of a command and of its subcommands fit the terminal. An example is a line that begins with
+/// `  harness`; three spaces separate what it does.
+fn with_fitting_examples(command: clap::Command, limit: u16) -> clap::Command {
+    let fitting = |line: &str| {
+        if !line.starts_with("  harness ") || line.chars().count() <= usize::from(limit) {
+            return line.to_owned();
+        }
+        match line.split_once("   ") {
+            Some((example, meaning)) => {
+                let example = table::command_lines("  ", example.trim(), Some(limit));
+                format!("{example}\n{}", table::fitted(&format!("      {}", meaning.trim()), Some(limit)))
+            }
+            None => table::command_lines("  ", line.trim(), Some(limit)),
+        }
+    };
+    let help = command.get_after_help().map(ToString::to_string);
+    let help = help.map(|help| help.lines().map(fitting).collect::<Vec<_>>().join("\n"));
+    let command = if let Some(help) = help { command.after_help(help) } else { command };
+    command.mut_subcommands(|subcommand| with_fitting_examples(subcommand, limit))
+}
+
 fn execute(
     command: Command,
     registry: &Registry,
@@ -346,6 +405,7 @@ fn execute(
         Command::Submit(submit) => submit.execute(registry, threads, program),
         Command::Cancel(cancel) => cancel.execute(registry),
         Command::Ls(list) => list.execute(registry),
+        Command::Watch(watch) => watch.execute(registry),
         Command::Show(show) => show.execute(registry),
         Command::Diff(diff) => diff.execute(registry),
         Command::Rm(remove) => remove.execute(registry),
@@ -354,6 +414,7 @@ fn execute(
         Command::Schema(schema) => schema.execute(),
         Command::Render(render) => render.execute(),
         Command::Figures(figures) => figures.execute(registry),
+        Command::Plot(plot) => plot.execute(registry),
         Command::Report(report) => report.execute(registry),
         Command::Publish(publish) => publish.execute(registry),
         Command::Export(export) => export.execute(registry),
@@ -362,6 +423,7 @@ fn execute(
         Command::Verify => verify::execute(registry),
         Command::World(world) => world.execute(),
         Command::Doctor => doctor::execute(registry, threads),
+        Command::Completions { shell } => Ok(print_completions(shell)),
     }
 }
 
@@ -371,14 +433,21 @@ impl Command {
         match self {
             Self::Query(_) | Self::Claims(_) | Self::Compare(_) | Self::Show(_) => true,
             Self::Ls(list) => list.reads_results(),
-            Self::Figures(_) | Self::Report(_) | Self::Publish(_) | Self::Verify | Self::Diff(_) => true,
-            Self::Export(_) => true,
+            Self::Figures(_) | Self::Plot(_) | Self::Report(_) | Self::Publish(_) | Self::Export(_) => true,
+            Self::Verify | Self::Diff(_) | Self::Watch(_) => true,
             Self::Rm(_) | Self::Gc(_) | Self::Du | Self::Pack(_) => true,
-            Self::Unpack(_) => false,
+            Self::Unpack(_) | Self::Completions { .. } => false,
             Self::Run(_) | Self::Collect(_) | Self::Validate(_) | Self::Submit(_) | Self::Cancel(_) => false,
             Self::Experiments(_) | Self::Schema(_) | Self::World(_) | Self::Render(_) | Self::Doctor => false,
         }
     }
+}
+
+fn print_completions(shell: Shell) -> ExitCode {
+    let mut script = Vec::new();
+    clap_complete::generate(shell, &mut Arguments::command(), "harness", &mut script);
+    print!("{}", String::from_utf8_lossy(&script));
+    ExitCode::from(DONE)
 }
 
 /// The words of this process's command line. Invalid Unicode is replaced.

@@ -1,15 +1,21 @@
 //! Progress on the terminal: a bar for each job, or plain lines if the standard error is no terminal.
 
 use super::interrupt;
+use super::output::IS_UTF8;
+use super::table::fitted;
 use harness::numbers::duration;
 use harness::progress::Progress;
 use indicatif::{MultiProgress, ProgressBar, ProgressFinish, ProgressStyle};
 use std::io::IsTerminal;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
+use terminal_size::terminal_size_of;
 
 /// Time between two plain lines.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
+
+/// Terminals with fewer characters have no room for a bar.
+const NARROW: u16 = 80;
 
 /// Draws a bar for the current stage of each job on the standard error. A line remains of each finished stage.
 #[derive(Default)]
@@ -28,6 +34,8 @@ struct Stage {
     note: String,
     /// The bar, which is hidden if the output is no terminal. It counts the steps in any case.
     bar: ProgressBar,
+    /// Number of characters of a line that the name and the bar take.
+    taken: usize,
     last_line: Instant,
     /// Number of steps that were done before this process started.
     resumed: u64,
@@ -40,8 +48,13 @@ impl Bars {
 
     /// Prints a line above the bars.
     fn print(&self, line: &str) {
-        self.all.suspend(|| eprintln!("{line}"));
+        self.all.suspend(|| eprintln!("{}", fitted(line, width())));
     }
+}
+
+/// The width of the terminal in characters, or `None` if the standard error is no terminal.
+fn width() -> Option<u16> {
+    terminal_size_of(std::io::stderr()).map(|(width, _)| width.0)
 }
 
 /// Whether progress is printed in lines, because the standard error is no terminal.
@@ -52,9 +65,33 @@ fn lines() -> bool {
 impl Stage {
     /// A line about the running stage. The note comes first, because it is the most important part.
     fn progress(&self) -> String {
+        sentence(&self.parts().map(|(part, _)| part))
+    }
+
+    /// What is known about the running stage, in the order in which it is shown. The number is the part's rank: if there
+    /// is not enough room, those with the highest ranks are left out.
+    fn parts(&self) -> [(String, u8); 5] {
         let (done, total) = (self.bar.position(), self.bar.length().unwrap_or_default());
-        let pace = pace(done - self.resumed, total.saturating_sub(done), self.bar.elapsed());
-        sentence(&[&self.note, &format!("{done}/{total} {}", self.unit), &pace])
+        let (rate, left) = pace(done - self.resumed, total.saturating_sub(done), self.bar.elapsed());
+        let (main, details) = self.note.split_once(", ").unwrap_or((&self.note, ""));
+        [
+            (main.to_owned(), 0),
+            (details.to_owned(), 4),
+            (format!("{done}/{total} {}", self.unit), 1),
+            (rate, 3),
+            (left, 2),
+        ]
+    }
+
+    /// As many parts of the line as have room in `limit` characters.
+    fn fitting(&self, limit: usize) -> String {
+        let parts = self.parts();
+        let with = |most: u8| {
+            let parts = parts.iter().filter(|(_, rank)| *rank <= most);
+            sentence(&parts.map(|(part, _)| part.as_str()).collect::<Vec<_>>())
+        };
+        let fitting = (0..parts.len() as u8).rev().map(with).find(|line| line.chars().count() <= limit);
+        fitting.unwrap_or_else(|| with(0))
     }
 
     fn end(&self) -> String {
@@ -67,38 +104,44 @@ impl Stage {
 }
 
 /// Joins the parts that are not empty with commas.
-fn sentence(parts: &[&str]) -> String {
-    let parts = parts.iter().copied().filter(|part| !part.is_empty());
+fn sentence(parts: &[impl AsRef<str>]) -> String {
+    let parts = parts.iter().map(AsRef::as_ref).filter(|part| !part.is_empty());
     parts.collect::<Vec<_>>().join(", ")
 }
 
 /// The average pace of `done` steps in `elapsed`, and the estimated time of the steps that are left.
-fn pace(done: u64, left: u64, elapsed: Duration) -> String {
+fn pace(done: u64, left: u64, elapsed: Duration) -> (String, String) {
     if done == 0 {
-        return String::new();
+        return Default::default();
     }
     let each = elapsed.as_secs_f64().max(1e-6) / done as f64;
     let rate = if each < 1.0 { format!("{:.1}/s", 1.0 / each) } else { format!("{each:.1} s each") };
-    format!("{rate}, {} left", duration(each * left as f64))
+    (rate, format!("{} left", duration(each * left as f64)))
 }
 
 impl Progress for Bars {
     fn begin(&self, name: &str, total: u64, unit: &str) {
         let name = [self.job.as_str(), name].join(" ").trim_start().to_owned();
-        let style = ProgressStyle::with_template("{prefix} {bar:10} {wide_msg}")
-            .unwrap_or_else(|_| ProgressStyle::default_bar());
         let bar = if lines() { ProgressBar::hidden() } else { self.all.add(ProgressBar::no_length()) };
+        let (template, around) = match width().is_some_and(|width| width < NARROW) {
+            true => ("{prefix} {wide_msg}", 1),
+            false => ("{prefix} {bar:10} {wide_msg}", 12),
+        };
+        let taken = name.chars().count() + around;
+        let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+        let style = if *IS_UTF8 { style } else { style.progress_chars("#-") };
         let bar = bar.with_style(style).with_prefix(name.clone()).with_finish(ProgressFinish::AndClear);
         bar.set_length(total);
         let (unit, note, last_line, resumed) = (unit.into(), String::new(), Instant::now(), 0);
-        *self.stage() = Some(Stage { name, unit, note, bar, last_line, resumed });
+        *self.stage() = Some(Stage { name, unit, note, bar, taken, last_line, resumed });
     }
 
     fn advance(&self, steps: u64) {
         if let Some(stage) = self.stage().as_mut() {
             stage.bar.inc(steps);
             if !lines() {
-                stage.bar.set_message(stage.progress());
+                let room = usize::from(width().unwrap_or(NARROW)).saturating_sub(stage.taken);
+                stage.bar.set_message(stage.fitting(room));
             } else if stage.last_line.elapsed() >= LINE_INTERVAL {
                 self.print(&format!("{}: {}", stage.name, stage.progress()));
                 stage.last_line = Instant::now();
@@ -147,9 +190,35 @@ mod tests {
 
     #[test]
     fn what_is_left_goes_by_the_steps_so_far() {
-        assert_eq!(pace(0, 10, Duration::from_secs(5)), "");
-        assert_eq!(pace(4, 10, Duration::from_secs(120)), "30.0 s each, 5 min left");
-        assert_eq!(pace(500, 1000, Duration::from_secs(10)), "50.0/s, 20 s left");
+        let pace = |done, left, seconds| {
+            let (rate, left) = pace(done, left, Duration::from_secs(seconds));
+            sentence(&[rate, left])
+        };
+        assert_eq!(pace(0, 10, 5), "");
+        assert_eq!(pace(4, 10, 120), "30.0 s each, 5 min left");
+        assert_eq!(pace(500, 1000, 10), "50.0/s, 20 s left");
+    }
+
+    #[test]
+    fn the_loss_has_room_first_then_the_epochs_then_the_time() {
+        let bars = Bars::default();
+        bars.begin("prediction", 200, "epochs");
+        bars.advance(12);
+        bars.note("validation 0.4210, lowest 0.4100 in epoch 9, training 0.3900");
+        let stage = bars.stage();
+        let stage = stage.as_ref().unwrap();
+        let all = stage.fitting(200);
+        assert_eq!(all, stage.progress());
+        assert!(
+            all.starts_with("validation 0.4210, lowest 0.4100 in epoch 9, training 0.3900, 12/200 epochs, ")
+        );
+        assert!(all.ends_with(" left"), "{all}");
+        assert!(
+            stage.fitting(60).starts_with("validation 0.4210, 12/200 epochs, ")
+                && stage.fitting(60).ends_with(" left")
+        );
+        assert_eq!(stage.fitting(32), "validation 0.4210, 12/200 epochs");
+        assert_eq!(stage.fitting(31), "validation 0.4210");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! `harness rm`, `harness gc` and `harness du`.
 
-use super::table::wrapped;
+use super::table::{print_beside, print_texts};
 use super::{DONE, FAILED};
 use anyhow::Result;
 use clap::Args;
@@ -29,7 +29,7 @@ impl Remove {
                 }
             }
         }
-        chosen.iter().for_each(|run| println!("{:>9}  {}", bytes(run.bytes), run.name));
+        print_beside(chosen.iter().map(|run| (format!("{:>9}", bytes(run.bytes)), run.name.clone())));
         remove(registry, &chosen, self.yes)
     }
 }
@@ -50,9 +50,9 @@ impl Gc {
             |reason: &Garbage| self.only.is_empty() || self.only.iter().any(|only| only == reason.name());
         let wanted: Vec<Garbage> = Garbage::ALL.into_iter().filter(is_wanted).collect();
         let found = registry.garbage(&wanted);
-        for (reason, item) in &found {
-            println!("{:>9}  {:<10}  {}", bytes(item.bytes), reason.name(), item.name);
-        }
+        print_beside(found.iter().map(|(reason, item)| {
+            (format!("{:>9}  {:<10}", bytes(item.bytes), reason.name()), item.name.clone())
+        }));
         let chosen: Vec<Removable> = found.into_iter().map(|(_, item)| item).collect();
         remove(registry, &chosen, self.yes)
     }
@@ -99,7 +99,7 @@ pub fn usage(registry: &Registry) -> Result<ExitCode> {
         let networks = if part.network_bytes > 0 { bytes(part.network_bytes) } else { String::new() };
         [bytes(part.bytes), networks, count(part.runs), part.kind, part.name]
     });
-    println!("{}", wrapped(["size", "networks", "runs", "folder", "name"], rows.collect()));
+    print_texts(["size", "networks", "runs", "folder", "name"], rows.collect());
     println!("{} in all", bytes(total));
     Ok(ExitCode::from(DONE))
 }

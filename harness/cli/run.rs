@@ -1,13 +1,16 @@
 //! `harness run`, `harness collect` and `harness validate`.
 
 use super::progress::Bars;
-use super::table::{print, shown};
+use super::results::{self, Best, Comparison};
+use super::sheet::Style;
+use super::table::{print_beside, print_command, print_text, shown, width};
 use super::{DONE, FAILED, interrupt, layers, output, search};
 use anyhow::Result;
 use clap::Args;
 use harness::collection::{collect, collect_share, dataset_of};
 use harness::experiment::{Planned, Runner, Summary, best, describe, provenance};
-use harness::registry::{Decision, Registry, query_of, quoted};
+use harness::numbers::rounded;
+use harness::registry::{Decision, Registry, RunRecord, Status, quoted};
 use harness::shard::Shard;
 use harness::simulation::Scene;
 use harness::spec::{self, Experiment};
@@ -129,17 +132,18 @@ impl Run {
         registry.check_writable()?;
         interrupt::install()?;
         let (summary, plan) = runner.run(&experiment, plan)?;
-        let best = best(&experiment, &plan);
+        let trials = best(&experiment, &plan);
         let is_shown = |planned: &&Planned| match experiment.search {
-            Some(_) => best.iter().any(|best| best.is_of(&planned.spec)),
+            Some(_) => trials.iter().any(|best| best.is_of(&planned.spec)),
             None => true,
         };
         let shown = own(&plan).into_iter().map(|index| &plan[index]).filter(is_shown);
-        if let Err(error) = print_results(registry, &experiment, shown) {
+        let best = print_results(registry, &experiment, shown).unwrap_or_else(|error| {
             eprintln!("warning: the results can't be shown: {error}");
-        }
-        print_summary(registry, &experiment, &summary);
-        search::print_best(registry, &experiment, &best, &self.spec.words());
+            Vec::new()
+        });
+        print_summary(registry, &experiment, &summary, best);
+        search::print_best(registry, &experiment, &trials, &self.spec.words());
         warn_of_loss();
         Ok(ExitCode::from(if summary.failed.is_empty() { DONE } else { FAILED }))
     }
@@ -203,7 +207,7 @@ fn warn_of_loss() {
 }
 
 fn print_plan(plan: &[&Planned]) {
-    for planned in plan {
+    print_beside(plan.iter().map(|planned| {
         let (verb, reason) = match &planned.decision {
             Decision::Run { reason } => ("run", reason.as_str()),
             Decision::Resume { reason } => ("resume", reason.as_str()),
@@ -212,8 +216,8 @@ fn print_plan(plan: &[&Planned]) {
             Decision::Diverged { reason } => ("failed", reason.as_str()),
         };
         let trial = search::described(&planned.spec);
-        println!("{verb:<7} {:<36} {trial}{reason}", planned.folder.id());
-    }
+        (format!("{verb:<7} {:<36}", planned.folder.id()).trim_end().to_owned(), format!("{trial}{reason}"))
+    }));
 }
 
 /// Prints the layers of each network that the plan's runs train. Equal networks are printed once.
@@ -228,72 +232,78 @@ fn print_networks(plan: &[&Planned]) -> Result<()> {
     }
     for (layers, runs) in networks {
         let others = if runs.len() > 1 { format!(" and {} more", runs.len() - 1) } else { String::new() };
-        println!("\nthe network of {}{others}:\n{layers}", runs[0]);
+        print_text(&format!("\nthe network of {}{others}:", runs[0]));
+        println!("{layers}");
     }
     Ok(())
 }
 
-/// Prints the aggregate metrics of the plan's runs and of the baselines, averaged over seeds.
+/// Prints the metrics of these runs. Returns lines about the best of them, unless a search names its best trial.
 fn print_results<'a>(
     registry: &Registry,
     experiment: &Experiment,
     plan: impl Iterator<Item = &'a Planned>,
-) -> Result<()> {
-    let runs: BTreeSet<&str> = plan.map(|planned| planned.folder.id()).collect();
-    if runs.is_empty() {
-        return Ok(());
+) -> Result<Vec<(String, String)>> {
+    let planned: BTreeSet<&str> = plan.map(|planned| planned.folder.id()).collect();
+    let is_done = |record: &RunRecord| {
+        record.experiment == experiment.name
+            && record.status == Status::Done
+            && planned.contains(record.run.as_str())
+    };
+    let sheet = results::sheet(registry, is_done)?;
+    if !sheet.rows.is_empty() {
+        println!("{}", sheet.render(Style::Text, width()));
     }
-    let model = |name: &str| format!("avg(case when model = '{name}' then value end) as {name}");
-    let is_plain = experiment.vary.is_empty()
-        && experiment.readings.is_empty()
-        && experiment.roles.is_empty()
-        && experiment.search.is_none();
-    let cell = if is_plain { "latent" } else { "latent, variant" };
-    let answer = query_of(
-        registry,
-        |record| record.experiment == experiment.name && runs.contains(record.run.as_str()),
-        &format!(
-            "select task, scenario, {cell}, modality, metric, {}, {}, {}, {} from metrics \
-             where direction is null and index is null and metric in ('smape', 'wmape', 'r2', 'relative_error') \
-             group by task, scenario, {cell}, modality, metric \
-             order by task, scenario desc, modality, metric, {cell}",
-            model("network"),
-            model("persistence"),
-            model("ridge"),
-            model("training_mean"),
-        ),
-    )?;
-    print(&answer);
-    Ok(())
+    if experiment.search.is_some() {
+        return Ok(Vec::new());
+    }
+    let Some(best) = Best::of(registry, is_done)? else { return Ok(Vec::new()) };
+    let beaten = Comparison::all(registry, |record| is_done(record) && record.run == best.run)?;
+    let beaten: Vec<String> = beaten.iter().map(Comparison::to_string).collect();
+    let error = rounded(best.error);
+    Ok(vec![
+        ("best run".into(), format!("{} (lowest validation error, {error})", best.run)),
+        ("baselines".into(), format!("beats {} outputs", beaten.join(", "))),
+    ])
 }
 
-fn print_summary(registry: &Registry, experiment: &Experiment, summary: &Summary) {
+/// Prints what was done, the best run, where the results are, and what to do next.
+fn print_summary(
+    registry: &Registry,
+    experiment: &Experiment,
+    summary: &Summary,
+    best: Vec<(String, String)>,
+) {
     let Summary { done, continued, diverged, skipped, failed, held, left, awaited } = summary;
     let failed = failed.len();
-    let why = if failed > 0 { format!(", `{}` says why", registry.command("ls")) } else { String::new() };
-    println!("{done} done, {skipped} done before, {failed} failed{why}");
+    println!("{done} done, {skipped} done before, {failed} failed");
     if *continued > 0 {
-        println!("{continued} trained on after a comparison of trials");
+        print_text(&format!("{continued} trained on after a comparison of trials"));
     }
     if *diverged > 0 {
-        println!("{diverged} diverged: their loss was no longer finite, so they are the worst trials");
+        print_text(&format!(
+            "{diverged} diverged: their loss was no longer finite, so they are the worst trials"
+        ));
     }
     if *awaited > 0 {
-        println!(
+        print_text(&format!(
             "{awaited} are left to other shares; when they are done, the same command trains the best trials on"
-        );
+        ));
     }
     if *held > 0 {
         println!("{held} left to the processes that work on them");
     }
     if *left > 0 {
-        println!("{left} not tried, because of --fail-fast; the same command goes on from here");
+        print_text(&format!("{left} not tried, because of --fail-fast; the same command goes on from here"));
     }
-    let root = registry.root();
-    println!("runs      {}", shown(&root.join("runs").join(&experiment.name)));
-    println!("datasets  {}", shown(&registry.datasets()));
-    let query = quoted([&*format!("select * from metrics where experiment = '{}'", experiment.name)]);
-    println!("queries   {}", registry.command(&format!("query {query}")));
+    let name = quoted([&*experiment.name]);
+    let next = match (failed, done + skipped) {
+        (0, 1..) => format!("compare {name}"),
+        _ => format!("ls {name}"),
+    };
+    print_beside(best);
+    println!("results    {}", shown(&registry.root().join("runs").join(&experiment.name)));
+    print_command("next       ", &registry.command(&next));
 }
 
 #[derive(Args)]

@@ -1,7 +1,8 @@
 //! Tables for documents: text, Markdown, LaTeX.
 
+use super::table::{Grid, beside, fitted};
 use clap::ValueEnum;
-use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
+use harness::metrics::Metric;
 
 /// The format of a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -27,10 +28,55 @@ impl Style {
             (_, false) => number,
         }
     }
+
+    /// The name of a metric with its unit. In text, an arrow says whether higher or lower values are better.
+    pub fn metric(self, metric: &str, unit: &str) -> String {
+        let name = match metric {
+            "smape" | "wmape" | "r2" | "rmse" | "mae" => metric.to_uppercase(),
+            name => name.replace('_', " "),
+        };
+        let name = if unit == "1" { name } else { format!("{name} ({unit})") };
+        match self {
+            Style::Text => format!("{name} {}", if higher_is_better(metric) { '↑' } else { '↓' }),
+            Style::Markdown | Style::Latex => name,
+        }
+    }
+}
+
+/// Whether higher values of the metric with this name are better.
+fn higher_is_better(metric: &str) -> bool {
+    Metric::named(metric).is_some_and(Metric::higher_is_better)
+}
+
+/// The best of some values of a metric, or `None` if there are fewer than two to choose from.
+pub fn best(metric: &str, values: &[Option<f64>]) -> Option<f64> {
+    let values: Vec<f64> = values.iter().copied().flatten().collect();
+    match values.len() {
+        0 | 1 => None,
+        _ if higher_is_better(metric) => values.into_iter().max_by(f64::total_cmp),
+        _ => values.into_iter().min_by(f64::total_cmp),
+    }
+}
+
+/// A value of a metric, with the decimals that its unit needs.
+pub fn rounded(value: f64, unit: &str) -> String {
+    let decimals = match unit {
+        "%" => 2,
+        "1" => 3,
+        _ => 4,
+    };
+    let number = format!("{value:.decimals$}");
+    match number.strip_prefix('-') {
+        Some(zero) if zero.chars().all(|digit| matches!(digit, '0' | '.')) => zero.to_owned(),
+        _ => number,
+    }
 }
 
 /// A table whose rows consist of some words and some numbers.
 pub struct Sheet {
+    /// How many of the words are in the title of a part of the table. In text, rows with the same title are a table of
+    /// their own.
+    pub titles: usize,
     /// The headers of the columns of numbers.
     pub header: Vec<String>,
     /// The rows: the same number of words in each, and numbers in the table's format. A missing number is empty.
@@ -40,13 +86,17 @@ pub struct Sheet {
 }
 
 impl Sheet {
-    /// Writes the table, its notes, and the words that are the same in all rows.
-    pub fn render(mut self, style: Style) -> String {
+    /// Writes the table, its notes, and the words that are the same in all rows. A text is at most `limit` characters
+    /// wide, if there is a limit.
+    pub fn render(mut self, style: Style, limit: Option<u16>) -> String {
         let same = self.take_constant_words();
         let notes = same.iter().chain(&self.notes).filter(|note| !note.is_empty());
         let note = notes.map(String::as_str).collect::<Vec<_>>().join("; ");
         match style {
-            Style::Text => format!("{}\n{note}; * the best of its row\n", self.text()),
+            Style::Text => {
+                let note = format!("{note}; * the best of its row; ↑ higher is better, ↓ lower is better");
+                format!("{}\n\n{}\n", self.text(limit), fitted(note.trim_start_matches("; "), limit))
+            }
             Style::Markdown => format!("{}\n{note}; bold: the best of its row\n", self.markdown()),
             Style::Latex => format!("% {note}; bold: the best of its row\n{}", self.latex()),
         }
@@ -62,6 +112,7 @@ impl Sheet {
                 && self.rows.iter().all(|(words, _)| words[place] == word)
             {
                 self.rows.iter_mut().for_each(|(words, _)| drop(words.remove(place)));
+                self.titles -= usize::from(place < self.titles);
                 constant.push(word);
             } else {
                 place += 1;
@@ -74,16 +125,41 @@ impl Sheet {
         self.rows.first().map_or(0, |(words, _)| words.len())
     }
 
-    fn text(&self) -> Table {
-        let mut out = Table::new();
-        out.load_preset(presets::UTF8_BORDERS_ONLY).set_content_arrangement(ContentArrangement::Dynamic);
-        out.set_header(vec![String::new(); self.words()].into_iter().chain(self.header.iter().cloned()));
-        for (words, numbers) in &self.rows {
-            out.add_row(words.iter().chain(numbers));
+    /// A table for each title. If one of them is too wide, all rows become blocks.
+    fn text(&self, limit: Option<u16>) -> String {
+        let parts: Vec<Grid> = self
+            .rows
+            .chunk_by(|(a, _), (b, _)| a[..self.titles] == b[..self.titles])
+            .map(|rows| self.part(rows))
+            .collect();
+        match limit {
+            Some(limit) if parts.iter().any(|part| !part.fits(limit)) => self.blocks(limit),
+            _ => parts.into_iter().map(|part| part.text(limit)).collect::<Vec<_>>().join("\n\n"),
         }
-        let numbers = out.column_iter_mut().skip(self.words());
-        numbers.for_each(|column| column.set_cell_alignment(CellAlignment::Right));
-        out
+    }
+
+    /// The table of rows with the same title, which is in the first cell of the header.
+    fn part(&self, rows: &[(Vec<String>, Vec<String>)]) -> Grid {
+        let words = self.words() - self.titles;
+        let title = rows.first().map_or(String::new(), |(words, _)| words[..self.titles].join(", "));
+        let mut header = vec![String::new(); words];
+        if let Some(first) = header.first_mut() {
+            *first = title;
+        }
+        header.extend(self.header.iter().cloned());
+        let rows = rows.iter().map(|(words, numbers)| [&words[self.titles..], numbers].concat());
+        let right = (0..header.len()).map(|column| column >= words).collect();
+        Grid { rows: rows.collect(), header, right, ruled: false }
+    }
+
+    /// A block for each row, with a line for each number.
+    fn blocks(&self, limit: u16) -> String {
+        let block = |(words, numbers): &(Vec<String>, Vec<String>)| {
+            let named = self.header.iter().zip(numbers).filter(|(_, number)| !number.is_empty());
+            let lines = named.map(|(name, number)| (format!("  {name}"), number.clone()));
+            format!("{}\n{}", fitted(&words.join(", "), Some(limit)), beside(lines, Some(limit)))
+        };
+        self.rows.iter().map(block).collect::<Vec<_>>().join("\n\n")
     }
 
     fn markdown(&self) -> String {

@@ -6,7 +6,7 @@
 
 use super::run::Spec;
 use super::slurm::{self, Job, Resources, SlurmError, Step, Task};
-use super::table::{shown, wrapped};
+use super::table::{print_texts, shown};
 use super::{DONE, interrupt};
 use anyhow::{Result, bail};
 use clap::Args;
@@ -236,9 +236,28 @@ impl Cancel {
     }
 }
 
-/// Prints the tasks of all jobs: where they are, what they do, and why they wait or failed.
+/// Prints the tasks of all jobs.
 pub fn list(registry: &Registry) -> Result<ExitCode> {
-    let (known, all) = (slurm::tasks()?, records(registry));
+    let rows = tasks(registry)?;
+    if rows.is_empty() {
+        println!("no jobs; `harness submit SPEC` makes some");
+    } else {
+        print_texts(["job", "step", "state", "host", "time", "last said, or why it waits"], rows);
+    }
+    Ok(ExitCode::from(DONE))
+}
+
+/// The tasks of all jobs: where they are, what they do, and why they wait or failed. Empty if no job was submitted from
+/// this results folder.
+///
+/// # Errors
+/// When Slurm can't be asked.
+pub fn tasks(registry: &Registry) -> Result<Vec<[String; 6]>> {
+    let all = records(registry);
+    if all.is_empty() {
+        return Ok(Vec::new());
+    }
+    let known = slurm::tasks()?;
     let mut rows = Vec::new();
     for (name, (folder, record)) in &all {
         for (step, number) in &record.steps {
@@ -260,12 +279,7 @@ pub fn list(registry: &Registry) -> Result<ExitCode> {
             }
         }
     }
-    if rows.is_empty() {
-        println!("no jobs; `harness submit SPEC` makes some");
-    } else {
-        println!("{}", wrapped(["job", "step", "state", "host", "time", "last said, or why it waits"], rows));
-    }
-    Ok(ExitCode::from(DONE))
+    Ok(rows)
 }
 
 fn row(name: &str, step: Step, task: &Task, said: &str) -> [String; 6] {

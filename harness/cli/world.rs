@@ -1,7 +1,7 @@
 //! `harness world`: lists the worlds, checks a world file, and writes one for an MJCF model.
 
 use super::DONE;
-use super::table::shown;
+use super::table::{print_beside, print_text, shown};
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use harness::files::write_bytes;
@@ -9,6 +9,7 @@ use harness::simulation::{Scene, draft_world};
 use harness::spec::{Definition, Modality, World, world_schema};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 
 #[derive(Args)]
 pub struct Command {
@@ -52,9 +53,10 @@ impl Command {
     pub fn execute(self) -> Result<ExitCode> {
         match self.command {
             Action::List => {
-                for world in World::built_in() {
-                    println!("{:<12} {}", world.scenario(), world.description());
-                }
+                let named = |world: &Arc<World>| {
+                    (format!("{:<11}", world.scenario()), world.description().to_owned())
+                };
+                print_beside(World::built_in().iter().map(named));
             }
             Action::Check { world } => check(&Scene::new(World::find(&world)?)?),
             Action::New { model, output } => {
@@ -78,23 +80,25 @@ impl Command {
 
 fn check(scene: &Scene) {
     let (world, layout) = (scene.world(), scene.layout());
-    println!("{}: {}", world.scenario(), world.description());
-    println!("model       {}", scene.source());
+    print_text(&format!("{}: {}", world.scenario(), world.description()));
+    let mut entries = vec![("model".to_owned(), scene.source().to_string())];
     for definition in &layout.modalities {
-        println!("{:<24} {}", definition.name, describe(definition));
+        entries.push((definition.name.to_string(), describe(definition)));
         for group in &definition.groups {
             let elements = definition.elements();
             let names: Vec<&str> =
                 group.elements.iter().map(|index| elements[*index].name.as_str()).collect();
-            println!("  group {:<16} {}", group.name, names.join(", "));
+            entries.push((format!("  group {}", group.name), names.join(", ")));
         }
     }
     for (name, setting) in world.settings() {
-        println!("simulation.{name} = {}", serde_json::to_string(&setting).unwrap_or_default());
+        let setting = serde_json::to_string(&setting).unwrap_or_default();
+        entries.push((format!("simulation.{name}"), setting.replace(',', ", ")));
     }
     for (name, property, drawing, elements) in scene.factors() {
-        println!("factor {name:<17} {property}, {drawing}: {}", elements.join(", "));
+        entries.push((format!("factor {name}"), format!("{property}, {drawing}: {}", elements.join(", "))));
     }
+    print_beside(entries);
     if scene.boxes() > 0 {
         println!("{} bodies are placed at random in each episode", scene.boxes());
     }

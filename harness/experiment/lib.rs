@@ -24,8 +24,8 @@ use harness_learning::training::Fit;
 use harness_learning::{self as learning, LearningError, Normalizers, checkpoint, open_device, predict};
 use harness_metrics::MetricsError;
 use harness_registry::{
-    Decision, ForceRows, MetricRow, Outcome, Provenance, Registry, RegistryError, RunFolder, RunRecord,
-    Timings, Versions,
+    Decision, ForceRows, LiveEpochs, MetricRow, Outcome, Provenance, Registry, RegistryError, RunFolder,
+    RunRecord, Timings, Versions,
 };
 use harness_shared::files::free_bytes;
 use harness_shared::memory;
@@ -440,6 +440,8 @@ struct TrainingRun<'a> {
     folder: &'a RunFolder,
     prepared: &'a PreparedData,
     progress: &'a dyn Progress,
+    /// Shows the epochs to other processes while the run is trained.
+    epochs: LiveEpochs,
 }
 
 impl TrainingRun<'_> {
@@ -532,6 +534,7 @@ impl TrainingRun<'_> {
             partition: &self.prepared.partition,
             state: &StateFile::at(self.folder.state(task)),
             progress: self.progress,
+            log: &|epochs| self.epochs.set(task, epochs),
         };
         let epochs = fit.run(objective, parameters)?;
         let NormalizedData { normalizers, action, .. } = &self.prepared.data;

@@ -2,7 +2,7 @@
 //! results folder.
 
 use super::{ExperimentError, Planned, PreparedData, Runner, TrainingRun, describe, training_bytes};
-use harness_registry::{Decision, Outcome, Provenance, RunRecord, Status};
+use harness_registry::{Decision, LiveEpochs, Outcome, Provenance, RunRecord, Status};
 use harness_shared::memory;
 use harness_spec::{Division, Experiment, RunSpec, Task};
 use std::collections::BTreeSet;
@@ -344,7 +344,8 @@ impl WorkerPool<'_> {
         let everyone = self.runner.progress;
         let own = everyone.job(&planned.spec.label());
         let progress = own.as_deref().unwrap_or(everyone);
-        TrainingRun { spec: &planned.spec, folder: &planned.folder, prepared: &prepared, progress }.run()
+        let Planned { spec, folder, .. } = planned;
+        TrainingRun { spec, folder, prepared: &prepared, progress, epochs: LiveEpochs::of(folder) }.run()
     }
 
     /// Reserves memory to train a run. Waits while other jobs' trainings use it. Without this check, the system would

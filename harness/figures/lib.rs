@@ -11,6 +11,7 @@ mod diagram;
 mod forces_dataset;
 mod information_loss_arch;
 pub mod page;
+mod plot;
 mod prediction_results;
 mod predictive_arch;
 mod propriovision_to_vision;
@@ -29,6 +30,7 @@ use harness_registry::{QueryError, save};
 use harness_shared::files::{WriteError, write_bytes};
 use harness_simulation::SimulationError;
 use page::Page;
+pub use plot::{Key, Plot};
 use polars::prelude::{DataFrame, PolarsError};
 use source::Source;
 use std::path::{Path, PathBuf};
@@ -45,6 +47,29 @@ pub enum FigureError {
         root: PathBuf,
         /// The command that makes the missing runs.
         command: String,
+    },
+    /// The means of a plot differ in a key that the plot does not show.
+    #[error(
+        "the means differ in {key}: {}; add it to --by or use it for --facet, or choose some of the means with \
+         --modality, --where or the names of experiments",
+        values.join(", ")
+    )]
+    Ambiguous {
+        /// The name of the key.
+        key: &'static str,
+        /// The key's values.
+        values: Vec<String>,
+    },
+    /// A plot would have too many series or panels to be read.
+    #[error(
+        "a plot has at most 12 series and 8 panels, and this one would have {series} and {panels}; choose some of the \
+         means with --modality, --where or the names of experiments"
+    )]
+    TooMany {
+        /// The number of series.
+        series: usize,
+        /// The number of panels.
+        panels: usize,
     },
     /// An experiment has finished runs, but a query over them gives no rows.
     #[error(
@@ -233,12 +258,25 @@ impl Drawing {
     pub fn save(mut self, folder: &Path, name: &str, formats: &[Format]) -> Result<(), FigureError> {
         let svg = self.page.svg();
         for format in formats {
-            let path = folder.join(format!("{name}.{}", format.name()));
-            match format {
-                Format::Svg => write_bytes(&path, svg.as_bytes())?,
-                Format::Png => write_bytes(&path, &Page::png(&svg)?)?,
-                Format::Csv => save(&mut self.data, &path)?,
-            }
+            self.write(&svg, &folder.join(format!("{name}.{}", format.name())), *format)?;
+        }
+        Ok(())
+    }
+
+    /// Writes one file.
+    ///
+    /// # Errors
+    /// When the PNG can't be drawn, or the file can't be written.
+    pub fn save_as(mut self, path: &Path, format: Format) -> Result<(), FigureError> {
+        let svg = self.page.svg();
+        self.write(&svg, path, format)
+    }
+
+    fn write(&mut self, svg: &str, path: &Path, format: Format) -> Result<(), FigureError> {
+        match format {
+            Format::Svg => write_bytes(path, svg.as_bytes())?,
+            Format::Png => write_bytes(path, &Page::png(svg)?)?,
+            Format::Csv => save(&mut self.data, path)?,
         }
         Ok(())
     }

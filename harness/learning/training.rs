@@ -47,6 +47,8 @@ pub struct Fit<'a> {
     pub state: &'a StateFile,
     /// Receives the progress, and can cancel the training.
     pub progress: &'a dyn Progress,
+    /// Receives all epochs so far, at the beginning and after each epoch.
+    pub log: &'a dyn Fn(&[Epoch]),
 }
 
 impl Fit<'_> {
@@ -71,6 +73,7 @@ impl Fit<'_> {
         let epochs = self.training.last_epoch.unwrap_or(self.training.epochs);
         self.progress.begin(stage, epochs as u64, "epochs");
         self.progress.resume(state.epochs.len() as u64);
+        (self.log)(&state.epochs);
         while !self.finished(&state) {
             let epoch = match self.epoch(objective, &mut adam, state.epochs.len()) {
                 Err(LearningError::Cancelled) => {
@@ -80,6 +83,7 @@ impl Fit<'_> {
                 epoch => epoch?,
             };
             state.record(epoch, parameters)?;
+            (self.log)(&state.epochs);
             self.progress.note(&describe(&state));
             self.progress.advance(1);
             self.state.save_now_and_then(&state, parameters, &adam)?;
@@ -195,7 +199,7 @@ fn describe(state: &State) -> String {
     let lowest = if best.epoch == last.epoch {
         "lowest so far".into()
     } else {
-        format!("lowest {:.4}, epoch {}", of(&best.validation), best.epoch)
+        format!("lowest {:.4} in epoch {}", of(&best.validation), best.epoch)
     };
-    format!("validation {:.4} ({lowest}), training {:.4}", of(&last.validation), of(&last.train))
+    format!("validation {:.4}, {lowest}, training {:.4}", of(&last.validation), of(&last.train))
 }

@@ -113,6 +113,11 @@ impl Metric {
         [RelativeError].into_iter().chain(of_regions).chain([Rmse, Mae]).collect()
     }
 
+    /// Whether higher values are better. All other metrics are errors.
+    pub fn higher_is_better(self) -> bool {
+        self == Metric::R2
+    }
+
     /// Returns the name in tables.
     pub fn name(self) -> &'static str {
         match self {

@@ -4,7 +4,7 @@ use super::compact::RunTable;
 use super::folders::Recorded;
 use super::record::{RunRecord, runs_table};
 use super::rows::conditions;
-use super::{QueryError, Registry, RegistryError, Status, sql};
+use super::{QueryError, Registry, RegistryError, Status, live, sql};
 use harness_dataset::layout_of;
 use harness_shared::files::write_whole;
 use harness_spec::Layout;
@@ -90,7 +90,11 @@ pub fn table(
         Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
             // A run's tables count once its record says that it is done, and as its record lists them.
             let done = runs.iter().map(|(_, run)| run).filter(|run| run.status == Status::Done);
-            run_table(registry, table, &done.collect::<Vec<_>>(), sql)?
+            let done = run_table(registry, table, &done.collect::<Vec<_>>(), sql)?;
+            match table {
+                Table::Epochs => with_live_epochs(done, runs)?,
+                _ => done,
+            }
         }
     };
     match found {
@@ -119,6 +123,21 @@ fn run_table(
         return Ok(frames.pop());
     }
     Ok(Some(concat(frames, UnionArgs::default())?))
+}
+
+/// The epochs of finished runs, and then those of running ones.
+fn with_live_epochs(done: Option<LazyFrame>, runs: &[Recorded]) -> Result<Option<LazyFrame>, QueryError> {
+    let mut frames: Vec<LazyFrame> = done.into_iter().collect();
+    for (folder, run) in runs.iter().filter(|(_, run)| run.status == Status::Running) {
+        let epochs = live::table(folder, run).map_err(QueryError::Sql)?;
+        if epochs.height() > 0 {
+            frames.push(epochs.lazy());
+        }
+    }
+    match frames.len() {
+        0 | 1 => Ok(frames.pop()),
+        _ => concat(frames, UnionArgs::default()).map(Some).map_err(QueryError::Sql),
+    }
 }
 
 /// The episodes' files one after the other, those of a dataset together: first the columns that the table always has, then

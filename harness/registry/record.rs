@@ -446,6 +446,19 @@ impl RunRecord {
         ]
     }
 
+    /// A table of the run: the columns that identify it, and then `columns`. `all` describes both.
+    pub(super) fn with_key(
+        &self,
+        columns: Vec<Column>,
+        all: &[harness_tables::schema::Column],
+    ) -> PolarsResult<DataFrame> {
+        let rows = columns.first().map_or(0, Column::len);
+        let key = all.iter().zip(self.key()).map(|(column, value)| {
+            Column::new_scalar(column.name.as_str().into(), Scalar::new(data_type(column.kind), value), rows)
+        });
+        DataFrame::new(rows, key.chain(columns).collect())
+    }
+
     /// The run's row in the `runs` table, in the order of its columns.
     fn row(&self) -> Vec<AnyValue<'static>> {
         let by = &self.provenance;
@@ -512,51 +525,46 @@ pub(super) fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
     DataFrame::new(rows.len(), columns.collect::<PolarsResult<Vec<Column>>>()?)
 }
 
+/// The columns of the table `epochs` without those of the run.
+pub(super) fn epochs_columns(epochs: &[(Task, Epoch)]) -> Vec<Column> {
+    let rows: Vec<(Task, usize, &str, &str, f64, f64)> = epochs
+        .iter()
+        .flat_map(|(task, epoch)| {
+            [("train", &epoch.train), ("validation", &epoch.validation)].into_iter().flat_map(
+                move |(split, losses)| {
+                    losses.iter().map(move |(term, value)| {
+                        (*task, epoch.epoch, split, term.as_str(), *value, epoch.seconds)
+                    })
+                },
+            )
+        })
+        .collect();
+    vec![
+        Column::new("task".into(), rows.iter().map(|row| row.0.name()).collect::<Vec<_>>()),
+        Column::new("epoch".into(), rows.iter().map(|row| row.1 as i64).collect::<Vec<_>>()),
+        Column::new("split".into(), rows.iter().map(|row| row.2).collect::<Vec<_>>()),
+        Column::new("term".into(), rows.iter().map(|row| row.3).collect::<Vec<_>>()),
+        Column::new("value".into(), rows.iter().map(|row| row.4).collect::<Vec<_>>()),
+        Column::new("seconds".into(), rows.iter().map(|row| row.5).collect::<Vec<_>>()),
+    ]
+}
+
 impl Outcome {
     /// Writes all tables of the run to its folder.
     pub(super) fn write_tables(&self, folder: &RunFolder, record: &RunRecord) -> Result<(), RegistryError> {
         let columns = [
-            self.epochs_columns(),
+            epochs_columns(&self.epochs),
             self.metrics_columns(),
             self.predictions_columns(),
             self.forces_columns(),
             self.frames_columns(),
         ];
         for (table, columns) in TABLES.into_iter().zip(columns) {
-            let rows = columns.first().map_or(0, Column::len);
-            let key = table.columns().into_iter().zip(record.key()).map(|(column, value)| {
-                Column::new_scalar(column.name.into(), Scalar::new(data_type(column.kind), value), rows)
-            });
-            let columns = key.chain(columns).collect();
-            let frame = DataFrame::new(rows, columns).map_err(TableError::from)?;
+            let frame = record.with_key(columns, &table.columns()).map_err(TableError::from)?;
             let path = folder.path.join(table.file_name());
             write_table(&path, frame, &table.columns(), &record.stamp())?;
         }
         Ok(())
-    }
-
-    fn epochs_columns(&self) -> Vec<Column> {
-        let rows: Vec<(Task, usize, &str, &str, f64, f64)> = self
-            .epochs
-            .iter()
-            .flat_map(|(task, epoch)| {
-                [("train", &epoch.train), ("validation", &epoch.validation)].into_iter().flat_map(
-                    move |(split, losses)| {
-                        losses.iter().map(move |(term, value)| {
-                            (*task, epoch.epoch, split, term.as_str(), *value, epoch.seconds)
-                        })
-                    },
-                )
-            })
-            .collect();
-        vec![
-            Column::new("task".into(), rows.iter().map(|row| row.0.name()).collect::<Vec<_>>()),
-            Column::new("epoch".into(), rows.iter().map(|row| row.1 as i64).collect::<Vec<_>>()),
-            Column::new("split".into(), rows.iter().map(|row| row.2).collect::<Vec<_>>()),
-            Column::new("term".into(), rows.iter().map(|row| row.3).collect::<Vec<_>>()),
-            Column::new("value".into(), rows.iter().map(|row| row.4).collect::<Vec<_>>()),
-            Column::new("seconds".into(), rows.iter().map(|row| row.5).collect::<Vec<_>>()),
-        ]
     }
 
     fn metrics_columns(&self) -> Vec<Column> {

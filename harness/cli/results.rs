@@ -1,0 +1,118 @@
+//! The results of some runs, for `harness run` and `harness show`: the metrics of the networks beside those of the
+//! baselines, and the best run.
+
+use super::sheet::{Sheet, Style, best, rounded};
+use anyhow::Result;
+use harness::learning::objective::KL;
+use harness::learning::training::TOTAL;
+use harness::registry::{Registry, RunRecord, query_of, rows};
+use serde::Deserialize;
+
+/// The models in the columns of a table: the network and the baselines.
+const MODELS: [&str; 4] = ["network", "persistence", "ridge", "training_mean"];
+/// Metrics over all joints, links or pixels.
+const POOLED: &str = "direction is null and index is null";
+
+/// A row of the table, with the means over runs that differ in their seeds.
+#[derive(Deserialize)]
+struct Row {
+    task: String,
+    scenario: String,
+    variant: String,
+    latent: u32,
+    modality: String,
+    metric: String,
+    unit: String,
+    network: Option<f64>,
+    persistence: Option<f64>,
+    ridge: Option<f64>,
+    training_mean: Option<f64>,
+}
+
+/// The main metrics of the runs in question and of the baselines, averaged over seeds.
+pub fn sheet(registry: &Registry, is_wanted: impl Fn(&RunRecord) -> bool) -> Result<Sheet> {
+    let means = MODELS.map(|model| format!("avg(case when model = '{model}' then value end) as {model}"));
+    let cell = "task, scenario, variant, latent, modality, metric, unit";
+    let sql = format!(
+        "select {cell}, {} from metrics where {POOLED} and metric in ('smape', 'wmape', 'r2', 'relative_error') \
+         group by {cell} order by task, scenario desc, variant, modality, metric, latent",
+        means.join(", ")
+    );
+    let rows: Vec<Row> = rows(&mut query_of(registry, is_wanted, &sql)?)?;
+    let row = |row: Row| {
+        let values = [row.network, row.persistence, row.ridge, row.training_mean];
+        let best = best(&row.metric, &values);
+        let number = |value: Option<f64>| match value {
+            Some(value) => Style::Text.number(&rounded(value, &row.unit), None, best == Some(value)),
+            None => "-".into(),
+        };
+        let words = vec![
+            row.task,
+            row.scenario,
+            row.variant,
+            format!("latent {}", row.latent),
+            row.modality.replace('_', " "),
+            Style::Text.metric(&row.metric, &row.unit),
+        ];
+        (words, values.map(number).to_vec())
+    };
+    let header = MODELS.map(|model| model.replace('_', " ")).to_vec();
+    Ok(Sheet { titles: 3, header, rows: rows.into_iter().map(row).collect(), notes: Vec::new() })
+}
+
+/// The run with the lowest validation error.
+#[derive(Deserialize)]
+pub struct Best {
+    /// The run's id.
+    pub run: String,
+    /// The mean of its outputs' errors on the validation samples, in the epoch whose parameters were kept.
+    pub error: f64,
+}
+
+impl Best {
+    /// The best of the runs in question, or `None` if no run is done or there are no validation samples.
+    pub fn of(registry: &Registry, is_wanted: impl Fn(&RunRecord) -> bool) -> Result<Option<Self>> {
+        let losses = "from epochs where task = 'prediction' and split = 'validation'";
+        // The weighted sum of the terms is not used, because runs may differ in the weights.
+        let sql = format!(
+            "with kept as (select run, epoch, row_number() over (partition by run order by value, epoch) as place \
+             {losses} and term = '{TOTAL}') \
+             select run, avg(value) as error from (select run, epoch, value {losses} and term not in ('{TOTAL}', '{KL}')) \
+             join kept using (run, epoch) where place = 1 group by run order by error, run limit 1"
+        );
+        Ok(rows(&mut query_of(registry, is_wanted, &sql)?)?.into_iter().next())
+    }
+}
+
+/// How many outputs a run predicts better than a baseline does, on the test samples.
+#[derive(Deserialize)]
+pub struct Comparison {
+    baseline: String,
+    better: u32,
+    outputs: u32,
+}
+
+impl Comparison {
+    /// Compares a run with each baseline: by R2, and for images by the relative error, on the test samples.
+    pub fn all(registry: &Registry, is_run: impl Fn(&RunRecord) -> bool) -> Result<Vec<Self>> {
+        let errors = format!(
+            "select model, modality, case when metric = 'r2' then 1 - value else value end as error from metrics \
+             where task = 'prediction' and {POOLED} and metric in ('r2', 'relative_error') and value is not null"
+        );
+        let sql = format!(
+            "with errors as ({errors}) select b.model as baseline, \
+             sum(case when n.error < b.error then 1 else 0 end) as better, count(*) as outputs \
+             from errors as n join errors as b on n.modality = b.modality \
+             where n.model = 'network' and b.model <> 'network' group by b.model order by baseline"
+        );
+        Ok(rows(&mut query_of(registry, is_run, &sql)?)?)
+    }
+}
+
+impl std::fmt::Display for Comparison {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let Self { baseline, better, outputs } = self;
+        let article = if baseline == "training_mean" { "the " } else { "" };
+        write!(f, "{article}{} in {better} of {outputs}", baseline.replace('_', " "))
+    }
+}

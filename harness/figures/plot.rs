@@ -1,0 +1,261 @@
+//! A plot of a metric over a setting, for any runs: one series for each value of other settings, in one or several panels.
+
+use super::axes::{Look, Panel, Scale, legend, remark};
+use super::page::{BLACK, BLUE, COLUMN, GREEN, GREY, Mark, Page, Type, VERMILION, WINE};
+use super::{Drawing, FigureError};
+use harness_analysis::{Interval, Mean, Of};
+use std::collections::BTreeSet;
+
+/// Height of a panel, points.
+const HEIGHT: f64 = 110.0;
+/// Space below a panel for names, the axis label and the heading of the next panel, points.
+const BELOW: f64 = 38.0;
+/// The colours of the series. The second half has hollow points.
+const COLOURS: [&str; 6] = [BLUE, VERMILION, GREEN, WINE, BLACK, GREY];
+/// The most series that can be told apart.
+const MOST_SERIES: usize = 2 * COLOURS.len();
+/// The most panels.
+const MOST_PANELS: usize = 8;
+/// Height of a row of names, points.
+const ROW: f64 = 8.0;
+
+/// A setting by which means are distinguished.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Key {
+    /// The experiment.
+    Experiment,
+    /// The scenario or imported dataset.
+    Scenario,
+    /// The size of the latent state.
+    Latent,
+    /// The settings that an experiment varies.
+    Variant,
+    /// The other settings in which the runs of an experiment differ.
+    Settings,
+    /// The task.
+    Task,
+    /// The predicted modality.
+    Modality,
+}
+
+impl Key {
+    /// All keys.
+    pub const ALL: [Key; 7] = {
+        use Key::*;
+        [Experiment, Scenario, Latent, Variant, Settings, Task, Modality]
+    };
+
+    /// The key's name on the command line, and in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Key::Experiment => "experiment",
+            Key::Scenario => "scenario",
+            Key::Latent => "latent",
+            Key::Variant => "variant",
+            Key::Settings => "settings",
+            Key::Task => "task",
+            Key::Modality => "modality",
+        }
+    }
+
+    /// A mean's value of the key: a number to order by, and the text.
+    fn value(self, of: &Of) -> (usize, String) {
+        let text = match self {
+            Key::Latent => return (of.latent.unwrap_or_default(), of.latent.unwrap_or_default().to_string()),
+            Key::Experiment => of.experiment.clone(),
+            Key::Scenario => of.scenario.name().to_owned(),
+            Key::Variant => of.variant.clone(),
+            Key::Settings => of.settings.clone(),
+            Key::Task => of.task.name().to_owned(),
+            Key::Modality => of.modality.name().to_owned(),
+        };
+        (0, if text.is_empty() { "none".into() } else { text })
+    }
+}
+
+/// What a plot shows.
+#[derive(Debug, Clone)]
+pub struct Plot {
+    /// The key along the horizontal axis.
+    pub x: Key,
+    /// The keys that distinguish series.
+    pub by: Vec<Key>,
+    /// The key that distinguishes panels.
+    pub facet: Option<Key>,
+    /// The label of the vertical axis.
+    pub label: String,
+}
+
+/// The values of a key that occur, in order.
+type Values = BTreeSet<(usize, String)>;
+
+impl Plot {
+    /// Draws means of one metric, with their intervals.
+    ///
+    /// # Errors
+    /// When the means differ in a key that the plot does not show, or when there are too many series or panels.
+    pub fn draw(&self, means: &[Mean]) -> Result<Drawing, FigureError> {
+        let values = |key: Key| -> Values { means.iter().map(|mean| key.value(&mean.of)).collect() };
+        let is_shown = |key: &Key| *key == self.x || self.by.contains(key) || self.facet == Some(*key);
+        for key in Key::ALL.into_iter().filter(|key| !is_shown(key)) {
+            let values = values(key);
+            if values.len() > 1 {
+                let values: Vec<String> = values.into_iter().map(|(_, text)| text).collect();
+                return Err(FigureError::Ambiguous { key: key.name(), values });
+            }
+        }
+        let series_of = |of: &Of| self.by.iter().map(|key| key.value(of)).collect::<Vec<_>>();
+        let series: BTreeSet<Vec<(usize, String)>> = means.iter().map(|mean| series_of(&mean.of)).collect();
+        let panels: Vec<(usize, String)> =
+            self.facet.map_or(vec![(0, String::new())], |key| values(key).into_iter().collect());
+        if series.len() > MOST_SERIES || panels.len() > MOST_PANELS {
+            return Err(FigureError::TooMany { series: series.len(), panels: panels.len() });
+        }
+        let series: Vec<Vec<(usize, String)>> = series.into_iter().collect();
+        let names: Vec<String> = series.iter().map(|values| words(values)).collect();
+        let entries: Vec<(Look, &str)> =
+            names.iter().enumerate().map(|(place, name)| (look(place), name.as_str())).collect();
+        let entries = if self.by.is_empty() { Vec::new() } else { entries };
+        let legends = rows_of(&entries);
+
+        let columns = panels.len().min(2);
+        let left = 36.0;
+        let between = 12.0;
+        let width = (COLUMN - left - 4.0 - between * (columns as f64 - 1.0)) / columns as f64;
+        let across: Vec<String> = values(self.x).into_iter().map(|(_, text)| plain(&text)).collect();
+        let name_rows = rows_of_names(&across, width / across.len() as f64);
+        let below = BELOW + ROW * (name_rows as f64 - 1.0);
+        let top = 8.0 + 9.0 * legends.len() as f64 + if self.facet.is_some() { 12.0 } else { 4.0 };
+        let rows = panels.len().div_ceil(columns);
+        let height = top + rows as f64 * (HEIGHT + below) + 4.0;
+
+        let mut page = Page::new(COLUMN, height, &format!("{} over {}", self.label, self.x.name()));
+        for (row, entries) in legends.iter().enumerate() {
+            legend(&mut page, COLUMN / 2.0, 9.0 + 9.0 * row as f64, entries);
+        }
+        let [low, high] = range(means);
+        let mut is_cut = false;
+        for (place, value) in panels.iter().enumerate() {
+            let (row, column) = (place / columns, place % columns);
+            let panel = Panel {
+                left: left + column as f64 * (width + between),
+                top: top + row as f64 * (HEIGHT + below),
+                width,
+                height: HEIGHT,
+            };
+            let scale = Scale::linear(low, high, 5, panel.upwards());
+            panel.left_axis(&mut page, &scale, (column == 0).then_some(self.label.as_str()));
+            if self.facet.is_some() {
+                let letter = char::from(b'a' + place as u8).to_string();
+                panel.heading(&mut page, &letter, &plain(&value.1));
+            }
+            let slots = panel.slots(across.len());
+            self.name(&mut page, &panel, &slots, &across, name_rows);
+            let is_here = |of: &Of| self.facet.is_none_or(|key| key.value(of) == *value);
+            for (place, one) in series.iter().enumerate() {
+                let own = means.iter().filter(|mean| is_here(&mean.of) && series_of(&mean.of) == *one);
+                let aside = (place as f64 - (series.len() as f64 - 1.0) / 2.0) * width / across.len() as f64;
+                let aside = aside * 0.6 / series.len() as f64;
+                let mut points: Vec<(f64, &Interval)> = own
+                    .filter_map(|mean| {
+                        let text = plain(&self.x.value(&mean.of).1);
+                        let slot = across.iter().position(|name| *name == text)?;
+                        Some((slots[slot] + aside, &mean.interval))
+                    })
+                    .collect();
+                points.sort_by(|a, b| a.0.total_cmp(&b.0));
+                let path: Vec<_> = points.iter().map(|(x, value)| [*x, scale.at(value.mean)]).collect();
+                look(place).path(&mut page, &path);
+                for (x, value) in points {
+                    look(place).point(&mut page, x, &scale, value);
+                    is_cut |= scale.cuts(value);
+                }
+            }
+        }
+        remark(&mut page, &remark_of(means, is_cut), [COLUMN / 2.0, height - 4.0]);
+        Ok(Drawing { page, data: Mean::frame(means)? })
+    }
+
+    /// Writes the names along the horizontal axis, in several rows if they are long.
+    fn name(&self, page: &mut Page, panel: &Panel, slots: &[f64], names: &[String], rows: usize) {
+        if rows == 1 {
+            return panel.bottom_names(page, slots, names, self.x.name());
+        }
+        let none = vec![String::new(); names.len()];
+        panel.bottom_names(page, slots, &none, "");
+        for (place, (x, name)) in slots.iter().zip(names).enumerate() {
+            let half = Type::SMALL.width(name) / 2.0;
+            let x = x.clamp(panel.left.min(half), (COLUMN - half).max(panel.left));
+            page.text(name, [x, panel.bottom() + 8.7 + ROW * (place % rows) as f64], Type::SMALL);
+        }
+        let y = panel.bottom() + 17.7 + ROW * (rows as f64 - 1.0);
+        page.text(self.x.name(), [panel.left + panel.width / 2.0, y], Type::LABEL);
+    }
+}
+
+fn look(place: usize) -> Look {
+    let is_second = place >= COLOURS.len();
+    let mark = if place % 2 == 0 { Mark::Disc } else { Mark::Square };
+    Look { colour: COLOURS[place % COLOURS.len()], mark, hollow: is_second, dashed: is_second }
+}
+
+/// The name of a series.
+fn words(values: &[(usize, String)]) -> String {
+    plain(&values.iter().map(|(_, text)| text.as_str()).collect::<Vec<_>>().join(", "))
+}
+
+/// A text without the characters that a page reads as markup.
+fn plain(text: &str) -> String {
+    text.replace(['*', '{', '}', '^'], "")
+}
+
+/// Divides the entries of a legend into rows that fit the page.
+fn rows_of<'a>(entries: &[(Look, &'a str)]) -> Vec<Vec<(Look, &'a str)>> {
+    let mut rows: Vec<Vec<(Look, &str)>> = Vec::new();
+    let mut taken = f64::INFINITY;
+    for entry in entries {
+        let width = 27.0 + Type::SMALL.width(entry.1);
+        if taken + width > COLUMN - 8.0 {
+            rows.push(Vec::new());
+            taken = 0.0;
+        }
+        taken += width;
+        if let Some(row) = rows.last_mut() {
+            row.push(*entry);
+        }
+    }
+    rows
+}
+
+/// In how many rows names have to be written, so that those of a row do not overlap.
+fn rows_of_names(names: &[String], slot: f64) -> usize {
+    let widest = names.iter().map(|name| Type::SMALL.width(name) + 4.0).fold(0.0, f64::max);
+    ((widest / slot).ceil() as usize).clamp(1, names.len().clamp(1, 4))
+}
+
+/// The range of the vertical axis. It includes every mean. An interval may be cut if it is more than twice as long as the
+/// range of the means.
+fn range(means: &[Mean]) -> [f64; 2] {
+    let values = || means.iter().map(|mean| mean.interval.mean);
+    let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max));
+    let shortest =
+        means.iter().map(|mean| mean.interval.high() - mean.interval.mean).fold(f64::INFINITY, f64::min);
+    let room = (high - low).max(shortest).max(1e-9 * high.abs());
+    let lows = means.iter().map(|mean| mean.interval.low().max(low - room));
+    let highs = means.iter().map(|mean| mean.interval.high().min(high + room));
+    [lows.fold(low, f64::min), highs.fold(high, f64::max)]
+}
+
+/// What the bars are.
+fn remark_of(means: &[Mean], is_cut: bool) -> String {
+    let seeds: BTreeSet<usize> = means.iter().map(|mean| mean.values.len()).collect();
+    match (seeds.first(), seeds.last()) {
+        (Some(1), Some(1)) => "one seed, no bars".into(),
+        (Some(least), Some(most)) => {
+            let count = if least == most { least.to_string() } else { format!("{least} to {most}") };
+            let cut = if is_cut { "; without a cap, they go on beyond the axis" } else { "" };
+            format!("bars: 95 % intervals of the mean, {count} runs{cut}")
+        }
+        _ => String::new(),
+    }
+}

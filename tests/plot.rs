@@ -1,0 +1,66 @@
+//! `harness plot` on real runs.
+
+use crate::common::{SMOKE, finish, fresh, harness, succeed};
+use std::path::PathBuf;
+use std::sync::LazyLock;
+
+/// Runs of two latent sizes with two seeds each, in both scenarios.
+static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
+    let results = fresh("plot");
+    succeed(&results, &["run", SMOKE, "seeds=[0,1]", "latent=[2,4]", "tasks=[prediction]"]);
+    results
+});
+
+#[test]
+fn a_plot_shows_the_means_and_intervals_of_a_comparison() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let plot = |name: &str| {
+        let asked =
+            ["plot", "smoke", "--x", "latent", "--y", "r2", "--by", "modality", "--facet", "scenario"];
+        succeed(&RESULTS, &[&asked[..], &["--output", &path(name)]].concat())
+    };
+    assert_eq!(plot("plot.csv"), format!("8 means in {}\n", path("plot.csv")));
+    let compared = path("compare.csv");
+    let asked = ["compare", "smoke", "--metrics", "r2", "--models", "network", "--output", &compared];
+    succeed(&RESULTS, &asked);
+    let read = |name: &str| std::fs::read_to_string(path(name)).unwrap();
+    assert_eq!(read("plot.csv"), read("compare.csv"));
+
+    plot("plot.svg");
+    plot("again.svg");
+    let svg = read("plot.svg");
+    assert_eq!(svg, read("again.svg"));
+    assert!(svg.contains("<title>R2 over latent</title>"), "{}", &svg[..500]);
+    for text in ["empty", "cluttered", "contact_force", "proprioception", "latent", "R2"] {
+        assert!(svg.contains(&format!("aria-label=\"{text}\"")) || svg.contains(text), "no {text}");
+    }
+    plot("plot.png");
+    let (width, height) = image::image_dimensions(path("plot.png")).unwrap();
+    assert!(width > 1900 && height > 900, "{width} x {height}");
+}
+
+#[test]
+fn a_plot_that_cannot_be_drawn_says_what_to_do() {
+    let asked = ["plot", "--x", "latent", "--y", "r2"];
+    let refused = |more: &[&str]| {
+        let folder = tempfile::tempdir().unwrap();
+        let output = folder.path().join("plot.svg").display().to_string();
+        let answer = finish(&mut harness(&RESULTS, &[&asked[..], more, &["--output", &output]].concat()));
+        assert_eq!((answer.code != 0, answer.stdout.as_str()), (true, ""), "{more:?}");
+        assert!(std::fs::read_dir(folder.path()).unwrap().next().is_none(), "{more:?}");
+        answer.stderr
+    };
+    let ambiguous = refused(&["--facet", "scenario"]);
+    let expected = "error: the means differ in modality: contact_force, proprioception; add it to --by ";
+    assert!(ambiguous.starts_with(expected), "{ambiguous}");
+    let unknown = refused(&["--by", "varient"]);
+    assert!(unknown.contains("variant") && unknown.contains("modality"), "{unknown}");
+    let missing = refused(&["--modality", "vision"]);
+    assert!(
+        missing.contains("r2 of contact_force") && missing.contains("relative_error of frame_difference"),
+        "{missing}"
+    );
+    let ending = finish(&mut harness(&RESULTS, &[&asked[..], &["--output", "plot.pdf"]].concat()));
+    assert!(ending.stderr.contains("must end in .svg, .png or .csv"), "{}", ending.stderr);
+}
