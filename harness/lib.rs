@@ -20,6 +20,7 @@ pub use harness_learning as learning;
 pub use harness_metrics as metrics;
 pub use harness_registry as registry;
 pub use harness_report as report;
+pub use harness_serve as serve;
 pub use harness_shared::{files, memory, numbers, progress, seal, shard};
 pub use harness_simulation as simulation;
 pub use harness_spec as spec;

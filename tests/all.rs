@@ -30,6 +30,7 @@ mod removal;
 mod report;
 mod reproduction;
 mod search;
+mod serve;
 mod sql;
 mod suggestions;
 mod tables;

@@ -483,7 +483,7 @@ const HOSTILE: &str =
     "</script><script>window.hostile=1</script><img src=x onerror=window.hostile=1>\"'{{7*7}}&lt;";
 
 /// Results in which every text that someone else could have written is hostile, and their page with hostile claims.
-static HOSTILE_PAGE: LazyLock<(PathBuf, String)> = LazyLock::new(|| {
+pub static HOSTILE_PAGE: LazyLock<(PathBuf, String)> = LazyLock::new(|| {
     let results = smoke_run("report_hostile");
     let run = fs::read_dir(results.join("runs/smoke")).unwrap().next().unwrap().unwrap().path();
     // A folder's name may contain anything but a slash.
@@ -561,7 +561,7 @@ fn program(names: &[&str]) -> Option<PathBuf> {
 }
 
 /// The paths of Chromium and its driver, or the reason why the test is skipped.
-fn browser() -> Result<(PathBuf, PathBuf), &'static str> {
+pub fn browser() -> Result<(PathBuf, PathBuf), &'static str> {
     let missing =
         "skipped: no Chromium with its driver on the path; Debian: apt-get install chromium chromium-driver";
     let chromium = program(&["chromium", "chromium-browser", "google-chrome"]).ok_or(missing)?;

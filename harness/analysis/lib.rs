@@ -21,7 +21,7 @@ pub use interval::{
     Interval, LEVEL, holm, interval, intervals, mean_interval, p_value, replicates, replicates_needed,
 };
 pub use means::{Mean, NETWORK, Of, compare};
-pub use settings::{Difference, Setting, differing};
+pub use settings::{Difference, Setting, all_settings, differing};
 pub use subset::Subset;
 
 use harness_registry::{

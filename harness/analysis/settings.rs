@@ -36,15 +36,17 @@ pub(super) fn of(record: &RunRecord) -> Settings {
     settings
 }
 
+/// Everything that describes how a run was made, as texts by dotted keys: settings, dataset, code, versions and machine.
+pub fn all_settings(record: &RunRecord) -> BTreeMap<String, String> {
+    let mut all = of(record);
+    collect("", &serde_json::to_value(&record.provenance).unwrap_or_default(), &mut all);
+    all.remove("command");
+    all
+}
+
 /// What differs between two runs, as (key, value of `a`, value of `b`): settings, dataset, code, versions and machine.
 pub fn differing(a: &RunRecord, b: &RunRecord) -> Vec<(String, String, String)> {
-    let all = |record: &RunRecord| {
-        let mut all = of(record);
-        collect("", &serde_json::to_value(&record.provenance).unwrap_or_default(), &mut all);
-        all.remove("command");
-        all
-    };
-    let (a, b) = (all(a), all(b));
+    let (a, b) = (all_settings(a), all_settings(b));
     let keys: BTreeSet<&String> = a.keys().chain(b.keys()).collect();
     let values =
         keys.into_iter().map(|key| (key.clone(), value(&a, key).to_owned(), value(&b, key).to_owned()));

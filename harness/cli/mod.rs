@@ -24,6 +24,7 @@ mod report;
 mod results;
 mod run;
 mod search;
+mod serve;
 mod sheet;
 mod slurm;
 mod submit;
@@ -199,6 +200,14 @@ A point is the mean of a network's metric over all joints, links or pixels, over
     /// Write an HTML report: scenes, claims, interactive results, figures, training curves, runs
     #[command(after_help = REPORT_HELP)]
     Report(report::Report),
+    /// Serve a local page that follows running trainings, with tables, curves, claims and SQL
+    #[command(after_help = "Examples:
+  harness serve
+  harness serve --port 9000 --results results/reference
+  ssh -L 8787:127.0.0.1:8787 machine              see the page of another machine at http://127.0.0.1:8787
+
+The page needs no network and no account. Only this machine can reach it, and it can't change any result.")]
+    Serve(serve::Serve),
     /// Copy the tables of finished runs to a folder that is small enough for version control
     #[command(after_help = "Examples:
   harness publish single_to_multi multi_to_multi
@@ -416,6 +425,7 @@ fn execute(
         Command::Figures(figures) => figures.execute(registry),
         Command::Plot(plot) => plot.execute(registry),
         Command::Report(report) => report.execute(registry),
+        Command::Serve(serve) => serve.execute(registry),
         Command::Publish(publish) => publish.execute(registry),
         Command::Export(export) => export.execute(registry),
         Command::Pack(pack) => pack.execute(registry),
@@ -433,7 +443,7 @@ impl Command {
         match self {
             Self::Query(_) | Self::Claims(_) | Self::Compare(_) | Self::Show(_) => true,
             Self::Ls(list) => list.reads_results(),
-            Self::Figures(_) | Self::Plot(_) | Self::Report(_) | Self::Publish(_) | Self::Export(_) => true,
+            Self::Figures(_) | Self::Plot(_) | Self::Report(_) | Self::Serve(_) | Self::Publish(_) | Self::Export(_) => true,
             Self::Verify | Self::Diff(_) | Self::Watch(_) => true,
             Self::Rm(_) | Self::Gc(_) | Self::Du | Self::Pack(_) => true,
             Self::Unpack(_) | Self::Completions { .. } => false,

@@ -65,7 +65,7 @@ struct RunFile {
 
 /// What the file system says of a file. Whoever writes to it changes that.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-struct Mark {
+pub(super) struct Mark {
     inode: u64,
     bytes: u64,
     /// Seconds and nanoseconds.
@@ -74,7 +74,7 @@ struct Mark {
 }
 
 impl Mark {
-    fn of(path: &Path) -> Option<Self> {
+    pub(super) fn of(path: &Path) -> Option<Self> {
         let of = std::fs::metadata(path).ok()?;
         Some(Self {
             inode: of.ino(),
@@ -85,7 +85,7 @@ impl Mark {
     }
 
     /// Whether the next write will change it.
-    fn is_settled(&self) -> bool {
+    pub(super) fn is_settled(&self) -> bool {
         let changed = UNIX_EPOCH + Duration::from_secs(self.changed.0.max(0) as u64 + 1);
         SystemTime::now().duration_since(changed).is_ok_and(|age| age >= SETTLED)
     }

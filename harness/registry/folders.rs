@@ -1,14 +1,31 @@
 //! The folders of runs: which records are used, and which are left out because they are damaged or in the wrong folder.
 
+use super::compact::Mark;
 use super::record::RunRecord;
 use super::{RECORD, Registry, RegistryError, Status};
 use harness_shared::files::FolderLock;
 use rayon::prelude::*;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::PoisonError;
 
 /// A run's folder and its record.
 pub type Recorded = (PathBuf, RunRecord);
+
+/// Records that were read before. [`Registry::refresh`] reads only those again that may have changed since.
+#[derive(Default)]
+pub struct Remembered {
+    recorded: Vec<Recorded>,
+    /// What the file system said of each record's file, by the run's folder.
+    marks: HashMap<PathBuf, Mark>,
+}
+
+impl Remembered {
+    /// The folders and records of all runs, sorted by experiment and id.
+    pub fn recorded(&self) -> &[Recorded] {
+        &self.recorded
+    }
+}
 
 impl Registry {
     /// The records of all runs, sorted by experiment and id. A record that can't be read, or that is in the folder of
@@ -20,6 +37,42 @@ impl Registry {
     /// The folders and records of all runs, like [`records`](Self::records).
     pub fn recorded(&self) -> Vec<Recorded> {
         self.read(self.run_folders())
+    }
+
+    /// Reads the records that may have changed since the last call with this memory. Returns whether any did.
+    pub fn refresh(&self, memory: &mut Remembered) -> bool {
+        let mut before: HashMap<PathBuf, RunRecord> = memory.recorded.drain(..).collect();
+        let folders: Vec<(PathBuf, Option<Mark>)> = self
+            .run_folders()
+            .into_par_iter()
+            .map(|folder| {
+                let mark = Mark::of(&folder.join(RECORD));
+                (folder, mark)
+            })
+            .collect();
+        let is_known = |folder: &PathBuf, mark: &Option<Mark>| {
+            // The status of a run that has not ended also depends on the lock of its folder.
+            let has_ended = |run: &RunRecord| matches!(run.status, Status::Done | Status::Failed);
+            mark.is_some()
+                && memory.marks.get(folder) == mark.as_ref()
+                && before.get(folder).is_some_and(has_ended)
+        };
+        let (known, unknown): (Vec<_>, Vec<_>) =
+            folders.into_iter().partition(|(folder, mark)| is_known(folder, mark));
+        let read = self.read(unknown.iter().map(|(folder, _)| folder.clone()).collect());
+        let mut changed = false;
+        for (folder, _) in &known {
+            memory.recorded.extend(before.remove_entry(folder));
+        }
+        for (folder, record) in read {
+            changed |= before.remove(&folder).as_ref() != Some(&record);
+            memory.recorded.push((folder, record));
+        }
+        memory.recorded.sort_by(|(a, _), (b, _)| a.cmp(b));
+        let settled = known.into_iter().chain(unknown);
+        memory.marks =
+            settled.filter_map(|(folder, mark)| Some((folder, mark.filter(Mark::is_settled)?))).collect();
+        changed || !before.is_empty()
     }
 
     /// The folders and records of the runs of one experiment.

@@ -32,7 +32,7 @@ mod verify;
 pub use command_line::quoted;
 pub use compact::RunTable;
 pub use error::{QueryError, RegistryError};
-pub use folders::Recorded;
+pub use folders::{Recorded, Remembered};
 pub use live::{LiveEpochs, live_epochs};
 pub use pack::{PackError, Packed, Unpacked};
 pub use provenance::{Provenance, Versions, peak_memory_bytes};

@@ -1,0 +1,195 @@
+//! The answers of the server, as JSON.
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD as BASE64;
+use harness_analysis::{AnalysisError, all_settings};
+use harness_claims::{Claim, ClaimsError, Judgment, judge};
+use harness_registry::{QueryError, Recorded, Registry, answer, query, table};
+use harness_tables::schema::{Column, Table};
+use polars::prelude::{AnyValue, DataFrame, PolarsError};
+use serde_json::{Value, json};
+use std::time::Instant;
+
+/// Most rows of a query's answer that are sent to the page.
+const MOST_ROWS: usize = 1000;
+
+/// An answer to a request.
+pub enum Answer {
+    /// One of the page's files: its type and contents.
+    File(&'static str, &'static str),
+    /// A value, as JSON.
+    Json(String),
+    /// The page has the newest answer already.
+    Unchanged,
+}
+
+/// Why a request has no answer.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// The request is not from this server's page or from a program of this machine.
+    #[error("only pages of this server may ask it")]
+    Foreign,
+    /// The request would change something.
+    #[error("only GET is allowed")]
+    Method,
+    /// There is nothing of this name.
+    #[error("there is no {0}")]
+    Unknown(String),
+    /// The request is wrong.
+    #[error("{0}")]
+    Bad(String),
+}
+
+impl Failure {
+    /// The status of the HTTP response.
+    pub fn status(&self) -> &'static str {
+        match self {
+            Self::Foreign => "403 Forbidden",
+            Self::Method => "405 Method Not Allowed",
+            Self::Unknown(_) => "404 Not Found",
+            Self::Bad(_) => "400 Bad Request",
+        }
+    }
+}
+
+impl From<QueryError> for Failure {
+    fn from(error: QueryError) -> Self {
+        Self::Bad(error.to_string())
+    }
+}
+
+impl From<PolarsError> for Failure {
+    fn from(error: PolarsError) -> Self {
+        Self::Bad(error.to_string())
+    }
+}
+
+impl From<ClaimsError> for Failure {
+    fn from(error: ClaimsError) -> Self {
+        Self::Bad(error.to_string())
+    }
+}
+
+impl From<AnalysisError> for Failure {
+    fn from(error: AnalysisError) -> Self {
+        Self::Bad(error.to_string())
+    }
+}
+
+/// Settings, times, metrics, losses and images of a run.
+pub fn run(registry: &Registry, recorded: &Recorded) -> Result<Answer, Failure> {
+    let (_, record) = recorded;
+    let metrics = of_run(
+        registry,
+        recorded,
+        "select task, model, modality, direction, index, metric, value, unit from metrics \
+         order by task, modality, metric, direction nulls first, index nulls first, model",
+    )?;
+    let frames = of_run(
+        registry,
+        recorded,
+        "select task, modality, episode, sample, reference, predicted from frames order by task, modality, episode, sample",
+    )?;
+    let sizes: serde_json::Map<String, Value> = record
+        .layout
+        .names()
+        .filter_map(|name| Some((name.name().to_owned(), json!(record.layout.get(name)?.size()?))))
+        .collect();
+    let run = json!({
+        "name": record.name(),
+        "status": record.status.name(),
+        "reason": record.reason,
+        "command": record.provenance.command,
+        "settings": all_settings(record),
+        "metrics": columns(&metrics, metrics.height()),
+        "losses": losses_of(registry, recorded)?,
+        "frames": columns(&frames, frames.height()),
+        "sizes": sizes,
+    });
+    Ok(Answer::Json(run.to_string()))
+}
+
+/// The losses of a run, also while it trains.
+pub fn losses(registry: &Registry, recorded: &Recorded) -> Result<Answer, Failure> {
+    let losses = json!({ "status": recorded.1.status.name(), "losses": losses_of(registry, recorded)? });
+    Ok(Answer::Json(losses.to_string()))
+}
+
+fn losses_of(registry: &Registry, recorded: &Recorded) -> Result<Vec<Value>, Failure> {
+    let losses = of_run(
+        registry,
+        recorded,
+        "select task, split, term, epoch, value from epochs order by task, term, split, epoch",
+    )?;
+    Ok(columns(&losses, losses.height()))
+}
+
+/// The answer to a query over the tables of one run.
+fn of_run(registry: &Registry, recorded: &Recorded, sql: &str) -> Result<DataFrame, QueryError> {
+    answer(sql, &|of| table(registry, of, std::slice::from_ref(recorded), sql))
+}
+
+/// The verdicts on the paper's statements.
+pub fn claims(registry: &Registry, claims: &[Claim]) -> Result<Answer, Failure> {
+    let chosen: Vec<&Claim> = claims.iter().collect();
+    let runs = harness_claims::runs(registry, &chosen, &[], false)?;
+    let mut judgments: Vec<Judgment> = Vec::new();
+    for claim in chosen {
+        judgments.extend(judge(&runs, claim, false)?);
+    }
+    let verdicts = harness_claims::table(&judgments.iter().collect::<Vec<_>>())?;
+    Ok(Answer::Json(json!({ "columns": columns(&verdicts, verdicts.height()) }).to_string()))
+}
+
+/// All tables with their columns.
+pub fn tables() -> Answer {
+    let column =
+        |column: Column| json!({ "name": column.name, "unit": column.unit, "meaning": column.meaning });
+    let table = |table: Table| {
+        let columns: Vec<Value> = table.columns().into_iter().map(column).collect();
+        json!({ "name": table.name(), "meaning": table.meaning(), "columns": columns })
+    };
+    Answer::Json(Value::from_iter(Table::ALL.map(table)).to_string())
+}
+
+/// The answer to a query, with at most [`MOST_ROWS`] rows.
+pub fn sql(registry: &Registry, sql: &str) -> Result<Answer, Failure> {
+    let start = Instant::now();
+    let found = query(registry, sql)?;
+    let shown = found.height().min(MOST_ROWS);
+    let answer = json!({
+        "count": found.height(),
+        "seconds": start.elapsed().as_secs_f64(),
+        "columns": columns(&found, shown),
+    });
+    Ok(Answer::Json(answer.to_string()))
+}
+
+/// The first `rows` rows of a table, as a name and values for each column.
+pub fn columns(table: &DataFrame, rows: usize) -> Vec<Value> {
+    let column = |column: &polars::prelude::Column| {
+        let values: Vec<Value> = (0..rows).map(|row| column.get(row).map_or(Value::Null, value)).collect();
+        json!({ "name": column.name().as_str(), "values": values })
+    };
+    table.columns().iter().map(column).collect()
+}
+
+/// A cell as JSON. Bytes are encoded in base64.
+fn value(cell: AnyValue) -> Value {
+    match cell {
+        AnyValue::Null => Value::Null,
+        AnyValue::Boolean(flag) => flag.into(),
+        AnyValue::String(text) => text.into(),
+        AnyValue::StringOwned(text) => text.as_str().into(),
+        AnyValue::Binary(bytes) => BASE64.encode(bytes).into(),
+        AnyValue::Float64(value) => number(value),
+        AnyValue::Float32(value) => number(value.into()),
+        AnyValue::Int64(value) => value.into(),
+        other => other.to_string().into(),
+    }
+}
+
+/// A number as JSON, which has no infinite numbers: these are texts.
+pub fn number(value: f64) -> Value {
+    serde_json::Number::from_f64(value).map_or_else(|| value.to_string().into(), Value::Number)
+}

@@ -1,0 +1,150 @@
+"use strict";
+// Tables over columns: filters, sorting, groups, and a view that holds only the rows that are visible.
+
+/** Makes an HTML element with attributes and children. Strings become text nodes, so tables can't insert HTML. */
+function element(name, attributes = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children.filter((child) => child !== null && child !== undefined));
+  return made;
+}
+
+/** A value as text: numbers have four significant digits, and a missing value is a dash. */
+function shown(value) {
+  if (value === null || value === undefined || value === "") return "–";
+  if (typeof value === "number" && !Number.isInteger(value)) return String(Number(value.toPrecision(4)));
+  return String(value);
+}
+
+const isNumeric = (column) => column.values.some((value) => typeof value === "number");
+
+/** Orders two values: numbers by size, texts by the alphabet, missing values last. */
+function order(a, b) {
+  if (a === null || b === null) return (a === null) - (b === null);
+  if (typeof a === "number" && typeof b === "number") return a - b;
+  return String(a) < String(b) ? -1 : Number(String(a) > String(b));
+}
+
+const COMPARISONS = {
+  "=": (a, b) => a === b, "!=": (a, b) => a !== b,
+  ">": (a, b) => a > b, "<": (a, b) => a < b, ">=": (a, b) => a >= b, "<=": (a, b) => a <= b,
+};
+
+/**
+ * Parses a filter. Its terms are separated by spaces, and all of them must match. A term is a part of a name, or a
+ * comparison of a column: `latent=64`, `status!=failed`, `"contact_force r2">0.5`. A part of a name with such a sign or a
+ * space is quoted. Returns a function of a row's number,
+ * or throws a message.
+ */
+function parseFilter(text, columns) {
+  const terms = text.match(/(?:"[^"]*"|[^\s"])+/g) ?? [];
+  const tests = terms.map((term) => {
+    const parts = /^("[^"]*"|[^\s"=!<>]+)(!=|>=|<=|=|<|>)(.*)$/.exec(term);
+    if (!parts) {
+      const wanted = term.replaceAll('"', "").toLowerCase();
+      const texts = columns.filter((column) => ["experiment", "run", "variant"].includes(column.name));
+      return (row) => texts.some((column) => String(column.values[row] ?? "").toLowerCase().includes(wanted));
+    }
+    const [name, sign, wanted] = [parts[1].replaceAll('"', ""), parts[2], parts[3].replaceAll('"', "")];
+    const column = columns.find((column) => column.name.toLowerCase() === name.toLowerCase());
+    if (!column) throw new Error(`there is no column ${name}`);
+    const compare = COMPARISONS[sign];
+    const asNumber = Number(wanted);
+    if (isNumeric(column) && wanted !== "" && !Number.isNaN(asNumber)) {
+      return (row) => typeof column.values[row] === "number" && compare(column.values[row], asNumber);
+    }
+    return (row) => compare(String(column.values[row] ?? ""), wanted);
+  });
+  return (row) => tests.every((test) => test(row));
+}
+
+/** The height of a row in pixels, as in the style sheet. */
+const ROW_HEIGHT = 28;
+
+/**
+ * A table with any number of rows, of which only the visible ones are in the document.
+ *
+ * `columns` is a list of names with values. `rows` are the numbers of the rows to show, or `{ group, rows, open }` for the
+ * head of a group. Calls `sorted(name)` for a click on a column's name, `toggled(row)` for a click on a row or group.
+ */
+class BigTable {
+  constructor(place, { sorted, toggled, isChosen }) {
+    Object.assign(this, { place, sorted, toggled, isChosen });
+    this.head = element("thead");
+    this.body = element("tbody");
+    this.table = element("table", {}, this.head, this.body);
+    place.replaceChildren(this.table);
+    place.addEventListener("scroll", () => this.draw());
+    new ResizeObserver(() => this.draw()).observe(place);
+  }
+
+  show(columns, rows, sort) {
+    Object.assign(this, { columns, rows });
+    const title = (column) => {
+      const better = column.better === undefined ? "" : column.better ? " ↑" : " ↓";
+      const arrow = sort.name === column.name ? (sort.down ? " ▼" : " ▲") : "";
+      const button = element("button", { type: "button" }, `${column.name}${better}${arrow}`);
+      button.addEventListener("click", () => this.sorted(column.name));
+      const direction = sort.name !== column.name ? "none" : sort.down ? "descending" : "ascending";
+      const explained = column.better === undefined ? {} : { title: column.better ? "higher is better" : "lower is better" };
+      return element("th", { "aria-sort": direction, scope: "col", class: isNumeric(column) ? "number" : "", ...explained }, button);
+    };
+    this.head.replaceChildren(element("tr", {}, element("th", { scope: "col" }, ""), ...columns.map(title)));
+    this.table.setAttribute("aria-rowcount", rows.length);
+    this.draw(true);
+  }
+
+  draw(force = false) {
+    if (!this.rows) return;
+    const first = Math.max(0, Math.floor(this.place.scrollTop / ROW_HEIGHT) - 5);
+    const last = Math.min(this.rows.length, first + Math.ceil(Math.max(this.place.clientHeight, window.innerHeight) / ROW_HEIGHT) + 10);
+    if (!force && first === this.first && last === this.last) return;
+    Object.assign(this, { first, last });
+    const gap = (rows) => {
+      const space = element("tr", { "aria-hidden": "true" });
+      space.style.height = `${rows * ROW_HEIGHT}px`;
+      return space;
+    };
+    const visible = this.rows.slice(first, last).map((row) => (typeof row === "number" ? this.row(row) : this.groupRow(row)));
+    this.body.replaceChildren(gap(first), ...visible, gap(this.rows.length - last));
+  }
+
+  row(row) {
+    const chosen = this.isChosen(row);
+    const box = element("input", { type: "checkbox", "aria-label": "show this run" });
+    box.checked = chosen;
+    const made = element("tr", { class: chosen ? "chosen" : "" }, element("td", {}, box));
+    for (const column of this.columns) {
+      const value = column.values[row];
+      const kind = column.name === "status" ? `status-${value}` : typeof value === "number" ? "number" : "";
+      const text = shown(value);
+      // The style sheet cuts long texts off.
+      made.append(element("td", text.length > 24 ? { class: kind, title: text } : { class: kind }, text));
+    }
+    made.addEventListener("click", () => this.toggled(row));
+    return made;
+  }
+
+  groupRow(group) {
+    const button = element("button", { type: "button", "aria-expanded": String(group.open) }, group.open ? "−" : "+");
+    const made = element("tr", { class: "group" }, element("td", {}, button));
+    this.columns.forEach((column, index) => {
+      const numbers = group.rows.map((row) => column.values[row]).filter((value) => typeof value === "number");
+      const mean = column.metric && numbers.length ? numbers.reduce((sum, value) => sum + value, 0) / numbers.length : null;
+      const text = index === 0 ? `${shown(group.group)} (${group.rows.length})` : mean === null ? "" : `mean ${shown(mean)}`;
+      made.append(element("td", { class: index && mean !== null ? "number" : "" }, text));
+    });
+    made.addEventListener("click", () => this.toggled(group));
+    return made;
+  }
+}
+
+/** A small table of all rows of an answer. */
+function plainTable(columns, classOf = () => "") {
+  const head = columns.map((column) => element("th", { scope: "col", class: isNumeric(column) ? "number" : "" }, column.name));
+  const rows = (columns[0]?.values ?? []).map((_, row) => element("tr", {}, ...columns.map((column) => {
+    const value = column.values[row];
+    return element("td", { class: `${typeof value === "number" ? "number" : ""} ${classOf(column, value)}`.trim() }, shown(value));
+  })));
+  return element("table", {}, element("thead", {}, element("tr", {}, ...head)), element("tbody", {}, ...rows));
+}
