@@ -55,7 +55,7 @@ pub fn raw(command: &mut Command, width: u16) -> String {
     String::from_utf8(said).unwrap()
 }
 
-/// A text without the sequences that move the cursor or set colours.
+/// A text without the sequences that move the cursor or set colors.
 pub fn plain(text: &str) -> String {
     let mut parts = text.split("\x1b[");
     let mut plain = parts.next().unwrap_or_default().to_owned();

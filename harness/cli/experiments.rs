@@ -1,7 +1,7 @@
 //! `harness experiments`: lists the built-in experiments, or prints the spec of one.
 
 use super::DONE;
-use super::table::wrapped;
+use super::table::print_texts;
 use anyhow::Result;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
@@ -28,7 +28,7 @@ impl Experiments {
             Ok([spec.name.to_owned(), experiment.description])
         };
         let rows = SPECS.iter().map(described).collect::<Result<Vec<[String; 2]>>>()?;
-        println!("{}", wrapped(["experiment", "question"], rows));
+        print_texts(["experiment", "question"], rows);
         Ok(ExitCode::from(DONE))
     }
 }

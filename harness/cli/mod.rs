@@ -443,7 +443,12 @@ impl Command {
         match self {
             Self::Query(_) | Self::Claims(_) | Self::Compare(_) | Self::Show(_) => true,
             Self::Ls(list) => list.reads_results(),
-            Self::Figures(_) | Self::Plot(_) | Self::Report(_) | Self::Serve(_) | Self::Publish(_) | Self::Export(_) => true,
+            Self::Figures(_)
+            | Self::Plot(_)
+            | Self::Report(_)
+            | Self::Serve(_)
+            | Self::Publish(_)
+            | Self::Export(_) => true,
             Self::Verify | Self::Diff(_) | Self::Watch(_) => true,
             Self::Rm(_) | Self::Gc(_) | Self::Du | Self::Pack(_) => true,
             Self::Unpack(_) | Self::Completions { .. } => false,

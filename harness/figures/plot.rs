@@ -1,7 +1,7 @@
 //! A plot of a metric over a setting, for any runs: one series for each value of other settings, in one or several panels.
 
 use super::axes::{Look, Panel, Scale, legend, remark};
-use super::page::{BLACK, BLUE, COLUMN, GREEN, GREY, Mark, Page, Type, VERMILION, WINE};
+use super::page::{BLACK, BLUE, COLUMN, GRAY, GREEN, Mark, Page, Type, VERMILION, WINE};
 use super::{Drawing, FigureError};
 use harness_analysis::{Interval, Mean, Of};
 use std::collections::BTreeSet;
@@ -10,10 +10,10 @@ use std::collections::BTreeSet;
 const HEIGHT: f64 = 110.0;
 /// Space below a panel for names, the axis label and the heading of the next panel, points.
 const BELOW: f64 = 38.0;
-/// The colours of the series. The second half has hollow points.
-const COLOURS: [&str; 6] = [BLUE, VERMILION, GREEN, WINE, BLACK, GREY];
+/// The colors of the series. The second half has hollow points.
+const COLORS: [&str; 6] = [BLUE, VERMILION, GREEN, WINE, BLACK, GRAY];
 /// The most series that can be told apart.
-const MOST_SERIES: usize = 2 * COLOURS.len();
+const MOST_SERIES: usize = 2 * COLORS.len();
 /// The most panels.
 const MOST_PANELS: usize = 8;
 /// Height of a row of names, points.
@@ -194,9 +194,9 @@ impl Plot {
 }
 
 fn look(place: usize) -> Look {
-    let is_second = place >= COLOURS.len();
+    let is_second = place >= COLORS.len();
     let mark = if place % 2 == 0 { Mark::Disc } else { Mark::Square };
-    Look { colour: COLOURS[place % COLOURS.len()], mark, hollow: is_second, dashed: is_second }
+    Look { color: COLORS[place % COLORS.len()], mark, hollow: is_second, dashed: is_second }
 }
 
 /// The name of a series.
