@@ -1,15 +1,16 @@
-//! The tables of many runs, kept together: opening a file for each of thousands of runs takes longer than reading it.
+//! Copies of the tables of many runs in few files, because opening thousands of files takes longer than reading them.
 //!
 //! ```text
 //! results/compacted/<experiment>/<table>-<hash>.parquet
 //! ```
 //!
-//! The runs remain the truth. Such a part says of which files it was made: each run's checksum, and what the file system
-//! said of the file. A run is read from it only while its record lists that checksum and nobody has touched the file
-//! since; otherwise its own file is read, and compared with the record. Parts are made while tables are read, once enough
-//! runs are in none, and a part that is damaged is made again. The folder can be deleted at any time.
+//! A part is a file with the rows of several runs. It lists each run's checksum, and what the file system said of the
+//! run's own file. A run's rows are read from a part only if the run's record lists the same checksum and its own file
+//! has not changed. Otherwise the run's own file is read, and compared with the record. Parts are written while tables are
+//! read, once enough runs are in no part. A damaged part is written again. The folder can be deleted at any time.
 
 use super::folders::sorted;
+use super::mark::Mark;
 use super::record::{FileRecord, RunRecord};
 use super::rows::{Condition, kept};
 use super::{Registry, RegistryError};
@@ -24,9 +25,7 @@ use sha2::{Digest, Sha256};
 use std::any::Any;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::io::Cursor;
-use std::os::unix::fs::MetadataExt;
-use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::path::PathBuf;
 
 /// The folder of all parts.
 const FOLDER: &str = "compacted";
@@ -36,9 +35,6 @@ const FEWEST_RUNS: usize = 64;
 const MOST_RUNS: usize = 256;
 /// The largest file whose rows are kept: opening a larger one takes little beside reading it.
 const LARGEST_BYTES: u64 = 1 << 18;
-/// How long nobody must have touched a file before its times tell that nobody did since: two writes within a tick of the
-/// file system's clock have the same time.
-const SETTLED: Duration = Duration::from_secs(2);
 /// Key of a part's entries in its file's metadata, as JSON.
 const RUNS_KEY: &str = "runs";
 
@@ -61,34 +57,6 @@ struct RunFile {
     listed: FileRecord,
     /// Whether its rows may be kept.
     is_small: bool,
-}
-
-/// What the file system says of a file. Whoever writes to it changes that.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Mark {
-    inode: u64,
-    bytes: u64,
-    /// Seconds and nanoseconds.
-    modified: (i64, i64),
-    changed: (i64, i64),
-}
-
-impl Mark {
-    pub(super) fn of(path: &Path) -> Option<Self> {
-        let of = std::fs::metadata(path).ok()?;
-        Some(Self {
-            inode: of.ino(),
-            bytes: of.len(),
-            modified: (of.mtime(), of.mtime_nsec()),
-            changed: (of.ctime(), of.ctime_nsec()),
-        })
-    }
-
-    /// Whether the next write will change it.
-    pub(super) fn is_settled(&self) -> bool {
-        let changed = UNIX_EPOCH + Duration::from_secs(self.changed.0.max(0) as u64 + 1);
-        SystemTime::now().duration_since(changed).is_ok_and(|age| age >= SETTLED)
-    }
 }
 
 /// A run in a part.

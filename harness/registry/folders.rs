@@ -1,6 +1,6 @@
 //! The folders of runs: which records are used, and which are left out because they are damaged or in the wrong folder.
 
-use super::compact::Mark;
+use super::mark::Mark;
 use super::record::RunRecord;
 use super::{RECORD, Registry, RegistryError, Status};
 use harness_shared::files::FolderLock;

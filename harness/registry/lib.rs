@@ -19,6 +19,7 @@ mod error;
 mod folders;
 mod live;
 mod losses;
+mod mark;
 mod pack;
 mod provenance;
 mod publish;
