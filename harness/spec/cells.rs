@@ -343,6 +343,11 @@ impl RunSpec {
             fields.insert(of_experiment.to_owned(), vec![value].into());
         }
         fields.insert("name".to_owned(), name.into());
+        // An experiment without scaling has the defaults, which are not those of a run without scaling.
+        if self.scaling.is_empty() && self.simulation.is_some() {
+            let scaling = serde_json::to_value(self.scalings(&Layout::finger()));
+            fields.insert("scaling".to_owned(), scaling.expect("scalings are plain data"));
+        }
         serde_yaml::to_string(&json).expect("a run's spec is plain data, which YAML can hold")
     }
 
