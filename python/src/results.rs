@@ -1,9 +1,9 @@
 //! The Python functions `claims`, `figures`, `verify` and `collect`.
 
 use crate::errors::Raise;
-use crate::run::{Listener, Table, warn};
+use crate::run::{Listener, Table, settings_of, warn};
 use crate::work::interruptible;
-use harness::analysis::{Analysis, AnalysisError, Selection, Setting};
+use harness::analysis::{Analysis, AnalysisError, Selection};
 use harness::claims::ClaimsError;
 use harness::collection::{collect as collect_episodes, dataset_of};
 use harness::experiment::describe;
@@ -18,11 +18,6 @@ use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-/// Parses settings that runs must have.
-pub fn settings(texts: &[String]) -> PyResult<Vec<Setting>> {
-    texts.iter().map(|text| text.parse().map_err(PyValueError::new_err)).collect()
-}
 
 /// Returns a results folder that exists.
 fn existing(results: PathBuf) -> PyResult<Registry> {
@@ -41,7 +36,7 @@ pub fn claims(
     settings: Vec<String>,
     results: PathBuf,
 ) -> PyResult<Table> {
-    let (settings, registry) = (self::settings(&settings)?, existing(results)?);
+    let (settings, registry) = (settings_of(&settings)?, existing(results)?);
     let judge = || -> PyResult<_> {
         let all = harness::claims::load(&file).map_err(Raise::raise)?;
         let chosen = harness::claims::choose(&all, &chosen).map_err(refused)?;
@@ -81,7 +76,7 @@ pub fn figures(
 ) -> PyResult<Drawn> {
     let figures = named("figure", &names, &Figure::ALL, Figure::name)?;
     let formats = named("format", &formats, &Format::ALL, Format::name)?;
-    let (settings, registry) = (self::settings(&settings)?, existing(results)?);
+    let (settings, registry) = (settings_of(&settings)?, existing(results)?);
     let paper = Experiments::of_the_paper(quick);
     let experiments = Experiments {
         single_to_multi: single.unwrap_or(paper.single_to_multi),

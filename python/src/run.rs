@@ -1,9 +1,8 @@
 //! The Python functions `run`, `query` and `compare`.
 
 use crate::errors::Raise;
-use crate::results::settings as settings_of;
 use crate::work::interruptible;
-use harness::analysis::{self, Selection};
+use harness::analysis::{self, Selection, Setting};
 use harness::cli::progress::Bars;
 use harness::experiment::{ExperimentError, Runner, provenance};
 use harness::progress::{Progress, Silent};
@@ -13,12 +12,17 @@ use polars::prelude::{CompatLevel, DataFrame, SchemaExt};
 use polars_arrow::array::StructArray;
 use polars_arrow::datatypes::{ArrowDataType, Field};
 use polars_arrow::ffi::{ArrowArrayStream, export_iterator};
-use pyo3::exceptions::{PyOSError, PyRuntimeError, PyUserWarning};
+use pyo3::exceptions::{PyOSError, PyRuntimeError, PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 use std::ffi::CString;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Parses settings that runs must have.
+pub fn settings_of(texts: &[String]) -> PyResult<Vec<Setting>> {
+    texts.iter().map(|text| text.parse().map_err(PyValueError::new_err)).collect()
+}
 
 /// Does every run of an experiment that isn't done yet, and returns the numbers of runs done now and before; see
 /// `harness.run`.
