@@ -161,7 +161,7 @@ fn every_layer_is_printed_with_its_shape_and_its_parameters() {
     let trained = sum("encoder.") + sum("decoder.");
     expected.push(format!("prediction in all {trained}"));
     expected.push(format!("reconstruction in all {}", sum("reconstruction.")));
-    for printed in [["show", "cluttered"].as_slice(), &["run", SMOKE, "--dry-run"]] {
+    for printed in [["show", "cluttered", "--all"].as_slice(), &["run", SMOKE, "--dry-run"]] {
         let printed = succeed(&RESULTS, printed);
         let lines: Vec<String> = printed.lines().map(words).collect();
         for line in &expected {
@@ -340,7 +340,8 @@ fn tables_are_found_in_folders_of_any_name() {
     let folder = Folder::new();
     let results = folder.path("my results [2*]");
     succeed(&results, &ONE);
-    assert!(succeed(&results, &["query", "select count(*) from episodes"]).contains(" 80 "));
+    let count = succeed(&results, &["query", "select count(*) from episodes"]);
+    assert_eq!(count.lines().last().map(str::trim), Some("80"), "{count}");
     assert!(succeed(&results, &["query", "select distinct run from metrics"]).contains("empty-z4-seed0-"));
     assert_whole(&results);
 }

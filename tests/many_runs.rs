@@ -61,7 +61,7 @@ fn commands_take_little_time_in_a_folder_of_thousands_of_runs() {
     let plan = [&["run", SMOKE, "--dry-run", "training.epochs=3"], &same[..]].concat();
     let commands: [(&[&str], &str); 3] = [
         (&["ls"], "more rows"),
-        (&["query", "select status, count(run) from runs group by status"], " 3000 "),
+        (&["query", "select status, count(run) from runs group by status"], "3000"),
         (&plan, "differs in training.epochs (1, now 3)"),
     ];
     for (arguments, expected) in commands {

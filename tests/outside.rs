@@ -151,7 +151,7 @@ fn experiments_lists_questions_and_prints_specs() {
     let folder = empty_folder();
     let list = succeed(folder.path(), &["experiments"]);
     for spec in SPECS {
-        assert!(list.contains(&format!(" {} ", spec.name)), "{list}");
+        assert!(list.contains(&format!("\n{} ", spec.name)), "{list}");
         assert_eq!(succeed(folder.path(), &["experiments", spec.name]), spec.text);
     }
     assert!(

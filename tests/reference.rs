@@ -104,7 +104,8 @@ fn queries_in_the_experiments_have_answers() {
         for query in comments.split("harness query --results results/reference \"").skip(1) {
             let sql = query.split('"').next().unwrap();
             let answer = succeed(&reference(), &["query", sql]);
-            assert!(answer.lines().count() > 5, "{sql}\n{answer}");
+            // The names of the columns, a line below them, and at least one row.
+            assert!(answer.lines().count() > 2, "{sql}\n{answer}");
             queries += 1;
         }
     }

@@ -112,7 +112,7 @@ fn two_runs_are_shown_side_by_side() {
     let results = results("diff");
     let runs = names(&results.join("runs/smoke"));
     let shown = succeed(&results, &["diff", &format!("smoke/{}", runs[0]), &format!("smoke/{}", runs[1])]);
-    assert!(shown.contains(" seed ") && shown.contains("b - a") && shown.contains("wmape"), "{shown}");
+    assert!(shown.contains("\nseed ") && shown.contains("b - a") && shown.contains("WMAPE"), "{shown}");
     assert!(!shown.contains("batch_size"), "{shown}");
 }
 

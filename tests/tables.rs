@@ -116,7 +116,7 @@ fn the_printed_schema_says_the_same_as_the_files() {
             Some(column) => {
                 let (name, rest) = column.split_once(' ').unwrap();
                 let rest = &rest[24 - name.len()..];
-                let (unit, meaning) = rest.split_at(9);
+                let (unit, meaning) = rest.split_at(8);
                 let row = (name.to_owned(), unit.trim().to_owned(), meaning.to_owned());
                 tables.entry(table).or_default().push(row);
             }

@@ -437,7 +437,7 @@ fn go_through(results: &Path, folder: &Path, spec: &Path, world: &Path, modality
     succeed(results, &["verify"]);
     assert!(succeed(results, &["run", spec.to_str().unwrap()]).contains("0 done, 2 done before"));
     let run = format!("strange/{}-z4", world.file_stem().unwrap().to_str().unwrap());
-    assert!(succeed(results, &["show", &run]).contains("prediction in all"));
+    assert!(succeed(results, &["show", &run, "--all"]).contains("prediction in all"));
 }
 
 #[test]
@@ -596,7 +596,7 @@ fn a_network_takes_and_predicts_images_that_are_no_squares() {
     let rows: serde_json::Value = serde_json::from_slice(&fs::read(&answer).unwrap()).unwrap();
     assert!(rows[0]["errors"] == 1 && rows[0]["least"].as_f64().unwrap() > 0.0, "{rows}");
     // The first convolution sees 32 x 48 averaged pixels.
-    let layers = succeed(&results, &["show", "strange/own-z2"]);
+    let layers = succeed(&results, &["show", "strange/own-z2", "--all"]);
     assert!(layers.contains("4 x 16 x 24") && layers.contains("4 x 8 x 12"), "{layers}");
     let page = folder.path().join("report.html");
     succeed(&results, &["report", "--out", page.to_str().unwrap()]);

@@ -52,7 +52,7 @@ class Served:
         return self.browser.find_elements(By.CSS_SELECTOR, selector)
 
     def text(self, selector: str) -> str:
-        return self.browser.execute_script("return document.querySelector(arguments[0]).textContent", selector)
+        return self.browser.execute_script("return document.querySelector(arguments[0])?.textContent ?? \"\"", selector)
 
     def texts(self, selector: str) -> list[str]:
         script = "return [...document.querySelectorAll(arguments[0])].map((one) => one.textContent)"
