@@ -195,7 +195,7 @@ impl Plot {
 
 fn look(place: usize) -> Look {
     let is_second = place >= COLORS.len();
-    let mark = if place % 2 == 0 { Mark::Disc } else { Mark::Square };
+    let mark = if place.is_multiple_of(2) { Mark::Disc } else { Mark::Square };
     Look { color: COLORS[place % COLORS.len()], mark, hollow: is_second, dashed: is_second }
 }
 
