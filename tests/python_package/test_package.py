@@ -268,7 +268,7 @@ def test_everything_public_has_a_docstring_and_a_version() -> None:
             if text := ast.get_docstring(definition):
                 assert inspect.getdoc(item) == text, (entry.name, definition.name)
                 compared += 1
-    assert compared > 40
+    assert compared > 30
     for name in harness.__all__:
         assert inspect.getdoc(getattr(harness, name)), name
 
@@ -498,7 +498,7 @@ def has_type(value: Any, annotation: ast.expr) -> bool:
         case ast.Constant(None):
             return value is None
         case ast.Name(name):
-            return type(value).__name__ == name
+            return type(value).__name__ == name or (name == "Path" and isinstance(value, Path))
         case ast.BinOp(left, ast.BitOr(), right):
             return has_type(value, left) or has_type(value, right)
         case ast.Subscript(ast.Name("list"), item):
@@ -517,7 +517,9 @@ def has_type(value: Any, annotation: ast.expr) -> bool:
     raise AssertionError(f"the test does not know {ast.unparse(annotation)}")
 
 
-def test_what_is_returned_has_the_types_of_the_stubs(results: Path, folders: dict[str, Path]) -> None:
+def test_what_is_returned_has_the_types_of_the_stubs(
+    results: Path, folders: dict[str, Path], tmp_path: Path
+) -> None:
     dataset = _harness.Dataset(folders["cluttered"])
     [run] = harness.query("select run from runs where scenario = 'cluttered'", results)["run"]
     model, simulation = _harness.Model(run, results), dataset.simulation(2)
@@ -528,6 +530,13 @@ def test_what_is_returned_has_the_types_of_the_stubs(results: Path, folders: dic
         "run": lambda: _harness.run(SMOKE, [], False, results, False, 1, None),
         "query": lambda: _harness.query("select run from runs", results),
         "compare": lambda: _harness.compare(["smoke"], [], results),
+        "claims": lambda: _harness.claims([], ROOT / "experiments/claims.yaml", False, [], results),
+        "figures": lambda: _harness.figures(["task"], tmp_path, ["svg"], False, None, None, [], results),
+        "verify": lambda: _harness.verify(results),
+        "collect": lambda: _harness.collect(SMOKE, [], False, results, False),
+        "networks": lambda: _harness.networks(run, results),
+        "export_onnx": lambda: _harness.export_onnx(run, tmp_path / "network.onnx", "prediction", results),
+        "Dataset.parts": lambda: dataset.parts("episode", 0.25, 0.25, None),
         "Dataset.__len__": lambda: len(dataset),
         "Dataset.__getitem__": lambda: dataset["vision"],
         "Dataset.keys": dataset.keys,
@@ -547,8 +556,10 @@ def test_what_is_returned_has_the_types_of_the_stubs(results: Path, folders: dic
     for stub in stubs:
         if isinstance(stub, ast.ClassDef):
             functions |= {f"{stub.name}.{part.name}": part for part in stub.body if isinstance(part, ast.FunctionDef)}
-    # What makes an object returns one of its own class, `main` prints, and the last one returns a capsule.
+    # What makes an object returns one of its own class, `main` prints, pickling is tested elsewhere, and a table returns a
+    # capsule.
     left_out = {"main", "Dataset.__new__", "Model.__new__", "SimulationBatch.__new__", "Table.__arrow_c_stream__"}
+    left_out |= {"Dataset.__reduce__", "Model.__reduce__"}
     for name in sorted(functions.keys() - left_out):
         stub = functions[name]
         if stub.decorator_list:
