@@ -1,11 +1,14 @@
 //! Work that several processes divide, and its submission to Slurm, for which scripts stand in here. `make cluster` uses a
 //! real one.
 
-use crate::common::{Answer, Disk, SMOKE, finish, fresh, harness, succeed, write_script};
+use crate::common::{Answer, Disk, FAILING, SMOKE, finish, fresh, harness, succeed, write_script};
+use crate::interruption::{signal, start_command};
+use harness_shared::turns::{Turn, Turns};
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
-use std::process::Command;
+use std::process::{Child, Command, Stdio};
 
 const FOUR_RUNS: [&str; 3] = ["seeds=[0,1]", "tasks=[prediction]", "training.epochs=1"];
 
@@ -42,6 +45,52 @@ fn shards_do_each_run_once_and_give_the_same_tables() {
     assert_eq!(metrics(&shared), metrics(&whole));
     let again = succeed(&shared, &[&["run", SMOKE][..], &FOUR_RUNS].concat());
     assert!(again.contains("0 done, 4 done before, 0 failed"), "{again}");
+}
+
+/// Starts a shard that trains with one thread and has its turns in the results folder, and waits until it has to wait.
+fn start_waiting(results: &Path) -> (Child, BufReader<std::process::ChildStderr>) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_harness"));
+    command.arg("--results").arg(results).args(["--threads", "1", "run", SMOKE, "--shard", "1/2"]);
+    command
+        .arg("--no-wait")
+        .args(FOUR_RUNS)
+        .env("TMPDIR", results)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped());
+    let mut child = start_command(&mut command);
+    let mut said = BufReader::new(child.stderr.take().unwrap());
+    let mut line = String::new();
+    while !line.starts_with("waiting until another shard on this machine has finished a run") {
+        line.clear();
+        assert!(said.read_line(&mut line).unwrap() > 0, "the shard ended without waiting");
+    }
+    (child, said)
+}
+
+#[test]
+fn shards_of_one_machine_take_turns_at_training() {
+    let results = fresh("shards-turns");
+    fs::create_dir_all(&results).unwrap();
+    let turns = Turns::new(&results, 1).unwrap();
+    let mut held: Vec<Turn> = (0..turns.count()).map(|_| turns.take(|| false).unwrap()).collect();
+    assert!(turns.take(|| false).is_none(), "no turn is left");
+    // A process that does not share the work does not wait.
+    let alone = ["--threads", "1", "run", SMOKE, "seeds=[2]", "tasks=[prediction]", "training.epochs=1"];
+    assert_eq!(finish(harness(&results, &alone).env("TMPDIR", &results)).code, 0);
+    // A shard that waits has begun nothing, and stops when it is told to.
+    let (mut child, mut said) = start_waiting(&results);
+    signal(&child, libc::SIGTERM);
+    let mut rest = String::new();
+    said.read_to_string(&mut rest).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(143), "{rest}");
+    assert_eq!(fs::read_dir(results.join("runs/smoke")).unwrap().count(), 2);
+    // It goes on when one turn is free. Those that come later do not pass it.
+    let (mut child, _said) = start_waiting(&results);
+    assert!(turns.take(|| false).is_none());
+    held.pop();
+    assert!(child.wait().unwrap().success());
+    let again = succeed(&results, &[&["run", SMOKE, "--shard", "1/2"][..], &FOUR_RUNS].concat());
+    assert!(again.contains("0 done, 2 done before, 0 failed"), "{again}");
 }
 
 /// The bytes of a dataset's episodes, by the file's name.
@@ -91,10 +140,7 @@ fn what_is_no_shard_is_refused_in_one_line() {
 #[test]
 fn failing_fast_leaves_the_other_runs() {
     let results = fresh("fail-fast");
-    let mut command = harness(&results, &["run", SMOKE, "--fail-fast"]);
-    // Without a display driver no frame can be rendered.
-    command.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nowhere");
-    let answer = finish(&mut command);
+    let answer = finish(&mut harness(&results, &[&["run", SMOKE, "--fail-fast"], &FAILING[..]].concat()));
     assert_eq!(answer.code, 1);
     assert!(answer.stdout.contains("0 done, 0 done before, 1 failed"), "{}", answer.stdout);
     assert!(answer.stdout.contains("1 not tried, because of --fail-fast"), "{}", answer.stdout);
@@ -154,7 +200,11 @@ fn a_submission_is_three_jobs_that_wait_for_each_other() {
     assert!(calls.lines().last().unwrap().ends_with("scancel 102"), "{calls}");
     let unknown = with_slurm(slurm.path(), &results, &["cancel", "other"]);
     assert_eq!(unknown.code, 2);
-    assert!(unknown.stderr.starts_with("error: no job of 'other'; jobs: smoke-"), "{}", unknown.stderr);
+    assert!(
+        unknown.stderr.starts_with("error: there is no job of 'other'; jobs: smoke-"),
+        "{}",
+        unknown.stderr
+    );
 }
 
 /// Slurm's scripts, by the name of the step.
@@ -231,7 +281,7 @@ fn what_cannot_be_submitted_is_refused_in_one_line_and_leaves_nothing() {
     let results = fresh("unsubmitted");
     let missing = finish(harness(&results, &["submit", SMOKE]).env("PATH", "/nowhere"));
     assert_eq!(missing.code, 2);
-    assert!(missing.stderr.contains("sbatch is not installed here"), "{}", missing.stderr);
+    assert!(missing.stderr.contains("sbatch is not installed"), "{}", missing.stderr);
     let refusing = tempfile::tempdir().unwrap();
     write_script(
         &refusing.path().join("sbatch"),
@@ -309,7 +359,7 @@ fn jobs_that_cannot_be_cancelled_or_listed_are_kept() {
         let answer = finish(harness(&results, arguments).env("PATH", "/nowhere"));
         let said = refusal(&answer, 2);
         assert!(
-            said.starts_with("squeue is not installed here, so this is no machine of a Slurm cluster"),
+            said.starts_with("squeue is not installed, so this machine is not part of a Slurm cluster"),
             "{said}"
         );
     }

@@ -134,8 +134,7 @@ pub struct Runner<'a> {
     pub registry: &'a Registry,
     /// Number of threads for collection, and for all trainings together.
     pub threads: usize,
-    /// Number of runs that are trained at the same time. Each gets its share of the threads. With 1, runs are trained
-    /// in the caller's pool.
+    /// Number of runs that are trained at the same time. Each gets its share of the threads.
     pub jobs: usize,
     /// The share of a dataset's missing episodes that this process simulates before it waits for the others.
     pub shard: Option<Shard>,
@@ -272,6 +271,7 @@ impl<'a> Runner<'a> {
             self.registry.decide(folder, spec, &known)
         };
         let decided: Vec<_> = runs.par_iter().zip(&standings).map(decide).collect();
+        known.remember();
         let parts = runs.into_iter().zip(standings).zip(sources).zip(decided);
         let planned = parts.map(|(((rungs, standing), source), (decision, record))| {
             let (folder, spec) = rungs[standing.rung].clone();

@@ -27,7 +27,7 @@ pub enum ModelError {
     #[error(transparent)]
     Learning(#[from] LearningError),
     /// The run is not done.
-    #[error("{run} is {}, not done; run the command that made it again to continue", status.name())]
+    #[error("{run} is {}, not done; repeat the command that started it, to continue", status.name())]
     Unfinished {
         /// Id of the run.
         run: String,

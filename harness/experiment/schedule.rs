@@ -1,9 +1,12 @@
 //! Schedules the runs of a plan: over several jobs of this process, and beside other processes that use the same
 //! results folder.
 
-use super::{ExperimentError, Planned, PreparedData, Runner, TrainingRun, describe, training_bytes};
+use super::{ExperimentError, Planned, PreparedData, Runner, Source, TrainingRun, describe, training_bytes};
+use harness_collection::check_rendering;
+use harness_dataset::AnyDataset;
 use harness_registry::{Decision, LiveEpochs, Outcome, Provenance, RunRecord, Status};
 use harness_shared::memory;
+use harness_shared::turns::{Turn, Turns};
 use harness_spec::{Division, Experiment, RunSpec, Task};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -70,7 +73,7 @@ impl Runner<'_> {
     /// not wait. Returns the plan as it is at the end.
     ///
     /// # Errors
-    /// When the caller cancels, or no threads can be started.
+    /// When the caller cancels, no threads can be started, or images have to be rendered and can't be.
     pub fn run(
         &self,
         experiment: &Experiment,
@@ -130,6 +133,7 @@ impl Runner<'_> {
                  than on new data",
             );
         }
+        self.check_rendering(&pending)?;
         let mut changed = BTreeSet::new();
         loop {
             let mut held = Vec::new();
@@ -161,6 +165,17 @@ impl Runner<'_> {
         }
     }
 
+    /// Checks that the images that runs need can be rendered, so that a missing driver is reported once.
+    fn check_rendering(&self, pending: &[&Planned]) -> Result<(), ExperimentError> {
+        let mut sources: Vec<&Arc<Source>> = pending.iter().map(|planned| &planned.source).collect();
+        sources.dedup_by(|a, b| Arc::ptr_eq(a, b));
+        let datasets = sources.into_iter().filter_map(|source| match &source.dataset {
+            AnyDataset::Simulated(dataset) => Some(dataset),
+            AnyDataset::Imported(_) => None,
+        });
+        Ok(check_rendering(datasets)?)
+    }
+
     /// Whether no further run is tried, because one failed.
     fn gives_up(&self, summary: &Summary) -> bool {
         self.fails_fast && !summary.failed.is_empty()
@@ -186,14 +201,14 @@ impl Runner<'_> {
             runner: self,
             provenance: Provenance { threads, ..self.provenance.clone() },
             runs,
+            turns: self.shard.and_then(|_| Turns::new(&std::env::temp_dir(), threads)),
+            said_waiting: AtomicBool::new(false),
             next: AtomicUsize::new(0),
             prepared: Mutex::new(None),
             promised: Mutex::new(0),
             failed: AtomicBool::new(false),
         };
-        if jobs == 1 {
-            return Ok(workers.work()?.into_iter().map(|(_, end)| end).collect());
-        }
+        // A job runs in its own pool. From outside of a pool, each parallel operation would wait for a change of threads.
         let pools = (0..jobs)
             .map(|_| rayon::ThreadPoolBuilder::new().num_threads(threads).build())
             .collect::<Result<Vec<_>, _>>()?;
@@ -243,6 +258,10 @@ struct WorkerPool<'a> {
     /// Has the number of threads of one job.
     provenance: Provenance,
     runs: &'a [&'a Planned],
+    /// The turns that this process takes at training; `None` if it trains beside all others.
+    turns: Option<Turns>,
+    /// Whether it was reported that this process waits for a turn.
+    said_waiting: AtomicBool,
     /// Index of the next run.
     next: AtomicUsize,
     /// The prepared data, or why they can't be prepared. The first job that needs them prepares them.
@@ -279,6 +298,7 @@ impl WorkerPool<'_> {
                 ends.push((index, End::Left));
                 continue;
             }
+            let _turn = self.turn()?;
             let end = match self.attempt(planned) {
                 Err(error) if !error.is_cancelled() => {
                     self.failed.store(true, Ordering::Relaxed);
@@ -288,6 +308,20 @@ impl WorkerPool<'_> {
             };
             ends.push((index, end));
         }
+    }
+
+    /// Waits for a turn at training, if this process is one of several that divide the runs. More of them than fit on the
+    /// cores take longer at the same time than one after the other.
+    fn turn(&self) -> Result<Option<Turn>, ExperimentError> {
+        let Some(turns) = &self.turns else { return Ok(None) };
+        let progress = self.runner.progress;
+        let turn = turns.take(|| {
+            if !self.said_waiting.swap(true, Ordering::Relaxed) {
+                progress.say("waiting until another shard on this machine has finished a run");
+            }
+            !progress.cancelled()
+        });
+        turn.map(Some).ok_or(ExperimentError::Cancelled)
     }
 
     fn attempt(&self, planned: &Planned) -> Result<End, ExperimentError> {

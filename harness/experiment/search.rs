@@ -78,7 +78,7 @@ impl Record {
         if self.has_diverged(rung) {
             return f64::INFINITY;
         }
-        let epochs = spec.training.last_epoch.unwrap_or(spec.training.epochs).min(self.losses.len());
+        let epochs = spec.training.final_epoch().min(self.losses.len());
         let of = |term: &str, losses: &Losses| losses.get(term).copied().unwrap_or(f64::INFINITY);
         let epochs = &self.losses[..epochs];
         let total = |a: &&Losses, b: &&Losses| of(TOTAL, a).total_cmp(&of(TOTAL, b));

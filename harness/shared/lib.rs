@@ -1,5 +1,5 @@
-//! Basics for all other crates: complete files and locked folders, seals, available memory, progress, and numbers as
-//! text.
+//! Basics for all other crates: complete files and locked folders, seals, available memory, progress, turns of
+//! processes, and numbers as text.
 
 pub mod files;
 pub mod memory;
@@ -7,3 +7,4 @@ pub mod numbers;
 pub mod progress;
 pub mod seal;
 pub mod shard;
+pub mod turns;
