@@ -1,18 +1,24 @@
 //! Files that are written completely or not at all, and folders in which one process writes at a time.
 
 use std::ffi::CString;
-use std::fs::{File, OpenOptions, Permissions};
-use std::io::{self, Write};
+use std::fs::{File, Metadata, OpenOptions, Permissions, TryLockError};
+use std::io::{self, ErrorKind, Write};
 use std::mem::MaybeUninit;
 use std::os::unix::ffi::OsStrExt;
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Prefix of the name of a file that is not complete yet.
 pub const UNFINISHED: &str = ".unfinished-";
 /// The file of a folder that a process locks while it works there. It is not deleted afterwards, and names the last
 /// process.
 pub const LOCK: &str = ".unfinished-lock";
+
+/// How often a lock is tried before it counts as held, and the time between two attempts. [`FolderLock::holder`] takes a
+/// lock for a moment.
+const ATTEMPTS: usize = 10;
+const PAUSE: Duration = Duration::from_millis(10);
 
 /// A file could not be written.
 #[derive(Debug, thiserror::Error)]
@@ -70,28 +76,20 @@ pub struct LockError {
 /// file systems that support flock across nodes. Lustre must be mounted with `flock`, not `localflock`.
 #[derive(Debug)]
 pub struct FolderLock {
-    _file: File,
+    file: File,
 }
 
 impl FolderLock {
     /// Locks a folder, and removes the unfinished files of killed processes. Creates the folder if it does not exist.
     /// Returns `None` if this or another process has locked it already.
+    ///
+    /// # Errors
+    /// When the folder can't be made or its lock can't be opened.
     pub fn attempt(folder: &Path) -> Result<Option<Self>, LockError> {
-        let path = folder.join(LOCK);
-        let attempt = || {
-            std::fs::create_dir_all(folder)?;
-            let mut file = OpenOptions::new().create(true).write(true).truncate(false).open(&path)?;
-            match file.try_lock() {
-                Ok(()) => {}
-                Err(std::fs::TryLockError::WouldBlock) => return Ok(None),
-                Err(std::fs::TryLockError::Error(error)) => return Err(error),
-            }
+        let lock = Self::lock(folder, File::try_lock)?;
+        if let Some(Self { file }) = &lock {
             // On a full disk the name can't be written, but the lock is valid.
-            let _ = file.set_len(0).and_then(|()| file.write_all(this_process().as_bytes()));
-            Ok(Some(Self { _file: file }))
-        };
-        let lock = attempt().map_err(|source| LockError { path: path.clone(), source })?;
-        if lock.is_some() {
+            let _ = file.set_len(0).and_then(|()| (&*file).write_all(this_process().as_bytes()));
             remove_unfinished(folder);
         }
         Ok(lock)
@@ -103,17 +101,7 @@ impl FolderLock {
     /// # Errors
     /// When the folder can't be made or its lock can't be opened.
     pub fn attempt_shared(folder: &Path) -> Result<Option<Self>, LockError> {
-        let path = folder.join(LOCK);
-        let attempt = || {
-            std::fs::create_dir_all(folder)?;
-            let file = OpenOptions::new().create(true).write(true).truncate(false).open(&path)?;
-            match file.try_lock_shared() {
-                Ok(()) => Ok(Some(Self { _file: file })),
-                Err(std::fs::TryLockError::WouldBlock) => Ok(None),
-                Err(std::fs::TryLockError::Error(error)) => Err(error),
-            }
-        };
-        attempt().map_err(|source| LockError { path: path.clone(), source })
+        Self::lock(folder, File::try_lock_shared)
     }
 
     /// Returns the process that has locked a folder alone, such as `process 4711 on host`; `None` if there is none. Writes
@@ -121,13 +109,72 @@ impl FolderLock {
     pub fn holder(folder: &Path) -> Option<String> {
         let path = folder.join(LOCK);
         match File::open(&path).ok()?.try_lock_shared() {
-            Err(std::fs::TryLockError::WouldBlock) => {
+            Err(TryLockError::WouldBlock) => {
                 let name = std::fs::read_to_string(&path).ok().filter(|name| !name.is_empty());
-                Some(name.unwrap_or_else(|| "another process".into()))
+                Some(name.unwrap_or_else(|| ANOTHER.into()))
             }
             _ => None,
         }
     }
+
+    /// Returns the process that has locked a folder, like [`holder`](Self::holder), or `another process` if processes share
+    /// it; `None` if the folder is not locked. Writes nothing.
+    pub fn in_use(folder: &Path) -> Option<String> {
+        Self::holder(folder).or_else(|| {
+            let path = folder.join(LOCK);
+            // NFS locks a file for one process only if it was opened for writing.
+            let file =
+                OpenOptions::new().read(true).write(true).open(&path).or_else(|_| File::open(&path)).ok()?;
+            matches!(is_locked(&file, File::try_lock), Ok(false)).then(|| ANOTHER.into())
+        })
+    }
+
+    fn lock(folder: &Path, attempt: Attempt) -> Result<Option<Self>, LockError> {
+        let path = folder.join(LOCK);
+        let locked = || {
+            std::fs::create_dir_all(folder)?;
+            // NFS locks a file for one process only if it was opened for writing, and for several only if it was opened for
+            // reading.
+            let file = OpenOptions::new().create(true).read(true).write(true).truncate(false).open(&path)?;
+            Ok::<_, io::Error>(is_locked(&file, attempt)?.then_some(file))
+        };
+        for _ in 0..ATTEMPTS {
+            match locked() {
+                // Another process has removed the folder meanwhile.
+                Ok(Some(file)) if !is_at(&file, &path) => {}
+                Err(error) if error.kind() == ErrorKind::NotFound => {}
+                Ok(file) => return Ok(file.map(|file| Self { file })),
+                Err(source) => return Err(LockError { path, source }),
+            }
+        }
+        Ok(None)
+    }
+}
+
+/// The holder of a lock whose name is not known.
+const ANOTHER: &str = "another process";
+
+/// Tries to lock a file.
+type Attempt = fn(&File) -> Result<(), TryLockError>;
+
+/// Tries a lock several times. Returns whether it succeeded.
+fn is_locked(file: &File, attempt: Attempt) -> io::Result<bool> {
+    for number in 1..=ATTEMPTS {
+        match attempt(file) {
+            Ok(()) => return Ok(true),
+            Err(TryLockError::WouldBlock) if number < ATTEMPTS => std::thread::sleep(PAUSE),
+            Err(TryLockError::WouldBlock) => {}
+            Err(TryLockError::Error(error)) => return Err(error),
+        }
+    }
+    Ok(false)
+}
+
+/// Whether an open file is the one at `path`.
+fn is_at(file: &File, path: &Path) -> bool {
+    let place = |about: Metadata| (about.dev(), about.ino());
+    let (open, there) = (file.metadata().map(place), std::fs::metadata(path).map(place));
+    matches!((open, there), (Ok(open), Ok(there)) if open == there)
 }
 
 fn this_process() -> String {

@@ -26,7 +26,7 @@ pub enum SealError {
     #[error("it has no seal: its end is missing, or this version did not write it")]
     Missing,
     /// The content does not match the seal.
-    #[error("it is not as it was written: its SHA-256 differs")]
+    #[error("it has changed since it was written: its SHA-256 differs")]
     Broken,
 }
 
