@@ -13,6 +13,75 @@ pub fn rounded(value: f64) -> String {
     format!("{value:.decimals$}")
 }
 
+/// A text that is sorted with its numbers by value: `hidden=8` comes before `hidden=16`, and `rate=1e-5` before
+/// `rate=0.0002`.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Natural {
+    parts: Vec<Part>,
+    text: String,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+enum Part {
+    /// The bits of a number without a sign, which have the order of its value.
+    Number(u64),
+    Text(String),
+}
+
+impl Natural {
+    /// A text to sort.
+    pub fn new(text: impl Into<String>) -> Self {
+        let text = text.into();
+        let mut parts = Vec::new();
+        let mut rest = text.as_str();
+        while !rest.is_empty() {
+            let (part, after) = match number_length(rest) {
+                0 => {
+                    let digit = rest.find(|character: char| character.is_ascii_digit());
+                    let (words, after) = rest.split_at(digit.unwrap_or(rest.len()));
+                    (Part::Text(words.to_owned()), after)
+                }
+                length => {
+                    let (number, after) = rest.split_at(length);
+                    (Part::Number(number.parse::<f64>().unwrap_or(f64::INFINITY).to_bits()), after)
+                }
+            };
+            parts.push(part);
+            rest = after;
+        }
+        Self { parts, text }
+    }
+
+    /// The text.
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+}
+
+/// The length of the number at the beginning of a text, such as `16`, `0.5` or `1e-5`; 0 if there is none.
+fn number_length(text: &str) -> usize {
+    let digits =
+        |from: usize| text.get(from..).unwrap_or_default().bytes().take_while(u8::is_ascii_digit).count();
+    let mut length = digits(0);
+    if length == 0 {
+        return 0;
+    }
+    if text[length..].starts_with('.') && digits(length + 1) > 0 {
+        length += 1 + digits(length + 1);
+    }
+    if text[length..].starts_with('e') {
+        let sign = usize::from(text[length + 1..].starts_with(['-', '+']));
+        let exponent = digits(length + 1 + sign);
+        length += if exponent > 0 { 1 + sign + exponent } else { 0 };
+    }
+    length
+}
+
+/// A count with its noun: `1 run`, `2 runs`.
+pub fn counted(count: usize, noun: &str) -> String {
+    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
+}
+
 /// Formats a duration with a suitable unit: `0.8 s`, `44 min`, `5.2 h`.
 pub fn duration(seconds: f64) -> String {
     match seconds {

@@ -161,7 +161,11 @@ fn run_details() -> Vec<Column> {
              have neighbors in training, and errors are too small",
         ),
         text("started", "start, UTC"),
-        real("collect_seconds", "s", "wall time spent on collecting and loading the dataset"),
+        real(
+            "collect_seconds",
+            "s",
+            "wall time of collecting and loading the dataset, which all runs of a command on this dataset share",
+        ),
         real("prediction_seconds", "s", "wall time of training the prediction"),
         real(
             "reconstruction_seconds",
