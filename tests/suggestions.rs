@@ -1,7 +1,7 @@
 //! Every command that the program suggests works when it is pasted. In each situation, the tests collect all suggested
 //! commands and run them in a shell.
 
-use crate::common::{SMOKE, finish, harness, smoke_run, succeed};
+use crate::common::{FAILING, SMOKE, finish, harness, smoke_run, succeed};
 use harness::spec::SPECS;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -103,7 +103,7 @@ fn suggested(text: &str) -> BTreeSet<String> {
     for line in text.lines() {
         let quoted = line.split('`').skip(1).step_by(2).filter(|quoted| quoted.starts_with("harness "));
         let aligned =
-            ["repair: ", "next       ", "for those without data   ", "continue with the same command: "];
+            ["repair: ", "next       ", "for claims without data   ", "continue with the same command: "];
         let aligned = aligned.iter().filter_map(|before| line.split_once(before)).map(|(_, command)| command);
         commands.extend(quoted.chain(aligned.filter(|command| begins(command))).map(str::to_owned));
         let html = line.split("<code>").skip(1).filter_map(|rest| rest.split_once("</code>"));
@@ -140,11 +140,10 @@ fn what_is_suggested_after_a_run_works() {
     situation.say(&["run", SMOKE]);
     situation.works(1);
     let mut failed = Situation::without_runs();
-    let command = &mut harness(&failed.results, &["run", SMOKE]);
-    let answer = finish(command.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json"));
+    let answer = finish(&mut harness(&failed.results, &[&["run", SMOKE], &FAILING[..]].concat()));
     assert_eq!(answer.code, 1);
     failed.said = answer.stdout + &answer.stderr;
-    failed.look().works(2);
+    failed.look().works(1);
 }
 
 /// A description of some damage, and a function that causes it.
@@ -152,7 +151,7 @@ type Damage<'a> = (&'a str, &'a dyn Fn(&Situation));
 
 #[test]
 fn what_is_suggested_for_damaged_runs_works() {
-    let damages: [Damage; 8] = [
+    let damages: [Damage; 7] = [
         ("a table", &|there| flip(&there.run("empty").join("metrics.parquet"))),
         ("no table", &|there| std::fs::remove_file(there.run("empty").join("metrics.parquet")).unwrap()),
         ("a record", &|there| flip(&there.run("empty").join("run.json"))),
@@ -169,15 +168,6 @@ fn what_is_suggested_for_damaged_runs_works() {
         ("a moved experiment", &|there| {
             std::fs::rename(there.results.join("runs/smoke"), there.results.join("runs/moved")).unwrap();
         }),
-        // The run's spec is removed after the run.
-        ("a table of a run whose command can't be given again", &|there| {
-            let spec = there.results.join("lost.yaml");
-            std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join(SMOKE), &spec).unwrap();
-            let arguments = ["run", spec.to_str().unwrap(), "name=lost", "scenarios=[empty]"];
-            assert_eq!(finish(&mut harness(&there.results, &arguments)).code, 0);
-            std::fs::remove_file(spec).unwrap();
-            flip(&there.folder("runs/lost", "empty").join("epochs.parquet"));
-        }),
     ];
     for (what, damage) in damages {
         let there = Situation::new();
@@ -188,6 +178,28 @@ fn what_is_suggested_for_damaged_runs_works() {
         let healed = there.look();
         assert!(healed.said.contains("all files are intact"), "{what}: {}", healed.said);
     }
+}
+
+#[test]
+fn a_damaged_run_whose_spec_is_elsewhere_is_repaired_once_it_is_back() {
+    let there = Situation::new();
+    let (spec, elsewhere) = (there.results.join("lost.yaml"), there.results.join("elsewhere.yaml"));
+    std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join(SMOKE), &spec).unwrap();
+    let arguments = ["run", spec.to_str().unwrap(), "name=lost", "scenarios=[empty]"];
+    assert_eq!(finish(&mut harness(&there.results, &arguments)).code, 0);
+    std::fs::rename(&spec, &elsewhere).unwrap();
+    flip(&there.folder("runs/lost", "empty").join("epochs.parquet"));
+    let there = there.look();
+    for part in ["where it was run before; it fails here: ", "lost.yaml: there is no such file"] {
+        assert!(there.said.contains(part), "{}", there.said);
+    }
+    assert!(!there.said.contains("rm -r"), "{}", there.said);
+    std::fs::rename(&elsewhere, &spec).unwrap();
+    let there = there.look();
+    assert!(there.said.contains("repair: "), "{}", there.said);
+    there.works(1);
+    let healed = there.look();
+    assert!(healed.said.contains("all files are intact"), "{}", healed.said);
 }
 
 #[test]
@@ -229,7 +241,27 @@ fn what_is_suggested_where_nothing_is_found_works() {
     let empty = there.results.join("empty.yaml");
     std::fs::write(&empty, "").unwrap();
     there.say(&["validate", empty.to_str().unwrap()]);
-    there.works(2);
+    there.say(&["claims", "--plan"]);
+    there.say(&["figures", "regression", "--quick"]);
+    there.works(6);
+    // No spec makes the runs of an experiment with this name.
+    there.said.clear();
+    there.say(&["figures", "regression", "--single", "nothing"]);
+    assert!(
+        there.said.ends_with("has no finished runs of nothing; those that have: smoke\n"),
+        "{}",
+        there.said
+    );
+    let claims = std::fs::read_to_string("experiments/claims.yaml").unwrap();
+    let own = there.results.join("claims.yaml");
+    std::fs::write(&own, claims.replace("[single_to_multi]", "[nothing]")).unwrap();
+    there.say(&["claims", "--file", own.to_str().unwrap()]);
+    assert!(
+        there.said.contains("for claims without data   there is no spec called nothing\n"),
+        "{}",
+        there.said
+    );
+    there.works(1);
 }
 
 #[test]

@@ -311,9 +311,9 @@ impl RunSpec {
                 && scaling.scale == Scale::PerElement
         });
         match by_element {
-            Some((modality, _)) => {
-                Err(format!("'{modality}' is an image, whose values have one deviation for all; use shared"))
-            }
+            Some((modality, _)) => Err(format!(
+                "'{modality}' is an image, whose values share one standard deviation; use shared"
+            )),
             None => Ok(()),
         }
     }
@@ -376,15 +376,9 @@ impl RunSpec {
         self.trial().is_some() && self.training.last_epoch.is_some()
     }
 
-    /// Divides the variant into the part before the trial, the trial's number, and the trial's settings. Without a trial,
-    /// all of it is the first part.
+    /// Divides the variant; see [`variant_parts`].
     pub fn variant_parts(&self) -> (&str, Option<&str>, &str) {
-        let varied = self.variant.strip_prefix("trial=").map(|trial| ("", trial));
-        let Some((varied, trial)) = varied.or_else(|| self.variant.split_once(",trial=")) else {
-            return (&self.variant, None, "");
-        };
-        let (number, settings) = trial.split_once(',').unwrap_or((trial, ""));
-        (varied, Some(number), settings)
+        variant_parts(&self.variant)
     }
 
     /// Returns the value of a key in the variant.
@@ -413,4 +407,15 @@ impl RunSpec {
         };
         format!("{}{data}-seed{}", self.cell(), self.seed)
     }
+}
+
+/// Divides a variant into the part before the trial, the trial's number, and the trial's settings. Without a trial, all of
+/// it is the first part.
+pub fn variant_parts(variant: &str) -> (&str, Option<&str>, &str) {
+    let varied = variant.strip_prefix("trial=").map(|trial| ("", trial));
+    let Some((varied, trial)) = varied.or_else(|| variant.split_once(",trial=")) else {
+        return (variant, None, "");
+    };
+    let (number, settings) = trial.split_once(',').unwrap_or((trial, ""));
+    (varied, Some(number), settings)
 }

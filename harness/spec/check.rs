@@ -2,7 +2,7 @@
 
 use super::error::Problem;
 use super::modality::Modality;
-use super::name::is_name;
+use super::name::{is_name, nearest};
 use super::origin::Origin;
 use super::parse::{Entry, Node, Value, shorten};
 use serde_json::{Value as Json, json};
@@ -112,7 +112,7 @@ fn check_choice(
     node: &Node,
     path: &str,
 ) -> Result<(), Problem> {
-    // What fits a pattern alone is compared with the worlds and datasets that have such names.
+    // A text that only fits a pattern is compared with the existing worlds and datasets later.
     let fits_pattern = |text: &str| match what {
         "scenario" => Origin::try_from(text.to_owned()).is_ok(),
         "modality" => Modality::new(text).is_some(),
@@ -142,7 +142,7 @@ fn check_items(root: &Json, schema: &Json, items: &[Node], path: &str) -> Result
         check_node(root, &schema["items"], item, path)?;
         let value = item.to_json().to_string();
         if schema["uniqueItems"] == true && !earlier.insert(value.clone()) {
-            return Err(Problem::new(&item.origin, format!("{value} stands twice in '{path}'")));
+            return Err(Problem::new(&item.origin, format!("{value} is in '{path}' twice")));
         }
     }
     Ok(())
@@ -159,10 +159,7 @@ fn check_keys(
     for entry in entries {
         let own = property(schema, &entry.key);
         if own.is_null() || own == false {
-            return Err(Problem::new(
-                &entry.key_origin,
-                unknown("key", &entry.key, path, &names, str::to_owned),
-            ));
+            return Err(Problem::new(&entry.key_origin, unknown_key(entry, path, &names)));
         }
     }
     let required = schema["required"].as_array().into_iter().flatten().filter_map(Json::as_str);
@@ -176,6 +173,35 @@ fn check_keys(
     entries.iter().try_for_each(|entry| {
         check_node(root, property(schema, &entry.key), &entry.node, &join(path, &entry.key))
     })
+}
+
+/// A list in which each list is replaced by its elements; `vary` may have lists of lists.
+fn flattened(value: Json) -> Json {
+    let Json::Array(elements) = value else { return value };
+    let elements = elements.into_iter().flat_map(|element| match element {
+        Json::Array(inner) => inner,
+        element => vec![element],
+    });
+    Json::Array(elements.collect())
+}
+
+/// The message about a key that a section can't have. `names` are the keys that the schema lists.
+fn unknown_key(entry: &Entry, path: &str, names: &[&str]) -> String {
+    /// The lists of a spec of which each value has its own runs.
+    const LISTS: [&str; 3] = ["scenarios", "latent", "seeds"];
+    let key = shorten(&entry.key);
+    if path.rsplit('.').next() == Some("vary") && LISTS.contains(&entry.key.as_str()) {
+        let value = shorten(&flattened(entry.node.to_json()).to_string());
+        return format!(
+            "'{key}' is a list already; leave it out of '{path}', and write {key}: {value} at the top level of the spec"
+        );
+    }
+    if names.is_empty() {
+        return format!(
+            "'{key}' in '{path}' can't be a name; use 1 to 64 lower-case letters, digits and '_', a letter first"
+        );
+    }
+    unknown("key", &entry.key, path, names, str::to_owned)
 }
 
 fn unexpected(expected: &str, found: &Value, path: &str) -> String {
@@ -192,38 +218,23 @@ pub(super) fn unknown(
     names: &[&str],
     suggest: impl Fn(&str) -> String,
 ) -> String {
+    /// The largest number of names that are listed after a suggestion.
+    const MOST: usize = 30;
     let mut message = format!("unknown {what} '{}'", shorten(found));
     if !path.is_empty() {
         message += &format!(" in '{path}'");
     }
-    if let Some(name) = nearest(found, names) {
-        message += &format!("; did you mean '{}'?", suggest(name));
-    } else {
-        message += ".";
-    }
+    let meant = nearest(found, names);
+    message += &meant.map_or(".".to_owned(), |name| format!("; did you mean '{}'?", suggest(name)));
     // Of dotted keys only those of the section that was named, if it exists.
     let section = found.rfind('.').map_or("", |dot| &found[..=dot]);
     let is_near = |name: &&&str| name.starts_with(section);
     let near: Vec<&str> = names.iter().filter(is_near).copied().collect();
     let allowed = if near.is_empty() { names } else { &near };
-    message + &format!(" Allowed: {}", allowed.join(", "))
-}
-
-/// The name that differs by the fewest typing errors, if they are few; else the dotted key whose last part does.
-fn nearest<'a>(found: &str, names: &[&'a str]) -> Option<&'a str> {
-    // Comparing takes time and memory for each pair of letters; what is this long is no typing error.
-    if found.len() > 100 {
-        return None;
+    if meant.is_some() && allowed.len() > MOST {
+        return message;
     }
-    let found = found.to_lowercase();
-    let tolerated = (found.chars().count() / 3).max(1);
-    let nearest_by = |part: fn(&str) -> &str| {
-        let errors = |name: &&'a str| strsim::damerau_levenshtein(&found, part(name));
-        let (errors, name) =
-            names.iter().map(|name| (errors(name), *name)).min_by_key(|(errors, _)| *errors)?;
-        (errors <= tolerated).then_some(name)
-    };
-    nearest_by(|name| name).or_else(|| nearest_by(|name| name.rsplit('.').next().unwrap_or(name)))
+    message + &format!(" Allowed: {}", allowed.join(", "))
 }
 
 /// Follows a reference into the definitions. Returns the schema and the definition's name.

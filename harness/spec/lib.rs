@@ -28,12 +28,12 @@ mod values;
 mod world;
 
 pub use built_in::{BuiltIn, SPECS, YamlFile, find};
-pub use cells::RunSpec;
+pub use cells::{RunSpec, variant_parts};
 pub use episode::{Episode, Pose};
 pub use error::SpecError;
 pub use factor::{Distribution, Drawing, Factor, Normal, Property};
 pub use modality::*;
-pub use name::{intern, is_name};
+pub use name::{intern, is_name, nearest};
 pub use origin::{Origin, Scenario};
 pub use parse::read as read_text;
 pub use scaling::{GivenScaling, GivenScalings, Scaling, Scalings};
@@ -108,6 +108,9 @@ fn load_text(folder: &Path, text: &str, overrides: &[String], quick: bool) -> Re
             "the file is empty; see `harness schema` for what a spec holds",
         ));
     }
+    if let Some(message) = other_file(&tree) {
+        return Err(Problem::new(&tree.origin, message));
+    }
     schema::list_single_values(&mut tree);
     resolve(folder, &tree)?;
     let mut quick_tree = tree.clone();
@@ -128,6 +131,26 @@ fn load_text(folder: &Path, text: &str, overrides: &[String], quick: bool) -> Re
     let experiment = resolve(folder, &tree).map_err(|problem| problem.after("applying the overrides"))?;
     check_variants(folder, &tree, &experiment)?;
     Ok(experiment)
+}
+
+/// Says what a file is, and how it is used, if it is the spec of a run or a world instead of an experiment.
+fn other_file(tree: &Node) -> Option<&'static str> {
+    let has = |keys: &[&str]| keys.iter().all(|key| tree.get(key).is_some());
+    if has(&["name"]) || has(&["scenarios"]) {
+        None
+    } else if has(&["scenario", "seed"]) {
+        Some(
+            "this is the spec of one run, not of an experiment; `harness show RUN` prints the command that makes the \
+             run, where RUN is the name of this file's folder",
+        )
+    } else if has(&["model", "modalities"]) {
+        Some(
+            "this is a world, not an experiment; give its path in the list 'scenarios' of an experiment's spec, as in \
+             `harness run smoke 'scenarios=[WORLD.yaml]'`",
+        )
+    } else {
+        None
+    }
 }
 
 /// Checks the experiment with each combination of a reading, a role, the settings under `vary` and a trial.
@@ -181,9 +204,25 @@ fn resolve(folder: &Path, tree: &Node) -> Result<Experiment, Problem> {
     experiment.worlds = worlds(folder, tree, &experiment.scenarios)?;
     let at = |fault: validate::Fault| Problem::new(tree.origin_of(&fault.path), fault.message);
     experiment.take_defaults_of_worlds(tree).map_err(at)?;
+    check_rates_of_worlds(tree, &experiment)?;
     validate::validate(&experiment).map_err(at)?;
     experiment.make_canonical();
     Ok(experiment)
+}
+
+/// Refuses a world whose own rates can't be used, unless the spec sets one of them.
+fn check_rates_of_worlds(tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
+    let given = |key: &str| tree.get("simulation").is_some_and(|section| section.get(key).is_some());
+    if given("sample_rate_hz") || given("actuation_seconds") {
+        return Ok(());
+    }
+    for (index, origin) in experiment.scenarios.iter().enumerate() {
+        let Some(world) = experiment.world(origin) else { continue };
+        let at =
+            |error: SpecError| Problem::new(tree.origin_of(&format!("scenarios.{index}")), error.to_string());
+        world.check_rates().map_err(at)?;
+    }
+    Ok(())
 }
 
 /// Loads the worlds of the world files among `scenarios`.

@@ -63,11 +63,16 @@ impl JsonSchema for Modality {
     }
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        let built_in = Layout::finger();
-        let choices = Modality::BUILT_IN.iter().map(|modality| {
-            serde_json::json!({
-                "description": built_in[*modality].meaning, "type": "string", "const": modality.name(),
-            })
+        const MEANINGS: [&str; Modality::BUILT_IN.len()] = [
+            "The angles of the finger's joints, rad.",
+            "The arm's rotation (rad), lift (m) and extension (m).",
+            "The normal contact force on each link at the sample, N.",
+            "The normal contact force on each link, averaged over the time since the previous sample, N.",
+            "The image of the external camera.",
+            "The change of the image since the previous sample.",
+        ];
+        let choices = Modality::BUILT_IN.iter().zip(MEANINGS).map(|(modality, meaning)| {
+            serde_json::json!({ "description": meaning, "type": "string", "const": modality.name() })
         });
         let other = serde_json::json!({
             "description": "A modality of another world, or of an imported dataset.", "type": "string", "pattern": NAME,

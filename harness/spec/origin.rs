@@ -82,7 +82,8 @@ impl TryFrom<String> for Origin {
     type Error = String;
 
     fn try_from(name: String) -> Result<Self, String> {
-        if name.contains('/') || name.ends_with(".yaml") || name.ends_with(".yml") {
+        // A model is refused when it is read as a world file.
+        if name.contains('/') || [".yaml", ".yml", ".xml"].iter().any(|ending| name.ends_with(ending)) {
             return Ok(Self::File(name));
         }
         if is_imported_name(&name) {

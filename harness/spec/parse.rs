@@ -160,17 +160,23 @@ impl fmt::Display for Value {
     }
 }
 
-/// Shortens a text to 60 characters on one line, to quote it in a message.
+/// Shortens a text to 60 characters on one line, to quote it in a message. Characters that can't be printed are escaped.
 pub(super) fn shorten(text: &str) -> String {
     const LONGEST: usize = 60;
-    let shown: String = text.chars().take(LONGEST).flat_map(char::escape_debug).collect();
+    let mut shown = String::new();
+    for letter in text.chars().take(LONGEST) {
+        match letter {
+            '\'' | '"' | '\\' => shown.push(letter),
+            other => shown.extend(other.escape_debug()),
+        }
+    }
     if text.chars().nth(LONGEST).is_some() { shown + "…" } else { shown }
 }
 
 /// Reads the text of a YAML file.
 ///
 /// # Errors
-/// When the file is missing, is a directory, is larger than 1 MiB, can't be read, or is not UTF-8.
+/// When the file is missing, is a directory or an MJCF model, is larger than 1 MiB, can't be read, or is not UTF-8.
 pub fn read(path: &Path) -> Result<String, SpecError> {
     let unreadable = |message: String| SpecError::Unreadable { path: path.display().to_string(), message };
     if path.is_dir() {
@@ -180,6 +186,11 @@ pub fn read(path: &Path) -> Result<String, SpecError> {
         std::io::ErrorKind::NotFound => unreadable("there is no such file".into()),
         _ => unreadable(format!("can't be opened: {error}")),
     })?;
+    if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("xml")) {
+        return Err(unreadable(
+            "is an MJCF model; `harness world new MODEL.xml` writes a world file for it".into(),
+        ));
+    }
     let mut bytes = Vec::new();
     // Reading one byte more than allowed detects a file that is too large, even a pipe, whose metadata has no size.
     file.take(MAX_FILE_BYTES + 1)

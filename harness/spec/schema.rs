@@ -68,11 +68,10 @@ fn add_settings_of_worlds(simulation: &mut Json) {
     let number = |description: &str| json!({ "description": description, "type": "number", "minimum": 0.0, "maximum": 1000.0 });
     for world in World::built_in() {
         for (name, setting) in world.settings() {
-            let world = world.scenario();
             simulation["properties"][name] = match setting {
-                Setting::Range(_) => range(&format!("Range of a setpoint: lowest, highest (world {world}).")),
+                Setting::Range(_) => range("Lowest and highest setpoint. The default is that of the world."),
                 Setting::Number(_) => {
-                    number(&format!("Smallest distance between placed bodies, m (world {world})."))
+                    number("Smallest distance between placed bodies, m. The default is that of the world.")
                 }
             };
         }

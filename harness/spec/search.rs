@@ -26,10 +26,10 @@ pub struct Search {
     // The schema of the keys is added in `schema`.
     #[schemars(with = "BTreeMap<String, Value>")]
     pub space: BTreeMap<String, Candidates>,
-    /// What the best trial has the lowest value of.
+    /// The loss by which trials are compared.
     #[serde(default)]
     pub objective: Objective,
-    /// Stops trials early that are worse than others.
+    /// Successive halving, which stops bad trials early.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "halving")]
     pub halving: Option<Halving>,
@@ -60,13 +60,13 @@ pub enum Candidates {
     Choice(Vec<Value>),
 }
 
-/// What the best trial has the lowest value of: a term of the loss on the validation samples.
+/// The value by which trials are compared: a term of the loss on the validation samples. The best trial has the lowest.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Objective {
     /// `total`, or an output modality, as in the column `term` of the table `epochs`.
     pub term: String,
-    /// The samples on which it is evaluated. A choice by the test samples would make their errors too small.
+    /// The samples on which the loss is evaluated. Choosing by the test samples would make their errors too small.
     pub split: Evaluated,
 }
 
@@ -91,15 +91,16 @@ impl Default for Objective {
     }
 }
 
-/// Successive halving (Jamieson & Talwalkar, 2016): all trials train for a few epochs, and the best of them train on.
+/// Successive halving (Jamieson & Talwalkar, 2016): all trials are trained for a few epochs, and the best of them are
+/// trained further.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Halving {
-    /// One of so many trials trains on, for so many times as many epochs.
+    /// The best 1/`eta` of the trials continue until they have been trained for `eta` times as many epochs.
     #[serde(default = "default_eta")]
     #[schemars(range(min = 2, max = 100))]
     pub eta: usize,
-    /// Epochs that every trial trains for.
+    /// Number of epochs for which every trial is trained.
     #[schemars(range(min = 1, max = 100_000))]
     pub min_epochs: usize,
 }

@@ -100,3 +100,30 @@ impl Default for Simulation {
         }
     }
 }
+
+/// Refuses a sample rate with no whole number of simulation steps between two samples. The error is the message.
+pub(super) fn sample_rate(rate: f64, steps: f64) -> Result<(), String> {
+    if is_positive_whole(steps / rate) {
+        return Ok(());
+    }
+    let usual = [10.0, 20.0, 50.0, 100.0].into_iter().filter(|usual| is_positive_whole(steps / usual));
+    let mut usual: Vec<String> = usual.map(|rate: f64| rate.to_string()).collect();
+    if usual.is_empty() {
+        usual.push((steps / (steps / rate).round().max(1.0)).to_string());
+    }
+    let usual = usual.join(", ");
+    Err(format!("{rate} Hz does not divide the simulation's {steps} Hz; use one that does, such as {usual}"))
+}
+
+/// Refuses a duration of a move that is no whole number of samples. The error is the message.
+pub(super) fn actuation(seconds: f64, rate: f64) -> Result<(), String> {
+    if is_positive_whole(seconds * rate) {
+        return Ok(());
+    }
+    let interval = 1.0 / rate;
+    Err(format!("{seconds} s is not a whole number of samples at {rate} Hz; use a multiple of {interval} s"))
+}
+
+fn is_positive_whole(value: f64) -> bool {
+    value.round() >= 1.0 && (value - value.round()).abs() < 1e-9 * value
+}

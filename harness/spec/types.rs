@@ -153,8 +153,8 @@ pub struct Experiment {
     /// The question of the experiment, in a sentence.
     #[serde(default)]
     pub description: String,
-    /// Sources of the samples: names of built-in worlds, paths of world files, or names of imported datasets. Each
-    /// makes its own cells.
+    /// Sources of the samples: names of built-in worlds, paths of world files, or names of imported datasets. Each has
+    /// runs of its own.
     #[schemars(length(min = 1), extend("uniqueItems" = true))]
     pub scenarios: Vec<Origin>,
     /// The modalities that the encoder gets. Their order does not matter.
@@ -163,10 +163,10 @@ pub struct Experiment {
     /// The modalities that the decoder predicts. Their order does not matter.
     #[schemars(length(min = 1), extend("uniqueItems" = true))]
     pub output: Vec<Modality>,
-    /// Sizes of the latent state. Each makes its own cells.
+    /// Sizes of the latent state. Each has runs of its own.
     #[schemars(length(min = 1), inner(range(min = 1, max = 4096)), extend("uniqueItems" = true))]
     pub latent: Vec<usize>,
-    /// Seeds of the runs, for initial weights, sampling and the order of batches. Each makes its own runs.
+    /// Seeds of the runs, for initial weights, sampling and the order of batches. Each has runs of its own.
     #[serde(default = "default_seeds")]
     #[schemars(length(min = 1), inner(range(min = 0, max = MAX_SEED)), extend("uniqueItems" = true))]
     pub seeds: Vec<u64>,
@@ -192,20 +192,20 @@ pub struct Experiment {
     /// Settings of training.
     #[serde(default)]
     pub training: Training,
-    /// Settings to try in every combination, by dotted key: `training.kl_weight: [0, 0.001]`. Each combination makes
-    /// its own cells. The column `variant` of the tables names the combination.
+    /// Settings to try in every combination, by dotted key: `training.kl_weight: [0, 0.001]`. Each combination has runs
+    /// of its own. The column `variant` of the tables names the combination.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub vary: BTreeMap<String, Vec<serde_json::Value>>,
-    /// Settings to draw from distributions, one combination for each trial. Each trial makes its own cells. The column
-    /// `variant` of the tables names it.
+    /// Settings to draw from distributions. Each trial is one combination and has runs of its own. The column `variant`
+    /// of the tables names the trial.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "search")]
     pub search: Option<Search>,
-    /// Other experiments, each with the settings in which it differs from the spec, by dotted key. Each makes its own
-    /// cells. The column `role` of the table `runs` names it.
+    /// Other experiments, each with the settings in which it differs from the spec, by dotted key. Each has runs of its
+    /// own. The column `role` of the table `runs` names it.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub roles: BTreeMap<String, Settings>,
-    /// Alternative interpretations of choices that a paper leaves open. Each makes its own cells. The spec's own
+    /// Alternative interpretations of choices that a paper leaves open. Each has runs of its own. The spec's own
     /// settings are the reading `base`. The column `reading` of the table `runs` names the reading.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub readings: Vec<Reading>,
@@ -418,6 +418,13 @@ pub struct SplitCounts {
 impl Default for Split {
     fn default() -> Self {
         Self { by: Division::Episode, validation: 0.1, test: 0.1, gap_seconds: None }
+    }
+}
+
+impl Training {
+    /// The epoch after which training ends at the latest.
+    pub fn final_epoch(&self) -> usize {
+        self.last_epoch.unwrap_or(self.epochs)
     }
 }
 

@@ -5,9 +5,9 @@ use super::modality::{Modality, Scale};
 use super::name::is_name;
 use super::origin::Origin;
 use super::search::{Halving, Objective, Search};
-use super::simulation::{Setting, Simulation};
+use super::simulation::{self, Setting, Simulation};
 use super::types::{
-    Device, Division, Experiment, Network, Precision, Reading, Settings, Split, Task, Training,
+    Device, Division, Experiment, Network, Precision, Preset, Reading, Settings, Split, Task, Training,
 };
 use super::world::World;
 
@@ -76,7 +76,10 @@ fn readings(experiment: &Experiment) -> Result<(), Fault> {
     for (index, Reading { name, .. }) in experiment.readings.iter().enumerate() {
         let path = format!("readings.{index}.name");
         if name == Reading::BASE {
-            return fault(path, "'base' is the reading that the spec's own settings are; use another name");
+            return fault(
+                path,
+                "'base' is the name of the reading with the spec's own settings; use another name",
+            );
         }
         if !is_name(name) {
             return fault(path, NAME_RULE.replace("{}", &super::parse::shorten(name)));
@@ -90,7 +93,7 @@ fn readings(experiment: &Experiment) -> Result<(), Fault> {
 
 /// Message for an invalid name in the column `variant`.
 const NAME_RULE: &str =
-    "'{}' can't name a reading; use 1 to 64 small letters, digits and '_', a letter first";
+    "'{}' can't name a reading; use 1 to 64 lower-case letters, digits and '_', a letter first";
 
 fn runs(experiment: &Experiment) -> Result<(), Fault> {
     let (scenarios, latent) = (experiment.scenarios.len(), experiment.latent.len());
@@ -218,12 +221,15 @@ fn convolves(images: &Images, network: &Network) -> Result<(), Fault> {
     if !network.channels().is_empty() {
         return Ok(());
     }
+    let (kind, remedy) = match network.preset {
+        Preset::SingleToMulti => ("a single_to_multi network", ", use network.preset: multi_to_multi"),
+        Preset::MultiToMulti => ("a network without channels", ""),
+    };
     fault(
         modality.name(),
         format!(
-            "'{modality}' is an image, and a {} network takes vectors alone; leave it out, use \
-             network.preset: multi_to_multi, or give it convolutions by network.channels",
-            network.preset
+            "'{modality}' is an image, and {kind} takes vectors alone; leave it out{remedy}, or give it convolutions \
+             by network.channels"
         ),
     )
 }
@@ -261,7 +267,9 @@ fn convolutions(
         let [rows, columns] = size;
         return fault(
             "network.average",
-            format!("images of {rows} x {columns} pixels have no whole squares of {average} x {average}"),
+            format!(
+                "images of {rows} x {columns} pixels can't be divided into squares of {average} x {average}"
+            ),
         );
     }
     // The side that can be halved fewer times.
@@ -355,7 +363,7 @@ fn losses(experiment: &Experiment) -> Result<(), Fault> {
     if let Some((key, words, modality)) = named.find(|(.., modality)| !experiment.output.contains(modality)) {
         return fault(
             format!("training.{key}.{modality}"),
-            format!("'{modality}' has a {words} but is no output; outputs: {}", list(&experiment.output)),
+            format!("'{modality}' has a {words} but is not an output; outputs: {}", list(&experiment.output)),
         );
     }
     let is_image = |modality: &Modality| {
@@ -419,31 +427,10 @@ fn settings(experiment: &Experiment) -> Result<(), Fault> {
 fn timing(experiment: &Experiment) -> Result<(), Fault> {
     let Simulation { actuation_seconds: seconds, sample_rate_hz: rate, .. } = experiment.simulation;
     for world in experiment.scenarios.iter().filter_map(|origin| experiment.world(origin)) {
-        let steps = world.file().step_rate_hz;
-        if !is_positive_whole(steps / rate) {
-            return fault(
-                "simulation.sample_rate_hz",
-                format!(
-                    "{rate} Hz does not divide the simulation's {steps} Hz; use one that does, \
-                     as 10, 20, 50 or 100"
-                ),
-            );
-        }
+        simulation::sample_rate(rate, world.file().step_rate_hz)
+            .or_else(|message| fault("simulation.sample_rate_hz", message))?;
     }
-    if !is_positive_whole(seconds * rate) {
-        let interval = 1.0 / rate;
-        return fault(
-            "simulation.actuation_seconds",
-            format!(
-                "{seconds} s is not a whole number of samples at {rate} Hz; use a multiple of {interval} s"
-            ),
-        );
-    }
-    Ok(())
-}
-
-fn is_positive_whole(value: f64) -> bool {
-    value.round() >= 1.0 && (value - value.round()).abs() < 1e-9 * value
+    simulation::actuation(seconds, rate).or_else(|message| fault("simulation.actuation_seconds", message))
 }
 
 fn samples(simulation: &Simulation) -> Result<(), Fault> {
@@ -486,7 +473,7 @@ fn scaling(experiment: &Experiment) -> Result<(), Fault> {
         if is_image && given.scale == Some(Scale::PerElement) {
             return fault(
                 format!("scaling.{modality}.scale"),
-                format!("'{modality}' is an image, whose values have one deviation for all; use shared"),
+                format!("'{modality}' is an image, whose values share one standard deviation; use shared"),
             );
         }
     }

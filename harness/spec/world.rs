@@ -8,7 +8,7 @@ use super::name::{NAME, is_name};
 use super::origin::Scenario;
 use super::parse::{self, Node, shorten};
 use super::scaling::Scaling;
-use super::simulation::{Setting, Simulation};
+use super::simulation::{self, Setting, Simulation};
 use super::values::{ascending, globs};
 use schemars::JsonSchema;
 use serde::de::{Deserializer, MapAccess, Visitor};
@@ -575,9 +575,10 @@ impl World {
         let label = path.display().to_string();
         let name = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
         let unreadable = |message: String| SpecError::Unreadable { path: label.clone(), message };
+        let text = parse::read(path)?;
         if !is_name(name) {
             return Err(unreadable(format!(
-                "the file's name names the world, and '{}' can't; use lower-case letters, digits and '_', a letter first",
+                "a world is named after its file, and can't be named '{}'; use lower-case letters, digits and '_', a letter first",
                 shorten(name)
             )));
         }
@@ -587,7 +588,7 @@ impl World {
             )));
         }
         let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        Self::parse(&label, Some(folder), name, &parse::read(path)?).map(Arc::new)
+        Self::parse(&label, Some(folder), name, &text).map(Arc::new)
     }
 
     /// Reads the world file again, as it is now; `None` for a built-in world.
@@ -750,6 +751,16 @@ impl World {
         })
     }
 
+    /// Checks the sample rate and the duration of a move that the file sets, which apply unless a spec sets others.
+    ///
+    /// # Errors
+    /// When a spec that leaves them out can't be run.
+    pub fn check_rates(&self) -> Result<(), SpecError> {
+        let WorldFile { sample_rate_hz: rate, step_rate_hz: steps, action, .. } = &self.file;
+        simulation::sample_rate(*rate, *steps).map_err(|message| self.fault("sample_rate_hz", message))?;
+        simulation::actuation(action.seconds, *rate).map_err(|message| self.fault("action.seconds", message))
+    }
+
     /// Refuses a value that the world's setting can't have. The error is the message.
     pub(super) fn check_setting(&self, name: &str, value: &Setting) -> Result<(), String> {
         let own = self.settings().into_iter().find(|(own, _)| own == name).map(|(_, own)| own);
@@ -798,7 +809,7 @@ fn check(file: &WorldFile) -> Result<(), (String, String)> {
     }
     for (name, placing) in file.placement.iter() {
         let at = |key: &str| format!("placement.{name}{key}");
-        named("what is placed", name).map_err(|message| (at(""), message))?;
+        named("a placement", name).map_err(|message| (at(""), message))?;
         match (&placing.sector, &placing.rectangle) {
             (Some(sector), None) => {
                 for (key, element) in [("rotation", &sector.rotation), ("extension", &sector.extension)] {
@@ -873,7 +884,7 @@ fn modality<'a>(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), (
         return Err(("groups", "an image has no groups; 'regions' tell its parts apart".into()));
     }
     if is_image && sensing.scale == Some(Scale::PerElement) {
-        return Err(("scale", "the values of an image have one deviation for all; use shared".into()));
+        return Err(("scale", "the values of an image share one standard deviation; use shared".into()));
     }
     if is_image && sensing.percentage.is_some() {
         return Err(("percentage", "errors of images are not given in percent".into()));

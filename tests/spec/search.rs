@@ -362,7 +362,7 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
         (
             "{choice: [16, [32, 32]]}",
             "{choice: [16, 16]}",
-            "spec.yaml:11:35: [16] stands twice in 'search.space.network.hidden.choice'",
+            "spec.yaml:11:35: [16] is in 'search.space.network.hidden.choice' twice",
         ),
         (
             "{choice: [16, [32, 32]]}",
