@@ -15,8 +15,8 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Barrier};
 use std::time::{Duration, SystemTime};
 
 #[path = "common/finger.rs"]
@@ -277,9 +277,12 @@ fn a_cancelled_collection_keeps_whole_episodes_and_goes_on_from_them() {
     assert_eq!(collect(&dataset, &scene, 1, &Silent).unwrap(), 3);
 }
 
-/// Leaves a thread-local value that takes a while to free on the calling thread, like an OpenGL driver.
-#[derive(Default)]
-struct LeavesSomething(Arc<AtomicU64>);
+/// Leaves a thread-local value that takes a while to free on each of two calling threads, like an OpenGL driver.
+struct LeavesSomething {
+    freed: Arc<AtomicU64>,
+    /// The first thread that comes waits for the other one. Otherwise it could do all the work alone.
+    both: Barrier,
+}
 
 thread_local! {
     static LEFT: RefCell<Option<FreedSlowly>> = const { RefCell::new(None) };
@@ -298,7 +301,10 @@ impl Progress for LeavesSomething {
     fn begin(&self, _: &str, _: u64, _: &str) {}
     fn advance(&self, _: u64) {
         LEFT.with_borrow_mut(|left| {
-            left.get_or_insert_with(|| FreedSlowly(self.0.clone()));
+            left.get_or_insert_with(|| {
+                self.both.wait();
+                FreedSlowly(self.freed.clone())
+            });
         });
     }
     fn note(&self, _: &str) {}
@@ -309,9 +315,10 @@ impl Progress for LeavesSomething {
 #[test]
 fn collecting_ends_after_its_threads_have_freed_everything() {
     let (root, scene) = (tempfile::tempdir().unwrap(), scene(Scenario::EMPTY));
-    let (dataset, progress) = (dataset_of(root.path(), &scene, &short()), LeavesSomething::default());
+    let dataset = dataset_of(root.path(), &scene, &short());
+    let progress = LeavesSomething { freed: Arc::default(), both: Barrier::new(2) };
     collect(&dataset, &scene, 2, &progress).unwrap();
-    assert_eq!(progress.0.load(Ordering::Relaxed), 2);
+    assert_eq!(progress.freed.load(Ordering::Relaxed), 2);
 }
 
 #[test]
@@ -543,6 +550,48 @@ fn a_shared_deviation_pools_the_variances_and_leaves_each_mean() {
     let mut lost = vec![f32::NAN; JOINTS];
     shared.denormalize(&mut lost);
     assert!(lost.iter().all(|value| value.is_nan()), "what is not a number is not hidden by the minimum");
+}
+
+/// One episode in which each image shows `byte`, and each element of a vector has the value that `value` gives for the
+/// sample and the element.
+fn still(count: usize, place: FramePlace, byte: u8, value: impl Fn(usize, usize) -> f32) -> Samples {
+    let (recording, layout) = (Recording { sample_rate_hz: 10.0, seed: 0 }, Layout::finger());
+    let mut samples = Samples::new(recording, layout.clone(), count, place, Path::new("nowhere")).unwrap();
+    let mut episode = Episode::new(layout.clone(), 0, count);
+    for (index, definition) in layout.modalities.iter().enumerate() {
+        let width = definition.width();
+        if !definition.is_image() {
+            episode.vectors[index] = (0..count * width).map(|at| value(at / width, at % width)).collect();
+        } else if definition.difference_of.is_none() && place != FramePlace::Nowhere {
+            episode.images[index] = vec![byte; count * width];
+        }
+    }
+    samples.push(&episode).unwrap();
+    samples
+}
+
+#[test]
+fn a_constant_value_has_the_deviation_1_whatever_it_is_and_however_many_samples_there_are() {
+    // Only the last element varies, by a ten-thousandth of its mean.
+    let value = |sample: usize, element: usize| match element + 1 == JOINTS {
+        true => 1.0 + 1e-4 * (sample % 2) as f32,
+        false => 0.1 + element as f32 / 3.0,
+    };
+    let samples = still(40_001, FramePlace::Nowhere, 0, value);
+    let at: Vec<usize> = (0..40_000).collect();
+    let own = Scaling { scale: Scale::PerElement, minimum: None };
+    let scalings = Scalings::from([(Modality::CONTACT_FORCE, own)]);
+    let normalizers = Normalizers::fit(&samples, &at, &scalings, Action::Increment);
+    let forces = &normalizers.modalities[&Modality::CONTACT_FORCE].std;
+    assert_eq!(forces[..JOINTS - 1], [1.0; JOINTS - 1]);
+    assert!((forces[JOINTS - 1] - 5e-5).abs() < 1e-7, "{forces:?}");
+
+    let samples = still(11, FramePlace::Memory, 245, |_, _| 0.0);
+    let at: Vec<usize> = (0..10).collect();
+    let shared = Scaling { scale: Scale::Shared, minimum: None };
+    let scalings = Scalings::from([(Modality::VISION, shared)]);
+    let normalizers = Normalizers::fit(&samples, &at, &scalings, Action::Increment);
+    assert_eq!(normalizers.modalities[&Modality::VISION].std, [1.0]);
 }
 
 #[test]

@@ -99,7 +99,7 @@ fn lists_and_bounds_that_make_too_many_runs_are_refused() {
         "2 scenarios, 499 latent sizes and 500 seeds make 499000 runs",
     );
     let twice = format!("seeds=[{},0]", list(0..90_000));
-    refused(&SMOKE_TEXT, &[twice], "0 stands twice in 'seeds'");
+    refused(&SMOKE_TEXT, &[twice], "0 is in 'seeds' twice");
     assert_eq!(parse(&SMOKE_TEXT, &[override_with("seeds", 0..5000)]).unwrap().runs().len(), 10_000);
 }
 

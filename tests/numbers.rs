@@ -301,7 +301,7 @@ fn ask(results: &Path, answers: &Path) {
         ask(&format!("claims{ending}"), &[&["claims", "-o", &verdicts], option].concat());
         for figure in FIGURES {
             let out = file(&format!("{figure}{ending}.drawn"));
-            ask(&format!("{figure}{ending}"), &[&["figures", figure, "--out", &out], option].concat());
+            ask(&format!("{figure}{ending}"), &[&["figures", figure, "--output", &out], option].concat());
             for kind in ["csv", "svg"] {
                 let drawn = Path::new(&out).join(format!("{figure}.{kind}"));
                 if drawn.exists() {

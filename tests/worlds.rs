@@ -88,6 +88,12 @@ fn every_mistake_of_a_world_file_is_one_line_with_its_place_and_what_exists() {
         ),
         ("  arm:\n", "  proprioception:\n", place("  arm:\n"), "duplicate"),
         (
+            "  contact_force:\n",
+            "  contact-force:\n",
+            place("  contact_force:\n"),
+            "'contact-force' in 'modalities' can't be a name; use 1 to 64 lower-case letters, digits and '_', a letter first",
+        ),
+        (
             "size: [64, 64]",
             "size: [64, 100000]",
             place("64, 64]"),
@@ -184,7 +190,7 @@ fn every_mistake_of_a_world_file_is_one_line_with_its_place_and_what_exists() {
             "geom_friction: finger_link_*",
             "geom_size: ground",
             place("finger_link_*, scale_by: {uniform"),
-            "geom 'ground' is no sphere, capsule, ellipsoid, cylinder or box, which alone can change size",
+            "geom 'ground' is not a sphere, capsule, ellipsoid, cylinder or box, so its size can't be changed",
         ),
         (
             "joint_positions: arm_*",
@@ -241,6 +247,52 @@ fn every_mistake_of_a_world_file_is_one_line_with_its_place_and_what_exists() {
 fn a_world_file_without_a_model_that_compiles_is_refused() {
     let said = fault("model: empty.xml", "model: none.xml");
     assert!(said.starts_with("own.yaml:3:8: can't read the model none.xml: "), "{said}");
+}
+
+#[test]
+fn rates_that_no_experiment_can_use_are_refused_at_their_place_in_the_world_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let results = folder.path().join("results");
+    fs::write(folder.path().join("own.xml"), EMPTY_XML).unwrap();
+    let path = folder.path().join("own.yaml");
+    let (world, scenarios) = (path.to_str().unwrap(), format!("scenarios=[{}]", path.display()));
+    for (old, new, expected, change) in [
+        (
+            "sample_rate_hz: 10",
+            "sample_rate_hz: 7",
+            "own.yaml:5:17: 7 Hz does not divide the simulation's 1000 Hz; use one that does, such as 10, 20, 50, 100",
+            "simulation.sample_rate_hz=10",
+        ),
+        (
+            "  seconds: 1\n",
+            "  seconds: 0.05\n",
+            "own.yaml:27:12: 0.05 s is not a whole number of samples at 10 Hz; use a multiple of 0.1 s",
+            "simulation.actuation_seconds=1",
+        ),
+    ] {
+        let text = EMPTY.replacen(old, new, 1).replacen("model: empty.xml", "model: own.xml", 1);
+        fs::write(&path, text).unwrap();
+        for arguments in [&["world", "check", world][..], &["validate", "smoke", &scenarios]] {
+            let answer = finish(&mut harness(&results, arguments));
+            assert!(answer.code == 2 && answer.stderr.contains(expected), "{arguments:?}: {}", answer.stderr);
+        }
+        // A spec can set another rate.
+        succeed(&results, &["validate", "smoke", &scenarios, change]);
+    }
+}
+
+#[test]
+fn a_model_is_refused_with_the_command_that_writes_its_world_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("own.xml");
+    fs::write(&path, EMPTY_XML).unwrap();
+    let (model, scenarios) = (path.to_str().unwrap(), format!("scenarios=[{}]", path.display()));
+    for arguments in [&["world", "check", model][..], &["run", model], &["validate", "smoke", &scenarios]] {
+        let answer = finish(&mut harness(folder.path(), arguments));
+        let expected =
+            format!("{model}: is an MJCF model; `harness world new MODEL.xml` writes a world file for it");
+        assert!(answer.code == 2 && answer.stderr.contains(&expected), "{arguments:?}: {}", answer.stderr);
+    }
 }
 
 #[test]
@@ -418,8 +470,12 @@ fn go_through(results: &Path, folder: &Path, spec: &Path, world: &Path, modality
         succeed(results, &["compare", "strange", "--metrics", "r2,rmse", "--format", "markdown"])
             .contains("latent 4")
     );
+    // Only the built-in finger has twenty links.
+    let described = succeed(results, &["query", "describe episodes"]);
+    assert!(described.contains("time since the episode's start"), "{described}");
+    assert!(!described.contains("contact_force_19"), "{described}");
     let page = folder.join("report.html");
-    succeed(results, &["report", "--out", page.to_str().unwrap()]);
+    succeed(results, &["report", "--output", page.to_str().unwrap()]);
     assert!(fs::metadata(page).unwrap().len() > 10_000);
     let picture = folder.join("robot.png");
     let arguments = [
@@ -551,7 +607,7 @@ fn a_spec_turns_factors_on_and_queries_see_what_was_drawn() {
         "unknown factor 'finger_stifness' in 'simulation.factors'; did you mean 'finger_stiffness'?";
     assert!(unknown.contains(expected) && unknown.contains("finger_mass"), "{unknown}");
     let said = refused("simulation.factors=[light, light]");
-    assert!(said.contains("stands twice"), "{said}");
+    assert!(said.contains("is in 'simulation.factors' twice"), "{said}");
     // In the spec itself, with its place.
     let text = fs::read_to_string(&spec).unwrap();
     fs::write(&spec, text.replace("episodes: 4,", "episodes: 4, factors: [box_mass],")).unwrap();
@@ -599,7 +655,7 @@ fn a_network_takes_and_predicts_images_that_are_no_squares() {
     let layers = succeed(&results, &["show", "strange/own-z2", "--all"]);
     assert!(layers.contains("4 x 16 x 24") && layers.contains("4 x 8 x 12"), "{layers}");
     let page = folder.path().join("report.html");
-    succeed(&results, &["report", "--out", page.to_str().unwrap()]);
+    succeed(&results, &["report", "--output", page.to_str().unwrap()]);
 }
 
 /// Regions are found by color, so they are those of the camera, wherever the optical flow stands.
@@ -651,8 +707,10 @@ fn no_size_of_the_finger_stands_in_the_program() {
             } else if is_source {
                 files += 1;
                 let text = fs::read_to_string(&path).unwrap();
-                // Unit tests are not part of the program.
-                let program = text.split("#[cfg(test)]").next().unwrap_or_default();
+                // Unit tests and Python's docstrings, which have examples, are not part of the program.
+                let tested = text.split("#[cfg(test)]").next().unwrap_or_default();
+                let is_python = path.extension().is_some_and(|ending| ending == "py");
+                let program: String = tested.split("\"\"\"").step_by(1 + usize::from(is_python)).collect();
                 let code = program.lines().filter(|line| !line.trim_start().starts_with(['/', '#', '!']));
                 let lines = code.filter(|line| NAMES.iter().chain(&SIZES).any(|size| line.contains(size)));
                 found.extend(lines.map(|line| format!("{}: {line}", path.display())));

@@ -4,7 +4,7 @@ use harness_dataset::{CompiledModel, Dataset, DatasetError};
 use harness_shared::files::{FolderLock, LockError};
 use harness_shared::progress::Progress;
 use harness_shared::shard::Shard;
-use harness_simulation::{Scene, SimulationError, Simulator, mujoco_version};
+use harness_simulation::{Scene, SimulationError, Simulator, mujoco_version, renderer_name};
 use harness_spec::Simulation;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -42,6 +42,18 @@ pub fn dataset_of(root: &Path, scene: &Scene, spec: &Simulation) -> Dataset {
     let model =
         CompiledModel { layout: &layout, sha256: scene.model_sha256(), mujoco_version: mujoco_version() };
     Dataset::new(root, scene.world(), model, spec)
+}
+
+/// Checks that images can be rendered, if one of the datasets lacks episodes with images.
+///
+/// # Errors
+/// When there is no OpenGL to render with.
+pub fn check_rendering<'a>(datasets: impl IntoIterator<Item = &'a Dataset>) -> Result<(), SimulationError> {
+    let has_images = |dataset: &Dataset| dataset.layout().stored_images().next().is_some();
+    if datasets.into_iter().any(|dataset| has_images(dataset) && !dataset.has_every_file()) {
+        renderer_name()?;
+    }
+    Ok(())
 }
 
 /// Simulates the missing episodes of `dataset` and returns their number. Each of the `threads` threads has its own

@@ -56,7 +56,7 @@ pub enum DatasetError {
         root: PathBuf,
     },
     /// The dataset lacks a modality that a spec uses.
-    #[error("the dataset {dataset} holds no {modality}, which the experiment needs; it holds {held}")]
+    #[error("the dataset {dataset} contains no {modality}, which the experiment needs; it contains {held}")]
     Lacks {
         /// Name of the dataset.
         dataset: String,

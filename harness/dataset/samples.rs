@@ -157,7 +157,7 @@ impl Samples {
     fn frames(&self, modality: Modality) -> &FrameStore {
         let stored = self.layout[modality].difference_of.unwrap_or(modality);
         let frames = self.images[self.position(stored)].as_ref();
-        frames.unwrap_or_else(|| panic!("{modality} is no image"))
+        frames.unwrap_or_else(|| panic!("{modality} is not an image"))
     }
 
     /// Returns an image of all samples, `[samples, channel, row, column]`. For a difference, this is the image that it

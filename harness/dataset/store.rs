@@ -119,6 +119,11 @@ impl Dataset {
         self.folder.join(episode_file(index))
     }
 
+    /// Whether each episode has a file. It may be damaged.
+    pub fn has_every_file(&self) -> bool {
+        (0..self.spec.episodes).all(|index| self.episode_path(index).exists())
+    }
+
     /// Returns the indices of the episodes that are missing or damaged.
     pub fn missing(&self) -> Vec<u32> {
         self.to_make(&Silent)

@@ -20,6 +20,7 @@ pub use series::Series;
 use harness_spec::{Definition, IMAGE_CHANNELS, Modality, Percentage, Region, intern};
 use rayon::prelude::*;
 use std::slice::from_ref;
+use std::str::FromStr;
 
 const RELATIVE_ERROR: &str = "relative_error";
 
@@ -130,6 +131,26 @@ impl Metric {
             Metric::RelativeErrorOf(name) => name,
         }
     }
+}
+
+impl FromStr for Metric {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        let names = Self::GENERAL.map(Self::name).join(", ");
+        Self::named(name).ok_or_else(|| {
+            format!("the metrics are {names}, and relative_error_REGION of a world's regions, as relative_error_finger")
+        })
+    }
+}
+
+/// The name of a metric for people, with the unit of the values.
+pub fn label(metric: &str, unit: &str) -> String {
+    let name = match metric {
+        "smape" | "wmape" | "r2" | "rmse" | "mae" => metric.to_uppercase(),
+        name => name.replace('_', " "),
+    };
+    if unit == "1" { name } else { format!("{name} ({unit})") }
 }
 
 /// One row of the metrics table.

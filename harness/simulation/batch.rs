@@ -43,7 +43,7 @@ impl Batch {
         let count = self.simulations.len();
         let simulation = self.simulations.get_mut(index).ok_or_else(|| {
             SimulationError::Batch(format!(
-                "index: the batch holds simulations 0 to {}, not {index}",
+                "index: the batch has simulations 0 to {}, not {index}",
                 count - 1
             ))
         })?;

@@ -22,11 +22,11 @@ pub fn draft_world(model: &Path, called: &str) -> Result<String, SimulationError
     let model = MjModel::from_xml(model).map_err(|error| compile_error(&shown, error))?;
     let actuators = named(&model, MjtObjBase::mjOBJ_ACTUATOR);
     if actuators.is_empty() {
-        let problem = "it has no actuator with a name, and a world's action is made of them".to_owned();
+        let problem = "it has no actuator with a name, which a world's action needs".to_owned();
         return Err(SimulationError::Unsuitable { scene: shown, problem });
     }
     let mut text = format!(
-        "# Written by `harness world new`. Take away what is not sensed; `harness world check` says what each name matches.\n\
+        "# Written by `harness world new`. Remove what is not sensed; `harness world check` lists what each name matches.\n\
          description: {}\nmodel: {}\nstep_rate_hz: {}\nsample_rate_hz: 10\n\nmodalities:\n",
         quoted(&format!("The robot of {file}")),
         quoted(called),

@@ -332,7 +332,7 @@ impl<'a> Resolver<'a> {
                     definition.optical_flow = other.optical_flow;
                     return Ok((definition, Vec::new()));
                 }
-                return Err(self.fault(path, format!("'{of}' must stand before what is its difference")));
+                return Err(self.fault(path, format!("'{of}' must be listed before its difference")));
             }
             Source::JointPositions(patterns) => {
                 definition.meaning = "Position of joint".into();
@@ -463,7 +463,8 @@ impl<'a> Resolver<'a> {
         if is_plain {
             return Ok(camera);
         }
-        let message = "is orthographic or has a sensor size; an optical flow is computed of a perspective camera with a fovy";
+        let message =
+            "is orthographic or has a sensor size; an optical flow needs a perspective camera with a fovy";
         Err(self.fault(path, format!("camera '{name}' {message}")))
     }
 
@@ -646,13 +647,14 @@ impl<'a> Resolver<'a> {
                 ];
                 let is_known = sizes.contains(&model.geom_type()[id]);
                 (!is_known).then(|| {
-                    "is no sphere, capsule, ellipsoid, cylinder or box, which alone can change size".into()
+                    "is not a sphere, capsule, ellipsoid, cylinder or box, so its size can't be changed"
+                        .into()
                 })
             }
             Property::CameraRotation => {
                 let mode = model.cam_mode()[id];
                 let aims = [MjtCamLight::mjCAMLIGHT_TARGETBODY, MjtCamLight::mjCAMLIGHT_TARGETBODYCOM];
-                aims.contains(&mode).then(|| "looks at a body, wherever it is turned to".into())
+                aims.contains(&mode).then(|| "always looks at a body, so it can't be rotated".into())
             }
             _ => None,
         }

@@ -61,8 +61,8 @@ impl Scene {
                     .map_err(|error| world.fault("model", format!("can't read the model {name}: {error}")))?;
                 forget_assets();
                 let model = MjModel::from_xml(&path).map_err(|error| compile_error(&name, error))?;
-                // What other files hold is in the compiled model. MJCF names them by attributes that begin with `file`,
-                // as `file` and `fileright`; a comment with that word does no harm.
+                // The compiled model contains the content of other files. MJCF refers to them by attributes that begin
+                // with `file`, such as `file` and `fileright`. A comment with that word does no harm.
                 let stands_alone = !xml.contains("file");
                 let sha256 =
                     if stands_alone { digest(xml.as_bytes()) } else { digest_of_model(&name, &model)? };
