@@ -828,6 +828,19 @@ impl Progress for Impatient {
     }
 }
 
+/// Trains parameters without a saved state. Returns the epochs.
+fn fit(
+    objective: &dyn Objective,
+    parameters: &Parameters,
+    training: &Training,
+    partition: &Partition,
+) -> Vec<Epoch> {
+    let (state, progress) = (StateFile::none(), &harness_shared::progress::Silent);
+    let task = Task::Prediction;
+    let fit = Fit { task, training, seed: 0, partition, state: &state, progress, log: &|_| () };
+    fit.run(objective, parameters).unwrap()
+}
+
 /// An objective that records the transitions of each call, and whether it is for training. There is nothing to learn.
 struct Protocol {
     parameter: Tensor,
@@ -870,18 +883,7 @@ fn every_epoch_visits_every_transition_once_in_an_order_of_its_own() {
     let parameters = Parameters::from([("parameter".to_owned(), parameter)]);
     let partition = Partition { training: (0..10).collect(), validation: vec![20, 21, 22], test: vec![30] };
     let training = Training { epochs: 3, batch_size: 4, patience: None, ..Training::default() };
-    let (state, progress) = (StateFile::none(), &harness_shared::progress::Silent);
-    let task = Task::Prediction;
-    let fit = Fit {
-        task,
-        training: &training,
-        seed: 0,
-        partition: &partition,
-        state: &state,
-        progress,
-        log: &|_| (),
-    };
-    fit.run(&protocol, &parameters).unwrap();
+    fit(&protocol, &parameters, &training, &partition);
     let orders: Vec<Vec<usize>> = protocol.asked(true).chunks(10).map(<[usize]>::to_vec).collect();
     assert_eq!(orders.len(), 3);
     for order in &orders {
@@ -1102,18 +1104,7 @@ fn patience_counts_from_the_best_total_or_from_the_last_term_that_improved() {
         let parameters = Parameters::from([("parameter".to_owned(), parameter.clone())]);
         let partition = Partition { training: vec![0], validation: vec![1], test: vec![2] };
         let training = Training { epochs: 7, patience: Some(2), stop, ..Training::default() };
-        let (state, progress) = (StateFile::none(), &harness_shared::progress::Silent);
-        let task = Task::Prediction;
-        let fit = Fit {
-            task,
-            training: &training,
-            seed: 0,
-            partition: &partition,
-            state: &state,
-            progress,
-            log: &|_| (),
-        };
-        let done = fit.run(&scripted, &parameters).unwrap().len();
+        let done = fit(&scripted, &parameters, &training, &partition).len();
         let kept = parameter.to_scalar::<f32>().unwrap();
         assert_eq!(kept, scripted.reached.borrow()[2], "the parameters of the third epoch, the best total");
         done
@@ -1128,6 +1119,47 @@ fn a_loss_that_is_not_finite_ends_the_training() {
     bench.training.learning_rate = 1e30;
     let error = bench.train(7, &StateFile::none(), &harness_shared::progress::Silent).err().unwrap();
     assert!(matches!(error, LearningError::NotFinite { .. }), "{error}");
+}
+
+/// An objective that is finite on training samples, and infinite on validation samples.
+struct InfiniteOnValidation(Tensor);
+
+impl Objective for InfiniteOnValidation {
+    fn terms(&self, _: &[usize], draw: Draw) -> Result<Vec<Weighted>> {
+        let infinite = if matches!(draw, Draw::Mean) { f64::INFINITY } else { 1.0 };
+        let term = |name: &str, value: f64| -> Result<Weighted> {
+            Ok(Weighted { name: name.into(), weight: 1.0, value: (&self.0 * value)? })
+        };
+        Ok(vec![term("contact_force", infinite)?, term("kl", 1.0)?])
+    }
+
+    fn detached(&self) -> Box<dyn Objective + '_> {
+        Box::new(Self(self.0.clone()))
+    }
+}
+
+#[test]
+fn a_loss_that_is_not_finite_on_validation_samples_is_named_with_its_terms() {
+    let parameter = Var::new(1.0f32, &Device::Cpu).unwrap();
+    let objective = InfiniteOnValidation(parameter.as_tensor().clone());
+    let parameters = Parameters::from([("parameter".to_owned(), parameter)]);
+    let partition = Partition { training: vec![0], validation: vec![1], test: vec![2] };
+    let (training, state) = (Training::default(), StateFile::none());
+    let fit = Fit {
+        task: Task::Prediction,
+        training: &training,
+        seed: 0,
+        partition: &partition,
+        state: &state,
+        progress: &harness_shared::progress::Silent,
+        log: &|_| (),
+    };
+    let error = fit.run(&objective, &parameters).err().unwrap().to_string();
+    assert_eq!(
+        error,
+        "the validation loss of the prediction was no longer finite in epoch 1 (contact_force inf, total inf); try a \
+         smaller training.learning_rate"
+    );
 }
 
 #[test]

@@ -1,7 +1,9 @@
 //! What is shown of trainings that are running: their epochs in the tables, and `harness watch`.
 
-use crate::common::{SMOKE, finish, fresh, harness, succeed};
-use crate::terminal::{plain, raw, too_wide};
+use crate::common::{PATIENCE, SMOKE, finish, fresh, harness, succeed};
+use crate::interruption::signal;
+use crate::terminal::{plain, raw, raw_while, too_wide};
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -52,7 +54,7 @@ fn epochs(results: &Path) -> usize {
 fn wait_for_epochs(results: &Path, more_than: usize) -> usize {
     let begin = Instant::now();
     loop {
-        assert!(begin.elapsed() < Duration::from_secs(100), "no epochs appear");
+        assert!(begin.elapsed() < PATIENCE, "no epochs appear");
         std::thread::sleep(Duration::from_millis(200));
         if !results.join("runs/smoke").is_dir() {
             continue;
@@ -61,6 +63,17 @@ fn wait_for_epochs(results: &Path, more_than: usize) -> usize {
         if there > more_than {
             return there;
         }
+    }
+}
+
+/// Waits until a run has begun.
+#[track_caller]
+fn wait_for_record(results: &Path) {
+    let begin = Instant::now();
+    let runs = || std::fs::read_dir(results.join("runs/smoke")).into_iter().flatten().flatten();
+    while !runs().any(|run| run.path().join("run.json").exists()) {
+        assert!(begin.elapsed() < PATIENCE, "no run begins");
+        std::thread::sleep(Duration::from_millis(1));
     }
 }
 
@@ -92,7 +105,7 @@ fn epochs_appear_in_the_tables_while_a_network_is_trained_and_count_in_no_result
     assert_eq!(finish(&mut harness(&results, &["watch", "smoke", "--once"])).code, 0);
     let unknown = finish(&mut harness(&results, &["watch", "smok"]));
     assert!(
-        unknown.code == 1 && unknown.stderr.contains("no run of 'smok' has started"),
+        unknown.code == 2 && unknown.stderr.contains("no run of 'smok' has started"),
         "{}",
         unknown.stderr
     );
@@ -105,14 +118,40 @@ fn epochs_appear_in_the_tables_while_a_network_is_trained_and_count_in_no_result
 }
 
 #[test]
+fn a_trial_is_watched_up_to_the_epoch_where_halving_compares_it() {
+    let results = fresh("live-halving");
+    let spec = results.with_extension("yaml");
+    // Each epoch has many small steps, so that the first trial lasts long enough to be seen.
+    let text = "name: tiny\nscenarios: [empty]\ninput: [proprioception]\noutput: [proprioception, contact_force]\nlatent: [2]\n\
+        network: {preset: single_to_multi, hidden: [8]}\nsimulation: {episodes: 4, actuations_per_episode: 2}\n\
+        training: {epochs: 90000, batch_size: 2, patience: null}\n\
+        search:\n  method: sobol\n  trials: 2\n  space:\n    training.batch_size: {choice: [1, 2]}\n  \
+        objective: {term: contact_force}\n  halving: {eta: 2, min_epochs: 45000}\n";
+    std::fs::write(&spec, text).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_harness"));
+    command.arg("--results").arg(&results).arg("run").arg(&spec);
+    let _run = Running(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
+    let begin = Instant::now();
+    let row = loop {
+        assert!(begin.elapsed() < PATIENCE, "no trial is trained");
+        std::thread::sleep(Duration::from_millis(200));
+        let watched = finish(&mut harness(&results, &["watch", "--once"])).stdout;
+        if let Some(row) = watched.lines().find(|line| line.contains("trial=0000") && line.contains('/')) {
+            break row.to_owned();
+        }
+    };
+    assert!(row.contains("/45000 "), "{row}");
+}
+
+#[test]
 fn a_killed_and_resumed_training_has_each_epoch_once() {
     let (whole, killed) = (fresh("live-whole"), fresh("live-killed"));
-    assert!(training(&whole, 300).status().unwrap().success());
+    assert!(training(&whole, 600).status().unwrap().success());
     {
-        let _run = Running(training(&killed, 300).spawn().unwrap());
-        wait_for_epochs(&killed, 10);
+        let _run = Running(training(&killed, 600).spawn().unwrap());
+        wait_for_epochs(&killed, 0);
     }
-    let again = Running(training(&killed, 300).spawn().unwrap());
+    let again = Running(training(&killed, 600).spawn().unwrap());
     let mut again = again;
     // While it goes on, `epochs` checks that every epoch is there once.
     while again.0.try_wait().unwrap().is_none() {
@@ -122,7 +161,7 @@ fn a_killed_and_resumed_training_has_each_epoch_once() {
     let of = |results: &Path| {
         ask(results, "select epoch, split, term, value from epochs order by epoch, split, term")
     };
-    assert_eq!(epochs(&killed), 300);
+    assert_eq!(epochs(&killed), 600);
     assert_eq!(of(&killed), of(&whole));
     let left = std::fs::read_dir(killed.join("runs/smoke"))
         .unwrap()
@@ -133,12 +172,38 @@ fn a_killed_and_resumed_training_has_each_epoch_once() {
 }
 
 #[test]
+fn watching_ends_when_nobody_reads_it() {
+    let results = fresh("live-unread");
+    let run = Running(training(&results, 300).spawn().unwrap());
+    wait_for_record(&results);
+    signal(&run.0, libc::SIGSTOP);
+    let mut watch = Command::new(env!("CARGO_BIN_EXE_harness"));
+    let watch = watch.arg("--results").arg(&results).arg("watch").stdout(Stdio::piped());
+    let mut watch = Running(watch.spawn().unwrap());
+    let mut line = String::new();
+    BufReader::new(watch.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    assert!(line.starts_with("1 running ("), "{line}");
+    let begin = Instant::now();
+    while watch.0.try_wait().unwrap().is_none() {
+        assert!(begin.elapsed() < PATIENCE, "it still runs");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    assert!(watch.0.wait().unwrap().success());
+}
+
+#[test]
 fn watching_ends_when_the_training_does() {
     let results = fresh("live-watched");
-    let mut run = Running(training(&results, 200).spawn().unwrap());
-    wait_for_epochs(&results, 0);
+    let mut run = Running(training(&results, 300).spawn().unwrap());
+    wait_for_record(&results);
+    // The training stands still until its picture was replaced.
+    signal(&run.0, libc::SIGSTOP);
     let mut watch = Command::new(env!("CARGO_BIN_EXE_harness"));
-    let shown = raw(watch.arg("--results").arg(&results).arg("watch"), 80);
+    let shown = raw_while(watch.arg("--results").arg(&results).arg("watch"), 80, |shown| {
+        if shown.contains("\x1b[J") {
+            signal(&run.0, libc::SIGCONT);
+        }
+    });
     assert!(run.0.wait().unwrap().success());
     assert!(shown.contains("\x1b[J"), "pictures replace each other: {shown:?}");
     let shown = plain(&shown);

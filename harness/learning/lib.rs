@@ -59,22 +59,25 @@ pub fn open_device(device: Device) -> Result<candle_core::Device, LearningError>
 pub enum LearningError {
     /// A loss became infinite or NaN.
     #[error(
-        "the loss of the {task:?} was no longer finite in epoch {epoch} ({losses:?}); \
-         try a smaller training.learning_rate"
+        "the {split} loss of the {task} was no longer finite in epoch {epoch} ({}); try a smaller \
+         training.learning_rate",
+        losses.iter().map(|(term, value)| format!("{term} {value}")).collect::<Vec<_>>().join(", ")
     )]
     NotFinite {
         /// What was being trained.
         task: Task,
         /// The epoch, counted from 1.
         epoch: usize,
-        /// The mean training losses of the epoch.
+        /// `training` or `validation`: the samples that the loss is of.
+        split: &'static str,
+        /// The terms of the loss that are not finite, with their means over the epoch.
         losses: Losses,
     },
     /// The caller cancelled the training.
     #[error("the training was cancelled; the same command continues from the last saved state")]
     Cancelled,
     /// A state or a checkpoint is damaged, or does not fit the network.
-    #[error("{} is damaged ({reason}); delete it and run the same command again", path.display())]
+    #[error("{} is damaged ({reason}); `harness verify` names the command that trains it again", path.display())]
     Damaged {
         /// The damaged file.
         path: PathBuf,

@@ -8,6 +8,11 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// A column is constant if its largest and smallest value differ by less than this part of the largest magnitude, which
+/// is 8 times the precision of an f32. The difference of two sums could not tell: its rounding error grows with the
+/// number of samples.
+const CONSTANT: f64 = 1e-6;
+
 /// Number of frames that are summed in 32 bits. The sum of this many squared differences of bytes fits in an `i32`.
 const FRAMES_AT_ONCE: usize = 4096;
 
@@ -65,22 +70,29 @@ struct Moments {
     count: f64,
     sum: Vec<f64>,
     square: Vec<f64>,
+    /// Whether a value is the same in all samples.
+    constant: Vec<bool>,
 }
 
 impl Moments {
     /// Sums `width` values over the given `samples`.
     fn of<V: AsRef<[f32]>>(width: usize, samples: &[usize], values: impl Fn(usize) -> V) -> Self {
-        let mut moments =
-            Self { count: samples.len() as f64, sum: vec![0.0; width], square: vec![0.0; width] };
+        let (mut sum, mut square) = (vec![0.0; width], vec![0.0; width]);
+        let mut range = vec![(f64::INFINITY, f64::NEG_INFINITY); width];
         for sample in samples {
-            let sums = moments.sum.iter_mut().zip(&mut moments.square);
-            for (value, (sum, square)) in values(*sample).as_ref().iter().zip(sums) {
+            let sums = sum.iter_mut().zip(&mut square).zip(&mut range);
+            for (value, ((sum, square), (least, greatest))) in values(*sample).as_ref().iter().zip(sums) {
                 let value = f64::from(*value);
                 *sum += value;
                 *square += value * value;
+                *least = least.min(value);
+                *greatest = greatest.max(value);
             }
         }
-        moments
+        let is_constant =
+            |(least, greatest): (f64, f64)| greatest - least <= CONSTANT * least.abs().max(greatest.abs());
+        let constant = range.into_iter().map(is_constant).collect();
+        Self { count: samples.len() as f64, sum, square, constant }
     }
 
     fn means(&self) -> Vec<f32> {
@@ -88,9 +100,9 @@ impl Moments {
     }
 
     fn variances(&self) -> impl Iterator<Item = f64> {
-        self.sum.iter().zip(&self.square).map(|(sum, square)| {
+        self.sum.iter().zip(&self.square).zip(&self.constant).map(|((sum, square), constant)| {
             let mean = sum / self.count;
-            (square / self.count - mean * mean).max(0.0)
+            if *constant { 0.0 } else { (square / self.count - mean * mean).max(0.0) }
         })
     }
 
@@ -215,9 +227,12 @@ fn frame_moments(samples: &Samples, at: &[usize], modality: Modality) -> Moments
         each.for_each(|(sum, other)| *sum += other);
         sums
     });
+    let count = at.len() as i128;
+    let constant =
+        sums.iter().map(|[sum, square]| count * i128::from(*square) == i128::from(*sum).pow(2)).collect();
     let [sum, square] = [(0, 255.0), (1, 255.0 * 255.0)]
         .map(|(which, unit)| sums.iter().map(|sums| sums[which] as f64 / unit).collect());
-    Moments { count: at.len() as f64, sum, square }
+    Moments { count: at.len() as f64, sum, square, constant }
 }
 
 /// Normalized frames of chosen samples, computed one at a time. All images have the same size.

@@ -24,33 +24,51 @@ const STEPS: &str = "steps";
 #[derive(Default)]
 pub struct State {
     /// Losses of the epochs so far, in order.
-    pub epochs: Vec<Epoch>,
+    epochs: Vec<Epoch>,
+    /// The lowest validation loss of each term, and the first epoch that had it.
+    lowest: BTreeMap<String, (f64, usize)>,
     /// The parameters of the epoch with the lowest validation loss.
     best: BTreeMap<String, Tensor>,
 }
 
 impl State {
-    /// Returns the epoch with the lowest validation loss, counted from 1; 0 before the first epoch.
+    /// The losses of the epochs so far, in order.
+    pub fn epochs(&self) -> &[Epoch] {
+        &self.epochs
+    }
+
+    /// The losses of the epochs so far, in order.
+    pub fn into_epochs(self) -> Vec<Epoch> {
+        self.epochs
+    }
+
+    /// Returns the epoch with the lowest validation loss, counted from 1; 0 before the first epoch. Without validation
+    /// losses, that is the first epoch.
     pub fn best_epoch(&self) -> usize {
-        self.best_epoch_of(TOTAL)
+        self.lowest.get(TOTAL).map_or(self.epochs.len().min(1), |(_, epoch)| *epoch)
     }
 
     /// Returns the last epoch, counted from 1, in which the validation error of some output modality reached a new
     /// minimum; 0 before the first epoch.
     pub fn last_improvement(&self) -> usize {
-        let terms = self.epochs.first().map(|epoch| epoch.validation.keys()).into_iter().flatten();
-        let outputs = terms.filter(|term| ![TOTAL, KL].contains(&term.as_str()));
-        outputs.map(|term| self.best_epoch_of(term)).max().unwrap_or_default()
+        let outputs = self.lowest.iter().filter(|(term, _)| ![TOTAL, KL].contains(&term.as_str()));
+        outputs.map(|(_, (_, epoch))| *epoch).max().unwrap_or_default()
     }
 
-    fn best_epoch_of(&self, term: &str) -> usize {
-        let loss = |epoch: &&Epoch| epoch.validation.get(term).copied().unwrap_or(f64::INFINITY);
-        self.epochs.iter().min_by(|a, b| loss(a).total_cmp(&loss(b))).map_or(0, |epoch| epoch.epoch)
+    fn push(&mut self, epoch: Epoch) {
+        for (term, loss) in &epoch.validation {
+            match self.lowest.get_mut(term) {
+                Some((lowest, _)) if loss.total_cmp(lowest).is_ge() => {}
+                Some(lowest) => *lowest = (*loss, epoch.epoch),
+                None => drop(self.lowest.insert(term.clone(), (*loss, epoch.epoch))),
+            }
+        }
+        self.epochs.push(epoch);
     }
 
     /// Appends an epoch, and keeps a copy of the parameters if it is the best so far.
     pub fn record(&mut self, epoch: Epoch, parameters: &Parameters) -> CandleResult<()> {
-        self.epochs.push(epoch);
+        self.push(epoch);
         if self.best_epoch() == self.epochs.len() {
             self.best = copies(parameters)?;
         }
@@ -83,8 +101,8 @@ pub struct StateFile {
     fixed: bool,
     /// End of the last save.
     saved: Cell<Instant>,
-    /// Contents of the last epoch's state, if that was not saved.
-    kept: RefCell<Option<TensorFile>>,
+    /// The tensors of the last epoch's state, and the number of the optimizer's steps, if that state was not saved.
+    kept: RefCell<Option<(HashMap<String, Tensor>, u64)>>,
 }
 
 impl StateFile {
@@ -139,15 +157,19 @@ impl StateFile {
         if self.path.is_none() {
             return Ok(());
         }
-        *self.kept.borrow_mut() = Some(contents(state, parameters, adam)?);
-        if self.saved.get().elapsed() >= self.interval.get() { self.save_kept() } else { Ok(()) }
+        *self.kept.borrow_mut() = Some((tensors(state, parameters, adam)?, adam.steps()));
+        if self.saved.get().elapsed() >= self.interval.get() { self.save_kept(state) } else { Ok(()) }
     }
 
-    /// Saves the state of the last epoch, unless it has been saved already.
-    pub fn save_kept(&self) -> Result<(), LearningError> {
-        let (Some(path), Some(kept)) = (&self.path, self.kept.take()) else { return Ok(()) };
+    /// Saves the state of the last epoch, unless it has been saved already. `state` is that of the last call of
+    /// [`save_now_and_then`](Self::save_now_and_then).
+    pub fn save_kept(&self, state: &State) -> Result<(), LearningError> {
+        let (Some(path), Some((tensors, steps))) = (&self.path, self.kept.take()) else { return Ok(()) };
         let begin = Instant::now();
-        kept.write(path)?;
+        let mut note = Map::new();
+        note.insert(EPOCHS.into(), json!(state.epochs));
+        note.insert(STEPS.into(), json!(steps));
+        TensorFile { tensors, note }.write(path)?;
         self.saved.set(Instant::now());
         if !self.fixed {
             self.interval.set(begin.elapsed().div_f64(SAVE_SHARE));
@@ -180,12 +202,14 @@ impl Saved {
         };
         let moments = group("mean")?.into_iter().zip(group("square")?).collect();
         let best = parameters.keys().cloned().zip(group("best")?).collect();
-        Ok(Self { parameters: group("parameter")?, moments, steps, state: State { epochs, best } })
+        let mut state = State { best, ..State::default() };
+        epochs.into_iter().for_each(|epoch| state.push(epoch));
+        Ok(Self { parameters: group("parameter")?, moments, steps, state })
     }
 }
 
-/// Returns the contents of a state file. Its tensors are copies, so later steps do not change them.
-fn contents(state: &State, parameters: &Parameters, adam: &Adam) -> CandleResult<TensorFile> {
+/// Returns the tensors of a state file. They are copies, so later steps do not change them.
+fn tensors(state: &State, parameters: &Parameters, adam: &Adam) -> CandleResult<HashMap<String, Tensor>> {
     let mut tensors = HashMap::new();
     for ((name, parameter), (mean, square)) in copies(parameters)?.into_iter().zip(adam.moments()?) {
         tensors.insert(format!("parameter.{name}"), parameter);
@@ -193,8 +217,5 @@ fn contents(state: &State, parameters: &Parameters, adam: &Adam) -> CandleResult
         tensors.insert(format!("square.{name}"), square);
     }
     tensors.extend(state.best.iter().map(|(name, tensor)| (format!("best.{name}"), tensor.clone())));
-    let mut note = Map::new();
-    note.insert(EPOCHS.into(), json!(state.epochs));
-    note.insert(STEPS.into(), json!(adam.steps()));
-    Ok(TensorFile { tensors, note })
+    Ok(tensors)
 }

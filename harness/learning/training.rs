@@ -70,40 +70,40 @@ impl Fit<'_> {
             Task::Prediction => "prediction",
             Task::Reconstruction => "reconstruction",
         };
-        let epochs = self.training.last_epoch.unwrap_or(self.training.epochs);
+        let epochs = self.training.final_epoch();
         self.progress.begin(stage, epochs as u64, "epochs");
-        self.progress.resume(state.epochs.len() as u64);
-        (self.log)(&state.epochs);
+        self.progress.resume(state.epochs().len() as u64);
+        (self.log)(state.epochs());
         while !self.finished(&state) {
-            let epoch = match self.epoch(objective, &mut adam, state.epochs.len()) {
+            let epoch = match self.epoch(objective, &mut adam, state.epochs().len()) {
                 Err(LearningError::Cancelled) => {
-                    self.state.save_kept()?;
+                    self.state.save_kept(&state)?;
                     return Err(LearningError::Cancelled);
                 }
                 epoch => epoch?,
             };
             state.record(epoch, parameters)?;
-            (self.log)(&state.epochs);
+            (self.log)(state.epochs());
             self.progress.note(&describe(&state));
             self.progress.advance(1);
             self.state.save_now_and_then(&state, parameters, &adam)?;
         }
         // The work after this training may be interrupted too.
-        self.state.save_kept()?;
+        self.state.save_kept(&state)?;
         if self.training.patience.is_some() {
             state.restore_best(parameters)?;
         }
         self.progress.end();
-        Ok(state.epochs)
+        Ok(state.into_epochs())
     }
 
     fn finished(&self, state: &State) -> bool {
-        let done = state.epochs.len();
+        let done = state.epochs().len();
         let improved = match self.training.stop {
             Stop::Total => state.best_epoch(),
             Stop::EveryTerm => state.last_improvement(),
         };
-        done >= self.training.last_epoch.unwrap_or(self.training.epochs)
+        done >= self.training.final_epoch()
             || self.training.patience.is_some_and(|patience| done >= improved + patience)
     }
 
@@ -136,12 +136,20 @@ impl Fit<'_> {
             validation,
             seconds: begin.elapsed().as_secs_f64(),
         };
-        let finite = |losses: &Losses| losses.values().all(|value| value.is_finite());
-        if finite(&epoch.train) && finite(&epoch.validation) {
-            Ok(epoch)
-        } else {
-            Err(LearningError::NotFinite { task: self.task, epoch: epoch.epoch, losses: epoch.train })
+        self.check_finite(&epoch)?;
+        Ok(epoch)
+    }
+
+    /// Refuses an epoch with a loss that is infinite or NaN.
+    fn check_finite(&self, epoch: &Epoch) -> Result<(), LearningError> {
+        for (split, losses) in [("training", &epoch.train), ("validation", &epoch.validation)] {
+            let mut losses = losses.clone();
+            losses.retain(|_, value| !value.is_finite());
+            if !losses.is_empty() {
+                return Err(LearningError::NotFinite { task: self.task, epoch: epoch.epoch, split, losses });
+            }
         }
+        Ok(())
     }
 
     fn validate(&self, objective: &dyn Objective) -> CandleResult<Losses> {
@@ -193,9 +201,9 @@ impl Sums {
 
 /// Describes the last epoch's losses and the lowest validation loss so far.
 fn describe(state: &State) -> String {
-    let Some(last) = state.epochs.last() else { return String::new() };
+    let [.., last] = state.epochs() else { return String::new() };
     let of = |losses: &Losses| losses.get(TOTAL).copied().unwrap_or(f64::NAN);
-    let best = &state.epochs[state.best_epoch() - 1];
+    let best = &state.epochs()[state.best_epoch() - 1];
     let lowest = if best.epoch == last.epoch {
         "lowest so far".into()
     } else {
