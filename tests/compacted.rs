@@ -1,24 +1,28 @@
 //! Compacted tables give the same answers as the runs' own files, even after changes and damage to either.
 
-use crate::common::{SMOKE, finish, fresh, harness};
-use harness::analysis::{Selection, compare};
+use crate::common::{SMOKE, finish, fresh, harness, set_in_record, succeed};
+use harness::analysis::compare;
 use harness::experiment::provenance;
 use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::evaluate;
 use harness::progress::Silent;
-use harness::registry::{MetricRow, Outcome, PredictionRow, QueryError, Registry, query};
+use harness::registry::{
+    Decision, MetricRow, Outcome, PredictionRow, QueryError, Registry, RunRecord, query, query_of,
+};
+use harness::seal;
 use harness::spec::{self, Layout, Modality, Task};
 use polars::prelude::DataFrame;
 use rayon::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
 /// A little more than the time after its last change when a file may be compacted.
 const SETTLED: Duration = Duration::from_millis(3200);
 
-const QUERIES: [&str; 12] = [
+const QUERIES: [&str; 13] = [
+    "select experiment, run, status, dataset, group_hash from runs order by experiment, run",
     "select * from metrics",
     "select * from metrics limit 7",
     "select * from metrics where model = 'ridge' and seed in (3, 40) limit 5",
@@ -84,7 +88,7 @@ fn answers(results: &Path) -> Vec<DataFrame> {
         .iter()
         .map(|sql| query(&registry, sql).unwrap_or_else(|error| panic!("{sql}: {error}")))
         .collect();
-    answers.push(compare(&registry, &Selection::default()).unwrap());
+    answers.push(compare(&registry, &[], &[]).unwrap());
     assert_eq!(registry.left_out(), Vec::<String>::new());
     answers
 }
@@ -197,7 +201,10 @@ fn runs_that_changed_since_are_not_answered_from_compacted_tables() {
     restore_time(modified);
     let error = means(&results).unwrap_err();
     assert!(matches!(error, QueryError::Registry(_)), "{error}");
-    assert!(error.to_string().contains("metrics.parquet is damaged (it is not as it was written"), "{error}");
+    assert!(
+        error.to_string().contains("metrics.parquet is damaged (it has changed since it was written"),
+        "{error}"
+    );
     // The file is missing.
     std::fs::remove_file(&path).unwrap();
     assert!(means(&results).unwrap_err().to_string().contains("is damaged (No such file"));
@@ -248,6 +255,127 @@ fn damage_to_a_compacted_table_is_noticed_and_repaired() {
     }
 }
 
+/// The names of the runs that a plan remembers.
+fn remembered(results: &Path, experiment: &str) -> BTreeSet<String> {
+    let path = results.join("compacted").join(experiment).join("checks.json");
+    let checks: serde_json::Value = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
+    checks["runs"].as_object().unwrap().keys().cloned().collect()
+}
+
+/// Whether each run of an experiment is done with intact files, as a plan sees it.
+fn intact(results: &Path, experiment: &str) -> Vec<bool> {
+    let registry = Registry::new(results);
+    let known = registry.known(experiment);
+    let is_intact = |record: &RunRecord| {
+        let folder = registry.run(experiment, &record.spec, &record.dataset);
+        registry.decide(&folder, &record.spec, &known).0 == Decision::Skip
+    };
+    let intact = registry.records().iter().map(is_intact).collect();
+    known.remember();
+    intact
+}
+
+#[test]
+fn a_plan_remembers_intact_runs_until_one_of_their_files_is_touched() {
+    let results = fresh("compacted-checks");
+    write_runs(&results, "many", 0..70, 0.1);
+    let checks = results.join("compacted/many/checks.json");
+    let touched = Instant::now();
+    for record in Registry::new(&results).records() {
+        let network = results.join("runs/many").join(&record.run).join("prediction.safetensors");
+        std::fs::write(network, "made up").unwrap();
+    }
+    assert_eq!(intact(&results, "many"), [true; 70]);
+    assert!(
+        !checks.exists() || touched.elapsed() > Duration::from_secs(2),
+        "the files were written just now"
+    );
+    std::thread::sleep(SETTLED);
+    for _ in 0..2 {
+        assert_eq!(intact(&results, "many"), [true; 70]);
+        assert_eq!(remembered(&results, "many").len(), 70);
+    }
+    let run = &Registry::new(&results).records()[3];
+    let network = results.join("runs/many").join(&run.run).join("prediction.safetensors");
+    let expected = |broken: &[usize]| (0..70).map(|run| !broken.contains(&run)).collect::<Vec<_>>();
+    // The file is changed, but its size and modification time are not.
+    let modified = std::fs::metadata(&network).unwrap().modified().unwrap();
+    std::fs::write(&network, "made uP").unwrap();
+    std::fs::File::options().write(true).open(&network).unwrap().set_modified(modified).unwrap();
+    assert_eq!(intact(&results, "many"), expected(&[3]));
+    std::fs::remove_file(&network).unwrap();
+    assert_eq!(intact(&results, "many"), expected(&[3]));
+    std::fs::write(&network, "made up").unwrap();
+    assert_eq!(intact(&results, "many"), [true; 70]);
+    // Damage to the file of checks only costs time.
+    let mut bytes = std::fs::read(&checks).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(&checks, bytes).unwrap();
+    std::thread::sleep(SETTLED);
+    assert_eq!(intact(&results, "many"), [true; 70]);
+    assert!(seal::read(&checks).is_ok());
+}
+
+#[test]
+fn removed_runs_are_forgotten() {
+    let results = fresh("compacted-forgotten");
+    write_runs(&results, "many", 0..70, 0.1);
+    std::thread::sleep(SETTLED);
+    assert_eq!(intact(&results, "many"), [true; 70]);
+    let removed = folder(&results, "many", 3);
+    std::fs::remove_dir_all(&removed).unwrap();
+    write_runs(&results, "many", 70..140, 0.1);
+    std::thread::sleep(SETTLED);
+    assert_eq!(intact(&results, "many"), [true; 139]);
+    let remembered = remembered(&results, "many");
+    assert!(remembered.len() == 139 && !remembered.contains(removed.file_name().unwrap().to_str().unwrap()));
+}
+
+#[test]
+fn the_compacted_tables_of_an_experiment_without_runs_are_removed() {
+    let results = fresh("compacted-removed");
+    write_runs(&results, "many", 0..70, 0.1);
+    write_runs(&results, "other", 0..1, 0.1);
+    std::thread::sleep(SETTLED);
+    means(&results).unwrap();
+    assert_eq!(parts(&results, "many", "metrics").len(), 1);
+    succeed(&results, &["rm", "many", "--yes"]);
+    assert!(!results.join("compacted/many").exists() && results.join("runs/other").exists());
+}
+
+#[test]
+fn a_query_is_repeated_without_a_run_that_is_removed_meanwhile() {
+    let results = fresh("compacted-meanwhile");
+    write_runs(&results, "few", 0..3, 0.1);
+    let removed = folder(&results, "few", 1);
+    let removes = |_: &RunRecord| {
+        let _ = std::fs::remove_dir_all(&removed);
+        true
+    };
+    let sql = "select distinct seed from metrics order by seed";
+    let answer = query_of(&Registry::new(&results), removes, sql).unwrap();
+    let seeds: Vec<i64> = answer.columns()[0].i64().unwrap().iter().flatten().collect();
+    assert_eq!(seeds, [0, 2]);
+}
+
+#[test]
+fn a_limit_counts_the_rows_of_records_that_do_not_list_their_number() {
+    let results = fresh("compacted-unlisted");
+    write_runs(&results, "few", 0..3, 0.1);
+    let rows = |limit: usize| {
+        let sql = format!("select * from epochs limit {limit}");
+        query(&Registry::new(&results), &sql).unwrap()
+    };
+    let listed = [1, 4, 6, 100].map(rows);
+    for seed in 0..3 {
+        set_in_record(&folder(&results, "few", seed), "/files/epochs.parquet/rows", serde_json::Value::Null);
+    }
+    let unlisted = [1, 4, 6, 100].map(rows);
+    assert_eq!(listed.each_ref().map(DataFrame::height), [1, 4, 6, 12]);
+    assert!(listed.iter().zip(&unlisted).all(|(listed, unlisted)| listed.equals_missing(unlisted)));
+}
+
 #[test]
 fn processes_that_read_at_once_get_the_same_answers() {
     let results = fresh("compacted-at-once");
@@ -270,7 +398,7 @@ fn processes_that_read_at_once_get_the_same_answers() {
 }
 
 #[test]
-fn published_runs_are_not_compacted() {
+fn published_runs_are_neither_compacted_nor_remembered() {
     let (results, copy) = (fresh("compacted-from"), fresh("compacted-published"));
     write_runs(&results, "many", 0..70, 0.1);
     let registry = Registry::new(&results);
@@ -281,6 +409,7 @@ fn published_runs_are_not_compacted() {
     registry.publish(chosen, &Registry::new(&copy), &Silent).unwrap();
     std::thread::sleep(SETTLED);
     assert!(means(&copy).unwrap().equals_missing(&means(&results).unwrap()));
+    assert_eq!(intact(&copy, "many"), [true; 70]);
     assert!(!copy.join("compacted").exists());
     assert!(results.join("compacted").exists());
 }

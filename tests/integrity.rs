@@ -3,7 +3,7 @@
 use crate::common::{Answer, SMOKE, finish, harness, smoke_run, succeed};
 use harness::collection::{collect, dataset_of};
 use harness::dataset::DatasetError;
-use harness::files::UNFINISHED;
+use harness::files::{FolderLock, LOCK, UNFINISHED};
 use harness::learning::LearningError;
 use harness::learning::tensors::TensorFile;
 use harness::progress::Silent;
@@ -237,7 +237,7 @@ fn a_training_whose_state_is_damaged_begins_anew_and_comes_to_the_same_end() {
     std::fs::write(run.join("prediction.state.safetensors"), state).unwrap();
     let answer = finish(&mut harness(&results, &one));
     assert_eq!(answer.code, 0, "{}", answer.stderr);
-    assert!(answer.stderr.contains("is damaged (it is not as it was written"), "{}", answer.stderr);
+    assert!(answer.stderr.contains("is damaged (it has changed since it was written"), "{}", answer.stderr);
     assert_eq!(verify(&results).code, 0);
 }
 
@@ -365,6 +365,28 @@ fn damaged_and_lost_records_are_named_and_their_runs_done_again() {
 }
 
 #[test]
+fn a_run_is_not_to_be_removed_when_its_spec_is_elsewhere_or_has_changed() {
+    let folder = tempfile::tempdir().unwrap();
+    let (results, spec) = (folder.path().join("results"), folder.path().join("touch.yaml"));
+    std::fs::copy(SMOKE, &spec).unwrap();
+    let run = ["run", "touch.yaml", "scenarios=[empty]"];
+    let answer = finish(harness(&results, &run).current_dir(folder.path()));
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    flip(child(&results.join("runs/smoke"), "empty").join("metrics.parquet"));
+    let explained = |place: &Path, expected: &[&str]| {
+        let said = finish(harness(&results, &["verify"]).current_dir(place));
+        assert_eq!(said.code, 1, "{}", said.stdout);
+        assert!(!said.stdout.contains("rm -r"), "{}", said.stdout);
+        assert!(expected.iter().all(|part| said.stdout.contains(part)), "{}", said.stdout);
+    };
+    explained(folder.path(), &["repair: harness --results ", " run touch.yaml"]);
+    explained(Path::new(env!("CARGO_MANIFEST_DIR")), &[" run touch.yaml", "where it was run before"]);
+    let text = std::fs::read_to_string(&spec).unwrap();
+    std::fs::write(&spec, text.replace("name: smoke", "name: touch")).unwrap();
+    explained(folder.path(), &["touch.yaml or the harness has changed since"]);
+}
+
+#[test]
 fn what_does_not_belong_is_noted_but_not_broken() {
     let copy = Copy::new();
     let strays = [
@@ -383,6 +405,23 @@ fn what_does_not_belong_is_noted_but_not_broken() {
     }
     assert!(said.stdout.contains("1 episodes are not collected yet"), "{}", said.stdout);
     assert_eq!(said.stdout.lines().filter(|line| line.starts_with("note ")).count(), 5, "{}", said.stdout);
+}
+
+#[test]
+fn unfinished_files_of_running_processes_are_not_left_over() {
+    let copy = Copy::new();
+    let (run, dataset) = (copy.run("empty"), copy.dataset("empty"));
+    for folder in [&run, &dataset] {
+        std::fs::write(folder.join(format!("{UNFINISHED}Xy12")), "?").unwrap();
+    }
+    // A lock alone would remove the unfinished files.
+    let lock = FolderLock::attempt_shared(&dataset).unwrap().unwrap();
+    let work = std::fs::File::open(run.join(LOCK)).unwrap();
+    work.lock().unwrap();
+    assert!(verify(&copy.results).stdout.contains("all files are intact"));
+    drop((lock, work));
+    let said = verify(&copy.results).stdout;
+    assert_eq!(said.matches("left over from an interrupted write").count(), 2, "{said}");
 }
 
 // --- files in the wrong place ---
@@ -536,6 +575,24 @@ fn a_query_of_episodes_notices_which_are_missing_or_swapped() {
         },
         "lacks 1 of its 4 episodes",
     );
+    // Processes that share the folder are collecting it.
+    let copy = Copy::new();
+    let lock = FolderLock::attempt_shared(&copy.dataset("empty")).unwrap();
+    remove(episode(&copy, 1));
+    let (count, left_out) = number(&copy, EPISODES);
+    assert_eq!((count, left_out.len()), (210, 1));
+    assert!(left_out[0].ends_with("are missing; another process is collecting them"), "{left_out:?}");
+    let watched = succeed(&copy.results, &["watch", "--once"]);
+    let name = copy.dataset("empty").file_name().unwrap().to_string_lossy().into_owned();
+    assert!(watched.contains(&format!("{name}  another process  3")), "{watched}");
+    drop(lock);
+    // An interrupted collection is no damage.
+    let copy = Copy::new();
+    std::fs::remove_dir_all(copy.run("empty")).unwrap();
+    remove(episode(&copy, 1));
+    let (counted, left_out) = number(&copy, EPISODES);
+    assert_eq!((counted, left_out.len()), (210, 1), "{left_out:?}");
+    assert!(left_out[0].contains("1 of the 4 episodes of "), "{left_out:?}");
     // A file with another name is not an episode.
     let copy = Copy::new();
     std::fs::copy(episode(&copy, 1), copy.dataset("empty").join("episode_1.parquet")).unwrap();

@@ -1,23 +1,23 @@
 //! The time of commands in a results folder of thousands of runs, which must not grow with the square of their number.
 
 use crate::common::{SMOKE, fresh, succeed};
-use harness::registry::Registry;
+use harness::registry::{Registry, RunRecord};
 use harness::seal;
 use std::io::Read;
 use std::path::Path;
 use std::process::Stdio;
 
-/// Number of runs in the folder.
-const RUNS: u64 = 3000;
-/// The maximum processor time of a command in seconds. Most of it is for starting the program and reading the records.
-const MOST_SECONDS: f64 = 1.0;
+/// Numbers of runs in two folders.
+const FEW: u64 = 300;
+const MANY: u64 = 3000;
+/// How many times the processor time a command may take at most with ten times as many runs. With a time that grows with
+/// their square, it would be up to 100 times as much.
+const MOST_TIMES: f64 = 20.0;
 
-/// Writes the records of [`RUNS`] finished runs with different seeds.
-fn write_records(results: &Path) {
-    succeed(results, &["run", SMOKE, "scenarios=[empty]", "training.epochs=1", "tasks=[prediction]"]);
+/// Writes records of finished runs with different seeds.
+fn write_records(results: &Path, mut record: RunRecord, count: u64) {
     let registry = Registry::new(results);
-    let mut record = registry.records().remove(0);
-    for seed in 1..RUNS {
+    for seed in 0..count {
         record.spec.seed = seed;
         record.spec_hash = record.spec.hash();
         let folder = registry.run(&record.experiment, &record.spec, &record.dataset);
@@ -52,22 +52,37 @@ fn measure(results: &Path, arguments: &[&str]) -> (String, f64) {
     (said, seconds(usage.ru_utime) + seconds(usage.ru_stime))
 }
 
-#[test]
-fn commands_take_little_time_in_a_folder_of_thousands_of_runs() {
-    let results = fresh("many_runs");
-    write_records(&results);
-    let seeds = format!("seeds={:?}", (0..RUNS).collect::<Vec<_>>());
+/// The processor times in seconds of commands in a folder with this many runs like `record`.
+fn times(record: &RunRecord, count: u64) -> [f64; 3] {
+    let results = fresh(&format!("many_runs_{count}"));
+    write_records(&results, record.clone(), count);
+    let seeds = format!("seeds={:?}", (0..count).collect::<Vec<_>>());
     let same = ["scenarios=[empty]", "tasks=[prediction]", seeds.as_str()];
     let plan = [&["run", SMOKE, "--dry-run", "training.epochs=3"], &same[..]].concat();
     let commands: [(&[&str], &str); 3] = [
         (&["ls"], "more rows"),
-        (&["query", "select status, count(run) from runs group by status"], "3000"),
+        (&["query", "select status, count(run) from runs group by status"], &count.to_string()),
         (&plan, "differs in training.epochs (1, now 3)"),
     ];
-    for (arguments, expected) in commands {
-        let (said, seconds) = measure(&results, arguments);
-        println!("{}: {seconds:.2} s of processor time", arguments[0]);
-        assert!(said.contains(expected), "{}", said.lines().take(5).collect::<Vec<_>>().join("\n"));
-        assert!(seconds < MOST_SECONDS, "{}: {seconds} s", arguments[0]);
+    commands.map(|(arguments, expected)| {
+        let once = |_| {
+            let (said, seconds) = measure(&results, arguments);
+            assert!(said.contains(expected), "{}", said.lines().take(5).collect::<Vec<_>>().join("\n"));
+            seconds
+        };
+        // A command takes longer while others displace its data from the caches.
+        let least = (0..3).map(once).fold(f64::INFINITY, f64::min);
+        println!("{} with {count} runs: {least:.2} s of processor time", arguments[0]);
+        least
+    })
+}
+
+#[test]
+fn the_time_of_commands_does_not_grow_with_the_square_of_the_number_of_runs() {
+    let one = fresh("many_runs_one");
+    succeed(&one, &["run", SMOKE, "scenarios=[empty]", "training.epochs=1", "tasks=[prediction]"]);
+    let record = Registry::new(&one).records().remove(0);
+    for (few, many) in times(&record, FEW).into_iter().zip(times(&record, MANY)) {
+        assert!(many < MOST_TIMES * few, "{few} s with {FEW} runs, and {many} s with {MANY}");
     }
 }

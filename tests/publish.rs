@@ -1,6 +1,8 @@
 //! `harness publish` on real runs: which rows are copied, and that the copy can be read like any results folder.
 
 use crate::common::{SMOKE, finish, fresh, harness, succeed};
+use harness::progress::Silent;
+use harness::registry::Registry;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -15,7 +17,7 @@ static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
 });
 
 fn publish(to: &Path) -> String {
-    succeed(&RESULTS, &["publish", "smoke", "sweep", "--to", to.to_str().unwrap()])
+    succeed(&RESULTS, &["publish", "smoke", "sweep", "--output", to.to_str().unwrap()])
 }
 
 /// The rows of a query's answer, as CSV.
@@ -110,7 +112,7 @@ fn each_reading_and_role_keeps_the_forces_of_one_run_a_dataset() {
     std::fs::write(&spec, std::fs::read_to_string(SMOKE).unwrap() + readings).unwrap();
     let overrides = ["name=readings", "scenarios=[empty]", "tasks=[prediction]", "seeds=[0,1]"];
     succeed(&results, &[&["run", spec.to_str().unwrap()][..], &overrides].concat());
-    succeed(&results, &["publish", "readings", "--to", copy.to_str().unwrap()]);
+    succeed(&results, &["publish", "readings", "--output", copy.to_str().unwrap()]);
     let forces = "select variant, count(distinct run) as runs from forces group by variant order by variant";
     let of_one_run_each = "variant,runs\n\"reading=base,role=smoke\",1\n\"reading=narrow,role=smoke\",1\n";
     assert_eq!(csv(&copy, forces), of_one_run_each);
@@ -126,12 +128,36 @@ fn publishing_again_changes_nothing() {
 }
 
 #[test]
+fn publishing_again_keeps_all_chosen_runs_and_the_copy_of_a_damaged_one() {
+    let (results, copy) = (fresh("published-alike-from"), fresh("published-alike"));
+    for epochs in ["training.epochs=1", "training.epochs=2"] {
+        succeed(&results, &["run", SMOKE, "scenarios=[empty]", "tasks=[prediction]", epochs]);
+    }
+    let registry = Registry::new(&results);
+    let records = registry.records();
+    assert!(records.len() == 2 && records[0].label() == records[1].label());
+    let folders: Vec<PathBuf> =
+        records.iter().map(|record| results.join("runs/smoke").join(&record.run)).collect();
+    let publish = || {
+        let chosen = folders.iter().map(PathBuf::as_path).zip(&records);
+        registry.publish(chosen, &Registry::new(&copy), &Silent).map(|published| published.runs)
+    };
+    assert_eq!(publish().unwrap(), 2);
+    let before = files(&copy);
+    assert_eq!(publish().unwrap(), 2);
+    assert!(before == files(&copy));
+    std::fs::write(folders[1].join("metrics.parquet"), "damaged").unwrap();
+    publish().unwrap_err();
+    assert!(before == files(&copy));
+}
+
+#[test]
 fn of_several_settings_only_chosen_ones_are_published() {
     let (results, copy) = (fresh("published-mixed"), fresh("published-chosen"));
     for epochs in ["training.epochs=1", "training.epochs=2"] {
         succeed(&results, &["run", SMOKE, "scenarios=[empty]", "tasks=[prediction]", epochs]);
     }
-    let arguments = ["publish", "smoke", "--to", copy.to_str().unwrap()];
+    let arguments = ["publish", "smoke", "--output", copy.to_str().unwrap()];
     let answer = finish(&mut harness(&results, &arguments));
     assert_eq!(answer.code, 2);
     assert!(
@@ -141,7 +167,7 @@ fn of_several_settings_only_chosen_ones_are_published() {
     );
     assert!(!copy.exists());
     let said = succeed(&results, &[&arguments[..], &["--where", "training.epochs=1"]].concat());
-    assert!(said.starts_with("1 runs, "), "{said}");
+    assert!(said.starts_with("1 run, "), "{said}");
     assert_eq!(csv(&copy, "select max(epoch) as last from epochs"), "last\n1\n");
 }
 
@@ -150,11 +176,15 @@ fn what_cannot_be_published_is_refused() {
     let results = RESULTS.to_str().unwrap();
     for (arguments, code, message) in [
         (
-            ["publish", "smok", "--to", "nowhere"],
+            ["publish", "smok", "--output", "nowhere"],
             2,
             "error: 'smok' has no finished runs; those that have: smoke, sweep\n",
         ),
-        (["publish", "smoke", "--to", results], 1, "can't be published into itself; choose another folder\n"),
+        (
+            ["publish", "smoke", "--output", results],
+            1,
+            "can't be published into itself; choose another folder\n",
+        ),
     ] {
         let answer = finish(&mut harness(&RESULTS, &arguments));
         assert_eq!(answer.code, code, "{arguments:?}");

@@ -1,8 +1,12 @@
 //! `harness rm`, `gc`, `du`, `diff` and the choices of `ls`.
 
-use crate::common::{Disk, SMOKE, finish, fresh, harness, succeed};
+use crate::common::{Disk, SMOKE, finish, fresh, harness, set_in_record, succeed};
+use crate::terminal::raw_typed;
+use harness::files::FolderLock;
+use std::cell::Cell;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 const SHORT: [&str; 2] = ["tasks=[prediction]", "training.epochs=1"];
 
@@ -97,7 +101,7 @@ fn chosen_runs_are_removed_and_one_in_use_is_kept() {
     let answer = finish(&mut harness(&results, &["rm", "smoke/", "--yes"]));
     assert_eq!(answer.code, 1);
     assert!(answer.stderr.contains(&format!("smoke/{run} is kept: ")), "{}", answer.stderr);
-    assert!(answer.stdout.ends_with("1 folders removed\n"), "{}", answer.stdout);
+    assert!(answer.stdout.ends_with("1 folder removed\n"), "{}", answer.stdout);
     assert_eq!(names(&results.join("runs/smoke")), [run]);
     drop(lock);
     succeed(&results, &["rm", "smoke", "--yes"]);
@@ -193,7 +197,126 @@ fn runs_are_removed_from_a_full_disk_but_not_from_one_that_cannot_be_written() {
     let full = std::process::Command::new("sh").args(["-c", fills, "sh"]).arg(disk.path()).status();
     assert!(full.unwrap().success());
     let removed = succeed(disk.path(), &["rm", &runs[0], "--yes"]);
-    assert!(removed.ends_with("1 folders removed\n"), "{removed}");
+    assert!(removed.ends_with("1 folder removed\n"), "{removed}");
     assert_eq!(names(&disk.path().join("runs/smoke")), runs[1..]);
     assert!(succeed(disk.path(), &["verify"]).ends_with("all files are intact\n"));
+}
+
+/// The folder of the only run of an experiment.
+fn only_run(results: &Path, experiment: &str) -> PathBuf {
+    let folder = results.join("runs").join(experiment);
+    let runs = names(&folder);
+    assert_eq!(runs.len(), 1, "{runs:?}");
+    folder.join(&runs[0])
+}
+
+#[test]
+fn a_beginning_of_an_experiments_name_and_an_empty_text_choose_no_run() {
+    let results = results("beginnings");
+    let pack = fresh("beginnings.pack");
+    for wanted in ["", "smok", "smoke-"] {
+        for arguments in [&["rm", "--yes", wanted][..], &["pack", wanted, "--output", pack.to_str().unwrap()]]
+        {
+            let said = refusal(&results, arguments, 2);
+            assert!(said.starts_with(&format!("no run matches '{wanted}'")), "{said}");
+        }
+    }
+    assert!(!pack.exists());
+    assert_eq!(names(&results.join("runs")), ["smoke", "smoke-quick"]);
+    succeed(&results, &["rm", "smoke-quick/", "--yes"]);
+    assert_eq!(names(&results.join("runs")), ["smoke"]);
+}
+
+#[test]
+fn a_running_run_and_its_dataset_are_no_garbage() {
+    let results = fresh("garbage_running");
+    succeed(&results, &[&["run", SMOKE, "scenarios=[empty]", "name=smoke-quick"][..], &SHORT].concat());
+    let run = only_run(&results, "smoke-quick");
+    set_in_record(&run, "/status", "running".into());
+    let lock = FolderLock::attempt(&run).unwrap().unwrap();
+    assert_eq!(succeed(&results, &["gc", "--yes"]), "nothing to remove\n");
+    assert_eq!(names(&results.join("datasets")).len(), 1);
+    drop(lock);
+    assert!(succeed(&results, &["gc", "--yes"]).ends_with("2 folders removed\n"));
+}
+
+#[test]
+fn what_is_no_longer_garbage_when_the_question_is_answered_is_kept() {
+    let results = fresh("garbage_asked");
+    for name in ["name=first", "name=second-quick"] {
+        succeed(&results, &[&["run", SMOKE, "scenarios=[empty]", name][..], &SHORT].concat());
+    }
+    succeed(&results, &["collect", SMOKE, "scenarios=[cluttered]"]);
+    let (first, dataset) = (only_run(&results, "first"), names(&results.join("datasets")));
+    let unused = dataset.iter().find(|name| name.starts_with("cluttered-")).unwrap();
+    set_in_record(&first, "/status", "failed".into());
+    let answered = Cell::new(false);
+    let mut gc = Command::new(env!("CARGO_BIN_EXE_harness"));
+    let said = raw_typed(gc.arg("--results").arg(&results).arg("gc"), 120, |said| {
+        (said.contains("remove 4 folders") && said.contains("[y/N]") && !answered.replace(true)).then(|| {
+            // Another process has done the failed run again, on the other dataset.
+            set_in_record(&first, "/status", "done".into());
+            set_in_record(&first, "/dataset", unused.as_str().into());
+            "y\n"
+        })
+    });
+    assert!(answered.get() && said.contains("2 folders removed"), "{said}");
+    for kept in [format!("first/{}", first.file_name().unwrap().display()), unused.clone()] {
+        assert!(said.contains(&format!("{kept} is kept: it has been used or changed")), "{said}");
+    }
+    assert_eq!(names(&results.join("runs")), ["first"]);
+    assert!(names(&results.join("datasets")).contains(unused));
+}
+
+#[test]
+fn processes_that_remove_the_same_runs_at_once_do_not_disturb_each_other() {
+    let results = fresh("removed_at_once");
+    let experiment = results.join("runs/smoke");
+    succeed(&results, &[&["run", SMOKE, "scenarios=[empty]"][..], &SHORT].concat());
+    let run = only_run(&results, "smoke");
+    for number in 0..60 {
+        let id = format!("empty-z4-seed{number}-{number:08x}");
+        let copy = experiment.join(&id);
+        fs::create_dir(&copy).unwrap();
+        fs::copy(run.join("run.json"), copy.join("run.json")).unwrap();
+        set_in_record(&copy, "/run", id.into());
+        for file in 0..20 {
+            fs::write(copy.join(format!("{file}.txt")), "?").unwrap();
+        }
+    }
+    let remove = || finish(&mut harness(&results, &["rm", "smoke", "--yes"]));
+    let answers: Vec<_> = std::thread::scope(|scope| {
+        let processes: Vec<_> = (0..4).map(|_| scope.spawn(remove)).collect();
+        processes.into_iter().map(|process| process.join().unwrap()).collect()
+    });
+    for answer in answers {
+        // A process that begins late finds no run, and one keeps what another is removing.
+        let is_good = |line: &str| {
+            line.contains(" is kept: ")
+                || line.starts_with("error: no run matches 'smoke'")
+                || line.starts_with("error: there are no results in ")
+        };
+        assert!(answer.stderr.lines().all(is_good), "{}", answer.stderr);
+    }
+    assert_eq!(names(&results), ["datasets", "runs"]);
+    assert_eq!(names(&results.join("runs")), [""; 0]);
+}
+
+#[test]
+fn what_can_be_removed_is_removed_after_an_error() {
+    let results = fresh("removed_after_error");
+    succeed(&results, &[&["run", SMOKE, "scenarios=[empty]", "seeds=[0,1]"][..], &SHORT].concat());
+    let runs = names(&results.join("runs/smoke"));
+    let first = results.join("runs/smoke").join(&runs[0]);
+    fs::remove_file(first.join(".unfinished-lock")).unwrap();
+    fs::create_dir(first.join(".unfinished-lock")).unwrap();
+    let answer = finish(&mut harness(&results, &["rm", "smoke", "--yes"]));
+    assert_eq!(answer.code, 1);
+    assert!(
+        answer.stderr.starts_with("error: can't lock ") && answer.stderr.lines().count() == 1,
+        "{}",
+        answer.stderr
+    );
+    assert!(answer.stdout.ends_with("1 folder removed\n"), "{}", answer.stdout);
+    assert_eq!(names(&results.join("runs/smoke")), runs[..1]);
 }

@@ -4,10 +4,12 @@ use crate::common::{Answer, finish, harness};
 use crate::interruption::{
     Results, assert_same, assert_whole, counts, end, kill_after, run, signal, start, succeed,
 };
+use crate::terminal::{plain, raw, too_wide};
 use harness::registry::{Registry, Status};
 use rand::{RngExt, SeedableRng};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
+use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -103,7 +105,7 @@ fn lowest(losses: &BTreeMap<usize, f64>, among: &BTreeSet<usize>, count: usize) 
 
 /// The lines that name the best trial, without the path of the results folder.
 fn best(answer: &Answer) -> Vec<&str> {
-    answer.stdout.lines().skip_while(|line| !line.starts_with("best ")).take(2).collect()
+    answer.stdout.lines().skip_while(|line| !line.starts_with("best run ")).take(2).collect()
 }
 
 #[test]
@@ -111,7 +113,7 @@ fn halving_trains_the_best_trials_on_as_if_they_had_been_trained_at_once() {
     let case = Case::halving();
     let answer = case.run(&[]);
     assert_eq!(counts(&answer), [64, 0, 0]);
-    assert!(answer.stdout.contains("20 trained on after a comparison"), "{}", answer.stdout);
+    assert!(answer.stdout.contains("20 continued after a comparison"), "{}", answer.stdout);
     assert_whole(case.path(), true);
     let epochs = case.epochs();
     let longer_than = |epoch: usize| -> BTreeSet<usize> {
@@ -123,8 +125,8 @@ fn halving_trains_the_best_trials_on_as_if_they_had_been_trained_at_once() {
     assert_eq!(longer_than(4), lowest(&case.losses(4), &longer_than(1), 4));
     let winner = lowest(&case.losses(6), &longer_than(4), 1).into_iter().next().unwrap();
     let lines = best(&answer);
-    let start = format!("best      empty-z2-trial={winner:04}: contact_force ");
-    assert!(lines[0].starts_with(&start) && lines[0].ends_with(" of 64 trials"), "{lines:?}");
+    let start = format!("best run   empty-z2-trial={winner:04} (lowest validation loss of contact_force, ");
+    assert!(lines[0].starts_with(&start) && lines[0].ends_with(", of 64 trials)"), "{lines:?}");
 
     // The search without halving trains all trials to the end. The runs that both have are equal.
     let whole = Case::new(SPEC);
@@ -172,8 +174,15 @@ fn killed(text: &str, kills: usize, seed: u64) {
             if child.try_wait().unwrap().is_none() {
                 signal(&child, libc::SIGTERM);
             }
-            let code = end(child).code;
-            assert!([0, 143].contains(&code), "{code}");
+            let ended = child.wait_with_output().unwrap();
+            // Before the program listens to the signal, it is killed by it.
+            let (code, signal) = (ended.status.code(), ended.status.signal());
+            let said = String::from_utf8_lossy(&ended.stderr);
+            assert!(
+                [Some(0), Some(143)].contains(&code) || signal == Some(libc::SIGTERM),
+                "{code:?}: {said}"
+            );
+            assert!(!said.contains("panicked"), "{said}");
         }
         assert_whole(case.path(), false);
     }
@@ -212,7 +221,7 @@ fn shares_of_a_halving_wait_for_each_other_and_do_what_the_others_leave() {
     // A share that does not wait ends before the comparison.
     let first = case.run(&["--shard", "1/3", "--no-wait"]);
     assert_eq!(counts(&first), [6, 0, 0]);
-    let left = "10 are left to other shares; when they are done, the same command trains the best trials on";
+    let left = "10 are left to other shares; when they are done, the same command continues the best trials";
     assert!(first.stdout.lines().any(|line| line == left), "{}", first.stdout);
     assert_eq!(case.epochs().values().collect::<BTreeSet<_>>(), [&1].into());
     // Two that wait do the rest together, and the share of the one that is not there.
@@ -268,18 +277,15 @@ fn the_commands_after_a_search_work() {
     let case = Case::new(&SPEC.replace("trials: 64", "trials: 4"));
     let answer = case.run(&[]);
     let settings = best(&answer)[1].trim();
-    for (label, expected) in [("alone     ", "1 done, 0 done before, 0 failed"), ("compare   ", settings)] {
+    for (label, expected) in [("retrain    ", "1 done, 0 done before, 0 failed"), ("next       ", settings)] {
         let command = answer.stdout.lines().find_map(|line| line.strip_prefix(label)).unwrap();
         let words = shlex::split(command).unwrap();
         assert_eq!((words[0].as_str(), words[1].as_str()), ("harness", "--results"));
         let arguments: Vec<&str> = words[3..].iter().map(String::as_str).collect();
         let said = finish(&mut harness(Path::new(&words[2]), &arguments));
         assert_eq!(said.code, 0, "{command}: {}", said.stderr);
-        let said = said.stdout.replace(',', " ");
-        assert!(
-            said.contains(&expected.replace(',', " ")) || label.starts_with("compare"),
-            "{command}: {said}"
-        );
+        let said = said.stdout;
+        assert!(said.contains(expected) || said.replace(", ", " ").contains(expected), "{command}: {said}");
     }
     // The run of the command has the drawn settings, and is no trial.
     let records = Registry::new(case.path()).records();
@@ -291,6 +297,46 @@ fn the_commands_after_a_search_work() {
             && record.spec.network == alone[0].spec.network
     });
     assert_eq!(same.count(), 1);
+}
+
+#[test]
+fn a_comparison_of_trials_fits_the_terminal_and_says_how_far_each_was_trained() {
+    let case = Case::new(&format!("{SPEC}{HALVING}").replace("trials: 64", "trials: 8"));
+    case.run(&[]);
+    for width in [60, 80, 120] {
+        for arguments in [&["compare", "tiny"][..], &["compare", "tiny", "--by", "variant"]] {
+            let mut compare = std::process::Command::new(env!("CARGO_BIN_EXE_harness"));
+            let said = plain(&raw(compare.arg("--results").arg(case.path()).args(arguments), width));
+            assert!(too_wide(&said, width).is_empty(), "{arguments:?} at {width}: {said}");
+            assert!(said.contains("trained to epoch 1") && said.contains("trained to the end"), "{said}");
+            assert!(!said.contains("last_epoch") && !said.contains("tasks="), "{said}");
+            // The settings of each trial are listed once, below the tables.
+            assert_eq!(said.matches(" hidden=").count(), 8, "{said}");
+            // All trials have the same baselines, which are columns of their own.
+            assert!(!said.contains("persistence, trial"), "{said}");
+        }
+    }
+}
+
+#[test]
+fn trials_with_the_same_number_and_other_settings_are_told_apart_in_a_comparison() {
+    let spec = SPEC.replace("trials: 64", "trials: 2");
+    let case = Case::new(&spec);
+    case.run(&[]);
+    let compare = || run(case.path(), &["compare", "tiny", "--metrics", "r2", "--models", "network"]).stdout;
+    let once = compare();
+    assert!(!once.contains("trial=0000, hidden=") && once.contains("\ntrial=0000  hidden="), "{once}");
+    std::fs::write(&case.spec, spec.replace("[0.0001, 0.1]", "[0.001, 0.2]")).unwrap();
+    case.run(&[]);
+    let twice = compare();
+    let records = Registry::new(case.path()).records();
+    assert_eq!(records.len(), 4);
+    for record in records {
+        let (_, number, settings) = record.spec.variant_parts();
+        let trial = format!("trial={}, {}", number.unwrap(), settings.replace(',', ", "));
+        // The prediction and the reconstruction have a table of each trial.
+        assert_eq!(twice.matches(&trial).count(), 2, "{trial} in {twice}");
+    }
 }
 
 /// tests/python_package/test_documentation.py runs the commands.

@@ -147,6 +147,17 @@ fn tables_and_their_columns_can_be_listed() {
 }
 
 #[test]
+fn a_text_without_quotes_is_named_with_them() {
+    for sql in ["select run from runs where status = done", "select run from runs where status in (done)"] {
+        let message = answer(sql).unwrap_err();
+        assert!(message.contains("there is no column 'done'; there are "), "{message}");
+        assert!(message.ends_with(". Write text in single quotes: 'done'"), "{message}");
+    }
+    let message = answer("select done from runs").unwrap_err();
+    assert!(!message.contains("single quotes"), "{message}");
+}
+
+#[test]
 fn an_answer_is_written_to_a_folder_that_is_not_there_yet() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a/b/answer.csv");
@@ -198,5 +209,24 @@ fn a_query_takes_no_more_memory_than_its_joins_may_have() {
         "select count(*) as n from (select * from metrics where value > 1e300) a cross join metrics b",
     ] {
         assert_eq!(answer(few).unwrap().column("n").unwrap().i64().unwrap().get(0), Some(0));
+    }
+}
+
+#[test]
+fn bytes_are_shown_as_their_number_and_saved_only_as_parquet() {
+    let shown = succeed(&reference(), &["query", "select reference from frames limit 1"]);
+    assert!(shown.contains(" bytes"), "{shown}");
+    let mut answer = query(&Registry::new(reference()), "select run, reference from frames limit 2").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    save(&mut answer, &folder.path().join("answer.parquet")).unwrap();
+    for name in ["answer.csv", "answer.json"] {
+        let path = folder.path().join(name);
+        let expected = format!(
+            "can't write to '{}': the column 'reference' holds bytes; choose a name that ends in .parquet, or leave the column \
+             out",
+            path.display()
+        );
+        assert_eq!(save(&mut answer, &path).unwrap_err().to_string(), expected);
+        assert!(!path.exists());
     }
 }

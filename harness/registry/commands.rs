@@ -1,12 +1,13 @@
 //! Finds the commands that make a run or dataset again.
 
-use super::command_line::{command_of, quoted};
+use super::command_line::{command_in, command_of, quoted};
 use super::folders::{Recorded, folders};
 use super::record::RunRecord;
 use super::{Registry, SPEC};
 use harness_spec::{self as spec, RunSpec};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
@@ -19,12 +20,38 @@ pub(super) struct Commands<'a> {
     made: RefCell<BTreeMap<String, Rc<Made>>>,
 }
 
-/// The runs that a command makes: their experiment, and the hashes of their specs. Empty if its spec can't be read.
-#[derive(Default)]
-struct Made {
-    experiment: String,
-    specs: BTreeSet<String>,
+/// How a run or dataset can be made again.
+pub(super) enum Again {
+    /// This command makes it.
+    Command(String),
+    /// A recorded command may make it, but its spec can't be used here. The field says why, and what to do.
+    Elsewhere(String),
+    /// The recorded command makes other runs now. The field says why, and what to do.
+    Changed(String),
+    /// No command is known.
+    Unknown,
 }
+
+impl Again {
+    /// The command that makes it.
+    pub fn command(&self) -> Option<String> {
+        match self {
+            Self::Command(command) => Some(command.clone()),
+            _ => None,
+        }
+    }
+
+    /// A problem, followed by why the recorded command can't repair it.
+    pub fn explain(&self, problem: String) -> String {
+        match self {
+            Self::Elsewhere(reason) | Self::Changed(reason) => format!("{problem}; {reason}"),
+            Self::Command(_) | Self::Unknown => problem,
+        }
+    }
+}
+
+/// The runs that a command makes: their experiment, and the hashes of their specs. An error if its spec can't be used.
+type Made = Result<(String, BTreeSet<String>), String>;
 
 impl<'a> Commands<'a> {
     /// Searches the commands of all recorded runs.
@@ -32,30 +59,37 @@ impl<'a> Commands<'a> {
         Self { registry, recorded, made: RefCell::default() }
     }
 
-    /// The command that makes the run of a folder again. Without a record, it is found by the spec in the folder and
+    /// How the run of a folder can be made again. Without a record, the command is found by the spec in the folder and
     /// the commands of other runs of the experiment.
-    pub fn run(&self, folder: &Path, record: Option<&RunRecord>) -> Option<String> {
-        let experiment = folder.parent()?.file_name()?.to_str()?;
-        let spec = match record {
-            Some(record) => record.spec.clone(),
-            None => read_spec(folder)?,
-        };
+    pub fn run(&self, folder: &Path, record: Option<&RunRecord>) -> Again {
+        let experiment = folder.parent().and_then(Path::file_name).and_then(OsStr::to_str);
+        let spec = record.map(|record| record.spec.clone()).or_else(|| read_spec(folder));
+        let (Some(experiment), Some(spec)) = (experiment, spec) else { return Again::Unknown };
         let is_own = |dataset: &str| self.registry.run(experiment, &spec, dataset).path() == folder;
         if !self.datasets().iter().any(|dataset| is_own(dataset)) {
-            return None;
+            return Again::Unknown;
         }
         let others =
             self.recorded.iter().map(|(_, other)| other).filter(|other| other.experiment == experiment);
-        let commands: BTreeSet<String> = record
-            .into_iter()
-            .chain(others)
-            .map(|record| command_of(&record.provenance.command, &spec))
-            .collect();
-        commands.iter().find_map(|command| self.again("run", command, experiment, &spec))
+        let own = record.map(|record| command_of(&record.provenance.command, &spec));
+        let others: BTreeSet<String> =
+            others.map(|other| command_of(&other.provenance.command, &spec)).collect();
+        let mut best = Again::Unknown;
+        for command in own.iter().chain(&others) {
+            let found = self.again("run", command, experiment, &spec);
+            match found {
+                Again::Command(_) => return found,
+                // The commands of other runs may never have made this one.
+                Again::Changed(_) if own.as_ref() != Some(command) => {}
+                _ if matches!(best, Again::Unknown) => best = found,
+                _ => {}
+            }
+        }
+        best
     }
 
-    /// The command that collects a run's dataset again.
-    pub fn collect(&self, record: &RunRecord) -> Option<String> {
+    /// How a run's dataset can be collected again.
+    pub fn collect(&self, record: &RunRecord) -> Again {
         self.again("collect", &record.provenance.command, &record.experiment, &record.spec)
     }
 
@@ -67,17 +101,36 @@ impl<'a> Commands<'a> {
         used.chain(there).collect()
     }
 
-    /// `command` with the subcommand `verb` (`run` or `collect`), or `None` if it does not make the run of `spec`.
-    fn again(&self, verb: &str, command: &str, experiment: &str, spec: &RunSpec) -> Option<String> {
-        let asked = Asked::of(command)?;
+    /// `command` with the subcommand `verb` (`run` or `collect`), if it makes the run of `spec`.
+    fn again(&self, verb: &str, command: &str, experiment: &str, spec: &RunSpec) -> Again {
+        let Some(asked) = Asked::of(command) else { return Again::Unknown };
         let made = self.made.borrow().get(command).cloned();
         let made = made.unwrap_or_else(|| {
             let made = Rc::new(asked.made());
             self.made.borrow_mut().insert(command.to_owned(), made.clone());
             made
         });
-        let makes_it = made.experiment == experiment && made.specs.contains(&spec.hash());
-        makes_it.then(|| self.registry.command(&format!("{verb} {}", asked.words())))
+        let words = format!("{verb} {}", asked.words());
+        match &*made {
+            Ok((name, specs)) if name == experiment && specs.contains(&spec.hash()) => {
+                Again::Command(self.registry.command(&words))
+            }
+            Ok(_) => Again::Changed(format!(
+                "`{}` made it, but {} or the harness has changed since, so it makes other runs now; undo the change and \
+                 verify again, or remove the folder",
+                self.registry.command(&words),
+                asked.spec.display()
+            )),
+            Err(error) => {
+                // The command is for another folder than the current one.
+                let root = std::path::absolute(self.registry.root());
+                let root = root.unwrap_or_else(|_| self.registry.root().to_owned());
+                Again::Elsewhere(format!(
+                    "to repair it, run `{}` where it was run before; it fails here: {error}",
+                    command_in(&root, &words)
+                ))
+            }
+        }
     }
 }
 
@@ -121,14 +174,10 @@ impl Asked {
     }
 
     fn made(&self) -> Made {
-        match spec::load(&self.spec, &self.overrides, self.quick) {
-            Ok(experiment) => {
-                let runs = experiment.runs();
-                let rungs = runs.iter().flat_map(|run| experiment.rungs(run));
-                let specs = rungs.map(|run| run.hash()).collect();
-                Made { experiment: experiment.name, specs }
-            }
-            _ => Made::default(),
-        }
+        let load = spec::load(&self.spec, &self.overrides, self.quick);
+        let experiment = load.map_err(|error| error.to_string())?;
+        let runs = experiment.runs();
+        let specs = runs.iter().flat_map(|run| experiment.rungs(run)).map(|run| run.hash()).collect();
+        Ok((experiment.name, specs))
     }
 }

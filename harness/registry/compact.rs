@@ -4,20 +4,21 @@
 //! results/compacted/<experiment>/<table>-<hash>.parquet
 //! ```
 //!
-//! A part is a file with the rows of several runs. It lists each run's checksum, and what the file system said of the
-//! run's own file. A run's rows are read from a part only if the run's record lists the same checksum and its own file
-//! has not changed. Otherwise the run's own file is read, and compared with the record. Parts are written while tables are
-//! read, once enough runs are in no part. A damaged part is written again. The folder can be deleted at any time.
+//! A part is a file with the rows of several runs. It lists the checksum of each run's own file, and the size, times
+//! and inode of that file. A run's rows are read from a part only if the run's record lists the same checksum and its
+//! own file has not changed. Otherwise the run's own file is read and compared with the record. Parts are written while
+//! tables are read, as soon as enough runs are in no part. A damaged part is written again. The folder can be deleted
+//! at any time.
 
 use super::folders::sorted;
 use super::mark::Mark;
 use super::record::{FileRecord, RunRecord};
-use super::rows::{Condition, kept};
+use super::rows::{Condition, Terms};
 use super::{Registry, RegistryError};
 use harness_shared::files::FolderLock;
 use harness_shared::seal::hex;
 use harness_tables::schema::{Column, Table};
-use harness_tables::{Stamp, TableFile, asked_columns, stacked, write_table};
+use harness_tables::{Stamp, TableFile, asked_columns, read_footer, stacked, write_table};
 use polars::prelude::*;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -28,12 +29,12 @@ use std::io::Cursor;
 use std::path::PathBuf;
 
 /// The folder of all parts.
-const FOLDER: &str = "compacted";
+pub(super) const FOLDER: &str = "compacted";
 /// The fewest runs of a part: fewer files are as quickly read one by one.
-const FEWEST_RUNS: usize = 64;
-/// The most runs of a part. One with half as many is not put together with others any more.
+pub(super) const FEWEST_RUNS: usize = 64;
+/// The most runs of a part. A part with half as many is no longer combined with others.
 const MOST_RUNS: usize = 256;
-/// The largest file whose rows are kept: opening a larger one takes little beside reading it.
+/// The largest file whose rows are copied to a part. Opening a larger file takes little time compared with reading it.
 const LARGEST_BYTES: u64 = 1 << 18;
 /// Key of a part's entries in its file's metadata, as JSON.
 const RUNS_KEY: &str = "runs";
@@ -42,11 +43,11 @@ const RUNS_KEY: &str = "runs";
 #[derive(Clone)]
 pub struct RunTable {
     table: Table,
-    /// The folder of the experiment's runs, and that of its parts.
+    /// The folders of the experiment's runs and of its parts.
     runs: PathBuf,
     parts: PathBuf,
     files: Vec<RunFile>,
-    /// What rows must meet any of, to be read.
+    /// Only rows that satisfy at least one of these conditions are read.
     conditions: Arc<BTreeSet<Condition>>,
 }
 
@@ -55,7 +56,7 @@ pub struct RunTable {
 struct RunFile {
     run: String,
     listed: FileRecord,
-    /// Whether its rows may be kept.
+    /// Whether its rows may be copied to a part.
     is_small: bool,
 }
 
@@ -75,7 +76,7 @@ struct Part {
     entries: Vec<Entry>,
 }
 
-/// Rows that lie together: of runs that follow each other in a part, or of one run's own file.
+/// Rows that are read together: those of consecutive runs in a part, or those of one run's own file.
 #[derive(Clone, Copy)]
 struct Segment {
     place: Place,
@@ -90,12 +91,12 @@ enum Place {
 }
 
 impl RunTable {
-    /// The table over `runs`, all of which must be finished runs of `experiment`.
+    /// Returns the table over `runs`, all of which must be finished runs of `experiment`.
     ///
-    /// Published runs that have no rows of the table have no file of it.
+    /// A published run without rows of the table has no file of it.
     ///
     /// # Errors
-    /// When the record of another run does not list the table's file.
+    /// When the record of a run that is not published does not list the table's file.
     pub fn new<'a>(
         registry: &Registry,
         table: Table,
@@ -104,10 +105,10 @@ impl RunTable {
     ) -> Result<Self, RegistryError> {
         let folder = registry.runs().join(experiment);
         let name = table.file_name();
-        let runs = runs.filter(|record| record.files.contains_key(&name) || !record.is_published());
+        let runs = runs.filter(|record| record.has(table));
         let file = |record: &RunRecord| {
             let listed = record.listed(&folder.join(&record.run), &name)?.clone();
-            // Published runs are copies for version control, and few.
+            // Published runs are few, and are meant for version control.
             let is_small = listed.bytes <= LARGEST_BYTES && !record.is_published();
             Ok(RunFile { run: record.run.clone(), listed, is_small })
         };
@@ -116,12 +117,12 @@ impl RunTable {
         Ok(Self { table, runs: folder, parts, files, conditions: Arc::default() })
     }
 
-    /// The table with only those rows that satisfy at least one of these conditions.
+    /// Returns the table with only those rows that satisfy at least one of these conditions.
     pub fn only(self, conditions: BTreeSet<Condition>) -> Self {
         Self { conditions: Arc::new(conditions), ..self }
     }
 
-    /// The names and types of the files' columns. Empty if no run has a file of the table.
+    /// Returns the names and types of the files' columns, or nothing if no run has a file of the table.
     ///
     /// # Errors
     /// When the first run's file is damaged.
@@ -131,20 +132,17 @@ impl RunTable {
         Ok(self.read_file(first, &columns)?.schema().clone())
     }
 
-    /// Reads these columns of all rows, or of the first `limit` rows.
+    /// Reads these columns of all rows that satisfy the conditions. With a limit, only the first `limit` rows are compared
+    /// with the conditions.
     ///
     /// # Errors
     /// When a file is damaged. The error wraps a [`RegistryError`], which [`QueryError`](super::QueryError) unwraps.
     pub fn read(&self, columns: &[String], limit: Option<usize>) -> PolarsResult<DataFrame> {
-        let of_conditions: BTreeSet<&String> = self.conditions.iter().flat_map(BTreeMap::keys).collect();
-        let others = of_conditions.into_iter().filter(|name| !columns.contains(name));
-        let read: Vec<String> = columns.iter().chain(others).cloned().collect();
-        let parts = self.map(&read, limit, |rows| kept(rows, &self.conditions)?.select(columns))?;
-        Ok(stacked(parts)?.unwrap_or_default())
+        Ok(stacked(self.map(columns, limit, Ok)?)?.unwrap_or_default())
     }
 
     /// Applies `of` to these columns, piece by piece, and returns the results in the order of the runs. A piece has all
-    /// rows of one or several runs; with a limit, the last piece has fewer.
+    /// rows of one or several runs that satisfy the conditions; with a limit, the last piece has fewer.
     ///
     /// # Errors
     /// When a file is damaged, or `of` fails.
@@ -154,23 +152,39 @@ impl RunTable {
         limit: Option<usize>,
         of: impl Fn(DataFrame) -> PolarsResult<T> + Sync,
     ) -> PolarsResult<Vec<T>> {
+        let of_conditions: BTreeSet<&String> = self.conditions.iter().flat_map(BTreeMap::keys).collect();
+        let others = of_conditions.into_iter().filter(|name| !columns.contains(name));
+        let needed: Vec<String> = columns.iter().chain(others).cloned().collect();
+        let wanted = |rows: &DataFrame| Terms::default().wanted(rows, &self.conditions);
+        let cut = |rows: &DataFrame, wanted: Option<&BooleanChunked>, segment: &Segment| {
+            let (offset, length) = (segment.offset as i64, segment.rows);
+            let piece = rows.slice(offset, length).select(columns)?;
+            of(match wanted {
+                // Polars' threads read the files. While such a thread waits for a parallel filter, it begins with the next
+                // file, until all of them are in memory.
+                Some(wanted) => piece.filter_seq(&wanted.slice(offset, length))?,
+                None => piece,
+            })
+        };
         let (parts, places) = self.places();
         let segments = self.segments(&places, limit);
-        let cut = |rows: &DataFrame, segment: &Segment| of(rows.slice(segment.offset as i64, segment.rows));
         let of_part = |(number, part): (usize, Part)| -> PolarsResult<Vec<(usize, T)>> {
             let own = segments.iter().enumerate();
             let own: Vec<_> = own.filter(|(_, one)| one.place == Place::Part(number)).collect();
             if own.is_empty() {
                 return Ok(Vec::new());
             }
-            let rows = part.file.read_serially(columns).map_err(|error| failed(error.into()))?;
+            let rows = part.file.read_serially(&needed).map_err(|error| failed(error.into()))?;
             drop(part);
-            own.into_iter().map(|(index, segment)| Ok((index, cut(&rows, segment)?))).collect()
+            let wanted = wanted(&rows)?;
+            own.into_iter()
+                .map(|(index, segment)| Ok((index, cut(&rows, wanted.as_ref(), segment)?)))
+                .collect()
         };
         let of_file = |(index, segment): (usize, &Segment)| -> Option<PolarsResult<(usize, T)>> {
             let Place::File(file) = segment.place else { return None };
-            let rows = self.read_file(&self.files[file], columns);
-            Some(rows.and_then(|rows| Ok((index, cut(&rows, segment)?))))
+            let rows = self.read_file(&self.files[file], &needed);
+            Some(rows.and_then(|rows| Ok((index, cut(&rows, wanted(&rows)?.as_ref(), segment)?))))
         };
         let parts: Vec<_> = parts.into_par_iter().enumerate().map(of_part).collect::<PolarsResult<_>>()?;
         let files: Vec<_> =
@@ -180,8 +194,8 @@ impl RunTable {
         Ok(all.into_iter().map(|(_, made)| made).collect())
     }
 
-    /// The parts there are, and where in them each run is, if it is in any. Runs that are in none are put into one first,
-    /// if there are enough of them.
+    /// Returns the existing parts, and the place of each run in them, if it is in one. If enough runs are in no part,
+    /// they are put into one first.
     fn places(&self) -> (Vec<Part>, Vec<Option<Segment>>) {
         if self.files.len() < FEWEST_RUNS {
             return (Vec::new(), vec![None; self.files.len()]);
@@ -221,20 +235,22 @@ impl RunTable {
         places
     }
 
-    /// The runs' rows in as few pieces as there are; with a limit, no more than that.
+    /// Returns the runs' rows in as few pieces as possible. With a limit, the pieces have only the first rows.
     fn segments(&self, places: &[Option<Segment>], limit: Option<usize>) -> Vec<Segment> {
         let mut segments: Vec<Segment> = Vec::new();
         let mut left = limit.unwrap_or(usize::MAX);
         for (index, (file, place)) in self.files.iter().zip(places).enumerate() {
-            // A record of before rows were counted says nothing of them.
-            let rows = file.listed.rows.unwrap_or(usize::MAX);
+            // Records of earlier versions do not contain the number of rows. Reading a damaged file fails later.
+            let counted =
+                || limit.and_then(|_| read_footer(&self.path(&file.run)).ok()).map(|footer| footer.rows);
+            let rows = file.listed.rows.or_else(counted).unwrap_or(usize::MAX);
             let own = Segment { place: Place::File(index), offset: 0, rows };
             let mut next = place.unwrap_or(own);
             next.rows = next.rows.min(left);
             if limit.is_some() {
                 left -= next.rows;
             }
-            // One piece there must be, for its columns.
+            // At least one piece is needed, because it defines the columns.
             let is_needed = next.rows > 0 || segments.is_empty();
             match segments.last_mut() {
                 Some(last) if last.place == next.place && last.offset + last.rows == next.offset => {
@@ -247,13 +263,13 @@ impl RunTable {
         segments
     }
 
-    /// The parts of this table that are whole.
+    /// Returns the undamaged parts of this table.
     fn read_parts(&self) -> Vec<Part> {
         let columns = described(&self.table.columns());
         self.part_files().into_par_iter().filter_map(|path| Part::open(path, &columns)).collect()
     }
 
-    /// The files of all parts of this table.
+    /// Returns the files of all parts of this table.
     fn part_files(&self) -> Vec<PathBuf> {
         let prefix = format!("{}-", self.table.name());
         let is_own = |path: &PathBuf| {
@@ -263,9 +279,9 @@ impl RunTable {
         sorted(&self.parts).into_iter().filter(is_own).collect()
     }
 
-    /// Puts the rows of `loose` runs into parts, together with those of parts that are small, partly outdated or
-    /// damaged. Returns whether it did: another process may be at it, and the folder may be read-only or full, all of which
-    /// costs time alone.
+    /// Puts the rows of `loose` runs into parts, together with the rows of parts that are small, partly outdated or
+    /// damaged. Returns whether it did so. It does not if another process is doing it, or if the folder can't be
+    /// written. Reading then takes longer, but gives the same rows.
     fn compact(&self, loose: Vec<Entry>) -> bool {
         let Ok(Some(_lock)) = FolderLock::attempt(&self.parts) else { return false };
         let is_current = |entry: &&Entry| Mark::of(&self.path(&entry.run)) == Some(entry.mark);
@@ -289,13 +305,13 @@ impl RunTable {
             }
         }
         for path in self.part_files().into_iter().filter(|path| !kept.contains(path)) {
-            // One that stays takes room and time alone.
+            // A file that can't be removed only costs space and time.
             let _ = std::fs::remove_file(path);
         }
         true
     }
 
-    /// Writes a part of these runs, whose own files are read and compared with their checksums.
+    /// Writes a part with the rows of these runs. Their own files are read and compared with the checksums.
     fn write_part(&self, runs: &[Entry]) -> PolarsResult<PathBuf> {
         let columns = self.table.columns();
         let names: Vec<String> = columns.iter().map(|column| column.name.clone()).collect();
@@ -315,12 +331,12 @@ impl RunTable {
         Ok(path)
     }
 
-    /// These columns of a run's own file, which is compared with its record.
+    /// Reads these columns of a run's own file, which is compared with its record.
     fn read_file(&self, file: &RunFile, columns: &[String]) -> PolarsResult<DataFrame> {
         let path = self.path(&file.run);
         let bytes = file.listed.read(&path).map_err(failed)?;
         let reader = ParquetReader::new(Cursor::new(bytes)).with_columns(Some(columns.to_vec()));
-        // Tables are read side by side; more threads for each would only compete.
+        // Several tables are read at the same time, so more threads for each would not help.
         let rows = reader.read_parallel(ParallelStrategy::None).finish();
         let rows = rows.map_err(|error| failed(RegistryError::File { path, reason: error.to_string() }))?;
         rows.select(columns)
@@ -331,7 +347,7 @@ impl RunTable {
     }
 }
 
-/// The table as Polars reads it: the columns that a query asks for.
+/// The table as a source of Polars, which reads only the columns that a query uses.
 impl AnonymousScan for RunTable {
     fn as_any(&self) -> &dyn Any {
         self
@@ -341,7 +357,7 @@ impl AnonymousScan for RunTable {
         self.read(&asked_columns(&asked), asked.n_rows)
     }
 
-    // Polars filters what it gets. To scans of this kind it would hand its filter in a form that not every filter has.
+    // Polars filters the rows that it gets. It can't pass every filter to a scan of this kind.
     fn allows_predicate_pushdown(&self) -> bool {
         false
     }
@@ -365,7 +381,7 @@ impl RunFile {
 }
 
 impl Part {
-    /// A part that is whole and has these columns.
+    /// Opens a part. Returns `None` if it is damaged or has other columns.
     fn open(path: PathBuf, columns: &str) -> Option<Self> {
         let file = TableFile::open(&path).ok()?;
         let footer = file.footer().ok()?;
@@ -376,12 +392,12 @@ impl Part {
     }
 }
 
-/// The columns as a file's metadata have them.
+/// The columns as in a file's metadata.
 fn described(columns: &[Column]) -> String {
     serde_json::to_string(columns).unwrap_or_default()
 }
 
-/// An error of the registry as one of Polars, as which it passes through a query. `QueryError` finds it again.
+/// Wraps a registry error in a Polars error, so that it can pass through a query. `QueryError` unwraps it.
 fn failed(error: RegistryError) -> PolarsError {
     PolarsError::IO { error: Arc::new(std::io::Error::other(error)), msg: None }
 }

@@ -13,8 +13,8 @@ impl Registry {
     /// says (such as a copy), or if it is in the format of another version.
     ///
     /// # Errors
-    /// When an episode is damaged. When an episode is missing that the dataset's description or one of `runs` includes,
-    /// unless the dataset is being collected.
+    /// When an episode is damaged. When an episode is missing that one of `runs` used or that was imported, unless the
+    /// dataset is being collected.
     pub(super) fn episode_files(&self, runs: &[Recorded]) -> Result<Vec<PathBuf>, RegistryError> {
         let mut used = episodes_used(runs.iter().map(|(_, record)| record));
         let mut files = Vec::new();
@@ -48,18 +48,24 @@ impl Registry {
             return Err(RegistryError::File { path, reason });
         }
         let episodes = found.promised.max(used);
-        let missing = (0..episodes).filter(|index| !found.whole.contains_key(index)).count();
-        match FolderLock::holder(folder) {
-            _ if missing == 0 => {}
-            Some(holder) => self.leave_out(
-                folder,
-                format!(
-                    "{missing} of the {episodes} episodes of {} are missing; {holder} is collecting them",
-                    folder.display()
-                ),
-            ),
-            None => return Err(RegistryError::Incomplete { path: folder.to_owned(), missing, episodes }),
+        let is_missing = |index: &u32| !found.whole.contains_key(index);
+        let missing = (0..episodes).filter(is_missing).count();
+        if missing == 0 {
+            return Ok(found.whole.into_values().collect());
         }
+        let needed = if found.imported { episodes } else { used };
+        let reason = match FolderLock::in_use(folder) {
+            Some(holder) => format!("{holder} is collecting them"),
+            None if (0..needed).any(|index| is_missing(&index)) => {
+                return Err(RegistryError::Incomplete { path: folder.to_owned(), missing, episodes });
+            }
+            None => "their collection was interrupted".to_owned(),
+        };
+        let folder_name = folder.display();
+        self.leave_out(
+            folder,
+            format!("{missing} of the {episodes} episodes of {folder_name} are missing; {reason}"),
+        );
         Ok(found.whole.into_values().collect())
     }
 }

@@ -67,7 +67,7 @@ pub enum RegistryError {
     Unknown {
         /// The wanted text.
         wanted: String,
-        /// The id of the run that is most similar to it, if there are runs.
+        /// The run that was probably meant.
         nearest: Option<String>,
         /// The command that lists all runs.
         list: String,
@@ -76,7 +76,7 @@ pub enum RegistryError {
     #[error("{} can't be published into itself; choose another folder", .0.display())]
     IntoItself(PathBuf),
     /// The wanted text is the beginning of several runs' names.
-    #[error("'{wanted}' matches several runs: {}", matches.join(", "))]
+    #[error("'{wanted}' matches several runs: {}; name one of them", first(matches))]
     Ambiguous {
         /// The wanted text.
         wanted: String,
@@ -117,9 +117,28 @@ pub enum QueryError {
     /// The output file's name has none of the supported endings.
     #[error("can't write to '{}': its name must end in .parquet, .csv or .json", .0.display())]
     Format(PathBuf),
+    /// CSV and JSON have no bytes.
+    #[error(
+        "can't write to '{}': the column '{column}' holds bytes; choose a name that ends in .parquet, or leave the column out",
+        path.display()
+    )]
+    Bytes {
+        /// The output file.
+        path: PathBuf,
+        /// The first column that holds bytes.
+        column: String,
+    },
     /// The output file can't be written.
     #[error(transparent)]
     Write(#[from] WriteError),
+}
+
+impl QueryError {
+    /// Whether a file is missing because its run was removed.
+    pub(super) fn is_of_removed_run(&self) -> bool {
+        let Self::Registry(RegistryError::File { path, .. }) = self else { return false };
+        path.parent().is_some_and(|folder| !folder.exists())
+    }
 }
 
 impl From<PolarsError> for QueryError {
@@ -132,4 +151,11 @@ impl From<PolarsError> for QueryError {
             Err(error) => Self::Sql(PolarsError::IO { error, msg }),
         }
     }
+}
+
+/// The first of several names, and the number of the others.
+fn first(names: &[String]) -> String {
+    const MOST: usize = 5;
+    let more = if names.len() > MOST { format!(" and {} more", names.len() - MOST) } else { String::new() };
+    format!("{}{more}", names[..names.len().min(MOST)].join(", "))
 }

@@ -6,8 +6,9 @@ use super::{RECORD, Registry, RegistryError, Status};
 use harness_shared::files::FolderLock;
 use rayon::prelude::*;
 use std::collections::HashMap;
+use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
-use std::sync::PoisonError;
+use std::sync::{Arc, PoisonError};
 
 /// A run's folder and its record.
 pub type Recorded = (PathBuf, RunRecord);
@@ -15,14 +16,14 @@ pub type Recorded = (PathBuf, RunRecord);
 /// Records that were read before. [`Registry::refresh`] reads only those again that may have changed since.
 #[derive(Default)]
 pub struct Remembered {
-    recorded: Vec<Recorded>,
+    recorded: Arc<Vec<Recorded>>,
     /// What the file system said of each record's file, by the run's folder.
     marks: HashMap<PathBuf, Mark>,
 }
 
 impl Remembered {
     /// The folders and records of all runs, sorted by experiment and id.
-    pub fn recorded(&self) -> &[Recorded] {
+    pub fn recorded(&self) -> &Arc<Vec<Recorded>> {
         &self.recorded
     }
 }
@@ -41,7 +42,8 @@ impl Registry {
 
     /// Reads the records that may have changed since the last call with this memory. Returns whether any did.
     pub fn refresh(&self, memory: &mut Remembered) -> bool {
-        let mut before: HashMap<PathBuf, RunRecord> = memory.recorded.drain(..).collect();
+        let mut recorded = Arc::unwrap_or_clone(std::mem::take(&mut memory.recorded));
+        let mut before: HashMap<PathBuf, RunRecord> = recorded.drain(..).collect();
         let folders: Vec<(PathBuf, Option<Mark>)> = self
             .run_folders()
             .into_par_iter()
@@ -62,22 +64,18 @@ impl Registry {
         let read = self.read(unknown.iter().map(|(folder, _)| folder.clone()).collect());
         let mut changed = false;
         for (folder, _) in &known {
-            memory.recorded.extend(before.remove_entry(folder));
+            recorded.extend(before.remove_entry(folder));
         }
         for (folder, record) in read {
             changed |= before.remove(&folder).as_ref() != Some(&record);
-            memory.recorded.push((folder, record));
+            recorded.push((folder, record));
         }
-        memory.recorded.sort_by(|(a, _), (b, _)| a.cmp(b));
+        recorded.sort_by(|(a, _), (b, _)| a.cmp(b));
+        memory.recorded = Arc::new(recorded);
         let settled = known.into_iter().chain(unknown);
         memory.marks =
             settled.filter_map(|(folder, mark)| Some((folder, mark.filter(Mark::is_settled)?))).collect();
         changed || !before.is_empty()
-    }
-
-    /// The folders and records of the runs of one experiment.
-    pub(super) fn recorded_of(&self, experiment: &str) -> Vec<Recorded> {
-        self.read(folders(&self.runs().join(experiment)))
     }
 
     /// The runs and datasets that all reads so far have left out: a sentence for each, with the reason.
@@ -107,7 +105,8 @@ impl Registry {
         misplaced.into_iter().chain(experiments.iter().flat_map(|experiment| folders(experiment))).collect()
     }
 
-    fn read(&self, folders: Vec<PathBuf>) -> Vec<Recorded> {
+    /// The records in these folders. Those that can't be used are left out.
+    pub(super) fn read(&self, folders: Vec<PathBuf>) -> Vec<Recorded> {
         let read = folders.into_par_iter().map(|folder| (self.read_run(&folder), folder));
         let read: Vec<_> = read.collect();
         let kept = read.into_iter().filter_map(|(record, folder)| match record {
@@ -166,5 +165,13 @@ pub(super) fn sorted(folder: &Path) -> Vec<PathBuf> {
 
 /// The folders in a folder, sorted.
 pub(super) fn folders(folder: &Path) -> Vec<PathBuf> {
-    sorted(folder).into_iter().filter(|path| path.is_dir()).collect()
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    // The kind of an entry is known without a look at it, unless it is a link.
+    let is_folder = |entry: &DirEntry| match entry.file_type() {
+        Ok(kind) if !kind.is_symlink() => kind.is_dir(),
+        _ => entry.path().is_dir(),
+    };
+    let mut paths: Vec<PathBuf> = entries.filter(is_folder).map(|entry| entry.path()).collect();
+    paths.sort();
+    paths
 }

@@ -8,9 +8,11 @@
 //!     epochs.parquet, metrics.parquet, predictions.parquet, forces.parquet, frames.parquet,
 //!     prediction.safetensors, reconstruction.safetensors
 //! results/compacted/<experiment>/<table>-<hash>.parquet      copies of the runs' rows, see `compact`
+//! results/compacted/<experiment>/checks.json                 which runs had intact files, see `checks`
 //! results/specs/<dataset>.yaml        collects a dataset that unpacked runs used and that was not packed
 //! ```
 
+mod checks;
 mod command_line;
 mod commands;
 mod compact;
@@ -37,8 +39,8 @@ pub use folders::{Recorded, Remembered};
 pub use live::{LiveEpochs, live_epochs};
 pub use pack::{PackError, Packed, Unpacked};
 pub use provenance::{Provenance, Versions, peak_memory_bytes};
-pub use publish::Published;
-pub use query::{answer, query, query_of, rows, save, table};
+pub use publish::{ForcesOf, Published, forces_of};
+pub use query::{answer, query, query_of, query_recorded, rows, save, table};
 pub use record::{
     FileRecord, ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings,
 };
@@ -46,10 +48,13 @@ pub use removal::{Garbage, Removable, Usage};
 pub use rows::{Condition, Terms, conditions, implies};
 pub use verify::{Finding, Report};
 
+use checks::Checks;
+use folders::folders;
 use harness_shared::files::{FolderLock, WriteError, write_bytes, write_whole};
-use harness_spec::{Layout, RunSpec, Task};
+use harness_spec::{Layout, RunSpec, Task, nearest};
 use sha2::{Digest, Sha256};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
@@ -63,6 +68,9 @@ const RECORD: &str = "run.json";
 const SPEC: &str = "spec.yaml";
 /// The file with the uncommitted changes of the source tree, as a patch.
 const UNCOMMITTED: &str = "uncommitted.diff";
+
+/// What is wrong with a results folder that is a file.
+const IS_FILE: &str = "it is a file, not a folder";
 
 /// What will happen to a run, and why.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -82,7 +90,9 @@ pub enum Decision {
         /// The process that holds the lock of the run's folder, such as `process 4711 on host`.
         holder: String,
     },
-    /// The run is done, and all of its files are as they were written.
+    /// The run is done, and all of its files are as they were written: they were compared with the record now or by an
+    /// earlier plan, and their sizes, times and inodes have not changed since. Later damage that changes none of these, such
+    /// as that of a failing disk, is found only by [`Registry::verify`].
     Skip,
     /// The run is a trial of a search, and its loss was no longer finite. Another attempt would end in the same way.
     Diverged {
@@ -99,8 +109,13 @@ pub struct Registry {
     left_out: Arc<Mutex<BTreeMap<PathBuf, String>>>,
 }
 
-/// The recorded runs of an experiment, by [`RunRecord::label`].
-pub struct Known(BTreeMap<String, Vec<RunRecord>>);
+/// The runs of an experiment that have a folder, for [`Registry::decide`].
+pub struct Known {
+    registry: Registry,
+    /// The runs' folders, by [`RunRecord::label`]. Their records are read when they are needed.
+    folders: HashMap<String, Vec<PathBuf>>,
+    checks: Checks,
+}
 
 /// The folder of one run, which need not exist.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -153,6 +168,7 @@ impl Registry {
         let problem = match self.root.is_dir() {
             _ if self.runs().is_dir() || self.datasets().is_dir() => return Ok(()),
             true => "it holds neither runs nor datasets",
+            false if self.root.exists() => IS_FILE,
             false => "there is no such folder",
         };
         Err(RegistryError::NoResults { root: self.root.clone(), problem })
@@ -163,8 +179,13 @@ impl Registry {
     /// # Errors
     /// When the folder or a file in it can't be created.
     pub fn check_writable(&self) -> Result<(), WriteError> {
-        let attempt = std::fs::create_dir_all(&self.root).and_then(|()| tempfile::tempfile_in(&self.root));
-        attempt.map(drop).map_err(|source| WriteError { path: self.root.clone(), source })
+        let attempt = match self.root.is_file() {
+            true => Err(io::Error::new(ErrorKind::NotADirectory, IS_FILE)),
+            false => {
+                std::fs::create_dir_all(&self.root).and_then(|()| tempfile::tempfile_in(&self.root).map(drop))
+            }
+        };
+        attempt.map_err(|source| WriteError { path: self.root.clone(), source })
     }
 
     /// Decides whether to run, resume or skip a run. Also returns the run's record, if it has a readable one.
@@ -174,7 +195,7 @@ impl Registry {
     pub fn decide(&self, folder: &RunFolder, spec: &RunSpec, known: &Known) -> (Decision, Option<RunRecord>) {
         let record = folder.record();
         let reason = match &record {
-            Ok(Some(record)) if record.status == Status::Done => match folder.damage(record) {
+            Ok(Some(record)) if record.status == Status::Done => match known.checks.damage(folder, record) {
                 // The lock is not checked: a finished run is only locked until its process releases the lock.
                 None => return (Decision::Skip, Some(record.clone())),
                 Some(damage) => damage,
@@ -202,13 +223,15 @@ impl Registry {
         (decision, record.ok().flatten())
     }
 
-    /// The recorded runs of an experiment, for [`decide`](Self::decide).
+    /// The runs of an experiment, for [`decide`](Self::decide).
     pub fn known(&self, experiment: &str) -> Known {
-        let mut by_label: BTreeMap<String, Vec<RunRecord>> = BTreeMap::new();
-        for (_, record) in self.recorded_of(experiment) {
-            by_label.entry(record.label()).or_default().push(record);
+        let mut by_label: HashMap<String, Vec<PathBuf>> = HashMap::new();
+        for folder in folders(&self.runs().join(experiment)) {
+            let id = folder.file_name().unwrap_or_default().to_string_lossy();
+            let label = id.rsplit_once('-').map_or(&*id, |(label, _)| label).to_owned();
+            by_label.entry(label).or_default().push(folder);
         }
-        Known(by_label)
+        Known { registry: self.clone(), folders: by_label, checks: Checks::of(self, experiment) }
     }
 
     /// The only run whose id, or `experiment/id`, begins with `wanted`.
@@ -232,18 +255,33 @@ impl Registry {
                 };
                 Ok((folder, (*record).clone()))
             }
-            [] => {
-                let nearest = records.iter().map(|record| record.run.clone());
-                let nearest = nearest.max_by(|a, b| {
-                    strsim::jaro_winkler(wanted, a).total_cmp(&strsim::jaro_winkler(wanted, b))
-                });
-                Err(RegistryError::Unknown { wanted: wanted.to_owned(), nearest, list: self.command("ls") })
-            }
+            [] => Err(self.unknown(wanted)),
             several => Err(RegistryError::Ambiguous {
                 wanted: wanted.to_owned(),
                 matches: several.iter().map(|record| name(record)).collect(),
             }),
         }
+    }
+
+    /// The error that no run matches `wanted`. It names the nearest run.
+    fn unknown(&self, wanted: &str) -> RegistryError {
+        let names = self.records().into_iter().flat_map(|record| {
+            let name = format!("{}/{}", record.experiment, record.run);
+            [record.run, name]
+        });
+        let nearest = beginning_nearest(wanted, &names.collect::<Vec<_>>());
+        RegistryError::Unknown { wanted: wanted.to_owned(), nearest, list: self.command("ls") }
+    }
+
+    /// The name of a run for [`find`](Self::find), without the path of the folder of all runs and without the slash that a
+    /// shell adds to a folder.
+    pub fn run_name(&self, wanted: &str) -> String {
+        let wanted = wanted.strip_suffix('/').filter(|name| name.contains('/')).unwrap_or(wanted);
+        let below = || {
+            let (path, runs) = (std::path::absolute(wanted).ok()?, std::path::absolute(self.runs()).ok()?);
+            Some(path.strip_prefix(runs).ok()?.to_str()?.to_owned())
+        };
+        below().filter(|name| !name.is_empty()).unwrap_or_else(|| wanted.to_owned())
     }
 
     /// Locks a run's folder, so that only the holder of the lock works on the run. Returns `None` if another process or
@@ -264,7 +302,7 @@ impl Registry {
     /// record with the status `running`. Returns the record.
     ///
     /// # Errors
-    /// When a file can't be written.
+    /// When a file can't be written or removed.
     pub fn begin(
         &self,
         folder: &RunFolder,
@@ -273,8 +311,11 @@ impl Registry {
         by: &Provenance,
     ) -> Result<RunRecord, RegistryError> {
         write_bytes(&folder.path.join(SPEC), spec.to_yaml().as_bytes())?;
-        if let Some(diff) = &by.uncommitted {
-            write_bytes(&folder.path.join(UNCOMMITTED), diff.as_bytes())?;
+        let patch = folder.path.join(UNCOMMITTED);
+        match &by.uncommitted {
+            Some(diff) => write_bytes(&patch, diff)?,
+            // The run may have been started before, with other changes.
+            None => removed(&patch, std::fs::remove_file(&patch))?,
         }
         let record = RunRecord::new(folder, spec, layout, by);
         record.write(&folder.path.join(RECORD))?;
@@ -310,6 +351,27 @@ impl Registry {
         }
         Ok(())
     }
+}
+
+/// Passes on how the removal of a file or folder ended. That it is gone, or never was there, is not an error.
+fn removed(path: &Path, result: io::Result<()>) -> Result<(), WriteError> {
+    match result {
+        Err(source) if source.kind() != ErrorKind::NotFound => {
+            Err(WriteError { path: path.to_owned(), source })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The first of `names` whose beginning is the nearest to `wanted`, if one is near enough.
+fn beginning_nearest(wanted: &str, names: &[String]) -> Option<String> {
+    if wanted.is_empty() {
+        return None;
+    }
+    let beginning = |name: &String| name.chars().take(wanted.chars().count()).collect::<String>();
+    let beginnings: Vec<String> = names.iter().map(beginning).collect();
+    let nearest = nearest(wanted, &beginnings.iter().map(String::as_str).collect::<Vec<_>>())?;
+    names.iter().find(|name| name.starts_with(nearest)).cloned()
 }
 
 /// The end of a run's id: the first eight digits of a hash of everything that determines the run's result.
@@ -374,10 +436,16 @@ impl RunFolder {
 }
 
 impl Known {
+    /// Remembers which runs had intact files, so that the next plan need not read them.
+    pub fn remember(self) {
+        self.checks.save();
+    }
+
     /// Explains why a run is new: the settings in which it differs from the most similar run with the same label.
     fn why_new(&self, folder: &RunFolder, spec: &RunSpec) -> String {
-        let alike = self.0.get(&spec.label()).into_iter().flatten();
-        let described = alike.map(|record| {
+        let alike = self.folders.get(&spec.label()).cloned().unwrap_or_default();
+        let alike = self.registry.read(alike);
+        let described = alike.iter().map(|(_, record)| {
             let mut differences = differences(&record.spec, spec);
             if record.dataset != folder.dataset && differences.is_empty() {
                 differences.push("the model or MuJoCo".into());

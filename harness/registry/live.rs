@@ -1,8 +1,9 @@
 //! The epochs of trainings that are running, so that queries and `harness watch` show them before the run is done.
 //!
-//! While a run is trained, its folder holds a file with all epochs so far. It is written anew about once a second, and
-//! removed at the end of the training for any reason. Its name is that of an unfinished file, so that it is also removed
-//! when a process takes the place of one that was killed. Only the rows of runs with the status `running` are read from it.
+//! While a run is trained, its folder holds a file with all epochs so far. It is written at the first epoch of each task
+//! and then about once a second, and removed at the end of the training for any reason. Its name is that of an unfinished
+//! file, so that it is also removed when a process takes the place of one that was killed. Only the rows of runs with the
+//! status `running` are read from it.
 
 use super::RunFolder;
 use super::record::{RunRecord, epochs_columns};
@@ -17,7 +18,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// The least time between two writes.
+/// The least time between two writes of epochs of the same task.
 const INTERVAL: Duration = Duration::from_secs(1);
 /// The file's key of the epochs.
 const EPOCHS: &str = "epochs";
@@ -35,11 +36,14 @@ impl LiveEpochs {
         Self { path: path(folder.path()), epochs: RefCell::default(), written: Cell::default() }
     }
 
-    /// Sets the epochs of a task so far.
+    /// Sets the epochs of a task so far, which begin with those of the last call for the task.
     pub fn set(&self, task: Task, epochs: &[Epoch]) {
-        self.epochs.borrow_mut().insert(task, epochs.to_vec());
-        if self.written.get().is_none_or(|written| written.elapsed() >= INTERVAL) {
-            let text = json!({ (EPOCHS): rows(&self.epochs.borrow()), (seal::KEY): seal::BLANK }).to_string();
+        let mut all = self.epochs.borrow_mut();
+        let own = all.entry(task).or_default();
+        let begins = own.is_empty();
+        own.extend_from_slice(epochs.get(own.len()..).unwrap_or_default());
+        if begins || self.written.get().is_none_or(|written| written.elapsed() >= INTERVAL) {
+            let text = json!({ (EPOCHS): rows(&all), (seal::KEY): seal::BLANK }).to_string();
             // Without the file, the epochs appear at the end of the run. That is no reason to stop the training.
             let _ = seal::write(&self.path, text.into_bytes());
             self.written.set(Some(Instant::now()));

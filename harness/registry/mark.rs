@@ -1,15 +1,15 @@
-//! What the file system says of a file, which tells whether the file may have changed.
+//! A file's inode, size and times, which tell whether the file may have changed.
 
 use serde::{Deserialize, Serialize};
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// The age from which a file's times show every later change. Two writes within a tick of the file system's clock have
+/// The age from which a file's times show every later change. Two writes within one tick of the file system's clock get
 /// the same time.
 const SETTLED: Duration = Duration::from_secs(2);
 
-/// What the file system says of a file. Every write to the file changes it.
+/// A file's inode, size and times. Every write to the file changes them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Mark {
     inode: u64,

@@ -33,7 +33,7 @@ const MOST_MANIFEST: u64 = 1 << 28;
 const TAR_BLOCK: u64 = 512;
 /// The zeros at the end of a tar archive, in bytes.
 const END: usize = 1024;
-/// What a file takes on a disk is a multiple of this, in bytes.
+/// The space that a file takes on a disk is a multiple of this, in bytes.
 const BLOCK: u64 = 4096;
 /// The file that describes a dataset.
 const DESCRIPTION: &str = "dataset.json";
@@ -51,7 +51,7 @@ pub enum PackError {
     #[error(transparent)]
     Lock(#[from] LockError),
     /// The pack's name is taken.
-    #[error("{} is there already; name another file, or remove it", .0.display())]
+    #[error("{} exists already; name another file, or remove it", .0.display())]
     Exists(PathBuf),
     /// None of the chosen runs is done.
     #[error("none of these runs is done, so there is nothing to pack; `{0}` shows why")]
@@ -108,7 +108,7 @@ pub enum PackError {
     },
     /// Folders of the pack exist, with other content.
     #[error(
-        "{} is there already with other content ({file}){}; nothing was unpacked. Unpack into another folder with \
+        "{} exists already with other content ({file}){}; nothing was unpacked. Unpack into another folder with \
          --results, or remove what is there",
         folder.display(), and_more(*.others)
     )]
@@ -147,7 +147,7 @@ pub enum PackError {
 }
 
 fn and_more(others: usize) -> String {
-    if others == 0 { String::new() } else { format!(" and so are {others} more") }
+    if others == 0 { String::new() } else { format!(", and so do {others} more") }
 }
 
 /// What was packed.
@@ -172,7 +172,7 @@ pub struct Unpacked {
     pub datasets: usize,
     /// Number of runs and datasets that were there before, with the same content.
     pub same: usize,
-    /// A run of each dataset that the pack's runs used and that is not there: the one that used the most episodes.
+    /// For each dataset that the pack's runs used and that is missing, the run that used the most episodes.
     pub lacking: Vec<RunRecord>,
 }
 
@@ -243,8 +243,8 @@ impl Registry {
     /// datasets that they used.
     ///
     /// # Errors
-    /// When `output` exists, no run is done, a file is damaged or missing, the disk is too small, or the caller cancels.
-    /// There is no file `output` then.
+    /// When `output` exists, no run is done, a file is damaged or missing, the disk is too small, or the caller
+    /// cancels. There is no file `output` then.
     pub fn pack(
         &self,
         runs: &[Recorded],
@@ -389,7 +389,7 @@ struct Pack<'a> {
     manifest: Manifest,
 }
 
-/// What of a pack is not in the results folder yet.
+/// The runs, datasets and files of a pack that are not in the results folder yet.
 #[derive(Default)]
 struct New<'a> {
     /// Folders that do not exist, or contain nothing but a lock.
@@ -400,7 +400,7 @@ struct New<'a> {
     same: usize,
 }
 
-/// What the results folder has of a folder of a pack.
+/// How a folder of a pack compares with the same folder in the results folder.
 enum There {
     /// It does not exist, or contains nothing but a lock.
     Nothing,
@@ -519,7 +519,8 @@ impl Registry {
             let target = self.root.join(folder);
             if target.exists() {
                 let _lock = lock(&target)?;
-                // A folder with a lock in it can't be replaced. If it has got anything else, it stays, and renaming fails.
+                // A folder that contains a lock can't be replaced. If it contains anything else, it stays, and renaming
+                // fails.
                 if is_vacant(&target) {
                     rename(&target, &staging.path().join(format!("vacant-{index}")))?;
                 }
@@ -529,7 +530,7 @@ impl Registry {
         Ok(())
     }
 
-    /// A run of each dataset that runs of a pack used and that is not there.
+    /// Returns a run for each dataset that runs of a pack used and that is missing.
     fn lacking(&self, manifest: &Manifest) -> Vec<RunRecord> {
         let mut users = BTreeMap::<String, RunRecord>::new();
         for folder in manifest.folders().into_keys().filter(|folder| is_run(folder)) {
@@ -554,8 +555,8 @@ fn is_vacant(folder: &Path) -> bool {
     folder.symlink_metadata().is_err() || folder.is_dir() && sorted(folder).iter().all(is_lock)
 }
 
-/// Whether a file of a pack is in its folder with the same content. Descriptions of a dataset may differ in the number of
-/// episodes.
+/// Whether a file of a pack is in its folder with the same content. Descriptions of a dataset may differ in the number
+/// of episodes.
 fn is_same(folder: &Path, name: &str, file: &FileRecord) -> bool {
     file.read(&folder.join(name)).is_ok() || name == DESCRIPTION && Dataset::at(folder).is_ok()
 }

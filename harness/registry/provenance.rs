@@ -13,6 +13,18 @@ pub struct Versions {
     pub candle: &'static str,
 }
 
+/// Shows all uncommitted changes as a patch, whatever the user's settings of git are.
+const DIFF: [&str; 8] = [
+    "diff",
+    "--binary",
+    "--no-color",
+    "--no-ext-diff",
+    "--no-textconv",
+    "--src-prefix=a/",
+    "--dst-prefix=b/",
+    "HEAD",
+];
+
 /// The provenance of a command's runs: source tree, versions, machine and the command itself.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
@@ -20,9 +32,9 @@ pub struct Provenance {
     pub git_commit: Option<String>,
     /// Whether tracked files had uncommitted changes, or `None` outside of a repository.
     pub git_dirty: Option<bool>,
-    /// The uncommitted changes, as a patch. They are stored in a file of their own.
+    /// The uncommitted changes, as a patch that `git apply` can apply. They are stored in a file of their own.
     #[serde(skip)]
-    pub uncommitted: Option<String>,
+    pub uncommitted: Option<Vec<u8>>,
     /// Version of the harness.
     pub harness_version: String,
     /// Version of MuJoCo.
@@ -42,14 +54,15 @@ pub struct Provenance {
 impl Provenance {
     /// Collects the provenance from the git repository of the current folder and from this machine.
     pub fn gather(versions: Versions, threads: usize, command: String) -> Self {
-        let commit = git(&["rev-parse", "HEAD"]);
+        let line = |output: Vec<u8>| String::from_utf8_lossy(&output).trim().to_owned();
+        let commit = git(&["rev-parse", "HEAD"]).map(line);
         let status = commit.as_ref().and_then(|_| git(&["status", "--porcelain", "--untracked-files=no"]));
         let dirty = status.map(|status| !status.is_empty());
         let system = System::new_with_specifics(
             sysinfo::RefreshKind::nothing().with_cpu(sysinfo::CpuRefreshKind::nothing()),
         );
         Self {
-            uncommitted: if dirty == Some(true) { git(&["diff", "HEAD"]) } else { None },
+            uncommitted: if dirty == Some(true) { git(&DIFF) } else { None },
             git_commit: commit,
             git_dirty: dirty,
             harness_version: env!("CARGO_PKG_VERSION").into(),
@@ -63,11 +76,10 @@ impl Provenance {
     }
 }
 
-/// The trimmed output of a git command, or `None` if git is not installed or fails.
-fn git(arguments: &[&str]) -> Option<String> {
-    let output =
-        Command::new("git").args(arguments).output().ok().filter(|output| output.status.success())?;
-    Some(String::from_utf8_lossy(&output.stdout).trim().to_owned())
+/// The output of a git command, or `None` if git is not installed or fails.
+fn git(arguments: &[&str]) -> Option<Vec<u8>> {
+    let output = Command::new("git").args(arguments).output().ok()?;
+    output.status.success().then_some(output.stdout)
 }
 
 /// The peak resident memory of this process so far, in bytes, or `None` where the system does not report it.

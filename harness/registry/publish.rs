@@ -1,13 +1,13 @@
 //! Small copies of finished runs: what figures, claims and comparisons need, fit for version control.
 
 use super::record::{RunRecord, TABLES};
-use super::{RECORD, Registry, RegistryError, RunFolder, SPEC};
+use super::{RECORD, Registry, RegistryError, RunFolder, SPEC, removed};
 use harness_shared::files::write_bytes;
 use harness_shared::progress::Progress;
 use harness_tables::schema::Table;
 use harness_tables::{TableError, TableFile, write_table};
 use polars::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// The result of [`Registry::publish`].
@@ -26,10 +26,11 @@ impl Registry {
     /// All epochs and metrics are copied. Of each cell's lowest seed, the predictions of the last two joints and links
     /// and all images are copied. The forces are copied of one run for each dataset. Of runs with a `variant`, only
     /// epochs and metrics are copied; of runs under a reading, also the forces of one run for each dataset, reading and
-    /// role. A run of the same cell and seed that was published before is replaced.
+    /// role. A run of the same cell and seed that was published before is replaced, unless it is one of `chosen` too.
     ///
     /// # Errors
-    /// When `to` is this registry, or a file can't be read or written. Files that exist already are not damaged.
+    /// When `to` is this registry, or a file can't be read or written. Nothing that was published before is changed for a
+    /// run with a damaged file.
     pub fn publish<'a>(
         &self,
         chosen: impl IntoIterator<Item = (&'a Path, &'a RunRecord)>,
@@ -43,36 +44,40 @@ impl Registry {
         }
         let chosen: Vec<_> = chosen.into_iter().collect();
         let shown = Shown::of(chosen.iter().map(|(_, record)| *record));
-        let published_before = to.recorded();
+        let targets: BTreeSet<PathBuf> = chosen.iter().map(|(_, record)| to.own_folder(record)).collect();
+        let mut published_before = to.recorded();
+        published_before.retain(|(folder, _)| !targets.contains(folder));
         let mut published = Published::default();
         progress.begin("publishing", chosen.len() as u64, "runs");
         for (folder, record) in chosen {
             let copy = RunFolder {
-                path: to.runs().join(&record.experiment).join(&record.run),
+                path: to.own_folder(record),
                 experiment: record.experiment.clone(),
                 id: record.run.clone(),
                 dataset: record.dataset.clone(),
             };
-            remove_same(&published_before, record)?;
-            let spec = record.check_file(folder, SPEC)?;
-            let spec = std::fs::read(&spec)
-                .map_err(|error| RegistryError::File { path: spec.clone(), reason: error.to_string() })?;
+            // All files are read before the first one is written, because one of them may be damaged.
+            let spec = record.read_file(folder, SPEC)?;
+            let tables = shown.tables(folder, record)?;
             write_bytes(&copy.path.join(SPEC), &spec)?;
             let mut names = vec![SPEC.to_owned()];
-            for table in TABLES {
-                let name = table.file_name();
-                let rows = TableFile::open(&record.check_file(folder, &name)?)?.table(None)?;
-                let kept = shown.keep(table, record, rows).map_err(TableError::from)?;
-                if kept.height() == 0 {
+            for (table, rows) in tables {
+                let path = copy.path.join(table.file_name());
+                if rows.height() == 0 {
+                    // An earlier call may have copied rows of it.
+                    removed(&path, std::fs::remove_file(&path))?;
                     continue;
                 }
-                write_table(&copy.path.join(&name), kept, &table.columns(), &record.stamp())?;
-                names.push(name);
+                write_table(&path, rows, &table.columns(), &record.stamp())?;
+                names.push(table.file_name());
             }
             let record = record.clone().with_files(&copy, names)?;
             published.bytes += record.files.values().map(|file| file.bytes).sum::<u64>();
             published.runs += 1;
             record.write(&copy.path.join(RECORD))?;
+            for (folder, _) in published_before.iter().filter(|(_, other)| is_same(other, &record)) {
+                removed(folder, std::fs::remove_dir_all(folder))?;
+            }
             progress.advance(1);
         }
         progress.end();
@@ -80,15 +85,9 @@ impl Registry {
     }
 }
 
-/// Removes those of `published` that are of the same cell and seed.
-fn remove_same(published: &[(PathBuf, RunRecord)], record: &RunRecord) -> Result<(), RegistryError> {
-    for (folder, other) in published {
-        if (&other.experiment, other.label()) == (&record.experiment, record.label()) {
-            std::fs::remove_dir_all(folder)
-                .map_err(|error| RegistryError::File { path: folder.clone(), reason: error.to_string() })?;
-        }
-    }
-    Ok(())
+/// Whether two runs are of the same cell and seed.
+fn is_same(a: &RunRecord, b: &RunRecord) -> bool {
+    (&a.experiment, a.label()) == (&b.experiment, b.label())
 }
 
 /// Of which runs single samples are kept.
@@ -113,6 +112,15 @@ impl Shown {
             }
         }
         shown
+    }
+
+    /// The rows of each of a run's tables that are kept. Compares each file with the record.
+    fn tables(&self, folder: &Path, record: &RunRecord) -> Result<Vec<(Table, DataFrame)>, RegistryError> {
+        let kept = TABLES.map(|table| {
+            let rows = TableFile::open(&record.check_file(folder, &table.file_name())?)?.table(None)?;
+            Ok((table, self.keep(table, record, rows).map_err(TableError::from)?))
+        });
+        kept.into_iter().collect()
     }
 
     /// The rows of a run's table that are kept.
@@ -140,9 +148,11 @@ fn cell(record: &RunRecord) -> (String, String) {
 }
 
 /// An experiment, a dataset, and the reading and the role of the runs on it.
-type ForcesOf = (String, String, Option<String>, Option<String>);
+pub type ForcesOf = (String, String, Option<String>, Option<String>);
 
-fn forces_of(record: &RunRecord) -> ForcesOf {
+/// What the rows of a run's table `forces` are about. They describe the dataset, so runs with the same value have the same
+/// rows, and those of one run are enough.
+pub fn forces_of(record: &RunRecord) -> ForcesOf {
     let [reading, role] = [record.spec.reading(), record.spec.role()].map(|name| name.map(str::to_owned));
     (record.experiment.clone(), record.dataset.clone(), reading, role)
 }

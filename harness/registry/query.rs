@@ -12,6 +12,7 @@ use harness_tables::schema::{Column, Table, sample_columns};
 use harness_tables::{TableError, data_type, lazily, scan};
 use polars::prelude::*;
 use serde::de::DeserializeOwned;
+use std::collections::HashSet;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -40,9 +41,22 @@ pub fn query_of(
     is_wanted: impl Fn(&RunRecord) -> bool,
     sql: &str,
 ) -> Result<DataFrame, QueryError> {
-    let runs = registry.recorded().into_iter().filter(|(_, record)| is_wanted(record));
-    let runs: Vec<Recorded> = runs.collect();
-    answer(sql, &|of| table(registry, of, &runs, sql))
+    loop {
+        let runs = registry.recorded().into_iter().filter(|(_, record)| is_wanted(record));
+        match query_recorded(registry, &runs.collect::<Vec<_>>(), sql) {
+            // Another process has removed a run since its record was read.
+            Err(error) if error.is_of_removed_run() => {}
+            answered => return answered,
+        }
+    }
+}
+
+/// Answers one statement of SQL over only these runs, which were read before.
+///
+/// # Errors
+/// Like [`query`].
+pub fn query_recorded(registry: &Registry, runs: &[Recorded], sql: &str) -> Result<DataFrame, QueryError> {
+    answered(sql, &|of| table(registry, of, runs, sql), &|of| columns(registry, of, runs))
 }
 
 /// A function that returns the rows of a table.
@@ -53,9 +67,17 @@ pub type TableOf<'a> = dyn Fn(Table) -> Result<LazyFrame, QueryError> + Sync + '
 /// # Errors
 /// When the SQL is invalid or not supported, or when `table_of` fails.
 pub fn answer(question: &str, table_of: &TableOf) -> Result<DataFrame, QueryError> {
+    answered(question, table_of, &|table| Ok(table.columns()))
+}
+
+/// A function that returns the columns of a table.
+type ColumnsOf<'a> = dyn Fn(Table) -> Result<Vec<Column>, QueryError> + Sync + 'a;
+
+/// Like [`answer`]. DESCRIBE lists the columns that `columns_of` returns.
+fn answered(question: &str, table_of: &TableOf, columns_of: &ColumnsOf) -> Result<DataFrame, QueryError> {
     std::thread::scope(|scope| {
         let thread = std::thread::Builder::new().stack_size(QUERY_STACK_BYTES);
-        let thread = thread.spawn_scoped(scope, || sql::answer(question, table_of));
+        let thread = thread.spawn_scoped(scope, || sql::answer(question, table_of, columns_of));
         let thread = thread.map_err(|error| QueryError::Refused(error.to_string()))?;
         // Polars may panic at what it does not support.
         thread.join().unwrap_or_else(|panic| {
@@ -103,6 +125,23 @@ pub fn table(
     }
 }
 
+/// The columns of a table. Those of `episodes` depend on the datasets: each column that one of them has. Without
+/// datasets, they are those of the built-in finger.
+fn columns(registry: &Registry, table: Table, runs: &[Recorded]) -> Result<Vec<Column>, QueryError> {
+    let groups = match table {
+        Table::Episodes => by_layout(&registry.episode_files(runs)?)?,
+        _ => Vec::new(),
+    };
+    let columns = each_once(groups.iter().flat_map(|(layout, _)| sample_columns(layout)));
+    Ok(if columns.is_empty() { table.columns() } else { columns })
+}
+
+/// The columns without those whose name an earlier one has.
+fn each_once(columns: impl Iterator<Item = Column>) -> Vec<Column> {
+    let mut names = HashSet::new();
+    columns.filter(|column| names.insert(column.name.clone())).collect()
+}
+
 /// One of the tables that each run writes; `None` without runs.
 fn run_table(
     registry: &Registry,
@@ -140,10 +179,11 @@ fn with_live_epochs(done: Option<LazyFrame>, runs: &[Recorded]) -> Result<Option
     }
 }
 
-/// The episodes' files one after the other, those of a dataset together: first the columns that the table always has, then
-/// those that only some datasets have. What a dataset lacks is null.
-fn episodes(files: &[PathBuf], always: &[Column]) -> Result<Option<LazyFrame>, QueryError> {
-    let mut groups: Vec<(Arc<Layout>, Vec<PathBuf>)> = Vec::new();
+/// The files of datasets with the same layout, for each layout.
+type ByLayout = Vec<(Arc<Layout>, Vec<PathBuf>)>;
+
+fn by_layout(files: &[PathBuf]) -> Result<ByLayout, QueryError> {
+    let mut groups = ByLayout::new();
     for of_dataset in files.chunk_by(|a, b| a.parent() == b.parent()) {
         let folder = of_dataset[0].parent().unwrap_or(Path::new(""));
         let layout = layout_of(folder).map_err(|error| QueryError::Refused(error.to_string()))?;
@@ -152,22 +192,24 @@ fn episodes(files: &[PathBuf], always: &[Column]) -> Result<Option<LazyFrame>, Q
             None => groups.push((layout, of_dataset.to_vec())),
         }
     }
+    Ok(groups)
+}
+
+/// The episodes' files one after the other, those of a dataset together: first the columns that the table always has, then
+/// those that only some datasets have. What a dataset lacks is null.
+fn episodes(files: &[PathBuf], always: &[Column]) -> Result<Option<LazyFrame>, QueryError> {
+    let groups = by_layout(files)?;
     let held: Vec<Vec<Column>> = groups.iter().map(|(layout, _)| sample_columns(layout)).collect();
-    let mut names: Vec<&str> = always.iter().map(|column| column.name.as_str()).collect();
-    for column in held.iter().flatten() {
-        if !names.contains(&column.name.as_str()) {
-            names.push(&column.name);
-        }
-    }
+    let all = each_once(always.iter().chain(held.iter().flatten()).cloned());
     let mut frames = Vec::new();
     for ((_, files), held) in groups.iter().zip(&held) {
         let Some(frame) = scan(files, held).map_err(QueryError::Sql)? else { continue };
-        let value = |name: &&str| match held.iter().any(|column| column.name == *name) {
-            true => col(*name),
+        let value = |Column { name, .. }: &Column| match held.iter().any(|column| column.name == *name) {
+            true => col(name.as_str()),
             // Only elements of vectors can lack.
-            false => lit(NULL).cast(DataType::Float32).alias(*name),
+            false => lit(NULL).cast(DataType::Float32).alias(name.as_str()),
         };
-        frames.push(frame.select(names.iter().map(value).collect::<Vec<_>>()));
+        frames.push(frame.select(all.iter().map(value).collect::<Vec<_>>()));
     }
     match frames.len() {
         0 | 1 => Ok(frames.pop()),
@@ -196,7 +238,7 @@ pub fn rows<T: DeserializeOwned>(answer: &mut DataFrame) -> Result<Vec<T>, Query
 /// Writes an answer as Parquet, CSV or JSON, depending on the ending of the file's name.
 ///
 /// # Errors
-/// When the file's name has another ending, or the file can't be written.
+/// When the file's name has another ending, a column of bytes is written as CSV or JSON, or the file can't be written.
 pub fn save(answer: &mut DataFrame, path: &Path) -> Result<(), QueryError> {
     let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_lowercase();
     let write: fn(&mut DataFrame, File) -> PolarsResult<()> = match ending.as_str() {
@@ -205,6 +247,10 @@ pub fn save(answer: &mut DataFrame, path: &Path) -> Result<(), QueryError> {
         "json" => |answer, file| JsonWriter::new(file).with_json_format(JsonFormat::Json).finish(answer),
         _ => return Err(QueryError::Format(path.to_owned())),
     };
+    let of_bytes = answer.columns().iter().find(|column| *column.dtype() == DataType::Binary);
+    if let Some(column) = of_bytes.filter(|_| ending != "parquet") {
+        return Err(QueryError::Bytes { path: path.to_owned(), column: column.name().to_string() });
+    }
     write_whole(path, |file| write(answer, File::create(file)?).map_err(std::io::Error::other))?;
     Ok(())
 }

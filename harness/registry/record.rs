@@ -184,7 +184,7 @@ impl FileRecord {
             return Err(format!("it has {} bytes instead of {}", bytes.len(), self.bytes));
         }
         if hex(&Sha256::digest(bytes)) != self.sha256 {
-            return Err("it is not as it was written: its SHA-256 differs".into());
+            return Err("it has changed since it was written: its SHA-256 differs".into());
         }
         Ok(())
     }
@@ -345,8 +345,13 @@ impl RunRecord {
     }
 
     /// Reads a file and compares it with its entry in the record.
-    fn read_file(&self, folder: &Path, name: &str) -> Result<Vec<u8>, RegistryError> {
+    pub(super) fn read_file(&self, folder: &Path, name: &str) -> Result<Vec<u8>, RegistryError> {
         self.listed(folder, name)?.read(&folder.join(name))
+    }
+
+    /// Whether the finished run has a file of this table. Published runs have none of tables without rows.
+    pub fn has(&self, table: Table) -> bool {
+        self.files.contains_key(&table.file_name()) || !self.is_published()
     }
 
     /// The record's entry for a file.

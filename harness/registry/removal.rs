@@ -1,8 +1,9 @@
-//! What takes space in the results folder, and what of it can be removed.
+//! The space that results take, and the removal of runs and datasets.
 
+use super::compact;
 use super::folders::{Recorded, folders, sorted};
 use super::record::RunRecord;
-use super::{Registry, RegistryError, RunFolder, Status};
+use super::{Registry, RegistryError, RunFolder, Status, removed};
 use harness_dataset::Dataset;
 use harness_shared::files::{FolderLock, UNFINISHED, WriteError};
 use harness_spec::QUICK;
@@ -89,7 +90,8 @@ impl Registry {
         usage
     }
 
-    /// The runs of these reasons, and, if asked for, the datasets that no other run uses. Each comes once.
+    /// Returns the runs that have one of these reasons and, if asked for, the datasets that no other run uses. Each is
+    /// returned once.
     ///
     /// No dataset counts as unused while runs are left out, because they may use it; see [`Registry::left_out`].
     pub fn garbage(&self, wanted: &[Garbage]) -> Vec<(Garbage, Removable)> {
@@ -98,13 +100,15 @@ impl Registry {
         let mut found = Vec::new();
         let mut used = BTreeSet::new();
         for (folder, record) in &recorded {
+            // A run that a process works on can't be removed, and needs its dataset.
+            let is_free = |_: &(Garbage, bool)| FolderLock::holder(folder).is_none();
             let reasons = [
                 (Garbage::Superseded, superseded.contains(&record.name())),
                 (Garbage::Failed, record.status == Status::Failed),
                 (Garbage::Quick, record.experiment.ends_with(QUICK)),
             ];
             let applies = |(reason, applies): &(Garbage, bool)| *applies && wanted.contains(reason);
-            match reasons.into_iter().find(applies) {
+            match reasons.into_iter().find(applies).filter(is_free) {
                 Some((reason, _)) => found.push((reason, Removable::new(folder, record.name()))),
                 None => drop(used.insert(record.dataset.clone())),
             }
@@ -124,7 +128,8 @@ impl Registry {
         found
     }
 
-    /// The runs of the experiment `wanted`, or, without one of this name, those whose id or `experiment/id` begins with it.
+    /// Returns the runs of the experiment `wanted`. If there is no such experiment, returns the runs whose id, or
+    /// `experiment/id` if `wanted` has a slash, begins with it.
     ///
     /// # Errors
     /// When there is none.
@@ -133,38 +138,35 @@ impl Registry {
         let is_experiment = recorded.iter().any(|(_, record)| record.experiment == wanted);
         let is_match = |record: &RunRecord| match is_experiment {
             true => record.experiment == wanted,
-            false => record.run.starts_with(wanted) || record.name().starts_with(wanted),
+            false if wanted.contains('/') => record.name().starts_with(wanted),
+            false => !wanted.is_empty() && record.run.starts_with(wanted),
         };
         recorded.retain(|(_, record)| is_match(record));
         if recorded.is_empty() {
-            // It names the nearest run.
-            self.find(wanted)?;
+            return Err(self.unknown(wanted));
         }
         Ok(recorded)
     }
 
-    /// Removes a run's or a dataset's folder, unless a process works there: then nothing changes, and who it is comes back.
+    /// Removes the folder of a run or a dataset. If a process works there, nothing changes, and the process is
+    /// returned.
     ///
-    /// The folder is renamed first, so that an interruption leaves no part of it under its name; what is left then is removed
-    /// the next time.
+    /// The folder is renamed first, so that an interruption leaves no part of it under its name. The next call removes
+    /// what an interruption left.
     ///
     /// # Errors
     /// When it can't be locked, renamed or removed.
     pub fn remove(&self, item: &Removable) -> Result<Option<String>, RegistryError> {
-        let failed = |path: &Path| {
-            let path = path.to_owned();
-            move |source: std::io::Error| WriteError { path, source }
-        };
+        if !item.path.exists() {
+            return Ok(None);
+        }
         let Some(lock) = FolderLock::attempt(&item.path)? else {
             let holder = FolderLock::holder(&item.path);
             return Ok(Some(holder.unwrap_or_else(|| "another process".into())));
         };
-        let removed = self.set_aside(&item.path).map_err(failed(&item.path))?;
-        drop(lock);
-        std::fs::remove_dir_all(&removed).map_err(failed(&removed))?;
+        self.discard(&item.path, lock)?;
         if let Some(experiment) = item.path.parent() {
-            // Fails unless it is empty.
-            let _ = std::fs::remove_dir(experiment);
+            self.remove_empty(experiment);
         }
         let prefix = set_aside_prefix();
         for left in sorted(&self.root).iter().filter(|path| name(path).starts_with(&prefix)) {
@@ -173,35 +175,49 @@ impl Registry {
         Ok(None)
     }
 
+    /// Removes the folder of an experiment without runs, with the copies of its tables, or the folder of all datasets if
+    /// there is none. Errors are ignored, because an empty folder and the copies only take space.
+    fn remove_empty(&self, folder: &Path) {
+        let is_removed = std::fs::remove_dir(folder).is_ok();
+        let copies = self.root.join(compact::FOLDER).join(name(folder));
+        if is_removed
+            && folder.parent() == Some(&self.runs())
+            && copies.exists()
+            && let Ok(Some(lock)) = FolderLock::attempt(&copies)
+        {
+            let _ = self.discard(&copies, lock);
+        }
+    }
+
     /// Removes the folder of a run that a longer training replaces, unless a process works there. Errors are ignored,
     /// because the next command on the experiment tries it again.
     pub fn supersede(&self, folder: &RunFolder) {
         if !folder.path.exists() {
             return;
         }
-        if let Ok(Some(lock)) = FolderLock::attempt(&folder.path)
-            && let Ok(removed) = self.set_aside(&folder.path)
-        {
-            drop(lock);
-            let _ = std::fs::remove_dir_all(removed);
+        if let Ok(Some(lock)) = FolderLock::attempt(&folder.path) {
+            let _ = self.discard(&folder.path, lock);
         }
     }
 
-    /// Renames a folder, so that an interrupted removal leaves no part of it under its name. Returns the new path.
-    fn set_aside(&self, folder: &Path) -> std::io::Result<PathBuf> {
-        let target = tempfile::Builder::new().prefix(&set_aside_prefix()).tempdir_in(&self.root)?.keep();
+    /// Removes a folder that the caller has locked. It is renamed first, so that an interruption leaves no part of it
+    /// under its name.
+    fn discard(&self, folder: &Path, lock: FolderLock) -> Result<(), WriteError> {
+        let aside = tempfile::Builder::new().prefix(&set_aside_prefix()).tempdir_in(&self.root);
+        let aside = aside.map_err(|source| WriteError { path: folder.to_owned(), source })?.keep();
         // An empty folder is replaced.
-        std::fs::rename(folder, &target)?;
-        Ok(target)
+        removed(folder, std::fs::rename(folder, &aside))?;
+        drop(lock);
+        removed(&aside, std::fs::remove_dir_all(&aside))
     }
 }
 
-/// How the names of folders begin that are being removed.
+/// The beginning of the names of folders that are being removed.
 fn set_aside_prefix() -> String {
     format!("{UNFINISHED}removal-")
 }
 
-/// The names of done runs of which there is a later one with the same settings.
+/// The names of finished runs that have a later run with the same settings.
 fn superseded<'a>(records: impl Iterator<Item = &'a RunRecord>) -> BTreeSet<String> {
     let mut latest: BTreeMap<(&str, &str), &RunRecord> = BTreeMap::new();
     let mut superseded = BTreeSet::new();

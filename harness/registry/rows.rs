@@ -137,14 +137,6 @@ pub fn implies(narrow: &Condition, wide: &Condition) -> bool {
     })
 }
 
-/// The rows that satisfy at least one of the conditions.
-pub(super) fn kept(rows: DataFrame, conditions: &BTreeSet<Condition>) -> PolarsResult<DataFrame> {
-    match Terms::default().wanted(&rows, conditions)? {
-        Some(wanted) => rows.filter(&wanted),
-        None => Ok(rows),
-    }
-}
-
 /// The rows in which each term of some conditions holds. Conditions share most of their terms, so the result of each
 /// term is kept.
 #[derive(Default)]

@@ -1,13 +1,13 @@
 //! Checks that every file of the results folder is as it was written, and suggests commands that repair damage.
 
 use super::command_line::quoted;
-use super::commands::Commands;
+use super::commands::{Again, Commands};
 use super::episodes::episodes_used;
 use super::folders::{Recorded, folders, sorted};
 use super::record::RunRecord;
 use super::{RECORD, Registry, RegistryError, Status, UNCOMMITTED};
 use harness_dataset::{Inspection, inspect, is_lock};
-use harness_shared::files::UNFINISHED;
+use harness_shared::files::{FolderLock, UNFINISHED};
 use harness_shared::progress::Progress;
 use harness_shared::seal;
 use harness_tables::read_footer;
@@ -114,7 +114,8 @@ impl Verification<'_> {
         // The command of the run that needs the most episodes restores them for all runs.
         let users = self.recorded.iter().map(|(_, record)| record).filter(|record| record.dataset == name);
         let user = users.max_by_key(|record| record.episodes());
-        let collect = user.and_then(|record| self.commands.collect(record));
+        let again = user.map_or(Again::Unknown, |record| self.commands.collect(record));
+        let collect = again.command();
         if let Some(problem) = &inspection.undescribed
             && user.is_none()
         {
@@ -123,13 +124,13 @@ impl Verification<'_> {
         let described = inspection.undescribed.map(|problem| (folder.join("dataset.json"), problem));
         for (path, problem) in described.into_iter().chain(inspection.damaged) {
             let mend = collect.clone().or_else(|| user.is_none().then(|| remove(&path)));
-            report.broken(&path, problem, mend);
+            report.broken(&path, again.explain(problem), mend);
         }
         let needed = self.used.get(&*name).copied().unwrap_or_default();
         let lost = inspection.missing.iter().filter(|index| **index < needed).count();
         if lost > 0 {
             let problem = format!("{lost} of the {needed} episodes that a finished run used are missing");
-            report.broken(folder, problem, collect);
+            report.broken(folder, again.explain(problem), collect);
         } else if !inspection.missing.is_empty() {
             let problem = format!("{} episodes are not collected yet", inspection.missing.len());
             report.note(folder, problem, collect);
@@ -182,12 +183,15 @@ impl Verification<'_> {
                 report.note(&path, problem, Some(self.registry.command(&words)));
                 continue;
             }
-            let collect = users().find_map(|record| self.commands.collect(record));
-            report.broken(
-                &path,
-                format!("{} finished runs used this dataset, which is not there", users().count()),
-                collect,
-            );
+            let again: Vec<Again> = users().map(|record| self.commands.collect(record)).collect();
+            let problem = format!("{} finished runs used this dataset, which is not there", users().count());
+            match again.iter().find_map(Again::command) {
+                Some(collect) => report.broken(&path, problem, Some(collect)),
+                None => {
+                    let problem = again.first().map_or(problem.clone(), |again| again.explain(problem));
+                    report.broken(&path, problem, None);
+                }
+            }
         }
         let published: Vec<_> = records().filter(|record| is_gone(record) && record.is_published()).collect();
         if !published.is_empty() {
@@ -218,12 +222,15 @@ impl Verification<'_> {
         self.advance();
         for name in record.files.keys() {
             self.advance();
-            if let Err(mut problem) = check_listed(&record, folder, name) {
-                let mend = self.commands.run(folder, Some(&record)).unwrap_or_else(|| {
-                    problem += "; no known command makes this run again, so it can only be removed";
-                    remove(folder)
-                });
-                report.broken(&folder.join(name), problem, Some(mend));
+            if let Err(problem) = check_listed(&record, folder, name) {
+                let path = folder.join(name);
+                match self.commands.run(folder, Some(&record)) {
+                    Again::Unknown => {
+                        let reason = "no known command makes this run again, so it can only be removed";
+                        report.broken(&path, format!("{problem}; {reason}"), Some(remove(folder)));
+                    }
+                    again => report.broken(&path, again.explain(problem), again.command()),
+                }
             }
         }
         for path in sorted(folder) {
@@ -252,8 +259,10 @@ impl Verification<'_> {
             );
             return report.broken(folder, problem, None);
         }
-        let mend = self.commands.run(folder, None).unwrap_or_else(|| remove(folder));
-        report.broken(path, problem, Some(mend));
+        match self.commands.run(folder, None) {
+            Again::Unknown => report.broken(path, problem, Some(remove(folder))),
+            again => report.broken(path, again.explain(problem.to_owned()), again.command()),
+        }
     }
 
     /// Reports a folder that contains the record of another run.
@@ -263,9 +272,9 @@ impl Verification<'_> {
         let own = self.registry.own_folder(&record);
         let problem = format!("it is the record of {}", record.name());
         let mend = match self.commands.run(folder, None) {
-            Some(run) => run,
-            None if own.exists() => remove(folder),
-            None => rename(folder, &own),
+            Again::Command(run) => run,
+            _ if own.exists() => remove(folder),
+            _ => rename(folder, &own),
         };
         report.broken(&path, problem, Some(mend));
     }
@@ -332,11 +341,14 @@ fn check_listed(record: &RunRecord, folder: &Path, name: &str) -> Result<(), Str
 
 fn report_stray(path: &Path, report: &mut Report) {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let problem = if name.starts_with(UNFINISHED) {
-        "left over from an interrupted write"
-    } else {
-        "not a file of the harness"
-    };
+    let is_unfinished = name.starts_with(UNFINISHED);
+    let is_in_use = || path.parent().is_some_and(|folder| FolderLock::in_use(folder).is_some());
+    // A process that works in the folder writes the file, or has just renamed or removed it.
+    if is_unfinished && (is_in_use() || !path.exists()) {
+        return;
+    }
+    let problem =
+        if is_unfinished { "left over from an interrupted write" } else { "not a file of the harness" };
     report.note(path, problem, Some(remove(path)));
 }
 

@@ -4,7 +4,7 @@ use super::functions::{self, Aggregate};
 use super::plan::{Ctes, Planner};
 use super::scope::{Column, Type, Unresolved, resolve, same};
 use super::window::Window;
-use super::{Answer, refuse, shown};
+use super::{Answer, QueryError, refuse, shown};
 use polars::prelude::*;
 use sqlparser::ast::{self, BinaryOperator, UnaryOperator, Visit, Visitor};
 use std::cell::RefCell;
@@ -188,8 +188,8 @@ impl<'a> Binder<'a> {
                 flag(negate(value_low.gt_eq(low).and(value_high.lt_eq(high)), *negated))
             }
             E::InList { expr: value, list, negated } => {
-                let value = self.bind(value)?;
-                let list = list.iter().map(|item| self.bind(item)).collect::<Answer<Vec<_>>>()?;
+                let value = self.side(value)?;
+                let list = list.iter().map(|item| self.side(item)).collect::<Answer<Vec<_>>>()?;
                 flag(negate(membership(&value, list, expr)?, *negated))
             }
             E::InSubquery { expr: value, subquery, negated } => {
@@ -372,13 +372,28 @@ impl<'a> Binder<'a> {
 
     /// Binds two expressions to compare, and converts them to their common type.
     fn pair(&self, left: &ast::Expr, right: &ast::Expr, whole: &ast::Expr) -> Answer<(Expr, Expr)> {
-        let (left, right) = (self.bind(left)?, self.bind(right)?);
+        let (left, right) = (self.side(left)?, self.side(right)?);
         let kind = match common(&[&left, &right], whole)? {
             // Polars can't compare nulls without a type.
             Type::Null => Type::Flag,
             kind => kind,
         };
         Ok((left.to(kind), right.to(kind)))
+    }
+
+    /// Binds a side of a comparison. A name there that no column has was probably meant as a text.
+    fn side(&self, expr: &ast::Expr) -> Answer<Value> {
+        let is_text = |name: &ast::Ident| {
+            let path = std::slice::from_ref(name);
+            let is_unknown = matches!(resolve(self.columns, path), Err(Unresolved::Unknown(_)));
+            is_unknown && name.quote_style.is_none() && !self.planner.around(path)
+        };
+        self.bind(expr).map_err(|error| match (expr, error) {
+            (ast::Expr::Identifier(name), QueryError::Refused(message)) if is_text(name) => {
+                QueryError::Refused(format!("{message}. Write text in single quotes: '{}'", name.value))
+            }
+            (_, error) => error,
+        })
     }
 
     fn like(&self, value: &ast::Expr, pattern: &ast::Expr, flags: &str) -> Answer<Expr> {

@@ -1,8 +1,9 @@
 //! The supported functions and aggregates, with the types of their arguments and results.
 
 use super::expression::Value;
-use super::scope::{Type, choice};
+use super::scope::Type;
 use super::{Answer, refuse, shown};
+use harness_spec::nearest;
 use polars::prelude::*;
 use sqlparser::ast;
 
@@ -177,18 +178,12 @@ pub fn call(name: &str, arguments: Vec<Value>) -> Answer<Value> {
         _ => {
             let real = REAL.iter().map(|(name, _)| *name);
             let names: Vec<&str> = real.chain(OTHER).chain(AGGREGATES).chain(super::window::NAMES).collect();
-            refuse(format!("there is no function '{name}'{}", nearest(name, &names)))
+            match nearest(name, &names) {
+                Some(known) => refuse(format!("there is no function '{name}'; did you mean '{known}'?")),
+                None => refuse(format!("there is no function '{name}'; there are {}", names.join(", "))),
+            }
         }
     }
-}
-
-fn nearest(name: &str, names: &[&str]) -> String {
-    let near: Vec<&str> = names
-        .iter()
-        .copied()
-        .filter(|known| strsim::damerau_levenshtein(known, name) <= 1 + name.len() / 4)
-        .collect();
-    if near.is_empty() { format!("; there are {}", names.join(", ")) } else { choice(name, &near) }
 }
 
 /// The arguments, which must be exactly `N`.

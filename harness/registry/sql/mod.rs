@@ -12,7 +12,7 @@ mod scope;
 mod window;
 
 use super::QueryError;
-use harness_tables::schema::Table;
+use harness_tables::schema::{Column, Table};
 use plan::{Ctes, Planner};
 use polars::prelude::*;
 use scope::{Type, choice, same};
@@ -54,10 +54,15 @@ fn shown(part: &impl std::fmt::Display) -> String {
 }
 
 /// Answers one statement. `source` returns the rows of a table, and is called once for each table that is read.
+/// `columns` returns the columns of a table that DESCRIBE lists.
 ///
 /// # Errors
-/// When the statement is invalid, not supported or too large, when `source` fails, or when Polars does.
-pub fn answer(sql: &str, source: &dyn Fn(Table) -> Answer<LazyFrame>) -> Answer<DataFrame> {
+/// When the statement is invalid, not supported or too large, when `source` or `columns` fails, or when Polars does.
+pub fn answer(
+    sql: &str,
+    source: &dyn Fn(Table) -> Answer<LazyFrame>,
+    columns: &dyn Fn(Table) -> Answer<Vec<Column>>,
+) -> Answer<DataFrame> {
     let statement = parsed(sql)?;
     let planner = Planner::new(source);
     match &statement {
@@ -74,10 +79,10 @@ pub fn answer(sql: &str, source: &dyn Fn(Table) -> Answer<LazyFrame>) -> Answer<
             let rows = Table::ALL.map(Table::meaning);
             Ok(df!("table" => names, "meaning" => rows)?)
         }
-        Statement::ExplainTable { table_name, .. } => described(table_name),
+        Statement::ExplainTable { table_name, .. } => described(table_name, columns),
         Statement::ShowColumns { show_options, .. } => {
             match show_options.show_in.as_ref().and_then(|show_in| show_in.parent_name.as_ref()) {
-                Some(table) => described(table),
+                Some(table) => described(table, columns),
                 None => refuse("SHOW COLUMNS needs a table: SHOW COLUMNS FROM runs".into()),
             }
         }
@@ -99,12 +104,12 @@ fn planned(planner: &Planner, query: &Query) -> Answer<LazyFrame> {
 }
 
 /// The answer of DESCRIBE: name, type, unit and meaning of each column of a table.
-fn described(name: &ObjectName) -> Answer<DataFrame> {
+fn described(name: &ObjectName, columns: &dyn Fn(Table) -> Answer<Vec<Column>>) -> Answer<DataFrame> {
     let name = name.to_string();
     let Some(table) = Table::ALL.into_iter().find(|table| same(table.name(), &name)) else {
         return refuse(format!("there is no table '{name}'{}", choice(&name, &Table::ALL.map(Table::name))));
     };
-    let columns = table.columns();
+    let columns = columns(table)?;
     let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
     let types: Vec<String> =
         columns.iter().map(|column| format!("{:?}", column.kind).to_lowercase()).collect();

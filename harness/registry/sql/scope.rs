@@ -1,5 +1,6 @@
 //! Types, columns and relations of a query, and how names are resolved to columns.
 
+use harness_spec::nearest;
 use harness_tables::schema::Kind;
 use polars::prelude::*;
 use sqlparser::ast::Ident;
@@ -177,16 +178,14 @@ fn unknown_column(columns: &[&Column], name: &str) -> String {
     format!("there is no column '{name}'{}", choice(name, &names))
 }
 
-/// The end of a message about an unknown name: the most similar name, if one is similar enough, and all names.
+/// The end of a message about an unknown name: the name that was probably meant, and all names.
 pub fn choice(wanted: &str, names: &[&str]) -> String {
-    let wanted = wanted.to_lowercase();
-    let distance = |name: &&&str| strsim::damerau_levenshtein(&wanted, &name.to_lowercase());
-    let nearest = names.iter().min_by_key(distance).filter(|name| distance(name) <= 1 + wanted.len() / 4);
-    let meant = nearest.map_or(String::new(), |name| format!("; did you mean '{name}'?"));
-    match names {
-        [] => meant,
-        names if names.len() > 40 => format!("{meant}; DESCRIBE lists a table's columns"),
-        names if meant.is_empty() => format!("; there are {}", names.join(", ")),
-        names => format!("{meant} There are {}", names.join(", ")),
+    let meant = nearest(wanted, names).map(|name| format!("; did you mean '{name}'?"));
+    match (names, meant) {
+        ([], _) => String::new(),
+        (names, Some(meant)) if names.len() > 40 => format!("{meant} DESCRIBE lists a table's columns"),
+        (names, None) if names.len() > 40 => "; DESCRIBE lists a table's columns".to_owned(),
+        (names, Some(meant)) => format!("{meant} There are {}", names.join(", ")),
+        (names, None) => format!("; there are {}", names.join(", ")),
     }
 }
