@@ -66,10 +66,12 @@ pub fn mean_interval(values: &[f64], level: f64) -> Option<Interval> {
 ///
 /// A value depends on the dataset and on the seed: it is a mean plus a deviation of the dataset plus a deviation of the
 /// seed (a random-effects model with two levels). The means of the datasets are independent of each other, and normal
-/// if the deviations are. So Student's t of these means has the right level for any two variances. More seeds on each
-/// dataset reduce the variance of these means, but only more datasets add degrees of freedom. Approximations with more
-/// degrees of freedom (Satterthwaite's, with variances estimated by restricted maximum likelihood) miss their level
-/// with few datasets, because the variance between datasets is often estimated as zero.
+/// if the deviations are. If each dataset has the same number of seeds, the means have the same variance, so Student's
+/// t of these means has the right level for any two variances. With different numbers of seeds, its level is
+/// approximate. More seeds on each dataset reduce the variance of these means, but only more datasets add degrees of
+/// freedom. Approximations with more degrees of freedom (Satterthwaite's, with variances estimated by restricted
+/// maximum likelihood) miss their level with few datasets, because the variance between datasets is often estimated as
+/// zero.
 ///
 /// With one dataset, the interval is valid only for other seeds on that dataset.
 pub fn replicates(values: impl IntoIterator<Item = (u64, f64)>) -> Vec<f64> {
@@ -80,7 +82,7 @@ pub fn replicates(values: impl IntoIterator<Item = (u64, f64)>) -> Vec<f64> {
     if datasets.len() == 1 {
         return datasets.into_values().flatten().collect();
     }
-    datasets.into_values().map(|values| values.iter().sum::<f64>() / values.len() as f64).collect()
+    datasets.into_values().filter_map(|values| mean_of(&values)).collect()
 }
 
 /// The two-sided p-value of Student's t-test: the probability of a mean at least as far from `bound` as the mean of
@@ -127,11 +129,18 @@ pub fn replicates_needed(values: &[f64], bound: f64, level: f64, most: usize) ->
 fn mean_and_error(values: &[f64]) -> Option<(f64, Option<f64>)> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
+    let mean = mean_of(&sorted)?;
     let count = sorted.len() as f64;
-    let mean = sorted.iter().sum::<f64>() / count;
     let squares: f64 = sorted.iter().map(|value| (value - mean).powi(2)).sum();
     let error = (sorted.len() > 1).then(|| (squares / (count - 1.0) / count).sqrt());
-    (!sorted.is_empty()).then_some((mean, error))
+    Some((mean, error))
+}
+
+/// The mean; `None` without values. The mean of equal values is their value, without a rounding error.
+fn mean_of(values: &[f64]) -> Option<f64> {
+    let first = *values.first()?;
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    Some(if values.iter().all(|value| *value == first) { first } else { mean })
 }
 
 /// The mean over datasets and seeds with its interval, from the [`replicates`] of `values`. `None` without values.

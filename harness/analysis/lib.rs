@@ -12,6 +12,7 @@
 //!   from.
 
 mod interval;
+mod key;
 mod means;
 mod seen;
 mod settings;
@@ -20,14 +21,16 @@ mod subset;
 pub use interval::{
     Interval, LEVEL, holm, interval, intervals, mean_interval, p_value, replicates, replicates_needed,
 };
-pub use means::{Mean, NETWORK, Of, compare};
-pub use settings::{Difference, Setting, all_settings, differing};
+pub use key::Key;
+pub use means::{Mean, NETWORK, Of, compare, replicates_of};
+pub use settings::{Difference, Setting, all_settings, differing, has_settings};
 pub use subset::Subset;
 
 use harness_registry::{
-    Condition, QueryError, Registry, RunRecord, RunTable, Status, answer, conditions, implies, table,
+    Condition, QueryError, Recorded, Registry, RunRecord, RunTable, Status, answer, conditions, forces_of,
+    implies, quoted, table,
 };
-use harness_spec::{Origin, QUICK};
+use harness_spec::{Origin, QUICK, nearest};
 use harness_tables::lazily;
 use harness_tables::schema::Table;
 use polars::prelude::*;
@@ -53,7 +56,7 @@ pub struct Selection {
 #[derive(Debug, thiserror::Error)]
 pub enum AnalysisError {
     /// An experiment has no finished runs.
-    #[error("'{wanted}' has no finished runs; those that have: {}", there.join(", "))]
+    #[error("'{wanted}' has no finished runs; {}", finished(wanted, there))]
     NothingFinished {
         /// The name of the experiment.
         wanted: String,
@@ -61,15 +64,21 @@ pub enum AnalysisError {
         there: Vec<String>,
     },
     /// No run has a setting with the requested key.
-    #[error("no run has a setting '{wanted}'{}", nearest.as_ref().map(|n| format!("; did you mean '{n}'?")).unwrap_or_default())]
+    #[error(
+        "no run has a setting '{wanted}'; {}",
+        nearest.as_ref().map_or_else(
+            || "use a key of the spec, such as training.batch_size".to_owned(),
+            |key| format!("did you mean '{key}'?")
+        )
+    )]
     UnknownSetting {
         /// The requested key.
         wanted: String,
-        /// The most similar key, if the runs have any.
+        /// The key that was probably meant.
         nearest: Option<String>,
     },
     /// No finished run has the requested value of a setting.
-    #[error("no finished run has {setting}; there is {there}")]
+    #[error("no finished run has {setting}; finished runs have {there}")]
     UnknownValue {
         /// The requested setting.
         setting: Setting,
@@ -84,10 +93,20 @@ pub enum AnalysisError {
     Query(#[from] QueryError),
 }
 
+/// Says which experiments have finished runs. If `wanted` is the path of a spec, its experiment may be one of them.
+fn finished(wanted: &str, there: &[String]) -> String {
+    let names = there.join(", ");
+    let name = wanted.strip_suffix(".yaml").and_then(|path| path.rsplit('/').next());
+    match there.iter().find(|there| name == Some(there.as_str())) {
+        Some(name) => format!("did you mean '{name}'? Those that have: {names}"),
+        None => format!("those that have: {names}"),
+    }
+}
+
 /// The runs of an experiment differ in settings that must be equal for a common result.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "the runs of {experiment} differ in {}; choose some, as with {}",
+    "the runs of {experiment} differ in {}; select some, for example with {}",
     listed(differences),
     options(choice)
 )]
@@ -170,12 +189,24 @@ impl Analysis {
     /// # Errors
     /// When no run has one of the requested settings, or its value.
     pub fn new(registry: &Registry, selection: &Selection) -> Result<Self, AnalysisError> {
+        Self::of(registry, registry.recorded(), selection)
+    }
+
+    /// Finds the runs of a selection that count among those of a results folder that were read before.
+    ///
+    /// # Errors
+    /// When no run has one of the requested settings, or its value.
+    pub fn of(
+        registry: &Registry,
+        recorded: Vec<Recorded>,
+        selection: &Selection,
+    ) -> Result<Self, AnalysisError> {
         let is_wanted = |record: &RunRecord| {
             record.status == Status::Done
                 && (selection.experiments.is_empty() || selection.experiments.contains(&record.experiment))
                 && (!selection.simulated || matches!(record.spec.scenario, Origin::Simulated(_)))
         };
-        let recorded = registry.recorded().into_par_iter().filter(|(_, record)| is_wanted(record));
+        let recorded = recorded.into_par_iter().filter(|(_, record)| is_wanted(record));
         let with_settings = recorded.map(|(folder, record)| {
             let settings = Arc::new(settings::of(&record));
             Run { record, folder, settings }
@@ -200,19 +231,43 @@ impl Analysis {
         })
     }
 
+    /// Finds the finished runs of `experiments`, or of all experiments if there are none, that have these settings.
+    ///
+    /// # Errors
+    /// When the runs can't be selected, or one of the experiments has no finished run.
+    pub fn finished(
+        registry: &Registry,
+        experiments: &[String],
+        settings: &[Setting],
+    ) -> Result<Self, AnalysisError> {
+        let (experiments, settings) = (experiments.to_vec(), settings.to_vec());
+        let analysis = Self::new(registry, &Selection { experiments, settings, simulated: false })?;
+        analysis.check_finished(&analysis.selection.experiments)?;
+        Ok(analysis)
+    }
+
     /// Path of the results folder.
     pub fn root(&self) -> &Path {
         self.registry.root()
     }
 
     /// The command that makes the runs of the experiment `name` with the requested settings, as quick runs if `quick`.
-    pub fn command(&self, name: &str, quick: bool) -> String {
+    /// `None` if no spec of this name makes such runs.
+    pub fn command(&self, name: &str, quick: bool) -> Option<String> {
         let (option, ending) = if quick { (" --quick", QUICK) } else { ("", "") };
         let experiment = format!("{name}{ending}");
         let about = self.selection.settings.iter().filter(|setting| setting.is_about(&experiment));
-        let overrides: String =
-            about.filter_map(Setting::as_override).map(|text| format!(" {text}")).collect();
-        self.registry.command(&format!("run {name}{option}{overrides}"))
+        let overrides: Vec<String> = about.filter_map(Setting::as_override).collect();
+        let made = harness_spec::load(Path::new(name), &overrides, quick).ok()?;
+        let overrides = overrides.iter().map(|text| format!(" {}", quoted([text.as_str()])));
+        let command = format!("run {name}{option}{}", overrides.collect::<String>());
+        (made.name == experiment).then(|| self.registry.command(&command))
+    }
+
+    /// The command that shows a run with the layers of its networks.
+    pub fn show_command(&self, run: &Run) -> String {
+        let name = format!("{}/{}", run.record.experiment, run.record.run);
+        self.registry.command(&format!("show {} --all", quoted([name.as_str()])))
     }
 
     /// The names of the experiments that have runs which count, in alphabetical order.
@@ -238,13 +293,17 @@ impl Analysis {
         match experiments.iter().find(|wanted| !self.experiments.contains_key(*wanted)) {
             None => Ok(()),
             Some(wanted) => {
-                let there = self.registry.recorded().into_iter().map(|(_, record)| record);
-                let there = there.filter(|record| record.status == Status::Done);
-                let there: BTreeSet<String> = there.map(|record| record.experiment).collect();
-                let there = there.into_iter().collect();
-                Err(AnalysisError::NothingFinished { wanted: wanted.clone(), there })
+                Err(AnalysisError::NothingFinished { wanted: wanted.clone(), there: self.all_finished() })
             }
         }
+    }
+
+    /// The names of all experiments of the results folder that have finished runs, in alphabetical order.
+    pub fn all_finished(&self) -> Vec<String> {
+        let records = self.registry.recorded().into_iter().map(|(_, record)| record);
+        let done = records.filter(|record| record.status == Status::Done);
+        let names: BTreeSet<String> = done.map(|record| record.experiment).collect();
+        names.into_iter().collect()
     }
 
     /// Checks that the runs of an experiment differ only in scenario, latent size and seeds. If `by_variant`, they may
@@ -366,9 +425,19 @@ impl Analysis {
         Ok(Some(lazily(rows.only(conditions(sql, table)), schema)?))
     }
 
+    /// A table of an experiment's runs. Forces describe a dataset and are the same in all of its runs, so they are read from
+    /// one run of each dataset, as in published results.
     fn run_table(&self, table: Table, experiment: &str) -> Result<RunTable, QueryError> {
-        let runs = self.runs(experiment).iter().map(|run| &run.record);
-        Ok(RunTable::new(&self.registry, table, experiment, runs)?)
+        let mut runs: Vec<&RunRecord> = self.runs(experiment).iter().map(|run| &run.record).collect();
+        if table == Table::Forces {
+            let mut known = BTreeSet::new();
+            // Earlier versions published empty files for the other runs of a dataset, so these come last.
+            let is_empty =
+                |run: &RunRecord| run.files.get(&table.file_name()).is_some_and(|file| file.rows == Some(0));
+            runs.sort_by_key(|run| is_empty(run));
+            runs.retain(|run| run.has(table) && known.insert(forces_of(run)));
+        }
+        Ok(RunTable::new(&self.registry, table, experiment, runs.into_iter())?)
     }
 
     /// The rows that the expected queries see of a table of an experiment's runs.
@@ -466,7 +535,8 @@ fn check_settings(wanted: &[Setting], runs: &[Run]) -> Result<(), AnalysisError>
         }
         let keys: BTreeSet<&str> = about().flat_map(|run| run.settings.keys()).map(String::as_str).collect();
         if !keys.contains(setting.key.as_str()) {
-            let nearest = settings::nearest(&setting.key, keys).map(str::to_owned);
+            let keys: Vec<&str> = keys.into_iter().collect();
+            let nearest = nearest(&setting.key, &keys).map(str::to_owned);
             return Err(AnalysisError::UnknownSetting { wanted: setting.key.clone(), nearest });
         }
         if !about().any(|run| setting.is_met_by(&run.settings)) {

@@ -1,6 +1,6 @@
 //! Means of metrics over datasets and seeds.
 
-use super::{Analysis, AnalysisError, Interval, Run, Selection, interval};
+use super::{Analysis, AnalysisError, Interval, Run, Setting, interval};
 use harness_registry::{QueryError, Registry, rows};
 use harness_spec::{Modality, Origin, Task};
 use polars::prelude::{Column, DataFrame, PolarsResult};
@@ -19,6 +19,8 @@ pub struct Mean {
     pub unit: String,
     /// The values of all datasets and seeds. A baseline has one value for each dataset, because it has no seed.
     pub values: Vec<f64>,
+    /// Number of datasets that the values are of.
+    pub datasets: usize,
     /// Their mean, with a confidence interval.
     pub interval: Interval,
 }
@@ -46,13 +48,16 @@ pub struct Of {
     pub model: String,
 }
 
-/// The means of a selection of runs, as a table with one row for each mean.
+/// The means of the finished runs of some experiments, or of all, as a table with one row for each mean.
 ///
 /// # Errors
 /// When one of the experiments has no finished runs, no run has a requested setting, or a table is damaged.
-pub fn compare(registry: &Registry, selection: &Selection) -> Result<DataFrame, AnalysisError> {
-    let analysis = Analysis::new(registry, selection)?;
-    analysis.check_finished(&selection.experiments)?;
+pub fn compare(
+    registry: &Registry,
+    experiments: &[String],
+    settings: &[Setting],
+) -> Result<DataFrame, AnalysisError> {
+    let analysis = Analysis::finished(registry, experiments, settings)?;
     Ok(Mean::frame(&analysis.means()?).map_err(QueryError::Sql)?)
 }
 
@@ -82,6 +87,7 @@ impl Mean {
             text("modality", &|mean| mean.of.modality.to_string()),
             text("metric", &|mean| mean.of.metric.clone()),
             text("unit", &|mean| mean.unit.clone()),
+            count("datasets", &|mean| Some(mean.datasets as i64)),
             count("seeds", &|mean| Some(mean.values.len() as i64)),
             number("mean", &|mean| Some(mean.interval.mean)),
             number("low", &|mean| mean.interval.bounds.map(|(low, _)| low)),
@@ -89,6 +95,28 @@ impl Mean {
         ];
         DataFrame::new(means.len(), columns)
     }
+}
+
+/// What the intervals of some means are over: `2 seeds`, `1 to 2 seeds`, `3 datasets`, or `3 datasets (6 runs)`. `None`
+/// if each mean is of one value.
+pub fn replicates_of<'a>(means: impl IntoIterator<Item = &'a Mean>) -> Option<String> {
+    let (several, one): (Vec<&Mean>, Vec<&Mean>) =
+        means.into_iter().partition(|mean: &&Mean| mean.datasets > 1);
+    let range = |means: &[&Mean], count: fn(&Mean) -> usize| {
+        let counts = || means.iter().map(|mean| count(mean));
+        let (fewest, most) = (counts().min()?, counts().max()?);
+        Some(if fewest < most { format!("{fewest} to {most}") } else { most.to_string() })
+    };
+    let runs = |mean: &Mean| mean.values.len();
+    let datasets = range(&several, |mean| mean.datasets).zip(range(&several, runs));
+    let datasets = datasets.map(|(datasets, runs)| match datasets == runs {
+        true => format!("{datasets} datasets"),
+        false => format!("{datasets} datasets ({runs} runs)"),
+    });
+    let has_seeds = one.iter().any(|mean| mean.values.len() > 1);
+    let seeds = range(&one, runs).filter(|_| has_seeds).map(|seeds| format!("{seeds} seeds"));
+    let over: Vec<String> = datasets.into_iter().chain(seeds).collect();
+    (!over.is_empty()).then(|| over.join(" or "))
 }
 
 /// A row of the metrics table.
@@ -152,7 +180,9 @@ impl Analysis {
                 values.retain(|(dataset, _)| datasets.insert(*dataset));
             }
             let interval = interval(values.iter().copied())?;
-            Some(Mean { of, unit, interval, values: values.into_iter().map(|(_, value)| value).collect() })
+            let datasets = values.iter().map(|(dataset, _)| dataset).collect::<BTreeSet<_>>().len();
+            let values = values.into_iter().map(|(_, value)| value).collect();
+            Some(Mean { of, unit, values, datasets, interval })
         };
         Ok(found.into_iter().filter_map(mean).collect())
     }

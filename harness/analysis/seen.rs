@@ -73,7 +73,8 @@ impl Seen {
             let all: BTreeSet<String> =
                 before.chain(self.columns.iter().cloned()).chain(columns.iter().cloned()).collect();
             *read = self.rows.read(&all.into_iter().collect::<Vec<_>>(), None)?;
-            read.rechunk_mut_par();
+            // One column after the other, so that only one of them is in memory twice.
+            read.rechunk_mut();
         }
         Ok(read.clone())
     }
@@ -116,7 +117,10 @@ impl AnonymousScan for Seen {
         let wanted = terms.wanted(&all, &self.conditions)?;
         drop(terms);
         let rows = all.select(columns)?;
-        let rows = wanted.map_or(Ok(rows.clone()), |wanted| rows.filter(&wanted))?;
+        let rows = match wanted.filter(|wanted| !wanted.all()) {
+            Some(wanted) => rows.filter(&wanted)?,
+            None => rows,
+        };
         Ok(asked_rows(rows, &asked))
     }
 

@@ -144,13 +144,6 @@ fn sorted(values: BTreeSet<&str>) -> Vec<String> {
     values
 }
 
-/// The key that is most similar to `wanted`. A key that ends in `.wanted` is preferred.
-pub(super) fn nearest<'a>(wanted: &str, keys: BTreeSet<&'a str>) -> Option<&'a str> {
-    let ending = format!(".{wanted}");
-    let likeness = |key: &str| strsim::jaro_winkler(wanted, key) + f64::from(key.ends_with(&ending));
-    keys.into_iter().max_by(|a, b| likeness(a).total_cmp(&likeness(b)))
-}
-
 fn is_simulated(run: &Settings) -> bool {
     run.keys().any(|key| key.starts_with(SIMULATION))
 }
@@ -221,10 +214,10 @@ impl Setting {
         format!("--where {}", quoted([self.to_string().as_str()]))
     }
 
-    /// The override that gives runs this setting, quoted for a shell. `None` if the key has no section, such as
-    /// `variant`, because no override changes it.
+    /// The override that gives runs this setting. `None` if the key has no section, such as `variant`, because no
+    /// override changes it.
     pub(super) fn as_override(&self) -> Option<String> {
-        self.key.contains('.').then(|| quoted([format!("{}={}", self.key, self.value).as_str()]))
+        self.key.contains('.').then(|| format!("{}={}", self.key, self.value))
     }
 
     /// Whether the setting applies to the runs of an experiment.
@@ -245,6 +238,11 @@ impl Setting {
 
 /// Whether a run has all settings that apply to its experiment. If a setting is listed with several values, one of them
 /// is enough.
+pub fn has_settings(run: &RunRecord, wanted: &[Setting]) -> bool {
+    wanted.is_empty() || meets(wanted, &run.experiment, &of(run))
+}
+
+/// Like [`has_settings`], for a run of this experiment with these settings.
 pub(super) fn meets(wanted: &[Setting], experiment: &str, run: &Settings) -> bool {
     let about = || wanted.iter().filter(|setting| setting.is_about(experiment));
     about().all(|setting| about().any(|other| other.key == setting.key && other.is_met_by(run)))

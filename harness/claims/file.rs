@@ -2,11 +2,17 @@
 
 use super::Claim;
 use harness_spec::{BuiltIn, SpecError, find};
+use serde::de::{DeserializeOwned, IgnoredAny};
 use serde_yaml::{Location, MessageFormatter, UserMessageFormatter};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// The paper's claims, `experiments/claims.yaml`.
 const CLAIMS: BuiltIn = BuiltIn { name: "claims", text: include_str!("../../experiments/claims.yaml") };
+
+/// The message for YAML that is something else, such as a spec.
+const NO_CLAIMS: &str = "this is not a file of claims, which is a list; each claim in it has at least the keys id, paper, \
+                         section, measured, experiments, query and condition";
 
 /// Reads and checks the claims of a file. The name `claims` stands for the paper's claims, as [`find`] says.
 ///
@@ -19,13 +25,17 @@ pub fn load(path: &Path) -> Result<Vec<Claim>, SpecError> {
         let (line, column) = known.map_or((1, 1), |location| (location.line(), location.column()));
         SpecError::Invalid { path: source.label.clone(), line, column, message }
     };
-    let options = serde_yaml::options! { with_snippet: false };
-    let claims: Vec<Claim> = serde_yaml::from_str_with_options(&source.text, options).map_err(|error| {
-        let message = UserMessageFormatter.format_message(error.without_snippet()).into_owned();
-        invalid(error.location(), message)
+    let claims: Vec<Claim> = parse(&source.text).map_err(|error| {
+        if let Err(broken) = parse::<IgnoredAny>(&source.text) {
+            return invalid(broken.location(), format!("broken YAML: {}", told(&broken)));
+        }
+        match parse::<Vec<BTreeMap<String, IgnoredAny>>>(&source.text) {
+            Err(other) => invalid(other.location(), NO_CLAIMS.to_owned()),
+            Ok(_) => invalid(error.location(), told(&error)),
+        }
     })?;
     if claims.is_empty() {
-        return Err(invalid(None, "the file holds no claims".into()));
+        return Err(invalid(None, "the file contains no claims".into()));
     }
     for (index, claim) in claims.iter().enumerate() {
         if claims[..index].iter().any(|other| other.id() == claim.id()) {
@@ -36,4 +46,12 @@ pub fn load(path: &Path) -> Result<Vec<Claim>, SpecError> {
         }
     }
     Ok(claims)
+}
+
+fn parse<T: DeserializeOwned>(text: &str) -> Result<T, serde_yaml::Error> {
+    serde_yaml::from_str_with_options(text, serde_yaml::options! { with_snippet: false })
+}
+
+fn told(error: &serde_yaml::Error) -> String {
+    UserMessageFormatter.format_message(error.without_snippet()).into_owned()
 }

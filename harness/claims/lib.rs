@@ -17,7 +17,7 @@ use harness_analysis::{
     p_value, replicates,
 };
 use harness_registry::{Registry, rows};
-use harness_spec::{Origin, QUICK, Scenario, SpecError};
+use harness_spec::{Origin, QUICK, Scenario, SpecError, nearest};
 use polars::prelude::DataFrame;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
@@ -44,7 +44,8 @@ pub struct Claim {
     /// The latent sizes that replace `{experiment}` in the queries. Their number replaces `{experiment.runs}`.
     #[serde(default)]
     pub latent: Sizes,
-    /// A condition without which the claim can't be tested.
+    /// A condition without which the claim can't be tested. The claim is not testable if it does not hold or is
+    /// undecided.
     pub requires: Option<Requirement>,
     query: Spanned<String>,
     /// The condition that the query's value satisfies if the claim holds.
@@ -145,10 +146,10 @@ impl Condition {
         }
     }
 
-    /// The verdict on a mean with this interval.
-    fn judge(self, interval: Interval) -> Verdict {
+    /// The verdict on a mean with this interval, of values for each seed, episode or dataset.
+    fn judge(self, interval: Interval, each: Each) -> Verdict {
         match interval.bounds.map(|(low, high)| (self.satisfied_by(low), self.satisfied_by(high))) {
-            None => Verdict::OneSeed { satisfied: self.satisfied_by(interval.mean) },
+            None => Verdict::OneValue { each, satisfied: self.satisfied_by(interval.mean) },
             Some((true, true)) => Verdict::Holds,
             Some((false, false)) => Verdict::DoesNotHold,
             Some(_) => Verdict::Undecided,
@@ -188,11 +189,14 @@ pub enum ClaimsError {
     #[error(transparent)]
     File(#[from] SpecError),
     /// No claim has the wanted id.
-    #[error("no claim is called '{wanted}'{}", nearest.as_ref().map(|n| format!("; did you mean '{n}'?")).unwrap_or_default())]
+    #[error(
+        "no claim is called '{wanted}'; {}",
+        nearest.as_ref().map_or("use an id of the file of claims".into(), |id| format!("did you mean '{id}'?"))
+    )]
     Unknown {
         /// The wanted id.
         wanted: String,
-        /// The most similar id, if the file has any.
+        /// The id that was probably meant.
         nearest: Option<String>,
     },
     /// A claim's query failed, or its answer does not have the required columns and rows.
@@ -210,9 +214,10 @@ pub enum ClaimsError {
 /// The values that a claim's query returned for one scenario, or for both together. There are none if runs are missing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measured {
-    /// Whether there is a value for each seed or for each episode.
+    /// Whether there is a value for each seed, for each episode, or for each dataset.
     pub each: Each,
-    /// The values, by the seed of the dataset, and by seed or episode.
+    /// The values, by the seed of the dataset, and by seed or episode. For a value of the whole dataset, the second number
+    /// is 0.
     pub values: BTreeMap<(u64, i64), f64>,
 }
 
@@ -226,7 +231,7 @@ impl Measured {
     pub fn replicates(&self) -> Vec<f64> {
         match self.each {
             Each::Seed => replicates(self.values.iter().map(|((dataset, _), value)| (*dataset, *value))),
-            Each::Episode => self.values.values().copied().collect(),
+            Each::Episode | Each::Dataset => self.values.values().copied().collect(),
         }
     }
 
@@ -243,14 +248,17 @@ pub enum Each {
     Seed,
     /// An episode of the dataset, for claims about the dataset alone.
     Episode,
+    /// A dataset, for claims about the dataset alone whose value can't be computed by episode.
+    Dataset,
 }
 
 impl Each {
-    /// The name of the column in a query's answer.
+    /// The name. It is also the column in a query's answer, which has no such column for datasets.
     pub fn name(self) -> &'static str {
         match self {
             Self::Seed => "seed",
             Self::Episode => "episode",
+            Self::Dataset => "dataset",
         }
     }
 }
@@ -264,9 +272,11 @@ pub enum Verdict {
     DoesNotHold,
     /// A part of the interval satisfies the condition, and a part violates it.
     Undecided,
-    /// There is only one seed, and so no interval.
-    OneSeed {
-        /// Whether the seed's value satisfies the condition.
+    /// There is only one value, and so no interval.
+    OneValue {
+        /// What the value belongs to.
+        each: Each,
+        /// Whether the value satisfies the condition.
         satisfied: bool,
     },
     /// The claim's requirement does not hold or is undecided. With one seed, the seed's value violates it.
@@ -283,8 +293,10 @@ impl fmt::Display for Verdict {
             Self::Holds => "holds",
             Self::DoesNotHold => "does not hold",
             Self::Undecided => "undecided",
-            Self::OneSeed { satisfied: true } => "undecided: 1 seed, agrees",
-            Self::OneSeed { satisfied: false } => "undecided: 1 seed, disagrees",
+            Self::OneValue { each, satisfied } => {
+                let word = if *satisfied { "agrees" } else { "disagrees" };
+                return f.pad(&format!("undecided: 1 {}, {word}", each.name()));
+            }
             Self::NotTestable => "not testable",
             Self::Mixed => "undecided: settings differ",
             Self::NoData => "undecided: no data",
@@ -319,7 +331,7 @@ impl Judgment<'_> {
             None if self.mixed.is_empty() => Verdict::NoData,
             None => Verdict::Mixed,
             Some(_) if self.unmet().is_some() => Verdict::NotTestable,
-            Some(interval) => self.claim.condition.judge(interval),
+            Some(interval) => self.claim.condition.judge(interval, self.measured.each),
         }
     }
 
@@ -330,12 +342,14 @@ impl Judgment<'_> {
         p_value(&self.measured.replicates(), self.claim.condition.bound()).filter(|_| is_tested)
     }
 
-    /// Describes the claim's requirement if it does not hold: what was measured, its value and the condition.
+    /// Describes the claim's requirement if it does not hold or is undecided: what was measured, its value and the
+    /// condition.
     pub fn unmet(&self) -> Option<String> {
         let Requirement { measured, condition, .. } = self.claim.requires.as_ref()?;
-        let interval = self.required.as_ref().and_then(Measured::interval);
-        match interval.map(|interval| condition.judge(interval)) {
-            Some(Verdict::Holds | Verdict::OneSeed { satisfied: true }) => None,
+        let required = self.required.as_ref();
+        let interval = required.and_then(Measured::interval);
+        match required.zip(interval).map(|(required, interval)| condition.judge(interval, required.each)) {
+            Some(Verdict::Holds | Verdict::OneValue { satisfied: true, .. }) => None,
             _ => {
                 let value = interval.map_or("no value".to_owned(), |interval| interval.to_string());
                 Some(format!("{measured}: {value}, not {condition}"))
@@ -364,9 +378,8 @@ pub fn corrected<'a, 'b: 'a>(judgments: impl IntoIterator<Item = &'a Judgment<'b
 pub fn choose<'a>(claims: &'a [Claim], wanted: &[String]) -> Result<Vec<&'a Claim>, ClaimsError> {
     for wanted in wanted {
         if !claims.iter().any(|claim| claim.id() == wanted) {
-            let likeness = |claim: &&Claim| strsim::jaro_winkler(wanted, claim.id());
-            let nearest = claims.iter().max_by(|a, b| likeness(a).total_cmp(&likeness(b)));
-            let nearest = nearest.map(|claim| claim.id().to_owned());
+            let ids: Vec<&str> = claims.iter().map(Claim::id).collect();
+            let nearest = nearest(wanted, &ids).map(str::to_owned);
             return Err(ClaimsError::Unknown { wanted: wanted.clone(), nearest });
         }
     }
@@ -489,7 +502,7 @@ impl<'a> Evidence<'a> {
 #[derive(Deserialize)]
 struct Row {
     scenario: Option<Origin>,
-    #[serde(alias = "episode")]
+    #[serde(alias = "episode", default)]
     seed: i64,
     value: Option<f64>,
 }
@@ -518,9 +531,12 @@ impl Claim {
                     let key = (*dataset, row.seed);
                     if row.value.is_some_and(|value| measured.values.insert(key, value).is_some()) {
                         let (name, seed) = (each.name(), row.seed);
-                        return Err(format!(
-                            "it gives {name} {seed} several values; group by scenario and {name}"
-                        ));
+                        return Err(match each {
+                            Each::Dataset => "it gives several values; group by scenario".to_owned(),
+                            _ => {
+                                format!("it gives {name} {seed} several values; group by scenario and {name}")
+                            }
+                        });
                     }
                 }
             }
@@ -528,12 +544,19 @@ impl Claim {
         Ok(found)
     }
 
-    /// Checks the columns of a query's answer. Returns whether a row is a seed or an episode.
+    /// Checks the columns of a query's answer. Returns whether a row is a seed, an episode or a dataset.
     fn check_columns(&self, answer: &DataFrame) -> Result<Each, String> {
         let mut found: Vec<&str> = answer.get_column_names().into_iter().map(|name| name.as_str()).collect();
-        let each = if found.contains(&"episode") { Each::Episode } else { Each::Seed };
         let scenario = (!self.scenarios.is_empty()).then_some("scenario");
-        let mut expected: Vec<&str> = scenario.into_iter().chain([each.name(), "value"]).collect();
+        let each = if found.contains(&"episode") {
+            Each::Episode
+        } else if found.iter().all(|name| Some(*name) == scenario || *name == "value") {
+            Each::Dataset
+        } else {
+            Each::Seed
+        };
+        let number = (each != Each::Dataset).then(|| each.name());
+        let mut expected: Vec<&str> = scenario.into_iter().chain(number).chain(["value"]).collect();
         let columns = (found.join(", "), expected.join(", "));
         found.sort_unstable();
         expected.sort_unstable();

@@ -39,7 +39,7 @@ pub struct Step<'a> {
     pub runs: usize,
     /// Estimated duration of the runs in seconds, from the existing runs of the same cells.
     pub seconds: f64,
-    /// A shell command for the runs of each experiment.
+    /// A shell command for the runs of each experiment. It is left out if there is no spec of the experiment's name.
     pub commands: Vec<String>,
     /// The claims that the runs would decide.
     pub decides: Vec<(&'a Claim, Option<Scenario>)>,
@@ -64,10 +64,10 @@ impl Plan<'_> {
 /// Plans steps for those judgments that are undecided.
 pub fn plan<'a>(analysis: &Analysis, judgments: &[Judgment<'a>], quick: bool) -> Plan<'a> {
     let mut plan = Plan::default();
-    let mut steps: BTreeMap<Vec<String>, Step<'a>> = BTreeMap::new();
+    let mut steps: BTreeMap<_, Step<'a>> = BTreeMap::new();
     for judgment in judgments {
         let of = (judgment.claim, judgment.scenario);
-        if !matches!(judgment.verdict(), Verdict::Undecided | Verdict::OneSeed { .. }) {
+        if !matches!(judgment.verdict(), Verdict::Undecided | Verdict::OneValue { .. }) {
             continue;
         }
         if judgment.measured.each == Each::Episode {
@@ -75,7 +75,11 @@ pub fn plan<'a>(analysis: &Analysis, judgments: &[Judgment<'a>], quick: bool) ->
             continue;
         }
         match step(analysis, judgment, quick) {
-            Some(step) => steps.entry(step.commands.clone()).or_insert(step).decides.push(of),
+            Some(step) => {
+                let scenario = judgment.scenario.map(Scenario::name);
+                let same = (&judgment.claim.experiments, scenario, step.more, step.count);
+                steps.entry(same).or_insert(step).decides.push(of);
+            }
             None => plan.out_of_reach.push(of),
         }
     }
@@ -95,7 +99,8 @@ fn step<'a>(analysis: &Analysis, judgment: &Judgment, quick: bool) -> Option<Ste
             .max(there + 1),
     };
     let count = needed - there;
-    let more = if judgment.measured.datasets().len() > 1 { More::Datasets } else { More::Seeds };
+    let has_datasets = judgment.measured.each == Each::Dataset || judgment.measured.datasets().len() > 1;
+    let more = if has_datasets { More::Datasets } else { More::Seeds };
     let (mut runs, mut seconds, mut commands) = (0, 0.0, Vec::new());
     let claim = judgment.claim;
     for (name, experiment) in claim.experiments.iter().zip(claim.experiments(quick)) {
@@ -105,7 +110,8 @@ fn step<'a>(analysis: &Analysis, judgment: &Judgment, quick: bool) -> Option<Ste
         let an_addition = one_more(&own, more);
         runs += count * an_addition.0;
         seconds += count as f64 * an_addition.1;
-        commands.push(command(&analysis.command(name, quick), judgment.scenario, &own, more, count));
+        let run = analysis.command(name, quick);
+        commands.extend(run.map(|run| command(&run, judgment.scenario, &own, more, count)));
     }
     Some(Step { more, there, count, runs, seconds, commands, decides: Vec::new() })
 }
