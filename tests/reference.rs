@@ -32,7 +32,7 @@ fn published_figures_are_those_of_the_published_tables() {
     let folder = tempfile::tempdir().unwrap();
     let draw = |more: &[&str], to: &str| {
         let out = folder.path().join(to);
-        let arguments = [&["figures", "--format", "png", "--out", out.to_str().unwrap()], more].concat();
+        let arguments = [&["figures", "--format", "png", "--output", out.to_str().unwrap()], more].concat();
         succeed(&reference(), &arguments);
     };
     draw(&[], "");

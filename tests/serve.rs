@@ -1,27 +1,19 @@
 //! `harness serve`: the page works in a real browser, follows running trainings, and answers no other site.
 
-use crate::common::{SMOKE, fresh, smoke_run, succeed};
-use crate::report::{HOSTILE_PAGE, browser};
+use crate::common::{SMOKE, finish, fresh, harness, in_chromium, smoke_run, succeed};
+use crate::report::HOSTILE_PAGE;
+use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 /// Uses the page of a results folder with tests/python/use_serve.py. Skipped without a browser.
 fn use_page(results: &Path, more: &[&str]) {
-    let Ok((chromium, driver)) = browser().inspect_err(|reason| eprintln!("{reason}")) else { return };
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let output = Command::new(root.join(".venv/bin/python"))
-        .arg(root.join("tests/python/use_serve.py"))
-        .arg(env!("CARGO_BIN_EXE_harness"))
-        .args([results, &chromium, &driver])
-        .args(more)
-        .current_dir(root)
-        .output()
-        .unwrap();
-    let said =
-        [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat();
-    assert!(output.status.success() && said.contains("the page works"), "{said}");
-    println!("{said}");
+    let program = Path::new(env!("CARGO_BIN_EXE_harness"));
+    if let Some((well, said)) = in_chromium("use_serve.py", &[program, results], more) {
+        assert!(well && said.contains("the page works"), "{said}");
+        println!("{said}");
+    }
 }
 
 #[test]
@@ -58,8 +50,23 @@ fn a_used_port_is_an_error_that_says_what_to_do() {
     let port = taken.local_addr().unwrap().port().to_string();
     let results = fresh("serve_port");
     std::fs::create_dir_all(results.join("runs")).unwrap();
-    let answer = crate::common::finish(&mut crate::common::harness(&results, &["serve", "--port", &port]));
+    // Outside of a clone, where the claims are the built-in ones.
+    let answer = finish(harness(&results, &["serve", "--port", &port]).current_dir(&results));
     assert_ne!(answer.code, 0);
     let expected = format!("can't listen on 127.0.0.1:{port}");
     assert!(answer.stderr.contains(&expected) && answer.stderr.contains("--port 0"), "{}", answer.stderr);
+}
+
+#[test]
+fn the_page_is_served_from_a_folder_without_a_file_of_claims() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir_all(folder.path().join("results/runs")).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_harness"));
+    let command = command.current_dir(folder.path()).args(["serve", "--port", "0"]);
+    let mut serving = command.stdout(Stdio::piped()).spawn().unwrap();
+    let mut said = String::new();
+    BufReader::new(serving.stdout.take().unwrap()).read_line(&mut said).unwrap();
+    serving.kill().unwrap();
+    serving.wait().unwrap();
+    assert!(said.starts_with("http://127.0.0.1:"), "{said}");
 }

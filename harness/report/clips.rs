@@ -56,11 +56,11 @@ pub struct Frames {
     frames: Vec<String>,
 }
 
-/// Returns a clip of each scenario. A clip that isn't in the cache is simulated and rendered.
+/// Returns a clip of each of these scenarios of the paper. A clip that isn't in the cache is simulated and rendered.
 ///
 /// # Errors
 /// When a scene can't be simulated or rendered.
-pub fn film(progress: &dyn Progress) -> Result<Vec<(Clip, Frames)>, FigureError> {
+pub fn film(scenarios: &[Scenario], progress: &dyn Progress) -> Result<Vec<(Clip, Frames)>, FigureError> {
     let film = |scenario: &Scenario| {
         cached(&format!("clip-{scenario}"), || {
             progress.begin(&format!("filming {scenario}"), SAMPLES as u64, "frames");
@@ -69,7 +69,7 @@ pub fn film(progress: &dyn Progress) -> Result<Vec<(Clip, Frames)>, FigureError>
             clip
         })
     };
-    Scenario::PAPER.iter().map(film).collect()
+    scenarios.iter().map(film).collect()
 }
 
 fn clip(scenario: Scenario, progress: &dyn Progress) -> Result<(Clip, Frames), FigureError> {

@@ -1,7 +1,7 @@
 //! Draws the paper's figures for the page.
 
 use super::cache::cached;
-use super::{Part, part};
+use super::{Asked, Part, part};
 use harness_figures::source::Source;
 use harness_figures::{Figure, FigureError};
 use harness_shared::progress::Progress;
@@ -16,18 +16,27 @@ pub struct Drawn {
     pub svg: Part<String>,
 }
 
-/// Draws the paper's figures. A figure whose runs are missing becomes [`Part::Absent`].
+/// Draws the paper's figures. A figure whose runs are missing becomes [`Part::Absent`]. On a page of some experiments,
+/// figures of other experiments are left out, and also those of the scenes if no run is in one of them.
 ///
 /// # Errors
 /// When a figure can't be drawn although its runs exist.
-pub fn render(source: &Source, progress: &dyn Progress) -> Result<Vec<Drawn>, FigureError> {
-    progress.begin("drawing", Figure::OF_THE_PAPER.len() as u64, "figures");
-    let drawn = Figure::OF_THE_PAPER.into_iter().map(|figure| {
+pub fn render(
+    source: &Source,
+    asked: &Asked,
+    has_scenes: bool,
+    progress: &dyn Progress,
+) -> Result<Vec<Drawn>, FigureError> {
+    let figures = Figure::OF_THE_PAPER.into_iter().filter(|figure| has_scenes || figure.shows_runs());
+    progress.begin("drawing", figures.clone().count() as u64, "figures");
+    let drawn = figures.filter_map(|figure| {
         let render = || figure.render(source).map(|drawing| drawing.page.svg());
         let svg = if figure.shows_runs() { render() } else { cached(figure.name(), render) };
-        let svg = part(svg)?;
         progress.advance(1);
-        Ok(Drawn { name: figure.name(), meaning: figure.meaning(), svg })
+        if matches!(&svg, Err(FigureError::NoRuns { experiment, .. }) if !asked.has(experiment)) {
+            return None;
+        }
+        Some(part(svg, asked).map(|svg| Drawn { name: figure.name(), meaning: figure.meaning(), svg }))
     });
     let drawn = drawn.collect();
     progress.end();

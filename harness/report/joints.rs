@@ -1,11 +1,13 @@
 //! Collects how well each joint's angle and each link's contact force is predicted.
 
-use super::{Absent, of_both, short};
+use super::subjects::{Subject, direction_of, of_each};
+use super::{Absent, Asked, short};
 use harness_analysis::{Interval, LEVEL, NETWORK, mean_interval, replicates};
 use harness_figures::FigureError;
-use harness_figures::source::{Runs, Source, Study};
+use harness_figures::source::{Runs, Source};
+use harness_metrics::Direction;
 use harness_registry::rows;
-use harness_spec::{Modality, Scenario, Task};
+use harness_spec::{Definition, Modality, Scenario, Task};
 use polars::prelude::{DataType, IntoLazy, col};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -20,6 +22,8 @@ pub struct Series {
     of: Of,
     /// The datasets or seeds that the means are over: `one seed`, `3 seeds` or `3 datasets`.
     over: String,
+    /// The direction of each joint or link.
+    directions: Vec<Option<&'static str>>,
     /// The value of each joint or link. `None` if the metric isn't defined there.
     values: Vec<Option<Value>>,
     /// The value over all joints or links of a direction (keys `fe` and `aa`), or over all of them (`all`).
@@ -35,10 +39,10 @@ struct Of {
     scenario: Scenario,
     /// The networks' latent size. `None` for a baseline.
     latent: Option<u64>,
-    /// The study's name.
-    study: &'static str,
-    /// The networks' inputs, in words.
-    input: &'static str,
+    /// The name of the study or experiment.
+    study: String,
+    /// What tells its networks apart, in words.
+    input: String,
     model: String,
     unit: String,
 }
@@ -69,12 +73,16 @@ enum Place {
     Overall(String),
 }
 
-/// Returns the series of both studies, and a reason for each study without runs.
+/// Returns the series of all subjects, and a reason for each subject without runs.
 ///
 /// # Errors
 /// When a table can't be read.
-pub fn series(source: &Source) -> Result<(Vec<Series>, BTreeSet<Absent>), FigureError> {
-    of_both(source, of_study)
+pub fn series(
+    source: &Source,
+    subjects: &[Subject],
+    asked: &Asked,
+) -> Result<(Vec<Series>, BTreeSet<Absent>), FigureError> {
+    of_each(source, subjects, asked, of_subject)
 }
 
 /// The query on the metrics table.
@@ -82,7 +90,7 @@ pub const SQL: &str = "select task, modality, metric, scenario, latent, model, u
     value from metrics join runs using (experiment, run, scenario, latent) \
     where modality in ('proprioception', 'contact_force') and model in ('network', 'persistence', 'ridge')";
 
-fn of_study(runs: &Runs, study: Study) -> Result<Vec<Series>, FigureError> {
+fn of_subject(runs: &Runs, subject: &Subject) -> Result<Vec<Series>, FigureError> {
     let keys =
         ["task", "modality", "metric", "scenario", "latent", "model", "unit", "direction", "index"].map(col);
     let values = [col("dataset_seed").cast(DataType::UInt64), col("value")];
@@ -98,8 +106,8 @@ fn of_study(runs: &Runs, study: Study) -> Result<Vec<Series>, FigureError> {
             metric: row.metric,
             scenario: row.scenario,
             latent: is_network.then_some(row.latent),
-            study: study.name(),
-            input: study.input(),
+            study: subject.name.clone(),
+            input: subject.words.clone(),
             model: row.model,
             unit: row.unit,
         };
@@ -119,19 +127,26 @@ fn of_study(runs: &Runs, study: Study) -> Result<Vec<Series>, FigureError> {
         }
     }
     let series = |(of, places): (Of, _)| {
-        let width = runs.layout()[of.modality].width();
-        Series::new(of, width, places)
+        let definition = &runs.layout()[of.modality];
+        Series::new(of, definition, places)
     };
     Ok(all.into_iter().map(series).collect())
 }
 
 impl Series {
-    fn new(of: Of, width: usize, places: BTreeMap<Place, Vec<Replicate>>) -> Self {
+    fn new(of: Of, definition: &Definition, places: BTreeMap<Place, Vec<Replicate>>) -> Self {
+        let width = definition.width();
+        let directions = (0..width).map(|joint| direction_of(definition, joint).map(Direction::name));
         let datasets: BTreeSet<u64> = places.values().flatten().map(|(dataset, _)| *dataset).collect();
         let noun = if datasets.len() > 1 { "datasets" } else { "seeds" };
         let mut most = 0;
-        let mut series =
-            Self { of, over: String::new(), values: vec![None; width], overall: BTreeMap::new() };
+        let mut series = Self {
+            of,
+            over: String::new(),
+            directions: directions.collect(),
+            values: vec![None; width],
+            overall: BTreeMap::new(),
+        };
         for (place, values) in places {
             let values = replicates(values);
             most = most.max(values.len());

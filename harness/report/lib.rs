@@ -1,10 +1,12 @@
 //! Makes the report: an HTML page with scenes, claims, readings, figures, charts, training curves and runs.
 //!
-//! The page is one self-contained HTML document, so it can be opened from a disk and sent by mail. Where runs are
-//! missing, the page names the command that makes them. The same tables give the same bytes.
+//! The page is about all results, or about some experiments ([`Asked`]). It is one self-contained HTML document, so it
+//! can be opened from a disk and sent by mail. Where runs are missing, the page names the command that makes them. The
+//! same tables give the same bytes.
 //!
 //! `page.html` is the template. minijinja escapes every value in it that isn't marked as `safe`. `page.css` and
-//! `page.js` are inserted unchanged. A content security policy lets browsers run only this script and load no file.
+//! `page.js` are inserted unchanged, after the style and the script of the charts. A content security policy lets
+//! browsers run only this script and load no file.
 
 mod cache;
 mod clips;
@@ -13,28 +15,34 @@ mod joints;
 mod readings;
 mod regression;
 mod runs;
+mod subjects;
 mod training;
 mod verdicts;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use harness_analysis::{Analysis, AnalysisError, Setting};
+use harness_analysis::{Analysis, AnalysisError, Setting, has_settings};
 use harness_claims::{self as claims, Claim, ClaimsError};
-use harness_figures::source::{Experiments, Runs, Source, Study};
+use harness_figures::source::{Experiments, Source};
 use harness_figures::{FORCES_SQL, FigureError};
-use harness_registry::{QueryError, Registry};
+use harness_registry::{QueryError, Registry, RunRecord};
 use harness_shared::progress::Progress;
 use harness_simulation::SimulationError;
-use harness_spec::Experiment;
+use harness_spec::{Experiment, QUICK};
 use minijinja::value::Serde;
 use minijinja::{Environment, UndefinedBehavior};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeSet;
+use std::sync::LazyLock;
 
 const TEMPLATE: &str = include_str!("page.html");
-const STYLE: &str = include_str!("page.css");
-const SCRIPT: &str = include_str!("page.js");
+/// The style sheet of the page.
+static STYLE: LazyLock<String> =
+    LazyLock::new(|| [harness_charts::STYLE, include_str!("page.css")].join("\n"));
+/// The script of the page.
+static SCRIPT: LazyLock<String> =
+    LazyLock::new(|| [harness_charts::SCRIPT, include_str!("page.js")].join("\n"));
 
 /// Why the page can't be made.
 #[derive(Debug, thiserror::Error)]
@@ -75,20 +83,24 @@ enum Part<T> {
 }
 
 /// Converts the result of making a part. If the part failed because runs are missing, because runs differ in their
-/// settings, or because there is no OpenGL driver, it becomes [`Part::Absent`].
+/// settings, because a diagram can't show their networks, or because there is no OpenGL driver, it becomes
+/// [`Part::Absent`]. If the runs of an asked experiment do not have the part, there is no command, because the
+/// experiment's spec may not ask for it and may be in any file.
 ///
 /// # Errors
 /// When the part failed for any other reason.
-fn part<T>(outcome: Result<T, FigureError>) -> Result<Part<T>, FigureError> {
+fn part<T>(outcome: Result<T, FigureError>, asked: &Asked) -> Result<Part<T>, FigureError> {
     let (reason, command) = match outcome {
         Ok(part) => return Ok(Part::There(part)),
         Err(FigureError::NoRuns { experiment, command, .. }) => {
-            (format!("There is no finished run of {experiment}."), Some(command))
+            (format!("There is no finished run of {experiment}."), command)
         }
-        Err(FigureError::NoRows { experiment, command, .. }) => {
-            (format!("The finished runs of {experiment} have no rows for this part."), Some(command))
+        Err(FigureError::NoRows { experiment, there, command, .. }) => {
+            let reason = format!("The finished runs of {experiment} ({there}) have no rows for this part.");
+            (reason, command.filter(|_| asked.experiments.is_empty()))
         }
         Err(FigureError::Mixed(error)) => (sentence(&error.to_string()), None),
+        Err(error @ FigureError::OtherNetwork { .. }) => (sentence(&error.to_string()), None),
         Err(FigureError::Simulation(error @ SimulationError::NoRenderer { .. })) => {
             (format!("It could not be rendered: {error}."), None)
         }
@@ -103,19 +115,67 @@ fn sentence(text: &str) -> String {
     format!("{}{rest}.", first.to_uppercase())
 }
 
-/// Calls `of_study` with the runs of each study. Returns all results, and a reason for each study without runs.
-fn of_both<T>(
-    source: &Source,
-    of_study: impl Fn(&Runs, Study) -> Result<Vec<T>, FigureError>,
-) -> Result<(Vec<T>, BTreeSet<Absent>), FigureError> {
-    let (mut all, mut absent) = (Vec::new(), BTreeSet::new());
-    for study in Study::BOTH {
-        match part(source.runs(study).and_then(|runs| of_study(&runs, study)))? {
-            Part::There(more) => all.extend(more),
-            Part::Absent(reason) => drop(absent.insert(reason)),
-        }
+/// What a page is about.
+#[derive(Debug, Clone, Default)]
+pub struct Asked {
+    /// The experiments, as `harness ls` names them. Empty for all results.
+    pub experiments: Vec<String>,
+    /// The settings that runs must have to be used.
+    pub settings: Vec<Setting>,
+    /// Whether claims, figures and results use the runs made with `--quick`.
+    pub quick: bool,
+}
+
+impl Asked {
+    /// The same without repeated names of experiments.
+    fn without_repetitions(&self) -> Self {
+        let mut known = BTreeSet::new();
+        let experiments = self.experiments.iter().filter(|name| known.insert(*name)).cloned().collect();
+        Self { experiments, ..self.clone() }
     }
-    Ok((all, absent))
+
+    /// Whether the page is about this experiment.
+    fn has(&self, experiment: &String) -> bool {
+        self.experiments.is_empty() || self.experiments.contains(experiment)
+    }
+
+    /// Whether the page is about this run.
+    fn has_run(&self, run: &RunRecord) -> bool {
+        self.has(&run.experiment) && has_settings(run, &self.settings)
+    }
+
+    /// Whether the page is about quick runs.
+    fn is_quick(&self) -> bool {
+        let is_named =
+            !self.experiments.is_empty() && self.experiments.iter().all(|name| name.ends_with(QUICK));
+        self.quick || is_named
+    }
+
+    /// The claims that runs of these experiments decide.
+    fn claims<'a>(&self, all: &'a [Claim]) -> Vec<&'a Claim> {
+        let is_decided =
+            |claim: &&Claim| claim.experiments(self.is_quick()).iter().all(|name| self.has(name));
+        all.iter().filter(is_decided).collect()
+    }
+
+    /// The runs that count, which `claims` and `readings` need too.
+    fn analysis(
+        &self,
+        registry: &Registry,
+        claims: &[&Claim],
+        readings: &Experiment,
+    ) -> Result<Analysis, AnalysisError> {
+        let quick = self.is_quick();
+        let analysis = if self.experiments.is_empty() {
+            let mut selection = claims::selection(claims, &self.settings, quick);
+            selection.experiments.extend(Experiments::of_the_paper(quick).names());
+            selection.experiments.push(readings.name.clone());
+            Analysis::new(registry, &selection)?
+        } else {
+            Analysis::finished(registry, &self.experiments, &self.settings)?
+        };
+        Ok(claims::expect(analysis, claims, quick).expect([joints::SQL, FORCES_SQL]))
+    }
 }
 
 /// The values that the page's template uses.
@@ -124,6 +184,8 @@ struct Page {
     style: &'static str,
     script: &'static str,
     policy: String,
+    /// The experiments that the page is about; empty if it is about all results.
+    asked: Vec<String>,
     quick: bool,
     /// The command that makes some runs in seconds.
     smoke: String,
@@ -135,7 +197,8 @@ struct Page {
     remarks: Vec<String>,
     clips: Part<Vec<clips::Clip>>,
     verdicts: verdicts::Verdicts,
-    readings: Part<readings::Readings>,
+    /// `None` if the page is not about the experiment of the readings.
+    readings: Option<Part<readings::Readings>>,
     figures: Vec<figures::Drawn>,
     experiments: Vec<runs::Experiment>,
     /// Why results by joint and link are missing.
@@ -147,9 +210,10 @@ struct Page {
     data: String,
 }
 
-/// Whether the script has data for each of its charts.
+/// Whether runs are in the paper's scenes, and whether the script has data for each of its charts.
 #[derive(Serialize)]
 struct Has {
+    scenes: bool,
     joints: bool,
     regression: bool,
     training: bool,
@@ -170,43 +234,44 @@ struct Data {
 /// * `registry`: the runs of the results folder
 /// * `claims`: the statements to judge
 /// * `readings`: the experiment with the readings of the paper, under which the claims are also judged
-/// * `settings`: the settings that runs must have to be used
-/// * `quick`: whether claims, figures and results use the runs made with `--quick`
+/// * `asked`: the experiments and runs that the page is about
 /// * `progress`: shows how far the work is
 ///
 /// # Errors
-/// When a table is damaged or has unexpected columns, or a claim's query is wrong. Missing runs and a missing OpenGL
-/// driver are no errors.
+/// When an asked experiment has no finished runs, a table is damaged or has unexpected columns, or a claim's query is
+/// wrong. Other missing runs and a missing OpenGL driver are no errors.
 pub fn page(
     registry: &Registry,
     claims: &[Claim],
     readings: &Experiment,
-    settings: &[Setting],
-    quick: bool,
+    asked: &Asked,
     progress: &dyn Progress,
 ) -> Result<String, ReportError> {
-    let claims: Vec<&Claim> = claims.iter().collect();
-    let mut selection = claims::selection(&claims, settings, quick);
-    let drawn = Experiments::of_the_paper(quick);
-    selection.experiments.extend(drawn.names());
-    selection.experiments.push(readings.name.clone());
-    let analysis = Analysis::new(registry, &selection)?;
-    let analysis = claims::expect(analysis, &claims, quick).expect([joints::SQL, FORCES_SQL]);
-    let source = Source::new(&analysis, drawn);
-    let figures = figures::render(&source, progress)?;
+    let asked = &asked.without_repetitions();
+    let (all_claims, claims): (Vec<&Claim>, _) = (claims.iter().collect(), asked.claims(claims));
+    let quick = asked.is_quick();
+    let analysis = asked.analysis(registry, &claims, readings)?;
+    let roles = subjects::roles(&analysis, asked);
+    let subjects = subjects::subjects(&analysis, asked, &roles);
+    let scenarios = subjects::scenarios(&analysis, asked);
+    let source = Source::new(&analysis, roles);
+    let figures = figures::render(&source, asked, !scenarios.is_empty(), progress)?;
     let verdicts = verdicts::Verdicts::of(&analysis, &claims, quick)?;
-    let readings = readings::of(registry, &analysis, readings, &claims, settings)?;
-    let experiments = runs::experiments(registry);
-    let (clips, frames) = match part(clips::film(progress))? {
+    let readings = match asked.has(&readings.name) {
+        true => Some(readings::of(registry, &analysis, readings, &all_claims, asked)?),
+        false => None,
+    };
+    let experiments = runs::experiments(registry, asked);
+    let (clips, frames) = match part(clips::film(&scenarios, progress), asked)? {
         Part::Absent(absent) => (Part::Absent(absent), Vec::new()),
         Part::There(filmed) => {
             let (clips, frames) = filmed.into_iter().unzip();
             (Part::There(clips), frames)
         }
     };
-    let (joints, joints_absent) = joints::series(&source)?;
-    let (regression, regression_absent) = regression::clouds(&source)?;
-    let data = Data { clips: frames, joints, regression, training: training::curves(registry)? };
+    let (joints, joints_absent) = joints::series(&source, &subjects, asked)?;
+    let (regression, regression_absent) = regression::clouds(&source, &subjects, asked)?;
+    let data = Data { clips: frames, joints, regression, training: training::curves(registry, asked)? };
 
     let undrawn = figures.iter().filter_map(|figure| match &figure.svg {
         Part::Absent(absent) => Some(absent),
@@ -216,14 +281,21 @@ pub fn page(
     let commands =
         absent.filter_map(|absent| absent.command.clone()).chain(verdicts.commands.clone()).collect();
     let page = Page {
-        style: STYLE,
-        script: SCRIPT,
+        style: &STYLE,
+        script: &SCRIPT,
         policy: policy(),
+        asked: asked.experiments.clone(),
         quick,
-        smoke: analysis.command("smoke", false),
+        smoke: registry.command("run smoke"),
         done: experiments.iter().map(|experiment| experiment.done).sum(),
         commands,
         remarks: analysis.notes().iter().chain(&verdicts.mixed).map(|text| sentence(text)).collect(),
+        has: Has {
+            scenes: !scenarios.is_empty(),
+            joints: !data.joints.is_empty(),
+            regression: !data.regression.is_empty(),
+            training: !data.training.is_empty(),
+        },
         clips,
         verdicts,
         readings,
@@ -231,11 +303,6 @@ pub fn page(
         experiments,
         joints_absent,
         regression_absent,
-        has: Has {
-            joints: !data.joints.is_empty(),
-            regression: !data.regression.is_empty(),
-            training: !data.training.is_empty(),
-        },
         data: script_safe(&serde_json::to_string(&data)?),
     };
     Ok(render(&page)?)
@@ -261,8 +328,8 @@ fn policy() -> String {
     let digest = |text: &str| format!("'sha256-{}'", BASE64.encode(Sha256::digest(text)));
     format!(
         "default-src 'none'; img-src data:; style-src {}; script-src {}; base-uri 'none'; form-action 'none'",
-        digest(STYLE),
-        digest(SCRIPT)
+        digest(&STYLE),
+        digest(&SCRIPT)
     )
 }
 

@@ -1,8 +1,8 @@
 //! Judges the claims under each reading of the paper and lists the choices that change a verdict.
 
 use super::verdicts::class_of;
-use super::{Absent, Part, ReportError, part, sentence};
-use harness_analysis::{Analysis, Setting};
+use super::{Absent, Asked, Part, ReportError, part, sentence};
+use harness_analysis::Analysis;
 use harness_claims::{self as claims, Claim, Judgment, MatrixRow, Verdict};
 use harness_figures::Figure;
 use harness_figures::source::{Experiments, Source};
@@ -73,15 +73,15 @@ pub fn of(
     analysis: &Analysis,
     spec: &Experiment,
     claims: &[&Claim],
-    settings: &[Setting],
+    asked: &Asked,
 ) -> Result<Part<Readings>, ReportError> {
     if analysis.runs(&spec.name).is_empty() {
         let quick = spec.name.strip_suffix(QUICK);
         let command = analysis.command(quick.unwrap_or(&spec.name), quick.is_some());
         let reason = format!("There is no finished run of {}.", spec.name);
-        return Ok(Part::Absent(Absent { reason, command: Some(command) }));
+        return Ok(Part::Absent(Absent { reason, command }));
     }
-    let readings = claims::Readings::new(registry, spec, claims, settings)?;
+    let readings = claims::Readings::new(registry, spec, claims, &asked.settings)?;
     let matrix = readings.judge(claims)?;
     let rows: Vec<Row> = matrix.rows.iter().map(|row| Row::new(row, &matrix.readings)).collect();
     let drawn = Experiments { readings: spec.name.clone(), ..Experiments::of_the_paper(false) };
@@ -93,7 +93,7 @@ pub fn of(
         rows,
         left_out: matrix.left_out.len(),
         notes: matrix.notes.iter().map(|note| sentence(note)).collect(),
-        figure: part(figure)?,
+        figure: part(figure, asked)?,
     }))
 }
 

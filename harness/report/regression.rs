@@ -1,10 +1,11 @@
 //! Collects predictions and references at the fingertip.
 
 use super::joints::{Value, value};
-use super::{Absent, of_both, short};
+use super::subjects::{Subject, direction_of, of_each};
+use super::{Absent, Asked, short};
 use harness_analysis::intervals;
 use harness_figures::FigureError;
-use harness_figures::source::{Runs, Source, Study};
+use harness_figures::source::{Runs, Source};
 use harness_metrics::Direction;
 use harness_registry::rows;
 use harness_spec::{Modality, Scenario};
@@ -19,9 +20,13 @@ const POINTS: usize = 300;
 pub struct Cloud {
     #[serde(flatten)]
     of: Of,
-    study: &'static str,
-    input: &'static str,
+    /// The name of the study or experiment.
+    study: String,
+    /// What tells its networks apart, in words.
+    input: String,
     unit: &'static str,
+    /// The direction of the joint or link.
+    direction: Option<&'static str>,
     /// The seed of the network whose predictions are shown.
     seed: u64,
     /// R² over all test samples, as a mean over seeds. `None` if it isn't defined.
@@ -61,21 +66,29 @@ struct Score {
     value: Option<f64>,
 }
 
-/// Returns the clouds of both studies, and a reason for each study without runs.
+/// Returns the clouds of all subjects, and a reason for each subject without runs.
 ///
 /// # Errors
 /// When a table can't be read.
-pub fn clouds(source: &Source) -> Result<(Vec<Cloud>, BTreeSet<Absent>), FigureError> {
-    of_both(source, of_study)
+pub fn clouds(
+    source: &Source,
+    subjects: &[Subject],
+    asked: &Asked,
+) -> Result<(Vec<Cloud>, BTreeSet<Absent>), FigureError> {
+    of_each(source, subjects, asked, of_subject)
 }
 
-fn of_study(runs: &Runs, study: Study) -> Result<Vec<Cloud>, FigureError> {
-    let definition = &runs.layout()[Modality::PROPRIOCEPTION];
-    let tip = |direction: Direction| direction.elements(definition).last().copied().unwrap_or_default();
-    let [flexion, abduction] = Direction::FINGER.map(tip);
+fn of_subject(runs: &Runs, subject: &Subject) -> Result<Vec<Cloud>, FigureError> {
+    let layout = runs.layout();
+    let tips = [Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE].into_iter().filter_map(|modality| {
+        let definition = layout.get(modality)?;
+        let last = Direction::FINGER.iter().filter_map(|direction| direction.elements(definition).last());
+        let last: Vec<String> = last.map(usize::to_string).collect();
+        Some(format!("modality = '{modality}' and index in ({})", last.join(", ")))
+    });
     let place = format!(
-        "task = 'prediction' and modality in ('proprioception', 'contact_force') \
-         and index in ({flexion}, {abduction})"
+        "task = 'prediction' and modality in ('proprioception', 'contact_force') and ({})",
+        tips.collect::<Vec<_>>().join(" or ")
     );
     let mut answer = runs.query(&format!(
         "select modality, scenario, latent, index, dataset_seed, value \
@@ -94,9 +107,10 @@ fn of_study(runs: &Runs, study: Study) -> Result<Vec<Cloud>, FigureError> {
         samples.entry(sample.of.clone()).or_default().push(sample);
     }
     let cloud = |(of, samples): (Of, Vec<Sample>)| Cloud {
-        study: study.name(),
-        input: study.input(),
+        study: subject.name.clone(),
+        input: subject.words.clone(),
         unit: if of.modality == Modality::PROPRIOCEPTION { "rad" } else { "N" },
+        direction: direction_of(&layout[of.modality], of.index).map(Direction::name),
         seed: samples[0].seed,
         r2: r2.get(&of).map(value),
         points: points(&samples),

@@ -1,5 +1,6 @@
 //! Describes the runs of a results folder in words: how they ended and where their numbers come from.
 
+use super::Asked;
 use harness_registry::{Registry, RunRecord, Status, Timings};
 use harness_shared::numbers::duration;
 use serde::Serialize;
@@ -32,10 +33,10 @@ struct Run {
     details: Vec<(&'static str, String)>,
 }
 
-/// Returns all runs of a results folder, grouped by experiment.
-pub fn experiments(registry: &Registry) -> Vec<Experiment> {
+/// Returns the runs that are asked for, grouped by experiment.
+pub fn experiments(registry: &Registry, asked: &Asked) -> Vec<Experiment> {
     let mut experiments: BTreeMap<String, Vec<RunRecord>> = BTreeMap::new();
-    for record in registry.records() {
+    for record in registry.records().into_iter().filter(|record| asked.has_run(record)) {
         experiments.entry(record.experiment.clone()).or_default().push(record);
     }
     experiments.into_iter().map(|(name, records)| Experiment::new(name, records)).collect()

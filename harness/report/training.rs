@@ -1,6 +1,6 @@
 //! Collects the losses of trainings by epoch.
 
-use super::short;
+use super::{Asked, short};
 use harness_registry::{QueryError, Registry, RunRecord, RunTable, Status};
 use harness_tables::schema::Table;
 use polars::prelude::{DataFrame, PolarsResult};
@@ -26,14 +26,19 @@ pub struct Curves {
     terms: BTreeMap<String, BTreeMap<String, Vec<Option<f64>>>>,
 }
 
-/// Returns the curves of all finished runs, sorted by experiment, run and task.
+/// Returns the curves of the finished runs that are asked for, sorted by experiment, run and task.
 ///
-/// Runs under a reading are left out. They are many, and the page shows their verdicts.
+/// Runs under a reading are left out, unless their experiment is asked for. They are many, and the page shows their
+/// verdicts.
 ///
 /// # Errors
 /// When a table can't be read.
-pub fn curves(registry: &Registry) -> Result<Vec<Curves>, QueryError> {
-    let is_shown = |run: &RunRecord| run.status == Status::Done && run.spec.reading().is_none();
+pub fn curves(registry: &Registry, asked: &Asked) -> Result<Vec<Curves>, QueryError> {
+    let is_shown = |run: &RunRecord| {
+        run.status == Status::Done
+            && asked.has_run(run)
+            && (run.spec.reading().is_none() || !asked.experiments.is_empty())
+    };
     let runs: Vec<RunRecord> = registry.records().into_iter().filter(is_shown).collect();
     let trainings: usize = runs.iter().map(|run| run.spec.tasks.len()).sum();
     let kept = (ALL_EPOCHS / trainings.max(1)).clamp(FEWEST_EPOCHS, EPOCHS);

@@ -1,7 +1,7 @@
 //! Judges the claims and puts the verdicts into words.
 
 use harness_analysis::{Analysis, Mixed};
-use harness_claims::{Claim, ClaimsError, Condition, Judgment, Verdict, corrected, judge};
+use harness_claims::{Claim, ClaimsError, Condition, Each, Judgment, Verdict, corrected, judge};
 use harness_shared::numbers::rounded;
 use harness_spec::Scenario;
 use serde::Serialize;
@@ -67,9 +67,9 @@ struct Words {
     stands: bool,
     /// The requirement that isn't met, if the claim isn't testable.
     unmet: Option<String>,
-    /// What each value belongs to: a seed or an episode.
+    /// What each value belongs to: a seed, an episode or a dataset.
     each: &'static str,
-    /// The values, each with the number of its seed or episode.
+    /// The values, each with the number of its seed, episode or dataset.
     values: Vec<(String, String)>,
     /// The judgment as a picture. `None` without data.
     strip: Option<Strip>,
@@ -103,13 +103,13 @@ impl Verdicts {
         let judged: Vec<Vec<Judgment>> =
             claims.iter().map(|claim| judge(analysis, claim, quick)).collect::<Result<_, _>>()?;
         let mut p_values = corrected(judged.iter().flatten()).into_iter();
+        let mut lacking: BTreeSet<&String> = BTreeSet::new();
         for (claim, judgments) in claims.iter().zip(&judged) {
             for judgment in judgments {
                 verdicts.counts.add(judgment.verdict());
                 verdicts.mixed.extend(judgment.mixed.iter().map(Mixed::to_string));
                 if judgment.verdict() == Verdict::NoData {
-                    let command = |experiment: &String| analysis.command(experiment, quick);
-                    verdicts.commands.extend(claim.experiments.iter().map(command));
+                    lacking.extend(&claim.experiments);
                 }
             }
             let p_values: Vec<Option<f64>> = p_values.by_ref().take(judgments.len()).collect();
@@ -117,6 +117,8 @@ impl Verdicts {
             verdicts.unsure += corrected().filter(|(judgment, p)| !judgment.stands(*p)).count();
             verdicts.claims.push(Judged::new(claim, quick, corrected()));
         }
+        verdicts.commands =
+            lacking.into_iter().filter_map(|experiment| analysis.command(experiment, quick)).collect();
         Ok(verdicts)
     }
 }
@@ -127,7 +129,7 @@ impl Counts {
             Verdict::Holds => self.holds += 1,
             Verdict::DoesNotHold => self.fails += 1,
             Verdict::NotTestable => self.untestable += 1,
-            Verdict::Undecided | Verdict::OneSeed { .. } | Verdict::Mixed | Verdict::NoData => {
+            Verdict::Undecided | Verdict::OneValue { .. } | Verdict::Mixed | Verdict::NoData => {
                 self.undecided += 1
             }
         }
@@ -162,9 +164,10 @@ impl Words {
         let verdict = judgment.verdict();
         let values = judgment.measured.values.iter();
         let several = judgment.measured.datasets().len() > 1;
-        let place = |(dataset, n): &(u64, i64)| match several {
-            true => format!("{n} of dataset {dataset}"),
-            false => n.to_string(),
+        let place = |(dataset, n): &(u64, i64)| match judgment.measured.each {
+            Each::Dataset => dataset.to_string(),
+            _ if several => format!("{n} of dataset {dataset}"),
+            _ => n.to_string(),
         };
         Self {
             scenario: judgment.scenario.map_or("both", Scenario::name),
@@ -187,7 +190,7 @@ pub fn class_of(verdict: Verdict) -> &'static str {
         Verdict::Holds => "holds",
         Verdict::DoesNotHold => "fails",
         Verdict::NotTestable => "untestable",
-        Verdict::Undecided | Verdict::OneSeed { .. } | Verdict::Mixed | Verdict::NoData => "undecided",
+        Verdict::Undecided | Verdict::OneValue { .. } | Verdict::Mixed | Verdict::NoData => "undecided",
     }
 }
 

@@ -2,9 +2,9 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use harness_analysis::{AnalysisError, all_settings};
+use harness_analysis::{Analysis, AnalysisError, all_settings};
 use harness_claims::{Claim, ClaimsError, Judgment, judge};
-use harness_registry::{QueryError, Recorded, Registry, answer, query, table};
+use harness_registry::{QueryError, Recorded, Registry, answer, query_recorded, table};
 use harness_tables::schema::{Column, Table};
 use polars::prelude::{AnyValue, DataFrame, PolarsError};
 use serde_json::{Value, json};
@@ -129,10 +129,12 @@ fn of_run(registry: &Registry, recorded: &Recorded, sql: &str) -> Result<DataFra
     answer(sql, &|of| table(registry, of, std::slice::from_ref(recorded), sql))
 }
 
-/// The verdicts on the paper's statements.
-pub fn claims(registry: &Registry, claims: &[Claim]) -> Result<Answer, Failure> {
+/// The verdicts on the paper's statements by these runs.
+pub fn claims(registry: &Registry, runs: &[Recorded], claims: &[Claim]) -> Result<Answer, Failure> {
     let chosen: Vec<&Claim> = claims.iter().collect();
-    let runs = harness_claims::runs(registry, &chosen, &[], false)?;
+    let selection = harness_claims::selection(&chosen, &[], false);
+    let runs = Analysis::of(registry, runs.to_vec(), &selection)?;
+    let runs = harness_claims::expect(runs, &chosen, false);
     let mut judgments: Vec<Judgment> = Vec::new();
     for claim in chosen {
         judgments.extend(judge(&runs, claim, false)?);
@@ -152,14 +154,15 @@ pub fn tables() -> Answer {
     Answer::Json(Value::from_iter(Table::ALL.map(table)).to_string())
 }
 
-/// The answer to a query, with at most [`MOST_ROWS`] rows.
-pub fn sql(registry: &Registry, sql: &str) -> Result<Answer, Failure> {
+/// The answer to a query over these runs, with at most [`MOST_ROWS`] rows, and what `registry` left out of it.
+pub fn sql(registry: &Registry, runs: &[Recorded], sql: &str) -> Result<Answer, Failure> {
     let start = Instant::now();
-    let found = query(registry, sql)?;
+    let found = query_recorded(registry, runs, sql)?;
     let shown = found.height().min(MOST_ROWS);
     let answer = json!({
         "count": found.height(),
         "seconds": start.elapsed().as_secs_f64(),
+        "left_out": registry.left_out(),
         "columns": columns(&found, shown),
     });
     Ok(Answer::Json(answer.to_string()))
@@ -182,6 +185,7 @@ fn value(cell: AnyValue) -> Value {
         AnyValue::String(text) => text.into(),
         AnyValue::StringOwned(text) => text.as_str().into(),
         AnyValue::Binary(bytes) => BASE64.encode(bytes).into(),
+        AnyValue::BinaryOwned(bytes) => BASE64.encode(bytes).into(),
         AnyValue::Float64(value) => number(value),
         AnyValue::Float32(value) => number(value.into()),
         AnyValue::Int64(value) => value.into(),

@@ -6,8 +6,8 @@ use std::time::Duration;
 
 /// How long a connection may send nothing. Browsers open some without using them.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// The largest request, in bytes.
-const LARGEST: usize = 1 << 17;
+/// The largest request, in bytes. A query may have 1 MiB, and longer ones are answered with a message.
+const LARGEST: usize = 1 << 24;
 /// The most headers of a request.
 const MOST_HEADERS: usize = 64;
 
@@ -20,6 +20,18 @@ pub struct Request {
     /// Names and values. A value that is not UTF-8 is empty.
     pub headers: Vec<(String, String)>,
     pub body: Vec<u8>,
+}
+
+impl Request {
+    /// The path, such as `/api/runs`.
+    pub fn path(&self) -> &str {
+        self.target.split('?').next().unwrap_or_default()
+    }
+
+    /// What follows the path, such as `version=1`. Often empty.
+    pub fn query(&self) -> &str {
+        self.target.split_once('?').map_or("", |(_, query)| query)
+    }
 }
 
 /// A response.
@@ -46,7 +58,7 @@ pub fn answer(mut stream: TcpStream, respond: impl FnOnce(&Request) -> Response)
 
 /// Reads a request. `None` if it is malformed or too large, or does not arrive.
 fn read(stream: &mut TcpStream) -> Option<Request> {
-    let (mut bytes, mut chunk) = (Vec::new(), [0; 4096]);
+    let (mut bytes, mut chunk) = (Vec::new(), [0; 1 << 16]);
     loop {
         let count = stream.read(&mut chunk).ok().filter(|count| *count > 0)?;
         bytes.extend_from_slice(&chunk[..count]);

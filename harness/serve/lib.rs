@@ -1,8 +1,8 @@
 //! Serves a local page of a results folder, which follows running trainings.
 //!
 //! The server only answers requests from this machine: it listens on 127.0.0.1, and refuses requests whose `Host` names
-//! another machine or whose `Origin` is another site. It never writes to the results folder, except for the copies of
-//! tables in `compacted/`.
+//! another machine or whose `Origin` is another site. A link from another site opens the page. It never writes to the
+//! results folder, except for the copies of tables in `compacted/`.
 //!
 //! ```text
 //! GET  /                    the page, and its scripts and styles
@@ -33,13 +33,12 @@ use std::time::Duration;
 const WAIT: Duration = Duration::from_millis(100);
 
 /// The page's files: path, type and contents.
-const FILES: [(&str, &str, &str); 7] = [
+const FILES: [(&str, &str, &str); 6] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
-    ("/uplot.css", "text/css; charset=utf-8", include_str!("page/uPlot.min.css")),
-    ("/uplot.js", "text/javascript; charset=utf-8", include_str!("page/uPlot.iife.min.js")),
+    ("/charts.css", "text/css; charset=utf-8", harness_charts::STYLE),
+    ("/charts.js", "text/javascript; charset=utf-8", harness_charts::SCRIPT),
     ("/table.js", "text/javascript; charset=utf-8", include_str!("page/table.js")),
-    ("/chart.js", "text/javascript; charset=utf-8", include_str!("page/chart.js")),
     ("/app.js", "text/javascript; charset=utf-8", include_str!("page/app.js")),
 ];
 
@@ -97,13 +96,20 @@ pub fn serve(
     let ended = AtomicBool::new(false);
     std::thread::scope(|scope| {
         scope.spawn(|| {
-            for stream in listener.incoming().flatten() {
+            for stream in listener.incoming() {
                 if ended.load(Ordering::Relaxed) {
                     break;
                 }
+                let Ok(stream) = stream else {
+                    // The process may have too many open files at the moment.
+                    std::thread::sleep(WAIT);
+                    continue;
+                };
                 let site = site.clone();
-                // The connections that are open when the server ends are not waited for.
-                std::thread::spawn(move || http::answer(stream, |request| site.respond(request)));
+                // The connections that are open when the server ends are not waited for. If there can be no more threads,
+                // the connection is closed.
+                let answer = move || http::answer(stream, |request| site.respond(request));
+                let _ = std::thread::Builder::new().spawn(answer);
             }
         });
         ready(address);
@@ -141,9 +147,12 @@ impl Site {
 
     fn answer(&self, request: &Request) -> Result<Answer, Failure> {
         guard::check(request)?;
-        let (path, query) = request.target.split_once('?').unwrap_or((&request.target, ""));
+        let path = request.path();
         if request.method == "POST" && path == "/api/sql" {
-            return answers::sql(&self.registry, &String::from_utf8_lossy(&request.body));
+            let runs = self.lock().recorded();
+            // A registry never forgets what it has left out, so each query has its own.
+            let registry = Registry::new(self.registry.root());
+            return answers::sql(&registry, &runs, &String::from_utf8_lossy(&request.body));
         }
         if request.method != "GET" {
             return Err(Failure::Method);
@@ -152,7 +161,7 @@ impl Site {
             return Ok(Answer::File(kind, text));
         }
         let parameter = |name: &str| {
-            let mut pairs = query.split('&').filter_map(|pair| pair.split_once('='));
+            let mut pairs = request.query().split('&').filter_map(|pair| pair.split_once('='));
             pairs.find(|(key, _)| *key == name).map(|(_, value)| decoded(value))
         };
         let run = || parameter("run").ok_or_else(|| Failure::Bad("the parameter `run` is missing".into()));
@@ -166,7 +175,10 @@ impl Site {
                 let recorded = self.lock().find(&run()?)?;
                 answers::losses(&self.registry, &recorded)
             }
-            "/api/claims" => answers::claims(&self.registry, &self.claims),
+            "/api/claims" => {
+                let runs = self.lock().recorded();
+                answers::claims(&self.registry, &runs, &self.claims)
+            }
             "/api/tables" => Ok(answers::tables()),
             _ => Err(Failure::Unknown(path.to_owned())),
         }

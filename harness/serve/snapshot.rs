@@ -5,14 +5,15 @@ use harness_registry::{Recorded, Registry, Remembered, answer, table};
 use polars::prelude::{DataFrame, PolarsResult};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashMap};
-use std::time::{Duration, Instant};
+use std::sync::Arc;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// How long the runs are not looked at again after they were.
 const FRESH: Duration = Duration::from_secs(1);
 
 /// The columns of a run in the page's table.
 const RUNS: &str = "select experiment, run, status, scenario, input, output, architecture, latent, variant, seed, started, \
-     collect_seconds + prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds as seconds, \
+     prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds as seconds, \
      parameters, reading, reason, host, dataset, group_hash from runs order by experiment, run";
 /// The overall metrics of the networks that predict.
 const METRICS: &str = "select experiment, run, modality, metric, value from metrics where task = 'prediction' and \
@@ -22,16 +23,21 @@ const METRICS: &str = "select experiment, run, modality, metric, value from metr
 pub struct Snapshot {
     registry: Registry,
     memory: Remembered,
+    /// The runs that the last look left out, with the reasons.
+    left_out: Vec<String>,
     looked: Option<Instant>,
-    /// Raised with every change.
-    version: u64,
-    /// The answer for this version, once it was asked for.
+    /// Raised with every change. Begins with the time, in microseconds since 1970, so that a page that stays open does not
+    /// take the answers of the next server for its own.
+    version: u128,
+    /// The answer for this version, once it was asked for and had all metrics.
     answer: Option<String>,
 }
 
 impl Snapshot {
     pub fn new(registry: Registry) -> Self {
-        Self { registry, memory: Remembered::default(), looked: None, version: 0, answer: None }
+        let version = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_micros());
+        let (memory, left_out) = (Remembered::default(), Vec::new());
+        Self { registry, memory, left_out, looked: None, version, answer: None }
     }
 
     /// Reads the runs that have changed, if the last look was some time ago.
@@ -39,11 +45,21 @@ impl Snapshot {
         if self.looked.is_some_and(|looked| looked.elapsed() < FRESH) {
             return;
         }
-        if self.registry.refresh(&mut self.memory) || self.looked.is_none() {
+        // A registry never forgets what it has left out, so each look has its own.
+        let registry = Registry::new(self.registry.root());
+        let changed = registry.refresh(&mut self.memory);
+        let before = std::mem::replace(&mut self.left_out, registry.left_out());
+        if changed || before != self.left_out || self.looked.is_none() {
             self.version += 1;
             self.answer = None;
         }
         self.looked = Some(Instant::now());
+    }
+
+    /// The folders and records of all runs.
+    pub fn recorded(&mut self) -> Arc<Vec<Recorded>> {
+        self.refresh();
+        self.memory.recorded().clone()
     }
 
     /// The folder and record of a run.
@@ -56,27 +72,40 @@ impl Snapshot {
         found.cloned().ok_or_else(|| Failure::Unknown(format!("run {name}")))
     }
 
-    /// All runs with their overall metrics, unless they are those of `version`, which the page has already.
+    /// All runs with their overall metrics, unless they are those of `version`, which the page has already. If the metrics
+    /// can't be read, all runs without them, and the reason.
     ///
     /// # Errors
-    /// When a table is damaged.
+    /// When the query of the runs fails.
     pub fn runs(&mut self, version: Option<&str>) -> Result<Answer, Failure> {
         self.refresh();
-        if version.is_some_and(|version| version == self.version.to_string()) {
+        if self.answer.is_some() && version.is_some_and(|version| version == self.version.to_string()) {
             return Ok(Answer::Unchanged);
         }
-        if self.answer.is_none() {
-            self.answer = Some(self.answer()?);
+        if let Some(answer) = &self.answer {
+            return Ok(Answer::Json(answer.clone()));
         }
-        Ok(Answer::Json(self.answer.clone().unwrap_or_default()))
+        let (answer, is_whole) = self.answer()?;
+        self.answer = is_whole.then(|| answer.clone());
+        Ok(Answer::Json(answer))
     }
 
-    fn answer(&self) -> Result<String, Failure> {
+    /// The answer for this version, and whether it has the metrics.
+    fn answer(&self) -> Result<(String, bool), Failure> {
         let all = self.memory.recorded();
         let ask = |sql: &str| answer(sql, &|of| table(&self.registry, of, all, sql));
         let runs = ask(RUNS)?;
+        let mut left_out = self.left_out.clone();
+        let metrics = match ask(METRICS) {
+            Ok(rows) => metrics(&runs, &rows)?,
+            Err(error) => {
+                left_out.push(format!("the metrics of all runs are left out: {error}"));
+                Metrics::new()
+            }
+        };
+        let is_whole = left_out.len() == self.left_out.len();
         let mut found = columns(&runs, runs.height());
-        for ((modality, metric), values) in metrics(&runs, &ask(METRICS)?).map_err(Failure::from)? {
+        for ((modality, metric), values) in metrics {
             let values: Vec<Value> =
                 values.into_iter().map(|value| value.map_or(Value::Null, number)).collect();
             found.push(json!({ "name": format!("{modality} {metric}"), "metric": metric, "values": values }));
@@ -86,11 +115,11 @@ impl Snapshot {
         let answer = json!({
             "version": self.version.to_string(),
             "results": root.display().to_string(),
-            "left_out": self.registry.left_out(),
+            "left_out": left_out,
             "count": runs.height(),
             "columns": found,
         });
-        Ok(answer.to_string())
+        Ok((answer.to_string(), is_whole))
     }
 }
 

@@ -14,6 +14,8 @@ import json
 import re
 import tempfile
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pandas as pd
@@ -23,6 +25,8 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
+
+PATIENCE_S = 300
 
 DESKTOP = (1280, 900)
 PHONE = (360, 740)
@@ -55,16 +59,23 @@ class Page:
         phone = size == PHONE
         self.browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
             "width": width, "height": height, "deviceScaleFactor": 2 if phone else 1, "mobile": phone})
-        # Whoever wants no motion gets no smooth scrolling, under which a click would miss.
+        self.browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": phone, "maxTouchPoints": 5})
+        # With reduced motion, nothing scrolls smoothly. A click would miss during smooth scrolling.
         features = {"prefers-color-scheme": "dark" if dark else "light", "prefers-reduced-motion": "reduce"}
         self.browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {
             "features": [{"name": name, "value": value} for name, value in features.items()]})
-        # What the browser itself loaded before is none of the page's.
+        # A mouse that rests on a chart after scrolling would point at it, even while fingers touch it.
+        self.browser.execute_cdp_cmd("Input.dispatchMouseEvent", {"type": "mouseMoved", "x": 0, "y": 0})
+        # Requests that the browser itself made before do not count.
         self.browser.get_log("performance")
         self.browser.get(self.path.as_uri())
 
     def run(self, script: str, *arguments):
         return self.browser.execute_script(script, *arguments)
+
+    def draw(self):
+        """Waits until the browser has drawn the page as it is now. Pointers and fingers act on what is drawn."""
+        self.run("return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
     def one(self, selector: str):
         return self.browser.find_element(By.CSS_SELECTOR, selector)
@@ -79,25 +90,86 @@ class Page:
     def choose(self, section: str, label: str, value):
         self.select(section, label).select_by_value(str(value))
 
-    def marks(self, section: str):
-        return self.all(f"#{section} .plot .mark")
-
     def tooltip(self, section: str) -> str:
         return self.one(f"#{section} .tooltip").text
 
-    def point_at(self, element):
-        self.run("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", element)
-        ActionChains(self.browser, duration=20).move_to_element(element).perform()
+    def wait(self, condition: Callable[[], object], what: object):
+        """Waits until a condition is met. Touches reach the page after the browser has answered."""
+        end = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < end, what
+            time.sleep(0.02)
 
-    def point_at_any(self, section: str, marks: str, name: str) -> str:
-        """The tooltip of the first of these marks that no other series' mark covers."""
-        heard = []
-        for mark in self.all(f"#{section} {marks}"):
-            self.point_at(mark)
-            heard.append(self.tooltip(section))
-            if heard[-1].startswith(name):
-                return heard[-1]
-        raise AssertionError(f"none of the tooltips begins with {name!r}: {heard}")
+    def wait_for_tooltip(self, section: str, said: str):
+        self.wait(lambda: self.tooltip(section) == said, f"the tooltip never says {said}")
+
+    def press(self, section: str, *keys: str) -> str:
+        """Presses keys in a chart, and returns what its tooltip says then."""
+        self.one(f"#{section} .plot").send_keys(*keys)
+        return self.tooltip(section)
+
+    def points(self, section: str) -> list[str]:
+        """What the tooltip says of each point of a chart's first series, by the keyboard."""
+        said = [self.press(section, Keys.ESCAPE, Keys.ARROW_RIGHT, Keys.HOME)]
+        while (more := self.press(section, Keys.ARROW_RIGHT)) != said[-1]:
+            said.append(more)
+        return said
+
+    def series(self, section: str) -> list[str]:
+        """The names of the series that a chart shows, by the keyboard."""
+        said = [self.press(section, Keys.ESCAPE, Keys.ARROW_RIGHT).splitlines()[0]]
+        while (more := self.press(section, Keys.ARROW_DOWN).splitlines()[0]) not in said:
+            said.append(more)
+        return said
+
+    def place(self, section: str) -> tuple[float, float]:
+        """Where the point that the tooltip describes is in the window."""
+        chart = self.one(f"#{section} .plot")
+        self.run("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", chart)
+        self.draw()
+        script = ("const box = document.querySelector(arguments[0]).getBoundingClientRect();"
+                  "return [box.x + box.width / 2, box.y + box.height / 2]")
+        x, y = self.run(script, f"#{section} .ring")
+        return x, y
+
+    def point_at(self, x: float, y: float):
+        pointer = ActionChains(self.browser, duration=20).w3c_actions
+        pointer.pointer_action.move_to_location(round(x), round(y))
+        pointer.perform()
+        self.draw()
+
+    def touch(self, *fingers: list[tuple[float, float]]):
+        """Moves fingers from place to place on the screen, all at the same time."""
+        def send(kind: str, places: list[tuple[float, float]]):
+            points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
+            self.browser.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+        first, *others = zip(*fingers)
+        send("touchStart", first)
+        for places in others:
+            send("touchMove", places)
+        send("touchEnd", [])
+        self.draw()
+
+    def colors(self, section: str, x: float, y: float) -> set[str]:
+        """The colors that a chart has drawn within two pixels of a place in the window."""
+        script = """
+            const canvas = document.querySelector(arguments[0]);
+            const box = canvas.getBoundingClientRect();
+            const ratio = canvas.width / box.width;
+            const [x, y] = [(arguments[1] - box.x - 2) * ratio, (arguments[2] - box.y - 2) * ratio];
+            const copy = new OffscreenCanvas(5 * ratio, 5 * ratio).getContext("2d", { willReadFrequently: true });
+            copy.drawImage(canvas, -Math.round(x), -Math.round(y));
+            const { data } = copy.getImageData(0, 0, 5 * ratio, 5 * ratio);
+            const found = new Set();
+            for (let at = 0; at < data.length; at += 4) if (data[at + 3] === 255) found.add(`rgb(${data.slice(at, at + 3).join(", ")})`);
+            return [...found];"""
+        return set(self.run(script, f"#{section} canvas:not(.legend canvas)", x, y))
+
+    def color_of(self, name: str) -> str:
+        """The color of a variable of the style sheet."""
+        return self.run("const probe = document.body.appendChild(document.createElement('i'));"
+                        "probe.style.color = `var(--${arguments[0]})`;"
+                        "const { color } = getComputedStyle(probe); probe.remove(); return color", name)
 
     def shoot(self, name: str, selector: str | None = None):
         """Saves a picture of the whole page, of one element, or of what the window shows."""
@@ -143,7 +215,8 @@ def check_joints(page: Page, metrics: pd.DataFrame):
             for modality, metric in [("proprioception", "r2"), ("contact_force", "mae")]:
                 for label, value in [("Of", modality), ("Metric", metric), ("Scenario", scenario), ("Latent", latent)]:
                     page.choose("joints", label, value)
-                said = page.point_at_any("joints", ".series.first .mark", "from proprioception, ")
+                said = page.points("joints")[-1]
+                assert said.startswith("from proprioception, "), said
                 joint = int(re.search(rf"(?:joint|link) (\d+), latent size {latent}\n", said)[1])
                 values = rows[(rows.scenario == scenario) & (rows.latent == latent) & (rows.modality == modality)
                               & (rows.metric == metric) & (rows["index"] == joint)].value
@@ -156,33 +229,100 @@ def check_joints(page: Page, metrics: pd.DataFrame):
                     assert abs((high - low) / 2 - half) <= 2e-3 * max(half, abs(values.mean())), (said, half)
                     assert f"over {len(values)} seeds" in said, said
 
-    page.shoot("desktop-pointed", "window")
     names = [entry.text for entry in page.all("#joints .legend li")]
     # A line for each direction.
-    assert 2 * len(names) == 2 * len(set(names)) == len(page.all("#joints .plot .line")), names
-    both = len(page.marks("joints"))
+    both = page.series("joints")
+    assert len(names) == len(set(names)) and len(both) == 2 * len(names), (names, both)
     page.choose("joints", "Direction", "fe")
-    assert 0 < len(page.marks("joints")) < both
+    assert len(page.series("joints")) == len(names)
     page.choose("joints", "Direction", "both")
     page.choose("joints", "Over", "latent")
     assert not page.one("#joints .choices label:last-child").is_displayed(), "the axis shows every latent size"
-    shown = [text.text for text in page.all("#joints .plot text")]
-    assert all(str(latent) in shown for latent in latents), shown
+    shown = [re.search(r"latent size (\d+)", said)[1] for said in page.points("joints")]
+    assert shown == [str(latent) for latent in latents], shown
     page.choose("joints", "Over", "joint")
+
+
+def choose_forces(page: Page):
+    """Chooses errors that lie within the axis, because marks at its ends may hide each other."""
+    for label, value in [("Of", "contact_force"), ("Metric", "mae"), ("Direction", "fe")]:
+        page.choose("joints", label, value)
 
 
 def check_keys(page: Page):
     """The arrow keys go from point to point, and Escape leaves."""
-    plot = page.one("#joints .plot svg")
-    plot.send_keys(Keys.ARROW_RIGHT)
-    first = page.tooltip("joints")
-    plot.send_keys(Keys.ARROW_RIGHT)
-    second = page.tooltip("joints")
-    plot.send_keys(Keys.ARROW_DOWN)
-    third = page.tooltip("joints")
-    assert first and second and third and len({first, second, third}) == 3, (first, second, third)
-    plot.send_keys(Keys.ESCAPE)
-    assert page.tooltip("joints") == ""
+    said = [page.press("joints", key) for key in [Keys.ESCAPE, Keys.ARROW_RIGHT, Keys.ARROW_RIGHT, Keys.ARROW_DOWN]]
+    assert said[0] == "" and all(said[1:]) and len(set(said)) == 4, said
+    assert page.press("joints", Keys.ESCAPE) == ""
+
+
+def check_pointer(page: Page):
+    """The pointer shows the point that is drawn there. Dragging zooms and pans."""
+    choose_forces(page)
+    said = page.press("joints", Keys.ESCAPE, Keys.ARROW_RIGHT, Keys.HOME, Keys.ARROW_RIGHT)
+    x, y = page.place("joints")
+    assert page.color_of("first") in page.colors("joints", x, y)
+    page.press("joints", Keys.ESCAPE)
+    page.point_at(x, y)
+    page.wait_for_tooltip("joints", said)
+    page.shoot("desktop-pointed", "window")
+
+    def drag(start: tuple[float, float], by: float, *keys: str):
+        page.point_at(*start)
+        chain = ActionChains(page.browser, duration=20)
+        for key in keys:
+            chain.key_down(key)
+        chain.click_and_hold().move_by_offset(round(by), 0).perform()
+        # uPlot looks at the pointer once in every frame.
+        page.draw()
+        chain = ActionChains(page.browser, duration=20).release()
+        for key in keys:
+            chain.key_up(key)
+        chain.perform()
+
+    def place_of_point() -> float:
+        page.press("joints", Keys.ESCAPE, Keys.ARROW_RIGHT, Keys.HOME, Keys.ARROW_RIGHT)
+        return page.place("joints")[0]
+
+    drag((x - 60, y), 160)
+    zoomed = place_of_point()
+    assert zoomed > x + 50, (x, zoomed)
+    page.shoot("desktop-zoomed", "window")
+    drag((zoomed, y), -120, Keys.SHIFT)
+    assert abs(place_of_point() - (zoomed - 120)) < 3
+    page.point_at(x, y)
+    ActionChains(page.browser).double_click().perform()
+    assert abs(place_of_point() - x) < 1
+    page.press("joints", "+", "+")
+    assert abs(place_of_point() - x) > 5
+    page.press("joints", "0")
+    assert abs(place_of_point() - x) < 1
+
+    # When the metric changes, the zoom of x is kept, but not that of y, because the values are others.
+    page.choose("joints", "Metric", "wmape")
+    before = place_of_point(), page.place("joints")[1]
+    page.choose("joints", "Metric", "r2")
+    page.press("joints", Keys.ESCAPE, "+", "+")
+    page.choose("joints", "Metric", "wmape")
+    after = place_of_point(), page.place("joints")[1]
+    assert abs(after[0] - before[0]) > 5 and abs(after[1] - before[1]) < 1, (before, after)
+    page.press("joints", "0")
+    page.choose("joints", "Metric", "mae")
+    page.choose("joints", "Direction", "both")
+
+
+def check_legend(page: Page):
+    """A click on a name hides its series, and another one shows them."""
+    button = page.one("#joints .legend button")
+    name, all_series = button.text, page.series("joints")
+    x, y = page.place("joints") if page.press("joints", Keys.ESCAPE, Keys.ARROW_RIGHT) else (0, 0)
+    button.click()
+    assert button.get_attribute("aria-pressed") == "false"
+    left = page.series("joints")
+    assert left == [series for series in all_series if not series.startswith(f"{name},")] != all_series, left
+    assert page.color_of("first") not in page.colors("joints", x, y)
+    button.click()
+    assert button.get_attribute("aria-pressed") == "true" and page.series("joints") == all_series
 
 
 def check_regression(page: Page, predictions: pd.DataFrame):
@@ -193,9 +333,7 @@ def check_regression(page: Page, predictions: pd.DataFrame):
     page.choose("regression", "Latent", latent)
     study = page.select("regression", "Predicted").first_selected_option.get_attribute("value")
     scenario = page.select("regression", "Scenario").first_selected_option.get_attribute("value")
-    marks = page.marks("regression")
-    page.point_at(marks[len(marks) // 2])
-    said = page.tooltip("regression")
+    said = page.press("regression", Keys.ESCAPE, *(15 * [Keys.ARROW_RIGHT]))
     reference, predicted = (number(re.search(rf"{word} (\S+) N", said)[1]) for word in ["reference", "predicted"])
     episode, sample, seed = map(int, re.search(r"episode (\d+), sample (\d+), seed (\d+)", said).groups())
     row = predictions[(predictions.experiment == study) & (predictions.scenario == scenario)
@@ -215,7 +353,7 @@ def check_training(page: Page, epochs: pd.DataFrame):
     assert sorted(terms) == sorted(stored.term.unique()) and (terms[0], terms[-1]) == ("total", "kl"), terms
     chart = page.one("#training figure[data-term=kl]")
     values = [stored[(stored.term == "kl") & (stored.epoch == epoch)].value.item() for epoch in [1, 2]]
-    chart.find_element(By.CSS_SELECTOR, ".plot svg").send_keys(Keys.ARROW_RIGHT)
+    chart.find_element(By.CSS_SELECTOR, ".plot").send_keys(Keys.ARROW_RIGHT)
     said = chart.find_element(By.CSS_SELECTOR, ".tooltip").text
     assert said.splitlines()[0] == "training" and run in said, said
     assert abs(number(re.search(r"epoch 1: (\S+)", said)[1]) - values[0]) <= 1e-3 * abs(values[0]), (said, values)
@@ -223,30 +361,73 @@ def check_training(page: Page, epochs: pd.DataFrame):
     said = chart.find_element(By.CSS_SELECTOR, ".aside").text
     change = number(re.search(r"training \S+ \(([+\u2212]?[\d.]+) %\)", said)[1])
     assert abs(change - 100 * (values[1] / values[0] - 1)) <= 0.1, (said, values)
+    pictures = set()
     for scale in ["linear", "logarithmic"]:
         page.choose("training", "Scale", scale)
-        lines = page.all("#training figure .plot .chosen .line")
-        assert len(lines) == 2 * len(terms) and all(line.get_attribute("d") for line in lines), (scale, len(lines))
+        charts = page.run("return [...document.querySelectorAll('#training .plot canvas')].map((one) => one.toDataURL())")
+        assert len(charts) == len(terms)
+        pictures.update(charts)
+    assert len(pictures) == 2 * len(terms), "the scales look the same"
+
+
+@contextmanager
+def altered(page: Page, alter: Callable[[dict], None]) -> Iterator[Page]:
+    """The page with other data."""
+    before, rest = page.path.read_text().split('id="data">', 1)
+    text, after = rest.split("</script>", 1)
+    data = json.loads(text)
+    alter(data)
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder, "report.html")
+        copy.write_text(f'{before}id="data">{json.dumps(data)}</script>{after}')
+        other = Page(page.browser, copy, None)
+        other.open(DESKTOP)
+        yield other
 
 
 def check_missing_losses(page: Page):
     """Epochs without a loss are left out of the means at the end."""
-    before, rest = page.path.read_text().split('id="data">', 1)
-    text, after = rest.split("</script>", 1)
-    data = json.loads(text)
-    for run in data["training"]:
-        run["epochs"] = list(range(1, 21))
-        for splits in run["terms"].values():
-            # Without the missing ones, the mean of the last tenth is 3, and that of the tenth before is 4.
-            splits["train"] = 16 * [9] + [4, None, None, 3]
-            splits["validation"] = 18 * [9] + [None, None]
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder, "report.html")
-        copy.write_text(f'{before}id="data">{json.dumps(data)}</script>{after}')
-        altered = Page(page.browser, copy, None)
-        altered.open(DESKTOP)
-        said = altered.one("#training figure[data-term=kl] .aside").text
+    def alter(data: dict):
+        for run in data["training"]:
+            run["epochs"] = list(range(1, 21))
+            for splits in run["terms"].values():
+                # Without the missing ones, the mean of the last tenth is 3, and that of the tenth before is 4.
+                splits["train"] = 16 * [9] + [4, None, None, 3]
+                splits["validation"] = 18 * [9] + [None, None]
+
+    with altered(page, alter) as other:
+        said = other.one("#training figure[data-term=kl] .aside").text
     assert "training 3 (\u221225.0 %)" in said and "validation has no value" in said, said
+
+
+def check_directions(page: Page):
+    """The direction of a joint is that of the data, not that of its number."""
+    def alter(data: dict):
+        for row in data["joints"]:
+            row["directions"] = 10 * ["fe"] + 10 * ["aa"]
+
+    with altered(page, alter) as other:
+        other.choose("joints", "Direction", "fe")
+        joints = [int(re.search(r"(?:joint|link) (\d+)", said)[1]) for said in other.points("joints")]
+    assert joints and max(joints) < 10 and {joint % 2 for joint in joints} == {0, 1}, joints
+
+
+def check_many_studies(page: Page):
+    """Each of many experiments has its own look."""
+    names = [f"experiment {number}" for number in range(20)]
+
+    def alter(data: dict):
+        study = data["joints"][0]["study"]
+        rows = [row for row in data["joints"] if row["study"] == study]
+        data["joints"] = [{**row, "study": name, "input": name} for name in names for row in rows]
+
+    with altered(page, alter) as other:
+        looks = other.run(
+            "return [...document.querySelectorAll('#joints .legend button')]"
+            ".map((one) => [one.textContent, one.querySelector('canvas').toDataURL()])")
+    assert set(names) < {name for name, _ in looks}, looks
+    networks = [look for name, look in looks if name in names]
+    assert len(set(networks)) == len(names), len(set(networks))
 
 
 def check_clip(page: Page):
@@ -254,9 +435,7 @@ def check_clip(page: Page):
     before = picture.get_attribute("src")
     button.click()
     assert button.text == "Pause"
-    deadline = time.monotonic() + 20
-    while picture.get_attribute("src") == before:
-        assert time.monotonic() < deadline, "the clip does not play"
+    page.wait(lambda: picture.get_attribute("src") != before, "the clip does not play")
     button.click()
     still = picture.get_attribute("src")
     time.sleep(0.3)
@@ -307,6 +486,8 @@ def read_on_desktop(page: Page, metrics: pd.DataFrame, predictions: pd.DataFrame
     page.shoot("desktop")
     check_joints(page, metrics)
     check_keys(page)
+    check_pointer(page)
+    check_legend(page)
     check_regression(page, predictions)
     page.shoot("desktop-pointed-regression", "window")
     check_training(page, epochs)
@@ -322,9 +503,31 @@ def read_on_phone(page: Page):
     page.shoot("phone")
     last = page.select("joints", "Latent").options[-1].get_attribute("value")
     page.choose("joints", "Latent", last)
-    page.point_at(page.marks("joints")[-1])
-    assert f"latent size {last}" in page.tooltip("joints")
+    said = page.press("joints", Keys.ESCAPE, Keys.END)
+    x, y = page.place("joints")
+    page.press("joints", Keys.ESCAPE)
+    # The mark is at the lower edge of the plotted area, and its lower half is outside.
+    page.touch([(x, y + 3)])
+    page.wait_for_tooltip("joints", said)
+    assert f"latent size {last}" in said, said
     page.shoot("phone-pointed", "window")
+    # Two fingers zoom, and one finger moves what they have enlarged.
+    middle, y = PHONE[0] / 2, y - 60
+
+    def place_after(*keys: str) -> float:
+        page.press("joints", *keys)
+        return page.place("joints")[0]
+
+    to_a_point = [Keys.ESCAPE, *(6 * [Keys.ARROW_RIGHT])]
+    before = place_after(*to_a_point)
+    page.touch([(middle - 20 - step, y) for step in range(0, 50, 10)], [(middle + 20 + step, y) for step in range(0, 50, 10)])
+    page.wait(lambda: abs(place_after(*to_a_point) - before) > 5, "two fingers do not zoom")
+    zoomed = place_after(*to_a_point)
+    page.touch([(middle + step, y) for step in range(0, 50, 10)])
+    page.shoot("phone-zoomed", "window")
+    back_and_forth = [Keys.ARROW_RIGHT, Keys.ARROW_LEFT]
+    page.wait(lambda: abs(place_after(*back_and_forth) - zoomed) > 20, "a finger does not move the plot")
+    page.press("joints", "0")
     check_width(page)
     page.shoot("phone-open")
     page.check_quiet()
@@ -336,14 +539,24 @@ def read_in_the_dark(page: Page):
     page.open(DESKTOP, dark=True)
     _, dark = check_contrast(page, "p", 7)
     assert dark != light, "the dark has a ground of its own"
-    for selector in [".verdict", ".aside", ".series", "nav a"]:
+    for selector in [".verdict", ".aside", ".legend button", "nav a"]:
         check_contrast(page, selector, 4.5)
+    choose_forces(page)
+    page.press("joints", Keys.ESCAPE, Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
+    x, y = page.place("joints")
+    dark_blue = page.color_of("first")
+    assert dark_blue in page.colors("joints", x, y)
+    # A reader who turns on the light sees charts in the colors of the light.
+    page.browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": "light"}]})
+    page.draw()
+    assert dark_blue not in page.colors("joints", x, y) and page.color_of("first") in page.colors("joints", x, y)
+    page.open(DESKTOP, dark=True)
     page.shoot("dark")
     page.check_quiet()
 
 
 def read_hostile(page: Page):
-    """What is hostile stands there as text, and neither it nor an image of its own making is alive."""
+    """Checks that hostile text is shown as text, runs no script and adds no image."""
     page.open(DESKTOP)
     check_width(page)
     assert page.run("return window.hostile") is None
@@ -387,6 +600,8 @@ def main():
                 read_on_phone(page)
                 read_in_the_dark(page)
                 check_missing_losses(page)
+                check_directions(page)
+                check_many_studies(page)
         finally:
             browser.quit()
     print("the page reads well")

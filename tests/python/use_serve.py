@@ -3,13 +3,14 @@
     use_serve.py HARNESS RESULTS CHROMIUM CHROMEDRIVER [--hostile] [--many] [--live SPEC] [--screenshots DIR]
 
 With --hostile, names on the page try to run scripts that set `window.hostile`, and only that is checked. With --many, the
-times and the memory of many runs are measured too. With --live, a run of the spec is started while the page is open, and
-must appear. Ends with an error at the first thing that is wrong.
+times and the memory of many runs are measured too. With --live, a run of the spec is started and removed while the page is
+open, and the page must follow. Ends with an error at the first thing that is wrong.
 """
 
 import argparse
 import json
 import re
+import signal
 import subprocess
 import tempfile
 import time
@@ -24,7 +25,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
-PATIENCE_S = 60
+PATIENCE_S = 300
 
 
 class Served:
@@ -87,6 +88,18 @@ class Served:
                 return
         raise AssertionError(f"there is no column {name}")
 
+    def answered(self, path: str) -> int:
+        """The number of requests of this path that the server has answered."""
+        script = "return performance.getEntriesByType('resource').filter(({name}) => name.includes(arguments[0])).length"
+        return self.browser.execute_script(script, path)
+
+    def click_row(self, place: int = 0, times: int = 1):
+        """Clicks a run in the table. Several clicks come before the server can answer the first one."""
+        script = """
+            const rows = () => document.querySelectorAll("#table tbody tr:not([aria-hidden])");
+            for (let click = 0; click < arguments[1]; click += 1) rows()[arguments[0]].click();"""
+        self.browser.execute_script(script, place, times)
+
     def shoot(self, name: str):
         if self.screenshots:
             self.browser.save_screenshot(str(self.screenshots / f"{name}.png"))
@@ -122,6 +135,10 @@ def check_guard(address: str):
                     {"Origin": "null"}, {"Sec-Fetch-Site": "cross-site"}]:
         status, text = ask(address, "/api/runs", headers)
         assert (status, text) == (403, "only pages of this server may ask it"), (headers, status, text)
+    link = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}
+    assert ask(address, "/", link)[0] == 200, "a link from another site may be followed"
+    for path, headers in [("/api/runs", link), ("/", link | {"Sec-Fetch-Dest": "iframe"}), ("/", link | {"Host": "evil.example"})]:
+        assert ask(address, path, headers)[0] == 403, (path, headers)
     for headers in [{}, {"Host": f"localhost:{port}"}, {"Host": f"[::1]:{port}"}, {"Origin": address}]:
         assert ask(address, "/api/tables", headers)[0] == 200, headers
     assert ask(address, "/api/nothing")[0] == 404
@@ -131,9 +148,14 @@ def check_guard(address: str):
     assert ask(address, "/api/run?run=a/b") == (404, "there is no run a/b")
     status, text = ask(address, "/api/sql", body="delete from runs")
     assert status == 400 and "the query can't be answered" in text, text
-    listening = subprocess.run(["ss", "-ltnH"], capture_output=True, text=True, check=False).stdout
-    own = [line.split()[3] for line in listening.splitlines() if f":{port} " in line]
-    assert all(place == f"127.0.0.1:{port}" for place in own), own
+    assert ask(address, "/api/sql", body=f"select count(*) as n from runs where run != '{'a' * 1_000_000}'")[0] == 200
+    status, text = ask(address, "/api/sql", body=" " * 2_000_000)
+    assert status == 400 and "the query can't be answered" in text, text
+    tables = [path for path in (Path("/proc/net/tcp"), Path("/proc/net/tcp6")) if path.exists()]
+    sockets = [line.split() for table in tables for line in table.read_text().splitlines()[1:]]
+    # Addresses are hexadecimal, and 0A means that the socket listens.
+    own = [socket[1] for socket in sockets if socket[3] == "0A" and socket[1].endswith(f":{int(port):04X}")]
+    assert own == [f"0100007F:{int(port):04X}"], own
 
 
 def check_runs(page: Served):
@@ -165,25 +187,40 @@ def check_runs(page: Served):
 
 
 def check_chosen(page: Served):
+    asked = page.answered("/api/run?")
+    page.click_row(times=2)
+    page.wait(lambda: page.answered("/api/run?") == asked + 1)
+    assert not page.all("tr.chosen") and page.text("#chosen") == "", "the second click takes the run away"
     for place in range(2):
-        page.browser.execute_script(f"document.querySelectorAll('#table tbody tr:not([aria-hidden])')[{place}].click()")
+        page.click_row(place)
         page.wait(lambda place=place: len(page.all("#chosen .uplot")) > 0 and len(page.all("tr.chosen")) == place + 1)
     page.wait(lambda: page.text("#chosen h2") == "2 runs")
     assert "Settings that differ" in page.text("#chosen")
-    chart = page.one("#chosen .chart .place")
+    chart = page.one("#chosen .plot")
     page.browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", chart)
     page.shoot("chosen")
-    ActionChains(page.browser).move_to_element(chart).perform()
-    tooltip = page.one("#chosen .chart .tooltip")
-    page.wait(tooltip.is_displayed)
-    assert tooltip.text.startswith("epoch "), tooltip.text
+    tooltip = page.one("#chosen .tooltip")
     chart.send_keys(Keys.END)
     last = tooltip.text
     chart.send_keys(Keys.HOME)
-    assert tooltip.text != last and tooltip.text.startswith("epoch 1"), (tooltip.text, last)
-    entry = page.one("#chosen .u-legend .u-series:nth-child(2)")
-    page.browser.execute_script("arguments[0].querySelector('th').click()", entry)
-    assert "u-off" in entry.get_attribute("class")
+    first = tooltip.text
+    assert first != last and first.startswith("epoch 1\n") and last.startswith("epoch "), (first, last)
+    # The values of both runs, each on two splits.
+    assert len(first.splitlines()) == 5, first
+    ring = page.browser.execute_script("const box = arguments[0].getBoundingClientRect(); return [box.x + 8, box.y + 8]",
+                                       page.one("#chosen .ring"))
+    chart.send_keys(Keys.ESCAPE)
+    assert not tooltip.is_displayed()
+    pointer = ActionChains(page.browser).w3c_actions
+    pointer.pointer_action.move_to_location(*map(round, ring))
+    pointer.perform()
+    page.wait(tooltip.is_displayed)
+    assert tooltip.text.startswith("epoch 1\n"), tooltip.text
+    entry = page.one("#chosen .legend button")
+    page.browser.execute_script("arguments[0].click()", entry)
+    assert entry.get_attribute("aria-pressed") == "false"
+    chart.send_keys(Keys.HOME)
+    assert entry.text not in tooltip.text and len(tooltip.text.splitlines()) == 4, tooltip.text
     page.browser.execute_script("for (const one of document.querySelectorAll('#chosen details')) one.open = true")
     page.shoot("details")
     for _ in range(2):
@@ -191,10 +228,34 @@ def check_chosen(page: Served):
     page.wait(lambda: page.text("#chosen") == "")
 
 
+def check_order(page: Served, question):
+    """The answer to the last query is shown, also if that to an earlier one arrives later."""
+    page.browser.execute_script("""
+        const real = window.fetch;
+        window.fetch = async (...request) => {
+          if (request[0] !== "/api/sql") return real(...request);
+          window.fetch = real;
+          const answer = await real(...request);
+          await new Promise((resolve) => (window.release = resolve));
+          return answer;
+        };""")
+    for name in ["earlier", "later"]:
+        question.clear()
+        question.send_keys(f"select run as {name} from runs", Keys.CONTROL, Keys.ENTER)
+    page.wait(lambda: page.texts("#answer th") == ["later"])
+    page.wait(lambda: page.browser.execute_script("return Boolean(window.release)"))
+    page.browser.execute_script("window.release()")
+    time.sleep(0.5)
+    assert page.texts("#answer th") == ["later"]
+
+
 def check_claims_and_sql(page: Served):
     page.one("#tab-claims").click()
     page.wait(lambda: len(page.all("#claims tbody tr")) > 30)
     page.shoot("claims")
+    asked = page.answered("/api/claims")
+    page.one("#tab-runs").click()
+    page.one("#tab-claims").click()
     page.one("#tab-claims").send_keys(Keys.ARROW_RIGHT)
     page.wait(lambda: "runs" in page.texts("#columns summary"))
     question = page.one("#question")
@@ -202,13 +263,73 @@ def check_claims_and_sql(page: Served):
     question.send_keys("select status, count(*) as n from runs group by status order by status")
     question.send_keys(Keys.CONTROL, Keys.ENTER)
     page.wait(lambda: len(page.all("#answer tbody tr")) > 0)
-    assert "rows in" in page.text("#asked") or "row" in page.text("#asked")
+    assert re.match(r"(1 row|\d+ rows) in ", page.text("#asked"))
     page.shoot("sql")
+    check_order(page, question)
     question.clear()
     question.send_keys("select nope from runs")
     page.one("#ask button").click()
     page.wait(lambda: "there is no column 'nope'" in page.text("#asked"))
+    assert page.answered("/api/claims") == asked, "claims are judged once by the same runs"
     page.one("#tab-runs").click()
+
+
+def check_reads(page: Served, process: subprocess.Popen, results: Path):
+    """Queries and claims read no record again that has not changed."""
+    records = sum(path.stat().st_size for path in results.glob("runs/*/*/run.json"))
+    def read() -> int:
+        return int(re.search(r"rchar: (\d+)", Path(f"/proc/{process.pid}/io").read_text())[1])
+    def read_by(path: str, body: str | None = None) -> int:
+        before = read()
+        assert ask(page.address, path, body=body)[0] == 200
+        return read() - before
+    for request in [("/api/sql", "select count(*) as n from runs"), ("/api/claims",)]:
+        amounts = [read_by(*request) for _ in range(3)]
+        assert min(amounts) < records / 2, (request, amounts, records)
+
+
+def check_changes(page: Served, results: Path):
+    """Runs that appear, are damaged, repaired and removed while the page is open, also while it shows the claims."""
+    runs, aside = results / "runs", results / "runs-set-aside"
+    record = next(runs.glob("*/*/run.json"))
+    runs.rename(aside)
+    runs.mkdir()
+    page.open(DESKTOP)
+    page.wait(lambda: page.count() == [0, 0])
+    page.one("#tab-claims").click()
+    page.wait(lambda: page.all("#claims tbody tr"))
+    asked = page.answered("/api/claims")
+    runs.rmdir()
+    aside.rename(runs)
+    page.wait(lambda: page.answered("/api/claims") > asked)
+    page.one("#tab-runs").click()
+    everything = page.count()[1]
+    assert everything > 0 and page.column("contact_force r2"), "the page was opened before the first run was done"
+
+    whole = record.read_bytes()
+    def left_out() -> str:
+        return page.text("#left-out:not([hidden])")
+    record.write_bytes(whole[:-5])
+    page.wait(lambda: str(record) in left_out() and page.count()[1] == everything - 1)
+    page.shoot("left-out")
+    moved = results / "run-set-aside"
+    record.parent.rename(moved)
+    page.wait(lambda: left_out() == "")
+    assert page.count()[1] == everything - 1
+    moved.rename(record.parent)
+    page.wait(left_out)
+
+    # An invalid filter and a damaged table keep no run from the page.
+    page.filter("nothing=3")
+    metrics = record.with_name("metrics.parquet")
+    intact = metrics.read_bytes()
+    metrics.write_bytes(intact[:-5])
+    record.write_bytes(whole)
+    page.wait(lambda: str(metrics) in left_out() and page.count() == [everything, everything])
+    metrics.write_bytes(intact)
+    page.wait(lambda: left_out() == "" and page.count() == [everything, everything])
+    page.filter("")
+    assert page.column("contact_force r2")
 
 
 def check_phone(page: Served):
@@ -230,30 +351,91 @@ def check_many(page: Served, process: subprocess.Popen):
     assert first < 1 and times[-1] < 100 and megabytes < 500
 
 
+def last_epoch(page: Served) -> int:
+    """The last epoch in the first chart of the chosen runs; 0 without a chart."""
+    if not page.all("#chosen .plot"):
+        return 0
+    page.one("#chosen .plot").send_keys(Keys.END)
+    return int(re.match(r"epoch (\d+)", page.one("#chosen .tooltip").text)[1])
+
+
+class Training:
+    """A training that goes on only while the test waits for epochs, so that the page has time to show them."""
+
+    def __init__(self, harness: str, results: str, spec: str):
+        command = [harness, "--results", results, "run", spec, "seeds=[77]", "scenarios=[empty]", "training.epochs=600",
+                   "training.patience=null"]
+        self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self.results = Path(results)
+
+    def epochs(self) -> list[tuple[str, int]]:
+        """The epochs that the training has published: tasks and numbers."""
+        for path in self.results.glob("runs/*/*seed77-*/.unfinished-epochs.json"):
+            try:
+                return [(task, epoch["epoch"]) for task, epoch in json.loads(path.read_text())["epochs"]]
+            except FileNotFoundError:
+                pass
+        return []
+
+    def run_until(self, condition):
+        """Trains until the published epochs meet the condition."""
+        self.process.send_signal(signal.SIGCONT)
+        while not condition(self.epochs()):
+            assert self.process.poll() is None, "the training ended too early"
+            time.sleep(0.005)
+        self.process.send_signal(signal.SIGSTOP)
+
+    def finish(self):
+        self.process.send_signal(signal.SIGCONT)
+        assert self.process.wait(PATIENCE_S) == 0
+
+
 def check_live(page: Served, harness: str, results: str, spec: str):
-    """A run that is started while the page is open appears, and so do its curves and metrics when it is done."""
+    """A run that is started while the page is open appears, its curves grow while it trains, the curves of its second task
+    and its metrics follow, and it goes when it is removed."""
     page.open(DESKTOP)
     before = page.count()[1]
-    command = [harness, "--results", results, "run", spec, "seeds=[77]", "scenarios=[empty]", "tasks=[prediction]",
-               "training.epochs=400", "training.patience=null"]
-    training = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    page.wait(lambda: page.count()[1] == before + 1)
-    page.filter("seed=77")
-    assert page.column("status") == ["running"]
-    page.browser.execute_script("document.querySelector('#table tbody tr:not([aria-hidden])').click()")
-    page.wait(lambda: page.text("#chosen h2") != "")
-    assert training.wait(PATIENCE_S) == 0
+    training = Training(harness, results, spec)
+    try:
+        training.run_until(lambda epochs: epochs)
+        page.wait(lambda: page.count()[1] == before + 1)
+        page.filter("seed=77")
+        assert page.column("status") == ["running"]
+        page.click_row()
+        page.wait(lambda: last_epoch(page) > 0)
+        seen = last_epoch(page)
+        training.run_until(lambda epochs: len(epochs) > seen)
+        page.wait(lambda: last_epoch(page) > seen)
+        page.shoot("growing")
+        training.run_until(lambda epochs: any(task == "reconstruction" for task, _ in epochs))
+        page.wait(lambda: "reconstruction: total" in page.texts("#chosen h4"))
+        assert page.column("status") == ["running"]
+        page.shoot("second-task")
+        training.finish()
+    finally:
+        training.process.kill()
     page.wait(lambda: page.column("status") == ["done"])
     page.wait(lambda: "Metrics on test episodes" in page.text("#chosen"))
     page.wait(lambda: len(page.all("#chosen .uplot")) > 0)
     page.shoot("live")
+    run = f"{page.column('experiment')[0]}/{page.column('run')[0]}"
+    subprocess.run([harness, "--results", results, "rm", run, "--yes"], check=True, stdout=subprocess.DEVNULL)
+    page.wait(lambda: page.count() == [0, before])
+    page.wait(lambda: page.text("#chosen") == "")
+
+
+def check_gone(page: Served, process: subprocess.Popen):
+    """The page says that the server has ended."""
+    process.terminate()
+    process.wait(PATIENCE_S)
+    page.wait(lambda: page.text("#state") == "the server does not answer; start `harness serve` again")
 
 
 def check_hostile(page: Served):
     """Names, reasons and settings of runs are shown as texts."""
     page.open(DESKTOP)
     for row in range(min(8, page.count()[1])):
-        page.browser.execute_script(f"document.querySelectorAll('#table tbody tr:not([aria-hidden])')[{row}].click()")
+        page.click_row(row)
     time.sleep(2)
     page.one("#tab-claims").click()
     page.one("#tab-sql").click()
@@ -289,15 +471,18 @@ def main():
                     check_runs(page)
                     check_chosen(page)
                     check_claims_and_sql(page)
+                    check_reads(page, process, Path(chosen.results))
+                    check_changes(page, Path(chosen.results))
                     check_phone(page)
                     if chosen.live:
                         check_live(page, chosen.harness, chosen.results, chosen.live)
                 page.check_quiet()
+                check_gone(page, process)
             finally:
                 browser.quit()
     finally:
         process.terminate()
-        assert process.wait(10) == 0, "SIGTERM must end the server well"
+        assert process.wait(PATIENCE_S) == 0, "SIGTERM must end the server well"
     print("the page works")
 
 

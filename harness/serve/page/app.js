@@ -9,12 +9,34 @@ const MOST_CHOSEN = 8;
 /** The columns that are shown at first, besides the overall metrics. */
 const FIRST = ["experiment", "run", "status", "scenario", "latent", "variant", "seed", "started", "seconds"];
 const MIDDLE_METRICS = ["r2", "smape", "wmape", "relative_error"];
+const MODELS = ["network", "persistence", "training_mean", "ridge"];
 
+/** A request without an answer, or with an error as its answer, which then has a status. */
+class Failure extends Error {
+  constructor(message, status) {
+    super(message);
+    this.status = status;
+  }
+}
+
+/** The answer to a request, or null if there is nothing new. Throws a `Failure`. */
 async function ask(path, options) {
-  const answer = await fetch(path, options);
+  let answer, text;
+  try {
+    answer = await fetch(path, options);
+    text = await answer.text();
+  } catch {
+    throw new Failure("the server does not answer; start `harness serve` again");
+  }
   if (answer.status === 304) return null;
-  if (!answer.ok) throw new Error(await answer.text());
-  return answer.json();
+  if (!answer.ok) throw new Failure(text, answer.status);
+  return JSON.parse(text);
+}
+
+/** The message of a failure. Throws other errors again, because those are errors of this page. */
+function messageOf(error) {
+  if (error instanceof Failure) return error.message;
+  throw error;
 }
 
 const say = (text) => (find("state").textContent = text);
@@ -47,7 +69,10 @@ for (const [index, tab] of tabs.entries()) {
 
 const state = {
   columns: [], count: 0, version: "", sort: { name: "started", down: true }, group: "", open: new Set(), chosen: new Map(),
-  visible: null,
+  // The last text in the field of the filter that was one.
+  filter: "",
+  // The status of each run, and the names of all columns so far and of those that are shown.
+  statuses: new Map(), known: new Set(), visible: new Set(),
 };
 const named = (name) => state.columns.find((column) => column.name === name);
 const nameOf = (row) => `${named("experiment").values[row]}/${named("run").values[row]}`;
@@ -67,17 +92,27 @@ const table = new BigTable(find("table"), {
   isChosen: (row) => state.chosen.has(nameOf(row)),
 });
 
-/** Filters, sorts and groups the rows, and shows them. */
-function update() {
-  let matches;
+/** The test of each row. If the filter is invalid, that is said, and the last valid one is used. */
+function test() {
   try {
-    matches = parseFilter(find("filter").value, state.columns);
-    find("filter").setCustomValidity("");
+    const matches = parseFilter(find("filter").value, state.columns);
+    state.filter = find("filter").value;
     say(state.problem ?? "");
+    return matches;
   } catch (error) {
     say(error.message);
-    return;
   }
+  try {
+    return parseFilter(state.filter, state.columns);
+  } catch {
+    // Its column has disappeared together with the last run that had a value.
+    return () => true;
+  }
+}
+
+/** Filters, sorts and groups the rows, and shows them. */
+function update() {
+  const matches = test();
   const rows = [];
   for (let row = 0; row < state.count; row += 1) if (matches(row)) rows.push(row);
   const column = named(state.sort.name);
@@ -115,9 +150,12 @@ function takeRuns(answer) {
   const columns = [...early, ...late.filter((column) => column.metric), ...late.filter((column) => !column.metric)];
   Object.assign(state, { columns, count: answer.count, version: answer.version });
   for (const column of state.columns) if (column.metric) column.better = column.metric === "r2";
+  const isFirst = (column) => FIRST.includes(column.name) || MIDDLE_METRICS.includes(column.metric);
+  for (const column of state.columns) {
+    if (isFirst(column) && !state.known.has(column.name)) state.visible.add(column.name);
+    state.known.add(column.name);
+  }
   if (first) {
-    const isFirst = (column) => FIRST.includes(column.name) || MIDDLE_METRICS.includes(column.metric);
-    state.visible = new Set(state.columns.filter(isFirst).map((column) => column.name));
     find("group").append(new Option("nothing", ""));
     for (const name of ["experiment", "scenario", "variant", "latent", "status", "group_hash", "dataset", "host"]) {
       find("group").append(new Option(name === "group_hash" ? "settings without seed" : name, name));
@@ -135,7 +173,11 @@ function takeRuns(answer) {
   find("folder").textContent = answer.results;
   find("left-out").hidden = answer.left_out.length === 0;
   find("left-out").textContent = answer.left_out.join(" ");
+  const { values: statuses } = named("status");
+  state.statuses = new Map(statuses.map((status, row) => [nameOf(row), status]));
   update();
+  const removed = [...state.chosen.keys()].filter((name) => !state.statuses.has(name));
+  if (removed.length) takeAway(removed);
 }
 
 find("filter").addEventListener("input", update);
@@ -146,34 +188,64 @@ find("group").addEventListener("change", () => {
 
 // --- Chosen runs ---
 
+/** Chooses a run, or takes it away if it is chosen. The user may take it away before the server answers. */
 async function choose(name) {
-  if (state.chosen.has(name)) {
-    state.chosen.delete(name);
-  } else if (state.chosen.size === MOST_CHOSEN) {
-    say(`${MOST_CHOSEN} runs are shown at most; click one of them to take it away`);
-    return;
-  } else {
+  if (!state.chosen.delete(name)) {
+    if (state.chosen.size === MOST_CHOSEN) {
+      say(`${MOST_CHOSEN} runs are shown at most; click one of them to take it away`);
+      return;
+    }
     state.chosen.set(name, null);
+    table.draw(true);
     try {
-      state.chosen.set(name, await ask(`/api/run?run=${encodeURIComponent(name)}`));
+      const run = await ask(`/api/run?run=${encodeURIComponent(name)}`);
+      if (!state.chosen.has(name)) return;
+      state.chosen.set(name, run);
     } catch (error) {
+      say(messageOf(error));
       state.chosen.delete(name);
-      say(error.message);
     }
   }
   table.draw(true);
   showChosen();
 }
 
+/** Takes runs that were removed from the chosen ones. */
+function takeAway(names) {
+  for (const name of names) state.chosen.delete(name);
+  table.draw(true);
+  showChosen();
+}
+
+/** The chosen runs that the server has answered with. */
+const chosenRuns = () => [...state.chosen.values()].filter((run) => run);
+
 const column = (columns, name) => columns.find((one) => one.name === name).values;
 const rowsOf = (columns) => column(columns, columns[0].name).map((_, row) => Object.fromEntries(columns.map(({ name, values }) => [name, values[row]])));
-const distinct = (values) => [...new Set(values)];
 
+/** The charts that are shown, those of losses with their task and term. */
 let charts = [];
+
+/** The task and the term of each chart of losses that the runs need. */
+function lossKinds(runs) {
+  const losses = runs.flatMap((run) => rowsOf(run.losses));
+  return distinct(losses.map((row) => row.task)).flatMap((task) =>
+    distinct(losses.filter((row) => row.task === task).map((row) => row.term)).map((term) => ({ task, term })));
+}
+
+/** Adds a chart under its title. */
+function addChart(place, content, about = {}) {
+  const box = element("div", { class: "chart" }, element("h4", {}, content.title));
+  place.append(box);
+  const chart = new Chart(box);
+  chart.show(content);
+  charts.push({ ...about, chart });
+}
+
 function showChosen() {
-  charts.forEach((chart) => chart.chart.remove());
+  charts.forEach(({ chart }) => chart.remove());
   charts = [];
-  const runs = [...state.chosen.values()].filter((run) => run);
+  const runs = chosenRuns();
   const place = find("chosen");
   if (runs.length === 0) return place.replaceChildren();
   const parts = element("div");
@@ -181,32 +253,31 @@ function showChosen() {
   parts.append(element("h2", {}, runs.length === 1 ? runs[0].name : `${runs.length} runs`));
   for (const run of runs.filter((run) => run.reason)) parts.append(element("p", { class: "problem" }, `${run.name}: ${run.reason}`));
   const curves = element("div", { class: "charts" });
-  parts.append(element("h3", {}, "Losses"), curves);
-  const losses = runs.flatMap((run) => rowsOf(run.losses));
-  for (const task of distinct(losses.map((row) => row.task))) {
-    for (const term of distinct(losses.filter((row) => row.task === task).map((row) => row.term))) {
-      charts.push({ task, term, chart: new Chart(curves, lossContent(runs, task, term)) });
-    }
-  }
-  if (losses.length === 0) curves.append(element("p", {}, "No epoch has finished yet."));
+  parts.append(element("h3", {}, "Losses"), hint(), curves);
+  for (const kind of lossKinds(runs)) addChart(curves, lossContent(runs, kind), kind);
+  if (charts.length === 0) curves.append(element("p", {}, "No epoch has finished yet."));
   parts.append(differences(runs), metricsTable(runs));
+  const contents = elementContents(runs);
   const elements = element("div", { class: "charts" });
-  for (const content of elementContents(runs)) charts.push({ chart: new Chart(elements, content) });
-  if (elements.childElementCount) parts.append(element("h3", {}, "Joints and links"), elements);
+  if (contents.length) parts.append(element("h3", {}, "Joints and links"), elements);
+  for (const content of contents) addChart(elements, content);
   parts.append(...runs.map(pictures));
   return undefined;
 }
 
-function lossContent(runs, task, term) {
-  const own = runs.map((run) => ({ run, rows: rowsOf(run.losses).filter((row) => row.task === task && row.term === term) }));
-  const epochs = distinct(own.flatMap(({ rows }) => rows.map((row) => row.epoch))).sort((a, b) => a - b);
-  const series = own.flatMap(({ run, rows }, color) => distinct(rows.map((row) => row.split)).map((split) => {
-    const byEpoch = new Map(rows.filter((row) => row.split === split).map((row) => [row.epoch, row.value]));
-    const name = runs.length === 1 ? split : `${run.name.split("/")[1]} ${split}`;
-    const values = epochs.map((epoch) => (typeof byEpoch.get(epoch) === "number" ? byEpoch.get(epoch) : null));
-    return { name, color: runs.length === 1 ? (split === "train" ? 0 : 1) : color, dashed: split === "train", values };
-  }));
-  return { title: `${task}: ${term}`, x: { label: "epoch", values: epochs }, y: { label: "loss", logarithmic: true }, series };
+/** A chart of a term's losses. The colors distinguish runs, or the splits of a single run. */
+function lossContent(runs, { task, term }) {
+  const series = runs.flatMap((run, place) => {
+    const rows = rowsOf(run.losses).filter((row) => row.task === task && row.term === term);
+    return distinct(rows.map((row) => row.split)).map((split) => ({
+      name: runs.length === 1 ? split : `${run.name.split("/")[1]} ${split}`,
+      color: COLORS[runs.length === 1 ? Number(split !== "train") : place],
+      dash: split === "train" ? "dashed" : undefined,
+      line: true,
+      points: rows.filter((row) => row.split === split).map((row) => ({ x: row.epoch, y: row.value })),
+    }));
+  });
+  return { title: `${task}: ${term}`, x: { label: "epoch", low: 1, whole: true }, y: { label: "loss", logarithmic: true }, series };
 }
 
 /** The settings in which the chosen runs differ. One run has all of its settings. */
@@ -243,17 +314,21 @@ function elementContents(runs) {
   const kinds = distinct(rows.flat().map((row) => `${row.modality} ${row.metric}`));
   return kinds.map((kind) => {
     const [modality, metric] = kind.split(" ");
-    const own = rows.map((rows) => rows.filter((row) => row.modality === modality && row.metric === metric));
-    const places = distinct(own.flat().map((row) => row.index)).sort((a, b) => a - b);
-    const series = own.flatMap((rows, color) => distinct(rows.map((row) => row.model)).map((model) => {
-      const values = new Map(rows.filter((row) => row.model === model).map((row) => [row.index, row.value]));
-      const name = runs.length === 1 ? model : `${runs[color].name.split("/")[1]} ${model}`;
-      const at = (place) => (typeof values.get(place) === "number" ? values.get(place) : null);
-      return { name, color: runs.length === 1 ? ["network", "persistence", "training_mean", "ridge"].indexOf(model) : color, dashed: model !== "network", points: true, values: places.map(at) };
-    }));
-    // Baselines are shown for a single run only: with several runs there would be too many lines.
-    const shownSeries = runs.length === 1 ? series : series.filter((one) => one.name.endsWith(" network"));
-    return { title: `${modality}: ${metric}`, x: { label: "joint or link", values: places }, y: { label: metric }, series: shownSeries };
+    const series = rows.flatMap((rows, place) => {
+      const own = rows.filter((row) => row.modality === modality && row.metric === metric);
+      // With several runs there would be too many lines for baselines.
+      const models = distinct(own.map((row) => row.model)).filter((model) => runs.length === 1 || model === "network");
+      return models.map((model) => ({
+        name: runs.length === 1 ? model : runs[place].name.split("/")[1],
+        color: COLORS[runs.length === 1 ? MODELS.indexOf(model) : place],
+        dash: model === "network" ? undefined : "dotted",
+        line: true,
+        kind: "disc",
+        behind: model !== "network",
+        points: own.filter((row) => row.model === model).map((row) => ({ x: row.index, y: row.value })),
+      }));
+    });
+    return { title: `${modality}: ${metric}`, x: { label: "joint or link", whole: true }, y: { label: metric }, series };
   });
 }
 
@@ -278,41 +353,84 @@ function pictures(run) {
     element("div", { class: "pictures" }, ...frames.map(figure)));
 }
 
-/** Asks for the losses of the chosen runs that train, and lets their curves grow. */
+/** Draws the curves of the chosen runs again. The other parts stay, unless the runs need other charts than before. */
+function showLosses() {
+  const runs = chosenRuns();
+  const drawn = charts.filter(({ task }) => task);
+  const kinds = drawn.map(({ task, term }) => ({ task, term }));
+  if (JSON.stringify(kinds) !== JSON.stringify(lossKinds(runs))) showChosen();
+  else for (const { chart, ...kind } of drawn) chart.show(lossContent(runs, kind));
+}
+
+/** Asks for what is new of a chosen run, and shows it. The run may be taken away before the server answers. */
+async function followRun(name, run) {
+  const isChosen = () => state.chosen.get(name) === run;
+  const now = await ask(`/api/losses?run=${encodeURIComponent(name)}`);
+  if (!isChosen()) return;
+  if (now.status !== run.status) {
+    const changed = await ask(`/api/run?run=${encodeURIComponent(name)}`);
+    if (!isChosen()) return;
+    state.chosen.set(name, changed);
+    showChosen();
+  } else if (JSON.stringify(now.losses) !== JSON.stringify(run.losses)) {
+    run.losses = now.losses;
+    showLosses();
+  }
+}
+
+/** Follows the chosen runs that train or have another status than before. Throws the first failure at the end. */
 async function follow() {
+  let problem;
   for (const [name, run] of state.chosen) {
-    if (!run || !["running", "interrupted"].includes(run.status)) continue;
-    const now = await ask(`/api/losses?run=${encodeURIComponent(name)}`);
-    if (now.status !== run.status) {
-      state.chosen.set(name, await ask(`/api/run?run=${encodeURIComponent(name)}`));
-      showChosen();
-    } else if (JSON.stringify(now.losses) !== JSON.stringify(run.losses)) {
-      const known = charts.length;
-      run.losses = now.losses;
-      const runs = [...state.chosen.values()].filter((run) => run);
-      if (known === 0) showChosen();
-      for (const { task, term, chart } of charts.filter(({ task }) => task)) chart.update(lossContent(runs, task, term));
+    const trains = ["running", "interrupted"].includes(run?.status);
+    if (!run || (!trains && run.status === state.statuses.get(name))) continue;
+    try {
+      await followRun(name, run);
+    } catch (error) {
+      if (!(error instanceof Failure)) throw error;
+      if (error.status === 404) takeAway([name]);
+      else problem ??= error;
     }
   }
+  if (problem) throw problem;
 }
 
 // --- Claims ---
 
-opened.claims = async () => {
+/** The version of the runs by which the claims were judged last. */
+let judged = "";
+let judging = false;
+
+/** Judges the claims while they are visible and the runs have changed since. */
+async function judge() {
+  if (judging) return;
+  judging = true;
+  try {
+    while (!find("claims").hidden && judged !== state.version) {
+      judged = state.version;
+      await showClaims();
+    }
+  } finally {
+    judging = false;
+  }
+}
+
+opened.claims = () => {
+  // After a failure, the claims are also judged by the same runs again.
+  if (find("claims").querySelector(".problem")) judged = "";
+  judge();
+};
+
+async function showClaims() {
   const place = find("claims");
-  if (place.childElementCount) return;
-  place.replaceChildren(element("p", {}, "Judging the claims…"));
+  if (!place.querySelector("table")) place.replaceChildren(element("p", {}, "Judging the claims…"));
   try {
     const { columns } = await ask("/api/claims");
     const of = (name) => columns.find((one) => one.name === name).values;
-    const interval = (mean, row) => {
-      const [low, high] = [of("low")[row], of("high")[row]];
-      return low === null ? shown(mean) : `${shown(mean)} [${shown(low)}, ${shown(high)}]`;
-    };
     const table = [
       { name: "claim", values: of("claim").map((claim) => claim.replaceAll("_", " ")) },
       ...["verdict", "scenario"].map((name) => ({ name, values: of(name) })),
-      { name: "mean and 95 % interval", values: of("mean").map(interval) },
+      { name: "mean and 95 % interval", values: of("mean").map((mean, row) => interval(mean, of("low")[row], of("high")[row])) },
       ...["condition", "measured", "paper", "section"].map((name) => ({ name, values: of(name) })),
       { name: "p (Holm)", values: of("p_holm") },
     ];
@@ -320,9 +438,9 @@ opened.claims = async () => {
     const classOf = (column, value) => (column.name === "verdict" ? classes[value] ?? "" : "");
     place.replaceChildren(element("div", { class: "scroll" }, plainTable(table, classOf)));
   } catch (error) {
-    place.replaceChildren(element("p", { class: "problem" }, error.message));
+    place.replaceChildren(element("p", { class: "problem" }, messageOf(error)));
   }
-};
+}
 
 // --- SQL ---
 
@@ -337,19 +455,27 @@ opened.sql = async () => {
     ])))));
 };
 
+/** The number of queries so far. The answer to an earlier query than the last one is not shown. */
+let queries = 0;
+
 async function query(event) {
   event.preventDefault();
+  queries += 1;
+  const own = queries;
   find("asked").textContent = "…";
   find("asked").className = "";
   try {
     const answer = await ask("/api/sql", { method: "POST", body: find("question").value });
+    if (own !== queries) return;
     const rows = answer.columns[0]?.values.length ?? 0;
     const more = rows < answer.count ? `, the first ${rows} are shown` : "";
-    find("asked").textContent = `${answer.count} rows in ${shown(answer.seconds)} s${more}`;
-    find("answer").replaceChildren(plainTable(answer.columns));
+    find("asked").textContent = `${answer.count} ${answer.count === 1 ? "row" : "rows"} in ${shown(answer.seconds)} s${more}`;
+    const leftOut = answer.left_out.map((text) => element("p", { class: "problem" }, text));
+    find("answer").replaceChildren(...leftOut, plainTable(answer.columns));
   } catch (error) {
+    if (own !== queries) return;
     find("asked").className = "problem";
-    find("asked").textContent = error.message;
+    find("asked").textContent = messageOf(error);
     find("answer").replaceChildren();
   }
 }
@@ -363,17 +489,17 @@ find("question").addEventListener("keydown", (event) => {
 async function poll() {
   try {
     const answer = await ask(`/api/runs?version=${state.version}`);
-    if (state.problem) {
-      delete state.problem;
-      say("");
-    }
     if (answer) takeRuns(answer);
+    judge();
     await follow();
+    if (state.problem) say("");
+    delete state.problem;
   } catch (error) {
-    state.problem = error instanceof TypeError ? "the server does not answer; start `harness serve` again" : error.message;
+    state.problem = messageOf(error);
     say(state.problem);
+  } finally {
+    setTimeout(poll, document.hidden ? 5 * POLL : POLL);
   }
-  setTimeout(poll, document.hidden ? 5 * POLL : POLL);
 }
 poll();
 }

@@ -1,21 +1,6 @@
 "use strict";
 // Tables over columns: filters, sorting, groups, and a view that holds only the rows that are visible.
 
-/** Makes an HTML element with attributes and children. Strings become text nodes, so tables can't insert HTML. */
-function element(name, attributes = {}, ...children) {
-  const made = document.createElement(name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  made.append(...children.filter((child) => child !== null && child !== undefined));
-  return made;
-}
-
-/** A value as text: numbers have four significant digits, and a missing value is a dash. */
-function shown(value) {
-  if (value === null || value === undefined || value === "") return "–";
-  if (typeof value === "number" && !Number.isInteger(value)) return String(Number(value.toPrecision(4)));
-  return String(value);
-}
-
 const isNumeric = (column) => column.values.some((value) => typeof value === "number");
 
 /** Orders two values: numbers by size, texts by the alphabet, missing values last. */
