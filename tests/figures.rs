@@ -39,7 +39,7 @@ static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
 /// All figures of [`RESULTS`].
 static DRAWN: LazyLock<PathBuf> = LazyLock::new(|| {
     let out = fresh("figures_drawn");
-    succeed(&RESULTS, &["figures", "--out", out.to_str().unwrap()]);
+    succeed(&RESULTS, &["figures", "--output", out.to_str().unwrap()]);
     out
 });
 
@@ -71,6 +71,66 @@ fn words(figure: Figure) -> BTreeSet<String> {
     let document = roxmltree::Document::parse(&svg).unwrap();
     let labeled = document.descendants().filter(|node| node.has_tag_name("g"));
     labeled.filter_map(|node| node.attribute("aria-label")).map(str::to_owned).collect()
+}
+
+#[test]
+fn panels_name_the_inputs_of_the_runs_that_they_show() {
+    let out = fresh("figures_inputs");
+    let figures = [Figure::PredictionResults, Figure::Regression];
+    let more = ["--single", "multi_to_multi", "--format", "svg", "--out", out.to_str().unwrap()];
+    succeed(&RESULTS, &[&["figures"][..], &figures.map(Figure::name), &more].concat());
+    for figure in figures {
+        let svg = String::from_utf8(read(&out, figure, "svg")).unwrap();
+        assert!(svg.contains("from proprioception + vision\""), "{}", figure.name());
+        assert!(!svg.contains("from proprioception\""), "{}", figure.name());
+    }
+}
+
+#[test]
+fn a_diagram_of_a_network_that_it_can_not_show_is_refused() {
+    let results = fresh("figures_network");
+    let settings =
+        ["network.hidden=[8,8]", "network.channels=[2,3]", "network.fusion=late", "network.average=2"];
+    run(&results, MULTI, &[&["latent=[4]", "scenarios=[empty]", "seeds=[0]"][..], &settings].concat());
+    let out = results.join("figures");
+    let figures = |more: &[&str]| {
+        let arguments = [&["figures", "--output", out.to_str().unwrap()], more].concat();
+        finish(&mut harness(&results, &arguments))
+    };
+    let named = figures(&["predictive_arch", "information_loss_arch"]);
+    assert_eq!(named.code, 1);
+    let lines: Vec<&str> = named.stderr.lines().collect();
+    assert_eq!(lines.len(), 2, "{}", named.stderr);
+    for (line, name) in lines.iter().zip(["predictive_arch", "information_loss_arch"]) {
+        let expected = "not drawn: the diagram shows networks with one hidden layer, one convolution and early fusion, \
+                        and those of multi_to_multi have 2 hidden layers, 2 convolutions, averaged images, late fusion; \
+                        `harness --results ";
+        assert!(line.starts_with(name) && line.contains(expected), "{line}");
+        // The command lists the layers.
+        let command = line.split('`').nth(1).unwrap().split(" show ").nth(1).unwrap();
+        let shown = succeed(&results, &[&["show"][..], &command.split(' ').collect::<Vec<_>>()].concat());
+        assert!(shown.contains("vector_norm"), "{shown}");
+    }
+    assert!(!out.exists());
+    // Without names, such a diagram is no failure.
+    let all = figures(&["--single", "multi_to_multi", "--format", "svg"]);
+    assert_eq!(all.code, 0, "{}", all.stderr);
+    assert!(all.stderr.contains("late fusion") && out.join("forces_dataset.svg").exists(), "{}", all.stderr);
+}
+
+#[test]
+fn a_figure_says_that_it_leaves_out_latent_sizes() {
+    let results = fresh("figures_latents");
+    let more = ["scenarios=[cluttered]", "seeds=[0]", "latent=[2,3,4,5]"];
+    run(&results, SINGLE, &more);
+    let out = results.join("figures");
+    let figures = ["regression", "--multi", "single_to_multi", "--output", out.to_str().unwrap()];
+    succeed(&results, &[&["figures"][..], &figures].concat());
+    let svg = fs::read_to_string(out.join("regression.svg")).unwrap();
+    assert!(svg.contains("z = 4") && !svg.contains("z = 5"));
+    assert!(svg.contains("only the 3 smallest latent sizes are drawn; the CSV file has all"));
+    assert!(fs::read_to_string(out.join("regression.csv")).unwrap().contains(",5,"));
+    assert!(!words(Figure::Regression).iter().any(|text| text.contains("smallest latent sizes")));
 }
 
 #[test]
@@ -115,7 +175,7 @@ fn every_svg_is_whole_self_contained_and_within_its_page() {
 #[test]
 fn the_same_tables_give_the_same_bytes() {
     let again = fresh("figures_again");
-    succeed(&RESULTS, &["figures", "--out", again.to_str().unwrap(), "--threads", "1"]);
+    succeed(&RESULTS, &["figures", "--output", again.to_str().unwrap(), "--threads", "1"]);
     for figure in Figure::OF_THE_PAPER {
         for ending in ["svg", "png", "csv"] {
             assert!(
@@ -230,9 +290,19 @@ fn a_null_where_a_figure_needs_a_value_is_an_error() {
     assert_eq!(integers(&table.head(Some(1)), "latent").unwrap(), [4]);
 }
 
+/// The pictures in a part of an SVG.
+fn pictures<'a>(group: &'a usvg::Group) -> Vec<&'a usvg::Image> {
+    let of = |node: &'a usvg::Node| match node {
+        usvg::Node::Image(image) => vec![&**image],
+        usvg::Node::Group(group) => pictures(group),
+        _ => Vec::new(),
+    };
+    group.children().iter().flat_map(of).collect()
+}
+
 /// The images of a world need not have the size of another's.
 #[test]
-fn changes_of_images_of_several_sizes_are_saved_whole() {
+fn changes_of_images_of_several_sizes_are_saved_whole_and_drawn_as_wide_as_they_are() {
     let (folder, results) = (tempfile::tempdir().unwrap(), fresh("figures_sizes"));
     fs::write(folder.path().join("wide.xml"), include_str!("../models/empty.xml")).unwrap();
     let world = include_str!("../models/empty.yaml");
@@ -241,7 +311,7 @@ fn changes_of_images_of_several_sizes_are_saved_whole() {
     let scenarios = format!("scenarios=[empty,{}]", folder.path().join("wide.yaml").display());
     run(&results, MULTI, &["latent=[2]", "seeds=[0]", "network.channels=[4]", &scenarios]);
     let out = results.join("drawn");
-    succeed(&results, &["figures", "propriovision_to_vision", "--out", out.to_str().unwrap()]);
+    succeed(&results, &["figures", "propriovision_to_vision", "--output", out.to_str().unwrap()]);
     let path = out.join("propriovision_to_vision.csv");
     let table = CsvReader::new(fs::File::open(path).unwrap()).finish().unwrap();
     // Three trials, each with a reference and a prediction.
@@ -256,6 +326,19 @@ fn changes_of_images_of_several_sizes_are_saved_whole() {
     assert!(table.column("column_96").is_err());
     assert_eq!(real(&wide, "row", 31), Some(31.0));
     assert_eq!(real(&wide, "row", 32), Some(0.0));
+
+    let svg = fs::read_to_string(out.join("propriovision_to_vision.svg")).unwrap();
+    let tree = usvg::Tree::from_str(&svg, &usvg::Options::default()).unwrap();
+    let mut drawn: BTreeMap<[u32; 2], usize> = BTreeMap::new();
+    // The bar of colors has a single row.
+    for image in pictures(tree.root()).into_iter().filter(|image| image.size().height() > 1.0) {
+        let (pixels, place) = (image.size(), image.abs_bounding_box());
+        let (of_pixels, of_place) = (pixels.width() / pixels.height(), place.width() / place.height());
+        assert!((of_pixels / of_place - 1.0).abs() < 0.01, "{pixels:?} in {place:?}");
+        *drawn.entry([pixels.width() as u32, pixels.height() as u32]).or_default() += 1;
+    }
+    // Each trial has the camera's image, the reference and a prediction.
+    assert_eq!(drawn, BTreeMap::from([([64, 64], 9), ([96, 32], 9)]));
 }
 
 #[test]
@@ -266,7 +349,7 @@ fn datasets_are_told_apart() {
     run(&results, MULTI, &[&more[..], &["network.channels=[4]"]].concat());
     let out = results.join("drawn");
     let names = ["forces_dataset", "prediction_results"];
-    succeed(&results, &[&["figures"], &names[..], &["--out", out.to_str().unwrap()]].concat());
+    succeed(&results, &[&["figures"], &names[..], &["--output", out.to_str().unwrap()]].concat());
     let read = |name: &str| {
         CsvReader::new(fs::File::open(out.join(format!("{name}.csv"))).unwrap()).finish().unwrap()
     };
@@ -315,7 +398,7 @@ fn datasets_are_told_apart() {
 #[test]
 fn only_the_formats_that_are_asked_for_are_written() {
     let out = fresh("figures_formats");
-    let arguments = ["figures", "forces_dataset", "--out", out.to_str().unwrap(), "--format"];
+    let arguments = ["figures", "forces_dataset", "--output", out.to_str().unwrap(), "--format"];
     let files = || {
         let names = fs::read_dir(&out).unwrap().map(|file| file.unwrap().file_name().into_string().unwrap());
         names.collect::<BTreeSet<String>>()
@@ -466,7 +549,7 @@ fn missing_runs_are_named_with_the_command_and_the_others_are_drawn() {
     let out = results.join("drawn");
     let figures = |more: &[&str]| {
         let arguments: Vec<&str> =
-            ["figures", "--out", out.to_str().unwrap()].iter().chain(more).copied().collect();
+            ["figures", "--output", out.to_str().unwrap()].iter().chain(more).copied().collect();
         finish(&mut harness(&results, &arguments))
     };
     let all = figures(&[]);
@@ -480,7 +563,7 @@ fn missing_runs_are_named_with_the_command_and_the_others_are_drawn() {
 
     let named = figures(&["regression"]);
     assert_eq!(named.code, 1);
-    assert!(named.stderr.contains("no finished run of multi_to_multi"), "{}", named.stderr);
+    assert!(named.stderr.contains("no finished runs of multi_to_multi"), "{}", named.stderr);
     let quick = figures(&["forces_dataset", "--quick"]);
     assert_eq!(quick.code, 1);
     let command = " run single_to_multi --quick`";
@@ -492,7 +575,8 @@ fn missing_runs_are_named_with_the_command_and_the_others_are_drawn() {
     let other = figures(&["forces_dataset", "--single", "other", "--multi", "single_to_multi"]);
     assert_eq!(other.code, 0, "{}", other.stderr);
     let other = figures(&["regression", "--multi", "other"]);
-    assert!(other.stderr.contains("no finished run of other"), "{}", other.stderr);
+    let expected = "no finished runs of other; those that have: single_to_multi\n";
+    assert!(other.stderr.ends_with(expected), "{}", other.stderr);
     let unknown = figures(&["regresion"]);
     assert_eq!(unknown.code, 2);
     assert!(unknown.stderr.contains("'regression'"), "{}", unknown.stderr);
@@ -503,7 +587,7 @@ fn one_seed_has_no_bars_and_other_settings_are_refused() {
     let results = fresh("figures_seeds");
     let draw = |name: &str, more: &[&str]| {
         let out = results.join(name);
-        let arguments = ["figures", "reconstruction_performance", "--out", out.to_str().unwrap()];
+        let arguments = ["figures", "reconstruction_performance", "--output", out.to_str().unwrap()];
         let answer = finish(&mut harness(&results, &[&arguments[..], more].concat()));
         (answer, fs::read_to_string(out.join("reconstruction_performance.svg")).unwrap_or_default())
     };
@@ -519,7 +603,7 @@ fn one_seed_has_no_bars_and_other_settings_are_refused() {
     assert_eq!((answer.code, drawn.as_str()), (1, ""));
     let choice = "single_to_multi:training.learning_rate=0.001";
     let expected = format!(
-        "the runs of single_to_multi differ in training.learning_rate (0.001, 0.01); choose some, as with `--where '{choice}'`\n"
+        "the runs of single_to_multi differ in training.learning_rate (0.001, 0.01); select some, for example with `--where '{choice}'`\n"
     );
     assert!(answer.stderr.ends_with(&expected), "{}", answer.stderr);
     let (answer, drawn) = draw("chosen", &["--where", choice]);
@@ -533,9 +617,10 @@ fn one_seed_has_no_bars_and_other_settings_are_refused() {
             "learning_rate=0.01",
             "no run has a setting 'learning_rate'; did you mean 'training.learning_rate'?",
         ),
+        ("nonsense=1", "no run has a setting 'nonsense'; use a key of the spec, such as training.batch_size"),
         (
             "training.learning_rate=1",
-            "no finished run has training.learning_rate=1; there is training.learning_rate ",
+            "no finished run has training.learning_rate=1; finished runs have training.learning_rate ",
         ),
         ("training", "'training' is not a setting; write KEY=VALUE, such as training.batch_size=64"),
     ] {

@@ -27,6 +27,11 @@ fn a_plot_shows_the_means_and_intervals_of_a_comparison() {
     let read = |name: &str| std::fs::read_to_string(path(name)).unwrap();
     assert_eq!(read("plot.csv"), read("compare.csv"));
 
+    let one = ["--where", "scenario=empty", "--where", "latent=2", "--output", &path("one.csv")];
+    let asked = ["plot", "smoke", "--x", "latent", "--y", "relative_error"];
+    let said = succeed(&RESULTS, &[&asked[..], &one].concat());
+    assert_eq!(said, format!("1 mean in {}\n", path("one.csv")));
+
     plot("plot.svg");
     plot("again.svg");
     let svg = read("plot.svg");
@@ -47,12 +52,13 @@ fn a_plot_that_cannot_be_drawn_says_what_to_do() {
         let folder = tempfile::tempdir().unwrap();
         let output = folder.path().join("plot.svg").display().to_string();
         let answer = finish(&mut harness(&RESULTS, &[&asked[..], more, &["--output", &output]].concat()));
-        assert_eq!((answer.code != 0, answer.stdout.as_str()), (true, ""), "{more:?}");
+        assert_eq!((answer.code, answer.stdout.as_str()), (2, ""), "{more:?}");
         assert!(std::fs::read_dir(folder.path()).unwrap().next().is_none(), "{more:?}");
         answer.stderr
     };
     let ambiguous = refused(&["--facet", "scenario"]);
-    let expected = "error: the means differ in modality: contact_force, proprioception; add it to --by ";
+    let expected =
+        "error: the means differ in modality: contact_force, proprioception; distinguish them with 'by' or ";
     assert!(ambiguous.starts_with(expected), "{ambiguous}");
     let unknown = refused(&["--by", "varient"]);
     assert!(unknown.contains("variant") && unknown.contains("modality"), "{unknown}");

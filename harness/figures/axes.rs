@@ -156,11 +156,14 @@ impl Panel {
         [self.bottom(), self.top]
     }
 
-    /// Writes the panel's letter and title above it.
+    /// Writes the panel's letter and title above it. A title that is wider than the panel is written smaller.
     pub fn heading(&self, page: &mut Page, letter: &str, title: &str) {
-        let at = [self.left - 1.0, self.top - 4.5];
-        page.text(letter, at, Type::BOLD);
-        page.text(title, [at[0] + Type::BOLD.width(letter) + 3.5, at[1]], Type::LABEL.start());
+        let [left, line] = [self.left - 1.0, self.top - 4.5];
+        page.text(letter, [left, line], Type::BOLD);
+        let start = left + Type::BOLD.width(letter) + 3.5;
+        let label = Type::LABEL.start();
+        let fitting = (self.right() - start) / label.width(title);
+        page.text(title, [start, line], Type { size: label.size * fitting.min(1.0), ..label });
     }
 
     /// Draws a vertical axis with grid lines across the panel. Without a label, the axis has no numbers.

@@ -25,8 +25,6 @@ pub struct Curves<'a> {
     pub metric: Metric,
     /// The panel's letter.
     pub letter: &'static str,
-    /// The panel's title.
-    pub title: &'static str,
     /// A baseline to show beside the networks: its name in the tables, and its name on the axis.
     pub baseline: Option<(&'static str, &'static str)>,
 }
@@ -166,7 +164,7 @@ impl Measured<'_> {
         names.extend(self.of.baseline.map(|(_, name)| name.to_owned()));
         let slots = panel.slots(names.len());
         panel.bottom_names(page, &slots, &names, "latent size");
-        panel.heading(page, self.of.letter, self.of.title);
+        panel.heading(page, self.of.letter, &self.of.runs.input());
         let width = panel.width / names.len() as f64;
         if self.of.baseline.is_some() {
             let x = panel.right() - width;

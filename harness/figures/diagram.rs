@@ -8,7 +8,7 @@ use candle_core::Device;
 use harness_learning::LearningError;
 use harness_learning::network::{Parameters, architecture};
 use harness_learning::random::{Random, Stream};
-use harness_spec::{Definition, IMAGE_CHANNELS, Layout, Modality, RunSpec, Task};
+use harness_spec::{Definition, Fusion, IMAGE_CHANNELS, Layout, Modality, Network, RunSpec, Task};
 use polars::prelude::*;
 use std::sync::Arc;
 
@@ -41,19 +41,24 @@ impl Anatomy {
     /// Builds the networks of the multi-to-multi runs as training builds them, one for each latent size.
     ///
     /// # Errors
-    /// When the runs are missing, or a network can't be built.
+    /// When the runs are missing, the diagram can't show their networks, or a network can't be built.
     pub fn of(source: &Source, task: Task) -> Result<Self, FigureError> {
         let runs = source.runs(Study::MultiToMulti)?;
         let latents = runs.latents();
         let spec = &runs.all[0].record.spec;
-        let build =
-            |latent: &usize| shapes(&RunSpec { latent: *latent, ..spec.clone() }, runs.layout(), task);
-        let networks = latents.iter().map(build).collect::<Result<_, _>>()?;
         let architecture = architecture(spec, runs.layout(), task);
         let definitions = |names: &[Modality]| {
             names.iter().map(|name| (**runs.layout())[*name].clone()).collect::<Vec<Definition>>()
         };
         let (input, output) = (definitions(&architecture.input), definitions(&architecture.output));
+        let has = not_shown(&spec.network, input.iter().chain(&output).any(Definition::is_image));
+        if !has.is_empty() {
+            let (experiment, command) = (runs.experiment.clone(), runs.show_command());
+            return Err(FigureError::OtherNetwork { experiment, has, command });
+        }
+        let build =
+            |latent: &usize| shapes(&RunSpec { latent: *latent, ..spec.clone() }, runs.layout(), task);
+        let networks = latents.iter().map(build).collect::<Result<_, _>>()?;
         Ok(Self { task, input, output, latents, networks })
     }
 
@@ -113,6 +118,18 @@ impl Anatomy {
             "values" => rows.iter().map(|row| row.2.iter().product::<usize>() as u64).collect::<Vec<_>>(),
         )?)
     }
+}
+
+/// What a network has that the diagram can't show, such as `2 hidden layers`.
+fn not_shown(network: &Network, has_images: bool) -> Vec<String> {
+    let (hidden, convolutions) = (network.hidden.len(), network.channels().len());
+    let parts = [
+        (hidden > 1, format!("{hidden} hidden layers")),
+        (has_images && convolutions > 1, format!("{convolutions} convolutions")),
+        (has_images && network.average > 1, "averaged images".to_owned()),
+        (network.fusion != Fusion::Early, format!("{} fusion", network.fusion)),
+    ];
+    parts.into_iter().filter(|(is_there, _)| *is_there).map(|(_, words)| words).collect()
 }
 
 /// Names and shapes of the parameters of a run's network for a task.

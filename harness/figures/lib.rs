@@ -30,28 +30,35 @@ use harness_registry::{QueryError, save};
 use harness_shared::files::{WriteError, write_bytes};
 use harness_simulation::SimulationError;
 use page::Page;
-pub use plot::{Key, Plot};
+pub use plot::Plot;
 use polars::prelude::{DataFrame, PolarsError};
 use source::Source;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 /// Why a figure can't be drawn.
 #[derive(Debug, thiserror::Error)]
 pub enum FigureError {
     /// An experiment that the figure needs has no finished run.
-    #[error("{} has no finished run of {experiment}; make them with `{command}`", root.display())]
+    #[error(
+        "{} has no finished runs of {experiment}; {}",
+        root.display(),
+        command.as_ref().map_or_else(|| finished(there), |command| format!("make them with `{command}`"))
+    )]
     NoRuns {
         /// The experiment's name.
         experiment: String,
         /// The results folder.
         root: PathBuf,
-        /// The command that makes the missing runs.
-        command: String,
+        /// The command that makes the missing runs. `None` if there is no spec of the experiment's name.
+        command: Option<String>,
+        /// The names of the experiments that have finished runs.
+        there: Vec<String>,
     },
     /// The means of a plot differ in a key that the plot does not show.
     #[error(
-        "the means differ in {key}: {}; add it to --by or use it for --facet, or choose some of the means with \
-         --modality, --where or the names of experiments",
+        "the means differ in {key}: {}; distinguish them with 'by' or 'facet', or choose some of them with 'modality', \
+         'where' or the names of experiments",
         values.join(", ")
     )]
     Ambiguous {
@@ -60,10 +67,19 @@ pub enum FigureError {
         /// The key's values.
         values: Vec<String>,
     },
+    /// No finished run has the metric of a plot.
+    #[error(
+        "no finished run has this metric for this task and modality; available: {}",
+        if there.is_empty() { "none".into() } else { there.join(", ") }
+    )]
+    NoMeans {
+        /// What there is, such as `r2 of contact_force`.
+        there: Vec<String>,
+    },
     /// A plot would have too many series or panels to be read.
     #[error(
         "a plot has at most 12 series and 8 panels, and this one would have {series} and {panels}; choose some of the \
-         means with --modality, --where or the names of experiments"
+         means with 'modality', 'where' or the names of experiments"
     )]
     TooMany {
         /// The number of series.
@@ -73,16 +89,35 @@ pub enum FigureError {
     },
     /// An experiment has finished runs, but a query over them gives no rows.
     #[error(
-        "the finished runs of {experiment} in {} have no rows for the figure: a scenario is missing, or a table that \
-         earlier versions didn't write; run `{command}`, in a new results folder if an earlier version made the runs",
-        root.display()
+        "the finished runs of {experiment} in {} ({there}) have no rows for the figure: a scenario, task or output is \
+         missing, or a table that earlier versions didn't write{}",
+        root.display(),
+        command.as_ref().map_or_else(String::new, |command| {
+            format!("; run `{command}`, in a new results folder if an earlier version made the runs")
+        })
     )]
     NoRows {
         /// The experiment's name.
         experiment: String,
         /// The results folder.
         root: PathBuf,
-        /// The command that makes the experiment's runs.
+        /// The scenarios, tasks and outputs of the runs.
+        there: String,
+        /// The command that makes the experiment's runs. `None` if there is no spec of the experiment's name.
+        command: Option<String>,
+    },
+    /// A diagram can't show the networks of the runs.
+    #[error(
+        "the diagram shows networks with one hidden layer, one convolution and early fusion, and those of {experiment} \
+         have {}; `{command}` lists their layers",
+        has.join(", ")
+    )]
+    OtherNetwork {
+        /// The experiment's name.
+        experiment: String,
+        /// What the diagram can't show, such as `2 hidden layers`.
+        has: Vec<String>,
+        /// The command that lists the layers.
         command: String,
     },
     /// The runs differ in their settings and can't be shown in one figure.
@@ -108,10 +143,19 @@ pub enum FigureError {
     Write(#[from] WriteError),
 }
 
+/// Says which experiments have finished runs.
+fn finished(experiments: &[String]) -> String {
+    match experiments {
+        [] => "no experiment has any".to_owned(),
+        names => format!("those that have: {}", names.join(", ")),
+    }
+}
+
 impl FigureError {
-    /// Whether the figure can't be drawn because runs, or rows of their tables, are missing.
-    pub fn is_missing_runs(&self) -> bool {
-        matches!(self, Self::NoRuns { .. } | Self::NoRows { .. })
+    /// Whether nothing failed, but there is nothing to draw: runs or rows of their tables are missing, or a diagram can't
+    /// show their networks.
+    pub fn has_nothing_to_draw(&self) -> bool {
+        matches!(self, Self::NoRuns { .. } | Self::NoRows { .. } | Self::OtherNetwork { .. })
     }
 }
 
@@ -162,6 +206,16 @@ impl Format {
             Format::Png => "png",
             Format::Csv => "csv",
         }
+    }
+
+    /// The format that the ending of a file's name stands for.
+    ///
+    /// # Errors
+    /// When it stands for none. The message lists the endings.
+    pub fn of(path: &Path) -> Result<Self, String> {
+        let ending = path.extension().and_then(OsStr::to_str);
+        let found = Self::ALL.into_iter().find(|format| Some(format.name()) == ending);
+        found.ok_or_else(|| "the file's name must end in .svg, .png or .csv".into())
     }
 }
 
@@ -233,7 +287,7 @@ impl Figure {
     /// Draws the figure.
     ///
     /// # Errors
-    /// When its runs are missing ([`FigureError::is_missing_runs`]), or when a table can't be read or a picture made.
+    /// When there is nothing to draw ([`FigureError::has_nothing_to_draw`]), or when a table can't be read or a picture made.
     pub fn render(self, source: &Source) -> Result<Drawing, FigureError> {
         match self {
             Figure::Task => task::render(),

@@ -161,6 +161,11 @@ impl Page {
         Self { width, height, title: title.to_owned(), body: String::new(), glyphs: BTreeSet::new() }
     }
 
+    /// The width of the page, points.
+    pub fn width(&self) -> f64 {
+        self.width
+    }
+
     fn put(&mut self, element: std::fmt::Arguments) {
         // Writing to a string can't fail.
         let _ = self.body.write_fmt(element);
@@ -369,6 +374,8 @@ impl Page {
             [tree.size().width(), tree.size().height()].map(|side| (side * 0.75 * PNG_SCALE).round() as u32);
         let mut pixels =
             tiny_skia::Pixmap::new(width, height).ok_or_else(|| failed("the page has no size".into()))?;
+        // The page may cover the last row or column only in part.
+        pixels.fill(tiny_skia::Color::WHITE);
         // usvg has 96 units per inch.
         let scale = 0.75 * PNG_SCALE;
         resvg::render(&tree, tiny_skia::Transform::from_scale(scale, scale), &mut pixels.as_mut());

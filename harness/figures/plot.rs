@@ -3,7 +3,10 @@
 use super::axes::{Look, Panel, Scale, legend, remark};
 use super::page::{BLACK, BLUE, COLUMN, GRAY, GREEN, Mark, Page, Type, VERMILION, WINE};
 use super::{Drawing, FigureError};
-use harness_analysis::{Interval, Mean, Of};
+use harness_analysis::{Analysis, Interval, Key, Mean, NETWORK, Of, replicates_of};
+use harness_metrics::{Metric, label};
+use harness_shared::numbers::Natural;
+use harness_spec::Task;
 use std::collections::BTreeSet;
 
 /// Height of a panel, points.
@@ -19,99 +22,75 @@ const MOST_PANELS: usize = 8;
 /// Height of a row of names, points.
 const ROW: f64 = 8.0;
 
-/// A setting by which means are distinguished.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Key {
-    /// The experiment.
-    Experiment,
-    /// The scenario or imported dataset.
-    Scenario,
-    /// The size of the latent state.
-    Latent,
-    /// The settings that an experiment varies.
-    Variant,
-    /// The other settings in which the runs of an experiment differ.
-    Settings,
-    /// The task.
-    Task,
-    /// The predicted modality.
-    Modality,
-}
-
-impl Key {
-    /// All keys.
-    pub const ALL: [Key; 7] = {
-        use Key::*;
-        [Experiment, Scenario, Latent, Variant, Settings, Task, Modality]
-    };
-
-    /// The key's name on the command line, and in tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            Key::Experiment => "experiment",
-            Key::Scenario => "scenario",
-            Key::Latent => "latent",
-            Key::Variant => "variant",
-            Key::Settings => "settings",
-            Key::Task => "task",
-            Key::Modality => "modality",
-        }
-    }
-
-    /// A mean's value of the key: a number to order by, and the text.
-    fn value(self, of: &Of) -> (usize, String) {
-        let text = match self {
-            Key::Latent => return (of.latent.unwrap_or_default(), of.latent.unwrap_or_default().to_string()),
-            Key::Experiment => of.experiment.clone(),
-            Key::Scenario => of.scenario.name().to_owned(),
-            Key::Variant => of.variant.clone(),
-            Key::Settings => of.settings.clone(),
-            Key::Task => of.task.name().to_owned(),
-            Key::Modality => of.modality.name().to_owned(),
-        };
-        (0, if text.is_empty() { "none".into() } else { text })
-    }
-}
-
-/// What a plot shows.
+/// A plot of a metric of networks, as means with their intervals.
 #[derive(Debug, Clone)]
 pub struct Plot {
     /// The key along the horizontal axis.
     pub x: Key,
+    /// The metric along the vertical axis.
+    pub y: Metric,
     /// The keys that distinguish series.
     pub by: Vec<Key>,
     /// The key that distinguishes panels.
     pub facet: Option<Key>,
-    /// The label of the vertical axis.
-    pub label: String,
+    /// The task of the networks.
+    pub task: Task,
+    /// The predicted modality; `None` for all of them.
+    pub modality: Option<String>,
 }
 
 /// The values of a key that occur, in order.
-type Values = BTreeSet<(usize, String)>;
+type Values = BTreeSet<Natural>;
 
 impl Plot {
-    /// Draws means of one metric, with their intervals.
+    /// Draws the means of an analysis.
     ///
     /// # Errors
-    /// When the means differ in a key that the plot does not show, or when there are too many series or panels.
-    pub fn draw(&self, means: &[Mean]) -> Result<Drawing, FigureError> {
-        let values = |key: Key| -> Values { means.iter().map(|mean| key.value(&mean.of)).collect() };
+    /// When no run has the metric, when the means differ in a key that the plot does not show, or when there are too
+    /// many series or panels.
+    pub fn draw(&self, analysis: &Analysis) -> Result<Drawing, FigureError> {
+        let of_task = |mean: &Mean| mean.of.model == NETWORK && mean.of.task == self.task;
+        let all: Vec<Mean> = analysis.means()?.into_iter().filter(of_task).collect();
+        let has_modality = |of: &Of| self.modality.as_ref().is_none_or(|name| of.modality.name() == name);
+        let is_shown = |mean: &&Mean| mean.of.metric == self.y.name() && has_modality(&mean.of);
+        let means: Vec<Mean> = all.iter().filter(is_shown).cloned().collect();
+        if means.is_empty() {
+            let there = all.iter().map(|mean| format!("{} of {}", mean.of.metric, mean.of.modality.name()));
+            let there: BTreeSet<String> = there.collect();
+            return Err(FigureError::NoMeans { there: there.into_iter().collect() });
+        }
+        self.draw_means(&means)
+    }
+
+    /// The label of the vertical axis.
+    fn label(&self, means: &[Mean]) -> String {
+        let label = label(self.y.name(), &means[0].unit);
+        let modalities: BTreeSet<&str> = means.iter().map(|mean| mean.of.modality.name()).collect();
+        match modalities.first() {
+            Some(modality) if modalities.len() == 1 => format!("{}, {label}", modality.replace('_', " ")),
+            _ => label,
+        }
+    }
+
+    fn draw_means(&self, means: &[Mean]) -> Result<Drawing, FigureError> {
+        let label = self.label(means);
+        let values = |key: Key| -> Values { means.iter().map(|mean| value(key, &mean.of)).collect() };
         let is_shown = |key: &Key| *key == self.x || self.by.contains(key) || self.facet == Some(*key);
         for key in Key::ALL.into_iter().filter(|key| !is_shown(key)) {
             let values = values(key);
             if values.len() > 1 {
-                let values: Vec<String> = values.into_iter().map(|(_, text)| text).collect();
+                let values: Vec<String> = values.iter().map(|value| value.text().to_owned()).collect();
                 return Err(FigureError::Ambiguous { key: key.name(), values });
             }
         }
-        let series_of = |of: &Of| self.by.iter().map(|key| key.value(of)).collect::<Vec<_>>();
-        let series: BTreeSet<Vec<(usize, String)>> = means.iter().map(|mean| series_of(&mean.of)).collect();
-        let panels: Vec<(usize, String)> =
-            self.facet.map_or(vec![(0, String::new())], |key| values(key).into_iter().collect());
+        let series_of = |of: &Of| self.by.iter().map(|key| value(*key, of)).collect::<Vec<_>>();
+        let series: BTreeSet<Vec<Natural>> = means.iter().map(|mean| series_of(&mean.of)).collect();
+        let panels: Vec<Natural> =
+            self.facet.map_or(vec![Natural::new("")], |key| values(key).into_iter().collect());
         if series.len() > MOST_SERIES || panels.len() > MOST_PANELS {
             return Err(FigureError::TooMany { series: series.len(), panels: panels.len() });
         }
-        let series: Vec<Vec<(usize, String)>> = series.into_iter().collect();
+        let series: Vec<Vec<Natural>> = series.into_iter().collect();
         let names: Vec<String> = series.iter().map(|values| words(values)).collect();
         let entries: Vec<(Look, &str)> =
             names.iter().enumerate().map(|(place, name)| (look(place), name.as_str())).collect();
@@ -122,20 +101,20 @@ impl Plot {
         let left = 36.0;
         let between = 12.0;
         let width = (COLUMN - left - 4.0 - between * (columns as f64 - 1.0)) / columns as f64;
-        let across: Vec<String> = values(self.x).into_iter().map(|(_, text)| plain(&text)).collect();
+        let across: Vec<String> = values(self.x).iter().map(|value| plain(value.text())).collect();
         let name_rows = rows_of_names(&across, width / across.len() as f64);
         let below = BELOW + ROW * (name_rows as f64 - 1.0);
         let top = 8.0 + 9.0 * legends.len() as f64 + if self.facet.is_some() { 12.0 } else { 4.0 };
         let rows = panels.len().div_ceil(columns);
         let height = top + rows as f64 * (HEIGHT + below) + 4.0;
 
-        let mut page = Page::new(COLUMN, height, &format!("{} over {}", self.label, self.x.name()));
+        let mut page = Page::new(COLUMN, height, &format!("{label} over {}", self.x.name()));
         for (row, entries) in legends.iter().enumerate() {
             legend(&mut page, COLUMN / 2.0, 9.0 + 9.0 * row as f64, entries);
         }
         let [low, high] = range(means);
         let mut is_cut = false;
-        for (place, value) in panels.iter().enumerate() {
+        for (place, panel_value) in panels.iter().enumerate() {
             let (row, column) = (place / columns, place % columns);
             let panel = Panel {
                 left: left + column as f64 * (width + between),
@@ -144,21 +123,21 @@ impl Plot {
                 height: HEIGHT,
             };
             let scale = Scale::linear(low, high, 5, panel.upwards());
-            panel.left_axis(&mut page, &scale, (column == 0).then_some(self.label.as_str()));
+            panel.left_axis(&mut page, &scale, (column == 0).then_some(label.as_str()));
             if self.facet.is_some() {
                 let letter = char::from(b'a' + place as u8).to_string();
-                panel.heading(&mut page, &letter, &plain(&value.1));
+                panel.heading(&mut page, &letter, &plain(panel_value.text()));
             }
             let slots = panel.slots(across.len());
             self.name(&mut page, &panel, &slots, &across, name_rows);
-            let is_here = |of: &Of| self.facet.is_none_or(|key| key.value(of) == *value);
+            let is_here = |of: &Of| self.facet.is_none_or(|key| value(key, of) == *panel_value);
             for (place, one) in series.iter().enumerate() {
                 let own = means.iter().filter(|mean| is_here(&mean.of) && series_of(&mean.of) == *one);
                 let aside = (place as f64 - (series.len() as f64 - 1.0) / 2.0) * width / across.len() as f64;
                 let aside = aside * 0.6 / series.len() as f64;
                 let mut points: Vec<(f64, &Interval)> = own
                     .filter_map(|mean| {
-                        let text = plain(&self.x.value(&mean.of).1);
+                        let text = plain(value(self.x, &mean.of).text());
                         let slot = across.iter().position(|name| *name == text)?;
                         Some((slots[slot] + aside, &mean.interval))
                     })
@@ -193,6 +172,20 @@ impl Plot {
     }
 }
 
+/// A mean's value of a key.
+fn value(key: Key, of: &Of) -> Natural {
+    let text = match key {
+        Key::Latent => of.latent.unwrap_or_default().to_string(),
+        Key::Experiment => of.experiment.clone(),
+        Key::Scenario => of.scenario.name().to_owned(),
+        Key::Variant => of.variant.clone(),
+        Key::Settings => of.settings.clone(),
+        Key::Task => of.task.name().to_owned(),
+        Key::Modality => of.modality.name().to_owned(),
+    };
+    Natural::new(if text.is_empty() { "none".into() } else { text })
+}
+
 fn look(place: usize) -> Look {
     let is_second = place >= COLORS.len();
     let mark = if place.is_multiple_of(2) { Mark::Disc } else { Mark::Square };
@@ -200,8 +193,8 @@ fn look(place: usize) -> Look {
 }
 
 /// The name of a series.
-fn words(values: &[(usize, String)]) -> String {
-    plain(&values.iter().map(|(_, text)| text.as_str()).collect::<Vec<_>>().join(", "))
+fn words(values: &[Natural]) -> String {
+    plain(&values.iter().map(Natural::text).collect::<Vec<_>>().join(", "))
 }
 
 /// A text without the characters that a page reads as markup.
@@ -246,16 +239,11 @@ fn range(means: &[Mean]) -> [f64; 2] {
     [lows.fold(low, f64::min), highs.fold(high, f64::max)]
 }
 
-/// What the bars are.
+/// Returns the note that says what the bars are.
 fn remark_of(means: &[Mean], is_cut: bool) -> String {
-    let seeds: BTreeSet<usize> = means.iter().map(|mean| mean.values.len()).collect();
-    match (seeds.first(), seeds.last()) {
-        (Some(1), Some(1)) => "one seed, no bars".into(),
-        (Some(least), Some(most)) => {
-            let count = if least == most { least.to_string() } else { format!("{least} to {most}") };
-            let cut = if is_cut { "; without a cap, they go on beyond the axis" } else { "" };
-            format!("bars: 95 % intervals of the mean, {count} runs{cut}")
-        }
-        _ => String::new(),
+    let cut = if is_cut { "; without a cap, they go on beyond the axis" } else { "" };
+    match replicates_of(means) {
+        Some(over) => format!("bars: 95 % intervals over {over}{cut}"),
+        None => "one seed, no bars".into(),
     }
 }

@@ -13,20 +13,19 @@ const HEIGHT: f64 = 78.0;
 /// Draws the figure.
 pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let [single, multi] = [source.runs(Study::SingleToMulti)?, source.runs(Study::MultiToMulti)?];
-    let curves = |runs, modality, metric, letter, title| Curves {
+    let curves = |runs, modality, metric, letter| Curves {
         runs,
         task: Task::Prediction,
         modality,
         metric,
         letter,
-        title,
         baseline: Some(("persistence", "pers.")),
     };
     let (body, force) = (Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE);
-    let a = curves(&single, body, Metric::Smape, "a", Study::SingleToMulti.input());
-    let b = curves(&single, force, Metric::Wmape, "b", Study::SingleToMulti.input());
-    let c = curves(&multi, body, Metric::Smape, "c", Study::MultiToMulti.input());
-    let d = curves(&multi, force, Metric::Wmape, "d", Study::MultiToMulti.input());
+    let a = curves(&single, body, Metric::Smape, "a");
+    let b = curves(&single, force, Metric::Wmape, "b");
+    let c = curves(&multi, body, Metric::Smape, "c");
+    let d = curves(&multi, force, Metric::Wmape, "d");
     let [a, b, c, d] = [a.measure()?, b.measure()?, c.measure()?, d.measure()?];
 
     let mut page = Page::new(COLUMN, 291.0, "Prediction errors over latent size");

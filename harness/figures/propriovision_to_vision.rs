@@ -14,6 +14,9 @@ const LEFT: f64 = 58.0;
 const GAP: f64 = 3.0;
 const TOP: f64 = 14.0;
 
+/// Smallest height of a row, which has two lines of text at its left.
+const LEAST_ROW: f64 = 16.0;
+
 /// Number of trials shown per scenario: the ones with the most motion among those in the runs' tables.
 const TRIALS: usize = 3;
 
@@ -60,13 +63,13 @@ struct Block {
 pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let runs = source.runs(Study::MultiToMulti)?;
     let blocks = blocks(&runs)?;
-    let side = blocks.iter().map(Block::side).fold(f64::INFINITY, f64::min);
-    let height: f64 = blocks.iter().map(|block| block.height(side)).sum();
+    let width = blocks.iter().map(Block::width).fold(f64::INFINITY, f64::min);
+    let height: f64 = blocks.iter().map(|block| block.height(width)).sum();
     let mut page = Page::new(COLUMN, height + 60.0, "Predicted change of the camera's picture");
     let mut top = 0.0;
     for block in &blocks {
-        block.render(&mut page, top, side)?;
-        top += block.height(side);
+        block.render(&mut page, top, width)?;
+        top += block.height(width);
     }
     color_bar(&mut page, top + 5.0)?;
     let lines = [
@@ -89,30 +92,43 @@ impl Block {
         self.trials.iter().all(|trial| trial.camera.is_some())
     }
 
-    /// The side of the block's pictures if they fill the page's width, points.
-    fn side(&self) -> f64 {
+    /// The width of the block's pictures if they fill the page's width, points.
+    fn width(&self) -> f64 {
         let columns = self.trials.len() as f64;
         (COLUMN - LEFT - 3.0 - GAP * (columns - 1.0)) / columns
     }
 
-    fn height(&self, side: f64) -> f64 {
-        let rows = self.latents().len() + 1 + usize::from(self.has_camera());
-        TOP + rows as f64 * (side + GAP) + GAP
+    /// Width and height of a picture of this width, points.
+    fn picture(&self, width: f64) -> [f64; 2] {
+        let [rows, columns] = self.size.map(|pixels| pixels as f64);
+        [width, width * rows / columns]
     }
 
-    fn render(&self, page: &mut Page, top: f64, side: f64) -> Result<(), FigureError> {
+    /// Height of a row of pictures of this width, with the gap below, points.
+    fn row(&self, width: f64) -> f64 {
+        self.picture(width)[1].max(LEAST_ROW) + GAP
+    }
+
+    /// Height of the block, points.
+    fn height(&self, width: f64) -> f64 {
+        let rows = self.latents().len() + 1 + usize::from(self.has_camera());
+        TOP + rows as f64 * self.row(width) + GAP
+    }
+
+    fn render(&self, page: &mut Page, top: f64, width: f64) -> Result<(), FigureError> {
         let (latents, has_camera) = (self.latents(), self.has_camera());
+        let size = self.picture(width);
         let corner = |row: usize, column: usize| {
-            [LEFT + column as f64 * (side + GAP), top + TOP + row as f64 * (side + GAP)]
+            [LEFT + column as f64 * (width + GAP), top + TOP + row as f64 * self.row(width)]
         };
         page.text(&self.scenario, [3.0, top + TOP - 4.5], Type::BOLD);
         for (column, trial) in self.trials.iter().enumerate() {
-            let x = corner(0, column)[0] + side / 2.0;
+            let x = corner(0, column)[0] + width / 2.0;
             let motion = format!("motion {:.1} %", 100.0 * trial.motion);
             page.text(&motion, [x, top + TOP - 4.5], Type::SMALL);
             let mut pictures = Vec::new();
             if let (true, Some(bytes)) = (has_camera, &trial.camera) {
-                let [rows, columns] = self.size.map(|side| side as u32);
+                let [rows, columns] = self.size.map(|pixels| pixels as u32);
                 pictures.push(RgbImage::from_raw(columns, rows, bytes.clone()));
             }
             pictures.push(Some(colored(&trial.reference, self.size)));
@@ -121,8 +137,8 @@ impl Block {
             for (row, picture) in pictures.iter().enumerate() {
                 // If a network has no prediction of this trial, its place stays empty.
                 let Some(picture) = picture else { continue };
-                page.picture(picture, corner(row, column), [side; 2], true)?;
-                page.rectangle(corner(row, column), [side; 2], 0.0, "none", Some(Stroke::new(GRAY, 0.4)));
+                page.picture(picture, corner(row, column), size, true)?;
+                page.rectangle(corner(row, column), size, 0.0, "none", Some(Stroke::new(GRAY, 0.4)));
             }
         }
         let mut names: Vec<[String; 2]> = Vec::new();
@@ -136,7 +152,7 @@ impl Block {
             [format!("*z* = {latent}"), error]
         }));
         for (row, [name, more]) in names.iter().enumerate() {
-            let y = corner(row, 0)[1] + side / 2.0;
+            let y = corner(row, 0)[1] + (self.row(width) - GAP) / 2.0;
             page.text(name, [LEFT - 4.0, y - 1.0], Type::LABEL.end());
             page.text(more, [LEFT - 4.0, y + 7.0], Type::SMALL.end());
         }
@@ -200,7 +216,7 @@ fn trials(runs: &Runs, scenario: &str, size: [usize; 2]) -> Result<Vec<Trial>, F
          and modality = 'vision' order by latent"
     ));
     match seen {
-        Err(error) if error.is_missing_runs() => {}
+        Err(error) if error.has_nothing_to_draw() => {}
         Err(error) => return Err(error),
         Ok(seen) => {
             let (episodes, samples) = (integers(&seen, "episode")?, integers(&seen, "sample")?);

@@ -10,18 +10,17 @@ use harness_spec::{Modality, Task};
 /// Draws the figure.
 pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let [single, multi] = [source.runs(Study::SingleToMulti)?, source.runs(Study::MultiToMulti)?];
-    let curves = |runs, letter, title| Curves {
+    let curves = |runs, letter| Curves {
         runs,
         task: Task::Reconstruction,
         modality: Modality::PROPRIOCEPTION,
         metric: Metric::Smape,
         letter,
-        title,
         // The only baseline of reconstruction is the training mean. Its error is far too large for the axis.
         baseline: None,
     };
-    let a = curves(&single, "a", Study::SingleToMulti.input());
-    let b = curves(&multi, "b", Study::MultiToMulti.input());
+    let a = curves(&single, "a");
+    let b = curves(&multi, "b");
     let [a, b] = [a.measure()?, b.measure()?];
 
     let mut page = Page::new(COLUMN, 158.0, "Reconstruction errors of proprioception over latent size");

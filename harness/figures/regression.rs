@@ -21,8 +21,10 @@ const LEFT: f64 = 33.0;
 const GAP: f64 = 5.0;
 /// Distance between the lines of text above a panel, points.
 const LINE: f64 = 7.5;
+/// Largest number of panels in a row. Each shows one latent size.
+const PANELS: usize = 3;
 /// Width and height of a panel, points.
-const SIDE: f64 = (COLUMN - LEFT - 4.0 - 2.0 * GAP) / 3.0;
+const SIDE: f64 = (COLUMN - LEFT - 4.0 - 2.0 * GAP) / PANELS as f64;
 
 fn look(direction: Direction) -> Look {
     match direction {
@@ -33,6 +35,8 @@ fn look(direction: Direction) -> Look {
 
 /// One study's predictions of one modality.
 struct Predictions {
+    /// The inputs of the networks, in words.
+    input: String,
     latents: Vec<usize>,
     /// Pairs of reference and prediction, by latent size and direction.
     points: BTreeMap<(usize, Direction), Vec<[f64; 2]>>,
@@ -50,7 +54,9 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     };
     let [angles, forces] = [of(Modality::PROPRIOCEPTION, "a")?, of(Modality::CONTACT_FORCE, "b")?];
 
-    let mut page = Page::new(COLUMN, 484.0, "Predictions over references at the fingertip, in clutter");
+    let leaves_out = angles.iter().any(|study| study.latents.len() > PANELS);
+    let height = if leaves_out { 492.5 } else { 484.0 };
+    let mut page = Page::new(COLUMN, height, "Predictions over references at the fingertip, in clutter");
     let tips = tips(&single);
     let axes = Direction::FINGER.map(words_of);
     let joints = [0, 1].map(|place| format!("joint {}, {}", tips[place], axes[place]));
@@ -65,12 +71,15 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
         [Some(a), Some(b)] => format!(", mean over {a} (above) and {b} (below) ± 95 %"),
         _ => String::new(),
     };
-    let lines = [
+    let mut lines = vec![
         format!("R²: of all test samples{spread}"),
         format!("dots: at most {POINTS} test samples of one network, evenly chosen; denser:"),
         "several on one spot; grey line: perfect prediction; axes: linear".to_owned(),
         format!("around 0, logarithmic beyond about {LINEAR_RAD} rad and {LINEAR_N} N"),
     ];
+    if leaves_out {
+        lines.push(format!("only the {PANELS} smallest latent sizes are drawn; the CSV file has all"));
+    }
     remarks(&mut page, 454.0, lines);
     let mut data = angles[0].data.clone();
     for more in [&angles[1], &forces[0], &forces[1]] {
@@ -95,16 +104,16 @@ impl Block {
     fn render(&self, page: &mut Page, top: f64, studies: &[Predictions; 2]) {
         let entries = [0, 1].map(|place| (look(Direction::FINGER[place]), self.names[place].as_str()));
         legend(page, COLUMN / 2.0, top, &entries);
-        for (row, (study, kind)) in studies.iter().zip(Study::BOTH).enumerate() {
+        for (row, study) in studies.iter().enumerate() {
             let panel = Panel { left: LEFT, top: top + 33.0, width: SIDE, height: SIDE };
             let panel = Panel { top: panel.top + row as f64 * (SIDE + 30.0), ..panel };
-            let above = Panel { top: panel.top - 2.0 * LINE, ..panel };
+            let above = Panel { top: panel.top - 2.0 * LINE, width: COLUMN - panel.left - 4.0, ..panel };
             if row == 0 {
-                above.heading(page, self.letter, &format!("fingertip {}, {}", self.quantity, kind.input()));
+                above.heading(page, self.letter, &format!("fingertip {}, {}", self.quantity, study.input));
             } else {
-                page.text(kind.input(), [panel.left - 1.0, above.top - 4.5], Type::LABEL.start());
+                page.text(&study.input, [panel.left - 1.0, above.top - 4.5], Type::LABEL.start());
             }
-            let latents = &study.latents[..study.latents.len().min(3)];
+            let latents = &study.latents[..study.latents.len().min(PANELS)];
             for (column, latent) in latents.iter().enumerate() {
                 let panel = Panel { left: LEFT + column as f64 * (SIDE + GAP), ..panel };
                 let (first, middle) = (column == 0, column == (latents.len() - 1) / 2);
@@ -242,5 +251,5 @@ fn predictions(runs: &Runs, modality: Modality, panel: &str) -> Result<Predictio
     ])?;
     let mut latents: Vec<usize> = groups.keys().map(|(latent, _)| *latent).collect();
     latents.dedup();
-    Ok(Predictions { latents, points, r2, data })
+    Ok(Predictions { input: runs.input(), latents, points, r2, data })
 }

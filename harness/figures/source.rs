@@ -2,9 +2,9 @@
 
 use super::FigureError;
 use harness_analysis::{Analysis, Run};
-use harness_spec::{Layout, QUICK};
+use harness_spec::{Layout, Modality, QUICK};
 use polars::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// One of the paper's two experiments. Each has a spec of its name in `experiments/`.
@@ -28,13 +28,19 @@ impl Study {
         }
     }
 
-    /// The inputs of the study's networks, in words for people.
-    pub fn input(self) -> &'static str {
+    /// The inputs of the study's networks.
+    pub fn input(self) -> &'static [Modality] {
         match self {
-            Study::SingleToMulti => "from proprioception",
-            Study::MultiToMulti => "from proprioception + vision",
+            Study::SingleToMulti => &[Modality::PROPRIOCEPTION],
+            Study::MultiToMulti => &[Modality::PROPRIOCEPTION, Modality::VISION],
         }
     }
+}
+
+/// The inputs of networks in words for people: `from proprioception + vision`.
+pub fn input_words(input: &[Modality]) -> String {
+    let names: Vec<String> = input.iter().map(|input| input.name().replace('_', " ")).collect();
+    format!("from {}", names.join(" + "))
 }
 
 /// The names of the experiments whose runs are drawn.
@@ -86,7 +92,6 @@ pub struct Runs<'a> {
     pub experiment: String,
     /// The runs, sorted by scenario, latent size and seed.
     pub all: &'a [Run],
-    command: String,
 }
 
 impl<'a> Source<'a> {
@@ -99,18 +104,24 @@ impl<'a> Source<'a> {
     /// The runs of a study.
     ///
     /// # Errors
-    /// When the study has no runs; the message names the command that makes them. Also when the runs can't be shown in
+    /// When the study has no runs; the message names the command that makes them, if there is one. Also when the runs can't be shown in
     /// one figure; the message names the settings in which they differ.
     pub fn runs(&self, study: Study) -> Result<Runs<'a>, FigureError> {
-        let experiment = self.experiments.of(study).to_owned();
-        let command = self.command(&experiment);
+        self.runs_of(self.experiments.of(study))
+    }
+
+    /// The runs of an experiment.
+    ///
+    /// # Errors
+    /// Like [`runs`](Self::runs).
+    pub fn runs_of(&self, experiment: &str) -> Result<Runs<'a>, FigureError> {
         let analysis = self.analysis;
-        let all = analysis.runs(&experiment);
+        let all = analysis.runs(experiment);
         if all.is_empty() {
-            return Err(self.no_runs(&experiment));
+            return Err(no_runs(analysis, experiment));
         }
-        analysis.check_uniform(&experiment, false)?;
-        Ok(Runs { analysis, experiment, all, command })
+        analysis.check_uniform(experiment, false)?;
+        Ok(Runs { analysis, experiment: experiment.to_owned(), all })
     }
 
     /// The rows of a query over the runs of all readings of the paper.
@@ -128,26 +139,36 @@ impl<'a> Source<'a> {
         readings.values().try_for_each(|runs| self.analysis.check_alike(runs))?;
         let rows = self.analysis.query(&[experiment], sql)?;
         match (rows.height(), runs.len()) {
-            (0, 0) => Err(self.no_runs(experiment)),
-            (0, _) => {
-                let (root, command) = (self.analysis.root().to_owned(), self.command(experiment));
-                Err(FigureError::NoRows { experiment: experiment.clone(), root, command })
-            }
+            (0, 0) => Err(no_runs(self.analysis, experiment)),
+            (0, _) => Err(no_rows(self.analysis, experiment)),
             _ => Ok(rows),
         }
     }
+}
 
-    fn no_runs(&self, experiment: &str) -> FigureError {
-        let (root, command) = (self.analysis.root().to_owned(), self.command(experiment));
-        FigureError::NoRuns { experiment: experiment.to_owned(), root, command }
+fn no_runs(analysis: &Analysis, experiment: &str) -> FigureError {
+    FigureError::NoRuns {
+        experiment: experiment.to_owned(),
+        root: analysis.root().to_owned(),
+        command: command(analysis, experiment),
+        there: analysis.all_finished(),
     }
+}
 
-    /// The command that makes an experiment's runs.
-    fn command(&self, experiment: &str) -> String {
-        match experiment.strip_suffix(QUICK) {
-            Some(name) => self.analysis.command(name, true),
-            None => self.analysis.command(experiment, false),
-        }
+fn no_rows(analysis: &Analysis, experiment: &str) -> FigureError {
+    FigureError::NoRows {
+        experiment: experiment.to_owned(),
+        root: analysis.root().to_owned(),
+        there: contents(analysis.runs(experiment)),
+        command: command(analysis, experiment),
+    }
+}
+
+/// The command that makes an experiment's runs, if there is one.
+fn command(analysis: &Analysis, experiment: &str) -> Option<String> {
+    match experiment.strip_suffix(QUICK) {
+        Some(name) => analysis.command(name, true),
+        None => analysis.command(experiment, false),
     }
 }
 
@@ -175,11 +196,20 @@ impl<'a> Runs<'a> {
     }
 
     fn answered(&self, answer: DataFrame) -> Result<DataFrame, FigureError> {
-        if answer.height() == 0 {
-            let (experiment, command) = (self.experiment.clone(), self.command.clone());
-            return Err(FigureError::NoRows { experiment, root: self.analysis.root().to_owned(), command });
+        match answer.height() {
+            0 => Err(no_rows(self.analysis, &self.experiment)),
+            _ => Ok(answer),
         }
-        Ok(answer)
+    }
+
+    /// The command that shows one of the runs with the layers of its networks.
+    pub fn show_command(&self) -> String {
+        self.analysis.show_command(&self.all[0])
+    }
+
+    /// The inputs of the runs' networks, as [`input_words`].
+    pub fn input(&self) -> String {
+        input_words(&self.all[0].record.spec.input)
     }
 
     /// The modalities of the samples in the runs' datasets.
@@ -212,6 +242,16 @@ impl<'a> Runs<'a> {
         let count = if fewest < most { format!("{fewest} to {most}") } else { most.to_string() };
         (most > 1).then(|| format!("{count} {noun}"))
     }
+}
+
+/// The scenarios, tasks and outputs of runs: `scenarios: empty; tasks: prediction; outputs: contact_force`.
+fn contents(runs: &[Run]) -> String {
+    let specs = || runs.iter().map(|run| &run.record.spec);
+    let listed = |values: BTreeSet<String>| Vec::from_iter(values).join(", ");
+    let scenarios = listed(specs().map(|spec| spec.scenario.to_string()).collect());
+    let tasks = listed(specs().flat_map(|spec| &spec.tasks).map(ToString::to_string).collect());
+    let outputs = listed(specs().flat_map(|spec| &spec.output).map(ToString::to_string).collect());
+    format!("scenarios: {scenarios}; tasks: {tasks}; outputs: {outputs}")
 }
 
 /// The values of a column of text.
