@@ -16,6 +16,7 @@ mod integrity;
 mod interruption;
 mod layers;
 mod live;
+mod locks;
 mod make;
 mod many_runs;
 mod models;

@@ -123,7 +123,7 @@ fn the_table_says_how_many_times_as_fast_the_harness_is() {
 
 #[test]
 fn the_benchmark_scripts_explain_themselves() {
-    for script in ["compare.py", "collect.py", "pybullet_collect.py"] {
+    for script in ["compare.py", "collect.py", "pybullet_collect.py", "registry.py"] {
         let help = said(python(&format!("harness/benches/{script}")).arg("--help"));
         assert!(help.contains("idle machine"), "{help}");
     }

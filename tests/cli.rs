@@ -1,6 +1,6 @@
 //! The program from its users' point of view: a whole experiment, every command, and bad input.
 
-use crate::common::{Answer, SMOKE, finish, harness, smoke_run, succeed};
+use crate::common::{Answer, PATIENCE, SMOKE, finish, harness, smoke_run, succeed};
 use harness::files::UNFINISHED;
 use harness::tables::read_footer;
 use image::AnimationDecoder;
@@ -221,7 +221,7 @@ fn kill_when(mut command: std::process::Command, ready: impl Fn() -> bool) {
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let begin = Instant::now();
     while !ready() {
-        assert!(begin.elapsed() < Duration::from_secs(60), "it never got so far");
+        assert!(begin.elapsed() < PATIENCE, "it never got so far");
         assert!(child.try_wait().unwrap().is_none(), "it ended before it could be killed");
         std::thread::sleep(Duration::from_millis(2));
     }
@@ -424,7 +424,7 @@ fn runs_are_listed_and_shown() {
         "{list}"
     );
     let shown = succeed(&RESULTS, &["show", "cluttered", "--all"]);
-    for part in ["smoke/cluttered-z4-seed0-", ": done", "epochs: 2", "mujoco_version", "3.17.0", "wmape"] {
+    for part in ["smoke/cluttered-z4-seed0-", ": done", "epochs: 2", "mujoco_version", "3.17.0", "WMAPE"] {
         assert!(shown.contains(part), "no {part} in {shown}");
     }
 }
@@ -497,6 +497,19 @@ fn the_doctor_names_what_is_there_and_what_is_not() {
 }
 
 #[test]
+fn every_command_names_the_file_or_folder_that_it_writes_by_the_same_option() {
+    for command in ["query", "claims", "compare", "figures", "plot", "render", "report", "publish", "pack"] {
+        let help = succeed(&RESULTS, &[command, "--help"]);
+        assert!(help.contains("  -o, --output <"), "{command}: {help}");
+    }
+    // Earlier names are understood, but not shown.
+    for (command, option) in [("figures", "--out"), ("report", "--out"), ("publish", "--to")] {
+        let help = succeed(&RESULTS, &[command, option, "somewhere.html", "--help"]);
+        assert!(!help.contains(&format!("{option} ")), "{help}");
+    }
+}
+
+#[test]
 fn shells_complete_every_command() {
     let help = succeed(&RESULTS, &["--help"]);
     let listed =
@@ -525,7 +538,9 @@ fn shells_complete_every_command() {
              _harness harness \"${{COMP_WORDS[{current}]}}\" \"${{COMP_WORDS[{current} - 1]}}\"; echo ${{COMPREPLY[*]}}",
             env!("CARGO_BIN_EXE_harness")
         );
-        let output = std::process::Command::new("bash").args(["-c", &script]).output().unwrap();
+        // Bash warns of a locale that is not installed.
+        let output =
+            std::process::Command::new("bash").args(["-c", &script]).env("LC_ALL", "C").output().unwrap();
         assert_eq!(String::from_utf8_lossy(&output.stderr), "");
         String::from_utf8(output.stdout).unwrap()
     };
@@ -671,6 +686,8 @@ fn bad_questions_and_names_are_refused() {
             "the query can't be answered: there is no table 'nope'; there are runs, epochs, ",
         ),
         (&["show", "emptz-z4"], "no run matches 'emptz-z4', the nearest is 'empty-z4-seed0-"),
+        (&["show", "nothing/at-all"], "no run matches 'nothing/at-all'; `"),
+        (&["ls", "smok"], "no run of 'smok' has started; `"),
         (&["show", ""], "'' matches several runs: smoke/cluttered-z4-seed0-"),
         (
             &["render", "empty", "--output", "a.png", "--width", "0"],
@@ -692,10 +709,27 @@ fn bad_questions_and_names_are_refused() {
     let message = refusal(&["render", "empty", "--output", &picture], 2);
     assert_eq!(message, format!("can't write a picture to '{picture}': its name must end in .png or .gif"));
     assert!(files(folder.0.path()).is_empty());
+    for (arguments, expected) in [
+        (&["render", "empty", "--output", "a.png", "--sample", "3"][..], "--episode <N>"),
+        (&["report", "--output", "a.pdf"], "its name must end in .html"),
+    ] {
+        let answer = finish(&mut harness(&RESULTS, arguments));
+        assert!(answer.code == 2 && answer.stderr.contains(expected), "{}", answer.stderr);
+    }
     for arguments in [&["render", "void", "--output", "a.png"][..], &["--threads", "0", "ls"], &["rum"]] {
         let answer = finish(&mut harness(&RESULTS, arguments));
         assert_eq!(answer.code, 2, "{arguments:?}");
         assert!(answer.stderr.starts_with("error: "), "{}", answer.stderr);
+    }
+}
+
+#[test]
+fn a_run_is_found_by_the_path_of_its_folder() {
+    let folder = std::fs::read_dir(RESULTS.join("runs/smoke")).unwrap().next().unwrap().unwrap().path();
+    let id = folder.file_name().unwrap().to_str().unwrap();
+    for name in [format!("smoke/{id}/"), folder.display().to_string(), format!("{}/", folder.display())] {
+        let said = succeed(&RESULTS, &["show", &name]);
+        assert!(said.starts_with(&format!("smoke/{id}: done")), "{said}");
     }
 }
 
@@ -719,6 +753,18 @@ fn models_that_cannot_be_used_are_named() {
 }
 
 #[test]
+fn importing_is_left_to_the_python_package_with_the_words_to_type() {
+    let install = ".venv/bin/pip install '.[import]'";
+    let message = error(&finish(&mut harness(Path::new("results"), &["import", "my lab.yaml"])), 2);
+    assert!(message.contains(&format!("`{install}`")), "{message}");
+    assert!(message.contains("`.venv/bin/harness import 'my lab.yaml'`"), "{message}");
+    let message = error(&finish(&mut harness(Path::new("other"), &["import", "lab.yaml"])), 2);
+    assert!(message.contains("`.venv/bin/harness import lab.yaml --results other`"), "{message}");
+    let help = succeed(&RESULTS, &["import", "--help"]);
+    assert!(help.contains(install) && help.contains(".venv/bin/harness import mapping.yaml"), "{help}");
+}
+
+#[test]
 fn results_that_cannot_be_written_are_named() {
     let folder = Folder::new();
     let file = PathBuf::from(folder.write("file", "not a folder"));
@@ -728,6 +774,10 @@ fn results_that_cannot_be_written_are_named() {
             let expected = format!("can't write {}: ", results.display());
             assert!(message.starts_with(&expected), "{message}");
         }
+    }
+    for command in [&["run", SMOKE][..], &["ls"]] {
+        let said = finish(&mut harness(&file, command)).stderr;
+        assert!(said.contains(&format!("{}: it is a file, not a folder", file.display())), "{said}");
     }
     for output in [file.join("answer.csv"), PathBuf::from("/proc/nope/answer.csv")] {
         let message = refusal(&["query", "select * from runs", "--output", output.to_str().unwrap()], 1);
@@ -743,30 +793,20 @@ fn results_that_cannot_be_written_are_named() {
 const DRIVERS: &str = "__EGL_VENDOR_LIBRARY_FILENAMES";
 
 #[test]
-fn without_a_renderer_runs_fail_with_the_reason_and_leave_no_episode() {
+fn a_missing_renderer_is_reported_once_before_any_work_that_needs_it() {
     let folder = Folder::new();
     let results = folder.path("results");
-    let failing = finish(harness(&results, &["run", SMOKE]).env(DRIVERS, "/nonexistent.json"));
-    assert_eq!(failing.code, 1);
-    assert!(failing.stdout.contains("0 done, 0 done before, 2 failed"), "{}", failing.stdout);
-    assert!(failing.stderr.contains(" failed: no OpenGL context"), "{}", failing.stderr);
-    assert_whole(&results);
-    assert!(!files(&results).iter().any(|path| path.extension().is_some_and(|ending| ending == "parquet")));
-
-    let json = folder.path("runs.json").display().to_string();
-    succeed(&results, &["query", "select status, reason from runs", "--output", &json]);
-    let rows: serde_json::Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
-    assert_eq!(rows.as_array().unwrap().len(), 2);
-    for row in rows.as_array().unwrap() {
-        assert_eq!(row["status"], "failed");
-        let reason = row["reason"].as_str().unwrap();
-        assert!(reason.starts_with("no OpenGL context for offscreen rendering: EGL says "), "{reason}");
-        assert!(reason.contains("apt-get install libegl1"), "{reason}");
+    let without = |arguments: &[&str]| finish(harness(&results, arguments).env(DRIVERS, "/nonexistent.json"));
+    for command in ["run", "collect"] {
+        let message = error(&without(&[command, SMOKE, "seeds=[0,1]"]), 1);
+        assert!(message.starts_with("no OpenGL context for offscreen rendering: EGL says "), "{message}");
+        assert!(message.contains("apt-get install libegl1"), "{message}");
+        assert!(files(&results).is_empty(), "{command}: {:?}", files(&results));
     }
-    let plan = succeed(&results, &["run", SMOKE, "--dry-run"]);
-    let mut runs = plan.lines().take(2);
-    assert!(runs.all(|line| line.contains("it failed before: no OpenGL context")), "{plan}");
-    // With a driver, the same command succeeds.
+    // With a driver, the same command succeeds. Other networks on the same episodes need none.
     assert!(succeed(&results, &["run", SMOKE]).contains("2 done, 0 done before, 0 failed"));
+    let trained = without(&["run", SMOKE, "seeds=1"]);
+    assert!(trained.stdout.contains("2 done, 0 done before, 0 failed"), "{}", trained.stderr);
+    assert_eq!(without(&["collect", SMOKE]).code, 0);
     assert_whole(&results);
 }

@@ -1,6 +1,7 @@
 //! `harness compare` on real runs: in every format, the numbers are those of the tables.
 
 use crate::common::{SMOKE, finish, fresh, harness, succeed};
+use crate::terminal::{plain, raw, too_wide};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -90,7 +91,8 @@ fn every_cell_is_the_mean_and_interval_of_the_tables_and_the_best_is_bold() {
                 continue;
             };
             let number = expected(column, values, decimals);
-            let bold = (mean(values) - best.unwrap()).abs() < 1e-12;
+            // Means that are printed alike are equally good.
+            let bold = format!("{:.decimals$}", mean(values)) == format!("{:.decimals$}", best.unwrap());
             let expected = if bold { format!("**{number}**") } else { number };
             assert_eq!(*cell, expected, "{column} of {row:?}");
         }
@@ -210,6 +212,46 @@ fn runs_that_differ_in_more_than_their_seed_are_never_averaged() {
 }
 
 #[test]
+fn baselines_are_in_the_rows_of_all_networks_that_they_are_compared_with() {
+    // Without the latent size in the columns, the rows have it, but baselines have no latent size.
+    let printed =
+        succeed(&RESULTS, &["compare", "--by", "scenario", "--metrics", "r2", "--format", "markdown"]);
+    let (header, rows) = markdown(&printed);
+    let persistence = header.iter().position(|name| *name == "persistence, empty").unwrap();
+    assert!(rows.iter().all(|row| row.contains(&"latent 2") || row.contains(&"latent 4")), "{printed}");
+    let empty = header.iter().position(|name| *name == "empty").unwrap();
+    for row in rows.iter().filter(|row| row[0] == "prediction") {
+        assert!(!row[empty].is_empty() && !row[persistence].is_empty(), "{row:?} in {printed}");
+    }
+    // The scenarios have different samples, so their baselines differ. The columns of equal ones are one column.
+    let results = fresh("compare_baselines");
+    for name in ["name=one", "name=two"] {
+        let settings = ["scenarios=[empty]", "tasks=[prediction]", name];
+        succeed(&results, &[&["run", SMOKE, "latent=[2,4]"], &settings[..]].concat());
+    }
+    let printed = succeed(&results, &["compare", "--by", "experiment", "--format", "markdown"]);
+    let (header, rows) = markdown(&printed);
+    assert_eq!(header[3..], ["one", "two", "persistence", "ridge", "training mean"]);
+    // Two latent sizes, and five metrics of each.
+    assert_eq!(rows.len(), 2 * 5, "{printed}");
+}
+
+#[test]
+fn no_number_and_no_arrow_of_a_comparison_is_broken_at_any_width() {
+    for width in [60, 80, 120] {
+        let mut compare = std::process::Command::new(env!("CARGO_BIN_EXE_harness"));
+        compare.arg("--results").arg(&*RESULTS).args(["compare", "smoke"]);
+        let said = plain(&raw(&mut compare, width));
+        assert!(too_wide(&said, width).is_empty(), "at {width}: {said}");
+        for line in said.lines().take_while(|line| !line.starts_with("smoke; mean ±")) {
+            let words: Vec<&str> = line.split_whitespace().collect();
+            assert!(!["±", "↑", "↓"].contains(words.first().unwrap_or(&"")), "at {width}: {said}");
+            assert!(words.last() != Some(&"±"), "at {width}: {said}");
+        }
+    }
+}
+
+#[test]
 fn all_formats_say_the_same() {
     let arguments = ["compare", "--by", "scenario,latent", "--task", "prediction", "--metrics", "r2,rmse"];
     let print = |format: &str| succeed(&RESULTS, &[&arguments[..], &["--format", format]].concat());
@@ -259,6 +301,53 @@ fn all_formats_say_the_same() {
 }
 
 #[test]
+fn a_table_of_text_has_no_empty_column() {
+    let text = succeed(&RESULTS, &["compare", "smoke"]);
+    let table = |title: &str| text.split("\n\n").find(|part| part.starts_with(title)).unwrap().to_owned();
+    assert!(table("prediction, empty\n").contains("latent 2"), "{text}");
+    let cluttered = table("prediction, cluttered\n");
+    assert!(cluttered.contains("latent 4") && !cluttered.contains("latent 2"), "{text}");
+}
+
+#[test]
+fn variants_are_sorted_by_their_numbers() {
+    let results = fresh("compare_variants");
+    let settings =
+        ["scenarios=[empty]", "tasks=[prediction]", "latent=[16,2]", "vary={network.hidden: [[16], [8]]}"];
+    succeed(&results, &[&["run", SMOKE], &settings[..]].concat());
+    let arguments = ["compare", "smoke", "--by", "variant", "--models", "network", "--format", "markdown"];
+    let printed = succeed(&results, &arguments);
+    let (header, _) = markdown(&printed);
+    let places = ["hidden=8", "hidden=16"]
+        .map(|name| header.iter().position(|title| title.replace(['[', ']'], "") == name).expect(&printed));
+    assert!(places[0] < places[1], "{printed}");
+    let listed = succeed(&results, &["ls"]);
+    assert!(listed.find("empty-z2-").unwrap() < listed.find("empty-z16-").unwrap(), "{listed}");
+}
+
+#[test]
+fn intervals_over_datasets_are_said_to_be_over_datasets() {
+    let results = fresh("compare_datasets");
+    let settings =
+        ["scenarios=[empty]", "tasks=[prediction]", "seeds=[0,1]", "vary={simulation.seed: [0, 1, 2]}"];
+    succeed(&results, &[&["run", SMOKE], &settings[..]].concat());
+    let text = succeed(&results, &["compare", "smoke", "--metrics", "smape"]);
+    assert!(text.contains("95 % interval over 3 datasets (6 runs)"), "{text}");
+    let file = results.join("means.csv").display().to_string();
+    succeed(&results, &["compare", "smoke", "--metrics", "smape", "--models", "network", "--output", &file]);
+    let means = std::fs::read_to_string(file).unwrap();
+    assert!(means.lines().next().unwrap().contains(",unit,datasets,seeds,mean,"), "{means}");
+    assert!(means.lines().skip(1).all(|line| line.contains(",%,3,6,")), "{means}");
+    let plot = results.join("plot.svg").display().to_string();
+    succeed(
+        &results,
+        &["plot", "smoke", "--x", "latent", "--y", "smape", "--by", "modality", "--output", &plot],
+    );
+    let plot = std::fs::read_to_string(plot).unwrap();
+    assert!(plot.contains("bars: 95 % intervals over 3 datasets (6 runs)"), "{}", &plot[..2000]);
+}
+
+#[test]
 fn what_is_chosen_is_what_is_printed() {
     let printed = succeed(
         &RESULTS,
@@ -277,6 +366,16 @@ fn what_is_chosen_is_what_is_printed() {
 }
 
 #[test]
+fn a_column_has_a_name_where_nothing_varies() {
+    for key in ["variant", "settings"] {
+        let printed = succeed(&RESULTS, &["compare", "--by", key, "--format", "markdown"]);
+        let (header, _) = markdown(&printed);
+        let named: Vec<&str> = header.into_iter().skip_while(|title| title.is_empty()).collect();
+        assert_eq!(named, ["network", "persistence", "ridge", "training mean"], "{printed}");
+    }
+}
+
+#[test]
 fn a_comparison_of_nothing_is_refused() {
     let nowhere = tempfile::tempdir().unwrap();
     std::fs::create_dir(nowhere.path().join("runs")).unwrap();
@@ -287,11 +386,16 @@ fn a_comparison_of_nothing_is_refused() {
             "error: there are no finished runs to compare; `harness --results ",
         ),
         (&RESULTS, &["compare", "smok"], "error: 'smok' has no finished runs; those that have: smoke\n"),
+        (
+            &RESULTS,
+            &["compare", SMOKE],
+            "error: 'experiments/smoke.yaml' has no finished runs; did you mean 'smoke'? Those that have: smoke\n",
+        ),
         (&RESULTS, &["compare", "--metrics", "r3"], "error: invalid value 'r3' for '--metrics <METRIC>'"),
         (
             &RESULTS,
             &["compare", "--task", "reconstruction", "--metrics", "wmape"],
-            "error: no run has these metrics of this task and model; `harness --results ",
+            "error: no run has these metrics for this task and model; `harness --results ",
         ),
         (&RESULTS, &["compare", "--by", "size"], "error: invalid value 'size' for '--by <KEY>'"),
     ] {

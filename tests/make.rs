@@ -39,6 +39,10 @@ fn calls_in_clone(command: &[&str], cargo: i32, python: i32) -> (Vec<String>, Ou
         // The tests may have been started by `make`.
         .env_remove("MAKEFLAGS")
         .env_remove("MAKELEVEL")
+        // They may run in a hook of git, which would make this its own repository.
+        .env_remove("GIT_DIR")
+        .env_remove("GIT_INDEX_FILE")
+        .env_remove("GIT_WORK_TREE")
         .output()
         .unwrap();
     let calls = fs::read_to_string(path("calls")).unwrap().lines().map(str::to_owned).collect();

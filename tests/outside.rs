@@ -54,7 +54,7 @@ fn built_in_experiments_and_claims_need_no_clone() {
     assert!(succeed(folder.path(), &["verify"]).contains("all files are intact"));
     for arguments in [&["claims"][..], &["claims", "force_is_quasi_static"]] {
         let judged = succeed(folder.path(), arguments);
-        assert!(judged.contains("for those without data   harness run single_to_multi\n"), "{judged}");
+        assert!(judged.contains("for claims without data   harness run single_to_multi\n"), "{judged}");
     }
     let readings = answer(folder.path(), &["claims", "--readings"]);
     assert!(readings.stderr.contains("there are no runs of readings; make them with `harness run readings`"));
@@ -88,7 +88,7 @@ fn files_in_the_folder_come_before_built_in_ones() {
     let claims = answer(folder.path(), &["claims"]);
     assert_eq!(
         (claims.code, &*claims.stderr),
-        (2, "error: experiments/claims.yaml:1:1: the file holds no claims\n")
+        (2, "error: experiments/claims.yaml:1:1: the file contains no claims\n")
     );
 }
 
@@ -160,4 +160,52 @@ fn experiments_lists_questions_and_prints_specs() {
     );
     let unknown = answer(folder.path(), &["experiments", "somke"]);
     assert!(unknown.code == 2 && unknown.stderr.contains("'smoke'"), "{}", unknown.stderr);
+}
+
+/// Runs git in `folder`, and returns whether it succeeded.
+fn git(folder: &Path, arguments: &[&str]) -> bool {
+    let user = ["-c", "user.name=a", "-c", "user.email=a@example.org"];
+    let mut command = Command::new("git");
+    let command = command.current_dir(folder).args(user).args(arguments);
+    command.output().is_ok_and(|output| output.status.success())
+}
+
+#[test]
+fn the_uncommitted_changes_of_a_run_can_be_applied() {
+    let folder = empty_folder();
+    let folder = folder.path();
+    let file = |name: &str| folder.join(name);
+    fs::write(file("text"), "one\n\ntwo\n\n").unwrap();
+    fs::write(file("latin"), b"caf\xe9\n").unwrap();
+    fs::write(file("binary"), [0, 1, 2]).unwrap();
+    for arguments in [
+        &["init", "--quiet"][..],
+        &["config", "color.ui", "always"],
+        &["config", "diff.noprefix", "true"],
+        &["add", "text", "latin", "binary"],
+        &["commit", "--quiet", "--message", "x"],
+    ] {
+        assert!(git(folder, arguments), "{arguments:?}");
+    }
+    let changed: [(&str, &[u8]); 3] =
+        [("text", b"1\n\ntwo\n\n"), ("latin", b"th\xe9\n"), ("binary", &[0, 3])];
+    for (name, bytes) in changed {
+        fs::write(file(name), bytes).unwrap();
+    }
+    let run = ["run", "smoke", "scenarios=[empty]", "tasks=[prediction]", "training.epochs=1"];
+    succeed(folder, &run);
+    let run_folder = fs::read_dir(file("results/runs/smoke")).unwrap().next().unwrap().unwrap().path();
+    let patch = run_folder.join("uncommitted.diff");
+    let patch = patch.to_str().unwrap();
+    assert!(git(folder, &["checkout", "--quiet", "."]));
+    assert!(git(folder, &["apply", patch]), "{}", String::from_utf8_lossy(&fs::read(patch).unwrap()));
+    for (name, bytes) in changed {
+        assert_eq!(fs::read(file(name)).unwrap(), bytes);
+    }
+
+    // A run that is done again has the changes of the second time.
+    assert!(git(folder, &["checkout", "--quiet", "."]));
+    fs::remove_file(run_folder.join("metrics.parquet")).unwrap();
+    succeed(folder, &run);
+    assert!(!Path::new(patch).exists());
 }

@@ -6,10 +6,10 @@ use anyhow::{Result, bail};
 use clap::Args;
 use harness::analysis::{Analysis, Mixed, Setting};
 use harness::claims::{
-    self, Claim, Judgment, Matrix, MatrixRow, Measured, Plan, Readings, Step, Verdict, corrected,
+    self, Claim, Each, Judgment, Matrix, MatrixRow, Measured, Plan, Readings, Step, Verdict, corrected,
 };
-use harness::numbers::{duration, rounded};
-use harness::registry::{self, Registry};
+use harness::numbers::{counted, duration, rounded};
+use harness::registry::{self, Registry, quoted};
 use harness::spec::{self, Experiment, Reading, Scenario};
 use polars::prelude::{Column, DataFrame};
 use std::collections::{BTreeMap, BTreeSet};
@@ -18,22 +18,24 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Claims {
-    /// Claims to judge; their queries and the value of every seed are printed too [default: all claims, in a table]
+    /// Names of claims to judge. Their queries and the value of every seed are also printed [default: all claims]
     #[arg(value_name = "CLAIM")]
     chosen: Vec<String>,
-    /// The file of claims; `claims` is the built-in one, unless the folder has a file experiments/claims.yaml
+    /// The file of claims. `claims` stands for claims.yaml, experiments/claims.yaml or the built-in claims, whichever
+    /// exists first
     #[arg(long, value_name = "FILE", default_value = "claims")]
     file: PathBuf,
-    /// Judge by the quick runs of the experiments
+    /// Judge by the quick runs (`harness run … --quick`)
     #[arg(long)]
     quick: bool,
-    /// Only runs with this setting, such as training.epochs=200
+    /// Use only runs with this setting, for example training.epochs=200; may be given several times
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
-    /// Judge under every reading of a spec, by its runs, and print which choices change a verdict
+    /// Judge under each reading that the spec FILE lists, and print which readings change a verdict. Without FILE, the
+    /// spec is `readings`
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "readings")]
     readings: Option<PathBuf>,
-    /// Print how many more datasets or seeds would decide the undecided claims, and the commands that make them
+    /// Print how many more datasets or seeds would decide the undecided claims, with the commands that run them
     #[arg(long, conflicts_with_all = ["readings", "output"])]
     plan: bool,
     /// Write the verdicts to a file instead: .parquet, .csv or .json
@@ -58,14 +60,16 @@ impl Claims {
             return write(claims::table(&judgments.iter().collect::<Vec<_>>())?, &path);
         }
         if self.plan {
-            print_plan(&claims::plan(&runs, &judgments, self.quick));
+            print_plan(&claims::plan(&runs, &judgments, self.quick), &judgments);
+            print_missing(&runs, &judgments, self.quick);
             return Ok(ExitCode::from(DONE));
         }
         print(&judgments);
         if !self.chosen.is_empty() {
             print_details(&judgments, self.quick);
         }
-        print_summary(&runs, &judgments, self.quick);
+        print_summary(&runs, &judgments);
+        print_missing(&runs, &judgments, self.quick);
         Ok(ExitCode::from(DONE))
     }
 
@@ -77,7 +81,7 @@ impl Claims {
         let matrix = Readings::new(registry, &spec, chosen, &self.settings)?.judge(chosen)?;
         if matrix.rows.is_empty() {
             let quick = if self.quick { " --quick" } else { "" };
-            let path = path.display();
+            let path = quoted([&*path.to_string_lossy()]);
             bail!(
                 "there are no runs of {}; make them with `{}`",
                 spec.name,
@@ -99,7 +103,7 @@ impl Claims {
 /// Writes a table with a row for each verdict.
 fn write(mut verdicts: DataFrame, path: &Path) -> Result<ExitCode> {
     registry::save(&mut verdicts, path)?;
-    println!("{} verdicts in {}", verdicts.height(), shown(path));
+    println!("{} in {}", counted(verdicts.height(), "verdict"), shown(path));
     Ok(ExitCode::from(DONE))
 }
 
@@ -108,7 +112,7 @@ fn symbol(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Holds => "+",
         Verdict::DoesNotHold => "-",
-        Verdict::Undecided | Verdict::OneSeed { .. } | Verdict::Mixed => "?",
+        Verdict::Undecided | Verdict::OneValue { .. } | Verdict::Mixed => "?",
         Verdict::NotTestable => "x",
         Verdict::NoData => ".",
     }
@@ -133,7 +137,9 @@ fn print_matrix(spec: &Experiment, matrix: &Matrix) {
     for row in &matrix.rows {
         line(&named(row), row.judgments.iter().map(|one| symbol(one.verdict()).to_owned()).collect());
     }
-    println!("\n+ holds, - does not hold, ? undecided, x not testable, . no data\n\n0 base");
+    println!();
+    print_text("+ holds, - does not hold, ? undecided, x not testable, . no data");
+    println!("\n0 base");
     for (place, reading) in spec.readings.iter().enumerate() {
         let Reading { name, choice, base, instead, .. } = reading;
         print_text(&format!("{} {name}: {choice}: {instead}; in the base: {base}", place + 1));
@@ -162,7 +168,7 @@ fn print_matrix(spec: &Experiment, matrix: &Matrix) {
     matrix.notes.iter().for_each(|note| print_text(note));
 }
 
-fn print_plan(plan: &Plan) {
+fn print_plan(plan: &Plan, judgments: &[Judgment]) {
     let named = |claims: &[(&Claim, Option<Scenario>)]| {
         let name = |(claim, scenario): &(&Claim, Option<Scenario>)| {
             format!("{} {}", claim.id(), scenario.map_or("both", Scenario::name))
@@ -173,10 +179,11 @@ fn print_plan(plan: &Plan) {
         let Step { more, there, count, runs, seconds, .. } = step;
         let purpose = if *there == 1 { "give an interval to" } else { "decide" };
         print_text(&format!(
-            "{}, {runs} runs, about {}, would {purpose} {}:",
+            "{}, {runs} runs, about {}, would {purpose} {}{}",
             more.counted(*count),
             duration(*seconds),
-            named(&step.decides)
+            named(&step.decides),
+            if step.commands.is_empty() { "" } else { ":" }
         ));
         step.commands.iter().for_each(|command| print_command("  ", command));
     }
@@ -190,7 +197,11 @@ fn print_plan(plan: &Plan) {
         }
     }
     if plan.steps.is_empty() && plan.out_of_reach.is_empty() && plan.by_episode.is_empty() {
-        println!("no claim that was measured is undecided");
+        let has_data = judgments.iter().any(|judgment| judgment.verdict() != Verdict::NoData);
+        println!(
+            "{}",
+            if has_data { "no measured claim is undecided" } else { "there are no runs to judge by" }
+        );
     } else {
         print_text(
             "assuming that means and standard deviations stay the same, and that runs take as long as before",
@@ -218,7 +229,9 @@ fn print(judgments: &[Judgment]) {
         ]
     });
     let header = ["claim", "measured", "scenario", "value", "condition", "verdict"];
-    let table = Grid { ruled: true, ..Grid::of_texts(header, rows.collect()) };
+    // A scenario, its value and its verdict are on the same line, so these columns are not broken.
+    let whole = vec![false, false, true, true, false, true];
+    let table = Grid { ruled: true, whole, ..Grid::of_texts(header, rows.collect()) };
     match width() {
         Some(limit) if !table.fits(limit) => {
             let claims: Vec<String> = claims.iter().map(|judgments| listed(judgments, limit)).collect();
@@ -234,7 +247,8 @@ fn listed(judgments: &[(&Judgment, Option<f64>)], limit: u16) -> String {
     let heading = format!("{}: {} ({})", claim.id(), claim.paper, claim.section);
     let measured = format!("  measured: {}; condition: {}", claim.measured, claim.condition);
     let lines = judgments.iter().map(|one| {
-        let text = format!("  {}: {}: {}", scenario(one.0), value(one.0), verdict(one));
+        let value = one.0.interval().map_or(String::new(), |interval| format!("{interval}: "));
+        let text = format!("  {}: {value}{}", scenario(one.0), verdict(one));
         fitted(&text, Some(limit))
     });
     let head = [fitted(&heading, Some(limit)), fitted(&measured, Some(limit))];
@@ -267,7 +281,8 @@ fn print_details(judgments: &[Judgment], quick: bool) {
         let claim = judgments[0].claim;
         println!("\n{}:\n{}", claim.id(), claim.sql(quick));
         if let (Some(requirement), Some(sql)) = (&claim.requires, claim.required_sql(quick)) {
-            println!("requires {}, {}:\n{sql}", requirement.measured, requirement.condition);
+            print_text(&format!("requires {}, {}:", requirement.measured, requirement.condition));
+            println!("{sql}");
         }
     }
 }
@@ -275,9 +290,10 @@ fn print_details(judgments: &[Judgment], quick: bool) {
 fn print_values(of: &str, measured: &Measured) {
     let each = measured.each.name();
     let several = measured.datasets().len() > 1;
-    let place = |(dataset, n): &(u64, i64)| match several {
-        true => format!("dataset {dataset} {each} {n}"),
-        false => format!("{each} {n}"),
+    let place = |(dataset, n): &(u64, i64)| match measured.each {
+        Each::Dataset => format!("dataset {dataset}"),
+        _ if several => format!("dataset {dataset} {each} {n}"),
+        _ => format!("{each} {n}"),
     };
     let values: Vec<String> =
         measured.values.iter().map(|(at, value)| format!("{}: {}", place(at), rounded(*value))).collect();
@@ -286,13 +302,13 @@ fn print_values(of: &str, measured: &Measured) {
     }
 }
 
-fn print_summary(runs: &Analysis, judgments: &[Judgment], quick: bool) {
+fn print_summary(runs: &Analysis, judgments: &[Judgment]) {
     let count = |verdict: fn(&Verdict) -> bool| judgments.iter().filter(|j| verdict(&j.verdict())).count();
     let (holds, fails) = (count(|v| *v == Verdict::Holds), count(|v| *v == Verdict::DoesNotHold));
     let untestable = count(|verdict| *verdict == Verdict::NotTestable);
     print_text(&format!(
         "{holds} hold, {fails} do not hold, {} undecided, {untestable} not testable; intervals are 95 % over \
-         datasets or, with one dataset, over seeds (forces: episodes)",
+         datasets or, with one dataset, over seeds or episodes",
         judgments.len() - holds - fails - untestable,
     ));
     let corrected = corrected(judgments);
@@ -309,16 +325,21 @@ fn print_summary(runs: &Analysis, judgments: &[Judgment], quick: bool) {
     for text in runs.notes().iter().chain(&mixed) {
         print_text(text);
     }
+}
+
+/// Prints the commands that make the runs of the claims without data.
+fn print_missing(runs: &Analysis, judgments: &[Judgment], quick: bool) {
     let lacking = judgments.iter().filter(|judgment| judgment.verdict() == Verdict::NoData);
-    let mut experiments: Vec<&String> = lacking.flat_map(|judgment| &judgment.claim.experiments).collect();
-    experiments.sort_unstable();
-    experiments.dedup();
+    let experiments: BTreeSet<&String> = lacking.flat_map(|judgment| &judgment.claim.experiments).collect();
     for experiment in experiments {
-        print_command("for those without data   ", &runs.command(experiment, quick));
+        match runs.command(experiment, quick) {
+            Some(command) => print_command("for claims without data   ", &command),
+            None => print_text(&format!("for claims without data   there is no spec called {experiment}")),
+        }
     }
 }
 
-/// Prints the requirements that do not hold, each with its claims.
+/// Prints the requirements that do not hold or are undecided, each with its claims.
 fn print_unmet(judgments: &[Judgment]) {
     let mut claims: BTreeMap<(&str, String), Vec<&str>> = BTreeMap::new();
     for judgment in judgments.iter().filter(|judgment| judgment.verdict() == Verdict::NotTestable) {

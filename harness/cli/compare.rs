@@ -1,15 +1,17 @@
 //! `harness compare`.
 
 use super::DONE;
+use super::plot::key;
 use super::sheet::{Sheet, Style, best, rounded};
 use super::table::{shown, width};
 use anyhow::Result;
+use clap::Args;
 use clap::builder::PossibleValuesParser;
-use clap::{Args, ValueEnum};
-use harness::analysis::{Analysis, Interval, Mean, NETWORK, Of, Selection, Setting};
+use harness::analysis::{Analysis, Interval, Key, Mean, NETWORK, Of, Setting, replicates_of};
 use harness::metrics::Metric;
+use harness::numbers::{Natural, counted};
 use harness::registry::{Registry, save};
-use harness::spec::{Modality, Origin, Task};
+use harness::spec::{Modality, Origin, Task, variant_parts};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -19,55 +21,42 @@ pub struct Compare {
     /// Experiments to compare, as `harness ls` names them [default: all]
     #[arg(value_name = "EXPERIMENT")]
     experiments: Vec<String>,
-    /// The keys that distinguish columns; the other keys distinguish rows
-    #[arg(long, value_name = "KEY", value_delimiter = ',', default_value = "latent")]
+    /// The keys that distinguish the columns, separated by commas. All other keys distinguish rows or tables
+    #[arg(long, value_name = "KEY", value_delimiter = ',', default_value = "latent", value_parser = key(&Key::OF_RUNS))]
     by: Vec<Key>,
-    /// The metrics to compare
+    /// The metrics, separated by commas: r2, rmse, mae, smape, wmape, relative_error, or relative_error_REGION for the
+    /// pixels of a region, such as finger
     #[arg(long, value_name = "METRIC", value_delimiter = ',', default_value = "smape,wmape,r2,relative_error",
           value_parser = metric)]
     metrics: Vec<String>,
-    /// The network, baselines or both
+    /// The network and the baselines, separated by commas
     #[arg(long, value_name = "MODEL", value_delimiter = ',', default_value = "network,persistence,ridge,training_mean",
           value_parser = PossibleValuesParser::new([NETWORK, "persistence", "ridge", "training_mean"]))]
     models: Vec<String>,
-    /// Only this task
+    /// Compare only this task [default: both]
     #[arg(long, value_parser = PossibleValuesParser::new(Task::ALL.iter().map(|task| task.name())))]
     task: Option<String>,
-    /// Only runs with this setting, such as training.batch_size=64
+    /// Use only runs with this setting, for example training.epochs=200; may be given several times
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
     /// The format of the table
     #[arg(long, value_name = "FORMAT", default_value = "text")]
     format: Style,
-    /// Write the means to a file instead, one per row: .parquet, .csv or .json
+    /// Write the means to a file instead, one in each row: .parquet, .csv or .json
     #[arg(long, short, value_name = "FILE")]
     output: Option<PathBuf>,
 }
 
 /// Parses the name of a metric.
-pub fn metric(name: &str) -> Result<String, String> {
-    let names = Metric::GENERAL.map(Metric::name).join(", ");
-    let found = Metric::named(name).map(|metric| metric.name().to_owned());
-    found.ok_or_else(|| format!("the metrics are {names}, and relative_error_REGION of a world's regions, as relative_error_finger"))
-}
-
-/// A key by which the cells of the table are distinguished.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum)]
-enum Key {
-    Experiment,
-    Scenario,
-    Latent,
-    /// Settings that an experiment varies.
-    Variant,
-    /// The other settings in which runs of an experiment differ.
-    Settings,
+fn metric(name: &str) -> Result<String, String> {
+    name.parse().map(|metric: Metric| metric.name().to_owned())
 }
 
 /// The reason why there is nothing to compare.
 #[derive(Debug, thiserror::Error)]
 pub enum CompareError {
     /// No run has the requested metrics. The field is a command that prints all means.
-    #[error("no run has these metrics of this task and model; `{0}` prints what there is")]
+    #[error("no run has these metrics for this task and model; `{0}` prints all metrics")]
     Empty(String),
     /// There are no finished runs. The field is a command that makes some.
     #[error("there are no finished runs to compare; `{0}` makes some")]
@@ -77,15 +66,9 @@ pub enum CompareError {
 impl Compare {
     /// Prints the table, or writes the means to a file.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let selection = Selection {
-            experiments: self.experiments.clone(),
-            settings: self.settings.clone(),
-            simulated: false,
-        };
-        let analysis = Analysis::new(registry, &selection)?;
-        analysis.check_finished(&self.experiments)?;
+        let analysis = Analysis::finished(registry, &self.experiments, &self.settings)?;
         if analysis.experiments().next().is_none() {
-            return Err(CompareError::Nothing(analysis.command("single_to_multi", false)).into());
+            return Err(CompareError::Nothing(registry.command("run single_to_multi")).into());
         }
         let is_wanted = |mean: &Mean| {
             self.metrics.contains(&mean.of.metric)
@@ -95,7 +78,7 @@ impl Compare {
         let means: Vec<Mean> = analysis.means()?.into_iter().filter(is_wanted).collect();
         if let Some(path) = self.output {
             save(&mut Mean::frame(&means)?, &path)?;
-            println!("{} means in {}", means.len(), shown(&path));
+            println!("{} in {}", counted(means.len(), "mean"), shown(&path));
             return Ok(ExitCode::from(DONE));
         }
         let mut comparison = Comparison::new(means.iter(), &self.by, &self.metrics);
@@ -109,13 +92,13 @@ impl Compare {
 }
 
 /// The values of some keys for a row or a column; `None` for all other keys.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord)]
 struct Place {
     experiment: Option<String>,
     scenario: Option<Origin>,
     latent: Option<usize>,
-    variant: Option<String>,
-    settings: Option<String>,
+    variant: Option<Natural>,
+    settings: Option<Natural>,
 }
 
 impl Place {
@@ -124,18 +107,55 @@ impl Place {
             experiment: has(Key::Experiment).then(|| of.experiment.clone()),
             scenario: has(Key::Scenario).then(|| of.scenario.clone()),
             latent: of.latent.filter(|_| has(Key::Latent)),
-            variant: has(Key::Variant).then(|| of.variant.clone()),
-            settings: has(Key::Settings).then(|| of.settings.clone()),
+            variant: has(Key::Variant).then(|| Natural::new(&of.variant)),
+            settings: has(Key::Settings).then(|| Natural::new(&of.settings)),
         }
     }
 
-    /// A text for each key, empty if it has no value.
-    fn words(&self) -> [String; 5] {
+    /// A text for each key, empty if it has no value. In text, each of the trials in `legend` has its number only, and
+    /// there are spaces at which lines can be broken.
+    fn words(&self, style: Style, legend: &BTreeMap<String, String>) -> [String; 5] {
         let scenario = self.scenario.as_ref().map(|scenario| scenario.name().to_owned());
         let latent = self.latent.map(|latent| format!("latent {latent}"));
-        [self.experiment.clone(), scenario, latent, self.variant.clone(), self.settings.clone()]
-            .map(Option::unwrap_or_default)
+        let text = |natural: &Natural| natural.text().to_owned();
+        let (mut variant, mut settings) = (self.variant.as_ref().map(text), self.settings.as_ref().map(text));
+        if style == Style::Text {
+            let short = |variant: &str| Some(trial(variant)?.0).filter(|name| legend.contains_key(name));
+            variant = variant.map(|variant| short(&variant).unwrap_or(variant).replace(',', ", "));
+            settings = settings.map(|settings| with_training(&settings));
+        }
+        [self.experiment.clone(), scenario, latent, variant, settings].map(Option::unwrap_or_default)
     }
+}
+
+/// The name of a trial without its settings, and its settings. `None` if the variant is not that of a trial.
+fn trial(variant: &str) -> Option<(String, String)> {
+    let (varied, number, settings) = variant_parts(variant);
+    let number = format!("trial={}", number?);
+    let names: Vec<&str> = [varied, &number].into_iter().filter(|name| !name.is_empty()).collect();
+    Some((names.join(","), settings.replace(',', ", ")))
+}
+
+/// Settings in which runs differ, with words for how far successive halving has trained them. It sets two settings of the
+/// trials that it does not train to the end.
+fn with_training(settings: &str) -> String {
+    const LAST: &str = "training.last_epoch=";
+    if !settings.contains(LAST) {
+        return settings.to_owned();
+    }
+    let word = |setting: &str| match setting.strip_prefix(LAST) {
+        Some("unset") => "trained to the end".to_owned(),
+        Some(epoch) => format!("trained to epoch {epoch}"),
+        None => setting.to_owned(),
+    };
+    let shown = settings.split(", ").filter(|setting| !setting.starts_with("tasks="));
+    shown.map(word).collect::<Vec<_>>().join(", ")
+}
+
+/// A mean and half of its interval, as they are printed.
+fn printed(interval: &Interval, unit: &str) -> (String, Option<String>) {
+    let number = |value: f64| rounded(value, unit);
+    (number(interval.mean), interval.bounds.map(|(_, high)| number(high - interval.mean)))
 }
 
 /// A column of the table. Columns of the network come first, then those of each baseline.
@@ -144,6 +164,16 @@ struct Side {
     /// `None` for the network.
     baseline: Option<String>,
     place: Place,
+}
+
+impl Side {
+    /// The column's heading. A network that no key distinguishes from the others is called the network.
+    fn name(&self, style: Style, legend: &BTreeMap<String, String>) -> String {
+        let model = self.baseline.as_ref().map(|name| name.replace('_', " "));
+        let words = model.into_iter().chain(self.place.words(style, legend));
+        let words: Vec<String> = words.filter(|word| !word.is_empty()).collect();
+        if words.is_empty() { NETWORK.to_owned() } else { words.join(", ") }
+    }
 }
 
 /// A row of the table.
@@ -156,6 +186,13 @@ struct Subject {
     metric: usize,
 }
 
+impl Subject {
+    /// The row of baselines that belongs to this one.
+    fn without_latent(&self) -> Self {
+        Self { place: Place { latent: None, ..self.place.clone() }, ..self.clone() }
+    }
+}
+
 /// The means of all rows and columns.
 struct Comparison<'a> {
     metrics: &'a [String],
@@ -166,47 +203,104 @@ struct Comparison<'a> {
 
 impl<'a> Comparison<'a> {
     fn new(means: impl Iterator<Item = &'a Mean>, by: &[Key], metrics: &'a [String]) -> Self {
+        let subject = |of: &Of| Subject {
+            task: of.task,
+            place: Place::of(of, |key| !by.contains(&key)),
+            modality: of.modality,
+            metric: metrics.iter().position(|name| *name == of.metric).unwrap_or(metrics.len()),
+        };
+        let side = |of: &Of| Side {
+            baseline: (of.model != NETWORK).then(|| of.model.clone()),
+            place: Place::of(of, |key| by.contains(&key)),
+        };
         let mut comparison =
             Self { metrics, units: BTreeMap::new(), values: BTreeMap::new(), notes: Vec::new() };
-        for mean in means {
-            let of = &mean.of;
-            let baseline = (of.model != NETWORK).then(|| of.model.clone());
-            let side = Side { baseline, place: Place::of(of, |key| by.contains(&key)) };
-            let subject = Subject {
-                task: of.task,
-                place: Place::of(of, |key| !by.contains(&key)),
-                modality: of.modality,
-                metric: metrics.iter().position(|name| *name == of.metric).unwrap_or(metrics.len()),
-            };
-            comparison.units.insert(subject.clone(), &mean.unit);
-            comparison.values.insert((subject, side), mean);
+        let (networks, baselines): (Vec<&Mean>, Vec<&Mean>) =
+            means.partition(|mean| mean.of.model == NETWORK);
+        let mut rows: BTreeMap<Subject, Vec<Subject>> = BTreeMap::new();
+        for mean in networks {
+            let subject = subject(&mean.of);
+            rows.entry(subject.without_latent()).or_default().push(subject.clone());
+            comparison.insert(subject, side(&mean.of), mean);
         }
-        comparison.notes.push(comparison.seeds());
+        // A baseline has no latent size, so it is in the rows of the networks of every size.
+        for mean in baselines {
+            let own = subject(&mean.of);
+            for subject in rows.get(&own).cloned().unwrap_or_else(|| vec![own]) {
+                comparison.insert(subject, side(&mean.of), mean);
+            }
+        }
+        comparison.merge_baselines();
+        comparison.notes.push(comparison.replicates());
         comparison
+    }
+
+    fn insert(&mut self, subject: Subject, side: Side, mean: &'a Mean) {
+        self.units.insert(subject.clone(), &mean.unit);
+        self.values.insert((subject, side), mean);
+    }
+
+    /// Makes one column of the columns of a baseline if they show the same numbers in every row.
+    fn merge_baselines(&mut self) {
+        let names: BTreeSet<String> =
+            self.values.keys().filter_map(|(_, side)| side.baseline.clone()).collect();
+        for name in names {
+            let is_own = |(_, side): &(Subject, Side)| side.baseline.as_ref() == Some(&name);
+            let mut rows: BTreeMap<&Subject, BTreeSet<(String, Option<String>)>> = BTreeMap::new();
+            for ((subject, _), mean) in self.values.iter().filter(|(key, _)| is_own(key)) {
+                rows.entry(subject).or_default().insert(printed(&mean.interval, &mean.unit));
+            }
+            if rows.values().all(|numbers| numbers.len() == 1) {
+                let side = Side { baseline: Some(name.clone()), place: Place::default() };
+                let (own, others): (Vec<_>, Vec<_>) =
+                    std::mem::take(&mut self.values).into_iter().partition(|(key, _)| is_own(key));
+                let own = own.into_iter().map(|((subject, _), mean)| ((subject, side.clone()), mean));
+                self.values = others.into_iter().chain(own).collect();
+            }
+        }
     }
 
     fn sheet(&self, style: Style) -> Sheet {
         let sides: BTreeSet<&Side> = self.values.keys().map(|(_, side)| side).collect();
-        let header = sides.iter().map(|side| {
-            let words = side.baseline.iter().map(|name| name.replace('_', " ")).chain(side.place.words());
-            words.filter(|word| !word.is_empty()).collect::<Vec<_>>().join(", ")
-        });
+        let legend = if style == Style::Text { self.trials() } else { BTreeMap::new() };
+        let header = sides.iter().map(|side| side.name(style, &legend));
         let rows = self.units.iter().map(|(subject, unit)| {
             let values =
                 sides.iter().map(|side| self.values.get(&(subject.clone(), (*side).clone())).copied());
-            (self.words(subject, unit, style), self.cells(subject, unit, values, style))
+            (self.words(subject, unit, style, &legend), self.cells(subject, unit, values, style))
         });
         let rows: Vec<_> = rows.collect();
         // The last two words are the modality and the metric.
         let titles = rows.first().map_or(0, |(words, _)| words.len() - 2);
-        Sheet { titles, header: header.collect(), rows, notes: self.notes.clone() }
+        let header = header.collect();
+        Sheet { titles, header, rows, notes: self.notes.clone(), legend: legend.into_iter().collect() }
+    }
+
+    /// The names of trials, and their settings. A name that trials with different settings have is left out.
+    fn trials(&self) -> BTreeMap<String, String> {
+        let places = self.values.keys().flat_map(|(subject, side)| [&subject.place, &side.place]);
+        let mut trials: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+        for (name, settings) in places.filter_map(|place| trial(place.variant.as_ref()?.text())) {
+            trials.entry(name).or_default().insert(settings);
+        }
+        let only = |(name, settings): (String, BTreeSet<String>)| match settings.len() {
+            1 => settings.into_iter().next().map(|settings| (name, settings)),
+            _ => None,
+        };
+        trials.into_iter().filter_map(only).collect()
     }
 
     /// The words of a row: task, keys, modality, metric and unit.
-    fn words(&self, subject: &Subject, unit: &str, style: Style) -> Vec<String> {
+    fn words(
+        &self,
+        subject: &Subject,
+        unit: &str,
+        style: Style,
+        legend: &BTreeMap<String, String>,
+    ) -> Vec<String> {
         let metric = &self.metrics[subject.metric];
         let mut words = vec![subject.task.name().to_owned()];
-        words.extend(subject.place.words());
+        words.extend(subject.place.words(style, legend));
         words.extend([subject.modality.name().replace('_', " "), style.metric(metric, unit)]);
         words
     }
@@ -222,27 +316,24 @@ impl<'a> Comparison<'a> {
         let intervals: Vec<Option<Interval>> = values.map(|mean| Some(mean?.interval)).collect();
         let means: Vec<Option<f64>> =
             intervals.iter().map(|interval| Some(interval.as_ref()?.mean)).collect();
-        let best = best(&self.metrics[subject.metric], &means);
-        let cell = |interval: &Option<Interval>| {
+        let best = best(&self.metrics[subject.metric], unit, &means);
+        let cell = |(interval, is_best): (&Option<Interval>, bool)| {
             let Some(interval) = interval else { return String::new() };
-            let number = |value: f64| rounded(value, unit);
-            let half = interval.bounds.map(|(_, high)| number(high - interval.mean));
-            style.number(&number(interval.mean), half.as_deref(), best == Some(interval.mean))
+            let (mean, half) = printed(interval, unit);
+            style.number(&mean, half.as_deref(), is_best)
         };
-        intervals.iter().map(cell).collect()
+        intervals.iter().zip(best).map(cell).collect()
     }
 
-    /// A note with the number of seeds of the means.
-    fn seeds(&self) -> String {
+    /// A note with the number of datasets and seeds of the means.
+    fn replicates(&self) -> String {
         let network = self.values.iter().filter(|((_, side), _)| side.baseline.is_none());
-        let seeds: BTreeSet<usize> = network.map(|(_, mean)| mean.values.len()).collect();
-        match (seeds.first(), seeds.last()) {
-            (Some(1), Some(1)) => "one seed, so without intervals".into(),
-            (Some(fewest), Some(most)) if fewest < most => {
-                format!("mean ± half of the 95 % interval over {fewest} to {most} seeds")
-            }
-            (Some(seeds), _) => format!("mean ± half of the 95 % interval over {seeds} seeds"),
-            _ => String::new(),
+        if self.values.keys().all(|(_, side)| side.baseline.is_some()) {
+            return String::new();
+        }
+        match replicates_of(network.map(|(_, mean)| *mean)) {
+            Some(over) => format!("mean ± half of the 95 % interval over {over}"),
+            None => "one seed, so without intervals".into(),
         }
     }
 }

@@ -1,8 +1,8 @@
 //! `harness diff`.
 
 use super::DONE;
-use super::sheet::{Sheet, Style, best, rounded};
-use super::table::{print_texts, width};
+use super::sheet::{MISSING, Sheet, Style, best, rounded};
+use super::table::{print_text, print_texts, width};
 use anyhow::Result;
 use clap::Args;
 use harness::analysis::differing;
@@ -12,25 +12,31 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Diff {
-    /// A run's id, or enough of its beginning
+    /// A run's id or EXPERIMENT/ID. A beginning is enough if only one run begins with it
     a: String,
-    /// The other run's
+    /// The other run
     b: String,
 }
 
 impl Diff {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let (a, b) = (registry.find(&self.a)?.1, registry.find(&self.b)?.1);
-        println!("a  {}\nb  {}", a.name(), b.name());
+        let find = |name: &String| registry.find(&registry.run_name(name)).map(|(_, record)| record);
+        let (a, b) = (find(&self.a)?, find(&self.b)?);
+        println!("a  {}\nb  {}\n", a.name(), b.name());
         let differences = differing(&a, &b);
         if differences.is_empty() {
             println!("no setting, version or machine differs");
         } else {
             let rows = differences.into_iter().map(|(key, a, b)| [key, a, b]);
             print_texts(["differs", "a", "b"], rows.collect());
-            println!();
         }
-        println!("{}", metrics(registry, &a, &b)?.render(Style::Text, width()));
+        let sheet = metrics(registry, &a, &b)?;
+        println!();
+        match (sheet.rows.is_empty(), sheet.notes.first()) {
+            (false, _) => print!("{}", sheet.render(Style::Text, width())),
+            (true, Some(same)) => print_text(&format!("no metric differs; {same}")),
+            (true, None) => println!("neither of the runs has metrics"),
+        }
         Ok(ExitCode::from(DONE))
     }
 }
@@ -66,22 +72,35 @@ fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord) -> Result<Sheet> {
             of(b)
         ),
     )?;
-    let row = |Row { task, model, modality, direction, metric, unit, a, b }: Row| {
-        let best = best(&metric, &[a, b]).filter(|_| a != b);
+    let row = |Row { task, model, modality, direction, metric, unit, a, b }: &Row| {
         let number = |value: Option<f64>, is_best| match value {
-            Some(value) => Style::Text.number(&rounded(value, &unit), None, is_best),
-            None => "-".into(),
+            Some(value) => Style::Text.number(&rounded(value, unit), None, is_best),
+            None => MISSING.into(),
         };
-        let difference = a.zip(b).map(|(a, b)| b - a);
-        let numbers = vec![
-            number(a, best.is_some() && best == a),
-            number(b, best.is_some() && best == b),
-            number(difference, false),
-        ];
-        let metric = Style::Text.metric(&metric, &unit);
-        let words = [task, model, modality, direction.unwrap_or_default(), metric];
-        (words.map(|word| word.replace('_', " ")).to_vec(), numbers)
+        let (best, difference) = (best(metric, unit, &[*a, *b]), a.zip(*b).map(|(a, b)| b - a));
+        let numbers = vec![number(*a, best[0]), number(*b, best[1]), number(difference, false)];
+        let direction = direction.as_deref().unwrap_or_default();
+        let metric = Style::Text.metric(metric, unit);
+        (vec![words(task), words(model), words(modality), words(direction), metric], numbers)
     };
-    let rows = rows::<Row>(&mut answer)?.into_iter().map(row).collect();
-    Ok(Sheet { titles: 2, header: ["a", "b", "b - a"].map(str::to_owned).to_vec(), rows, notes: Vec::new() })
+    let all: Vec<Row> = rows(&mut answer)?;
+    let parts = all.chunk_by(|x, y| (&x.task, &x.model) == (&y.task, &y.model));
+    let (same, differing): (Vec<&[Row]>, Vec<&[Row]>) =
+        parts.partition(|rows| rows.iter().all(|row| row.a == row.b));
+    let same = same.iter().map(|rows| format!("{} of {}", rows[0].task, words(&rows[0].model)));
+    let same = same.collect::<Vec<_>>().join(", ");
+    let notes = if same.is_empty() { Vec::new() } else { vec![format!("the same in both: {same}")] };
+    let header = ["a", "b", "b - a"].map(str::to_owned).to_vec();
+    Ok(Sheet {
+        titles: 2,
+        header,
+        rows: differing.into_iter().flatten().map(row).collect(),
+        notes,
+        ..Sheet::default()
+    })
+}
+
+/// A name as words.
+fn words(name: &str) -> String {
+    name.replace('_', " ")
 }

@@ -10,7 +10,7 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Experiments {
-    /// Print the spec of this experiment, to start from
+    /// Print the spec of this experiment [default: list the experiments]
     #[arg(value_name = "NAME", value_parser = PossibleValuesParser::new(SPECS.iter().map(|spec| spec.name)))]
     #[arg(hide_possible_values = true)]
     name: Option<String>,

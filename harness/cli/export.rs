@@ -12,16 +12,16 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Export {
-    /// onnx: the network that predicts the next observation. The Python package has other formats
+    /// The file's format: onnx. The command of the Python package has more formats
     #[arg(long, value_parser = format)]
     format: Format,
-    /// The run whose id, or experiment/id, begins with this
+    /// The run's id or EXPERIMENT/ID. A beginning is enough if only one run begins with it
     #[arg(value_name = "RUN")]
     run: String,
-    /// File to write
+    /// The file to write
     #[arg(value_name = "OUTPUT")]
     output: PathBuf,
-    /// prediction of the next observation, or reconstruction of the present one
+    /// The network to write: prediction of the next observation, or reconstruction of the present one
     #[arg(long, value_parser = task, default_value = "prediction")]
     task: Task,
 }

@@ -1,6 +1,6 @@
 //! `harness figures`.
 
-use super::table::shown;
+use super::table::{print_beside, shown};
 use super::{DONE, FAILED};
 use anyhow::Result;
 use clap::Args;
@@ -19,22 +19,22 @@ pub struct Figures {
     /// The figures to draw [default: all]
     #[arg(value_name = "NAME", value_parser = figure())]
     names: Vec<Figure>,
-    /// The folder to write <NAME>.svg, .png and .csv to
-    #[arg(long, value_name = "DIR", default_value = "figures")]
-    out: PathBuf,
-    /// Which of these files to write, as png or svg,csv [default: all]
+    /// The folder for the files NAME.svg, NAME.png and NAME.csv
+    #[arg(long, short, alias = "out", value_name = "DIR", default_value = "figures")]
+    output: PathBuf,
+    /// The kinds of files to write, separated by commas [default: all]
     #[arg(long = "format", value_name = "FORMAT", value_delimiter = ',', value_parser = format())]
     formats: Vec<Format>,
-    /// Draw the quick runs of the experiments (`harness run … --quick`)
+    /// Draw the quick runs (`harness run … --quick`)
     #[arg(long)]
     quick: bool,
-    /// Draw this experiment instead of single_to_multi, such as single_to_multi_best
+    /// Draw this experiment instead of single_to_multi, for example single_to_multi_best
     #[arg(long, value_name = "EXPERIMENT")]
     single: Option<String>,
-    /// Draw this experiment instead of multi_to_multi, such as multi_to_multi_best
+    /// Draw this experiment instead of multi_to_multi, for example multi_to_multi_best
     #[arg(long, value_name = "EXPERIMENT")]
     multi: Option<String>,
-    /// Only runs with this setting, such as training.epochs=200
+    /// Use only runs with this setting, for example training.epochs=200; may be given several times
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
 }
@@ -51,7 +51,7 @@ fn format() -> impl TypedValueParser<Value = Format> {
 }
 
 impl Figures {
-    /// Draws the figures. If none is named, figures whose runs are missing are skipped without a failure.
+    /// Draws the figures. If none is named, figures without runs that they can show are skipped without a failure.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let paper = Experiments::of_the_paper(self.quick);
         let experiments = Experiments {
@@ -71,16 +71,17 @@ impl Figures {
         let formats = if self.formats.is_empty() { Format::ALL.to_vec() } else { self.formats };
         let (mut drawn, mut failed) = (0, false);
         for figure in wanted {
-            let saved =
-                figure.render(&source).and_then(|drawing| drawing.save(&self.out, figure.name(), &formats));
+            let saved = figure
+                .render(&source)
+                .and_then(|drawing| drawing.save(&self.output, figure.name(), &formats));
             match saved {
                 Ok(()) => {
                     drawn += 1;
                     let file = format!("{}.{}", figure.name(), formats[0].name());
-                    println!("{:<27} {}", figure.name(), shown(&self.out.join(file)));
+                    print_beside([(format!("{:<26}", figure.name()), shown(&self.output.join(file)))]);
                 }
                 Err(error) => {
-                    failed |= named || !error.is_missing_runs();
+                    failed |= named || !error.has_nothing_to_draw();
                     eprintln!("{:<27} not drawn: {}", figure.name(), describe(&error));
                 }
             }

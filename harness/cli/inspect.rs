@@ -1,23 +1,24 @@
 //! `harness query`, `ls`, `show` and `schema`.
 
 use super::layers;
-use super::results;
-use super::sheet::Style;
+use super::results::{self, Metrics};
+use super::sheet::{MISSING, Style};
 use super::table::{Grid, print, print_beside, print_command, print_text, shown, width};
 use super::{DONE, submit};
 use anyhow::Result;
 use clap::Args;
-use harness::numbers::duration;
+use harness::numbers::{Natural, counted, duration};
 use harness::registry::{self, Registry, RunFolder, RunRecord, quoted};
 use harness::schema::Table;
 use polars::prelude::{AnyValue, DataFrame};
 use serde::Deserialize;
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Query {
-    /// The query, in SQL
+    /// The query
     sql: String,
     /// Write the answer to a file instead: .parquet, .csv or .json
     #[arg(long, short, value_name = "FILE")]
@@ -36,7 +37,7 @@ impl Query {
         match self.output {
             Some(path) => {
                 registry::save(&mut answer, &path)?;
-                println!("{} rows in {}", answer.height(), shown(&path));
+                println!("{} in {}", counted(answer.height(), "row"), shown(&path));
             }
             None => print(&answer),
         }
@@ -46,16 +47,16 @@ impl Query {
 
 #[derive(Args)]
 pub struct List {
-    /// Only the runs of these experiments
+    /// List only the runs of these experiments [default: all]
     #[arg(value_name = "EXPERIMENT")]
     experiments: Vec<String>,
-    /// Only runs with this status
+    /// List only runs with this status
     #[arg(long, value_name = "STATUS", value_parser = ["done", "failed", "running", "interrupted"])]
     status: Option<String>,
-    /// Order by a column; the longest or latest come last
+    /// Order by this column; the longest or latest run comes last
     #[arg(long, value_name = "COLUMN", value_parser = ["run", "started", "seconds", "status"], default_value = "run")]
     sort: String,
-    /// List the tasks of submitted jobs instead: where they are, and why they wait or failed
+    /// List the tasks of submitted jobs instead, with their nodes, and the reasons why they wait or failed
     #[arg(long, conflicts_with_all = ["experiments", "status", "sort"])]
     jobs: bool,
 }
@@ -71,6 +72,8 @@ impl List {
         if self.jobs {
             return submit::list(registry);
         }
+        let mut recorded = registry.recorded();
+        check_started(recorded.iter().map(|(_, record)| record), registry, &self.experiments)?;
         let text = |text: &String| format!("'{}'", text.replace('\'', "''"));
         let mut conditions = Vec::new();
         if !self.experiments.is_empty() {
@@ -79,19 +82,22 @@ impl List {
         }
         conditions.extend(self.status.iter().map(|status| format!("status = {}", text(status))));
         let chosen = if conditions.is_empty() { "true".to_owned() } else { conditions.join(" and ") };
-        let order = if self.sort == "run" { String::new() } else { format!("{}, ", self.sort) };
-        let seconds =
-            "collect_seconds + prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds";
-        let runs = registry::query(
-            registry,
-            &format!(
-                "select experiment, run, status, started, {seconds} as seconds, reason from runs where {chosen} \
-                 order by {order}experiment, run"
-            ),
-        )?;
+        let order = if self.sort == "run" {
+            // The query keeps the order of the runs.
+            let name = |text: &String| Natural::new(text.as_str());
+            recorded.sort_by_cached_key(|(_, record)| (name(&record.experiment), name(&record.run)));
+            String::new()
+        } else {
+            format!("order by {}, experiment, run", self.sort)
+        };
+        let seconds = "prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds";
+        let sql = format!(
+            "select experiment, run, status, started, {seconds} as seconds, reason from runs where {chosen} {order}"
+        );
+        let runs = registry::answer(&sql, &|of| registry::table(registry, of, &recorded, &sql))?;
         match width() {
-            Some(limit) if !Grid::of_table(&runs).fits(limit) => print_by_experiment(runs, limit)?,
-            _ => print(&runs),
+            Some(limit) => print_listed(runs, limit)?,
+            None => print(&runs),
         }
         Ok(ExitCode::from(DONE))
     }
@@ -108,16 +114,46 @@ struct Listed {
     reason: Option<String>,
 }
 
-/// Prints a narrow table for each experiment. Reasons stand below it.
-fn print_by_experiment(mut runs: DataFrame, limit: u16) -> Result<()> {
+/// No run of an experiment has started.
+#[derive(Debug, thiserror::Error)]
+#[error("no run of '{wanted}' has started; `{list}` lists the experiments")]
+pub struct NotStarted {
+    /// The name of the experiment.
+    wanted: String,
+    /// The command that lists all runs.
+    list: String,
+}
+
+/// Refuses the name of an experiment of which there is no run.
+pub fn check_started<'a>(
+    records: impl IntoIterator<Item = &'a RunRecord>,
+    registry: &Registry,
+    experiments: &[String],
+) -> Result<()> {
+    let there: BTreeSet<&str> = records.into_iter().map(|record| record.experiment.as_str()).collect();
+    if let Some(wanted) = experiments.iter().find(|name| !there.contains(name.as_str())) {
+        return Err(NotStarted { wanted: wanted.clone(), list: registry.command("ls") }.into());
+    }
+    Ok(())
+}
+
+/// Prints a table of runs or, if it is too wide, one for each experiment. Reasons stand below the table.
+fn print_listed(mut runs: DataFrame, limit: u16) -> Result<()> {
     let runs: Vec<Listed> = registry::rows(&mut runs)?;
-    for (place, runs) in runs.chunk_by(|a, b| a.experiment == b.experiment).enumerate() {
-        let row = |run: &Listed| {
-            let started = run.started.replace('T', " ").replace('Z', "");
-            [run.run.clone(), run.status.clone(), started, run.seconds.map_or(String::new(), duration)]
+    let all = listed(&runs, true, true);
+    let parts: Vec<(Grid, &[Listed])> = if runs.is_empty() {
+        println!("no runs");
+        Vec::new()
+    } else if all.fits_unbroken(limit) {
+        vec![(all, &runs)]
+    } else {
+        let of_experiment = |runs| {
+            let long = listed(runs, false, true);
+            (if long.fits_unbroken(limit) { long } else { listed(runs, false, false) }, runs)
         };
-        let header = [&*runs[0].experiment, "status", "started (UTC)", "time"];
-        let table = Grid::of_texts(header, runs.iter().map(row).collect());
+        runs.chunk_by(|a, b| a.experiment == b.experiment).map(of_experiment).collect()
+    };
+    for (place, (table, runs)) in parts.into_iter().enumerate() {
         println!("{}{}", if place > 0 { "\n" } else { "" }, table.text(Some(limit)));
         for run in runs {
             if let Some(reason) = &run.reason {
@@ -128,9 +164,27 @@ fn print_by_experiment(mut runs: DataFrame, limit: u16) -> Result<()> {
     Ok(())
 }
 
+/// A table of runs. Without a column of experiments, the header has the name of the first. A short time of the start has
+/// no year and no seconds.
+fn listed(runs: &[Listed], has_experiments: bool, is_long: bool) -> Grid {
+    let row = |run: &Listed| {
+        let started = run.started.replace('T', " ").replace('Z', "");
+        let started = if is_long { &started } else { started.get(5..16).unwrap_or(&started) };
+        let time = run.seconds.map_or(String::new(), duration);
+        let rest = [run.run.clone(), run.status.clone(), started.to_owned(), time];
+        has_experiments.then(|| run.experiment.clone()).into_iter().chain(rest).collect()
+    };
+    let first = runs.first().map_or("run", |run| &run.experiment);
+    let names = if has_experiments { vec!["experiment", "run"] } else { vec![first] };
+    let header: Vec<&str> = names.into_iter().chain(["status", "started (UTC)", "time"]).collect();
+    let right = (1..=header.len()).map(|column| column == header.len()).collect();
+    let header = header.into_iter().map(str::to_owned).collect();
+    Grid { header, rows: runs.iter().map(row).collect(), right, ..Grid::default() }
+}
+
 #[derive(Args)]
 pub struct Show {
-    /// The run's id, or the beginning of it
+    /// The run's id or EXPERIMENT/ID. A beginning is enough if only one run begins with it
     run: String,
     /// Also print every setting, layer, version and metric
     #[arg(long)]
@@ -140,7 +194,7 @@ pub struct Show {
 impl Show {
     /// Prints what is most important about the run, or everything.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let (folder, record) = registry.find(&self.run)?;
+        let (folder, record) = registry.find(&registry.run_name(&self.run))?;
         println!("{}: {}", record.name(), record.status.name());
         if let Some(reason) = &record.reason {
             print_beside([("reason".to_owned(), reason.clone())]);
@@ -185,7 +239,7 @@ fn print_essentials(registry: &Registry, folder: &RunFolder, record: &RunRecord)
     lines.push(("folder".to_owned(), shown(folder.path())));
     print_beside(lines);
     let is_run = |other: &RunRecord| other.name() == record.name();
-    let sheet = results::sheet(registry, is_run)?;
+    let sheet = results::sheet(registry, Metrics::Main, is_run)?;
     if !sheet.rows.is_empty() {
         print!("\n{}", sheet.render(Style::Text, width()));
     }
@@ -194,17 +248,16 @@ fn print_essentials(registry: &Registry, folder: &RunFolder, record: &RunRecord)
 
 /// Prints the spec, the layers of the networks, the run's row of the table `runs`, and all metrics.
 fn print_everything(registry: &Registry, folder: &RunFolder, record: &RunRecord) -> Result<()> {
-    println!("folder  {}", shown(folder.path()));
+    print_beside([("folder".to_owned(), shown(folder.path()))]);
     println!("\n{}", record.spec.to_yaml());
     println!("{}\n", layers::table(&record.spec, &record.layout)?);
-    print_beside(row(registry, record)?.into_iter().skip_while(|(name, _)| name != "status"));
-    println!();
-    let sql = format!(
-        "select task, model, modality, direction, metric, value, unit from metrics where {} \
-         and index is null order by task, modality, direction, metric, model",
-        is_run(record)
-    );
-    print(&registry::query(registry, &sql)?);
+    let shown =
+        |(name, value): (String, String)| (name, if value.is_empty() { MISSING.to_owned() } else { value });
+    print_beside(row(registry, record)?.into_iter().skip_while(|(name, _)| name != "status").map(shown));
+    let sheet = results::sheet(registry, Metrics::All, |other| other.name() == record.name())?;
+    if !sheet.rows.is_empty() {
+        print!("\n{}", sheet.render(Style::Text, width()));
+    }
     Ok(())
 }
 

@@ -8,9 +8,11 @@ mod claims;
 mod compare;
 mod diff;
 mod doctor;
+mod encoding;
 mod experiments;
 mod export;
 mod figures;
+mod import;
 mod inspect;
 mod interrupt;
 mod layers;
@@ -42,6 +44,7 @@ use harness::claims::ClaimsError;
 use harness::collection::CollectionError;
 use harness::dataset::DatasetError;
 use harness::experiment::{ExperimentError, ModelError, describe};
+use harness::figures::FigureError;
 use harness::learning::LearningError;
 use harness::registry::{QueryError, Registry, RegistryError, quoted};
 use harness::report::ReportError;
@@ -52,16 +55,19 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::OnceLock;
 
-/// A research harness for multi-modal perception of a soft robot.
-///
-/// An experiment is a YAML file. Its results are Parquet tables that are queried with SQL.
+/// A research harness for soft-robot perception
 #[derive(Parser)]
 #[command(
     version,
     after_help = "Examples:
-  harness run multi_to_multi --quick
+  harness run smoke                               every stage, in seconds
+  harness run multi_to_multi --quick              a first result, in minutes
+  harness compare smoke
   harness query \"select run, status, prediction_seconds from runs\"
-  harness render cluttered --output scene.png"
+  harness render cluttered --output scene.png
+
+An experiment is a YAML file, called a spec. Its results are Parquet tables, which you query with SQL. \
+`harness COMMAND --help` explains a command."
 )]
 struct Arguments {
     /// Folder of datasets and runs
@@ -81,22 +87,29 @@ fn text_path(path: &str) -> Result<PathBuf, std::convert::Infallible> {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Do all runs of an experiment that are not done yet
+    /// Run an experiment, skipping the runs that are done
     #[command(after_help = "Examples:
-  harness run multi_to_multi
-  harness run multi_to_multi --quick --dry-run
-  harness run my_spec.yaml training.batch_size=512 latent=[8,16]")]
+  harness run smoke
+  harness run smoke training.epochs=3 'latent=[8,16]'
+  harness run multi_to_multi --quick --dry-run    only print what would be done
+
+An experiment has a run for each scenario, latent size and seed. A run trains a network on simulated episodes, \
+compares its predictions on test episodes with those of baselines, and writes tables to the results folder. The command \
+ends with the best run of each scenario, which has the lowest mean error of its outputs on the validation samples. You \
+can interrupt the command at any time: the same command continues.")]
     Run(run::Run),
-    /// Simulate the missing episodes of an experiment's datasets, without training
-    #[command(after_help = "Example:\n  harness collect multi_to_multi scenarios=[cluttered]")]
+    /// Simulate the missing episodes of an experiment's datasets
+    #[command(after_help = "Example:\n  harness collect smoke 'scenarios=[cluttered]'")]
     Collect(run::Collect),
-    /// Submit an experiment to a Slurm cluster: datasets first, then the runs, divided among tasks
+    /// Submit an experiment to a Slurm cluster
     #[command(after_help = SUBMIT_HELP)]
     Submit(submit::Submit),
-    /// Cancel a submitted job; what its tasks have done is kept
+    /// Cancel submitted jobs
     #[command(after_help = "Examples:
   harness cancel multi_to_multi                     every job of an experiment
-  harness cancel multi_to_multi-20261122T093000Z    one job, as `harness ls --jobs` lists it")]
+  harness cancel multi_to_multi-20261122T093000Z    one of them
+
+Finished runs and saved states are kept. The next `harness submit` or `harness run` continues from them.")]
     Cancel(submit::Cancel),
     /// Check a spec and list its runs
     #[command(after_help = "Example:\n  harness validate smoke training.epochs=3")]
@@ -106,148 +119,180 @@ enum Command {
   harness experiments
   harness experiments multi_to_multi > my_spec.yaml")]
     Experiments(experiments::Experiments),
-    /// Answer a SQL query over the tables runs, epochs, metrics, predictions, forces, frames and episodes
+    /// Query the results with SQL
     #[command(after_help = "Examples:
   harness query \"select run, status, prediction_seconds from runs\"
   harness query \"select run, modality, value from metrics where metric = 'r2'\"
   harness query \"select * from epochs where term = 'total'\" --output curves.csv
+  harness query \"show tables\"
+  harness query \"describe metrics\"
 
-`harness schema --tables` lists the columns.")]
+The tables are runs, epochs, metrics, predictions, forces, frames and episodes. `harness schema --tables` lists their \
+columns.")]
     Query(inspect::Query),
     /// Test which of the paper's statements hold
     #[command(after_help = "Examples:
   harness claims
-  harness claims vision_improves_force            its query, and the value of every seed
-  harness claims --quick                          by the results of `harness run … --quick`
-  harness claims --plan                           how many more seeds or datasets would decide, and the commands
-  harness claims --readings                       all claims under each reading of the paper, and what changes
+  harness claims vision_improves_force    its query, and the value of every seed
+  harness claims --quick                  judge by quick runs
+  harness claims --plan                   what would decide the undecided claims
+  harness claims --readings               judge under each reading of the paper
   harness claims --output verdicts.csv
 
-A claim holds if the whole 95 % interval satisfies its condition, and does not hold if the whole interval violates \
-it. Otherwise, or with a single seed, it is undecided. A claim is not testable if its requirement does not hold, for \
-example that the compared networks learned something. Intervals are over datasets or, with one dataset, over its \
-seeds.")]
+Most claims need the runs of single_to_multi and multi_to_multi. A claim holds if the whole 95 % interval satisfies \
+its condition, and does not hold if the whole interval violates it. Otherwise, or with a single seed or dataset, it is \
+undecided. A claim is not testable if its requirement, for example that the compared networks learned something, does \
+not hold or is undecided. Intervals are over datasets or, with one dataset, over its seeds or episodes.")]
     Claims(claims::Claims),
-    /// Compare runs in a table: mean and interval over seeds, with the best value of each row marked
+    /// Compare networks and baselines in a table
     #[command(after_help = "Examples:
-  harness compare single_to_multi
+  harness compare smoke
   harness compare --by experiment,latent --task prediction --models network
   harness compare --by scenario --metrics r2,rmse
-  harness compare multi_to_multi --format latex > table.tex
+  harness compare smoke --format latex > table.tex
 
-Metrics are over all joints, links or pixels, on the test episodes; `harness query` has those of each joint or link. \
-The number after ± is half of the 95 % interval of the mean over seeds (Student's t). LaTeX needs \
-\\usepackage{booktabs}.")]
+Each number is a mean over datasets and seeds. The number after ± is half of its 95 % interval (Student's t). The best \
+value of each row is marked. Metrics are computed over all joints, links or pixels of the test episodes. The table \
+metrics, which `harness query` reads, has them for each joint and link. The LaTeX table needs \\usepackage{booktabs}.")]
     Compare(compare::Compare),
-    /// List all runs
-    Ls(inspect::List),
-    /// Show what runs now: losses, rates, remaining time and processes, refreshed each second
+    /// List the runs
     #[command(after_help = "Examples:
-  harness watch                    until nothing runs any more, or Ctrl-C
-  harness watch multi_to_multi
-  harness watch --once             for scripts")]
+  harness ls
+  harness ls smoke --status failed
+  harness ls --sort seconds
+  harness ls --jobs")]
+    Ls(inspect::List),
+    /// Follow the running trainings: losses, speed, remaining time
+    #[command(after_help = "Examples:
+  harness watch
+  harness watch smoke
+  harness watch --once             print once, for scripts
+
+The list is refreshed each second, until nothing is running or you press Ctrl-C. It also shows which process trains \
+each network, and which datasets are being collected.")]
     Watch(watch::Watch),
-    /// Show one run: settings, times and metrics, or everything with --all
-    #[command(after_help = "Example:\n  harness show cluttered-z64-seed0")]
+    /// Show one run: settings, times and metrics
+    #[command(after_help = "Examples:
+  harness show smoke/cluttered
+  harness show smoke/cluttered --all")]
     Show(inspect::Show),
-    /// Show in what two runs differ: settings, code, versions, machine, and metrics side by side
-    #[command(after_help = "Example:\n  harness diff smoke/cluttered-z4-seed0 smoke/cluttered-z8-seed0")]
+    /// Show the differences between two runs, and their metrics
+    #[command(after_help = "Example:
+  harness diff smoke/empty smoke/cluttered
+
+The differences are in settings, code, versions and machine.")]
     Diff(diff::Diff),
     /// Remove runs, after asking
     #[command(after_help = "Examples:
-  harness rm smoke                                  every run of an experiment
-  harness rm smoke/cluttered-z4-seed0-1a2b3c4d      one run
-  harness rm smoke/cluttered --yes                  all whose name begins so, without asking")]
+  harness rm smoke                    every run of the experiment
+  harness rm smoke/cluttered          the runs whose id begins with cluttered
+  harness rm smoke/cluttered --yes    the same, without asking
+
+Datasets are not removed. `harness gc` removes those that no run uses.")]
     Rm(removal::Remove),
-    /// Find what is no longer needed, and remove it after asking
+    /// Remove runs and datasets that are no longer needed, after asking
     #[command(after_help = "Examples:
-  harness gc                                        list all of it with sizes, and ask
+  harness gc
   harness gc --only quick --only failed --yes
 
-superseded: a later run has the same settings, but another dataset or another revision of the method. failed: the run \
-failed. quick: the run was made with --quick. unused: no remaining run uses the simulated dataset. Imported datasets are \
-never removed.")]
+The command first lists what it would remove, with the size and one of these reasons. superseded: a later run has the \
+same settings, but another dataset or another revision of the method. failed: the run failed. quick: the run was made \
+with --quick. unused: no remaining run uses the simulated dataset. Imported datasets are never removed.")]
     Gc(removal::Gc),
-    /// Show the space that each experiment and each dataset takes
+    /// Show the disk space of each experiment and each dataset
     Du,
-    /// Print the JSON schema of experiment specs, for editors, or the columns of the tables
+    /// Print the JSON schema of specs, or the columns of the tables
+    #[command(after_help = "Examples:
+  harness schema > schema.json
+  harness schema --tables
+
+Editors complete and check a spec that begins with this line:
+  # yaml-language-server: $schema=schema.json")]
     Schema(inspect::Schema),
-    /// List the worlds, check a world file, or write one for an MJCF model
+    /// List the worlds, check a world file, or write one for a model
     #[command(after_help = "Examples:
   harness world list
-  harness world new robots/gripper.xml
+  harness world check cluttered
+  harness world new robots/gripper.xml    write robots/gripper.yaml
   harness world check robots/gripper.yaml
 
-A spec names a world file in its `scenarios`, as a path relative to the spec's folder.")]
+A world is a YAML file next to an MJCF model. It defines what is sensed, what moves, and what is random. A spec names \
+it in `scenarios`, by its path relative to the spec's folder.")]
     World(world::Command),
-    /// Render a scene, or an image or clip of an episode, in high quality
+    /// Render a scene, or an image or clip of an episode
     #[command(after_help = "Examples:
   harness render cluttered --output scene.png
-  harness render cluttered --episode 3 --sample 250 --width 1600 --height 1000 --output push.png
+  harness render cluttered --episode 3 --sample 150 --width 1600 --height 1000 --output push.png
   harness render empty --episode 0 --output clip.gif
   harness render robots/gripper.yaml --output gripper.png")]
     Render(render::Render),
-    /// Draw the paper's figures from the tables, as SVG and PNG, each with its numbers as CSV
+    /// Draw the paper's figures as SVG, PNG and CSV
     #[command(after_help = FIGURES_HELP)]
     Figures(figures::Figures),
-    /// Plot a metric over a setting, with the intervals of `compare`, as SVG, PNG or CSV
+    /// Plot a metric over a setting, as SVG, PNG or CSV
     #[command(after_help = "Examples:
   harness plot smoke --x latent --y r2 --by modality --facet scenario
   harness plot --x latent --y r2 --modality contact_force --by experiment,scenario --output forces.png
 
 A point is the mean of a network's metric over all joints, links or pixels, over datasets and seeds.")]
     Plot(plot::Plot),
-    /// Write an HTML report: scenes, claims, interactive results, figures, training curves, runs
+    /// Write all results to one HTML file
     #[command(after_help = REPORT_HELP)]
     Report(report::Report),
-    /// Serve a local page that follows running trainings, with tables, curves, claims and SQL
+    /// Show the results in a browser, also of running trainings
     #[command(after_help = "Examples:
   harness serve
-  harness serve --port 9000 --results results/reference
-  ssh -L 8787:127.0.0.1:8787 machine              see the page of another machine at http://127.0.0.1:8787
+  harness serve --port 9000
 
-The page needs no network and no account. Only this machine can reach it, and it can't change any result.")]
+Open the printed address in a browser. The page shows runs, curves, metrics, claims and answers to SQL queries. The \
+curves grow during training. The page needs no network and no account, and it can't change any result. Other machines \
+can't reach it, but every user of this machine can read the results through its port. To see the page of another \
+machine, forward its port with `ssh -L 8787:127.0.0.1:8787 MACHINE`, and open http://127.0.0.1:8787.")]
     Serve(serve::Serve),
-    /// Copy the tables of finished runs to a folder that is small enough for version control
+    /// Copy results to a folder that is small enough for version control
     #[command(after_help = "Examples:
-  harness publish single_to_multi multi_to_multi
-  harness figures --results results/reference
-  harness publish my_experiment --to paper/results
+  harness publish smoke --output published
+  harness compare smoke --results published
 
-Records, specs, epochs and metrics are copied. Tables about single samples are copied only
-where figures show them: predictions of the last two joints and links, and images, of each
-cell's lowest seed, but not of sweeps. Networks are not copied.")]
+The command copies records, specs, and the tables epochs, metrics and forces. It copies only those predictions and \
+images that figures show, and no networks.")]
     Publish(publish::Publish),
-    /// Write a trained network as an ONNX model, for other programs
+    /// Write a trained network as an ONNX model
     #[command(after_help = "Examples:
-  harness export --format onnx multi_to_multi_best/cluttered network.onnx
+  harness export --format onnx smoke/empty network.onnx
   harness export --format onnx smoke/empty reconstruction.onnx --task reconstruction
 
 The model takes and returns SI units, and images as bytes. docs/networks.md describes it.")]
     Export(export::Export),
-    /// Write runs with their networks to one file, from which another machine predicts the same
+    /// Make a dataset from a recording, with the Python package
+    #[command(after_help = IMPORT_HELP)]
+    Import(import::Import),
+    /// Write runs with their networks to one file, for another machine
     #[command(after_help = PACK_HELP)]
     Pack(pack::Pack),
     /// Add the runs of a pack to the results folder
     #[command(after_help = UNPACK_HELP)]
     Unpack(pack::Unpack),
-    /// Check that all files of the results folder are as they were written
+    /// Check that no file of the results has changed or is missing
     #[command(after_help = "Examples:
   harness verify
-  harness --results /data/results verify
+  harness verify --results /data/results
 
-Names each file that is damaged or missing, and the command that repairs it. The exit code is 0 if all files
-are intact, and 1 otherwise.")]
+The command lists each file that is damaged or missing, with the command that repairs it. The exit code is 0 if all \
+files are intact, and 1 otherwise.")]
     Verify,
     /// Check this machine: rendering, MuJoCo, threads, memory, disk
+    #[command(
+        after_help = "A line that begins with FAIL says what is missing and what to do. The exit code is then 1."
+    )]
     Doctor,
-    /// Print a script with which a shell completes the harness's commands and options
+    /// Print a completion script for bash, zsh or fish
     #[command(after_help = "Examples:
   harness completions bash > ~/.local/share/bash-completion/completions/harness
   harness completions zsh > ~/.zfunc/_harness          with fpath+=~/.zfunc before compinit in ~/.zshrc
   harness completions fish > ~/.config/fish/completions/harness.fish")]
     Completions {
-        /// The shell
+        /// The shell that reads the script
         #[arg(value_name = "SHELL", value_parser = PossibleValuesParser::new(["bash", "zsh", "fish"]).try_map(|name| name.parse::<Shell>()))]
         shell: Shell,
     },
@@ -255,47 +300,55 @@ are intact, and 1 otherwise.")]
 
 const FIGURES_HELP: &str = "Examples:
   harness figures
-  harness figures prediction_results regression --out paper/figures
+  harness figures prediction_results regression --output paper/figures
   harness figures --quick
+  harness figures readings                the gain by vision under each reading
   harness figures propriovision_to_vision --multi multi_to_multi_best
-  harness figures readings                        what vision adds under each reading of the paper
-  harness figures --results results/reference
 
-Figures are 8.5 cm wide, a journal's column. Letters are outlines, so no font is needed to show them.
-They show the runs of single_to_multi and multi_to_multi. Missing runs are listed.
-Runs of one experiment that differ in settings can't be drawn together: select some of them with --where.";
+The figures show the runs of single_to_multi and multi_to_multi. If runs are missing, a message names the command that \
+creates them. Runs of one experiment that differ in settings can't be drawn together: select some of them with \
+--where. Figures are 8.5 cm wide, a journal's column. Letters are outlines, so no font is needed to show them.";
 
 const SUBMIT_HELP: &str = "Examples:
   harness submit multi_to_multi --tasks 16 --cpus 4 --memory 8G --time 04:00:00
   harness submit multi_to_multi --partition cpu --throttle 8 --sbatch=--account=lab
-  harness submit multi_to_multi --config cluster.yaml --dry-run
-  harness ls --jobs
+  harness submit multi_to_multi --config cluster.yaml
+  harness submit multi_to_multi --dry-run         print the scripts
+  harness ls --jobs                               where the tasks are
   harness cancel multi_to_multi
 
 The command submits up to three jobs with sbatch: an array that simulates the missing episodes, an array that divides \
 the runs, and one task that does the remaining runs if a task was lost. A task that reaches its time limit or is \
-preempted saves its state, is queued again, and resumes. All nodes must share the file system of the results folder, and \
-its locks must work across nodes.";
+preempted saves its state, is queued again, and resumes. All nodes must share the file system of the results folder, \
+and its locks must work across nodes.";
+
+const IMPORT_HELP: &str = "Example, in a clone of the repository:
+  .venv/bin/pip install '.[import]'        install the Python package, once
+  .venv/bin/harness import mapping.yaml
+
+Only the Python package imports recordings. The mapping says which columns of a LeRobot dataset, or of Parquet files, \
+make up each modality. docs/exchange.md has an example.";
 
 const PACK_HELP: &str = "Examples:
-  harness pack multi_to_multi --output multi_to_multi.harness
-  harness pack smoke/empty-z4 smoke/cluttered-z4 --output two.harness --datasets
-  tar tvf two.harness                               a pack is a plain tar archive
+  harness pack smoke --output smoke.harness
+  harness pack smoke/empty smoke/cluttered --output two.harness --datasets
+  harness unpack smoke.harness --results unpacked
 
-A pack contains all files of the finished runs: records, specs, tables and networks. Its manifest.json lists the \
-versions of the harness and MuJoCo, and the size and SHA-256 of each file. The datasets of built-in worlds can be \
-collected again where the pack is unpacked, so they are packed only with --datasets.";
+A pack contains all files of the finished runs: records, specs, tables and networks. It is a plain tar archive. Its \
+file manifest.json lists the versions of the harness and MuJoCo, and the size and SHA-256 of each file. The datasets \
+of built-in worlds can be collected again where the pack is unpacked, so they are packed only with --datasets.";
 
 const UNPACK_HELP: &str = "Examples:
-  harness unpack multi_to_multi.harness
-  harness unpack multi_to_multi.harness --results /data/results
+  harness unpack smoke.harness
+  harness unpack smoke.harness --results unpacked
 
-Every file is checked before the first run appears. Runs that are there already with the same content are skipped. If \
-a run is there with other content, nothing is unpacked.";
+Every file is checked before the first run appears. Runs that exist already with the same content are skipped. If \
+a run exists with other content, nothing is unpacked.";
 
 const REPORT_HELP: &str = "Examples:
   harness report
-  harness report --quick --out quick.html
+  harness report smoke --output smoke.html
+  harness report --quick --output quick.html
   harness report --results results/reference
 
 The report is one HTML file that works offline: open it in a browser, or send it. It shows the runs of `harness \
@@ -337,9 +390,13 @@ pub fn main(arguments: Vec<OsString>, program: Vec<String>) -> ExitCode {
     let arguments = match parsed(WORDS.get_or_init(|| arguments)) {
         Ok(arguments) => arguments,
         Err(told) => {
+            if told.use_stderr() {
+                eprintln!("{}", told.render().to_string().trim_end());
+                return ExitCode::from(USAGE);
+            }
             // Help and version are errors of clap as well. If printing fails, nothing can be reported.
             let _ = told.print();
-            return ExitCode::from(if told.use_stderr() { USAGE } else { DONE });
+            return ExitCode::from(DONE);
         }
     };
     let threads = arguments.threads.map_or_else(all_threads, usize::from);
@@ -355,7 +412,7 @@ pub fn main(arguments: Vec<OsString>, program: Vec<String>) -> ExitCode {
         if let Some((signal, code)) = interrupt::received().filter(|_| is_cancelled(&error)) {
             let words: Vec<String> = words().collect();
             let command = quoted(words.iter().map(String::as_str));
-            eprintln!("stopped by {signal}; continue with the same command: {command}");
+            eprintln!("stopped by {signal}; continue with the same command: {}", table::unbroken(&command));
             return ExitCode::from(code);
         }
         eprintln!("error: {}", describe(error.as_ref()));
@@ -373,14 +430,18 @@ fn parsed(arguments: &[OsString]) -> Result<Arguments, clap::Error> {
     Arguments::from_arg_matches(&matches).map_err(|error| error.format(&mut command))
 }
 
-/// Makes the examples of a command and of its subcommands fit the terminal. An example is a line that begins with
-/// `  harness`; three spaces separate what it does.
+/// Makes the examples of a command and of its subcommands fit the terminal. An example is a line that begins with two
+/// spaces; three spaces separate what it does. If an example is too wide, what it does is below it, also in the others.
 fn with_fitting_examples(command: clap::Command, limit: u16) -> clap::Command {
+    let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+    let is_example = |line: &str| line.starts_with("  ");
+    let fits = |line: &str| line.chars().count() <= usize::from(limit);
+    let is_narrow = help.lines().any(|line| is_example(line) && !fits(line));
     let fitting = |line: &str| {
-        if !line.starts_with("  harness ") || line.chars().count() <= usize::from(limit) {
+        if !is_example(line) || !is_narrow {
             return line.to_owned();
         }
-        match line.split_once("   ") {
+        match line.trim().split_once("   ") {
             Some((example, meaning)) => {
                 let example = table::command_lines("  ", example.trim(), Some(limit));
                 format!("{example}\n{}", table::fitted(&format!("      {}", meaning.trim()), Some(limit)))
@@ -388,9 +449,8 @@ fn with_fitting_examples(command: clap::Command, limit: u16) -> clap::Command {
             None => table::command_lines("  ", line.trim(), Some(limit)),
         }
     };
-    let help = command.get_after_help().map(ToString::to_string);
-    let help = help.map(|help| help.lines().map(fitting).collect::<Vec<_>>().join("\n"));
-    let command = if let Some(help) = help { command.after_help(help) } else { command };
+    let help = help.lines().map(fitting).collect::<Vec<_>>().join("\n");
+    let command = if help.is_empty() { command } else { command.after_help(help) };
     command.mut_subcommands(|subcommand| with_fitting_examples(subcommand, limit))
 }
 
@@ -428,6 +488,7 @@ fn execute(
         Command::Serve(serve) => serve.execute(registry),
         Command::Publish(publish) => publish.execute(registry),
         Command::Export(export) => export.execute(registry),
+        Command::Import(import) => import.execute(registry),
         Command::Pack(pack) => pack.execute(registry),
         Command::Unpack(unpack) => unpack.execute(registry),
         Command::Verify => verify::execute(registry),
@@ -453,6 +514,7 @@ impl Command {
             Self::Rm(_) | Self::Gc(_) | Self::Du | Self::Pack(_) => true,
             Self::Unpack(_) | Self::Completions { .. } => false,
             Self::Run(_) | Self::Collect(_) | Self::Validate(_) | Self::Submit(_) | Self::Cancel(_) => false,
+            Self::Import(_) => false,
             Self::Experiments(_) | Self::Schema(_) | Self::World(_) | Self::Render(_) | Self::Doctor => false,
         }
     }
@@ -498,10 +560,21 @@ fn is_usage(error: &anyhow::Error) -> bool {
         || error.is::<AnalysisError>()
         || matches!(error.downcast_ref(), Some(ReportError::Claims(_) | ReportError::Analysis(_)))
         || error.is::<compare::CompareError>()
+        || error.is::<inspect::NotStarted>()
+        || matches!(
+            error.downcast_ref(),
+            Some(FigureError::Ambiguous { .. } | FigureError::NoMeans { .. } | FigureError::TooMany { .. })
+        )
+        || error.is::<import::ImportError>()
         || error.is::<render::RenderError>()
         || matches!(
             error.downcast_ref(),
-            Some(QueryError::Sql(_) | QueryError::Refused(_) | QueryError::Format(_))
+            Some(
+                QueryError::Sql(_)
+                    | QueryError::Refused(_)
+                    | QueryError::Format(_)
+                    | QueryError::Bytes { .. }
+            )
         )
         || submit::is_usage(error)
         || pack::is_usage(error)

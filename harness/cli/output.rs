@@ -3,10 +3,12 @@
 //!
 //! All text is UTF-8, except on a terminal whose locale has another encoding: there it is ASCII.
 
-use std::borrow::Cow;
+use super::encoding::encoded;
+use super::table::fitted;
 use std::fmt::Arguments;
 use std::io::{self, ErrorKind, IsTerminal, Write};
-use std::sync::{LazyLock, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
+use terminal_size::terminal_size_of;
 
 macro_rules! print {
     ($($text:tt)*) => { $crate::cli::output::out(format_args!($($text)*)) };
@@ -18,7 +20,7 @@ macro_rules! println {
 }
 
 macro_rules! eprintln {
-    ($($text:tt)*) => { $crate::cli::output::tell(format_args!("{}\n", format_args!($($text)*))) };
+    ($($text:tt)*) => { $crate::cli::output::tell(format_args!($($text)*)) };
 }
 
 /// The error of the last write to the standard output. Nothing is printed after it, until [`lost`] takes it.
@@ -37,42 +39,18 @@ pub fn out(text: Arguments) {
     }
 }
 
-/// Writes to the standard error. An error is ignored, because it could not be reported anywhere.
+/// Writes a line of text to the standard error. On a terminal, it is broken between words where the terminal ends. An
+/// error is ignored, because it could not be reported anywhere.
 pub fn tell(text: Arguments) {
-    let _ = match io::stderr().is_terminal() {
-        true => io::stderr().write_all(encoded(&text.to_string()).as_bytes()),
-        false => io::stderr().write_fmt(text),
-    };
+    let width = terminal_size_of(io::stderr()).map(|(width, _)| width.0);
+    let line = fitted(&text.to_string(), width) + "\n";
+    let line = if io::stderr().is_terminal() { encoded(&line) } else { line.as_str().into() };
+    let _ = io::stderr().write_all(line.as_bytes());
 }
 
-/// Whether the user's locale encodes text as UTF-8.
-pub static IS_UTF8: LazyLock<bool> = LazyLock::new(|| {
-    let set = |name: &&str| std::env::var_os(name).is_some_and(|value| !value.is_empty());
-    let locale = ["LC_ALL", "LC_CTYPE", "LANG"].iter().find(|name| set(name)).and_then(std::env::var_os);
-    let locale = locale.unwrap_or_default().to_string_lossy().to_lowercase();
-    locale.contains("utf-8") || locale.contains("utf8")
-});
-
-/// A text as the terminal can show it.
-pub fn encoded(text: &str) -> Cow<'_, str> {
-    if *IS_UTF8 || text.is_ascii() {
-        return text.into();
-    }
-    let mut ascii = String::new();
-    for character in text.chars() {
-        match character {
-            '─' => ascii.push('-'),
-            '═' => ascii.push('='),
-            '↑' => ascii.push('^'),
-            '↓' => ascii.push('v'),
-            '±' => ascii.push_str("+-"),
-            '…' => ascii.push_str("..."),
-            '¶' => ascii.push('#'),
-            _ if character.is_ascii() => ascii.push(character),
-            _ => ascii.push('?'),
-        }
-    }
-    ascii.into()
+/// Whether nothing more is printed, because the standard output is full or closed.
+pub fn is_closed() -> bool {
+    FAILURE.lock().unwrap_or_else(PoisonError::into_inner).is_some()
 }
 
 /// Takes the error of the standard output, if one occurred since the last call. A closed pipe is no error, because its

@@ -1,13 +1,14 @@
 //! `harness pack` and `harness unpack`.
 
 use super::progress::Bars;
+use super::table::{print_command, print_text};
 use super::{DONE, interrupt};
 use anyhow::Result;
 use clap::Args;
 use harness::collection::dataset_of;
 use harness::experiment::describe;
 use harness::files::write_bytes;
-use harness::numbers::bytes;
+use harness::numbers::{bytes, counted};
 use harness::registry::{PackError, Packed, Recorded, Registry, RunRecord, Status, Versions, quoted};
 use harness::simulation::{Scene, mujoco_version};
 use harness::spec::parse_spec;
@@ -16,10 +17,10 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Pack {
-    /// Experiments, or runs by id, experiment/id or the beginning of either
+    /// Experiments, ids or EXPERIMENT/ID. A beginning of an id stands for every run that begins with it
     #[arg(required = true, value_name = "RUN")]
     runs: Vec<String>,
-    /// The file to write, for example smoke.harness; it must not exist
+    /// The file to write. It must not exist
     #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
     /// Also pack the datasets that the runs used
@@ -45,9 +46,11 @@ impl Pack {
         }
         let Packed { runs, datasets, files, bytes: size } = packed;
         let datasets =
-            if self.datasets { format!("{datasets} datasets") } else { "without their datasets".into() };
-        println!("{runs} runs, {datasets}: {files} files, {} in {}", bytes(size), self.output.display());
-        println!("unpack it with: harness unpack {}", quoted([&*self.output.to_string_lossy()]));
+            if self.datasets { counted(datasets, "dataset") } else { "without their datasets".into() };
+        let (runs, files, size) = (counted(runs, "run"), counted(files, "file"), bytes(size));
+        print_text(&format!("{runs}, {datasets}: {files}, {size} in {}", self.output.display()));
+        let command = format!("harness unpack {}", quoted([&*self.output.to_string_lossy()]));
+        print_command("unpack it with: ", &command);
         Ok(ExitCode::from(DONE))
     }
 }
@@ -63,20 +66,23 @@ impl Unpack {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         interrupt::install()?;
         let unpacked = registry.unpack(&self.pack, &Bars::default())?;
+        let (runs, datasets) = (counted(unpacked.runs, "run"), counted(unpacked.datasets, "dataset"));
+        let (root, same) = (registry.root().display(), unpacked.same);
+        print_text(&format!("{runs} and {datasets} unpacked into {root}, {same} were there before"));
         for record in &unpacked.lacking {
-            let how = match collection_of(registry, record) {
+            let lacking = format!("dataset {} is not here. To predict its samples, ", record.dataset);
+            match collection_of(registry, record) {
                 Ok(spec) => {
+                    print_text(&format!("{lacking}collect the same samples with:"));
                     let spec = quoted([&*spec.to_string_lossy()]);
-                    format!("collect the same samples with: {}", registry.command(&format!("collect {spec}")))
+                    print_command("  ", &registry.command(&format!("collect {spec}")));
                 }
-                Err(reason) => format!("{reason}, so it can only come with `harness pack --datasets`"),
-            };
-            println!("dataset {} is not here. To predict its samples, {how}", record.dataset);
+                Err(reason) => print_text(&format!(
+                    "{lacking}pack it with `harness pack --datasets` where it is. It can't be collected here: {reason}"
+                )),
+            }
         }
-        let (runs, datasets, same) = (unpacked.runs, unpacked.datasets, unpacked.same);
-        let root = registry.root().display();
-        println!("{runs} runs and {datasets} datasets unpacked into {root}, {same} were there before");
-        println!("list them with: {}", registry.command("ls"));
+        print_command("list them with: ", &registry.command("ls"));
         Ok(ExitCode::from(DONE))
     }
 }
@@ -87,14 +93,14 @@ impl Unpack {
 /// When this program can't simulate the dataset. Returns the reason.
 fn collection_of(registry: &Registry, record: &RunRecord) -> Result<PathBuf, String> {
     if record.spec.simulation.is_none() {
-        return Err("It was imported".into());
+        return Err("it was imported".into());
     }
     let path = registry.dataset_spec(&record.dataset);
     let text = record.spec.to_experiment_yaml(&record.experiment);
     if !makes(&text, record, registry) {
         let by = &record.provenance;
         return Err(format!(
-            "This program does not simulate it: the world {} is not built in, or was another one in harness {} with MuJoCo {}",
+            "the world {} is not built in, or was another one in harness {} with MuJoCo {}",
             record.spec.scenario, by.harness_version, by.mujoco_version
         ));
     }

@@ -5,6 +5,7 @@ use super::progress::Bars;
 use anyhow::Result;
 use clap::Args;
 use harness::analysis::{Analysis, AnalysisError, Selection, Setting};
+use harness::numbers::{self, counted};
 use harness::registry::{Published, Registry};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -14,10 +15,10 @@ pub struct Publish {
     /// Experiments to publish, as `harness ls` names them
     #[arg(value_name = "EXPERIMENT", required = true)]
     experiments: Vec<String>,
-    /// Folder to copy to; other commands read it with --results
-    #[arg(long, value_name = "DIR", default_value = "results/reference")]
-    to: PathBuf,
-    /// Only runs with this setting, such as training.epochs=200
+    /// The folder to copy to. Other commands read it with --results
+    #[arg(long, short, alias = "to", value_name = "DIR", default_value = "results/reference")]
+    output: PathBuf,
+    /// Use only runs with this setting, for example training.epochs=200; may be given several times
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
 }
@@ -34,12 +35,12 @@ impl Publish {
             analysis.check_uniform(experiment, true).map_err(AnalysisError::from)?;
             chosen.extend(analysis.runs(experiment).iter().map(|run| (run.folder(), &run.record)));
         }
-        let to = Registry::new(&self.to);
+        let to = Registry::new(&self.output);
         let Published { runs, bytes } = registry.publish(chosen, &to, &Bars::default())?;
         for left_out in to.left_out() {
             eprintln!("warning: {left_out}");
         }
-        println!("{runs} runs, {} in {}", harness::numbers::bytes(bytes), self.to.display());
+        println!("{}, {} in {}", counted(runs, "run"), numbers::bytes(bytes), self.output.display());
         Ok(ExitCode::from(DONE))
     }
 }

@@ -1,17 +1,20 @@
 //! `harness rm`, `harness gc` and `harness du`.
 
-use super::table::{print_beside, print_texts};
+use super::table::{Grid, print_beside, print_grid};
 use super::{DONE, FAILED};
 use anyhow::Result;
 use clap::Args;
-use harness::numbers::bytes;
+use harness::experiment::describe;
+use harness::numbers::{bytes, counted};
 use harness::registry::{Garbage, Registry, Removable};
+use std::collections::BTreeSet;
 use std::io::{IsTerminal, Write};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Remove {
-    /// Runs by id, experiment/id or the beginning of either, or whole experiments
+    /// Experiments, ids or EXPERIMENT/ID. A beginning of an id stands for every run that begins with it
     #[arg(required = true, value_name = "RUN")]
     runs: Vec<String>,
     /// Remove without asking
@@ -30,13 +33,16 @@ impl Remove {
             }
         }
         print_beside(chosen.iter().map(|run| (format!("{:>9}", bytes(run.bytes)), run.name.clone())));
-        remove(registry, &chosen, self.yes)
+        match refusal(&chosen, self.yes)? {
+            Some(code) => Ok(code),
+            None => Ok(remove(registry, &chosen).code()),
+        }
     }
 }
 
 #[derive(Args)]
 pub struct Gc {
-    /// Only what is there for this reason; may be given several times [default: all of them]
+    /// Remove only what has this reason; may be given several times [default: all reasons]
     #[arg(long = "only", value_name = "REASON", value_parser = Garbage::ALL.map(Garbage::name))]
     only: Vec<String>,
     /// Remove without asking
@@ -53,41 +59,88 @@ impl Gc {
         print_beside(found.iter().map(|(reason, item)| {
             (format!("{:>9}  {:<10}", bytes(item.bytes), reason.name()), item.name.clone())
         }));
-        let chosen: Vec<Removable> = found.into_iter().map(|(_, item)| item).collect();
-        remove(registry, &chosen, self.yes)
+        let chosen: Vec<Removable> = found.iter().map(|(_, item)| item.clone()).collect();
+        if let Some(code) = refusal(&chosen, self.yes)? {
+            return Ok(code);
+        }
+        // Runs may have ended and others begun since the list was made. A dataset is unused only after the removal of the
+        // runs that use it.
+        let (datasets, runs): (Vec<_>, Vec<_>) =
+            found.into_iter().partition(|(reason, _)| *reason == Garbage::Unused);
+        let runs = remove(registry, &still(registry, runs));
+        let datasets = remove(registry, &still(registry, datasets));
+        Ok(Removed { removed: runs.removed + datasets.removed, kept: runs.kept + datasets.kept }.code())
     }
 }
 
-/// Asks, and removes.
-fn remove(registry: &Registry, chosen: &[Removable], yes: bool) -> Result<ExitCode> {
+/// Those of the folders that can still be removed for their reason. Prints the others.
+fn still(registry: &Registry, listed: Vec<(Garbage, Removable)>) -> Vec<Removable> {
+    let reasons: Vec<Garbage> = listed.iter().map(|(reason, _)| *reason).collect();
+    let now: BTreeSet<PathBuf> = registry.garbage(&reasons).into_iter().map(|(_, item)| item.path).collect();
+    let (free, used): (Vec<_>, Vec<_>) =
+        listed.into_iter().map(|(_, item)| item).partition(|item| now.contains(&item.path));
+    for item in used {
+        eprintln!("{} is kept: it has been used or changed since it was listed", item.name);
+    }
+    free
+}
+
+/// Asks whether to remove these folders. Returns the exit code if not.
+fn refusal(chosen: &[Removable], yes: bool) -> Result<Option<ExitCode>> {
     if chosen.is_empty() {
         println!("nothing to remove");
-        return Ok(ExitCode::from(DONE));
+        return Ok(Some(ExitCode::from(DONE)));
     }
     let total = bytes(chosen.iter().map(|item| item.bytes).sum());
+    let folders = counted(chosen.len(), "folder");
     if !yes {
         if !std::io::stdin().is_terminal() {
-            println!("{} folders, {total}; --yes removes them", chosen.len());
-            return Ok(ExitCode::from(DONE));
+            println!("{folders}, {total}; --yes removes them");
+            return Ok(Some(ExitCode::from(DONE)));
         }
-        print!("remove {} folders, {total}? [y/N] ", chosen.len());
+        print!("remove {folders}, {total}? [y/N] ");
         std::io::stdout().flush()?;
         let mut answer = String::new();
         std::io::stdin().read_line(&mut answer)?;
         if !["y", "yes"].contains(&answer.trim().to_lowercase().as_str()) {
             println!("nothing was removed");
-            return Ok(ExitCode::from(DONE));
+            return Ok(Some(ExitCode::from(DONE)));
         }
     }
-    let mut kept = 0;
+    Ok(None)
+}
+
+/// The number of folders that were removed, and of those that were not.
+struct Removed {
+    removed: usize,
+    kept: usize,
+}
+
+impl Removed {
+    /// Prints the number of removed folders, and returns the exit code.
+    fn code(&self) -> ExitCode {
+        println!("{} removed", counted(self.removed, "folder"));
+        ExitCode::from(if self.kept == 0 { DONE } else { FAILED })
+    }
+}
+
+/// Removes folders, and prints why others are kept.
+fn remove(registry: &Registry, chosen: &[Removable]) -> Removed {
+    let mut end = Removed { removed: 0, kept: 0 };
     for item in chosen {
-        if let Some(holder) = registry.remove(item)? {
-            eprintln!("{} is kept: {holder} works on it", item.name);
-            kept += 1;
+        match registry.remove(item) {
+            Ok(None) => end.removed += 1,
+            Ok(Some(holder)) => {
+                eprintln!("{} is kept: {holder} works on it", item.name);
+                end.kept += 1;
+            }
+            Err(error) => {
+                eprintln!("error: {}", describe(&error));
+                end.kept += 1;
+            }
         }
     }
-    println!("{} folders removed", chosen.len() - kept);
-    Ok(ExitCode::from(if kept == 0 { DONE } else { FAILED }))
+    end
 }
 
 /// Prints the space that experiments and datasets take.
@@ -97,9 +150,11 @@ pub fn usage(registry: &Registry) -> Result<ExitCode> {
     let rows = usage.into_iter().map(|part| {
         let count = |count: usize| if count > 0 { count.to_string() } else { String::new() };
         let networks = if part.network_bytes > 0 { bytes(part.network_bytes) } else { String::new() };
-        [bytes(part.bytes), networks, count(part.runs), part.kind, part.name]
+        let folder = if part.kind == part.name { part.name } else { format!("{}/{}", part.kind, part.name) };
+        [bytes(part.bytes), networks, count(part.runs), folder]
     });
-    print_texts(["size", "networks", "runs", "folder", "name"], rows.collect());
+    let grid = Grid::of_texts(["size", "networks", "runs", "folder"], rows.collect());
+    print_grid(Grid { right: vec![true, true, true, false], ..grid });
     println!("{} in all", bytes(total));
     Ok(ExitCode::from(DONE))
 }

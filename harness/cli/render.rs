@@ -6,6 +6,7 @@ use super::table::shown;
 use anyhow::Result;
 use clap::Args;
 use harness::files::write_whole;
+use harness::numbers::counted;
 use harness::progress::Progress;
 use harness::simulation::{EpisodePlan, Scene, SceneRenderer, replay};
 use harness::spec::{self, Simulation, World};
@@ -17,22 +18,22 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Render {
-    /// A built-in world, such as empty or cluttered, or the path of a world file
+    /// A world file, or the name of a built-in world (`harness world list` lists them)
     #[arg(value_name = "WORLD")]
     world: String,
-    /// The image (.png) or clip (.gif) to write
+    /// The image (.png) or clip (.gif) to write. A clip needs --episode to show motion
     #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
-    /// Simulate this episode of the dataset again and draw it [default: the scene at rest]
+    /// The episode to show, counted from 0. It is simulated again [default: the scene at rest]
     #[arg(long, value_name = "N")]
     episode: Option<u32>,
-    /// The sample of the episode that an image shows
-    #[arg(long, value_name = "K", default_value_t = 0)]
+    /// The sample of the episode that an image shows, or with which a clip begins
+    #[arg(long, value_name = "K", default_value_t = 0, requires = "episode")]
     sample: usize,
-    /// The number of samples that a clip shows, from --sample on
+    /// The largest number of samples in a clip
     #[arg(long, value_name = "N", default_value_t = 100)]
     samples: usize,
-    /// The spec whose dataset contains the episode [default: the settings of the paper's simulation]
+    /// The spec whose `simulation` settings define the episode [default: the world's default settings]
     #[arg(long, value_name = "SPEC")]
     spec: Option<PathBuf>,
     /// Width in pixels
@@ -50,7 +51,7 @@ pub enum RenderError {
     #[error("can't write a picture to '{}': its name must end in .png or .gif", .0.display())]
     Format(PathBuf),
     /// The episode is too short.
-    #[error("the episode has {samples} samples, so there is no sample {sample}")]
+    #[error("the episode has {}, so there is no sample {sample}", counted(*samples, "sample"))]
     Sample {
         /// The requested sample, counted from 0.
         sample: usize,

@@ -8,27 +8,40 @@ use clap::Args;
 use harness::analysis::Setting;
 use harness::files::write_bytes;
 use harness::registry::Registry;
+use harness::report::Asked;
 use harness::{claims, report, spec};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Report {
+    /// Report only on these experiments, as `harness ls` names them [default: all results]
+    #[arg(value_name = "EXPERIMENT")]
+    experiments: Vec<String>,
     /// The HTML file to write
-    #[arg(long, value_name = "FILE", default_value = "report.html")]
-    out: PathBuf,
+    #[arg(long, short, alias = "out", value_name = "FILE", default_value = "report.html", value_parser = page)]
+    output: PathBuf,
     /// The file of claims
     #[arg(long, value_name = "FILE", default_value = "claims")]
     claims: PathBuf,
-    /// The spec with the readings under which claims are judged too
+    /// The spec with the readings under which claims are also judged
     #[arg(long, value_name = "FILE", default_value = "readings")]
     readings: PathBuf,
     /// Report on the experiments' quick runs
     #[arg(long)]
     quick: bool,
-    /// Only runs with this setting, such as training.epochs=200
+    /// Use only runs with this setting, for example training.epochs=200; may be given several times
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
+}
+
+/// Parses the path of the output. Its ending names the only format.
+fn page(path: &str) -> Result<PathBuf, String> {
+    let path = Path::new(path);
+    match path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("html")) {
+        true => Ok(path.to_owned()),
+        false => Err("its name must end in .html".into()),
+    }
 }
 
 impl Report {
@@ -36,9 +49,10 @@ impl Report {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let claims = claims::load(&self.claims)?;
         let readings = spec::load(&self.readings, &[], self.quick)?;
-        let page = report::page(registry, &claims, &readings, &self.settings, self.quick, &Bars::default())?;
-        write_bytes(&self.out, page.as_bytes())?;
-        println!("{}, {}", shown(&self.out), harness::numbers::bytes(page.len() as u64));
+        let asked = Asked { experiments: self.experiments, settings: self.settings, quick: self.quick };
+        let page = report::page(registry, &claims, &readings, &asked, &Bars::default())?;
+        write_bytes(&self.output, page.as_bytes())?;
+        println!("{}, {}", shown(&self.output), harness::numbers::bytes(page.len() as u64));
         Ok(ExitCode::from(DONE))
     }
 }

@@ -1,12 +1,14 @@
 //! The results of some runs, for `harness run` and `harness show`: the metrics of the networks beside those of the
-//! baselines, and the best run.
+//! baselines, and the best of some runs.
 
-use super::sheet::{Sheet, Style, best, rounded};
+use super::sheet::{MISSING, Sheet, Style, best, rounded};
 use anyhow::Result;
 use harness::learning::objective::KL;
 use harness::learning::training::TOTAL;
+use harness::numbers::Natural;
 use harness::registry::{Registry, RunRecord, query_of, rows};
 use serde::Deserialize;
+use std::cmp::Reverse;
 
 /// The models in the columns of a table: the network and the baselines.
 const MODELS: [&str; 4] = ["network", "persistence", "ridge", "training_mean"];
@@ -21,6 +23,7 @@ struct Row {
     variant: String,
     latent: u32,
     modality: String,
+    direction: Option<String>,
     metric: String,
     unit: String,
     network: Option<f64>,
@@ -29,38 +32,55 @@ struct Row {
     training_mean: Option<f64>,
 }
 
-/// The main metrics of the runs in question and of the baselines, averaged over seeds.
-pub fn sheet(registry: &Registry, is_wanted: impl Fn(&RunRecord) -> bool) -> Result<Sheet> {
+/// Which metrics a table has.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Metrics {
+    /// Those by which networks are compared.
+    Main,
+    /// All of them, also for each direction.
+    All,
+}
+
+/// Metrics of the runs in question and of the baselines, averaged over seeds.
+pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecord) -> bool) -> Result<Sheet> {
     let means = MODELS.map(|model| format!("avg(case when model = '{model}' then value end) as {model}"));
-    let cell = "task, scenario, variant, latent, modality, metric, unit";
+    let chosen = match metrics {
+        Metrics::Main => format!("{POOLED} and metric in ('smape', 'wmape', 'r2', 'relative_error')"),
+        Metrics::All => "index is null".to_owned(),
+    };
+    let cell = "task, scenario, variant, latent, modality, direction, metric, unit";
     let sql = format!(
-        "select {cell}, {} from metrics where {POOLED} and metric in ('smape', 'wmape', 'r2', 'relative_error') \
-         group by {cell} order by task, scenario desc, variant, modality, metric, latent",
+        "select {cell}, {} from metrics where {chosen} group by {cell} \
+         order by task, scenario desc, variant, latent, modality, direction, metric",
         means.join(", ")
     );
-    let rows: Vec<Row> = rows(&mut query_of(registry, is_wanted, &sql)?)?;
+    let mut rows: Vec<Row> = rows(&mut query_of(registry, is_wanted, &sql)?)?;
+    let place =
+        |row: &Row| (row.task.clone(), Reverse(row.scenario.clone()), Natural::new(row.variant.as_str()));
+    rows.sort_by_cached_key(place);
     let row = |row: Row| {
         let values = [row.network, row.persistence, row.ridge, row.training_mean];
-        let best = best(&row.metric, &values);
-        let number = |value: Option<f64>| match value {
-            Some(value) => Style::Text.number(&rounded(value, &row.unit), None, best == Some(value)),
-            None => "-".into(),
+        let number = |(value, is_best): (&Option<f64>, bool)| match value {
+            Some(value) => Style::Text.number(&rounded(*value, &row.unit), None, is_best),
+            None => MISSING.into(),
         };
+        let numbers = values.iter().zip(best(&row.metric, &row.unit, &values)).map(number).collect();
         let words = vec![
             row.task,
             row.scenario,
-            row.variant,
+            row.variant.replace(',', ", "),
             format!("latent {}", row.latent),
             row.modality.replace('_', " "),
+            row.direction.unwrap_or_default(),
             Style::Text.metric(&row.metric, &row.unit),
         ];
-        (words, values.map(number).to_vec())
+        (words, numbers)
     };
     let header = MODELS.map(|model| model.replace('_', " ")).to_vec();
-    Ok(Sheet { titles: 3, header, rows: rows.into_iter().map(row).collect(), notes: Vec::new() })
+    Ok(Sheet { titles: 4, header, rows: rows.into_iter().map(row).collect(), ..Sheet::default() })
 }
 
-/// The run with the lowest validation error.
+/// The run with the lowest validation error of some runs that were validated alike.
 #[derive(Deserialize)]
 pub struct Best {
     /// The run's id.

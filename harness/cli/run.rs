@@ -1,15 +1,15 @@
 //! `harness run`, `harness collect` and `harness validate`.
 
 use super::progress::Bars;
-use super::results::{self, Best, Comparison};
+use super::results::{self, Best, Comparison, Metrics};
 use super::sheet::Style;
 use super::table::{print_beside, print_command, print_text, shown, width};
 use super::{DONE, FAILED, interrupt, layers, output, search};
 use anyhow::Result;
 use clap::Args;
-use harness::collection::{collect, collect_share, dataset_of};
+use harness::collection::{check_rendering, collect, collect_share, dataset_of};
 use harness::experiment::{Planned, Runner, Summary, best, describe, provenance};
-use harness::numbers::rounded;
+use harness::numbers::{counted, rounded};
 use harness::registry::{Decision, Registry, RunRecord, Status, quoted};
 use harness::shard::Shard;
 use harness::simulation::Scene;
@@ -21,15 +21,16 @@ use std::process::ExitCode;
 /// A spec and the settings to change in it.
 #[derive(Args)]
 pub struct Spec {
-    /// The experiment: the path of a YAML file, or a name. NAME stands for the file NAME.yaml or experiments/NAME.yaml,
-    /// or else for the built-in experiment (`harness experiments` lists them)
+    /// The experiment: a YAML file, or a name. A name stands for NAME.yaml, experiments/NAME.yaml or a built-in
+    /// experiment, whichever exists first. `harness experiments` lists the built-in ones
     #[arg(value_name = "SPEC")]
     path: PathBuf,
-    /// Settings to change: training.epochs=5 latent=[8,16] seeds=7. A single value can replace a list. A setting that
-    /// the spec varies has only the values given here
+    /// Settings to change, for example training.epochs=5 'latent=[8,16]' seeds=7. A list with one value can be written
+    /// as the value. If the spec varies the setting, only the values given here are used
     #[arg(value_name = "KEY=VALUE")]
     overrides: Vec<String>,
-    /// Apply the spec's `quick` settings before KEY=VALUE, for minutes instead of hours. A spec without them is refused
+    /// Use the spec's `quick` settings, for minutes instead of hours. KEY=VALUE can change them again. The experiment's
+    /// name then ends in -quick. A spec without these settings is refused
     #[arg(long)]
     quick: bool,
 }
@@ -51,24 +52,24 @@ impl Spec {
 pub struct Run {
     #[command(flatten)]
     spec: Spec,
-    /// Only print whether each run would be done, and why, and the layers of the networks
+    /// Do nothing, but print whether each run would be done, why, and the layers of the networks
     #[arg(long)]
     dry_run: bool,
     /// Number of runs of a scenario to train at the same time, each with its share of the threads. This is faster for
-    /// small networks (single-to-multi on two cores: 0.9 of the time), and gives the same results
+    /// small networks, and gives the same results
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: u16,
-    /// Keep a dataset's frames in memory if they take at most GB gigabytes. Otherwise they are kept in a temporary file
-    /// next to the dataset, which is hardly slower (40,000 samples have 0.5 GB of frames) [default: an eighth of the
-    /// free memory]
+    /// Keep a dataset's images in memory if they take at most GB gigabytes, and otherwise in a temporary file next to
+    /// the dataset, which is hardly slower. The images of 40,000 samples take 0.5 GB [default: an eighth of the free
+    /// memory]
     #[arg(long, value_name = "GB", value_parser = gigabytes)]
     memory: Option<u64>,
     #[command(flatten)]
     share: Share,
-    /// Leave runs that other processes work on, instead of waiting for them
+    /// Skip runs that other processes work on, instead of waiting for them
     #[arg(long)]
     no_wait: bool,
-    /// End after the first run that fails
+    /// Stop after the first run that fails
     #[arg(long)]
     fail_fast: bool,
     #[command(flatten)]
@@ -78,8 +79,8 @@ pub struct Run {
 /// What this process does of the work.
 #[derive(Args)]
 pub struct Share {
-    /// Do only a share of the work, the I-th of N: N processes, each with its own I, divide it among them. They may run on
-    /// several machines, if the results folder is on a shared file system
+    /// Do only the I-th of N shares of the work, for example 1/4. N processes with different I do all of it, also on
+    /// several machines that share the results folder
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
 }
@@ -87,7 +88,7 @@ pub struct Share {
 /// Options of earlier versions.
 #[derive(Args)]
 struct Gone {
-    /// Not used any more
+    /// No longer used
     #[arg(long, value_name = "DIR", hide = true, value_parser = no_models)]
     models: Option<String>,
 }
@@ -137,13 +138,15 @@ impl Run {
             Some(_) => trials.iter().any(|best| best.is_of(&planned.spec)),
             None => true,
         };
-        let shown = own(&plan).into_iter().map(|index| &plan[index]).filter(is_shown);
-        let best = print_results(registry, &experiment, shown).unwrap_or_else(|error| {
-            eprintln!("warning: the results can't be shown: {error}");
-            Vec::new()
-        });
+        let shown: Vec<&Planned> =
+            own(&plan).into_iter().map(|index| &plan[index]).filter(is_shown).collect();
+        let mut best = search::best_trials(&experiment, &trials);
+        match print_results(registry, &experiment, &shown) {
+            Ok(lines) => best.extend(lines),
+            Err(error) => eprintln!("warning: the results can't be shown: {error}"),
+        }
         print_summary(registry, &experiment, &summary, best);
-        search::print_best(registry, &experiment, &trials, &self.spec.words());
+        search::print_commands(registry, &experiment, &trials, &self.spec.words());
         warn_of_loss();
         Ok(ExitCode::from(if summary.failed.is_empty() { DONE } else { FAILED }))
     }
@@ -175,6 +178,7 @@ impl Collect {
             let scene = Scene::new(world)?;
             scene.check(&simulation)?;
             let dataset = dataset_of(&registry.datasets(), &scene, &simulation);
+            check_rendering([&dataset])?;
             let own = first..first + simulation.episodes as usize;
             first = own.end;
             let made = match self.share.shard {
@@ -182,11 +186,12 @@ impl Collect {
                 None => collect(&dataset, &scene, threads, &bars),
             };
             match made {
-                Ok(episodes) => println!(
-                    "{}: {episodes} episodes made, {} samples in all",
+                Ok(episodes) => print_text(&format!(
+                    "{}: {} made, {} in all",
                     shown(dataset.folder()),
-                    dataset.len()
-                ),
+                    counted(episodes, "episode"),
+                    counted(dataset.len(), "sample"),
+                )),
                 Err(error) if error.is_cancelled() => return Err(error.into()),
                 Err(error) => {
                     eprintln!("{} failed: {}", dataset.name(), describe(&error));
@@ -238,36 +243,65 @@ fn print_networks(plan: &[&Planned]) -> Result<()> {
     Ok(())
 }
 
-/// Prints the metrics of these runs. Returns lines about the best of them, unless a search names its best trial.
-fn print_results<'a>(
+/// Prints the metrics of these runs. Returns lines about the best of them. A search names its best trials itself.
+fn print_results(
     registry: &Registry,
     experiment: &Experiment,
-    plan: impl Iterator<Item = &'a Planned>,
+    plan: &[&Planned],
 ) -> Result<Vec<(String, String)>> {
-    let planned: BTreeSet<&str> = plan.map(|planned| planned.folder.id()).collect();
-    let is_done = |record: &RunRecord| {
-        record.experiment == experiment.name
-            && record.status == Status::Done
-            && planned.contains(record.run.as_str())
+    let ids = |runs: &[&Planned]| -> BTreeSet<String> {
+        runs.iter().map(|planned| planned.folder.id().to_owned()).collect()
     };
-    let sheet = results::sheet(registry, is_done)?;
+    let is_done = |record: &RunRecord, ids: &BTreeSet<String>| {
+        record.experiment == experiment.name && record.status == Status::Done && ids.contains(&record.run)
+    };
+    let all = ids(plan);
+    let sheet = results::sheet(registry, Metrics::Main, |record| is_done(record, &all))?;
     if !sheet.rows.is_empty() {
         println!("{}", sheet.render(Style::Text, width()));
     }
+    let mut lines = Vec::new();
     if experiment.search.is_some() {
-        return Ok(Vec::new());
+        // With several seeds, several runs are the best trial.
+        if let [run] = plan {
+            lines.extend(baselines(registry, experiment, run.folder.id())?);
+        }
+        return Ok(lines);
     }
-    let Some(best) = Best::of(registry, is_done)? else { return Ok(Vec::new()) };
-    let beaten = Comparison::all(registry, |record| is_done(record) && record.run == best.run)?;
-    let beaten: Vec<String> = beaten.iter().map(Comparison::to_string).collect();
-    let error = rounded(best.error);
-    Ok(vec![
-        ("best run".into(), format!("{} (lowest validation error, {error})", best.run)),
-        ("baselines".into(), format!("beats {} outputs", beaten.join(", "))),
-    ])
+    for runs in comparable(plan) {
+        let own = ids(runs);
+        let Some(best) = Best::of(registry, |record| is_done(record, &own))? else { continue };
+        let scenario = match experiment.scenarios.len() {
+            1 => String::new(),
+            _ => format!("in {}: ", runs[0].spec.scenario.name()),
+        };
+        let error = rounded(best.error);
+        lines.push(("best run".into(), format!("{scenario}{} (validation error {error})", best.run)));
+        lines.extend(baselines(registry, experiment, &best.run)?);
+    }
+    Ok(lines)
 }
 
-/// Prints what was done, the best run, where the results are, and what to do next.
+/// The runs of each scenario. A scenario is left out if its runs were validated on different samples, outputs or
+/// losses, because their validation errors can't be compared.
+fn comparable<'p, 'a>(plan: &'p [&'a Planned]) -> impl Iterator<Item = &'p [&'a Planned]> {
+    let measured = |planned: &'a Planned| {
+        let spec = &planned.spec;
+        (&spec.simulation, &spec.split, &spec.output, &spec.scaling, &spec.training.losses)
+    };
+    let scenarios = plan.chunk_by(|a, b| a.spec.scenario == b.spec.scenario);
+    scenarios.filter(move |runs| runs.iter().all(|run| measured(run) == measured(runs[0])))
+}
+
+/// A line about the baselines that a run beats, if it is compared with any.
+fn baselines(registry: &Registry, experiment: &Experiment, run: &str) -> Result<Option<(String, String)>> {
+    let is_run = |record: &RunRecord| record.experiment == experiment.name && record.run == run;
+    let beaten: Vec<String> = Comparison::all(registry, is_run)?.iter().map(Comparison::to_string).collect();
+    let line = || ("baselines".into(), format!("beats {} outputs", beaten.join(", ")));
+    Ok((!beaten.is_empty()).then(line))
+}
+
+/// Prints what was done, the best runs, where the results are, and what to do next.
 fn print_summary(
     registry: &Registry,
     experiment: &Experiment,
@@ -276,9 +310,9 @@ fn print_summary(
 ) {
     let Summary { done, continued, diverged, skipped, failed, held, left, awaited } = summary;
     let failed = failed.len();
-    println!("{done} done, {skipped} done before, {failed} failed");
+    print_text(&format!("{done} done, {skipped} done before, {failed} failed"));
     if *continued > 0 {
-        print_text(&format!("{continued} trained on after a comparison of trials"));
+        print_text(&format!("{continued} continued after a comparison of trials"));
     }
     if *diverged > 0 {
         print_text(&format!(
@@ -287,21 +321,22 @@ fn print_summary(
     }
     if *awaited > 0 {
         print_text(&format!(
-            "{awaited} are left to other shares; when they are done, the same command trains the best trials on"
+            "{awaited} are left to other shares; when they are done, the same command continues the best trials"
         ));
     }
     if *held > 0 {
-        println!("{held} left to the processes that work on them");
+        print_text(&format!("{held} left to the processes that work on them"));
     }
     if *left > 0 {
-        print_text(&format!("{left} not tried, because of --fail-fast; the same command goes on from here"));
+        print_text(&format!("{left} not tried, because of --fail-fast; the same command continues"));
     }
     let name = quoted([&*experiment.name]);
     let next = match (failed, done + skipped) {
+        (0, 1..) if experiment.search.is_some() => format!("compare {name} --by variant"),
         (0, 1..) => format!("compare {name}"),
         _ => format!("ls {name}"),
     };
-    print_beside(best);
+    print_beside(best.into_iter().map(|(heading, text)| (format!("{heading:<9}"), text)));
     println!("results    {}", shown(&registry.root().join("runs").join(&experiment.name)));
     print_command("next       ", &registry.command(&next));
 }
@@ -317,7 +352,7 @@ impl Validate {
     pub fn execute(self) -> Result<ExitCode> {
         let experiment = self.spec.load()?;
         let runs = experiment.runs();
-        println!("{} is valid: {} runs", self.spec.path.display(), runs.len());
+        println!("{} is valid: {}", self.spec.path.display(), counted(runs.len(), "run"));
         for run in runs {
             println!("  {}", run.label());
         }

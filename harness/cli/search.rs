@@ -1,7 +1,8 @@
 //! What `harness run` prints about a search.
 
+use super::table::{print_command, print_text};
 use harness::experiment::Best;
-use harness::numbers::rounded;
+use harness::numbers::{counted, rounded};
 use harness::registry::{Registry, quoted};
 use harness::spec::{Experiment, RunSpec};
 
@@ -23,32 +24,34 @@ pub fn print_rungs(experiment: &Experiment) {
         trials = halving.kept(trials);
         rung
     });
-    println!("\nsuccessive halving trains trials: {}", rungs.collect::<Vec<_>>().join(", the best "));
+    let rungs = rungs.collect::<Vec<_>>().join(", the best ");
+    print_text(&format!("\nsuccessive halving trains trials: {rungs}"));
 }
 
-/// Prints the best trial of each scenario, latent size and combination of varied settings, and how to go on with it.
-/// `words` are the arguments of `harness run`.
-pub fn print_best(registry: &Registry, experiment: &Experiment, best: &[Best], words: &[String]) {
-    let Some(search) = &experiment.search else { return };
+/// Lines about the best trial of each scenario, latent size and combination of varied settings: its loss and its settings.
+pub fn best_trials(experiment: &Experiment, best: &[Best]) -> Vec<(String, String)> {
+    let Some(search) = &experiment.search else { return Vec::new() };
     let term = &search.objective.term;
-    for best in best {
+    let lines = best.iter().flat_map(|best| {
         let loss = rounded(best.loss);
-        println!(
-            "best      {}: {term} {loss} on the validation samples, of {} trials",
-            best.run.cell(),
-            best.judged
-        );
-        println!("          {}", best.run.variant_parts().2.replace(',', " "));
+        let (cell, trials) = (best.run.cell(), counted(best.judged, "trial"));
+        let trial = format!("{cell} (lowest validation loss of {term}, {loss}, of {trials})");
+        let settings = best.run.variant_parts().2.replace(',', " ");
+        [("best run".to_owned(), trial), (String::new(), settings)]
+    });
+    lines.collect()
+}
+
+/// Prints a command for each best trial, which trains a network with its settings without a search. `words` are the
+/// arguments of `harness run`.
+pub fn print_commands(registry: &Registry, experiment: &Experiment, best: &[Best], words: &[String]) {
+    for best in best {
         let own = best.settings.iter().map(|(key, value)| format!("{key}={value}"));
         let cell = cell(experiment, &best.run);
         let words = words.iter().cloned().chain(["search=null".to_owned()]).chain(cell).chain(own);
         let words: Vec<String> = words.collect();
         let command = quoted(["run"].into_iter().chain(words.iter().map(String::as_str)));
-        println!("alone     {}", registry.command(&command));
-    }
-    if !best.is_empty() {
-        let by = format!("compare {} --by variant", quoted([experiment.name.as_str()]));
-        println!("compare   {}", registry.command(&by));
+        print_command("retrain    ", &registry.command(&command));
     }
 }
 

@@ -10,11 +10,12 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Serve {
-    /// The port on 127.0.0.1; 0 for a free one
+    /// The port on 127.0.0.1, or 0 for any free port
     #[arg(long, value_name = "PORT", default_value_t = 8787)]
     port: u16,
-    /// The file of claims
-    #[arg(long, value_name = "FILE", default_value = "experiments/claims.yaml")]
+    /// The file of claims. `claims` stands for claims.yaml, experiments/claims.yaml or the built-in claims, whichever
+    /// exists first
+    #[arg(long, value_name = "FILE", default_value = "claims")]
     claims: PathBuf,
 }
 

@@ -1,8 +1,12 @@
 //! Tables for documents: text, Markdown, LaTeX.
 
-use super::table::{Grid, beside, fitted};
+use super::table::{Grid, HARD_SPACE, beside, fitted, unbroken};
 use clap::ValueEnum;
-use harness::metrics::Metric;
+use harness::metrics::{Metric, label};
+use textwrap::core::display_width;
+
+/// A number that a run lacks.
+pub const MISSING: &str = "-";
 
 /// The format of a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -31,13 +35,12 @@ impl Style {
 
     /// The name of a metric with its unit. In text, an arrow says whether higher or lower values are better.
     pub fn metric(self, metric: &str, unit: &str) -> String {
-        let name = match metric {
-            "smape" | "wmape" | "r2" | "rmse" | "mae" => metric.to_uppercase(),
-            name => name.replace('_', " "),
-        };
-        let name = if unit == "1" { name } else { format!("{name} ({unit})") };
+        let name = label(metric, unit);
         match self {
-            Style::Text => format!("{name} {}", if higher_is_better(metric) { '↑' } else { '↓' }),
+            Style::Text => {
+                let arrow = if higher_is_better(metric) { '↑' } else { '↓' };
+                format!("{name}{HARD_SPACE}{arrow}")
+            }
             Style::Markdown | Style::Latex => name,
         }
     }
@@ -48,14 +51,18 @@ fn higher_is_better(metric: &str) -> bool {
     Metric::named(metric).is_some_and(Metric::higher_is_better)
 }
 
-/// The best of some values of a metric, or `None` if there are fewer than two to choose from.
-pub fn best(metric: &str, values: &[Option<f64>]) -> Option<f64> {
-    let values: Vec<f64> = values.iter().copied().flatten().collect();
-    match values.len() {
-        0 | 1 => None,
-        _ if higher_is_better(metric) => values.into_iter().max_by(f64::total_cmp),
-        _ => values.into_iter().min_by(f64::total_cmp),
-    }
+/// Whether each of some values of a metric is the best, as far as the printed digits show. None is if there are fewer
+/// than two to choose from, or if all of them are printed alike.
+pub fn best(metric: &str, unit: &str, values: &[Option<f64>]) -> Vec<bool> {
+    let there = || values.iter().copied().flatten();
+    let best = match higher_is_better(metric) {
+        true => there().max_by(f64::total_cmp),
+        false => there().min_by(f64::total_cmp),
+    };
+    let best = best.map(|value| rounded(value, unit));
+    let is_best = |value: f64| best.as_ref() == Some(&rounded(value, unit));
+    let has_worse = !there().all(is_best);
+    values.iter().map(|value| has_worse && value.is_some_and(is_best)).collect()
 }
 
 /// A value of a metric, with the decimals that its unit needs.
@@ -73,6 +80,7 @@ pub fn rounded(value: f64, unit: &str) -> String {
 }
 
 /// A table whose rows consist of some words and some numbers.
+#[derive(Default)]
 pub struct Sheet {
     /// How many of the words are in the title of a part of the table. In text, rows with the same title are a table of
     /// their own.
@@ -83,6 +91,8 @@ pub struct Sheet {
     pub rows: Vec<(Vec<String>, Vec<String>)>,
     /// Sentences about the table.
     pub notes: Vec<String>,
+    /// Words of the table that stand for longer ones, with their meaning. It is printed below a text.
+    pub legend: Vec<(String, String)>,
 }
 
 impl Sheet {
@@ -95,7 +105,10 @@ impl Sheet {
         match style {
             Style::Text => {
                 let note = format!("{note}; * the best of its row; ↑ higher is better, ↓ lower is better");
-                format!("{}\n\n{}\n", self.text(limit), fitted(note.trim_start_matches("; "), limit))
+                let legend = beside(self.legend.iter().cloned(), limit);
+                let note = fitted(note.trim_start_matches("; "), limit);
+                let parts = [self.text(limit), legend, note].into_iter().filter(|part| !part.is_empty());
+                parts.collect::<Vec<_>>().join("\n\n") + "\n"
             }
             Style::Markdown => format!("{}\n{note}; bold: the best of its row\n", self.markdown()),
             Style::Latex => format!("% {note}; bold: the best of its row\n{}", self.latex()),
@@ -127,37 +140,49 @@ impl Sheet {
 
     /// A table for each title. If one of them is too wide, all rows become blocks.
     fn text(&self, limit: Option<u16>) -> String {
-        let parts: Vec<Grid> = self
-            .rows
-            .chunk_by(|(a, _), (b, _)| a[..self.titles] == b[..self.titles])
-            .map(|rows| self.part(rows))
-            .collect();
+        let parts = self.rows.chunk_by(|(a, _), (b, _)| a[..self.titles] == b[..self.titles]);
+        let parts: Vec<(String, Grid)> = parts.map(|rows| (self.title(rows), self.grid(rows))).collect();
         match limit {
-            Some(limit) if parts.iter().any(|part| !part.fits(limit)) => self.blocks(limit),
-            _ => parts.into_iter().map(|part| part.text(limit)).collect::<Vec<_>>().join("\n\n"),
+            Some(limit) if parts.iter().any(|(_, grid)| !grid.fits(limit)) => self.blocks(limit),
+            _ => {
+                let text = |(title, grid): (String, Grid)| {
+                    let line = if title.is_empty() { title } else { fitted(&title, limit) + "\n" };
+                    line + &grid.text(limit)
+                };
+                parts.into_iter().map(text).collect::<Vec<_>>().join("\n\n")
+            }
         }
     }
 
-    /// The table of rows with the same title, which is in the first cell of the header.
-    fn part(&self, rows: &[(Vec<String>, Vec<String>)]) -> Grid {
+    /// The words that rows have in common.
+    fn title(&self, rows: &[(Vec<String>, Vec<String>)]) -> String {
+        rows.first().map_or(String::new(), |(words, _)| joined(&words[..self.titles]))
+    }
+
+    /// The table of rows with the same title, without columns that are empty in these rows.
+    fn grid(&self, rows: &[(Vec<String>, Vec<String>)]) -> Grid {
         let words = self.words() - self.titles;
-        let title = rows.first().map_or(String::new(), |(words, _)| words[..self.titles].join(", "));
-        let mut header = vec![String::new(); words];
-        if let Some(first) = header.first_mut() {
-            *first = title;
-        }
-        header.extend(self.header.iter().cloned());
-        let rows = rows.iter().map(|(words, numbers)| [&words[self.titles..], numbers].concat());
+        let is_used = |column: &usize| rows.iter().any(|(_, numbers)| !numbers[*column].is_empty());
+        let used: Vec<usize> = (0..self.header.len()).filter(is_used).collect();
+        let of_used = |cells: &[String]| used.iter().map(|column| cells[*column].clone()).collect::<Vec<_>>();
+        let header = [vec![String::new(); words], of_used(&self.header)].concat();
+        let rows = rows.iter().map(|(words, numbers)| [&words[self.titles..], &of_used(numbers)].concat());
         let right = (0..header.len()).map(|column| column >= words).collect();
-        Grid { rows: rows.collect(), header, right, ruled: false }
+        Grid { rows: rows.collect(), header, right, ..Grid::default() }
     }
 
-    /// A block for each row, with a line for each number.
+    /// A block for each row, with a line for each number. The numbers are aligned.
     fn blocks(&self, limit: u16) -> String {
+        let mean = |number: &str| display_width(number.split(" ±").next().unwrap_or_default());
         let block = |(words, numbers): &(Vec<String>, Vec<String>)| {
-            let named = self.header.iter().zip(numbers).filter(|(_, number)| !number.is_empty());
-            let lines = named.map(|(name, number)| (format!("  {name}"), number.clone()));
-            format!("{}\n{}", fitted(&words.join(", "), Some(limit)), beside(lines, Some(limit)))
+            let is_there = |number: &&String| !number.is_empty() && *number != MISSING;
+            let widest = numbers.iter().filter(is_there).map(|number| mean(number)).max().unwrap_or_default();
+            let named = self.header.iter().zip(numbers).filter(|(_, number)| is_there(number));
+            let lines = named.map(|(name, number)| {
+                let indent = " ".repeat(widest - mean(number));
+                (format!("  {name}"), unbroken(&format!("{indent}{number}")))
+            });
+            format!("{}\n{}", fitted(&joined(words), Some(limit)), beside(lines, Some(limit)))
         };
         self.rows.iter().map(block).collect::<Vec<_>>().join("\n\n")
     }
@@ -198,6 +223,11 @@ impl Sheet {
         }
         text + "\\bottomrule\n\\end{tabular}\n"
     }
+}
+
+/// Words with commas between them, without empty ones.
+fn joined(words: &[String]) -> String {
+    words.iter().map(String::as_str).filter(|word| !word.is_empty()).collect::<Vec<_>>().join(", ")
 }
 
 /// Escapes a text for LaTeX.

@@ -10,7 +10,7 @@ use std::process::Command;
 #[derive(Debug, thiserror::Error)]
 pub enum SlurmError {
     #[error(
-        "{program} is not installed here, so this is no machine of a Slurm cluster; without Slurm, start the shares \
+        "{program} is not installed, so this machine is not part of a Slurm cluster; without Slurm, start the shares \
          yourself: `harness run SPEC --shard I/N --no-wait`"
     )]
     Missing { program: String },
@@ -24,13 +24,13 @@ pub enum SlurmError {
     },
 }
 
-/// What a task asks the cluster for.
+/// The resources that a task requests from the cluster.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Resources {
     /// Tasks of the array that divides the work.
     pub tasks: u32,
-    /// Tasks that run at a time; all that fit, if not set.
+    /// Largest number of tasks that run at the same time; no limit, if not set.
     pub throttle: Option<u32>,
     /// Processors of a task.
     pub cpus: u32,
@@ -93,7 +93,7 @@ impl Step {
     }
 }
 
-/// What the scripts of an experiment have in common.
+/// The common part of an experiment's scripts.
 pub struct Job<'a> {
     pub experiment: &'a str,
     /// The folder of the scripts and logs, absolute.
@@ -165,7 +165,7 @@ while kill -0 "$harness" 2>/dev/null; do wait "$harness"; code=$?; done
 echo "task ${{SLURM_ARRAY_TASK_ID:-1}} ends with code $code"
 
 # A task that a signal ended goes back into the queue and resumes: always after SIGTERM, up to three times after another
-# signal. A task that was cancelled is not running any more, and stays cancelled.
+# signal. A task that was cancelled is no longer running, and stays cancelled.
 state=$(scontrol show job "$SLURM_JOB_ID" --oneliner | grep -o 'JobState=[A-Z_]*')
 if [ "$state" = JobState=RUNNING ] && [ "$code" -gt 128 ] &&
     {{ [ "$code" -eq 143 ] || [ "${{SLURM_RESTART_COUNT:-0}}" -lt 3 ]; }}; then
@@ -232,7 +232,7 @@ fn task(line: &str) -> Option<Task> {
     })
 }
 
-/// What a command of Slurm printed.
+/// Runs a command of Slurm, and returns its output.
 fn answer(command: &mut Command) -> Result<String, SlurmError> {
     let program = command.get_program().to_string_lossy().into_owned();
     let output = command.output().map_err(|source| match source.kind() {

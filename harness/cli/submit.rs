@@ -6,12 +6,13 @@
 
 use super::run::Spec;
 use super::slurm::{self, Job, Resources, SlurmError, Step, Task};
-use super::table::{print_texts, shown};
+use super::table::{print_command, print_text, print_texts, shown};
 use super::{DONE, interrupt};
 use anyhow::{Result, bail};
 use clap::Args;
 use harness::experiment::{Runner, provenance};
 use harness::files::{write_bytes, write_whole};
+use harness::numbers::counted;
 use harness::progress::Silent;
 use harness::registry::Registry;
 use serde::{Deserialize, Serialize};
@@ -33,7 +34,7 @@ pub enum SubmitError {
     Config { place: String, reason: String },
     #[error("nothing to submit: every run of {0} is done")]
     AllDone(String),
-    #[error("no job of '{name}'; jobs: {}", if known.is_empty() { "none" } else { known })]
+    #[error("there is no job of '{name}'; jobs: {}", if known.is_empty() { "none" } else { known })]
     NoJob { name: String, known: String },
 }
 
@@ -41,31 +42,33 @@ pub enum SubmitError {
 pub struct Submit {
     #[command(flatten)]
     spec: Spec,
-    /// Tasks that divide the runs [default: 8, or as many as there are runs]
+    /// Number of tasks that divide the runs [default: 8, or the number of runs if it is smaller]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
     tasks: Option<u32>,
-    /// Tasks that run at a time [default: all that the cluster has room for]
+    /// Largest number of tasks that run at the same time [default: no limit]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
     throttle: Option<u32>,
-    /// Processors of a task [default: 4]
+    /// Processors for each task [default: 4]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     cpus: Option<u32>,
-    /// Memory of a task, for example 8G
+    /// Memory for each task, for example 8G [default: the cluster's]
     #[arg(long, value_name = "SIZE")]
     memory: Option<String>,
-    /// Time limit of a task, for example 04:00:00; a task that reaches it is saved and queued again
+    /// Time limit of each task, for example 04:00:00. A task that reaches it saves its state and is queued again
+    /// [default: the cluster's]
     #[arg(long, value_name = "TIME")]
     time: Option<String>,
-    /// Partition of the cluster
+    /// Partition of the cluster [default: the cluster's]
     #[arg(long, value_name = "NAME")]
     partition: Option<String>,
     /// Another option of sbatch, for example --sbatch=--account=lab; may be given several times
     #[arg(long = "sbatch", value_name = "OPTION")]
     options: Vec<String>,
-    /// YAML file with these settings (tasks, throttle, cpus, memory, time, partition, options, setup); flags replace them
+    /// YAML file with the settings tasks, throttle, cpus, memory, time, partition, options (for sbatch) and setup
+    /// (commands before the harness). Options on the command line replace them
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Print the scripts without submitting them
+    /// Print the scripts, but do not submit them
     #[arg(long)]
     dry_run: bool,
 }
@@ -123,10 +126,11 @@ impl Submit {
             return Err(error);
         }
         let jobs = record.steps.iter().map(|(step, number)| format!("{} {number}", step.name()));
-        println!("{to_do} runs of {} submitted: {}", experiment.name, jobs.collect::<Vec<_>>().join(", "));
+        let jobs = jobs.collect::<Vec<_>>().join(", ");
+        print_text(&format!("{} of {} submitted: {jobs}", counted(to_do, "run"), experiment.name));
         println!("scripts and logs  {}", shown(&folder));
-        println!("progress          {}", registry.command("ls --jobs"));
-        println!("cancel            {}", registry.command(&format!("cancel {name}")));
+        print_command("progress          ", &registry.command("ls --jobs"));
+        print_command("cancel            ", &registry.command(&format!("cancel {name}")));
         Ok(ExitCode::from(DONE))
     }
 
@@ -164,7 +168,7 @@ impl Submit {
     }
 }
 
-/// What a folder of jobs says of itself.
+/// The description of a job in its folder, `job.json`.
 #[derive(Debug, Serialize, Deserialize)]
 struct Record {
     experiment: String,
@@ -205,7 +209,7 @@ fn records(registry: &Registry) -> BTreeMap<String, (PathBuf, Record)> {
 
 #[derive(Args)]
 pub struct Cancel {
-    /// The job's folder name, as `harness ls --jobs` lists it, or the name of an experiment
+    /// A job, as `harness ls --jobs` names it, or an experiment
     job: String,
 }
 
@@ -242,7 +246,7 @@ pub fn list(registry: &Registry) -> Result<ExitCode> {
     if rows.is_empty() {
         println!("no jobs; `harness submit SPEC` makes some");
     } else {
-        print_texts(["job", "step", "state", "host", "time", "last said, or why it waits"], rows);
+        print_texts(["job", "step", "state", "host", "time", "last log line, or why it waits"], rows);
     }
     Ok(ExitCode::from(DONE))
 }

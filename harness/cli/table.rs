@@ -4,10 +4,11 @@
 //! with a line for each column. If the output is no terminal, tables are as wide as their contents, so that the output
 //! of a command does not depend on where it is called.
 
-use super::output::{IS_UTF8, encoded};
+use super::encoding::{IS_UTF8, encoded};
 use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table, Width};
 use harness::numbers::rounded;
 use polars::prelude::{AnyValue, DataFrame};
+use std::borrow::Cow;
 use std::path::Path;
 use terminal_size::terminal_size_of;
 use textwrap::core::display_width;
@@ -21,6 +22,8 @@ const GAP: u16 = 2;
 const LEAST_TEXT: usize = 24;
 /// The width of a line in characters if the output is no terminal and has texts of any length.
 pub const LINE: u16 = 160;
+/// A space at which no line is broken. It is printed as a plain space.
+pub const HARD_SPACE: char = '\u{a0}';
 
 /// Lines for the borders of a table, in comfy-table's order: a line below the header.
 const PLAIN: &str = "     ─             ";
@@ -42,8 +45,10 @@ pub fn size() -> Option<(u16, u16)> {
 pub struct Grid {
     pub header: Vec<String>,
     pub rows: Vec<Vec<String>>,
-    /// Whether the cells of each column are aligned to the right.
+    /// Whether the cells of each column are aligned to the right. Their lines are not broken, because they are numbers.
     pub right: Vec<bool>,
+    /// Whether the lines of the cells of each column are not broken; none if it is empty.
+    pub whole: Vec<bool>,
     /// Whether there is a line between rows.
     pub ruled: bool,
 }
@@ -55,7 +60,7 @@ impl Grid {
             header: header.map(str::to_owned).to_vec(),
             rows: rows.into_iter().map(Vec::from).collect(),
             right: vec![false; N],
-            ruled: false,
+            ..Self::default()
         }
     }
 
@@ -69,7 +74,7 @@ impl Grid {
             header: table.get_column_names().into_iter().map(|name| name.to_string()).collect(),
             rows: (0..table.height().min(MOST_ROWS)).map(cells).collect(),
             right: table.columns().iter().map(|column| column.dtype().is_numeric()).collect(),
-            ruled: false,
+            ..Self::default()
         }
     }
 
@@ -78,28 +83,45 @@ impl Grid {
         // The widths of the columns are those of the text as it is shown.
         if limit.is_some() && !*IS_UTF8 {
             let cells = self.rows.iter_mut().flatten().chain(&mut self.header);
-            cells.for_each(|cell| *cell = encoded(cell).into_owned());
+            cells.for_each(|cell| {
+                let parts: Vec<Cow<str>> = cell.split(HARD_SPACE).map(encoded).collect();
+                *cell = parts.join(&HARD_SPACE.to_string());
+            });
         }
-        match limit {
+        with_spaces(&match limit {
             Some(limit) if !self.fits(limit) => self.blocks(limit),
             _ => self.lines(limit),
-        }
+        })
     }
 
-    /// Whether the table is at most `limit` characters wide if no word is broken.
+    /// Whether the table is at most `limit` characters wide if no word, and no line of a whole column, is broken.
     pub fn fits(&self, limit: u16) -> bool {
-        let width: u32 = self.least_widths().iter().map(|width| u32::from(*width) + u32::from(GAP)).sum();
-        width <= u32::from(limit) + u32::from(GAP)
+        is_within(&self.least_widths(), limit)
     }
 
-    /// The width of the longest word of each column.
+    /// Whether the table is at most `limit` characters wide if no line of any cell and of the header is broken.
+    pub fn fits_unbroken(&self, limit: u16) -> bool {
+        is_within(&self.widths(true, |_| true), limit)
+    }
+
+    /// The width of the longest word of each column, or of its longest line if its lines are not broken.
     fn least_widths(&self) -> Vec<u16> {
-        let longest = |column: usize| {
-            let cells = self.rows.iter().chain([&self.header]).filter_map(|row| row.get(column));
-            cells.flat_map(|cell| cell.split_whitespace()).map(display_width).max()
+        self.widths(false, |column| self.right[column] || self.whole.get(column) == Some(&true))
+    }
+
+    /// The width of each column if its header is whole or not, and if its lines are, for which `is_whole` is true.
+    /// Otherwise, the width is that of the longest word.
+    fn widths(&self, has_whole_header: bool, is_whole: impl Fn(usize) -> bool) -> Vec<u16> {
+        let longest = |text: &String, is_whole| {
+            let breaks: &[char] = if is_whole { &['\n'] } else { &[' ', '\n'] };
+            text.split(breaks).map(display_width).max().unwrap_or_default()
         };
-        let widths = (0..self.right.len()).map(|column| longest(column).unwrap_or_default());
-        widths.map(|width| u16::try_from(width).unwrap_or(u16::MAX - GAP)).collect()
+        let width = |column: usize| {
+            let header = self.header.get(column).map(|name| longest(name, has_whole_header));
+            let cells = self.rows.iter().filter_map(|row| row.get(column));
+            cells.map(|cell| longest(cell, is_whole(column))).chain(header).max().unwrap_or_default()
+        };
+        (0..self.right.len()).map(|column| u16::try_from(width(column)).unwrap_or(u16::MAX - GAP)).collect()
     }
 
     fn lines(&self, limit: Option<u16>) -> String {
@@ -109,7 +131,7 @@ impl Grid {
             out.set_header(&self.header);
         }
         out.add_rows(&self.rows);
-        if let Some(limit) = limit {
+        if let Some(limit) = limit.filter(|limit| !self.fits_unbroken(*limit)) {
             out.set_content_arrangement(ContentArrangement::Dynamic).set_width(limit);
         }
         let last = self.right.len().saturating_sub(1);
@@ -135,6 +157,12 @@ impl Grid {
     }
 }
 
+/// Whether columns of these widths, with the gaps between them, take at most `limit` characters.
+fn is_within(widths: &[u16], limit: u16) -> bool {
+    let width: u32 = widths.iter().map(|width| u32::from(*width) + u32::from(GAP)).sum();
+    width <= u32::from(limit) + u32::from(GAP)
+}
+
 /// Prints the answer of a query. Numbers are aligned to the right and rounded to four digits.
 pub fn print(table: &DataFrame) {
     println!("{}", Grid::of_table(table).text(width()));
@@ -145,7 +173,12 @@ pub fn print(table: &DataFrame) {
 
 /// Prints a table of texts.
 pub fn print_texts<const N: usize>(header: [&str; N], rows: Vec<[String; N]>) {
-    println!("{}", Grid::of_texts(header, rows).text(Some(width().unwrap_or(LINE))));
+    print_grid(Grid::of_texts(header, rows));
+}
+
+/// Prints a table whose texts may have any length.
+pub fn print_grid(grid: Grid) {
+    println!("{}", grid.text(Some(width().unwrap_or(LINE))));
 }
 
 /// Prints a text, with line breaks between words where the terminal ends.
@@ -155,10 +188,39 @@ pub fn print_text(text: &str) {
 
 /// A text with line breaks between words, so that its lines have at most `limit` characters if that is possible.
 pub fn fitted(text: &str, limit: Option<u16>) -> String {
-    let Some(limit) = limit else { return text.to_owned() };
-    let indent = " ".repeat(text.len() - text.trim_start_matches(' ').len());
-    let line = |line: &str| textwrap::fill(line, between_words(limit).subsequent_indent(&indent));
+    let Some(limit) = limit else { return with_spaces(text) };
+    let line = |line: &str| {
+        let indent = " ".repeat(line.len() - line.trim_start_matches(' ').len());
+        wrapped(line, between_words(limit).subsequent_indent(&indent))
+    };
     text.lines().map(line).collect::<Vec<_>>().join("\n")
+}
+
+/// Breaks a text into lines. Commands between backticks stay whole, because a reader copies them.
+fn wrapped(text: &str, options: Options) -> String {
+    with_spaces(&textwrap::fill(&with_whole_commands(text), options))
+}
+
+/// A text whose spaces between backticks are hard.
+fn with_whole_commands(text: &str) -> String {
+    let parts: Vec<&str> = text.split('`').collect();
+    // With an even number of parts, one backtick has no partner.
+    if parts.len().is_multiple_of(2) {
+        return text.to_owned();
+    }
+    let part =
+        |(place, part): (usize, &&str)| if place % 2 == 1 { unbroken(part) } else { (*part).to_owned() };
+    parts.iter().enumerate().map(part).collect::<Vec<_>>().join("`")
+}
+
+/// A text at whose spaces no line is broken.
+pub fn unbroken(text: &str) -> String {
+    text.replace(' ', &HARD_SPACE.to_string())
+}
+
+/// A text with plain spaces.
+fn with_spaces(text: &str) -> String {
+    text.replace(HARD_SPACE, " ")
 }
 
 /// Prints texts beside their headings.
@@ -169,22 +231,25 @@ pub fn print_beside(entries: impl IntoIterator<Item = (String, String)>) {
     }
 }
 
-/// Texts beside their headings, or below them if the terminal is too narrow for that.
+/// Texts beside their headings. A text for which there is no room stands below its heading.
 pub fn beside(entries: impl IntoIterator<Item = (String, String)>, limit: Option<u16>) -> String {
     let entries: Vec<(String, String)> = entries.into_iter().collect();
     let widest = entries.iter().map(|(heading, _)| display_width(heading)).max().unwrap_or_default();
     let indent = widest + usize::from(GAP);
-    let is_narrow = limit.is_some_and(|limit| usize::from(limit) < indent + LEAST_TEXT);
     let options = between_words(limit.unwrap_or(u16::MAX));
-    let entry = |(heading, text): &(String, String)| match is_narrow {
-        true => {
+    let entry = |(heading, text): &(String, String)| {
+        let text = with_whole_commands(text);
+        let longest = text.split(' ').map(display_width).max().unwrap_or_default();
+        let is_narrow = limit.is_some_and(|limit| usize::from(limit) < indent + longest.max(LEAST_TEXT));
+        if text.is_empty() {
+            heading.trim_end().to_owned()
+        } else if is_narrow {
             let below = " ".repeat(2 * usize::from(GAP));
-            let text = textwrap::fill(text, options.clone().initial_indent(&below).subsequent_indent(&below));
-            format!("{}\n{text}", textwrap::fill(heading, options.clone()))
-        }
-        false => {
+            let text = wrapped(&text, options.clone().initial_indent(&below).subsequent_indent(&below));
+            format!("{}\n{text}", wrapped(heading.trim_end(), options.clone()))
+        } else {
             let (first, others) = (format!("{heading:indent$}"), " ".repeat(indent));
-            textwrap::fill(text, options.clone().initial_indent(&first).subsequent_indent(&others))
+            wrapped(&text, options.clone().initial_indent(&first).subsequent_indent(&others))
         }
     };
     entries.iter().map(entry).collect::<Vec<_>>().join("\n")
@@ -196,7 +261,7 @@ pub fn print_command(heading: &str, command: &str) {
 }
 
 /// A command after a heading. If it is too long for a line, it is continued on others, as shells accept it. Words and
-/// texts in quotes stay whole.
+/// texts in quotes stay whole, and an option stays on the line of its value.
 pub fn command_lines(heading: &str, command: &str, limit: Option<u16>) -> String {
     let Some(limit) = limit.map(usize::from) else { return format!("{heading}{command}") };
     let indent = " ".repeat(display_width(heading) + 2);
@@ -214,7 +279,7 @@ pub fn command_lines(heading: &str, command: &str, limit: Option<u16>) -> String
         }
     }
     let mut is_first = true;
-    for word in words {
+    for word in with_values(words) {
         // Two more characters: a space and the backslash.
         if !is_first && display_width(&line) + display_width(&word) + 3 > limit {
             text += &format!("{line} \\\n");
@@ -225,6 +290,22 @@ pub fn command_lines(heading: &str, command: &str, limit: Option<u16>) -> String
         is_first = false;
     }
     text + &line
+}
+
+/// The words of a command, in which an option and the word after it are one.
+fn with_values(words: Vec<String>) -> Vec<String> {
+    let mut joined: Vec<String> = Vec::new();
+    for word in words {
+        match joined.last_mut() {
+            Some(option)
+                if option.starts_with("--") && !option.contains([' ', '=']) && !word.starts_with('-') =>
+            {
+                *option = format!("{option} {word}");
+            }
+            _ => joined.push(word),
+        }
+    }
+    joined
 }
 
 /// Line breaks only at spaces. Longer words stay whole, because they may be paths or names to copy.
@@ -240,6 +321,7 @@ fn cell(value: AnyValue) -> String {
         AnyValue::Float64(value) => rounded(value),
         AnyValue::Float32(value) => rounded(value.into()),
         AnyValue::Binary(bytes) => format!("{} bytes", bytes.len()),
+        AnyValue::BinaryOwned(bytes) => format!("{} bytes", bytes.len()),
         other => other.to_string(),
     }
 }

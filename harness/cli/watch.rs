@@ -1,14 +1,15 @@
 //! `harness watch`: everything that is running, refreshed each second.
 
 use super::DONE;
-use super::submit;
+use super::inspect::check_started;
 use super::table::{Grid, fitted, size, width};
-use anyhow::{Result, bail};
+use super::{output, submit};
+use anyhow::Result;
 use clap::Args;
 use harness::files::FolderLock;
 use harness::learning::training::{Epoch, TOTAL};
 use harness::numbers::duration;
-use harness::registry::{Registry, RunRecord, Status, live_epochs};
+use harness::registry::{Recorded, Registry, Remembered, RunRecord, Status, live_epochs};
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -22,19 +23,19 @@ const RECENT: usize = 10;
 
 #[derive(Args)]
 pub struct Watch {
-    /// Only the runs of these experiments
+    /// Show only the runs of these experiments [default: all]
     #[arg(value_name = "EXPERIMENT")]
     experiments: Vec<String>,
-    /// Print what runs now, and end
+    /// Print once, and end
     #[arg(long)]
     once: bool,
 }
 
 impl Watch {
-    /// Prints what runs until nothing runs any more.
+    /// Prints what is running until nothing is.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let mut waiting: Option<(Instant, Vec<[String; 6]>)> = None;
-        let mut drawn = 0;
+        let (mut memory, mut drawn) = (Remembered::default(), 0);
         loop {
             if waiting.as_ref().is_none_or(|(asked, _)| asked.elapsed() >= SLURM_INTERVAL) {
                 // Without Slurm there are no tasks. Tasks that have ended are not shown.
@@ -43,7 +44,8 @@ impl Watch {
                     Some((Instant::now(), tasks.into_iter().filter(|task| task[2] == "pending").collect()));
             }
             let waiting = waiting.as_ref().map_or(&[][..], |(_, tasks)| tasks.as_slice());
-            let view = View::of(registry, &self.experiments, waiting)?;
+            registry.refresh(&mut memory);
+            let view = View::of(registry, memory.recorded(), &self.experiments, waiting)?;
             let text = view.text(width());
             if let Some((_, height)) = size() {
                 // The cursor goes back to the beginning of the last picture, which is then erased.
@@ -54,7 +56,7 @@ impl Watch {
             } else {
                 println!("{text}");
             }
-            if self.once || view.is_idle() {
+            if self.once || view.is_idle() || output::is_closed() {
                 return Ok(ExitCode::from(DONE));
             }
             std::thread::sleep(INTERVAL);
@@ -62,9 +64,9 @@ impl Watch {
     }
 }
 
-/// What runs at a moment.
+/// The runs, collections and tasks at one moment.
 struct View {
-    /// How many of the chosen runs have which status, in words.
+    /// The number of chosen runs with each status, in words.
     counts: String,
     runs: Vec<[String; 7]>,
     /// Datasets that are being collected: name, process, episodes.
@@ -74,15 +76,15 @@ struct View {
 }
 
 impl View {
-    fn of(registry: &Registry, experiments: &[String], waiting: &[[String; 6]]) -> Result<Self> {
+    fn of(
+        registry: &Registry,
+        all: &[Recorded],
+        experiments: &[String],
+        waiting: &[[String; 6]],
+    ) -> Result<Self> {
         let is_chosen =
             |record: &RunRecord| experiments.is_empty() || experiments.contains(&record.experiment);
-        let all = registry.recorded();
-        for wanted in experiments {
-            if !all.iter().any(|(_, record)| record.experiment == *wanted) {
-                bail!("no run of '{wanted}' has started; `{}` lists the experiments", registry.command("ls"));
-            }
-        }
+        check_started(all.iter().map(|(_, record)| record), registry, experiments)?;
         let chosen: Vec<_> = all.iter().filter(|(_, record)| is_chosen(record)).collect();
         let counted = [Status::Running, Status::Done, Status::Failed, Status::Interrupted].map(|status| {
             let count = chosen.iter().filter(|(_, record)| record.status == status).count();
@@ -135,12 +137,10 @@ fn row(folder: &Path, record: &RunRecord) -> [String; 7] {
         let value = own.last().and_then(|epoch| of(epoch).get(TOTAL));
         value.map_or("-".into(), |value| format!("{value:.4}"))
     };
-    let planned = record.spec.training.epochs;
+    let planned = record.spec.training.final_epoch();
     let recent = &own[own.len().saturating_sub(RECENT)..];
     let each = recent.iter().map(|epoch| epoch.seconds).sum::<f64>() / recent.len() as f64;
-    // Columns are narrow, and a time must not be broken.
-    let time =
-        |seconds: f64| if own.is_empty() { "-".into() } else { duration(seconds).replace(' ', "\u{a0}") };
+    let time = |seconds: f64| if own.is_empty() { "-".into() } else { duration(seconds) };
     [
         record.run.clone(),
         FolderLock::holder(folder).map_or("-".into(), |holder| process(&holder)),
@@ -157,7 +157,7 @@ fn datasets(registry: &Registry) -> Vec<[String; 3]> {
     let folders = std::fs::read_dir(registry.datasets()).into_iter().flatten().flatten();
     let mut rows: Vec<[String; 3]> = folders
         .filter_map(|folder| {
-            let holder = FolderLock::holder(&folder.path())?;
+            let holder = FolderLock::in_use(&folder.path())?;
             let files = std::fs::read_dir(folder.path()).ok()?.flatten();
             let episodes =
                 files.filter(|file| file.file_name().to_string_lossy().starts_with("episode_")).count();

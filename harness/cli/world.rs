@@ -21,22 +21,22 @@ pub struct Command {
 enum Action {
     /// List the built-in worlds
     List,
-    /// Compile a world's model and print what each entry of its file matches
+    /// Compile a world's model, and print what each entry of its file matches
     Check {
-        /// The path of a world file, or the name of a built-in world
+        /// A world file, or the name of a built-in world
         #[arg(value_name = "WORLD")]
         world: String,
     },
-    /// Write a world file for an MJCF model, to start from
+    /// Write a first world file for an MJCF model
     New {
         /// The MJCF file
         #[arg(value_name = "MODEL")]
         model: PathBuf,
-        /// The world file to write [default: the model's path with the ending .yaml]
+        /// The world file to write. It must not exist [default: the model's path, with the ending .yaml]
         #[arg(long, short, value_name = "FILE")]
         output: Option<PathBuf>,
     },
-    /// Print the JSON schema of a world file, for editors
+    /// Print the JSON schema of world files, for editors
     Schema,
 }
 
@@ -58,7 +58,11 @@ impl Command {
                 };
                 print_beside(World::built_in().iter().map(named));
             }
-            Action::Check { world } => check(&Scene::new(World::find(&world)?)?),
+            Action::Check { world } => {
+                let world = World::find(&world)?;
+                world.check_rates()?;
+                check(&Scene::new(world)?);
+            }
             Action::New { model, output } => {
                 let path = output.unwrap_or_else(|| model.with_extension("yaml"));
                 if path.exists() {

@@ -3,7 +3,12 @@
 pub mod finger;
 
 use assert_cmd::Command;
+use harness::seal;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// How long tests wait for what must happen. Only what never happens takes so long, even on a slow and busy machine.
+pub const PATIENCE: Duration = Duration::from_secs(600);
 
 pub const SMOKE: &str = "experiments/smoke.yaml";
 pub const SINGLE: &str = "experiments/single_to_multi.yaml";
@@ -18,6 +23,10 @@ pub const TINY: [&str; 6] = [
     "seeds=[0,1]",
 ];
 
+/// Overrides with which every run of the smoke experiment fails: its loss is no longer finite.
+pub const FAILING: [&str; 3] =
+    ["training.learning_rate=1", "training.kl_weight=1000000", "training.epochs=200"];
+
 /// The exit code and output of a command.
 pub struct Answer {
     pub code: i32,
@@ -29,7 +38,7 @@ pub struct Answer {
 pub fn harness(results: &Path, arguments: &[&str]) -> Command {
     let mut command = assert_cmd::cargo::cargo_bin_cmd!("harness");
     command.current_dir(env!("CARGO_MANIFEST_DIR")).arg("--results").arg(results).args(arguments);
-    command.env("XDG_CACHE_HOME", env!("CARGO_TARGET_TMPDIR"));
+    command.env("XDG_CACHE_HOME", env!("CARGO_TARGET_TMPDIR")).env("TMPDIR", env!("CARGO_TARGET_TMPDIR"));
     command
 }
 
@@ -56,6 +65,15 @@ pub fn fresh(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     let _ = std::fs::remove_dir_all(&folder);
     folder
+}
+
+/// Changes a value of a run's record.
+pub fn set_in_record(run: &Path, key: &str, value: serde_json::Value) {
+    let path = run.join("run.json");
+    let mut record: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    *record.pointer_mut(key).unwrap() = value;
+    record[seal::KEY] = seal::BLANK.into();
+    seal::write(&path, format!("{record:#}\n").into_bytes()).unwrap();
 }
 
 /// The results of a smoke run, in a new folder inside cargo's folder for the files of tests.
@@ -103,4 +121,37 @@ impl Drop for Disk {
     fn drop(&mut self) {
         let _ = std::process::Command::new("umount").arg(self.path()).output();
     }
+}
+
+/// The path of the first of these programs that is installed.
+fn program(names: &[&str]) -> Option<PathBuf> {
+    let folders = std::env::var_os("PATH")?;
+    let mut places =
+        std::env::split_paths(&folders).flat_map(|folder| names.iter().map(move |n| folder.join(n)));
+    places.find(|path| path.is_file())
+}
+
+/// The paths of Chromium and its driver, or the reason why the test is skipped.
+fn browser() -> Result<(PathBuf, PathBuf), &'static str> {
+    let missing =
+        "skipped: no Chromium with its driver on the path; Debian: apt-get install chromium chromium-driver";
+    let chromium = program(&["chromium", "chromium-browser", "google-chrome"]).ok_or(missing)?;
+    Ok((chromium, program(&["chromedriver"]).ok_or(missing)?))
+}
+
+/// Runs a script of tests/python with these paths, those of Chromium and its driver, and further arguments. Returns
+/// whether it found no error, and its output; `None` without a browser.
+pub fn in_chromium(script: &str, paths: &[&Path], more: &[&str]) -> Option<(bool, String)> {
+    let (chromium, driver) = browser().inspect_err(|reason| eprintln!("{reason}")).ok()?;
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let output = std::process::Command::new(root.join(".venv/bin/python"))
+        .arg(root.join("tests/python").join(script))
+        .args(paths)
+        .args([chromium, driver])
+        .args(more)
+        .output()
+        .unwrap();
+    let said =
+        [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat();
+    Some((output.status.success(), said))
 }
