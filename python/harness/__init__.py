@@ -1,23 +1,48 @@
-"""A research harness for multi-modal perception of a soft robot.
+"""A research harness for soft-robot perception: simulation, training, tables and figures.
 
-An arm presses a soft finger on the ground and into boxes in a simulation. Conditional variational auto-encoders are
-trained on the recorded data. The simulation, the training and the tables are written in Rust, and this package makes
-them available in Python:
+An experiment is a YAML file. It says which scenes to simulate, which networks to train on the recorded data, and on
+what to test them. Results are tables in a folder, `results` by default.
 
-- `run` does an experiment, `collect` only simulates its datasets. `query` queries the tables.
-- `compare` computes means over seeds, `claims` judges the paper's statements, `figures` draws the paper's figures, and
-  `verify` checks all files.
-- `export_mlflow` and `export_tensorboard` write runs to the trackers of other projects.
-- `Dataset` opens a dataset, `load_model` opens a trained network. `load_network` opens it for PyTorch, and
-  `export_onnx` writes it for other programs.
-- `harness.environments` has the finger as a `dm_env.Environment`, `harness.gymnasium` as Gymnasium environments.
-- `SimulationBatch` is one simulation or many, stepped by setpoints.
+    >>> import harness
+    >>> harness.run("smoke", progress=False)                        # a small experiment, in seconds
+    Summary(done=..., skipped=...)
+    >>> runs = harness.query("select run, status from runs")        # a polars.DataFrame
+    >>> model = harness.load_model("smoke/empty")                   # the trained network of a run
+    >>> data = harness.Dataset(f"results/datasets/{model.dataset}") # the recorded data, as NumPy arrays
+    >>> observation = {name: data[name][:10] for name in model.input}
+    >>> mean, log_variance = model.encode(observation)
+    >>> mean.shape
+    (10, 4)
 
-Units are SI. Long calls let other threads run, and Ctrl-C stops them. The next call of `run` continues from there.
+Experiments and results:
+
+- `run` does an experiment. `collect` only simulates its datasets.
+- `query` answers SQL queries over the tables, and `compare` computes means over seeds.
+- `plot` draws a metric over a setting. `report` writes all results, or those of some experiments, to one HTML page.
+- `claims` judges the paper's statements, and `figures` draws the paper's figures.
+- `verify` checks all files of a results folder.
+- `export_mlflow` and `export_tensorboard` write runs to MLflow and TensorBoard.
+
+Data and networks:
+
+- `Dataset` opens a dataset.
+- `load_model` opens a trained network. `load_network` opens it as a `torch.nn.Module`, and `export_onnx` writes it as
+  an ONNX model.
+
+Simulation:
+
+- `SimulationBatch` is one simulation or many, which the caller steps.
+- The module `harness.gymnasium` has the simulation as environments for Gymnasium, and `harness.environments` as
+  environments for dm_env and dm_control.
+
+The modules `harness.export` and `harness.importing` convert datasets to and from LeRobot, Rerun and plain Parquet.
+
+All values are in SI units. Long calls let other threads run, and Ctrl-C stops them.
 """
 
 import importlib.metadata
 import json
+import numbers
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -33,6 +58,7 @@ from . import _mujoco
 _mujoco.load()
 
 from . import _harness
+from ._arguments import integer, name_tuple
 from ._harness import Model, SimulationBatch
 
 if TYPE_CHECKING:
@@ -59,7 +85,9 @@ __all__ = [
     "figures",
     "load_model",
     "load_network",
+    "plot",
     "query",
+    "report",
     "run",
     "verify",
 ]
@@ -68,21 +96,51 @@ __version__ = importlib.metadata.version("soft-harness")
 
 
 class Summary(NamedTuple):
-    """Numbers of an experiment's runs, by what `run` did with them."""
+    """What `run` did: the number of runs that it completed, and the number that were done before."""
 
     done: int
-    """Runs that this call completed."""
     skipped: int
-    """Runs that were done before, or by another process."""
 
 
 class Exported(NamedTuple):
-    """Numbers of runs, by what an export did with them."""
+    """What an export did: the number of runs that it wrote, and the number that were exported before."""
 
     exported: int
-    """Runs that this call wrote."""
     skipped: int
-    """Runs that were there before and have not changed since."""
+
+
+class Problem(NamedTuple):
+    """A problem with a file, which `verify` found."""
+
+    path: Path
+    problem: str
+    repair: str | None
+    broken: bool
+
+
+def _describe(kind: type, **meanings: str) -> None:
+    """Sets the meanings of the fields of a named tuple, which `help` shows."""
+    for field, meaning in meanings.items():
+        getattr(kind, field).__doc__ = meaning
+
+
+_describe(
+    Summary,
+    done="Number of runs that this call completed.",
+    skipped="Number of runs that were done before, or by another process.",
+)
+_describe(
+    Exported,
+    exported="Number of runs that this call wrote.",
+    skipped="Number of runs that were exported before and have not changed since.",
+)
+_describe(
+    Problem,
+    path="The file or folder.",
+    problem="What is wrong with it, in words.",
+    repair="A command that repairs it; None if none is known.",
+    broken="Whether data were lost or changed. If not, the problem is only a note.",
+)
 
 
 def run(
@@ -95,22 +153,40 @@ def run(
     jobs: int = 1,
     memory: float | None = None,
 ) -> Summary:
-    """Does every run of an experiment that isn't done yet, as `harness run` does.
+    """Does all runs of an experiment that are not done yet, as `harness run` does.
 
-    path: the experiment's YAML file. overrides: settings to change, by dotted key: `{"training.epochs": 5}`; instead of
-    a list with one item, the item can be given. quick: applies the spec's `quick` settings. results: the folder of
-    datasets and runs. progress: draws bars on the terminal. jobs: number of runs of a scenario to train at once.
-    memory: a dataset's frames are kept in memory if they take at most this many GB, otherwise on disk; the default is
-    an eighth of the free memory.
+    It simulates the missing episodes of the datasets, trains the networks, tests them, and writes the tables. Ctrl-C
+    stops it. The same call continues from there.
 
-    Raises FileNotFoundError if there is no such file, ValueError if the spec is wrong (with file, line and column, or
-    the override), RuntimeError with the reasons if some run failed, and KeyboardInterrupt if it is interrupted. After
-    an interruption, the same call continues.
+    Args:
+        path: the experiment: the path of a YAML file, or the name of a built-in experiment, such as `smoke`.
+        overrides: settings to change, by dotted key: `{"training.epochs": 5, "latent": [8, 16]}`. A single value can
+            replace a list.
+        quick: applies the settings in the spec's section `quick`, for minutes instead of hours.
+        results: the folder of datasets and runs.
+        progress: shows progress bars on stderr.
+        jobs: number of runs to train at the same time, each with its share of the threads. The results are the same.
+        memory: the frames of a dataset are kept in memory if they take at most this many gigabytes, otherwise in a
+            temporary file. The default is an eighth of the free memory.
+
+    Returns:
+        The numbers of runs that this call completed, and that were done before.
+
+    Raises:
+        FileNotFoundError: there is no such file or experiment.
+        ValueError: the spec is wrong, an override, or a world file. The message says where.
+        OSError: the results folder can't be written.
+        RuntimeError: a run failed. The message has the reason of each failure. The other runs were done.
+        KeyboardInterrupt: the call was interrupted.
+
+    Example:
+        >>> harness.run("smoke", {"latent": 3, "scenarios": "empty"}, progress=False)
+        Summary(done=1, skipped=0)
     """
-    if jobs < 1:
+    if integer("jobs", jobs) < 1:
         raise ValueError(f"jobs: {jobs} must be at least 1")
-    if memory is not None and not 0 <= memory <= 1e9:
-        raise ValueError(f"memory: {memory} must be a number of gigabytes")
+    if memory is not None and not (isinstance(memory, numbers.Real) and 0 <= memory <= 1e9):
+        raise ValueError(f"memory: {memory!r} must be a number of gigabytes")
     frames = None if memory is None else int(memory * 1e9)
     return Summary(*_harness.run(Path(path), _changes(overrides), quick, Path(results), progress, jobs, frames))
 
@@ -125,29 +201,62 @@ def collect(
 ) -> dict[Path, int]:
     """Simulates the missing episodes of an experiment's datasets, as `harness collect` does, without training.
 
-    The arguments are those of `run`. Returns the number of episodes that this call simulated, by the dataset's folder.
-    Raises the same errors as `run`. After an interruption, the same call continues.
+    Ctrl-C stops it. The same call continues from there.
+
+    Args:
+        path: the experiment: the path of a YAML file, or the name of a built-in experiment, such as `smoke`.
+        overrides: settings to change, by dotted key, as in `run`.
+        quick: applies the settings in the spec's section `quick`.
+        results: the folder of datasets and runs.
+        progress: shows progress bars on stderr.
+
+    Returns:
+        The number of episodes that this call simulated, by the dataset's folder.
+
+    Raises:
+        FileNotFoundError: there is no such file or experiment.
+        ValueError: the spec is wrong, an override, or a world file. The message says where.
+        OSError: the results folder can't be written.
+        RuntimeError: an episode can't be simulated or written.
+        KeyboardInterrupt: the call was interrupted.
+
+    Example:
+        >>> harness.collect("smoke", {"scenarios": "empty"}, progress=False)
+        {PosixPath('results/datasets/empty-...'): 0}
     """
     return dict(_harness.collect(Path(path), _changes(overrides), quick, Path(results), progress))
 
 
-def _changes(overrides: Mapping[str, Any] | None) -> list[str]:
-    """Overrides as on the command line."""
-    return [f"{key}={json.dumps(value)}" for key, value in (overrides or {}).items()]
-
-
-def _settings(where: Mapping[str, Any] | None) -> list[str]:
-    """Settings that runs must have, as on the command line."""
-    wanted = (where or {}).items()
-    return [f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in wanted]
-
-
 def query(sql: str, results: str | os.PathLike[str] = "results") -> "polars.DataFrame":
-    """Answers an SQL query over the tables of a results folder, as `harness query` does, without copying the answer.
+    """Answers an SQL query over the tables of a results folder, as `harness query` does.
 
-    The tables are runs, epochs, metrics, predictions, forces, frames and episodes. `harness schema --tables` lists
-    their columns with units. Raises ValueError if the query is wrong or not supported, RuntimeError if a table is
-    damaged, and FileNotFoundError if there is no results folder. Warns of each run or dataset that is left out.
+    The tables are runs, epochs, metrics, predictions, forces, frames and episodes. `show tables` lists them, and
+    `describe TABLE` lists the columns of one with their units. A run or dataset that can't be read is left out, with a
+    warning.
+
+    Args:
+        sql: the query, a single SELECT, SHOW TABLES or DESCRIBE.
+        results: the folder of datasets and runs.
+
+    Returns:
+        The answer as a table.
+
+    Raises:
+        ValueError: the query is wrong or not supported. The message says what is allowed.
+        FileNotFoundError: there is no results folder.
+        RuntimeError: a table is damaged.
+
+    Example:
+        >>> harness.query("select scenario, latent, status from runs where latent = 4 order by scenario")
+        shape: (2, 3)
+        ┌───────────┬────────┬────────┐
+        │ scenario  ┆ latent ┆ status │
+        │ ---       ┆ ---    ┆ ---    │
+        │ str       ┆ i64    ┆ str    │
+        ╞═══════════╪════════╪════════╡
+        │ cluttered ┆ 4      ┆ done   │
+        │ empty     ┆ 4      ┆ done   │
+        └───────────┴────────┴────────┘
     """
     import polars
 
@@ -159,103 +268,284 @@ def compare(
     where: Mapping[str, Any] | None = None,
     results: str | os.PathLike[str] = "results",
 ) -> "polars.DataFrame":
-    """Computes means of metrics over seeds with 95 % intervals (Student's t), as `harness compare` does.
+    """Computes the means of metrics over datasets and seeds, with 95 % intervals, as `harness compare` does.
 
-    experiments: names of experiments; all of them by default. where: settings that the runs must have, by dotted key:
-    `{"training.batch_size": 64}`. results: the folder of datasets and runs.
+    A metric is computed on the test samples over all joints, links or pixels. Runs that differ only in their seed, or in
+    the seed of their dataset, share a row. The intervals are those of Student's t. Baselines have no latent size.
 
-    A row is a metric over all joints, links or pixels, of runs that differ only in their seed. If the runs of an
-    experiment differ in other settings than scenario, latent size and variant, the column `settings` contains these.
-    Baselines have no latent size. Raises KeyError if an experiment has no finished runs, ValueError if no run has a
-    setting of `where`, and RuntimeError if a table is damaged.
+    Args:
+        experiments: names of experiments. Without any, all experiments are compared.
+        where: settings that the runs must have, by dotted key: `{"training.batch_size": 64}`.
+        results: the folder of datasets and runs.
+
+    Returns:
+        One row for each mean. `seeds` is the number of values: one for each seed on each dataset. A baseline has one for
+        each dataset. With several `datasets`, the interval is over the means of the datasets. `low` and `high` are the
+        ends of the interval, which a single value does not have. If the runs of an experiment differ in settings other
+        than scenario, latent size and variant, the column `settings` contains these.
+
+    Raises:
+        KeyError: an experiment has no finished runs.
+        ValueError: no run has a setting of `where`.
+        FileNotFoundError: there is no results folder.
+        RuntimeError: a table is damaged.
+
+    Example:
+        >>> means = harness.compare("smoke", where={"latent": 4})
+        >>> means.filter(metric="r2", modality="contact_force").select("scenario", "model", "seeds", "mean", "low")
+        shape: (8, 5)
+        ...
     """
     import polars
 
-    return polars.DataFrame(_harness.compare(list(experiments), _settings(where), Path(results)))
+    chosen = _names("experiments", experiments)
+    return polars.DataFrame(_harness.compare(chosen, _settings(where), Path(results)))
 
 
 def claims(
     *names: str,
-    file: str | os.PathLike[str] = "experiments/claims.yaml",
+    file: str | os.PathLike[str] = "claims",
     quick: bool = False,
     where: Mapping[str, Any] | None = None,
     results: str | os.PathLike[str] = "results",
 ) -> "polars.DataFrame":
-    """Judges which of the paper's statements hold, as `harness claims --output` does: a row for each verdict.
+    """Judges which of the paper's statements hold, as `harness claims` does.
 
-    names: claims to judge; all of them by default. file: the file of claims. quick: judges by the quick runs of the
-    experiments. where: settings that the runs must have, as in `compare`. results: the folder of datasets and runs.
+    Args:
+        names: names of claims. Without any, all claims are judged.
+        file: the YAML file of claims. `claims` is the built-in one, unless the folder has a file
+            `experiments/claims.yaml`.
+        quick: judges by the quick runs of the experiments.
+        where: settings that the runs must have, by dotted key, as in `compare`.
+        results: the folder of datasets and runs.
 
-    Raises FileNotFoundError if there is no such file, and ValueError for an unknown claim or a wrong file.
+    Returns:
+        One row for each verdict, with the measured mean and its 95 % interval. `verdict` is `holds`, `does not hold`,
+        `not testable`, or begins with `undecided`.
+
+    Raises:
+        FileNotFoundError: there is no such file, or no results folder.
+        ValueError: a claim is unknown, or the file is wrong.
+        RuntimeError: a table is damaged.
+
+    Example:
+        >>> verdicts = harness.claims("vision_improves_force", results="results/reference")
+        >>> verdicts["scenario"].to_list(), verdicts["verdict"].to_list()
+        (['empty', 'cluttered'], ['does not hold', 'does not hold'])
     """
     import polars
 
-    return polars.DataFrame(_harness.claims(list(names), Path(file), quick, _settings(where), Path(results)))
+    chosen = _names("names", names)
+    return polars.DataFrame(_harness.claims(chosen, Path(file), quick, _settings(where), Path(results)))
 
 
 def figures(
     *names: str,
     folder: str | os.PathLike[str] = "figures",
-    formats: Iterable[str] = ("svg", "png", "csv"),
+    formats: str | Iterable[str] = ("svg", "png", "csv"),
     quick: bool = False,
     single: str | None = None,
     multi: str | None = None,
     where: Mapping[str, Any] | None = None,
     results: str | os.PathLike[str] = "results",
 ) -> list[Path]:
-    """Draws the paper's figures from the tables, as `harness figures` does, and returns the files.
+    """Draws the paper's figures from the tables, as `harness figures` does.
 
-    names: figures to draw; by default all whose runs are there. folder: where to write `NAME.svg`, `NAME.png` and
-    `NAME.csv`. formats: which of these files to write. quick: draws the quick runs. single, multi: experiments to draw
-    instead of `single_to_multi` and `multi_to_multi`. where: settings that the runs must have, as in `compare`.
+    Args:
+        names: names of figures. Without any, all figures are drawn for which there are runs.
+        folder: the folder to write `NAME.svg`, `NAME.png` and `NAME.csv` to.
+        formats: which of these files to write: `svg`, `png`, `csv` or several of them.
+        quick: draws the quick runs of the experiments.
+        single: the experiment to draw instead of `single_to_multi`.
+        multi: the experiment to draw instead of `multi_to_multi`.
+        where: settings that the runs must have, by dotted key, as in `compare`.
+        results: the folder of datasets and runs.
 
-    Raises ValueError for an unknown figure or format, and RuntimeError with the reasons if a named figure, or every
-    figure, can't be drawn.
+    Returns:
+        The files that were written.
+
+    Raises:
+        ValueError: there is no such figure or format.
+        FileNotFoundError: there is no results folder.
+        RuntimeError: a named figure, or every figure, can't be drawn. The message has the reasons.
+
+    Example:
+        >>> harness.figures("regression", formats="svg", results="results/reference")
+        [PosixPath('figures/regression.svg')]
     """
-    formats = list(formats)
+    formats = name_tuple(formats)
+    if not formats:
+        raise ValueError("formats: there is none; allowed: svg, png, csv")
     drawn, missing = _harness.figures(
-        list(names), Path(folder), formats, quick, single, multi, _settings(where), Path(results)
+        _names("names", names),
+        Path(folder),
+        list(formats),
+        quick,
+        single,
+        multi,
+        _settings(where),
+        Path(results),
     )
     if missing and (names or not drawn):
         raise RuntimeError("; ".join(f"{name} was not drawn: {reason}" for name, reason in missing))
     return [Path(folder) / f"{name}.{format}" for name in drawn for format in formats]
 
 
-class Problem(NamedTuple):
-    """A problem that `verify` found."""
+def plot(
+    *experiments: str,
+    x: str,
+    y: str,
+    by: str | Iterable[str] = (),
+    facet: str | None = None,
+    task: str = "prediction",
+    modality: str | None = None,
+    where: Mapping[str, Any] | None = None,
+    output: str | os.PathLike[str] = "plot.svg",
+    results: str | os.PathLike[str] = "results",
+) -> Path:
+    """Draws a metric of the networks over a key, as `harness plot` does.
 
-    path: Path
-    """The file or folder."""
-    problem: str
-    """What is wrong with it."""
-    repair: str | None
-    """A command that repairs it, if one is known."""
-    broken: bool
-    """Whether data were lost or changed. If not, the problem is only a note."""
+    Points are the means of `compare`, and bars are its intervals. The keys are experiment, scenario, latent, variant,
+    settings, task and modality.
+
+    Args:
+        experiments: names of experiments; all of them by default.
+        x: the key along the horizontal axis.
+        y: the metric along the vertical axis, such as `r2`.
+        by: the key or keys that distinguish series.
+        facet: the key that distinguishes panels.
+        task: prediction or reconstruction.
+        modality: draws only this predicted modality, such as `contact_force`.
+        where: settings that the runs must have, as in `compare`.
+        output: the file to write. It ends in `.svg`, `.png`, or `.csv` for the numbers.
+        results: the folder of datasets and runs.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        KeyError: an experiment has no finished runs.
+        ValueError: there is no such key, metric, task or format, no run has the metric, or the means differ in a key
+            that the plot does not show.
+        FileNotFoundError: there is no results folder.
+        OSError: the file can't be written.
+        RuntimeError: a table is damaged.
+
+    Example:
+        >>> harness.plot("smoke", x="latent", y="r2", by="modality", facet="scenario", output="r2.png")
+        PosixPath('r2.png')
+    """
+    chosen, keys = _names("experiments", experiments), list(name_tuple(by))
+    _harness.plot(chosen, x, y, keys, facet, task, modality, _settings(where), Path(output), Path(results))
+    return Path(output)
+
+
+def report(
+    *experiments: str,
+    output: str | os.PathLike[str] = "report.html",
+    claims: str | os.PathLike[str] = "claims",
+    readings: str | os.PathLike[str] = "readings",
+    quick: bool = False,
+    where: Mapping[str, Any] | None = None,
+    results: str | os.PathLike[str] = "results",
+    progress: bool = True,
+) -> Path:
+    """Writes an HTML page of all results, or of some experiments, as `harness report` does.
+
+    The page needs no internet connection. If runs are missing, it says which command makes them.
+
+    Args:
+        experiments: names of experiments; all results by default.
+        output: the file to write.
+        claims: the file of claims.
+        readings: the spec with the readings of the paper.
+        quick: uses the quick runs of the experiments.
+        where: settings that the runs must have, as in `compare`.
+        results: the folder of datasets and runs.
+        progress: shows progress bars on stderr.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        KeyError: one of the named experiments has no finished runs.
+        FileNotFoundError: there is no results folder, no file of claims, or no spec of readings.
+        ValueError: the file of claims or the spec is wrong.
+        OSError: the page can't be written.
+        RuntimeError: a table is damaged.
+
+    Example:
+        >>> harness.report("smoke", output="smoke.html", progress=False)
+        PosixPath('smoke.html')
+    """
+    chosen, settings = _names("experiments", experiments), _settings(where)
+    _harness.report(chosen, Path(output), Path(claims), Path(readings), quick, settings, Path(results), progress)
+    return Path(output)
 
 
 def verify(results: str | os.PathLike[str] = "results") -> list[Problem]:
-    """Checks that all files of a results folder are as they were written, as `harness verify` does.
+    """Checks that no file of a results folder has changed or is missing, as `harness verify` does.
 
-    Returns the problems; none if all files are intact. Raises FileNotFoundError if there is no results folder.
+    Args:
+        results: the folder of datasets and runs.
+
+    Returns:
+        The problems. The list is empty if all files are intact.
+
+    Raises:
+        FileNotFoundError: there is no results folder.
+
+    Example:
+        >>> harness.verify()
+        []
     """
     return [Problem(*problem) for problem in _harness.verify(Path(results))[3]]
 
 
 def load_model(run: str, results: str | os.PathLike[str] = "results") -> Model:
-    """Loads the network of the finished run whose id, or `experiment/id`, begins with `run`.
+    """Loads the trained network of a finished run.
 
-    Raises KeyError if no run or several runs match, FileNotFoundError if the run's network is missing, and RuntimeError
-    if the run isn't done or the network is damaged.
+    Args:
+        run: the beginning of the run's id, or of `EXPERIMENT/ID`, such as `smoke/empty`. It must match a single run.
+        results: the folder of datasets and runs.
+
+    Returns:
+        The network, which takes and returns NumPy arrays in SI units.
+
+    Raises:
+        KeyError: no run matches, or several do.
+        FileNotFoundError: there is no results folder, or the run's network is missing. Published results have none.
+        RuntimeError: the run is not done, or the network is damaged.
+
+    Example:
+        >>> harness.load_model("smoke/empty-z4")
+        <harness.Model smoke/empty-z4-...: proprioception, vision to proprioception, contact_force, ..., latent 4>
     """
     return Model(run, Path(results))
 
 
 def load_network(run: str, results: str | os.PathLike[str] = "results") -> "Network":
-    """Loads the network of the finished run whose id, or `experiment/id`, begins with `run`, as a `torch.nn.Module`.
+    """Loads the trained network of a finished run as a `torch.nn.Module`.
 
-    See `harness.networks.Network`. Raises ImportError without the packages torch and safetensors, and otherwise the
-    errors of `load_model`.
+    It computes the same as the network of `load_model`. Its parameters can be trained.
+
+    Args:
+        run: the beginning of the run's id, or of `EXPERIMENT/ID`, such as `smoke/empty`. It must match a single run.
+        results: the folder of datasets and runs.
+
+    Returns:
+        The network; see `harness.networks.Network`.
+
+    Raises:
+        ImportError: the package torch or safetensors is not installed.
+        KeyError: no run matches, or several do.
+        FileNotFoundError: there is no results folder, or the run's network is missing. Published results have none.
+        RuntimeError: the run is not done, or the network is damaged.
+
+    Example:
+        >>> network = harness.load_network("smoke/empty-z4")                       # needs torch
+        >>> sum(parameters.numel() for parameters in network.parameters()) > 10_000
+        True
     """
     try:
         from .networks import Network, NetworkFile
@@ -271,10 +561,25 @@ def export_onnx(
     task: str = "prediction",
     results: str | os.PathLike[str] = "results",
 ) -> None:
-    """Writes the network of a finished run to an ONNX file, as `harness export --format onnx` does.
+    """Writes the trained network of a finished run to an ONNX file, as `harness export --format onnx` does.
 
-    task: `prediction` of the next observation, or `reconstruction` of the present one. Raises ValueError for another
-    task, RuntimeError if the run did not train it, and the errors of `load_model`.
+    Normalization is part of the model, so it takes and returns SI units. The batch can have any size.
+
+    Args:
+        run: the beginning of the run's id, or of `EXPERIMENT/ID`, such as `smoke/empty`. It must match a single run.
+        output: the file to write. An existing file is replaced.
+        task: `prediction` of the next observation, or `reconstruction` of the present one.
+        results: the folder of datasets and runs.
+
+    Raises:
+        ValueError: there is no such task.
+        KeyError: no run matches, or several do.
+        FileNotFoundError: there is no results folder, or the run's network is missing. Published results have none.
+        RuntimeError: the run is not done, did not train the task, or the network is damaged.
+        OSError: the file can't be written.
+
+    Example:
+        >>> harness.export_onnx("smoke/empty-z4", "network.onnx")
     """
     _harness.export_onnx(run, Path(output), task, Path(results))
 
@@ -287,23 +592,38 @@ def export_mlflow(
     results: str | os.PathLike[str] = "results",
     progress: bool = True,
 ) -> Exported:
-    """Writes runs to MLflow, each to the MLflow experiment of its own experiment's name.
+    """Writes runs to MLflow. The MLflow experiment has the name of the experiment.
 
-    experiments: names of experiments; all of them by default. tracking_uri: MLflow's server or store, such as
-    `sqlite:///mlflow.db`; MLflow's own default if None. condition: exports only the runs for which this SQL condition
-    over the table `runs` is true, such as `status = 'done' and seed < 3`. artifacts: also uploads each run's files.
-    results: the folder of datasets and runs. progress: shows a progress bar on stderr.
-
-    A run has all settings as parameters, the losses by epoch and the final metrics as metrics, and tags with its
-    name, hashes, seed, commit, versions and status. A run that was exported before is skipped, or replaced if it has
+    An exported run has all settings as parameters. The losses by epoch and the final metrics are metrics. Name, hashes,
+    seed, commit, versions and status are tags. A run that was exported before is skipped, or replaced if it has
     changed.
 
-    Raises ImportError if mlflow is not installed, KeyError if an experiment has no runs, ValueError if the condition is
-    wrong, and RuntimeError with MLflow's message if MLflow refuses something.
+    Args:
+        experiments: names of experiments. Without any, all experiments are exported.
+        tracking_uri: MLflow's server or store, such as `sqlite:///mlflow.db`. The default is MLflow's own.
+        condition: an SQL condition over the table `runs`, such as `status = 'done' and seed < 3`. Only the runs for
+            which it is true are exported.
+        artifacts: also uploads the files of each run.
+        results: the folder of datasets and runs.
+        progress: shows a progress bar on stderr.
+
+    Returns:
+        The numbers of runs that were written, and that were exported before.
+
+    Raises:
+        ImportError: the package mlflow-skinny or mlflow is not installed.
+        KeyError: an experiment has no runs.
+        ValueError: the condition is wrong.
+        FileNotFoundError: there is no results folder.
+        RuntimeError: MLflow refuses something. The message is MLflow's.
+
+    Example:
+        >>> harness.export_mlflow("smoke", tracking_uri="sqlite:///mlflow.db", progress=False)      # needs mlflow
+        Exported(exported=..., skipped=0)
     """
     from .export import mlflow, runs
 
-    chosen = runs.read_runs(experiments, condition, Path(results))
+    chosen = runs.read_runs(_names("experiments", experiments), condition, Path(results))
     return mlflow.write(chosen, tracking_uri, artifacts, progress)
 
 
@@ -314,69 +634,201 @@ def export_tensorboard(
     results: str | os.PathLike[str] = "results",
     progress: bool = True,
 ) -> Exported:
-    """Writes runs for TensorBoard, each to `folder/EXPERIMENT/RUN`; `tensorboard --logdir folder` shows them.
+    """Writes runs for TensorBoard, each to the folder `folder/EXPERIMENT/RUN`.
 
-    experiments, condition, results and progress are those of `export_mlflow`. A run has the losses by epoch and the
-    final metrics as scalars, the settings in which the exported runs of its experiment differ as hyperparameters, and
-    the spec and tags as texts. TensorBoard stores scalars with 32 bits. A run that was exported before is skipped, or
-    replaced if it has changed.
+    An exported run has the losses by epoch and the final metrics as scalars, with 32 bits. The settings in which the
+    exported runs of its experiment differ are hyperparameters. The spec and the tags are texts. A run that was exported
+    before is skipped, or replaced if it has changed. `tensorboard --logdir FOLDER` shows the runs.
 
-    Raises ImportError if tensorboard is not installed, KeyError if an experiment has no runs, ValueError if the
-    condition is wrong, and OSError if the folder can't be written.
+    Args:
+        experiments: names of experiments. Without any, all experiments are exported.
+        folder: the folder to write to.
+        condition: an SQL condition over the table `runs`, such as `status = 'done' and seed < 3`. Only the runs for
+            which it is true are exported.
+        results: the folder of datasets and runs.
+        progress: shows a progress bar on stderr.
+
+    Returns:
+        The numbers of runs that were written, and that were exported before.
+
+    Raises:
+        ImportError: the package tensorboard is not installed.
+        KeyError: an experiment has no runs.
+        ValueError: the condition is wrong.
+        FileNotFoundError: there is no results folder.
+        OSError: the folder can't be written.
+
+    Example:
+        >>> harness.export_tensorboard("smoke", folder="logs", progress=False)                 # needs tensorboard
+        Exported(exported=..., skipped=0)
     """
     from .export import runs, tensorboard
 
-    chosen = runs.read_runs(experiments, condition, Path(results))
+    chosen = runs.read_runs(_names("experiments", experiments), condition, Path(results))
     return tensorboard.write(chosen, Path(folder), progress)
 
 
 class Dataset(_harness.Dataset):
-    """A dataset in memory: all samples of all episodes, one after the other.
+    """The recorded samples of a dataset, as NumPy arrays.
 
-    `data["proprioception"]` and the other names of `data.keys()` are NumPy arrays `[samples, width]`. `data["vision"]`
-    is `[samples, 64, 64, 3]`, uint8. The arrays are read-only views of the dataset's memory.
+    `data["proprioception"]` has the values of a modality for all samples, `[samples, width]`, float32. The samples of
+    all episodes follow one another. `data["vision"]` has the images, `[samples, 64, 64, 3]`, uint8. `data.keys()` lists
+    the modalities. Those of the built-in worlds are:
+
+    - `proprioception`: 20 joint angles of the finger, rad
+    - `arm`: rotation (rad), lift and extension (m) of the arm
+    - `setpoint`: the same three values, as commanded
+    - `contact_force`: the normal force on each of the finger's 20 links at the time of the sample, N
+    - `contact_force_mean`: the same, averaged over the time since the previous sample, N
+    - `vision`: the camera's image, RGB
+
+    The arrays are read-only views of the dataset's memory, so they cost nothing. `len(data)` is the number of samples.
+    A dataset can be pickled. Only its folder is stored.
+
+    Args:
+        folder: the dataset's folder, such as `results/datasets/empty-5d8f5c7d1f9a3b64`.
+        frames: also reads the images, which take 12 kB per sample. If they would take more than an eighth of the free
+            memory, they stay on disk.
+
+    Raises:
+        FileNotFoundError: the folder contains no dataset.
+        RuntimeError: an episode is missing or damaged.
+
+    Example:
+        >>> model = harness.load_model("smoke/empty-z4")
+        >>> data = harness.Dataset(f"results/datasets/{model.dataset}")
+        >>> data
+        <harness.Dataset empty-...: 120 samples in 4 episodes>
+        >>> data["contact_force"].shape, data["vision"].shape
+        ((120, 20), (120, 64, 64, 3))
+        >>> [data.episode(index)["arm"].shape for index in data.episodes("test")]
+        [(30, 3)]
     """
 
-    def episode(self, index: int) -> dict[str, Any]:
-        """Returns the samples of one episode by name, as views. Raises IndexError if there is no such episode."""
-        first, end = self.episodes[index]
+    def __contains__(self, name: object) -> bool:
+        """Returns whether the dataset contains a modality."""
+        return name in self.keys()
+
+    # Without it, Python would iterate over data[0], data[1] and so on.
+    __iter__ = None
+
+    def episode(self, index: int) -> dict[str, "NDArray[Any]"]:
+        """Returns the samples of one episode by modality, as views.
+
+        Args:
+            index: the episode, from 0. A negative number counts from the last episode.
+
+        Raises:
+            IndexError: there is no such episode.
+        """
+        bounds = self.bounds
+        if not -len(bounds) <= integer("index", index) < len(bounds):
+            raise IndexError(f"index: there are episodes 0 to {len(bounds) - 1}, not {index}")
+        first, end = bounds[index]
         return {name: self[name][first:end] for name in self.keys()}
 
-    def split(
-        self,
-        part: str,
-        *,
-        by: str = "episode",
-        validation: float = 0.1,
-        test: float = 0.1,
-        gap_seconds: float | None = None,
+    def episodes(
+        self, part: str | None = None, *, validation: float = 0.1, test: float = 0.1
     ) -> "NDArray[np.int64]":
-        """Returns the samples from which the transitions of a part start: `training`, `validation` or `test`.
+        """Returns the indices of the episodes of a part of the dataset, when whole episodes are split.
 
-        A transition leads from a sample to the next one. The other arguments are those of a spec's `split`, with the
-        same defaults, so the parts are those that a network is trained and tested on. Raises ValueError if a part
-        would have no transitions.
+        Args:
+            part: `training`, `validation` or `test`. The default is all episodes.
+            validation: the share of episodes for validation, in (0, 1), as in a spec's `split`.
+            test: the share of episodes for the test, in (0, 1).
+
+        Returns:
+            The indices, `[episodes]`, in ascending order.
+
+        Raises:
+            ValueError: there is no such part, or a part would have no episodes.
+
+        Example:
+            >>> model = harness.load_model("smoke/empty-z4")
+            >>> data = harness.Dataset(f"results/datasets/{model.dataset}")
+            >>> data.episodes("training"), data.episodes("validation"), data.episodes("test")
+            (array([0, 1]), array([2]), array([3]))
         """
-        parts = ("training", "validation", "test")
-        if part not in parts:
-            raise ValueError(f"part: there is no '{part}'; allowed: {', '.join(parts)}")
-        if not (0 < validation < 1 and 0 < test < 1):
-            raise ValueError(f"validation, test: {validation} and {test} must be in (0, 1)")
-        if gap_seconds is not None and not 0 <= gap_seconds <= 3600:
-            raise ValueError(f"gap_seconds: {gap_seconds} must be in [0, 3600]")
-        return self.parts(by, validation, test, gap_seconds)[parts.index(part)]
+        import numpy as np
+
+        ends = self.bounds[:, 1]
+        if part is None:
+            return np.arange(len(ends))
+        starts = self.split(part, validation=validation, test=test)
+        return np.unique(np.searchsorted(ends, starts, side="right"))
 
     def torch(
         self,
-        input: list[str],
-        output: list[str],
+        input: str | Iterable[str],
+        output: str | Iterable[str],
         action: str = "increment",
         samples: "NDArray[np.int64] | None" = None,
     ) -> "Transitions":
         """Returns the transitions as a PyTorch map-style dataset; see `harness.torch.Transitions`.
 
-        samples: the samples from which the transitions start, such as `split("training")`; all by default.
-        """
-        from .torch import Transitions
+        Args:
+            input: modalities of the observation before each transition.
+            output: modalities of the observation after it.
+            action: `increment`, the change of the setpoint, or `target`, the setpoint after the transition.
+            samples: the samples from which the transitions start, such as `split("training")`. The default is all.
 
+        Raises:
+            ImportError: the package torch is not installed.
+            KeyError: the dataset does not contain a modality.
+            ValueError: there is no such action, or a transition can't start from a sample.
+
+        Example:
+            >>> model = harness.load_model("smoke/empty-z4")
+            >>> data = harness.Dataset(f"results/datasets/{model.dataset}")
+            >>> data.torch(["proprioception"], ["contact_force"], samples=data.split("training"))      # needs torch
+            <harness.torch.Transitions: 58 from proprioception and increment to contact_force>
+        """
+        try:
+            from .torch import Transitions
+        except ImportError as error:
+            raise ImportError(f"Dataset.torch needs PyTorch: pip install torch ({error})") from error
         return Transitions(self, input, output, action, samples)
+
+
+def _changes(overrides: Mapping[str, Any] | None) -> list[str]:
+    """Returns changed settings as on the command line, `KEY=VALUE`."""
+    return [f"{key}={_text('overrides', key, value)}" for key, value in _items("overrides", overrides)]
+
+
+def _settings(where: Mapping[str, Any] | None) -> list[str]:
+    """Returns settings that runs must have, as on the command line, where texts have no quotes."""
+    items = _items("where", where)
+    return [f"{key}={value if isinstance(value, str) else _text('where', key, value)}" for key, value in items]
+
+
+def _items(argument: str, settings: Mapping[str, Any] | None) -> Iterable[tuple[str, Any]]:
+    """Returns the settings of a dictionary."""
+    if not isinstance(settings, Mapping | None):
+        raise TypeError(f"{argument}: {settings!r} must be a dictionary, such as {{'training.epochs': 5}}")
+    return (settings or {}).items()
+
+
+def _text(argument: str, key: str, value: Any) -> str:
+    """Returns the value of a setting in JSON. Numbers and arrays of NumPy are converted, and paths."""
+
+    def plain(other: Any) -> Any:
+        return os.fspath(other) if isinstance(other, os.PathLike) else other.tolist()
+
+    try:
+        return json.dumps(value, default=plain)
+    except (AttributeError, TypeError):
+        kind = type(value).__name__
+        raise TypeError(f"{argument}: '{key}' is a {kind}; allowed: text, number, boolean, None, list, dict") from None
+
+
+def _names(argument: str, names: Iterable[str]) -> list[str]:
+    """Returns names that were given as positional arguments."""
+    for name in names:
+        if not isinstance(name, str):
+            raise TypeError(f"{argument}: {name!r} must be a text; give several names as several arguments")
+    return list(names)
+
+
+def __dir__() -> list[str]:
+    """Lists the public names."""
+    return sorted([*__all__, "__version__", "__doc__", "__file__", "__name__", "__path__"])

@@ -1,3 +1,5 @@
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, final
 
@@ -17,7 +19,9 @@ __all__ = [
     "figures",
     "main",
     "networks",
+    "plot",
     "query",
+    "report",
     "run",
     "verify",
 ]
@@ -53,6 +57,32 @@ def figures(
 ) -> tuple[list[str], list[tuple[str, str]]]:
     """The figures that were drawn, and the others with the reason; see `harness.figures`."""
 
+def plot(
+    experiments: list[str],
+    x: str,
+    y: str,
+    by: list[str],
+    facet: str | None,
+    task: str,
+    modality: str | None,
+    settings: list[str],
+    output: Path,
+    results: Path,
+) -> None:
+    """See `harness.plot`."""
+
+def report(
+    experiments: list[str],
+    output: Path,
+    claims: Path,
+    readings: Path,
+    quick: bool,
+    settings: list[str],
+    results: Path,
+    progress: bool,
+) -> None:
+    """See `harness.report`."""
+
 def verify(results: Path) -> tuple[int, int, int, list[tuple[Path, str, str | None, bool]]]:
     """Numbers of runs, datasets and files, and the problems; see `harness.verify`."""
 
@@ -75,181 +105,310 @@ class Table:
 
 @disjoint_base
 class Dataset:
-    def __new__(cls, folder: str | Path, frames: bool = True) -> Dataset:
-        """Reads a dataset's folder, such as `results/datasets/empty-…`, with its frames (12 kB per sample) or without.
+    """The compiled part of `harness.Dataset`."""
 
-        Raises FileNotFoundError if there is no such folder, and RuntimeError if an episode is missing or damaged.
-        """
-
+    def __new__(cls, folder: str | os.PathLike[str], frames: bool = True) -> Dataset: ...
     def __len__(self) -> int:
         """Number of samples of all episodes."""
 
     def __getitem__(self, name: str, /) -> NDArray[Any]:
-        """All samples of a modality: `[samples, width]`, float32; vision `[samples, 64, 64, 3]`, uint8.
-
-        proprioception: 20 joint angles, rad. arm, setpoint: rotation (rad), lift and extension (m). contact_force: the
-        normal force on each of 20 links at the instant of the sample, N. contact_force_mean: the same averaged over the
-        time since the previous sample. Raises KeyError for other names.
-        """
+        """All samples of a modality, `[samples, width]` or `[samples, rows, columns, 3]`. Raises KeyError."""
 
     def keys(self) -> list[str]:
-        """Names of the modalities that the dataset contains; an imported one may lack some."""
+        """Returns the names of the modalities that the dataset contains."""
 
-    def parts(
-        self, by: str, validation: float, test: float, gap_seconds: float | None
-    ) -> list[NDArray[np.int64]]:
-        """First samples of the transitions for training, validation and test; see `harness.Dataset.split`."""
+    def split(
+        self,
+        part: str,
+        *,
+        by: str = "episode",
+        validation: float = 0.1,
+        test: float = 0.1,
+        gap_seconds: float | None = None,
+    ) -> NDArray[np.int64]:
+        """Returns the samples from which the transitions of a part start.
+
+        A transition leads from a sample to the next one of the same episode. The arguments and defaults are those of a
+        spec's `split`, so the parts are those that a network is trained and tested on.
+
+        Args:
+            part: `training`, `validation` or `test`.
+            by: what is divided: `episode` (whole episodes), `time` (each episode, with gaps between the parts) or
+                `sample` (transitions, at random).
+            validation: the share for validation, in (0, 1).
+            test: the share for the test, in (0, 1).
+            gap_seconds: the time between the parts of a split by time, s, in [0, 3600]. The default is 5.
+
+        Returns:
+            The indices of the samples, `[transitions]`, int64.
+
+        Raises:
+            ValueError: an argument is wrong, or a part would have no transitions.
+        """
 
     def __reduce__(self) -> tuple[type[Dataset], tuple[Path, bool]]: ...
     def simulation(self, count: int = 1) -> SimulationBatch:
-        """Simulations of the same scenario with the dataset's settings, so that its episodes can be followed.
+        """Creates simulations with the settings of the dataset. With `reset` and `follow` they go through its episodes.
 
-        Raises ValueError if the dataset was imported.
+        Args:
+            count: number of simulations, 1 to 4096.
+
+        Raises:
+            ValueError: the dataset was imported or simulated in a world file, or the count is out of range.
+
+        Example:
+            >>> model = harness.load_model("smoke/empty-z4")
+            >>> data = harness.Dataset(f"results/datasets/{model.dataset}")
+            >>> simulation = data.simulation()
+            >>> simulation.reset(0, data.seed, 3)                # the start of episode 3
+            >>> simulation.follow()
+            >>> bool((simulation.sense("arm")[0] == data.episode(3)["arm"][1]).all())
+            True
         """
 
     @property
     def name(self) -> str:
-        """The folder's name: the scenario, or an imported dataset's own name, and a hash of all that determines it."""
+        """Name of the folder: the scenario, and a hash of everything that determines the dataset."""
     @property
     def scenario(self) -> str:
-        """`empty`, `cluttered`, or the name of an imported dataset."""
+        """Name of the world that was simulated, such as `empty`, or name of an imported dataset."""
     @property
     def sample_rate_hz(self) -> float:
-        """Samples per second."""
+        """Number of samples per second."""
     @property
     def seed(self) -> int | None:
-        """Seed of the dataset. With the scenario and an episode's index it determines the episode. None if imported."""
+        """Seed of the simulation; None for an imported dataset. The seed and an index determine an episode."""
     @property
-    def episodes(self) -> NDArray[np.int64]:
-        """Range of each episode's samples, `[episodes, 2]`: the first, and one past the last."""
+    def bounds(self) -> NDArray[np.int64]:
+        """The samples of each episode, `[episodes, 2]`: the index of the first one, and of the last one plus 1."""
 
 @final
 class Model:
-    """The network of a finished run. It computes in physical units on the CPU and never changes.
+    """The trained network of a finished run. `load_model` opens it.
 
-    Observations are dictionaries by the modalities of `input`: vectors `[batch, width]`; vision `[batch, 64, 64, 3]`,
-    uint8 or numbers in [0, 1]; frame_difference `[batch, 64, 64, 3]`, numbers in [-1, 1]. Arrays of other numeric types
-    and lists are converted to float32. A single sample can be given without the axis of the batch. The answer then has
-    no such axis either.
+    An observation is a dictionary of arrays by modality. It must have exactly the modalities in `input`. Vectors are
+    `[batch, width]` in SI units. Images are `[batch, rows, columns, 3]`, either uint8 or floating-point numbers in
+    [0, 1]. Changes of images, such as `frame_difference`, are floating-point numbers in [-1, 1]. Lists, and arrays of
+    other numeric types, are converted to float32. A single sample can be given without the axis of the batch. Then the
+    answer has no such axis either.
+
+    The network computes on the CPU and never changes. It can be pickled. Only the name of its run and the folder are
+    stored.
+
+    Args:
+        run: the beginning of the run's id, or of `EXPERIMENT/ID`, as in `load_model`.
+        results: the folder of datasets and runs. The default is `results`.
+
+    Example:
+        >>> model = harness.load_model("smoke/empty-z4")
+        >>> model.input, model.latent
+        (['proprioception', 'vision'], 4)
+        >>> observation = {"proprioception": [0.0] * 20, "vision": [[[0.5] * 3] * 64] * 64}      # a single sample
+        >>> mean, log_variance = model.encode(observation)
+        >>> mean.shape
+        (4,)
+        >>> model.predict(observation, [0.1, 0.0, 0.0])["contact_force"].shape
+        (20,)
     """
 
-    def __new__(cls, run: str, results: Path) -> Model: ...
+    def __new__(cls, run: str, results: str | os.PathLike[str] = ...) -> Model: ...
     def __reduce__(self) -> tuple[type[Model], tuple[str, Path]]: ...
     def encode(
         self, observation: dict[str, ArrayLike]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Mean and log-variance of the posterior, `[batch, latent]` each.
+        """Returns the posterior of the latent state for an observation.
 
-        Raises KeyError if a modality of `input` is missing or there is another one, ValueError if one has the wrong
-        shape, and TypeError if one does not consist of numbers.
+        Args:
+            observation: the values of the modalities in `input`, by name.
+
+        Returns:
+            The mean and the log-variance of the posterior, each `[batch, latent]`, float32.
+
+        Raises:
+            KeyError: a modality is missing, or there is one that the network does not take.
+            ValueError: an array has the wrong shape, or a value that is not finite or out of range.
+            TypeError: an array does not consist of numbers.
         """
 
     def predict(
         self, observation: dict[str, ArrayLike], action: ArrayLike
     ) -> dict[str, NDArray[np.float32]]:
-        """Predicts the observation one sample later from the posterior's mean, by modality of `output`.
+        """Predicts the observation one sample later, from the mean of the posterior.
 
-        action: `[batch, 3]`, rotation (rad), lift and extension (m), in the form that `self.action` names. Frames are
-        `[batch, 64, 64, 3]`, those of vision in [0, 1]. Raises the same errors as `encode`.
+        Args:
+            observation: the values of the modalities in `input`, by name.
+            action: `[batch, elements]`, in the form that the property `action` names. The elements of the worlds
+                `empty` and `cluttered` are rotation (rad), lift and extension (m).
+
+        Returns:
+            The predicted values of the modalities in `output`, by name, float32, in SI units. Predicted images may be
+            slightly outside of [0, 1].
+
+        Raises:
+            KeyError: a modality is missing, or there is one that the network does not take.
+            ValueError: an array has the wrong shape, or a value that is not finite or out of range.
+            TypeError: an array does not consist of numbers.
         """
 
     def reconstruct(self, latent: ArrayLike) -> dict[str, NDArray[np.float32]]:
-        """Reconstructs the observation from a latent state `[batch, latent]`, by modality of `input`.
+        """Reconstructs the present observation from a latent state.
 
-        Raises RuntimeError if the run trained no reconstruction, and ValueError if `latent` has the wrong shape.
+        Args:
+            latent: `[batch, latent]`, such as the mean that `encode` returns.
+
+        Returns:
+            The reconstructed values of the modalities in `input`, by name, float32, in SI units.
+
+        Raises:
+            RuntimeError: the run did not train a reconstruction.
+            ValueError: the array has the wrong shape, or a value that is not finite.
+            TypeError: the array does not consist of numbers.
         """
 
     @property
     def run(self) -> str:
-        """Id of the run, its folder's name."""
+        """Id of the run, which is the name of its folder."""
     @property
     def experiment(self) -> str:
         """Name of the run's experiment."""
     @property
     def dataset(self) -> str:
-        """Name of the dataset that it was trained on, a folder of `results/datasets`."""
+        """Name of the dataset that the network was trained on, a folder in `results/datasets`."""
     @property
     def scenario(self) -> str:
-        """Name of the world, or of the imported dataset."""
+        """Name of the simulated world, or of the imported dataset."""
     @property
     def input(self) -> list[str]:
-        """The modalities that the encoder takes."""
+        """Names of the modalities that the encoder takes."""
     @property
     def output(self) -> list[str]:
-        """The modalities that the decoder predicts."""
+        """Names of the modalities that the decoder predicts."""
     @property
     def latent(self) -> int:
         """Size of the latent state."""
     @property
     def action(self) -> str:
-        """`increment` (the setpoint's change from this sample to the next) or `target` (the setpoint at the next)."""
+        """Form of the action: `increment` (the setpoint's change) or `target` (the setpoint at the next sample)."""
 
 @final
 class SimulationBatch:
-    """`count` independent simulations of a world, stepped in parallel.
+    """One simulation of a world, or many that are stepped in parallel.
 
-    scenario: a built-in world's name (`empty`, `cluttered`) or the path of a world file. spec: an experiment's YAML
-    file, whose simulation settings are used; the world's defaults without one.
+    Each simulation is at a sample of an episode. A new one is at the start of the first episode. `reset` starts an
+    episode, and `step` and `follow` go on to the next sample. `sense` returns what a dataset records at a sample.
 
-    Each simulation is at a sample of an episode. It senses the same values that a dataset records. With a dataset's
-    settings, `follow` gives the samples of the dataset's episode bit for bit; `Dataset.simulation` uses these settings.
+    Any call raises RuntimeError while another thread is in a call, in a forked process, and after a simulation has
+    become unstable, until it is reset. Simulations can't be pickled.
 
-    A call raises RuntimeError while a call in another thread is running, and in a forked process. A simulation that has
-    become unstable raises RuntimeError until it is reset.
+    Args:
+        scenario: a built-in world, such as `empty` or `cluttered`, or the path of a world file.
+        count: number of simulations, 1 to 4096.
+        spec: an experiment, whose simulation settings are used: the path of a YAML file, or the name of a built-in
+            experiment. The default is the world's own settings.
+
+    Raises:
+        ValueError: there is no such world, a world file or its model is wrong, the count is out of range, or the spec is
+            wrong.
+        FileNotFoundError: there is no such experiment.
+
+    Example:
+        >>> batch = harness.SimulationBatch("cluttered", 2)
+        >>> batch.reset(0, seed=0, episode=5)
+        >>> batch.reset(1, seed=0, episode=6)
+        >>> batch.step(batch.setpoint + [0.05, 0.0, 0.0])        # rotates both arms by 0.05 rad
+        >>> batch.sense("contact_force").shape
+        (2, 20)
     """
 
-    def __new__(cls, scenario: str, count: int = 1, spec: str | Path | None = None) -> SimulationBatch: ...
+    def __new__(
+        cls, scenario: str | os.PathLike[str], count: int = 1, spec: str | os.PathLike[str] | None = None
+    ) -> SimulationBatch: ...
     def reset(self, index: int, seed: int, episode: int) -> None:
-        """Sets a simulation to the start of the episode with this index in the dataset with this seed."""
+        """Sets one simulation to the start of an episode.
 
-    def step(self, setpoints: NDArray[np.float64], active: NDArray[np.bool_] | None = None) -> None:
-        """Steps each simulation to its next sample, while the setpoint moves at constant speed to `setpoints[index]`.
+        Args:
+            index: the simulation, from 0.
+            seed: the seed of a dataset, 0 to 2^53 - 1.
+            episode: the index of an episode of that dataset.
 
-        setpoints: `[count, elements]`, clipped to `setpoint_ranges`; for the finger rotation (rad), lift and extension
-        (m). active: `[count]`, the simulations to step; all by default. Raises ValueError for the wrong shape or a
-        value that is not finite.
+        Raises:
+            ValueError: an argument is out of range.
+        """
+
+    def step(self, setpoints: ArrayLike, active: Sequence[bool] | NDArray[np.bool_] | None = None) -> None:
+        """Simulates until the next sample. Meanwhile the setpoint moves to the given one at constant speed.
+
+        Args:
+            setpoints: `[count, elements]`, clipped to `setpoint_ranges`. The elements of the worlds `empty` and
+                `cluttered` are rotation (rad), lift and extension (m).
+            active: `[count]`, booleans: which simulations to step. The default is all.
+
+        Raises:
+            ValueError: the shape is wrong, or a value is not finite.
+            TypeError: the setpoints are not numbers, or `active` has other values than booleans.
         """
 
     def follow(self) -> None:
-        """Steps each simulation to its next sample, with the setpoints of its episode."""
+        """Simulates until the next sample, with the setpoints of the episode, as in a dataset."""
 
     def sense(self, modality: str) -> NDArray[Any]:
-        """Values of one of `modalities`: a vector `[count, elements]`, float32, or an image
-        `[count, rows, columns, 3]`, uint8. Raises KeyError for another modality."""
+        """Returns the values of a modality at the present samples.
+
+        Args:
+            modality: one of `modalities`.
+
+        Returns:
+            A vector `[count, elements]`, float32, or an image `[count, rows, columns, 3]`, uint8.
+
+        Raises:
+            KeyError: the world does not have the modality.
+        """
 
     def render(self, index: int, width: int, height: int) -> NDArray[np.uint8]:
-        """Renders a simulation in good quality, `[height, width, 3]`, each side 1 to 4096 pixels."""
+        """Renders a picture of one simulation, in better quality than the images of datasets.
+
+        Args:
+            index: the simulation, from 0.
+            width: number of columns, 1 to 4096 pixels.
+            height: number of rows, 1 to 4096 pixels.
+
+        Returns:
+            The picture, `[height, width, 3]`, uint8.
+
+        Raises:
+            ValueError: an argument is out of range.
+        """
 
     @property
     def scenario(self) -> str:
-        """The world's name."""
+        """Name of the world."""
     @property
     def modalities(self) -> dict[str, tuple[int, ...]]:
-        """Names of the modalities that are sensed, with the shape of one simulation's values."""
+        """The modalities that can be sensed: the shape of one simulation's values, by name."""
     @property
     def action(self) -> list[str]:
-        """Names of the elements of the action."""
+        """Names of the elements of a setpoint, such as `rotation`."""
     @property
     def count(self) -> int:
         """Number of simulations."""
     @property
     def seed(self) -> int:
-        """The seed of the spec's dataset."""
+        """Seed of the dataset in the spec."""
     @property
     def sample_seconds(self) -> float:
         """Time from one sample to the next, s."""
     @property
     def actuation_seconds(self) -> float:
-        """Duration of a move from one setpoint to the next in a dataset's episode, s."""
+        """Duration of one move of the setpoint in the episodes of datasets, s."""
     @property
     def setpoint_ranges(self) -> NDArray[np.float64]:
-        """Lowest and highest setpoint of each element of the action, `[elements, 2]`."""
+        """Lowest and highest value of each element of a setpoint, `[elements, 2]`, in rad or m."""
     @property
     def setpoint(self) -> NDArray[np.float64]:
-        """The setpoints at this sample, `[count, elements]`."""
+        """The setpoints at the present samples, `[count, elements]`, in rad or m."""
     @property
     def fingertip(self) -> NDArray[np.float64]:
-        """Positions of the finger's end, m, `[count, 3]`. Raises ValueError if the world senses no forces of links."""
+        """Positions of the finger's end, `[count, 3]`, m. Raises ValueError for a world without a finger."""
     @property
     def boxes(self) -> NDArray[np.float64]:
-        """Positions (m) and orientations (unit quaternions w, x, y, z) of the boxes, `[count, boxes, 7]`."""
+        """Poses of the boxes, `[count, boxes, 7]`: position (m) and orientation (unit quaternion w, x, y, z)."""

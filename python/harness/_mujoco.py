@@ -1,4 +1,4 @@
-"""Loads MuJoCo's library from the package `mujoco`, wherever Python finds it. The extension module needs the library."""
+"""Loads MuJoCo's library from the package `mujoco`, wherever Python finds it. The extension needs the library."""
 
 import ctypes
 import importlib.util

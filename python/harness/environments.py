@@ -1,66 +1,99 @@
-"""The finger as a `dm_env.Environment`, loaded as in dm_control::
+"""The simulation as environments for dm_env, which also fit the wrappers of dm_control.
 
-    environment = harness.environments.load("cluttered", "push", seed=0)
-    step = environment.reset()
-    while not step.last():
-        step = environment.step(policy(step.observation))
+    >>> from harness import environments
+    >>> environment = environments.load("empty", "reach", seed=0, samples=10)
+    >>> step = environment.reset()
+    >>> while not step.last():
+    ...     step = environment.step(environment.action_spec().maximum)
+    >>> step.observation["contact_force"].shape
+    (20,)
 
-`load` describes the arguments.
+`load` creates an environment, as `dm_control.suite.load` does. It needs the package dm-env.
 """
 
+from __future__ import annotations
+
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import dm_env
 import numpy as np
 from dm_env import specs
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from .episodes import Episodes, one_action
+from .episodes import Episodes, checked_seed, one_action
+
+__all__ = ["Environment", "load"]
 
 
 def load(
-    scenario: str,
+    scenario: str | os.PathLike[str],
     task: str | None,
     *,
     seed: int | None = None,
-    modalities: tuple[str, ...] | None = None,
+    modalities: Iterable[str] | None = None,
     samples: int = 100,
     spec: str | os.PathLike[str] | None = None,
-) -> "Environment":
+) -> Environment:
     """Creates an environment.
 
     Args:
-        scenario: a built-in world, or the path of a world file.
-        task: one of the finger's tasks in `harness.tasks.TASKS`. Without one, there is no goal and every reward is 0.
-        seed: the seed of a dataset, whose episodes the environment goes through from the first; random by default.
-        modalities: the observed modalities besides the task's `goal`; all vectors by default.
-        samples: actions per episode, 0.1 s each with the default settings.
-        spec: an experiment's YAML file, whose simulation settings are used.
+        scenario: a built-in world, such as `empty` or `cluttered`, or the path of a world file.
+        task: `reach`, `press` or `push`, see `harness.tasks`; or None, without a goal and with every reward 0.
+        seed: the seed of a dataset, whose episodes the environment goes through from the first one. The default is
+            random.
+        modalities: names of the observed modalities, in addition to the task's `goal`. The default is all vectors.
+        samples: number of actions in an episode. An action takes 0.1 s with the default settings.
+        spec: an experiment, whose simulation settings are used: the path of a YAML file, or the name of a built-in
+            experiment. The default is the world's own settings.
+
+    Returns:
+        The environment, before its first reset.
 
     Raises:
-        ValueError: an argument is wrong.
+        ValueError: there is no such world or task, the world does not have the task, or a number is out of range.
         KeyError: the world does not have one of the modalities.
+        FileNotFoundError: there is no such experiment.
+
+    Example:
+        >>> from harness import environments
+        >>> environment = environments.load("cluttered", "push", seed=0, modalities=["arm", "vision"])
+        >>> sorted(environment.reset().observation)
+        ['arm', 'goal', 'vision']
     """
     return Environment(Episodes(scenario, task, modalities=modalities, samples=samples, spec=spec), seed)
 
 
 class Environment(dm_env.Environment):
-    """One finger and its task. `harness.episodes.Episodes` explains actions and episodes."""
+    """One simulation and its task. `load` creates it, and `harness.episodes.Episodes` explains actions and episodes.
+
+    An episode ends with a truncation, whose discount is 1.
+    """
 
     def __init__(self, episodes: Episodes, seed: int | None = None) -> None:
         self._episodes = episodes
-        self._seed = seed
+        self._seed = checked_seed(seed)
         self._over = True
 
+    def __repr__(self) -> str:
+        return f"<harness.environments.Environment of {self._episodes!r}>"
+
     def reset(self) -> dm_env.TimeStep:
+        """Starts the next episode, and returns its first observation."""
         self._episodes.reset(0, self._seed)
         self._seed, self._over = None, False
         return dm_env.restart(self._observation())
 
-    def step(self, action: NDArray[Any]) -> dm_env.TimeStep:
-        """Takes an action. The first step after an episode's end ignores the action and begins the next episode."""
+    def step(self, action: ArrayLike) -> dm_env.TimeStep:
+        """Takes an action. The first step after an episode's end ignores the action and starts the next episode.
+
+        Args:
+            action: `[elements]`, the change of the setpoint, clipped to the bounds of `action_spec`.
+
+        Raises:
+            ValueError: the action has the wrong shape, or is not finite.
+        """
         if self._over:
             return self.reset()
         reward = float(self._episodes.step(one_action(action, self._episodes.names))[0])
@@ -70,18 +103,21 @@ class Environment(dm_env.Environment):
         return dm_env.transition(reward, self._observation())
 
     def action_spec(self) -> specs.BoundedArray:
+        """Returns the shape and the bounds of an action, in rad or m."""
         fastest = self._episodes.fastest
         return specs.BoundedArray(fastest.shape, np.float64, -fastest, fastest, name="increment")
 
     def observation_spec(self) -> Mapping[str, specs.BoundedArray]:
+        """Returns the shape, the type and the bounds of each modality of an observation, by name."""
         bounds = self._episodes.bounds().items()
         return {name: specs.BoundedArray(shape, kind, low, high, name) for name, (low, high, shape, kind) in bounds}
 
     def reward_spec(self) -> specs.BoundedArray:
+        """Returns the bounds of a reward, 0 and 1."""
         return specs.BoundedArray((), np.float64, 0.0, 1.0, name="reward")
 
     def picture(self, width: int = 480, height: int = 480) -> NDArray[np.uint8]:
-        """Renders the scene, `[height, width, 3]`."""
+        """Renders a picture of the scene, `[height, width, 3]`, uint8, each side 1 to 4096 pixels."""
         return self._episodes.simulations.render(0, width, height)
 
     def _observation(self) -> dict[str, NDArray[Any]]:

@@ -1,14 +1,21 @@
 """Episodes of a task in parallel: the common part of the environments for dm_env and Gymnasium."""
 
+from __future__ import annotations
+
 import os
 import secrets
+import textwrap
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from ._arguments import integer, name_tuple
 from ._harness import SimulationBatch
 from .tasks import State, task_named
+
+__all__ = ["Episodes"]
 
 MAX_SEED = 2**53 - 1
 """The largest seed of a dataset."""
@@ -18,72 +25,114 @@ FASTEST = 1.5
 
 
 class Episodes:
-    """`count` episodes of a task, independent of each other.
+    """Episodes of a task, one in each of `count` simulations.
 
-    An action is the change of the setpoint until the next sample. For the finger it is `[3]`: rotation (rad), lift and
-    extension (m), as in networks with `action: increment`. Each simulation runs an episode of a dataset, which the
-    dataset's seed and the episode's index determine. A reset with a seed starts that dataset's first episode, and a
-    reset without one starts the next episode. The boxes therefore have the same places as in the dataset. The goal
-    depends only on the seed and the index.
+    Actions: an action is the change of the setpoint until the next sample, with one number for each element of the
+    setpoint. For the worlds `empty` and `cluttered` these are rotation (rad), lift and extension (m). It is clipped
+    to `fastest`, the largest change that occurs in datasets. Networks with `action: increment` take the same action.
+
+    Episodes: a seed determines a dataset, and the seed and an index determine an episode of it. A reset with a seed
+    starts the dataset's first episode, and a reset without a seed starts the next one. The boxes have the same places
+    as in the dataset. The goal depends only on the seed and the index.
+
+    Rewards: the reward of an action is between 0 and 1, and depends on the task. Without a task it is 0. An episode ends
+    after a given number of actions.
+
+    Args:
+        scenario: a built-in world, such as `empty` or `cluttered`, or the path of a world file.
+        task: `reach`, `press` or `push`, see `harness.tasks`; or None, without a goal and with every reward 0.
+        count: number of simulations, 1 to 4096.
+        modalities: names of the observed modalities. The default is all vectors.
+        samples: number of actions in an episode. An action takes 0.1 s with the default settings.
+        spec: an experiment, whose simulation settings are used: the path of a YAML file, or the name of a built-in
+            experiment. The default is the world's own settings.
+
+    Raises:
+        ValueError: there is no such world or task, the world does not have the task, or a number is out of range.
+        KeyError: the world does not have one of the modalities.
+        FileNotFoundError: there is no such experiment.
+
+    Attributes:
+        simulations: the simulations, a `harness.SimulationBatch`.
+        task: the task, a `harness.tasks.Task`; or None.
+        names: names of the elements of an action.
+        shapes: shapes of all modalities of one simulation, by name: `(elements,)` or `(rows, columns, 3)`.
+        modalities: names of the observed modalities.
+        samples: number of actions in an episode.
+        ranges: lowest and highest value of each element of the setpoint, `[elements, 2]`, in rad or m.
+        fastest: the largest change of the setpoint from one sample to the next, `[elements]`, in rad or m.
+        seeds: seed of each simulation's dataset; None before its first reset.
+        indices: index of each simulation's episode in the dataset of its seed, `[count]`.
+        taken: number of actions that were taken in each episode, `[count]`.
+        goals: goal of each episode, `[count, elements]`.
+
+    Example:
+        >>> from harness.episodes import Episodes
+        >>> episodes = Episodes("empty", "press", count=2, samples=50)
+        >>> episodes
+        <harness.episodes.Episodes press in empty: 2 at once, 50 samples each>
+        >>> episodes.reset(0, seed=1)
+        >>> episodes.reset(1, seed=2)
+        >>> episodes.step([[0.0, -0.02, 0.0], [0.0, -0.02, 0.0]])
+        array([0., 0.])
+        >>> {name: values.shape for name, values in episodes.observe().items()}["proprioception"]
+        (2, 20)
     """
 
     def __init__(
         self,
-        scenario: str,
+        scenario: str | os.PathLike[str],
         task: str | None,
         count: int = 1,
         *,
-        modalities: tuple[str, ...] | None = None,
+        modalities: Iterable[str] | None = None,
         samples: int = 100,
         spec: str | os.PathLike[str] | None = None,
     ) -> None:
-        """Creates the simulations. `reset` starts their episodes.
-
-        Args:
-            scenario: a built-in world, or the path of a world file.
-            task: one of the finger's tasks in `harness.tasks.TASKS`. Without one, there is no goal and every reward is 0.
-            count: number of simulations.
-            modalities: the observed modalities; all vectors by default.
-            samples: actions per episode, 0.1 s each with the default settings.
-            spec: an experiment's YAML file, whose simulation settings are used.
-
-        Raises:
-            ValueError: an argument is wrong.
-            KeyError: the world does not have one of the modalities.
-        """
-        if samples < 1:
+        if integer("samples", samples) < 1:
             raise ValueError(f"samples: {samples} must be at least 1")
-        self.simulations = SimulationBatch(scenario, count, None if spec is None else os.fspath(spec))
-        self.task = None if task is None else task_named(task, scenario)
+        self.simulations = SimulationBatch(scenario, count, spec)
+        self.task = None if task is None else task_named(task, self.simulations.scenario)
         self.names = self.simulations.action
-        """Names of the elements of an action."""
         self.shapes = self.simulations.modalities
-        """Shapes of all modalities of one simulation, by name: `[elements]` or `[rows, columns, 3]`."""
         vectors = tuple(name for name, shape in self.shapes.items() if len(shape) == 1)
-        self.modalities = vectors if modalities is None else tuple(modalities)
+        self.modalities = vectors if modalities is None else name_tuple(modalities)
         self.samples = samples
         self.ranges = self.simulations.setpoint_ranges
         per_sample = FASTEST * self.simulations.sample_seconds / self.simulations.actuation_seconds
         self.fastest = per_sample * (self.ranges[:, 1] - self.ranges[:, 0])
-        """The largest change of the setpoint in a sample, `[elements]`."""
         self.seeds: list[int | None] = [None] * count
-        """Seed of each simulation's dataset; None before the first reset."""
         self.indices = np.zeros(count, dtype=np.int64)
-        """Index of each simulation's episode in the dataset of its seed."""
         self.taken = np.zeros(count, dtype=np.int64)
-        """Actions taken in each episode."""
         self.goals = np.zeros((count, len(self.task.goal_low) if self.task else 0))
         for modality in self.modalities:
             if len(self.shapes.get(modality, ())) != 3:
                 self.simulations.sense(modality)
 
+    def __repr__(self) -> str:
+        task = f"{self.task.name} in " if self.task else ""
+        what = f"{len(self.taken)} at once, {self.samples} samples each"
+        return f"<harness.episodes.Episodes {task}{self.simulations.scenario}: {what}>"
+
     def reset(self, index: int, seed: int | None = None) -> None:
-        """Starts the first episode of the seed or, without a seed, the next episode."""
-        if seed is not None and not 0 <= seed <= MAX_SEED:
-            raise ValueError(f"seed: {seed} must be 0 to {MAX_SEED}")
+        """Starts an episode in one simulation.
+
+        Args:
+            index: the simulation, from 0.
+            seed: the seed of a dataset, whose first episode starts, 0 to 2^53 - 1. Without a seed, the next episode of
+                the same dataset starts. At the first reset there is none yet, so a seed is drawn and its first episode
+                starts.
+
+        Raises:
+            ValueError: the index or the seed is out of range.
+            TypeError: the seed is not an integer.
+        """
+        seed = checked_seed(seed)
+        if not 0 <= integer("index", index) < len(self.seeds):
+            raise ValueError(f"index: there are simulations 0 to {len(self.seeds) - 1}, not {index}")
         known = self.seeds[index] if seed is None else None
         if known is None:
-            known = secrets.randbelow(MAX_SEED) if seed is None else int(seed)
+            known = secrets.randbelow(MAX_SEED) if seed is None else seed
             episode = 0
         else:
             episode = int(self.indices[index]) + 1
@@ -93,9 +142,23 @@ class Episodes:
             return
         self.goals[index] = self.task.draw(np.random.default_rng([known, episode]), self.state(), index)
 
-    def step(self, actions: NDArray[Any], active: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
-        """Takes actions `[count, elements]`, clipped to `fastest`. Returns rewards `[count]`, 0 for inactive ones."""
-        change = np.clip(np.asarray(actions, dtype=np.float64), -self.fastest, self.fastest)
+    def step(self, actions: ArrayLike, active: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+        """Takes an action in each simulation.
+
+        Args:
+            actions: `[count, elements]`, clipped to `fastest`.
+            active: `[count]`, booleans: which simulations take their action. The default is all.
+
+        Returns:
+            The rewards, `[count]`; 0 for a simulation that takes no action.
+
+        Raises:
+            ValueError: the actions have the wrong shape, or are not finite numbers.
+            RuntimeError: a simulation was not reset before its first action.
+        """
+        if None in self.seeds:
+            raise RuntimeError(f"simulation {self.seeds.index(None)} has no episode; call reset first")
+        change = np.clip(checked_actions("actions", actions, len(self.taken), self.names), -self.fastest, self.fastest)
         self.simulations.step(self.simulations.setpoint + change, active)
         rewards = np.zeros(len(self.taken)) if self.task is None else self.task.reward(self.state(), self.goals)
         if active is None:
@@ -106,11 +169,11 @@ class Episodes:
 
     @property
     def ended(self) -> NDArray[np.bool_]:
-        """Whether each episode has had all its samples, `[count]`."""
+        """Whether each episode has ended, `[count]`."""
         return np.asarray(self.taken >= self.samples)
 
     def state(self) -> State:
-        """The simulations' state at their present samples, as tasks need it."""
+        """Returns the state at the present samples, from which tasks compute rewards."""
         return State(
             setpoint_ranges=self.ranges,
             fingertip=self.simulations.fingertip,
@@ -119,12 +182,12 @@ class Episodes:
         )
 
     def observe(self) -> dict[str, NDArray[Any]]:
-        """The observations by modality and the task's `goal`, each `[count, …]`."""
+        """Returns the observations at the present samples, by modality, and the task's `goal`, each `[count, …]`."""
         observed = {modality: self.simulations.sense(modality) for modality in self.modalities}
         return observed if self.task is None else {**observed, "goal": self.goals.astype(np.float32)}
 
     def bounds(self) -> dict[str, tuple[Any, Any, tuple[int, ...], type]]:
-        """Lowest and highest value, shape and type of each modality of one simulation's observation, by name."""
+        """Returns the lowest and highest value, the shape and the type of each modality of one simulation, by name."""
         # The arm is up to 0.01 rad or m away from its setpoint, and joints bend beyond their limits by less than that.
         # The bound of the forces is more than ten times the largest force of a dataset.
         arm = self.ranges + np.array([-0.5, 0.5])
@@ -148,9 +211,33 @@ class Episodes:
         return {**bounds, "goal": goal}
 
 
-def one_action(action: NDArray[Any], names: list[str]) -> NDArray[np.float64]:
-    """Returns one action as a batch `[1, elements]`. Raises ValueError unless it has a finite number for each name."""
-    values = np.asarray(action, dtype=np.float64)
-    if values.shape != (len(names),) or not np.all(np.isfinite(values)):
-        raise ValueError(f"action: {action!r} must be {len(names)} finite numbers: {', '.join(names)}")
-    return values[None]
+def one_action(action: ArrayLike, names: list[str]) -> NDArray[np.float64]:
+    """Returns one action `[elements]` as a batch `[1, elements]`. Raises ValueError if it is wrong."""
+    return checked_actions("action", action, None, names)[None]
+
+
+def checked_actions(what: str, actions: ArrayLike, count: int | None, names: list[str]) -> NDArray[np.float64]:
+    """Returns actions `[count, elements]`, or a single one `[elements]` if `count` is None.
+
+    Raises:
+        ValueError: the shape is wrong, or a value is not a finite number.
+    """
+    shape = (len(names),) if count is None else (count, len(names))
+    try:
+        values = np.asarray(actions, dtype=np.float64)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != shape or not np.all(np.isfinite(values)):
+        many = "" if count is None else f"{count} times "
+        given = textwrap.shorten(repr(actions), 80, placeholder=" …")
+        raise ValueError(f"{what}: {given} must be {many}{len(names)} finite numbers: {', '.join(names)}")
+    return values
+
+
+def checked_seed(seed: int | None) -> int | None:
+    """Returns a seed as an integer. Raises TypeError if it is none, and ValueError if it is out of range."""
+    if seed is None:
+        return None
+    if not 0 <= integer("seed", seed) <= MAX_SEED:
+        raise ValueError(f"seed: {seed} must be 0 to {MAX_SEED}")
+    return integer("seed", seed)

@@ -1,29 +1,41 @@
-"""Imports LeRobot datasets and plain Parquet files that were recorded elsewhere as datasets of the harness.
+"""Imports recordings as datasets: LeRobot datasets, and plain Parquet files.
+
+`import_dataset` does the same as the command
 
     harness import MAPPING.yaml
 
-prints the dataset's name, which specs use as a scenario: `scenarios: [lab_finger-0123456789abcdef]`. The mapping
+It returns the dataset's name, which specs use as a scenario: `scenarios: [lab_finger-0123456789abcdef]`. The mapping
 defines which columns of the recording make up which modality:
 
     name: lab_finger                # the dataset becomes results/datasets/lab_finger-HASH
     source: recordings              # a LeRobot dataset's folder, a Parquet file, or a folder of Parquet files
     format: lerobot                 # or parquet
     modalities:
-      setpoint: action                            # what was commanded; the only one that every dataset needs
+      setpoint: action                            # where the robot was commanded to be at the sample; required
       proprioception: observation.state[0:20]     # elements of a column of lists
       arm: [rotation, lift, extension]            # several columns
-      contact_force: force_??                     # columns by a pattern of * and ?, in their order in the file
-      contact_force_mean: {from: mean_??, scale: 9.81}      # a factor, or one per element, into rad, m and N
+      contact_force: force_??                     # all columns that match a pattern of * and ?, in the file's order
+      contact_force_mean: {from: mean_??, scale: 9.81}      # values are multiplied by one factor, or one per element
       vision: observation.images.external         # pictures of any size
       touch: {from: "pad_?", unit: N}             # any other name is a new vector, with its unit
       wrist: {from: observation.images.wrist, size: [96, 96]}     # or a new image, with its rows and columns
-    episode: episode                # Parquet only: the column whose value differs between episodes,
-    order: sample                   # Parquet only: the column by which an episode's rows are sorted,
-    sample_rate_hz: 10              # Parquet only: samples per second
+    # These keys are required with `format: parquet`, and not allowed otherwise.
+    episode: episode                # the column whose value differs between episodes
+    order: sample                   # the column by which an episode's rows are sorted
+    sample_rate_hz: 10              # samples per second
 
-`source` is relative to the mapping's folder. Vectors may have any width. The names of the finger's modalities have a
-fixed meaning: `vision` is an image and becomes 64 x 64 pixels unless it has a `size`, forces are in N and never
-negative, and so on.
+`source` is relative to the mapping's folder. `modalities` must have `setpoint` and at least one other. Vectors may have
+any width. The names of the finger's modalities have a fixed meaning. Their values must be in rad, m and N, after they
+have been multiplied by `scale`. `vision` is an image, which is resized to 64 x 64 pixels unless it has a `size`. A
+recording needs at least 3 episodes, each with at least 2 samples.
+
+A row of a LeRobot dataset contains an observation and the action that is sent after it. Its `action` is therefore the
+setpoint of the next sample. `setpoint: {from: COLUMN, shift: 1}` says so: each sample gets the value of the row before,
+and the first row of each episode is left out. Columns of a LeRobot dataset that begin with `action` have `shift: 1`
+unless the mapping says `shift: 0`, and all other columns have `shift: 0`.
+
+The module needs the packages pillow, pyyaml and tqdm: `pip install 'soft-harness[import]'`. For LeRobot datasets, it
+also needs the package lerobot.
 """
 
 from __future__ import annotations
@@ -34,6 +46,7 @@ import fnmatch
 import hashlib
 import io
 import json
+import os
 import re
 import shutil
 import sys
@@ -46,7 +59,16 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from harness.recorded import FINGER, FORMAT, Episode, Layout, write_episode
+from harness.recorded import (
+    FINGER,
+    FORMAT,
+    Episode,
+    Layout,
+    difference_of,
+    image_shapes,
+    vector_columns,
+    write_episode,
+)
 
 try:
     import yaml
@@ -57,10 +79,14 @@ except ImportError as error:
         f"importing needs the packages pillow, pyyaml and tqdm: pip install pillow pyyaml tqdm ({error})"
     ) from error
 
+__all__ = ["MappingError", "import_dataset"]
+
 SCENARIOS = ("empty", "cluttered")
 FORMATS = ("lerobot", "parquet")
-RESERVED = ("dataset", "scenario", "episode", "sample", "time", "action", "kl", "total", "frame_difference")
+RESERVED = ("dataset", "scenario", "episode", "sample", "time", "factors", "action", "kl", "total", "frame_difference")
 """Names that no modality may have, because they have another meaning or are computed."""
+NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
+"""What a dataset or a modality may be called."""
 MAX_SIDE = 1024
 """The largest number of rows or columns of an image, pixels."""
 
@@ -72,11 +98,26 @@ PARQUET_KEYS = ("episode", "order", "sample_rate_hz")
 Columns = dict[str, Any]
 """The values of a recording's columns in one episode, by name: arrays or lists, [samples, …]."""
 
+_ACTION = re.compile(r"action\b")
 _TERM = re.compile(r"(?P<column>[^\[\]]+)(\[(?P<first>\d+)(:(?P<last>\d+))?\])?")
 
 
 class MappingError(ValueError):
-    """A mapping is wrong or does not fit the recording. The message says where and why."""
+    """Raised if a mapping is wrong or does not fit the recording. The message says where and why."""
+
+
+class _Loader(yaml.SafeLoader):
+    """Reads YAML as `yaml.safe_load` does, but refuses a mapping with two equal keys."""
+
+    def compose_mapping_node(self, anchor: Any) -> Any:
+        node = super().compose_mapping_node(anchor)
+        seen = set()
+        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+            if key.value in seen:
+                line = key.start_mark.line + 1
+                raise MappingError(f"line {line}: the key '{key.value}' is there twice; remove one of them")
+            seen.add(key.value)
+        return node
 
 
 @dataclass(frozen=True)
@@ -93,6 +134,8 @@ class Selection:
     """The unit of a vector that the finger does not have."""
     size: tuple[int, int] | None = None
     """Rows and columns of an image; None for a vector."""
+    shift: int = 0
+    """1 for setpoints that each belong to the sample of the next row, otherwise 0."""
 
     def columns(self, available: list[str]) -> list[str]:
         """Returns the names of the columns that it needs, out of those available.
@@ -102,11 +145,26 @@ class Selection:
         """
         return [column for term in self.terms for column, _ in self._matches(term, available)]
 
+    def column_of_pictures(self, available: list[str]) -> str:
+        """Returns the name of the column of an image.
+
+        Raises:
+            MappingError: it is not exactly one whole column.
+        """
+        (term,) = self.terms
+        found = self._matches(term, available)
+        if len(found) != 1 or found[0][1] != slice(0, None):
+            names = ", ".join(name for name, _ in found)
+            what = f"which matches {names}" if len(found) > 1 else "which is a part of one"
+            raise self.error(f"must be one whole column, not {term}, {what}")
+        return found[0][0]
+
     def pick(self, episode: Columns) -> np.ndarray:
         """Returns the modality's values, float32 [samples, elements].
 
         Raises:
-            MappingError: there are no values, they are not finite numbers, or `scale` has another number of elements.
+            MappingError: there are no values or fewer than the terms name, they are not finite numbers, or `scale` has
+                another number of elements.
         """
         parts = []
         for term in self.terms:
@@ -115,7 +173,10 @@ class Selection:
                     values = np.asarray(episode[column], np.float64)
                 except (TypeError, ValueError):
                     raise self.error(f"'{column}' holds no numbers, or lists of different lengths") from None
-                parts.append(values.reshape(len(values), -1)[:, elements])
+                values = values.reshape(len(values), -1)
+                if (elements.stop or 0) > values.shape[1]:
+                    raise self.error(f"{term} goes beyond the end of '{column}'; all of it is {column}[0:{values.shape[1]}]")
+                parts.append(values[:, elements])
         values = np.concatenate(parts, axis=1)
         if values.shape[1] == 0:
             raise self.error(f"{' + '.join(self.terms)} gives no values")
@@ -127,9 +188,7 @@ class Selection:
             values = values.astype(np.float32)
         if not np.isfinite(values).all():
             row, element = np.argwhere(~np.isfinite(values))[0]
-            raise self.error(
-                f"value {element} of row {row} is {values[row, element]}; nothing can be learnt from it"
-            )
+            raise self.error(f"value {element} of row {row} is {values[row, element]}; it must be a finite number")
         return values
 
     def error(self, problem: str) -> MappingError:
@@ -191,11 +250,10 @@ class Mapping:
             MappingError: a key is missing, unknown or has a wrong value.
         """
         try:
-            text = yaml.safe_load(path.read_text())
+            text = yaml.load(path.read_text(encoding="utf-8"), _Loader)
+            return cls._of(text, path.parent)
         except (yaml.YAMLError, UnicodeDecodeError) as error:
             raise MappingError(f"{path} is no YAML: {' '.join(str(error).split())}") from None
-        try:
-            return cls._of(text, path.parent)
         except MappingError as error:
             raise MappingError(f"{path}: {error}") from None
 
@@ -210,7 +268,7 @@ class Mapping:
         required += PARQUET_KEYS if kind == "parquet" else ()
         _check_keys(text, required, "")
         name = text["name"]
-        if not re.fullmatch(r"[a-z][a-z0-9_]{0,63}", str(name)) or name in SCENARIOS:
+        if not NAME.fullmatch(str(name)) or name in SCENARIOS:
             raise MappingError(
                 f"name: {name!r} can't name an imported dataset; use 1 to 64 small letters, digits and _, and none of "
                 f"{', '.join(SCENARIOS)}"
@@ -224,10 +282,10 @@ class Mapping:
         source = folder / str(text["source"])
         if not source.exists():
             raise FileNotFoundError(f"source: {source} is not there")
-        return cls(name, source, _selections(text["modalities"]), rows, text)
+        return cls(name, source, _selections(text["modalities"], kind), rows, text)
 
 
-def _selections(modalities: Any) -> dict[str, Selection]:
+def _selections(modalities: Any, kind: str) -> dict[str, Selection]:
     if not isinstance(modalities, dict):
         raise MappingError("modalities: must say what makes up each modality, by its name")
     if modalities.get("setpoint") is None:
@@ -237,21 +295,38 @@ def _selections(modalities: Any) -> dict[str, Selection]:
             "modalities: there is nothing to learn from the setpoint alone; name what was sensed"
         )
     for name in modalities:
-        if not re.fullmatch(r"[a-z][a-z0-9_]{0,63}", str(name)) or name in RESERVED:
+        if not NAME.fullmatch(str(name)) or name in RESERVED:
             raise MappingError(
                 f"modalities: {name!r} can't name a modality; use small letters, digits and _, a letter first, and none "
                 f"of {', '.join(RESERVED)}"
             )
     # The finger's modalities come first, in their order, so that a dataset of the finger has the same columns.
     given = [name for name in KNOWN if name in modalities]
-    return {name: _selection(name, modalities[name]) for name in dict.fromkeys([*given, *modalities])}
+    selections = {name: _selection(name, modalities[name], kind) for name in dict.fromkeys([*given, *modalities])}
+    _check_differences(selections)
+    return selections
 
 
-def _selection(modality: str, value: Any) -> Selection:
+def _check_differences(selections: dict[str, Selection]) -> None:
+    taken = set(selections)
+    for name in (name for name, selection in selections.items() if selection.size is not None):
+        difference = difference_of(name)
+        if difference in taken or not NAME.fullmatch(difference):
+            problem = "another modality has this name" if difference in taken else "this is longer than 64 characters"
+            raise MappingError(
+                f"modalities.{name}: the change of this image is called '{difference}', and {problem}; give the image "
+                "another name"
+            )
+        taken.add(difference)
+
+
+def _selection(modality: str, value: Any, kind: str) -> Selection:
     where = f"modalities.{modality}"
-    scale, unit, size = None, "", KNOWN.get(modality, {}).get("size")
+    scale, unit, size, shift = None, "", KNOWN.get(modality, {}).get("size"), None
     if isinstance(value, dict):
-        _check_keys(value, ("from",), f"{where}.", ("from", "scale", "unit", "size"))
+        of_setpoint = ("shift",) if modality == "setpoint" else ()
+        _check_keys(value, ("from",), f"{where}.", ("from", "scale", "unit", "size", *of_setpoint))
+        shift = value.get("shift")
         size, unit, scale, value = value.get("size", size), value.get("unit", ""), value.get("scale"), value["from"]
         if modality in KNOWN and (KNOWN[modality]["kind"] == "image") != (size is not None):
             raise MappingError(f"{where}: is a {KNOWN[modality]['kind']}; an image has a size, a vector has none")
@@ -273,7 +348,11 @@ def _selection(modality: str, value: Any) -> Selection:
         raise MappingError(f"{where}: must be a column, or a list of columns, not {value!r}")
     if size is not None and len(terms) != 1:
         raise MappingError(f"{where}: must be one column")
-    return Selection(modality, tuple(terms), scale, str(unit), tuple(size) if size else None)
+    if shift is None:
+        shift = int(modality == "setpoint" and kind == "lerobot" and all(_ACTION.match(term) for term in terms))
+    if shift not in (0, 1) or isinstance(shift, bool):
+        raise MappingError(f"{where}.shift: must be 0 or 1, not {shift!r}")
+    return Selection(modality, tuple(terms), scale, str(unit), tuple(size) if size else None, shift)
 
 
 def _layout(mapping: Mapping, widths: dict[str, int]) -> Layout:
@@ -284,9 +363,8 @@ def _layout(mapping: Mapping, widths: dict[str, int]) -> Layout:
         if selection.size is not None:
             image = {"kind": "image", "size": list(selection.size), "scale": "shared"}
             modalities.append({"name": name, "meaning": "Image", **image})
-            difference = "frame_difference" if name == "vision" else f"{name}_difference"
             meaning = f"Change of {name} since the sample before"
-            modalities.append({"name": difference, "meaning": meaning, **image, "difference_of": name})
+            modalities.append({"name": difference_of(name), "meaning": meaning, **image, "difference_of": name})
         elif known and len(known["elements"]) == widths[name]:
             modalities.append(known)
         else:
@@ -311,21 +389,37 @@ def _check_keys(
         raise MappingError(f"missing '{prefix}{missing[0]}'")
 
 
-def import_dataset(mapping: str | Path, results: str | Path = "results", *, progress: bool = True) -> str:
-    """Imports a recording. The whole recording is read into memory.
+def import_dataset(
+    mapping: str | os.PathLike[str], results: str | os.PathLike[str] = "results", *, progress: bool = True
+) -> str:
+    """Imports a recording as a dataset. The whole recording is read into memory.
 
     Args:
-        mapping: the mapping's file; the module's documentation describes it.
-        results: the results folder. The dataset is written to `datasets` in it, unless it is there already.
-        progress: whether to show a progress bar on stderr.
+        mapping: the YAML file that says what to import; see `harness.importing`.
+        results: the folder of datasets and runs. The dataset is written to `datasets` in it, unless it is there
+            already.
+        progress: shows a progress bar on stderr.
 
     Returns:
         The dataset's name, which ends in a hash of its content. Specs use it in `scenarios`.
 
     Raises:
-        ValueError: the mapping or the recording is wrong; the message says where.
+        MappingError: the mapping or the recording is wrong. The message says where. A MappingError is a ValueError.
         FileNotFoundError: the mapping or its source does not exist.
         ImportError: the recording is a LeRobot dataset, and the package lerobot is not installed.
+        OSError: the results folder can't be written.
+
+    Example:
+        >>> import polars
+        >>> from pathlib import Path
+        >>> from harness.importing import import_dataset
+        >>> columns = {"trial": [0, 0, 1, 1, 2, 2], "row": [0, 1] * 3, "command": [0.0, 0.1] * 3, "angle": [0.0, 0.2] * 3}
+        >>> polars.DataFrame(columns).write_parquet("lab.parquet")
+        >>> keys = "name: lab, source: lab.parquet, format: parquet, episode: trial, order: row, sample_rate_hz: 10"
+        >>> modalities = "{setpoint: command, bend: {from: angle, unit: rad}}"
+        >>> _ = Path("lab.yaml").write_text(f"{{{keys}, modalities: {modalities}}}")
+        >>> import_dataset("lab.yaml", progress=False)
+        'lab-...'
     """
     chosen = Mapping.load(Path(mapping))
     try:
@@ -437,17 +531,20 @@ def _plain(value: Any) -> np.ndarray:
 
 
 def _episode(index: int, columns: Columns, mapping: Mapping, rate: float) -> Episode:
-    samples = len(next(iter(columns.values())))
+    rows, shift = len(next(iter(columns.values()))), mapping.selections["setpoint"].shift
+    samples = rows - shift
     if samples < 2:
-        raise MappingError("it has 1 sample; a prediction needs a next one")
+        left_out = " after its first row, which is left out" if shift else ""
+        raise MappingError(f"it has {samples} {'sample' if samples == 1 else 'samples'}{left_out}; it must have 2 or more")
     selections = mapping.selections
     vectors = {name: each.pick(columns) for name, each in selections.items() if each.size is None}
+    vectors = {name: values[:samples] if name == "setpoint" else values[shift:] for name, values in vectors.items()}
     images = {}
     for name, selection in selections.items():
         if selection.size is not None:
-            (column,) = selection.columns(list(columns))
+            pictures = columns[selection.column_of_pictures(list(columns))][shift:]
             shape = (*selection.size, 3)
-            images[name] = np.stack([_frame(picture, selection, shape) for picture in columns[column]])
+            images[name] = np.stack([_frame(picture, selection, shape) for picture in pictures])
     return Episode(index, np.arange(samples) / rate, vectors, images)
 
 
@@ -479,6 +576,9 @@ def _write(mapping: Mapping, rate: float, episodes: list[Episode], results: Path
                     "first"
                 )
     layout = _layout(mapping, widths)
+    elements = {column.name for each in vector_columns(layout).values() for column in each}
+    for image in sorted(elements & image_shapes(layout).keys()):
+        raise MappingError(f"modalities.{image}: a vector has a column of this name; give the image another name")
     content = {
         "layout": layout,
         "name": mapping.name,
@@ -487,7 +587,8 @@ def _write(mapping: Mapping, rate: float, episodes: list[Episode], results: Path
         "episodes": [{"samples": len(episode), "sha256": _digest(episode)} for episode in episodes],
     }
     identity = {"format": FORMAT, "imported": content}
-    text = json.dumps(identity, sort_keys=True, separators=(",", ":"))
+    # The Rust program computes the same hash from the same text, in which letters beyond ASCII are not escaped.
+    text = json.dumps(identity, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     name = f"{mapping.name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
     folder = results / "datasets" / name
     if folder.exists():
@@ -517,9 +618,14 @@ def _digest(episode: Episode) -> str:
 
 
 def main(words: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="harness import", description="Imports a recording as a dataset.")
-    parser.add_argument("mapping", type=Path, help="YAML: what to import, and which columns are what")
-    parser.add_argument("--results", type=Path, default=Path("results"), help="the results folder")
+    parser = argparse.ArgumentParser(
+        prog="harness import", description="Import a LeRobot dataset or Parquet files as a dataset."
+    )
+    parser.add_argument(
+        "mapping", type=Path, help="YAML file that says what to import, and which columns are which modality"
+    )
+    folder = "folder of datasets and runs [default: results]"
+    parser.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help=folder)
     arguments = parser.parse_args(words)
     try:
         name = import_dataset(arguments.mapping, arguments.results)

@@ -1,19 +1,26 @@
-"""Trained networks for PyTorch, built from the description and the tensors in their files (docs/networks.md)."""
+"""Trained networks for PyTorch.
+
+`harness.load_network` rebuilds a network from its files. The page docs/networks.md describes these files, and how to
+rebuild a network without this module. The module needs the packages torch and safetensors: `pip install
+'soft-harness[torch]'`.
+"""
+
+from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from torch import Tensor
 from torch.nn import functional
 
-Layer = dict[str, Any]
-Tensors = dict[str, Tensor]
+__all__ = ["Network", "NetworkFile"]
 
+Layer = dict[str, Any]
 FORMAT = 1
 """The version of descriptions that this module can read."""
 RECONSTRUCTION = "reconstruction."
@@ -21,13 +28,28 @@ RECONSTRUCTION = "reconstruction."
 
 
 class NetworkFile:
-    """The tensors and the description of a network's file."""
+    """The tensors and the description in the file of a network, such as `prediction.safetensors`.
 
-    def __init__(self, path: Path, description: dict[str, Any] | None = None) -> None:
-        """Reads the file. description: used if the file has none, as those of earlier versions."""
-        with safe_open(path, "pt") as file:
-            self.tensors: Tensors = {name: file.get_tensor(name) for name in file.keys()}
-            note = json.loads((file.metadata() or {}).get("harness", "{}"))
+    Args:
+        path: the file.
+        description: the description to use if the file has none. Files of earlier versions have none.
+
+    Attributes:
+        tensors: the tensors by name.
+        description: the description of the network.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is not that of a network, or has no description, or one of another version.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], description: dict[str, Any] | None = None) -> None:
+        try:
+            with safe_open(path, "pt") as file:
+                self.tensors: dict[str, Tensor] = {name: file.get_tensor(name) for name in file.keys()}
+                note = json.loads((file.metadata() or {}).get("harness", "{}"))
+        except SafetensorError as error:
+            raise ValueError(f"{path} is not the file of a network: {error}") from None
         found = note.get("network", description)
         if found is None:
             raise ValueError(f"{path} has no description of a network; load it by the name of its run")
@@ -37,20 +59,40 @@ class NetworkFile:
 
 
 class Network(torch.nn.Module):
-    """A trained network as a `torch.nn.Module`; `harness.load_network` builds it.
+    """A trained network as a `torch.nn.Module`. `harness.load_network` builds it.
 
-    It takes and returns the same values as `harness.Model`, as tensors: vectors `[batch, width]` in SI units, images
-    `[batch, rows, columns, 3]`. Images are uint8, or float32 in [0, 1]; their differences are float32 in [-1, 1].
-    NumPy arrays and lists are converted. The parameters are trainable, and have the same names as in the network's
-    file, those of the reconstruction's decoder after `reconstruction.`.
+    It takes and returns the same values as `harness.Model`, for a batch. An observation is a dictionary by modality,
+    with exactly the modalities of the network's input. Vectors are `[batch, width]` in SI units. Images are
+    `[batch, rows, columns, 3]`, either uint8 or floating-point numbers in [0, 1]. Changes of images are floating-point
+    numbers in [-1, 1]. NumPy arrays and lists are converted to tensors.
+
+    The parameters can be trained. They have the same names as in the network's file, and those of the decoder that
+    reconstructs begin with `reconstruction.`.
+
+    Args:
+        prediction: the file of the network that predicts.
+        reconstruction: the file of the decoder that reconstructs, if the run trained one.
+
+    Attributes:
+        description: the description in the file of the prediction, which docs/networks.md explains.
+        reconstruction_description: the description in the file of the reconstruction; None if there is none.
+
+    Example:
+        >>> network = harness.load_network("smoke/empty-z4")                                      # needs torch
+        >>> observation = {"proprioception": [[0.0] * 20], "vision": [[[[0.5] * 3] * 64] * 64]}
+        >>> mean, log_variance = network.encode(observation)
+        >>> mean.shape
+        torch.Size([1, 4])
+        >>> network(observation, [[0.1, 0.0, 0.0]])["contact_force"].shape
+        torch.Size([1, 20])
+        >>> network.reconstruct(mean)["vision"].shape
+        torch.Size([1, 64, 64, 3])
     """
 
     def __init__(self, prediction: NetworkFile, reconstruction: NetworkFile | None = None) -> None:
         super().__init__()
         self.description = prediction.description
-        """What the file of the prediction's network says about it."""
         self.reconstruction_description = reconstruction.description if reconstruction else None
-        """The same for the reconstruction; None if there is none."""
         for prefix, file in (("", prediction), (RECONSTRUCTION, reconstruction)):
             for name, tensor in (file.tensors if file else {}).items():
                 if not name.startswith("scale."):
@@ -60,39 +102,86 @@ class Network(torch.nn.Module):
             if name.startswith("scale."):
                 self.register_buffer(_attribute(name), tensor)
 
-    def forward(self, observation: Mapping[str, Any], action: Any) -> Tensors:
-        """Predicts the observation one sample later from the posterior's mean, by modality.
+    def __repr__(self) -> str:
+        given, found = (", ".join(each["name"] for each in self.description[part]) for part in ("inputs", "outputs"))
+        parameters = sum(parameter.numel() for parameter in self.parameters())
+        size = f"latent {self.description['latent']}, {parameters:,} parameters"
+        return f"<harness.networks.Network: {given} to {found}, {size}>"
 
-        action: `[batch, elements]`, in SI units, in the form that `self.description["action"]` names. Raises KeyError
-        if a modality is missing or unknown, and ValueError if one has the wrong shape.
+    def forward(self, observation: Mapping[str, Any], action: Any) -> dict[str, Tensor]:
+        """Predicts the observation one sample later, from the mean of the posterior.
+
+        Args:
+            observation: the values of the input modalities, by name.
+            action: `[batch, elements]`, in SI units. `description["action"]["form"]` says whether it is the change of
+                the setpoint (`increment`) or the next setpoint (`target`).
+
+        Returns:
+            The predicted values of the output modalities, by name, in SI units.
+
+        Raises:
+            KeyError: a modality is missing, or there is one that the network does not take.
+            ValueError: a tensor has the wrong shape.
+            TypeError: an image consists of integers other than uint8.
         """
         return self.decode(self.encode(observation)[0], action)
 
     def encode(self, observation: Mapping[str, Any]) -> tuple[Tensor, Tensor]:
-        """Returns the mean and the log-variance of the posterior, `[batch, latent]` each."""
+        """Returns the posterior of the latent state for an observation.
+
+        Args:
+            observation: the values of the input modalities, by name.
+
+        Returns:
+            The mean and the log-variance of the posterior, each `[batch, latent]`.
+
+        Raises:
+            KeyError: a modality is missing, or there is one that the network does not take.
+            ValueError: a tensor has the wrong shape.
+            TypeError: an image consists of integers other than uint8.
+        """
         values = self._normalized(observation)
         values = self._run(self.description["encoder"], values, "")
         mean, log_variance = values["posterior"].chunk(2, dim=1)
         return mean, log_variance
 
-    def decode(self, latent: Any, action: Any) -> Tensors:
-        """Predicts the observation one sample later from a latent state `[batch, latent]` and an action."""
-        given = {"latent": self._tensor(latent, torch.float32)}
+    def decode(self, latent: Any, action: Any) -> dict[str, Tensor]:
+        """Predicts the observation one sample later from a latent state.
+
+        Args:
+            latent: `[batch, latent]`.
+            action: `[batch, elements]`, as in `forward`.
+
+        Returns:
+            The predicted values of the output modalities, by name, in SI units.
+
+        Raises:
+            ValueError: a tensor has the wrong shape.
+        """
+        given = {"latent": self._tensor(latent)}
         form = self.description["action"]
-        values = self._tensor(action, torch.float32)
+        values = self._tensor(action)
         self._check("action", values, [len(form["elements"])], len(given["latent"]))
         mean, deviation = self._scales(form, values.shape[1:])
         given["action"] = (values - mean) / deviation
         return self._decoded(self.description, given, "")
 
-    def reconstruct(self, latent: Any) -> Tensors:
-        """Reconstructs the observation from a latent state `[batch, latent]`, by modality of the input.
+    def reconstruct(self, latent: Any) -> dict[str, Tensor]:
+        """Reconstructs the present observation from a latent state.
 
-        Raises RuntimeError if the run trained no reconstruction.
+        Args:
+            latent: `[batch, latent]`, such as the mean that `encode` returns.
+
+        Returns:
+            The reconstructed values of the input modalities, by name, in SI units.
+
+        Raises:
+            RuntimeError: the run trained no reconstruction.
+            ValueError: the tensor has the wrong shape.
         """
         if self.reconstruction_description is None:
             raise RuntimeError("the run trained no reconstruction")
-        given = {"latent": self._tensor(latent, torch.float32)}
+        given = {"latent": self._tensor(latent)}
         return self._decoded(self.reconstruction_description, given, RECONSTRUCTION)
 
     def _add_parameter(self, name: str, tensor: Tensor) -> None:
@@ -110,45 +199,58 @@ class Network(torch.nn.Module):
         mean, deviation = (self.get_buffer(_attribute(quantity[key])) for key in ("mean", "deviation"))
         return mean.reshape(shape), deviation
 
-    def _tensor(self, values: Any, kind: torch.dtype) -> Tensor:
-        """Converts values to a tensor on the network's device. Bytes become numbers in [0, 1]."""
+    def _tensor(self, values: Any) -> Tensor:
+        """Converts numbers to a tensor on the network's device, float32."""
         if not isinstance(values, Tensor):
             values = torch.tensor(np.asarray(values))
-        device = self.get_parameter("decoder.hidden.bias").device
+        return values.to(self.get_parameter("decoder.hidden.bias").device, torch.float32)
+
+    def _image(self, name: str, values: Any) -> Tensor:
+        """Converts images to a tensor like `_tensor`. Bytes become numbers in [0, 1]."""
+        if not isinstance(values, Tensor):
+            values = torch.tensor(np.asarray(values))
         if values.dtype == torch.uint8:
-            return values.to(device, kind) / self.description["images"]["bytes_divided_by"]
-        return values.to(device, kind)
+            return self._tensor(values) / self.description["images"]["bytes_divided_by"]
+        if not values.is_floating_point():
+            raise TypeError(f"'{name}' must be uint8, or float in [0, 1]")
+        return self._tensor(values)
 
     @staticmethod
-    def _check(name: str, values: Tensor, shape: Sequence[int], batch: int) -> None:
-        if list(values.shape) != [batch, *shape]:
-            raise ValueError(f"'{name}' has the shape {list(values.shape)}, must be {[batch, *shape]}")
+    def _check(name: str, values: Tensor, shape: Sequence[int], batch: int | None) -> None:
+        """Raises ValueError unless the values are a batch of this size, or of any size if it is None."""
+        found = list(values.shape)
+        if found[1:] != list(shape) or not found or (batch is not None and found[0] != batch):
+            wanted = ", ".join(str(size) for size in ["batch" if batch is None else batch, *shape])
+            raise ValueError(f"'{name}' has the shape {found}, must be [{wanted}]")
 
-    def _normalized(self, observation: Mapping[str, Any]) -> Tensors:
+    def _normalized(self, observation: Mapping[str, Any]) -> dict[str, Tensor]:
         """Returns what the encoder is given: vectors side by side, and images stacked by channel."""
         inputs = self.description["inputs"]
         names = [quantity["name"] for quantity in inputs]
         for what, wrong in (("lacks", set(names) - set(observation)), ("has", set(observation) - set(names))):
             if wrong:
-                raise KeyError(f"the observation {what} {', '.join(sorted(wrong))}; the network takes {', '.join(names)}")
+                listed, taken = ", ".join(sorted(map(str, wrong))), ", ".join(names)
+                raise KeyError(f"the observation {what} {listed}; the network takes {taken}")
         parts: dict[str, list[Tensor]] = {}
-        batch = len(observation[names[0]])
+        batch = None
         for quantity in inputs:
-            values = self._tensor(observation[quantity["name"]], torch.float32)
-            self._check(quantity["name"], values, quantity["shape"], batch)
-            if quantity["kind"] == "image":
+            name, is_image = quantity["name"], quantity["kind"] == "image"
+            values = self._image(name, observation[name]) if is_image else self._tensor(observation[name])
+            self._check(name, values, quantity["shape"], batch)
+            batch = len(values)
+            if is_image:
                 values = values.permute(0, 3, 1, 2)
             mean, deviation = self._scales(quantity, values.shape[1:])
             parts.setdefault(quantity["value"], []).append((values - mean) / deviation)
         return {value: torch.cat(tensors, 1) for value, tensors in parts.items()}
 
-    def _decoded(self, description: dict[str, Any], given: Tensors, prefix: str) -> Tensors:
+    def _decoded(self, description: dict[str, Any], given: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
         """Applies a decoder and converts its outputs to SI units."""
-        self._check("latent", given["latent"], [description["latent"]], len(given["latent"]))
+        self._check("latent", given["latent"], [description["latent"]], None)
         values = self._run(description["decoder"], given, prefix)
         return {quantity["name"]: self._physical(quantity, values) for quantity in description["outputs"]}
 
-    def _physical(self, quantity: dict[str, Any], values: Tensors) -> Tensor:
+    def _physical(self, quantity: dict[str, Any], values: dict[str, Tensor]) -> Tensor:
         image = quantity["kind"] == "image"
         columns = quantity["shape"][-1]
         part = values[quantity["value"]].narrow(1, quantity["start"], columns)
@@ -158,7 +260,7 @@ class Network(torch.nn.Module):
             part = part.clamp(min=quantity["minimum"])
         return part.permute(0, 2, 3, 1) if image else part
 
-    def _run(self, layers: list[Layer], values: Tensors, prefix: str) -> Tensors:
+    def _run(self, layers: list[Layer], values: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
         """Applies layers one after the other, and returns the values with all outputs."""
         for layer in layers:
             inputs = [values[name] for name in layer["inputs"]]

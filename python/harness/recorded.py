@@ -77,6 +77,11 @@ def image_shapes(layout: Layout) -> dict[str, tuple[int, int, int]]:
     return {image["name"]: (*image["size"], 3) for image in _stored(layout, "image")}
 
 
+def difference_of(image: str) -> str:
+    """Returns the name of an image's change since the sample before."""
+    return "frame_difference" if image == "vision" else f"{image}_difference"
+
+
 def columns(layout: Layout) -> list[Column]:
     """The columns of an episode's file, in order. A test compares them with those that the Rust program writes."""
     images = [
@@ -131,7 +136,7 @@ class RecordedDataset:
             self.description = json.loads((self.folder / "dataset.json").read_text())
         except (FileNotFoundError, NotADirectoryError):
             raise FileNotFoundError(
-                f"{self.folder} holds no dataset: a dataset is a folder with a dataset.json, as in results/datasets"
+                f"{self.folder} contains no dataset: a dataset is a folder with a dataset.json, as in results/datasets"
             ) from None
         except json.JSONDecodeError as error:
             raise DamagedError(f"{self.folder / 'dataset.json'} is damaged: {error}") from None
@@ -243,7 +248,7 @@ def read_sealed(path: Path) -> bytes:
         )
     digest = _digest(data, start)
     if data[start : start + _DIGITS] != digest:
-        raise DamagedError(f"{path} is damaged: it is not as it was written: its SHA-256 differs")
+        raise DamagedError(f"{path} is damaged: it has changed since it was written: its SHA-256 differs")
     return data
 
 

@@ -5,6 +5,7 @@
 
 use harness::spec::{Definition, IMAGE_CHANNELS};
 use pyo3::buffer::{Element, PyBuffer};
+use pyo3::call::PyCallArgs;
 use pyo3::exceptions::{PyBufferError, PyTypeError, PyValueError};
 use pyo3::ffi;
 use pyo3::prelude::*;
@@ -38,7 +39,7 @@ impl Item for u8 {
 }
 
 /// The memory of an array in row-major order. NumPy keeps it as long as the array.
-#[pyclass(frozen)]
+#[pyclass(frozen, module = "harness._harness")]
 struct Memory {
     /// Owns the values to which `start` points.
     _owner: Box<dyn Any + Send + Sync>,
@@ -111,7 +112,12 @@ impl Memory {
 }
 
 fn as_array<'py>(py: Python<'py>, memory: Memory) -> PyResult<Bound<'py, PyAny>> {
-    py.import("numpy")?.call_method1("asarray", (Bound::new(py, memory)?,))
+    asarray(py, (Bound::new(py, memory)?,))
+}
+
+/// Calls `numpy.asarray`.
+fn asarray<'py>(py: Python<'py>, arguments: impl PyCallArgs<'py>) -> PyResult<Bound<'py, PyAny>> {
+    py.import("numpy")?.call_method1("asarray", arguments)
 }
 
 /// Returns values as an array of this shape, without copying.
@@ -151,7 +157,7 @@ pub fn pixels_last(planes: Bound<PyAny>) -> PyResult<Bound<PyAny>> {
 /// TypeError unless it consists of numbers. `name` is its name in the message.
 pub fn as_numbers<'py>(name: &str, given: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     let wrong = || PyTypeError::new_err(format!("'{name}' must be an array or a list of numbers"));
-    let array = given.py().import("numpy")?.call_method1("asarray", (given,)).map_err(|_| wrong())?;
+    let array = asarray(given.py(), (given,)).map_err(|_| wrong())?;
     let kind: String = array.getattr("dtype")?.getattr("kind")?.extract()?;
     if matches!(kind.as_str(), "f" | "i" | "u") { Ok(array) } else { Err(wrong()) }
 }
@@ -161,16 +167,15 @@ pub fn shape_of(array: &Bound<PyAny>) -> PyResult<Vec<usize>> {
     array.getattr("shape")?.extract()
 }
 
-/// Reads numbers in row-major order. Numbers of another type, and lists, are converted. `name` is their name in error
-/// messages.
+/// Reads numbers in row-major order. Numbers of another type or byte order, and lists, are converted. `name` is their
+/// name in error messages.
 ///
 /// # Errors
 /// TypeError unless these are numbers, and ValueError if they have another shape.
 pub fn read<T: Item>(name: &str, given: &Bound<PyAny>, shape: &[usize]) -> PyResult<Vec<T>> {
-    let buffer = match PyBuffer::<T>::get(given) {
-        Ok(buffer) => buffer,
-        Err(_) => PyBuffer::<T>::get(&as_numbers(name, given)?.call_method1("astype", (T::NAME,))?)?,
-    };
+    // A buffer of the other byte order would be taken as it is.
+    let native = asarray(given.py(), (as_numbers(name, given)?, T::NAME))?;
+    let buffer = PyBuffer::<T>::get(&native)?;
     if buffer.shape() != shape {
         return Err(PyValueError::new_err(format!(
             "'{name}' has the shape {:?}, must be {shape:?}",
@@ -180,11 +185,33 @@ pub fn read<T: Item>(name: &str, given: &Bound<PyAny>, shape: &[usize]) -> PyRes
     buffer.to_vec(given.py())
 }
 
-/// Reads a batch of images `[batch, rows, columns, 3]` and returns it as `[batch, channel, row, column]`. Images may be
-/// uint8, which is divided by 255, or floating-point numbers. Differences of images are floating-point numbers.
+/// Returns a number that must not be negative, such as an index.
 ///
 /// # Errors
-/// The same as [`read`], and TypeError for whole numbers of other types.
+/// ValueError if it is negative or too large. `name` is its name in the message.
+pub fn natural<T: TryFrom<i64>>(name: &str, number: i64) -> PyResult<T> {
+    let problem = if number < 0 { "must not be negative" } else { "is too large" };
+    T::try_from(number).map_err(|_| PyValueError::new_err(format!("{name}: {number} {problem}")))
+}
+
+/// Returns values that must be finite numbers.
+///
+/// # Errors
+/// ValueError if one is infinite or not a number. `name` is their name in the message.
+pub fn finite(name: &str, values: Vec<f32>) -> PyResult<Vec<f32>> {
+    match values.iter().find(|value| !value.is_finite()) {
+        Some(value) => Err(PyValueError::new_err(format!("'{name}' has the value {value}, must be finite"))),
+        None => Ok(values),
+    }
+}
+
+/// Reads a batch of images `[batch, rows, columns, 3]` and returns it as `[batch, channel, row, column]`. Images may be
+/// uint8, which is divided by 255, or floating-point numbers in [0, 1]. Differences of images are floating-point
+/// numbers in [-1, 1].
+///
+/// # Errors
+/// The same as [`read`], TypeError for whole numbers of other types, and ValueError for numbers that are clearly out of
+/// range, such as bytes that were converted to floating-point numbers.
 pub fn read_frames(definition: &Definition, given: &Bound<PyAny>, batch: usize) -> PyResult<Vec<f32>> {
     let [rows, columns] = definition.size().unwrap_or_default();
     let (shape, name) = ([batch, rows, columns, IMAGE_CHANNELS], definition.name.name());
@@ -192,13 +219,20 @@ pub fn read_frames(definition: &Definition, given: &Bound<PyAny>, batch: usize) 
         let bytes: Vec<u8> = read(name, given, &shape)?;
         return Ok(planes(&bytes, definition.width()).map(|byte| f32::from(byte) / 255.0).collect());
     }
+    let (least, allowed) = match definition.difference_of {
+        None => (0.0, "uint8, or float in [0, 1]"),
+        Some(_) => (-1.0, "float in [-1, 1]"),
+    };
     let kind: String = as_numbers(name, given)?.getattr("dtype")?.getattr("kind")?.extract()?;
     if kind != "f" {
-        let allowed =
-            if definition.difference_of.is_none() { "uint8, or float in [0, 1]" } else { "float in [-1, 1]" };
         return Err(PyTypeError::new_err(format!("'{name}' must be {allowed}")));
     }
     let values: Vec<f32> = read(name, given, &shape)?;
+    // Images that a network predicted may be a little out of range.
+    let plausible = least - 1.0..=2.0;
+    if let Some(value) = values.iter().find(|value| !plausible.contains(*value)) {
+        return Err(PyValueError::new_err(format!("'{name}' has the value {value}, must be {allowed}")));
+    }
     Ok(planes(&values, definition.width()).collect())
 }
 

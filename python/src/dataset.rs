@@ -1,6 +1,6 @@
 //! The Python class `Dataset`: a dataset's samples as NumPy arrays.
 
-use crate::array::{array, pixels_last, view};
+use crate::array::{array, natural, pixels_last, view};
 use crate::errors::Raise;
 use crate::simulation::{SimulationBatch, scene};
 use crate::work::interruptible;
@@ -12,12 +12,13 @@ use pyo3::prelude::*;
 use pyo3::types::PyType;
 use std::path::PathBuf;
 
-/// A dataset in memory; see `_harness.pyi`.
-#[pyclass(frozen, subclass)]
+/// The compiled part of `harness.Dataset`.
+#[pyclass(frozen, subclass, module = "harness._harness")]
 pub struct Dataset {
     samples: Samples,
     /// The dataset from which the samples were read.
     described: AnyDataset,
+    /// The absolute path of the folder.
     folder: PathBuf,
     frames: bool,
 }
@@ -38,9 +39,10 @@ impl Dataset {
     #[new]
     #[pyo3(signature = (folder, frames=true))]
     fn new(py: Python, folder: PathBuf, frames: bool) -> PyResult<Self> {
-        if !folder.is_dir() {
+        if !folder.join("dataset.json").is_file() {
             let message = format!(
-                "there is no dataset at {}; `harness collect SPEC` makes those of an experiment",
+                "there is no dataset at {}: a dataset is a folder with a dataset.json, as in results/datasets; \
+                 `harness collect SPEC` makes those of an experiment",
                 folder.display()
             );
             return Err(PyFileNotFoundError::new_err(message));
@@ -51,7 +53,7 @@ impl Dataset {
         };
         let read = interruptible(py, read, || ())?;
         let (samples, described) = read.map_err(|error: DatasetError| error.raise())?;
-        Ok(Self { samples, described, folder, frames })
+        Ok(Self { samples, described, folder: std::path::absolute(&folder).unwrap_or(folder), frames })
     }
 
     fn __len__(&self) -> usize {
@@ -68,13 +70,13 @@ impl Dataset {
         (slf.get_type(), (slf.get().folder.clone(), slf.get().frames))
     }
 
-    /// The folder's name: the scenario, or an imported dataset's own name, and a hash of all that determines it.
+    /// Name of the folder: the scenario, and a hash of everything that determines the dataset.
     #[getter]
     fn name(&self) -> &str {
         self.described.name()
     }
 
-    /// `empty`, `cluttered`, or the name of an imported dataset.
+    /// Name of the world that was simulated, such as `empty`, or name of an imported dataset.
     #[getter]
     fn scenario(&self) -> &str {
         match &self.described {
@@ -83,13 +85,13 @@ impl Dataset {
         }
     }
 
-    /// Samples per second.
+    /// Number of samples per second.
     #[getter]
     fn sample_rate_hz(&self) -> f64 {
         self.described.sample_rate_hz()
     }
 
-    /// Seed of the dataset. With the scenario and an episode's index it determines the episode. None if imported.
+    /// Seed of the simulation; None for an imported dataset. The seed and an index determine an episode.
     #[getter]
     fn seed(&self) -> Option<u64> {
         match &self.described {
@@ -98,19 +100,33 @@ impl Dataset {
         }
     }
 
-    /// Range of each episode's samples, `[episodes, 2]`: the first, and one past the last.
+    /// The samples of each episode, `[episodes, 2]`: the index of the first one, and of the last one plus 1.
     #[getter]
-    fn episodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+    fn bounds<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let episodes = self.samples.episodes();
         let bounds = episodes.iter().flat_map(|range| [range.start as i64, range.end as i64]);
         array(py, bounds.collect(), &[episodes.len(), 2])
     }
 
-    /// Simulations of the same scenario with the dataset's settings, so that its episodes can be followed.
+    /// Creates simulations with the settings of the dataset. With `reset` and `follow` they go through its episodes.
     ///
-    /// Raises ValueError if the dataset was imported.
+    /// Args:
+    ///     count: number of simulations, 1 to 4096.
+    ///
+    /// Raises:
+    ///     ValueError: the dataset was imported or simulated in a world file, or the count is out of range.
+    ///
+    /// Example:
+    ///     >>> model = harness.load_model("smoke/empty-z4")
+    ///     >>> data = harness.Dataset(f"results/datasets/{model.dataset}")
+    ///     >>> simulation = data.simulation()
+    ///     >>> simulation.reset(0, data.seed, 3)                # the start of episode 3
+    ///     >>> simulation.follow()
+    ///     >>> bool((simulation.sense("arm")[0] == data.episode(3)["arm"][1]).all())
+    ///     True
     #[pyo3(signature = (count=1))]
-    fn simulation(&self, py: Python, count: usize) -> PyResult<SimulationBatch> {
+    fn simulation(&self, py: Python, count: i64) -> PyResult<SimulationBatch> {
+        let count = natural("count", count)?;
         match &self.described {
             AnyDataset::Simulated(dataset) => {
                 let name = dataset.scenario().name();
@@ -128,31 +144,62 @@ impl Dataset {
         }
     }
 
-    /// First samples of the transitions for training, validation and test; see `harness.Dataset.split`.
-    fn parts<'py>(
+    /// Returns the samples from which the transitions of a part start.
+    ///
+    /// A transition leads from a sample to the next one of the same episode. The arguments and defaults are those of a
+    /// spec's `split`, so the parts are those that a network is trained and tested on.
+    ///
+    /// Args:
+    ///     part: `training`, `validation` or `test`.
+    ///     by: what is divided: `episode` (whole episodes), `time` (each episode, with gaps between the parts) or
+    ///         `sample` (transitions, at random).
+    ///     validation: the share for validation, in (0, 1).
+    ///     test: the share for the test, in (0, 1).
+    ///     gap_seconds: the time between the parts of a split by time, s, in [0, 3600]. The default is 5.
+    ///
+    /// Returns:
+    ///     The indices of the samples, `[transitions]`, int64.
+    ///
+    /// Raises:
+    ///     ValueError: an argument is wrong, or a part would have no transitions.
+    #[pyo3(signature = (part, *, by="episode", validation=0.1, test=0.1, gap_seconds=None))]
+    fn split<'py>(
         &self,
         py: Python<'py>,
+        part: &str,
         by: &str,
         validation: f64,
         test: f64,
         gap_seconds: Option<f64>,
-    ) -> PyResult<[Bound<'py, PyAny>; 3]> {
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let wrong = |message: String| Err(PyValueError::new_err(message));
         let Some(by) = Division::ALL.iter().copied().find(|division| division.name() == by) else {
-            let message = format!("by: there is no '{by}'; allowed: episode, time, sample");
-            return Err(PyValueError::new_err(message));
+            return wrong(format!("by: there is no '{by}'; allowed: episode, time, sample"));
         };
-        let split = Split { by, validation, test, gap_seconds };
-        let Some(partition) = self.samples.partition(&split) else {
-            return Err(PyValueError::new_err("the split leaves a part without transitions"));
+        for (name, share) in [("validation", validation), ("test", test)] {
+            if share <= 0.0 || share >= 1.0 || share.is_nan() {
+                return wrong(format!("{name}: {share} must be in (0, 1)"));
+            }
+        }
+        if let Some(gap) = gap_seconds.filter(|gap| !(0.0..=3600.0).contains(gap)) {
+            return wrong(format!("gap_seconds: {gap} must be in [0, 3600]"));
+        }
+        let Some(partition) = self.samples.partition(&Split { by, validation, test, gap_seconds }) else {
+            let episodes = self.samples.episodes().len();
+            return wrong(format!(
+                "validation, test, gap_seconds: a part would have no transitions; the dataset has {episodes} episodes"
+            ));
         };
-        let indices = |samples: Vec<usize>| {
-            let (len, samples) = (samples.len(), samples.into_iter().map(|sample| sample as i64));
-            array(py, samples.collect(), &[len])
+        let samples = match part {
+            "training" => partition.training,
+            "validation" => partition.validation,
+            "test" => partition.test,
+            _ => return wrong(format!("part: there is no '{part}'; allowed: training, validation, test")),
         };
-        Ok([indices(partition.training)?, indices(partition.validation)?, indices(partition.test)?])
+        array(py, samples.iter().map(|sample| *sample as i64).collect(), &[samples.len()])
     }
 
-    /// Names of the modalities that the dataset contains; an imported one may lack some.
+    /// Returns the names of the modalities that the dataset contains.
     fn keys(&self) -> Vec<&'static str> {
         let layout = self.samples.layout();
         let frames = layout.stored_images().filter(|_| self.samples.has_frames());

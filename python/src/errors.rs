@@ -3,12 +3,13 @@
 use harness::analysis::AnalysisError;
 use harness::dataset::DatasetError;
 use harness::experiment::{ExperimentError, ModelError, describe};
+use harness::figures::FigureError;
 use harness::learning::LearningError;
 use harness::registry::{QueryError, RegistryError};
 use harness::simulation::SimulationError;
 use harness::spec::SpecError;
 use pyo3::PyErr;
-use pyo3::exceptions::{PyFileNotFoundError, PyKeyError, PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyFileNotFoundError, PyKeyError, PyOSError, PyRuntimeError, PyValueError};
 use std::path::Path;
 
 /// An error that can be converted to a Python exception.
@@ -42,9 +43,14 @@ impl Raise for SpecError {
 impl Raise for SimulationError {
     fn raise(self) -> PyErr {
         match self {
-            Self::Spec { .. } | Self::PictureSize { .. } | Self::Setpoint { .. } | Self::Batch(_) => {
-                self.value_error()
-            }
+            Self::World(error) => error.raise(),
+            Self::Compile { .. }
+            | Self::Missing { .. }
+            | Self::Unsuitable { .. }
+            | Self::Spec { .. }
+            | Self::PictureSize { .. }
+            | Self::Setpoint { .. }
+            | Self::Batch(_) => self.value_error(),
             _ => self.runtime_error(),
         }
     }
@@ -60,7 +66,12 @@ impl Raise for RegistryError {
     fn raise(self) -> PyErr {
         match self {
             Self::Unknown { .. } | Self::Ambiguous { .. } => PyKeyError::new_err(self.to_string()),
-            Self::NoResults { .. } => PyFileNotFoundError::new_err(self.to_string()),
+            // On the command line it is an option.
+            Self::NoResults { root, problem } => PyFileNotFoundError::new_err(format!(
+                "there are no results in {}: {problem}; the argument `results` names the folder that runs were \
+                 written to",
+                root.display()
+            )),
             _ => self.runtime_error(),
         }
     }
@@ -82,6 +93,17 @@ impl Raise for AnalysisError {
             Self::Query(error) => error.raise(),
             Self::NothingFinished { .. } => PyKeyError::new_err(self.to_string()),
             _ => self.value_error(),
+        }
+    }
+}
+
+impl Raise for FigureError {
+    fn raise(self) -> PyErr {
+        match self {
+            Self::Ambiguous { .. } | Self::TooMany { .. } | Self::NoMeans { .. } => self.value_error(),
+            Self::Query(error) => error.raise(),
+            Self::Write(_) => PyOSError::new_err(describe(&self)),
+            _ => self.runtime_error(),
         }
     }
 }

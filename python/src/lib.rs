@@ -1,7 +1,8 @@
 //! The harness as a Python extension module: thin wrappers of the library's types and functions.
 //!
 //! Long calls release the interpreter's lock. Errors and panics are converted to Python exceptions ([`errors`],
-//! [`work`]). `harness/_harness.pyi` contains the docstrings for users.
+//! [`work`]). The comments on classes and methods are their docstrings. `harness/_harness.pyi` repeats them for editors
+//! and for the documentation site, and a test compares both.
 
 mod array;
 mod dataset;
@@ -31,7 +32,7 @@ mod _harness {
     #[pymodule_export]
     use super::model::{Model, export_onnx, networks};
     #[pymodule_export]
-    use super::results::{claims, collect, figures, verify};
+    use super::results::{claims, collect, figures, plot, report, verify};
     #[pymodule_export]
     use super::run::{Table, compare, query, run};
     #[pymodule_export]

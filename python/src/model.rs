@@ -1,6 +1,6 @@
 //! The Python class `Model`: the trained network of a run; and its files.
 
-use crate::array::{array, as_numbers, pixels_last, read, read_frames, shape_of};
+use crate::array::{array, as_numbers, finite, pixels_last, read, read_frames, shape_of};
 use crate::errors::Raise;
 use crate::work::detached;
 use harness::experiment::{self, Values, describe};
@@ -12,27 +12,47 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyType};
 use std::path::PathBuf;
 
-/// The network of a finished run. It computes in physical units on the CPU and never changes.
+/// The trained network of a finished run. `load_model` opens it.
 ///
-/// Observations are dictionaries by the modalities of `input`: vectors `[batch, width]`; vision `[batch, 64, 64, 3]`,
-/// uint8 or numbers in [0, 1]; frame_difference `[batch, 64, 64, 3]`, numbers in [-1, 1]. Arrays of other numeric types
-/// and lists are converted to float32. A single sample can be given without the axis of the batch. The answer then has
-/// no such axis either.
+/// An observation is a dictionary of arrays by modality. It must have exactly the modalities in `input`. Vectors are
+/// `[batch, width]` in SI units. Images are `[batch, rows, columns, 3]`, either uint8 or floating-point numbers in
+/// [0, 1]. Changes of images, such as `frame_difference`, are floating-point numbers in [-1, 1]. Lists, and arrays of
+/// other numeric types, are converted to float32. A single sample can be given without the axis of the batch. Then the
+/// answer has no such axis either.
+///
+/// The network computes on the CPU and never changes. It can be pickled. Only the name of its run and the folder are
+/// stored.
+///
+/// Args:
+///     run: the beginning of the run's id, or of `EXPERIMENT/ID`, as in `load_model`.
+///     results: the folder of datasets and runs. The default is `results`.
+///
+/// Example:
+///     >>> model = harness.load_model("smoke/empty-z4")
+///     >>> model.input, model.latent
+///     (['proprioception', 'vision'], 4)
+///     >>> observation = {"proprioception": [0.0] * 20, "vision": [[[0.5] * 3] * 64] * 64}      # a single sample
+///     >>> mean, log_variance = model.encode(observation)
+///     >>> mean.shape
+///     (4,)
+///     >>> model.predict(observation, [0.1, 0.0, 0.0])["contact_force"].shape
+///     (20,)
 #[pyclass(frozen, module = "harness")]
 pub struct Model {
     model: experiment::Model,
-    /// The results folder that contains the run.
+    /// The absolute path of the results folder that contains the run.
     results: PathBuf,
 }
 
 #[pymethods]
 impl Model {
     #[new]
+    #[pyo3(signature = (run, results=PathBuf::from("results")))]
     fn new(py: Python, run: &str, results: PathBuf) -> PyResult<Self> {
         let registry = Registry::new(&results);
         registry.check_there().map_err(Raise::raise)?;
         let model = detached(py, || experiment::Model::load(&registry, run))?.map_err(Raise::raise)?;
-        Ok(Self { model, results })
+        Ok(Self { model, results: std::path::absolute(&results).unwrap_or(results) })
     }
 
     fn __repr__(&self) -> String {
@@ -46,7 +66,7 @@ impl Model {
         (slf.get_type(), (model.id(), model.results.clone()))
     }
 
-    /// Id of the run, its folder's name.
+    /// Id of the run, which is the name of its folder.
     #[getter]
     fn run(&self) -> &str {
         &self.model.record().run
@@ -58,25 +78,25 @@ impl Model {
         &self.model.record().experiment
     }
 
-    /// Name of the dataset that it was trained on, a folder of `results/datasets`.
+    /// Name of the dataset that the network was trained on, a folder in `results/datasets`.
     #[getter]
     fn dataset(&self) -> &str {
         &self.model.record().dataset
     }
 
-    /// Name of the world, or of the imported dataset.
+    /// Name of the simulated world, or of the imported dataset.
     #[getter]
     fn scenario(&self) -> &str {
         self.model.record().spec.scenario.name()
     }
 
-    /// The modalities that the encoder takes.
+    /// Names of the modalities that the encoder takes.
     #[getter]
     fn input(&self) -> Vec<&'static str> {
         self.model.record().spec.input.iter().map(|modality| modality.name()).collect()
     }
 
-    /// The modalities that the decoder predicts.
+    /// Names of the modalities that the decoder predicts.
     #[getter]
     fn output(&self) -> Vec<&'static str> {
         self.model.record().spec.output.iter().map(|modality| modality.name()).collect()
@@ -88,16 +108,24 @@ impl Model {
         self.model.record().spec.latent
     }
 
-    /// `increment` (the setpoint's change from this sample to the next) or `target` (the setpoint at the next).
+    /// Form of the action: `increment` (the setpoint's change) or `target` (the setpoint at the next sample).
     #[getter]
     fn action(&self) -> &'static str {
         self.model.record().spec.action.name()
     }
 
-    /// Mean and log-variance of the posterior, `[batch, latent]` each.
+    /// Returns the posterior of the latent state for an observation.
     ///
-    /// Raises KeyError if a modality of `input` is missing or there is another one, ValueError if one has the wrong
-    /// shape, and TypeError if one does not consist of numbers.
+    /// Args:
+    ///     observation: the values of the modalities in `input`, by name.
+    ///
+    /// Returns:
+    ///     The mean and the log-variance of the posterior, each `[batch, latent]`, float32.
+    ///
+    /// Raises:
+    ///     KeyError: a modality is missing, or there is one that the network does not take.
+    ///     ValueError: an array has the wrong shape, or a value that is not finite or out of range.
+    ///     TypeError: an array does not consist of numbers.
     fn encode<'py>(
         &self,
         py: Python<'py>,
@@ -110,10 +138,21 @@ impl Model {
         Ok((batch.returned(array(py, mean, &shape)?)?, batch.returned(array(py, log_variance, &shape)?)?))
     }
 
-    /// Predicts the observation one sample later from the posterior's mean, by modality of `output`.
+    /// Predicts the observation one sample later, from the mean of the posterior.
     ///
-    /// action: `[batch, 3]`, rotation (rad), lift and extension (m), in the form that `self.action` names. Frames are
-    /// `[batch, 64, 64, 3]`, those of vision in [0, 1]. Raises the same errors as `encode`.
+    /// Args:
+    ///     observation: the values of the modalities in `input`, by name.
+    ///     action: `[batch, elements]`, in the form that the property `action` names. The elements of the worlds
+    ///         `empty` and `cluttered` are rotation (rad), lift and extension (m).
+    ///
+    /// Returns:
+    ///     The predicted values of the modalities in `output`, by name, float32, in SI units. Predicted images may be
+    ///     slightly outside of [0, 1].
+    ///
+    /// Raises:
+    ///     KeyError: a modality is missing, or there is one that the network does not take.
+    ///     ValueError: an array has the wrong shape, or a value that is not finite or out of range.
+    ///     TypeError: an array does not consist of numbers.
     fn predict<'py>(
         &self,
         py: Python<'py>,
@@ -126,9 +165,18 @@ impl Model {
         by_modality(py, self.layout(), batch, predicted.map_err(Raise::raise)?)
     }
 
-    /// Reconstructs the observation from a latent state `[batch, latent]`, by modality of `input`.
+    /// Reconstructs the present observation from a latent state.
     ///
-    /// Raises RuntimeError if the run trained no reconstruction, and ValueError if `latent` has the wrong shape.
+    /// Args:
+    ///     latent: `[batch, latent]`, such as the mean that `encode` returns.
+    ///
+    /// Returns:
+    ///     The reconstructed values of the modalities in `input`, by name, float32, in SI units.
+    ///
+    /// Raises:
+    ///     RuntimeError: the run did not train a reconstruction.
+    ///     ValueError: the array has the wrong shape, or a value that is not finite.
+    ///     TypeError: the array does not consist of numbers.
     fn reconstruct<'py>(&self, py: Python<'py>, latent: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyDict>> {
         let latent = as_numbers("latent", latent)?;
         let batch = Batch::of("latent", &latent, 1)?;
@@ -211,7 +259,7 @@ impl Batch {
 
     /// Reads vectors, `[batch, width]`, or one vector of a single sample.
     fn vectors(self, name: &str, given: &Bound<PyAny>, width: usize) -> PyResult<Vec<f32>> {
-        read(name, &self.taken(name, given)?, &[self.len, width])
+        finite(name, read(name, &self.taken(name, given)?, &[self.len, width])?)
     }
 
     /// Returns an array for the caller, without the axis of the batch for a single sample.

@@ -1,18 +1,20 @@
-//! The Python functions `claims`, `figures`, `verify` and `collect`.
+//! The Python functions `claims`, `figures`, `plot`, `report`, `verify` and `collect`.
 
 use crate::errors::Raise;
-use crate::run::{Listener, Table, settings_of, warn};
+use crate::run::{Listener, Table, loaded, settings_of, warn};
 use crate::work::interruptible;
-use harness::analysis::{Analysis, AnalysisError, Selection};
+use harness::analysis::{Analysis, AnalysisError, Key, Selection};
 use harness::claims::ClaimsError;
 use harness::collection::{collect as collect_episodes, dataset_of};
 use harness::experiment::describe;
 use harness::figures::source::{Experiments, Source};
-use harness::figures::{Figure, Format};
+use harness::figures::{Figure, Format, Plot};
+use harness::files::write_bytes;
 use harness::progress::Silent;
 use harness::registry::Registry;
+use harness::report::{Asked, ReportError};
 use harness::simulation::Scene;
-use harness::spec;
+use harness::spec::Task;
 use pyo3::PyErr;
 use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -104,18 +106,87 @@ pub fn figures(
     Ok(drawn)
 }
 
+/// Draws a metric over a key, to a file; see `harness.plot`.
+#[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "they are those of `harness.plot`, where each has its name")]
+pub fn plot(
+    py: Python,
+    experiments: Vec<String>,
+    x: &str,
+    y: &str,
+    by: Vec<String>,
+    facet: Option<&str>,
+    task: &str,
+    modality: Option<String>,
+    settings: Vec<String>,
+    output: PathBuf,
+    results: PathBuf,
+) -> PyResult<()> {
+    let plot = Plot {
+        x: one_named("key", x, &Key::ALL, Key::name)?,
+        y: y.parse().map_err(PyValueError::new_err)?,
+        by: by.iter().map(|key| one_named("key", key, &Key::ALL, Key::name)).collect::<PyResult<_>>()?,
+        facet: facet.map(|key| one_named("key", key, &Key::ALL, Key::name)).transpose()?,
+        task: one_named("task", task, Task::ALL, Task::name)?,
+        modality,
+    };
+    let format = Format::of(&output).map_err(PyValueError::new_err)?;
+    let (settings, registry) = (settings_of(&settings)?, existing(results)?);
+    let draw = || -> PyResult<()> {
+        let analysis = Analysis::finished(&registry, &experiments, &settings).map_err(Raise::raise)?;
+        plot.draw(&analysis).and_then(|drawing| drawing.save_as(&output, format)).map_err(Raise::raise)
+    };
+    interruptible(py, draw, || ())??;
+    warn(py, &registry)
+}
+
+/// Writes the page of a results folder, or of some of its experiments; see `harness.report`.
+#[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "they are those of `harness.report`, where each has its name")]
+pub fn report(
+    py: Python,
+    experiments: Vec<String>,
+    output: PathBuf,
+    claims: PathBuf,
+    readings: PathBuf,
+    quick: bool,
+    settings: Vec<String>,
+    results: PathBuf,
+    progress: bool,
+) -> PyResult<()> {
+    let (settings, registry) = (settings_of(&settings)?, existing(results)?);
+    let cancelled = AtomicBool::new(false);
+    let listener = Listener::new(progress, &cancelled);
+    let write = || -> PyResult<()> {
+        let claims = harness::claims::load(&claims).map_err(Raise::raise)?;
+        let readings = harness::spec::load(&readings, &[], quick).map_err(Raise::raise)?;
+        let asked = Asked { experiments, settings, quick };
+        let page = harness::report::page(&registry, &claims, &readings, &asked, &listener);
+        let page = page.map_err(|error| match error {
+            ReportError::Analysis(error) => error.raise(),
+            ReportError::Claims(error) => refused(error),
+            error => PyRuntimeError::new_err(describe(&error)),
+        })?;
+        write_bytes(&output, page.as_bytes()).map_err(|error| PyOSError::new_err(error.to_string()))
+    };
+    interruptible(py, write, || cancelled.store(true, Ordering::Relaxed))??;
+    warn(py, &registry)
+}
+
 /// Returns the items with these names, or all of them without names. Raises ValueError for another name.
 fn named<T: Copy>(what: &str, names: &[String], all: &[T], name: fn(T) -> &'static str) -> PyResult<Vec<T>> {
     if names.is_empty() {
         return Ok(all.to_vec());
     }
-    let find = |wanted: &String| {
-        all.iter().copied().find(|item| name(*item) == wanted).ok_or_else(|| {
-            let allowed: Vec<&str> = all.iter().map(|item| name(*item)).collect();
-            PyValueError::new_err(format!("there is no {what} '{wanted}'; allowed: {}", allowed.join(", ")))
-        })
-    };
-    names.iter().map(find).collect()
+    names.iter().map(|wanted| one_named(what, wanted, all, name)).collect()
+}
+
+/// Returns the item with this name. Raises ValueError if there is none.
+fn one_named<T: Copy>(what: &str, wanted: &str, all: &[T], name: fn(T) -> &'static str) -> PyResult<T> {
+    all.iter().copied().find(|item| name(*item) == wanted).ok_or_else(|| {
+        let allowed: Vec<&str> = all.iter().map(|item| name(*item)).collect();
+        PyValueError::new_err(format!("there is no {what} '{wanted}'; allowed: {}", allowed.join(", ")))
+    })
 }
 
 /// A problem: path, what is wrong, a command that repairs it, and whether data were lost or changed.
@@ -143,9 +214,7 @@ pub fn collect(
     results: PathBuf,
     progress: bool,
 ) -> PyResult<Vec<(PathBuf, usize)>> {
-    let experiment = spec::load(&path, &overrides, quick).map_err(Raise::raise)?;
-    let registry = Registry::new(results);
-    registry.check_writable().map_err(|error| PyOSError::new_err(error.to_string()))?;
+    let (experiment, registry) = loaded(&path, &overrides, quick, results)?;
     let cancelled = AtomicBool::new(false);
     let listener = Listener::new(progress, &cancelled);
     let work = || -> PyResult<Vec<(PathBuf, usize)>> {

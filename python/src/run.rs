@@ -2,12 +2,12 @@
 
 use crate::errors::Raise;
 use crate::work::interruptible;
-use harness::analysis::{self, Selection, Setting};
+use harness::analysis::{self, Setting};
 use harness::cli::progress::Bars;
 use harness::experiment::{ExperimentError, Runner, provenance};
 use harness::progress::{Progress, Silent};
 use harness::registry::{self, Registry, quoted};
-use harness::spec;
+use harness::spec::{self, Experiment};
 use polars::prelude::{CompatLevel, DataFrame, SchemaExt};
 use polars_arrow::array::StructArray;
 use polars_arrow::datatypes::{ArrowDataType, Field};
@@ -22,6 +22,19 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Parses settings that runs must have.
 pub fn settings_of(texts: &[String]) -> PyResult<Vec<Setting>> {
     texts.iter().map(|text| text.parse().map_err(PyValueError::new_err)).collect()
+}
+
+/// Loads an experiment, and opens the results folder that its runs are written to.
+pub fn loaded(
+    path: &Path,
+    overrides: &[String],
+    quick: bool,
+    results: PathBuf,
+) -> PyResult<(Experiment, Registry)> {
+    let experiment = spec::load(path, overrides, quick).map_err(Raise::raise)?;
+    let registry = Registry::new(results);
+    registry.check_writable().map_err(|error| PyOSError::new_err(error.to_string()))?;
+    Ok((experiment, registry))
 }
 
 /// Does every run of an experiment that isn't done yet, and returns the numbers of runs done now and before; see
@@ -39,9 +52,7 @@ pub fn run(
     jobs: usize,
     memory: Option<u64>,
 ) -> PyResult<(usize, usize)> {
-    let experiment = spec::load(&path, &overrides, quick).map_err(Raise::raise)?;
-    let registry = Registry::new(results);
-    registry.check_writable().map_err(|error| PyOSError::new_err(error.to_string()))?;
+    let (experiment, registry) = loaded(&path, &overrides, quick, results)?;
     let threads = rayon::current_num_threads();
     let command = command(&path, &overrides, quick, &registry);
     let provenance = py.detach(|| provenance(threads, command));
@@ -137,17 +148,17 @@ pub fn compare(
     settings: Vec<String>,
     results: PathBuf,
 ) -> PyResult<Table> {
-    let selection = Selection { experiments, settings: settings_of(&settings)?, simulated: false };
+    let settings = settings_of(&settings)?;
     let registry = Registry::new(results);
     registry.check_there().map_err(Raise::raise)?;
-    let means = interruptible(py, || analysis::compare(&registry, &selection), || ())?;
+    let means = interruptible(py, || analysis::compare(&registry, &experiments, &settings), || ())?;
     let means = means.map_err(Raise::raise)?;
     warn(py, &registry)?;
     Ok(Table(means))
 }
 
 /// A table that Python can read through Arrow's C stream interface.
-#[pyclass(frozen)]
+#[pyclass(frozen, module = "harness._harness")]
 pub struct Table(pub DataFrame);
 
 #[pymethods]

@@ -1,6 +1,6 @@
 //! The Python class `SimulationBatch`: one live simulation or many.
 
-use crate::array::{Item, array, read};
+use crate::array::{Item, array, natural, read};
 use crate::errors::Raise;
 use crate::work::belongs_here;
 use harness::simulation::{Batch, LiveSimulation, Pose, Scene, SimulationError};
@@ -11,17 +11,33 @@ use pyo3::types::{PyDict, PyTuple};
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, TryLockError};
 
-/// `count` independent simulations of a world, stepped in parallel.
+/// One simulation of a world, or many that are stepped in parallel.
 ///
-/// scenario: a built-in world's name (`empty`, `cluttered`) or the path of a world file. spec: an experiment's YAML
-/// file, whose simulation settings are used; the world's defaults without one.
+/// Each simulation is at a sample of an episode. A new one is at the start of the first episode. `reset` starts an
+/// episode, and `step` and `follow` go on to the next sample. `sense` returns what a dataset records at a sample.
 ///
-/// Each simulation is at a sample of an episode. It senses the same values that a dataset records. With a dataset's
-/// settings, `follow` gives the samples of the dataset's episode bit for bit; `Dataset.simulation` uses these settings.
+/// Any call raises RuntimeError while another thread is in a call, in a forked process, and after a simulation has
+/// become unstable, until it is reset. Simulations can't be pickled.
 ///
-/// A call raises RuntimeError while a call in another thread is running, and in a forked process. A simulation that has
-/// become unstable raises RuntimeError until it is reset.
-#[pyclass(frozen)]
+/// Args:
+///     scenario: a built-in world, such as `empty` or `cluttered`, or the path of a world file.
+///     count: number of simulations, 1 to 4096.
+///     spec: an experiment, whose simulation settings are used: the path of a YAML file, or the name of a built-in
+///         experiment. The default is the world's own settings.
+///
+/// Raises:
+///     ValueError: there is no such world, a world file or its model is wrong, the count is out of range, or the spec is
+///         wrong.
+///     FileNotFoundError: there is no such experiment.
+///
+/// Example:
+///     >>> batch = harness.SimulationBatch("cluttered", 2)
+///     >>> batch.reset(0, seed=0, episode=5)
+///     >>> batch.reset(1, seed=0, episode=6)
+///     >>> batch.step(batch.setpoint + [0.05, 0.0, 0.0])        # rotates both arms by 0.05 rad
+///     >>> batch.sense("contact_force").shape
+///     (2, 20)
+#[pyclass(frozen, module = "harness")]
 pub struct SimulationBatch {
     work: Mutex<Work>,
     spec: Simulation,
@@ -117,34 +133,49 @@ pub fn scene(world: &str) -> PyResult<&'static Scene> {
 impl SimulationBatch {
     #[new]
     #[pyo3(signature = (scenario, count=1, spec=None))]
-    fn new(py: Python, scenario: &str, count: usize, spec: Option<PathBuf>) -> PyResult<Self> {
-        let scene = scene(scenario)?;
+    fn new(py: Python, scenario: PathBuf, count: i64, spec: Option<PathBuf>) -> PyResult<Self> {
+        let scene = scene(&scenario.to_string_lossy())?;
         let settings = match spec {
             Some(path) => {
                 scene.world().complete(&spec::load(&path, &[], false).map_err(Raise::raise)?.simulation)
             }
             None => scene.world().simulation(),
         };
-        Self::start(py, scene, settings, count)
+        Self::start(py, scene, settings, natural("count", count)?)
     }
 
     fn __repr__(&self) -> String {
         format!("<harness.SimulationBatch {}: {} simulations>", self.scenario(), self.count)
     }
 
-    /// Sets a simulation to the start of the episode with this index in the dataset with this seed.
-    fn reset(&self, py: Python, index: usize, seed: u64, episode: u32) -> PyResult<()> {
+    /// Sets one simulation to the start of an episode.
+    ///
+    /// Args:
+    ///     index: the simulation, from 0.
+    ///     seed: the seed of a dataset, 0 to 2^53 - 1.
+    ///     episode: the index of an episode of that dataset.
+    ///
+    /// Raises:
+    ///     ValueError: an argument is out of range.
+    fn reset(&self, py: Python, index: i64, seed: i64, episode: i64) -> PyResult<()> {
+        let (index, seed, episode) =
+            (natural("index", index)?, natural("seed", seed)?, natural("episode", episode)?);
         if seed > spec::MAX_SEED {
             return Err(PyValueError::new_err(format!("seed: {seed} is above {}", spec::MAX_SEED)));
         }
         self.work(py, |batch| batch.reset(index, seed, episode))
     }
 
-    /// Steps each simulation to its next sample, while the setpoint moves at constant speed to `setpoints[index]`.
+    /// Simulates until the next sample. Meanwhile the setpoint moves to the given one at constant speed.
     ///
-    /// setpoints: `[count, elements]`, clipped to `setpoint_ranges`; for the finger rotation (rad), lift and extension
-    /// (m). active: `[count]`, the simulations to step; all by default. Raises ValueError for the wrong shape or a
-    /// value that is not finite.
+    /// Args:
+    ///     setpoints: `[count, elements]`, clipped to `setpoint_ranges`. The elements of the worlds `empty` and
+    ///         `cluttered` are rotation (rad), lift and extension (m).
+    ///     active: `[count]`, booleans: which simulations to step. The default is all.
+    ///
+    /// Raises:
+    ///     ValueError: the shape is wrong, or a value is not finite.
+    ///     TypeError: the setpoints are not numbers, or `active` has other values than booleans.
     #[pyo3(signature = (setpoints, active=None))]
     fn step(&self, py: Python, setpoints: &Bound<PyAny>, active: Option<Vec<bool>>) -> PyResult<()> {
         let elements = self.layout().action().len();
@@ -154,13 +185,21 @@ impl SimulationBatch {
         self.work(py, |batch| batch.step(&setpoints, &active))
     }
 
-    /// Steps each simulation to its next sample, with the setpoints of its episode.
+    /// Simulates until the next sample, with the setpoints of the episode, as in a dataset.
     fn follow(&self, py: Python) -> PyResult<()> {
         self.work(py, Batch::follow)
     }
 
-    /// Values of one of `modalities`: a vector `[count, elements]`, float32, or an image
-    /// `[count, rows, columns, 3]`, uint8. Raises KeyError for another modality.
+    /// Returns the values of a modality at the present samples.
+    ///
+    /// Args:
+    ///     modality: one of `modalities`.
+    ///
+    /// Returns:
+    ///     A vector `[count, elements]`, float32, or an image `[count, rows, columns, 3]`, uint8.
+    ///
+    /// Raises:
+    ///     KeyError: the world does not have the modality.
     fn sense<'py>(&self, py: Python<'py>, modality: &str) -> PyResult<Bound<'py, PyAny>> {
         let found = Modality::new(modality).filter(|found| self.sensed().contains(&found.name()));
         let found = found.ok_or_else(|| {
@@ -179,32 +218,46 @@ impl SimulationBatch {
         }
     }
 
-    /// Renders a simulation in good quality, `[height, width, 3]`, each side 1 to 4096 pixels.
+    /// Renders a picture of one simulation, in better quality than the images of datasets.
+    ///
+    /// Args:
+    ///     index: the simulation, from 0.
+    ///     width: number of columns, 1 to 4096 pixels.
+    ///     height: number of rows, 1 to 4096 pixels.
+    ///
+    /// Returns:
+    ///     The picture, `[height, width, 3]`, uint8.
+    ///
+    /// Raises:
+    ///     ValueError: an argument is out of range.
     fn render<'py>(
         &self,
         py: Python<'py>,
-        index: usize,
-        width: u32,
-        height: u32,
+        index: i64,
+        width: i64,
+        height: i64,
     ) -> PyResult<Bound<'py, PyAny>> {
+        let index: usize = natural("index", index)?;
+        let (width, height) = (natural("width", width)?, natural("height", height)?);
         if index >= self.count {
-            let message = format!("index: there are {} simulations, so not {index}", self.count);
+            let message = format!("index: the batch has simulations 0 to {}, not {index}", self.count - 1);
             return Err(PyValueError::new_err(message));
         }
         let held = self.lock()?;
         let simulation = &held.batch.simulations()[index];
         // On this thread, because its OpenGL context is used again for the next picture.
         let picture = py.detach(|| simulation.render(width, height)).map_err(Raise::raise)?;
-        array(py, picture.into_raw(), &[height as usize, width as usize, IMAGE_CHANNELS])
+        let shape = [picture.height() as usize, picture.width() as usize, IMAGE_CHANNELS];
+        array(py, picture.into_raw(), &shape)
     }
 
-    /// The world's name.
+    /// Name of the world.
     #[getter]
     fn scenario(&self) -> &'static str {
         self.scene.scenario().name()
     }
 
-    /// Names of the modalities that are sensed, with the shape of one simulation's values.
+    /// The modalities that can be sensed: the shape of one simulation's values, by name.
     #[getter]
     fn modalities<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let shapes = PyDict::new(py);
@@ -219,7 +272,7 @@ impl SimulationBatch {
         Ok(shapes)
     }
 
-    /// Names of the elements of the action.
+    /// Names of the elements of a setpoint, such as `rotation`.
     #[getter]
     fn action(&self) -> Vec<String> {
         self.layout().action().iter().map(|element| element.name.clone()).collect()
@@ -231,7 +284,7 @@ impl SimulationBatch {
         self.count
     }
 
-    /// The seed of the spec's dataset.
+    /// Seed of the dataset in the spec.
     #[getter]
     fn seed(&self) -> u64 {
         self.spec.seed
@@ -243,13 +296,13 @@ impl SimulationBatch {
         1.0 / self.spec.sample_rate_hz
     }
 
-    /// Duration of a move from one setpoint to the next in a dataset's episode, s.
+    /// Duration of one move of the setpoint in the episodes of datasets, s.
     #[getter]
     fn actuation_seconds(&self) -> f64 {
         self.spec.actuation_seconds
     }
 
-    /// Lowest and highest setpoint of each element of the action, `[elements, 2]`.
+    /// Lowest and highest value of each element of a setpoint, `[elements, 2]`, in rad or m.
     #[getter]
     fn setpoint_ranges<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let ranges = self.lock()?.batch.simulations()[0].setpoint_ranges();
@@ -257,13 +310,13 @@ impl SimulationBatch {
         array(py, ranges.into_iter().flatten().collect(), &[count, 2])
     }
 
-    /// The setpoints at this sample, `[count, elements]`.
+    /// The setpoints at the present samples, `[count, elements]`, in rad or m.
     #[getter]
     fn setpoint<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         self.gather(py, self.layout().action().len(), |live| live.setpoint().to_vec())
     }
 
-    /// Positions of the finger's end, m, `[count, 3]`. Raises ValueError if the world senses no forces of links.
+    /// Positions of the finger's end, `[count, 3]`, m. Raises ValueError for a world without a finger.
     #[getter]
     fn fingertip<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         if self.lock()?.batch.simulations()[0].fingertip().is_none() {
@@ -272,7 +325,7 @@ impl SimulationBatch {
         self.gather(py, 3, |live| live.fingertip().unwrap_or_default().to_vec())
     }
 
-    /// Positions (m) and orientations (unit quaternions w, x, y, z) of the boxes, `[count, boxes, 7]`.
+    /// Poses of the boxes, `[count, boxes, 7]`: position (m) and orientation (unit quaternion w, x, y, z).
     #[getter]
     fn boxes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let places = |live: &LiveSimulation| live.boxes().flatten().collect::<Vec<f64>>();

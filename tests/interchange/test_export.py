@@ -49,7 +49,10 @@ def test_a_lerobot_dataset_opens_with_lerobot_and_holds_the_same(dataset, tmp_pa
             assert item["task"] == f"random motion, {source.scenario} scenario"
             state = np.concatenate([vectors["proprioception"][sample], vectors["arm"][sample]])
             np.testing.assert_array_equal(item["observation.state"].numpy(), state)
-            np.testing.assert_array_equal(item["action"].numpy(), vectors["setpoint"][sample])
+            np.testing.assert_array_equal(item["observation.setpoint"].numpy(), vectors["setpoint"][sample])
+            # The robot goes from the row's sample to the next by what is sent after the observation.
+            following = min(sample + 1, SAMPLES - 1)
+            np.testing.assert_array_equal(item["action"].numpy(), vectors["setpoint"][following])
             for force in ("contact_force", "contact_force_mean"):
                 np.testing.assert_array_equal(item[f"observation.{force}"].numpy(), vectors[force][sample])
             frame = item["observation.images.external"].permute(1, 2, 0).numpy()
@@ -64,7 +67,7 @@ FEATURES = {
         "observation.contact_force": ("contact_force",),
         "observation.contact_force_mean": ("contact_force_mean",),
         "observation.factors": ("factors",),
-        "action": ("setpoint",),
+        "observation.setpoint": ("setpoint",),
     },
     "suite_finger": {
         "observation.joints": ("joints",),
@@ -74,7 +77,7 @@ FEATURES = {
         "observation.jointvel": ("jointvel",),
         "observation.touch": ("touch",),
         "observation.framepos": ("framepos",),
-        "action": ("setpoint",),
+        "observation.setpoint": ("setpoint",),
     },
 }
 """LeRobot's features of the robots that the harness does not know, and the vectors that each is made of."""
@@ -98,7 +101,7 @@ def test_the_dataset_of_a_foreign_robot_opens_with_lerobot_and_holds_the_same(fo
     assert (found.num_episodes, found.num_frames, found.fps) == (EPISODES, EPISODES * SAMPLES, 10)
     features, cameras = FEATURES[source.scenario], CAMERAS[source.scenario]
     exported = [name for name in found.meta.features if name == "action" or name.startswith("observation")]
-    assert sorted(exported) == sorted([*features, *cameras])
+    assert sorted(exported) == sorted([*features, *cameras, "action"])
     feature, names = ELEMENTS[source.scenario]
     assert found.meta.features[feature]["names"] == names
     errors = []
@@ -244,11 +247,11 @@ def rotation_matrix(quaternion) -> np.ndarray:
     ("problem", "error", "words"),
     [
         ("format", ValueError, "format: 'hdf5' is unknown; the formats are lerobot, rerun"),
-        ("folder", FileNotFoundError, "holds no dataset"),
+        ("folder", FileNotFoundError, "contains no dataset"),
         ("episode", ValueError, "has 0 to 3; 7 is none of them"),
         ("no episode", ValueError, "none is named"),
         ("missing", FileNotFoundError, "1 of 4 episodes .* are not there, the first is 2"),
-        ("output", FileExistsError, "is there already"),
+        ("output", FileExistsError, "exists already"),
         ("old", ValueError, "is in format 1; this version reads format 2"),
         ("model", ValueError, "was simulated with another model"),
         ("damaged", DamagedError, "episode_00003.parquet is damaged: .* its SHA-256 differs"),

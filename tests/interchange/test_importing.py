@@ -73,7 +73,7 @@ def test_what_comes_back_by_lerobot_has_the_same_numbers(dataset, harness, tmp_p
 
     source = export(dataset, "lerobot", tmp_path / "exported", progress=False)
     modalities = {
-        "setpoint": "action",
+        "setpoint": "observation.setpoint",
         "proprioception": "observation.state[0:20]",
         "arm": "observation.state[20:23]",
         "contact_force": "observation.contact_force",
@@ -90,6 +90,15 @@ def test_what_comes_back_by_lerobot_has_the_same_numbers(dataset, harness, tmp_p
         assert np.abs(frames[0].astype(int) - frames[1]).mean() < 1.5
     answer = harness("run", SPEC, f"scenarios=[{name}]")
     assert answer.returncode == 0, answer.stderr
+    # An action leads to the next sample, and nobody knows which one led to the first.
+    mapping = write_mapping(tmp_path, source, modalities | {"setpoint": "action"}, format="lerobot")
+    imports = read_episodes(harness.results / "datasets" / import_dataset(mapping, harness.results, progress=False))
+    for original, imported in zip(originals, imports, strict=True):
+        left_out = ["dataset", "scenario", "sample", "time", "vision"]
+        assert imported.drop(left_out).equals(original.drop(left_out)[1:])
+        assert imported["sample"].equals(original["sample"][:-1]) and imported["time"].equals(original["time"][:-1])
+        frames = [np.frombuffer(b"".join(frames), np.uint8) for frames in (original["vision"][1:], imported["vision"])]
+        assert np.abs(frames[0].astype(int) - frames[1]).mean() < 1.5
 
 
 def test_a_damaged_lerobot_dataset_is_an_error(dataset, harness, tmp_path):
@@ -212,13 +221,46 @@ def test_the_name_follows_from_the_content_alone(recordings, harness, tmp_path):
     assert second != first and second.startswith("lab_finger-")
 
 
+def test_a_shifted_setpoint_belongs_to_the_next_row(recordings, harness, tmp_path):
+    shifted = ROBOT | {"setpoint": {"from": "command[1:4]", "shift": 1}}
+    mapping = write_mapping(tmp_path, recordings, shifted, **TRIALS)
+    with pytest.raises(ValueError, match="episode 2: it has 1 sample after its first row, which is left out; it must"):
+        import_dataset(mapping, harness.results, progress=False)
+    rows = pl.read_parquet(recordings / "b.parquet").filter(pl.col("trial") != "trial 2")
+    rows.write_parquet(recordings / "b.parquet")
+    folders = []
+    for modalities in (ROBOT, shifted):
+        mapping = write_mapping(tmp_path, recordings, modalities, **TRIALS)
+        folders.append(harness.results / "datasets" / import_dataset(mapping, harness.results, progress=False))
+    setpoint = [f"setpoint_{element}" for element in ("rotation", "lift", "extension")]
+    labels = ["dataset", "scenario", "sample", "time"]
+    for own, next_row in zip(*map(read_episodes, folders), strict=True):
+        assert next_row.select(setpoint).equals(own.select(setpoint)[:-1])
+        assert next_row.drop(*setpoint, *labels).equals(own.drop(*setpoint, *labels)[1:])
+        assert next_row["time"].equals(own["time"][:-1])
+
+
+def test_a_unit_may_have_letters_beyond_ascii(recordings, harness, tmp_path):
+    own = ROBOT | {"temperature": {"from": "angles[0:1]", "unit": "°C"}}
+    name = import_dataset(write_mapping(tmp_path, recordings, own, **TRIALS), harness.results, progress=False)
+    answer = harness("verify")
+    assert answer.returncode == 0, answer.stdout
+    data = harness_package.Dataset(harness.results / "datasets" / name)
+    assert data["temperature"].shape == (sum(LENGTHS), 1)
+    settings = ["input=[arm]", "output=[temperature]"]
+    answer = harness("run", SPEC, f"scenarios=[{name}]", *settings)
+    assert answer.returncode == 0 and "1 done" in answer.stdout, answer.stderr
+    (path,) = harness.results.glob("runs/smoke/*/metrics.parquet")
+    assert "°C" in pl.read_parquet(path)["unit"].to_list()
+
+
 def test_what_an_imported_dataset_lacks_is_refused_before_anything_is_done(recordings, harness, tmp_path):
     mapping = write_mapping(tmp_path, recordings, ROBOT, **TRIALS)
     name = import_dataset(mapping, harness.results, progress=False)
     answer = harness("run", SPEC, f"scenarios=[{name}]")
     assert answer.returncode == 2
-    assert f"the dataset {name} holds no contact_force" in answer.stderr
-    assert "it holds proprioception, arm, vision, frame_difference" in answer.stderr
+    assert f"the dataset {name} contains no contact_force" in answer.stderr
+    assert "it contains proprioception, arm, vision, frame_difference" in answer.stderr
     answer = harness("run", SPEC, "scenarios=[lab_finger-0123456789abcdef]")
     assert answer.returncode == 2 and "there is no imported dataset" in answer.stderr
     assert "harness import MAPPING.yaml" in answer.stderr
@@ -273,6 +315,27 @@ def without(section: dict, key: str) -> dict:
         ({}, {"touch": "x"}, "modalities.touch: there is no column 'x'; the columns are trial"),
         ({}, {"Touch": "x"}, "modalities: 'Touch' can't name a modality"),
         ({}, {"frame_difference": "camera"}, "modalities: 'frame_difference' can't name a modality"),
+        ({}, {"factors": "angles"}, "modalities: 'factors' can't name a modality"),
+        (
+            {},
+            {"wrist": {"from": "camera", "size": [8, 8]}, "wrist_difference": "angles"},
+            "modalities.wrist: the change of this image is called 'wrist_difference', and another modality has this name",
+        ),
+        (
+            {},
+            {"frame": {"from": "camera", "size": [8, 8]}},
+            "modalities.frame: the change of this image is called 'frame_difference', and another modality has",
+        ),
+        (
+            {},
+            {"w" * 60: {"from": "camera", "size": [8, 8]}},
+            "w_difference', and this is longer than 64 characters; give the image another name",
+        ),
+        (
+            {},
+            {"arm_lift": {"from": "camera", "size": [8, 8]}},
+            "modalities.arm_lift: a vector has a column of this name; give the image another name",
+        ),
         ({}, {"pad": {"from": "camera", "size": [0, 4]}}, "modalities.pad.size: must be rows and columns of 1 to 1024"),
         ({}, {"setpoint": None}, "missing 'modalities.setpoint'"),
         ({}, {"setpoint": "order"}, "modalities.setpoint: there is no column 'order'; the columns are trial"),
@@ -281,7 +344,15 @@ def without(section: dict, key: str) -> dict:
             {"setpoint": "command[1:"},
             r"modalities.setpoint: 'command\[1:' is not understood; write COLUMN",
         ),
-        ({}, {"setpoint": "command[9:12]"}, r"episode 0: modalities.setpoint: command\[9:12\] gives no values"),
+        ({}, {"setpoint": "command[2:2]"}, r"episode 0: modalities.setpoint: command\[2:2\] gives no values"),
+        (
+            {},
+            {"setpoint": "command[3:6]"},
+            r"modalities.setpoint: command\[3:6\] goes beyond the end of 'command'; all of it is command\[0:5\]",
+        ),
+        ({}, {"arm": ["command[0:2]", "lift[1]"]}, r"arm: lift\[1\] goes beyond the end of 'lift'; all of it is lift\[0:1\]"),
+        ({}, {"setpoint": {"from": "command[1:4]", "shift": 2}}, "modalities.setpoint.shift: must be 0 or 1, not 2"),
+        ({}, {"arm": {"from": "command[1:4]", "shift": 1}}, "unknown key 'modalities.arm.shift'; allowed are from, scale"),
         ({}, {"setpoint": "trial"}, "modalities.setpoint: 'trial' holds no numbers"),
         ({}, {"arm": {"from": "command[0:3]", "scale": [1, 2]}}, "modalities.arm: scale: must be 1 number or 3, not 2"),
         ({}, {"arm": {"scale": 2}}, "missing 'modalities.arm.from'"),
@@ -289,6 +360,8 @@ def without(section: dict, key: str) -> dict:
         ({}, {"arm": 3}, "modalities.arm: must be a column, or a list of columns, not 3"),
         ({}, {"vision": "trial"}, "modalities.vision: a value is no picture"),
         ({}, {"vision": ["camera", "camera"]}, "modalities.vision: must be one column"),
+        ({}, {"vision": "*a*"}, r"modalities.vision: must be one whole column, not \*a\*, which matches angles, .*camera"),
+        ({}, {"vision": "camera[0:3]"}, r"modalities.vision: must be one whole column, not camera\[0:3\], which is a part of one"),
         ({}, {"arm": {"from": "command[0:3]", "scale": float("nan")}}, "value 0 of row 0 is nan"),
     ],
 )
@@ -301,6 +374,14 @@ def test_a_mistake_in_a_mapping_is_an_error_with_its_place(
     assert not harness.results.exists()
 
 
+def test_a_key_that_is_there_twice_is_an_error_with_its_line(recordings, harness, tmp_path):
+    mapping = write_mapping(tmp_path, recordings, **({"modalities": ROBOT} | TRIALS))
+    lines = mapping.read_text().splitlines()
+    mapping.write_text("\n".join([*lines, "name: other"]))
+    with pytest.raises(ValueError, match=f"mapping.yaml: line {len(lines) + 1}: the key 'name' is there twice"):
+        import_dataset(mapping, harness.results, progress=False)
+
+
 def test_too_few_or_too_short_episodes_are_an_error(recordings, harness, tmp_path):
     (recordings / "a.parquet").unlink()
     rows = pl.read_parquet(recordings / "b.parquet")
@@ -309,7 +390,7 @@ def test_too_few_or_too_short_episodes_are_an_error(recordings, harness, tmp_pat
         (rows.filter(pl.col("trial") != "trial 1"), "2 episodes were found"),
         (
             rows.filter((pl.col("trial") != "trial 2") | (pl.col("seconds") == 0)),
-            "episode 1: it has 1 sample",
+            "episode 1: it has 1 sample; it must have 2 or more",
         ),
         (rows.clear(), "0 episodes were found"),
     ]:

@@ -4,11 +4,12 @@ import math
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import polars as pl
 import pytest
-from conftest import SPEC, Harness
+from conftest import ROOT, SPEC, Harness
 
 import harness as package
 
@@ -192,6 +193,40 @@ def test_exporting_to_tensorboard_again_adds_only_what_changed(results, tmp_path
     assert len(list(changed.iterdir())) == 2
     assert all(math.isfinite(point.value) for point in events(changed).Scalars("prediction/train/total"))
     assert not [path for path in logs.iterdir() if path.name.startswith(".")]
+
+
+def wait_for_epochs(results: Path, more_than: int) -> int:
+    """Waits until the table has more than this many epochs, and returns their number."""
+    for _ in range(500):
+        time.sleep(0.2)
+        if (results / "runs/smoke").is_dir():
+            epochs = package.query("select count(distinct epoch) as epochs from epochs", results)["epochs"].item()
+            if epochs > more_than:
+                return epochs
+    raise AssertionError("no epochs appear")
+
+
+def test_a_running_training_is_exported_again_once_it_has_more_epochs(tmp_path):
+    results, logs, store = tmp_path / "results", tmp_path / "logs", f"sqlite:///{tmp_path}/mlflow.db"
+    settings = ["scenarios=[empty]", "tasks=[prediction]", "training.patience=null", "training.epochs=100000"]
+    words = [sys.executable, "-m", "harness", "--results", str(results), "run", SPEC, *settings]
+    training = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        epochs, exported = 0, 0
+        for _ in range(2):
+            epochs = wait_for_epochs(results, max(epochs, exported))
+            assert package.export_tensorboard(folder=logs, results=results, progress=False) == (1, 0)
+            (folder,) = (logs / "smoke").iterdir()
+            exported = len(events(folder).Scalars("prediction/train/total"))
+            assert exported >= epochs
+            assert package.export_mlflow(tracking_uri=store, results=results, progress=False) == (1, 0)
+            (run,) = tracked(store).values()
+            assert run.info.status == "RUNNING"
+    finally:
+        training.kill()
+        training.wait()
+    assert package.export_tensorboard(folder=logs, results=results, progress=False) == (1, 0)
+    assert package.export_tensorboard(folder=logs, results=results, progress=False) == (0, 1)
 
 
 def test_what_cannot_be_exported_is_refused(results, tmp_path):

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from absl.testing import absltest
 from conftest import ROOT, SMOKE
+from dm_control.suite.wrappers import action_scale
 from dm_env import test_utils
 from gymnasium.utils.env_checker import check_env
 
@@ -130,6 +131,20 @@ def test_an_episode_can_begin_anew_in_the_step_that_ends_it() -> None:
     assert ends == 2
 
 
+def test_dm_controls_wrappers_fit() -> None:
+    plain = environments.load("cluttered", "push", seed=0, samples=5, modalities="arm")
+    fastest = plain.action_spec().maximum
+    plain.reset()
+    expected = plain.step(0.5 * fastest).observation["arm"]
+    scaled = action_scale.Wrapper(environments.load("cluttered", "push", seed=0, samples=5), minimum=-1, maximum=1)
+    assert np.all(scaled.action_spec().maximum == 1.0)
+    scaled.reset()
+    assert np.array_equal(scaled.step(np.full(3, 0.5)).observation["arm"], expected)
+    assert repr(plain) == (
+        "<harness.environments.Environment of <harness.episodes.Episodes push in cluttered: 1 at once, 5 samples each>>"
+    )
+
+
 def test_without_automatic_resets_ended_episodes_must_be_reset() -> None:
     several = gymnasium.make_vec("SoftFinger-Empty-Reach-v0", 2, samples=1, autoreset_mode="Disabled")
     several.reset(seed=0)
@@ -215,6 +230,20 @@ def test_the_same_seed_is_the_same_episode() -> None:
     assert rewards(1) == rewards(1) != rewards(2)
 
 
+def test_seeds_are_integers_of_any_type_and_others_are_named() -> None:
+    single = gymnasium.make("SoftFinger-Empty-v0")
+    several = gymnasium.make_vec("SoftFinger-Empty-v0", num_envs=2)
+    assert single.reset(seed=np.int64(3))[1]["seed"] == 3
+    assert several.reset(seed=np.int64(3))[1]["seed"].tolist() == [3, 4]
+    for environment in (single, several):
+        with pytest.raises(ValueError, match=r"seed: -1 must be 0 to"):
+            environment.reset(seed=-1)
+        with pytest.raises(TypeError, match=r"seed: 1.5 must be an integer"):
+            environment.reset(seed=1.5 if environment is single else [1.5, 1])
+    with pytest.raises(ValueError, match="index: there are simulations 0 to 1, not 2"):
+        several.unwrapped.episodes.reset(2)
+
+
 def test_two_threads_on_one_simulation_are_refused_not_mixed() -> None:
     batch = harness.SimulationBatch("cluttered", 4)
     wrong: list[Exception] = []
@@ -279,6 +308,12 @@ def test_a_forked_simulation_is_refused(count: int) -> None:
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
+def reset_vector() -> harness.gymnasium.SoftFingerVector:
+    environment = harness.gymnasium.SoftFingerVector(2, "empty")
+    environment.reset(seed=0)
+    return environment
+
+
 WRONG = {
     "scenario": (lambda: harness.SimulationBatch("attic"), ValueError, "attic.*empty, cluttered"),
     "count": (lambda: harness.SimulationBatch("empty", 0), ValueError, "count"),
@@ -291,11 +326,22 @@ WRONG = {
     "active": (lambda: harness.SimulationBatch("empty").step(np.zeros((1, 3)), [True] * 2), ValueError, "active"),
     "modality": (lambda: harness.SimulationBatch("empty").sense("smell"), KeyError, "smell.*vision"),
     "picture": (lambda: harness.SimulationBatch("empty").render(0, 0, 10), ValueError, "0 x 10"),
+    "negative count": (lambda: harness.SimulationBatch("empty", -1), ValueError, "count: -1 must not be negative"),
+    "negative index": (lambda: harness.SimulationBatch("empty").reset(-1, 0, 0), ValueError, "index: -1 must not be"),
+    "late episode": (lambda: harness.SimulationBatch("empty").reset(0, 0, 2**40), ValueError, "episode: .* too large"),
+    "negative width": (lambda: harness.SimulationBatch("empty").render(0, -1, 9), ValueError, "width: -1 must not be"),
     "task": (lambda: environments.load("empty", "juggle"), ValueError, "juggle.*reach"),
     "task there": (lambda: environments.load("empty", "push"), ValueError, "push.*cluttered"),
     "samples": (lambda: environments.load("empty", "reach", samples=0), ValueError, "samples"),
     "modalities": (lambda: environments.load("empty", "reach", modalities=("smell",)), KeyError, "smell"),
-    "environment's seed": (lambda: environments.load("empty", "reach", seed=-1).reset(), ValueError, "seed"),
+    "samples' type": (lambda: environments.load("empty", "reach", samples=1.5), TypeError, "1.5 must be an integer"),
+    "environment's seed": (lambda: environments.load("empty", "reach", seed=-1), ValueError, "seed: -1 must be 0 to"),
+    "seed's type": (lambda: environments.load("empty", "reach", seed=1.5), TypeError, "seed: 1.5 must be an integer"),
+    "no reset": (lambda: harness.gymnasium.SoftFinger("empty").step(np.zeros(3)), RuntimeError, "call reset first"),
+    "width": (lambda: harness.gymnasium.SoftFinger("empty", width=0), ValueError, "width: 0 must be 1 to 4096 pixels"),
+    "actions": (lambda: reset_vector().step(np.zeros(3)), ValueError, "2 times 3 finite numbers: rotation, lift, ext"),
+    "an action": (lambda: reset_vector().step(np.full((2, 3), np.nan)), ValueError, "actions: .* finite numbers"),
+    "words": (lambda: reset_vector().step("left"), ValueError, "actions: 'left' must be 2 times 3 finite numbers"),
     "render mode": (lambda: harness.gymnasium.SoftFinger("empty", render_mode="human"), ValueError, "human"),
     "seeds": (lambda: harness.gymnasium.SoftFingerVector(2, "empty").reset(seed=[1]), ValueError, "seed"),
 }
@@ -308,11 +354,11 @@ def test_a_wrong_call_raises_what_fits_and_names_what_is_wrong(name: str) -> Non
         call()
 
 
-@pytest.mark.parametrize("action", [np.zeros(2), np.array([np.inf, 0, 0]), np.zeros((1, 3))])
-def test_a_wrong_action_is_named(action: np.ndarray) -> None:
+@pytest.mark.parametrize("action", [np.zeros(2), np.array([np.inf, 0, 0]), np.zeros((1, 3)), "left", None])
+def test_a_wrong_action_is_named(action: Any) -> None:
     environment = environments.load("empty", "reach", seed=0)
     environment.reset()
-    with pytest.raises(ValueError, match="action"):
+    with pytest.raises(ValueError, match="action: .* must be 3 finite numbers: rotation, lift, extension"):
         environment.step(action)
 
 

@@ -2,10 +2,11 @@
 
 import itertools
 import json
+import pickle
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -51,10 +52,37 @@ OTHERS: dict[str, Overrides] = {
     "deep, vectors": {"network.hidden": [12, 8, 6], "input": ["proprioception"], "output": ["contact_force"]},
     "target": {"action": "target"},
     "scaled by element": {"scaling": {"contact_force": {"scale": "per_element", "minimum": 0.1}}},
+    "without a minimum": {"scaling": {"contact_force": {"minimum": None}}},
     "trained in bf16": {"training.precision": "bf16"},
     "other losses": {"training.losses.proprioception": "absolute", "training.losses.contact_force": "huber"},
     "two cameras": {"scenarios": ["wrist"], "input": ["vision", "wrist"], "output": ["wrist", "proprioception"]},
+    "another robot": {"scenarios": ["tendon"], "input": ["proprioception"], "output": ["proprioception"]},
 }
+
+# Settings of which every pair of values occurs in some network.
+AXES: dict[str, tuple[Any, ...]] = {
+    "input": (["proprioception", "arm"], ["vision"], ["vision", "frame_difference"], ["proprioception", "vision"]),
+    "output": (["contact_force"], ["vision"], ["vision", "frame_difference"], ["arm", "contact_force", "vision"]),
+    "network.fusion": ("early", "late"),
+    "network.channels": ([3], [3, 5, 4]),
+    "network.average": (1, 2),
+    "network.hidden": ([10], [12, 8, 6]),
+    "action": ("increment", "target"),
+}
+
+
+def combined() -> dict[str, Overrides]:
+    """Networks with every pair of values of `AXES`, chosen greedily."""
+    every = list(itertools.product(*AXES.values()))
+
+    def pairs(values: tuple[Any, ...]) -> set[str]:
+        return {json.dumps(pair) for pair in itertools.combinations(enumerate(values), 2)}
+
+    missing, chosen = set().union(*map(pairs, every)), []
+    while missing:
+        chosen.append(max(every, key=lambda values: len(pairs(values) & missing)))
+        missing -= pairs(chosen[-1])
+    return {f"combined {index}": dict(zip(AXES, values, strict=True)) for index, values in enumerate(chosen)}
 
 
 def networks_of(spec: Path) -> Iterator[Overrides]:
@@ -83,10 +111,46 @@ def kinds() -> dict[str, Overrides]:
             if text not in texts:
                 texts.add(text)
                 found[f"{spec.stem} {index}" if index else spec.stem] = settings
-    return {**found, **OTHERS}
+    return {**found, **OTHERS, **combined()}
 
 
 KINDS = kinds()
+
+
+def settings_of(kind: str) -> Overrides:
+    """The settings of a network by dotted key, with those of the smoke experiment where it has none."""
+    smoke = {**yaml.safe_load(SMOKE.read_text()), "scenarios": ["empty"], "action": "increment", "scaling": {}}
+    whole = {**smoke, **{key: value for key, value in KINDS[kind].items() if "." not in key}}
+    network = {"fusion": "early", "average": 1, "channels": None, "hidden": None, **whole["network"]}
+    return {**whole, **{f"network.{key}": value for key, value in network.items()}, **KINDS[kind]}
+
+
+def images(modalities: list[str]) -> bool:
+    return not {"vision", "frame_difference", "wrist"}.isdisjoint(modalities)
+
+
+def many(value: Any) -> bool:
+    return isinstance(value, list) and len(value) > 1
+
+
+GROUPS: dict[str, Callable[[Overrides], bool]] = {
+    "only vectors": lambda settings: not images(settings["input"] + settings["output"]),
+    "images as input": lambda settings: images(settings["input"]),
+    "images as output": lambda settings: images(settings["output"]),
+    "several convolutions": lambda settings: many(settings["network.channels"]),
+    "several hidden layers": lambda settings: many(settings["network.hidden"]),
+    "averaged images": lambda settings: settings["network.average"] > 1,
+    "late fusion": lambda settings: settings["network.fusion"] == "late",
+    "the next setpoint as action": lambda settings: settings["action"] == "target",
+    "scaling by element": lambda settings: "per_element" in json.dumps(settings["scaling"]),
+    "training in bf16": lambda settings: settings.get("training.precision") == "bf16",
+    "other worlds": lambda settings: settings["scenarios"] != ["empty"],
+    "all": lambda settings: True,
+}
+"""The rows of the table in docs/networks.md. A network can belong to several groups."""
+
+LARGEST: dict[tuple[str, str], float] = {}
+"""The largest difference found for each network and program."""
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +163,7 @@ class Trained:
     """A trained network, observations and actions for it, and what the harness makes of them."""
 
     def __init__(self, name: str, folder: Path) -> None:
+        self.name = name
         whole = {key: value for key, value in KINDS[name].items() if "." not in key}
         overrides = {key: value for key, value in KINDS[name].items() if "." in key}
         tasks = ["prediction", "reconstruction"]
@@ -113,7 +178,7 @@ class Trained:
         self.run = harness.query("select run from runs", self.results).item()
         self.model = harness.load_model(self.run, self.results)
         data = harness.Dataset(self.results / "datasets" / self.model.dataset)
-        at = np.concatenate([np.arange(first + 1, end - 1) for first, end in data.episodes])
+        at = np.concatenate([np.arange(first + 1, end - 1) for first, end in data.bounds])
         self.observation = {name: observed(data, name, at) for name in self.model.input}
         setpoint, following = data["setpoint"][at], data["setpoint"][at + 1]
         self.action = following - setpoint if self.model.action == "increment" else following.copy()
@@ -121,17 +186,21 @@ class Trained:
         self.predicted = self.model.predict(self.observation, self.action)
         self.reconstructed = self.model.reconstruct(self.latent)
 
-    def assert_equal(self, found: Arrays, expected: Arrays) -> None:
+    def assert_equal(self, found: Arrays, expected: Arrays, program: str = "") -> None:
         """Compares values in standard deviations of their modality."""
         assert found.keys() == expected.keys()
         for name, values in expected.items():
             assert found[name].shape == values.shape, name
-            error = np.abs(found[name] - values) / self.deviation(name)
-            assert error.max() <= TOLERANCE, (name, error.max())
+            self._assert_small(np.abs(found[name] - values) / self.deviation(name), name, program)
 
-    def assert_same_posterior(self, mean: NDArray[Any], log_variance: NDArray[Any]) -> None:
-        assert np.abs(mean - self.latent).max() <= TOLERANCE
-        assert np.abs(log_variance - self.log_variance).max() <= TOLERANCE
+    def assert_same_posterior(self, mean: NDArray[Any], log_variance: NDArray[Any], program: str = "") -> None:
+        self._assert_small(np.abs(mean - self.latent), "mean", program)
+        self._assert_small(np.abs(log_variance - self.log_variance), "log-variance", program)
+
+    def _assert_small(self, error: NDArray[Any], name: str, program: str) -> None:
+        largest = float(error.max())
+        assert largest <= TOLERANCE, (name, largest)
+        LARGEST[self.name, program] = max(LARGEST.get((self.name, program), 0.0), largest)
 
     def deviation(self, name: str) -> NDArray[Any]:
         path = self.results / "runs" / "smoke" / self.run / "prediction.safetensors"
@@ -184,7 +253,7 @@ def test_the_kinds_have_every_value_of_every_setting_of_a_network() -> None:
     assert used["fusion"] | {'"early"'} == values("Fusion")
     lengths = {key: {len(list(np.atleast_1d(json.loads(value)))) > 1 for value in used[key]} for key in ("hidden", "channels")}
     assert lengths == {"hidden": {False, True}, "channels": {False, True}}
-    assert used["average"] == {"2", "4"}
+    assert used["average"] == {"1", "2", "4"}
     assert set(settings) == {"preset", "fusion", "hidden", "channels", "average"}, "a new setting needs new kinds"
 
 
@@ -201,8 +270,8 @@ def test_onnx_agrees_with_the_harness(trained: Trained, tmp_path: Path) -> None:
         assert {value.name for value in session.get_inputs()} == given.keys()
         names = [value.name for value in session.get_outputs()]
         answer = dict(zip(names, session.run(names, given), strict=True))
-        trained.assert_same_posterior(answer.pop("latent.mean"), answer.pop("latent.log_variance"))
-        trained.assert_equal({name.split(".")[1]: values for name, values in answer.items()}, expected)
+        trained.assert_same_posterior(answer.pop("latent.mean"), answer.pop("latent.log_variance"), "ONNX")
+        trained.assert_equal({name.split(".")[1]: values for name, values in answer.items()}, expected, "ONNX")
         one = session.run(names, {name: values[:1] for name, values in given.items()})
         assert all(len(values) == 1 for values in one)
 
@@ -214,9 +283,9 @@ def test_torch_agrees_with_the_harness(trained: Trained) -> None:
         mean, log_variance = network.encode(trained.observation)
         predicted = network(trained.observation, trained.action)
         reconstructed = network.reconstruct(mean)
-    trained.assert_same_posterior(mean.numpy(), log_variance.numpy())
-    trained.assert_equal({name: values.numpy() for name, values in predicted.items()}, trained.predicted)
-    trained.assert_equal({name: values.numpy() for name, values in reconstructed.items()}, trained.reconstructed)
+    trained.assert_same_posterior(mean.numpy(), log_variance.numpy(), "PyTorch")
+    for found, expected in ((predicted, trained.predicted), (reconstructed, trained.reconstructed)):
+        trained.assert_equal({name: values.numpy() for name, values in found.items()}, expected, "PyTorch")
 
 
 def test_a_file_says_everything_about_its_tensors(trained: Trained) -> None:
@@ -231,6 +300,19 @@ def test_a_file_says_everything_about_its_tensors(trained: Trained) -> None:
         assert sum(layer["parameters"] for layer in layers) == sum(parameters.values())
         for quantity in [*description.get("inputs", []), *description["outputs"]]:
             assert tensors[quantity["mean"]].size == np.prod(quantity["shape"])
+
+
+def test_the_table_in_the_documentation_counts_these_networks() -> None:
+    """Prints the table as measured by the tests above, with `pytest -s`."""
+    settings = {kind: settings_of(kind) for kind in KINDS}
+    groups = {name: [kind for kind in KINDS if belongs(settings[kind])] for name, belongs in GROUPS.items()}
+    for name, kinds in groups.items():
+        measured = [max(LARGEST.get((kind, program), 0.0) for kind in kinds) for program in ("ONNX", "PyTorch")]
+        print(f"| {name} | {len(kinds)} | " + " | ".join(f"{value:.1e}" for value in measured) + " |")
+    page = (ROOT / "docs/networks.md").read_text()
+    rows = re.findall(r"^\| ([\w ]+) \| (\d+) \| (\S+) \| (\S+) \|$", page, re.MULTILINE)
+    assert {name: int(count) for name, count, *_ in rows} == {name: len(kinds) for name, kinds in groups.items()}
+    assert all(0 < float(value) <= TOLERANCE for _, _, *values in rows for value in values)
 
 
 def names_in(layer: dict[str, Any]) -> list[str]:
@@ -313,6 +395,8 @@ def test_files_of_earlier_versions_are_described_by_the_runs_spec(smoke: Trained
     without.write_bytes(len(head).to_bytes(8, "little") + head + data[end:])
     with pytest.raises(ValueError, match="no description"):
         NetworkFile(without)
+    with pytest.raises(ValueError, match="is not the file of a network"):
+        NetworkFile(SMOKE)
     network = Network(NetworkFile(without, json.loads(text)))
     with torch.no_grad():
         predicted = network(smoke.observation, smoke.action)
@@ -335,6 +419,15 @@ def test_a_torch_network_can_be_trained_and_refuses_wrong_observations(smoke: Tr
         network({**smoke.observation, "visoin": smoke.observation["vision"]}, smoke.action)
     with pytest.raises(ValueError, match=r"'action' has the shape \[1, 3\], must be"):
         network(smoke.observation, smoke.action[:1])
+    with pytest.raises(ValueError, match=r"'proprioception' has the shape \[20\], must be \[batch, 20\]"):
+        network({name: values[0] for name, values in smoke.observation.items()}, smoke.action)
+    with pytest.raises(TypeError, match=r"'vision' must be uint8, or float in \[0, 1\]"):
+        network({**smoke.observation, "vision": smoke.observation["vision"].astype(int)}, smoke.action)
+    copied = pickle.loads(pickle.dumps(network))
+    assert torch.equal(copied.encode(smoke.observation)[0], network.encode(smoke.observation)[0])
+    count = sum(values.numel() for values in network.parameters())
+    described = "proprioception, vision to proprioception, contact_force, frame_difference, latent 4"
+    assert repr(copied) == f"<harness.networks.Network: {described}, {count:,} parameters>"
     assert network.to(torch.device("cpu")).state_dict()["scale_vision_mean"].dtype == torch.float32
 
 
@@ -346,6 +439,21 @@ def test_without_torch_one_line_says_what_to_install() -> None:
     )
     said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
     assert said.startswith("load_network needs PyTorch: pip install torch safetensors (") and said.count("\n") == 1
+
+
+def test_the_command_exports_a_network_without_further_packages(results: Path, tmp_path: Path) -> None:
+    """The package itself requires NumPy, Polars and MuJoCo only."""
+    file = tmp_path / "network.onnx"
+    words = ["harness", "export", "--format", "onnx", "smoke/empty", str(file), "--results", str(results)]
+    script = (
+        "import sys; sys.modules['tqdm'] = None\n"
+        f"sys.argv = {words!r}\n"
+        "from harness.__main__ import main\n"
+        "main()"
+    )
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, f"{file}\n", "")
+    onnx.checker.check_model(onnx.load(file))
 
 
 def code_in_the_documentation(library: str) -> str:

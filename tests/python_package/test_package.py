@@ -4,6 +4,7 @@ import ast
 import inspect
 import os
 import pickle
+import shlex
 import shutil
 import signal
 import subprocess
@@ -28,7 +29,7 @@ def test_a_finished_experiment_is_skipped(results: Path) -> None:
 
 
 def test_overrides_are_those_of_the_command_line(results: Path, tmp_path: Path) -> None:
-    overrides = {"latent": [4, 5], "scenarios": ["empty"], "training.epochs": 1, "tasks": ["prediction"]}
+    overrides = {"latent": np.arange(4, 6), "scenarios": "empty", "training.epochs": np.int64(1), "tasks": "prediction"}
     assert harness.run(SMOKE, overrides, results=tmp_path, progress=False, jobs=2) == (2, 0)
     runs = harness.query("select run from runs order by run", tmp_path)
     assert [run.split("-")[1] for run in runs["run"]] == ["z4", "z5"]
@@ -97,7 +98,7 @@ def test_a_dataset_is_what_polars_reads_from_its_files(folders: dict[str, Path],
     files = sorted(folders[scenario].glob("episode_*.parquet"))
     table = polars.concat([polars.read_parquet(file) for file in files])
     assert (len(data), data.scenario, data.sample_rate_hz) == (table.height, scenario, 10.0)
-    assert data.episodes.tolist() == [[30 * episode, 30 * episode + 30] for episode in range(4)]
+    assert data.bounds.tolist() == [[30 * episode, 30 * episode + 30] for episode in range(4)]
     for name in ("proprioception", "arm", "setpoint", "contact_force", "contact_force_mean"):
         columns = [column for column in table.columns if column.rsplit("_", 1)[0] == name]
         assert np.array_equal(data[name], table.select(columns).to_numpy()), name
@@ -124,7 +125,7 @@ def test_a_model_predicts_what_the_run_recorded_of_its_test_samples(results: Pat
     assert (model.input, model.action, model.latent) == (["proprioception", "vision"], "increment", 4)
     data = harness.Dataset(folders["cluttered"])
     # The last of four episodes is the test's.
-    first, end = data.episodes[-1]
+    first, end = data.bounds[-1]
     at = np.arange(first, end - 1)
     observation = {name: data[name][at] for name in model.input}
     predicted = model.predict(observation, data["setpoint"][at + 1] - data["setpoint"][at])
@@ -172,11 +173,15 @@ def test_a_model_takes_other_numbers_lists_and_single_samples(results: Path, fol
     action = data["setpoint"][1:4] - data["setpoint"][:3]
     expected = model.predict(observation, action)
     angles = observation["proprioception"]
-    for other in (angles.astype(np.float64), angles.tolist(), np.asfortranarray(angles)):
-        found = model.predict({**observation, "proprioception": other}, action.astype(np.float64).tolist())
+    others = (angles.astype(np.float64), angles.astype(">f4"), angles.astype("<f4"), np.asfortranarray(angles))
+    for other in (*others, angles.tolist()):
+        found = model.predict({**observation, "proprioception": other}, action.astype(">f8"))
         assert all(np.array_equal(found[name], expected[name]) for name in expected)
-    in_unit = {**observation, "vision": observation["vision"] / 255}  # float64
-    assert np.allclose(model.encode(in_unit)[0], model.encode(observation)[0], atol=1e-6)
+    listed = model.predict(observation, action.astype(np.float64).tolist())
+    assert all(np.array_equal(listed[name], expected[name]) for name in expected)
+    for kind in ("<f8", ">f8", ">f4"):
+        in_unit = {**observation, "vision": (observation["vision"] / 255).astype(kind)}
+        assert np.allclose(model.encode(in_unit)[0], model.encode(observation)[0], atol=1e-6)
     single = model.predict({name: values[1] for name, values in observation.items()}, action[1])
     assert {name: values.shape for name, values in single.items()} == {
         name: values.shape[1:] for name, values in expected.items()
@@ -184,6 +189,14 @@ def test_a_model_takes_other_numbers_lists_and_single_samples(results: Path, fol
     assert all(np.allclose(single[name], expected[name][1], atol=1e-5) for name in expected)
     latent, _ = model.encode({name: values[1] for name, values in observation.items()})
     assert latent.shape == (4,) and model.reconstruct(latent)["vision"].shape == (64, 64, 3)
+
+
+def test_simulations_take_setpoints_of_either_byte_order() -> None:
+    batch = harness.SimulationBatch("empty")
+    for kind in ("<f8", ">f8", ">f4"):
+        target = (batch.setpoint + [0.05, -0.01, 0.02]).astype(kind)
+        batch.step(target)
+        assert np.array_equal(batch.setpoint, target)
 
 
 def test_models_and_datasets_can_be_pickled_and_printed(results: Path, folders: dict[str, Path]) -> None:
@@ -200,6 +213,16 @@ def test_models_and_datasets_can_be_pickled_and_printed(results: Path, folders: 
     assert repr(data.simulation(2)) == "<harness.SimulationBatch empty: 2 simulations>"
 
 
+def test_what_was_pickled_is_found_from_another_folder(
+    results: Path, folders: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(results)
+    model, data = harness.load_model("smoke/empty", "."), harness.Dataset(f"datasets/{folders['empty'].name}", False)
+    monkeypatch.chdir(tmp_path)
+    again, copied = pickle.loads(pickle.dumps(model)), pickle.loads(pickle.dumps(data))
+    assert (again.run, copied.name, len(copied)) == (model.run, data.name, len(data))
+
+
 def test_a_split_is_that_of_a_run(results: Path, folders: dict[str, Path]) -> None:
     data = harness.Dataset(folders["empty"])
     parts = {part: data.split(part) for part in ("training", "validation", "test")}
@@ -212,10 +235,20 @@ def test_a_split_is_that_of_a_run(results: Path, folders: dict[str, Path]) -> No
         results,
     )
     assert tested.height > 0
-    first = dict(enumerate(data.episodes[:, 0]))
+    first = dict(enumerate(data.bounds[:, 0]))
     # `sample` is the predicted one.
     assert {first[episode] + sample - 1 for episode, sample in tested.iter_rows()} <= set(parts["test"])
     assert len(data.split("test", by="sample", test=0.5)) == 58
+
+
+def test_the_episodes_of_a_part_are_those_of_its_samples(folders: dict[str, Path]) -> None:
+    data = harness.Dataset(folders["empty"], frames=False)
+    parts = [data.episodes(part).tolist() for part in ("training", "validation", "test")]
+    assert (parts, data.episodes().tolist()) == ([[0, 1], [2], [3]], [0, 1, 2, 3])
+    assert data.episodes("test", test=0.5).tolist() == [2, 3]
+    for index, (first, end) in enumerate(data.bounds):
+        assert np.shares_memory(data.episode(index)["arm"], data["arm"][first:end])
+    assert np.array_equal(data.episode(-1)["arm"], data.episode(3)["arm"])
 
 
 def test_a_dataset_of_another_world_can_be_opened(tmp_path: Path) -> None:
@@ -236,8 +269,27 @@ def test_claims_figures_and_verification_are_those_of_the_commands(tmp_path: Pat
     assert one["claim"].unique().to_list() == [verdicts["claim"][0]]
     drawn = harness.figures("forces_dataset", folder=tmp_path, formats=["svg", "csv"], results=reference)
     assert drawn == [tmp_path / "forces_dataset.svg", tmp_path / "forces_dataset.csv"]
-    subprocess.run([*command, "figures", "forces_dataset", "--out", tmp_path / "out"], cwd=ROOT, check=True)
+    subprocess.run([*command, "figures", "forces_dataset", "--output", tmp_path / "out"], cwd=ROOT, check=True)
     assert all(path.read_bytes() == (tmp_path / "out" / path.name).read_bytes() for path in drawn)
+
+
+def test_plots_and_reports_are_those_of_the_commands(results: Path, tmp_path: Path) -> None:
+    command = [Path(sys.executable).parent / "harness", "--results", results]
+    output = tmp_path / "plot.svg"
+    made = harness.plot("smoke", x="latent", y="r2", by=["modality"], facet="scenario", output=output, results=results)
+    drawn = output.read_bytes()
+    asked = ["--x", "latent", "--y", "r2", "--by", "modality", "--facet", "scenario"]
+    subprocess.run([*command, "plot", "smoke", *asked, "--output", output], check=True)
+    assert made == output
+    assert output.read_bytes() == drawn and b"<svg" in drawn
+    numbers = harness.plot(x="scenario", y="wmape", by="experiment", output=tmp_path / "plot.csv", results=results)
+    assert set(polars.read_csv(numbers)["modality"]) == {"contact_force"}
+
+    output = tmp_path / "report.html"
+    assert harness.report("smoke", output=output, results=results, progress=False) == output
+    page = output.read_bytes()
+    subprocess.run([*command, "report", "smoke", "--output", output], check=True)
+    assert output.read_bytes() == page and b"id=\"training-chart\"" in page
 
 
 def test_verification_names_what_is_broken(results: Path, tmp_path: Path) -> None:
@@ -294,24 +346,8 @@ def test_a_posterior_does_not_depend_on_the_batch_or_the_form_of_frames(
     assert np.allclose(as_numbers, mean, atol=1e-6)
 
 
-def test_transitions_are_a_map_style_dataset(folders: dict[str, Path]) -> None:
-    torch = pytest.importorskip("torch")
-    data = harness.Dataset(folders["empty"])
-    transitions = data.torch(["proprioception", "vision"], ["contact_force", "frame_difference"])
-    assert len(transitions) == 4 * 29
-    observation, action, following = transitions[29]  # the second episode's first
-    assert torch.equal(observation["proprioception"], torch.tensor(np.array(data["proprioception"][30])))
-    assert np.array_equal(observation["vision"].numpy().transpose(1, 2, 0), data["vision"][30])
-    assert np.array_equal(action.numpy(), data["setpoint"][31] - data["setpoint"][30])
-    assert np.array_equal(following["contact_force"].numpy(), data["contact_force"][31])
-    change = (data["vision"][31].astype(np.float32) - data["vision"][30].astype(np.float32)) / np.float32(255)
-    assert np.array_equal(following["frame_difference"].numpy().transpose(1, 2, 0), change)
-    loader = torch.utils.data.DataLoader(transitions, batch_size=16, num_workers=2, shuffle=True)
-    assert sum(len(actions) for _, actions, _ in loader) == len(transitions)
-
-
 def test_an_interrupted_run_raises_and_goes_on(tmp_path: Path) -> None:
-    overrides = {"simulation.episodes": 30, "scenarios": ["empty"]}
+    overrides = {"simulation.episodes": 100, "scenarios": ["empty"]}
     finished = threading.Event()
 
     def interrupt_at_the_first_episode() -> None:
@@ -319,13 +355,15 @@ def test_an_interrupted_run_raises_and_goes_on(tmp_path: Path) -> None:
             time.sleep(0.01)
         os.kill(os.getpid(), signal.SIGINT)
 
+    # A shell ignores this signal in programs that it starts in the background.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     # That it gets on at all shows that the interpreter's lock is free meanwhile.
     threading.Thread(target=interrupt_at_the_first_episode, daemon=True).start()
     with pytest.raises(KeyboardInterrupt):
         harness.run(SMOKE, overrides, results=tmp_path, progress=False)
         finished.set()
     episodes = {file: file.stat().st_mtime_ns for file in tmp_path.glob("datasets/*/episode_*.parquet")}
-    assert 0 < len(episodes) < 30
+    assert 0 < len(episodes) < 100
     assert harness.run(SMOKE, overrides, results=tmp_path, progress=False) == (1, 0)
     assert all(file.stat().st_mtime_ns == time for file, time in episodes.items())
 
@@ -353,6 +391,22 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         "several runs": lambda: harness.load_model("smoke", results),
         "dataset": lambda: harness.Dataset(results / "datasets" / "none"),
         "no dataset": lambda: harness.Dataset(results),
+        "iteration": lambda: list(data),
+        "name": lambda: harness.compare(["smoke"], results=results),
+        "assignment": lambda: harness.run(SMOKE, ["latent=4"], results=results),
+        "where": lambda: harness.compare(where="training.epochs=2", results=results),
+        "setting": lambda: harness.run(SMOKE, {"latent": {4}}, results=results),
+        "jobs' type": lambda: harness.run(SMOKE, jobs=1.5, results=results),
+        "memory": lambda: harness.run(SMOKE, memory=-1, results=results),
+        "no format": lambda: harness.figures(formats=[], results=results),
+        "episode's type": lambda: data.episode("first"),
+        "episodes": lambda: data.episodes("tests"),
+        "gap": lambda: data.split("test", by="time", gap_seconds=-1),
+        "too much": lambda: data.split("test", validation=0.5, test=0.5),
+        "torch": lambda: data.torch("arm", "touch"),
+        "bytes as numbers": lambda: model.encode({**observation, "vision": observation["vision"].astype(float)}),
+        "no number": lambda: model.encode({**observation, "proprioception": np.full((3, 20), np.nan)}),
+        "no action": lambda: model.predict(observation, np.full((3, 3), np.inf)),
         "modality": lambda: data["touch"],
         "episode": lambda: data.episode(9),
         "lacking": lambda: model.encode({"vision": observation["vision"]}),
@@ -370,9 +424,17 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         "starts": lambda: data.torch(["arm"], ["arm"], samples=np.array([29])),
         "claim": lambda: harness.claims("nothing", file=ROOT / "experiments/claims.yaml", results=results),
         "claims": lambda: harness.claims(file=results / "none.yaml", results=results),
+        "no claims": lambda: harness.claims(file=ROOT / SMOKE, results=results),
         "figure": lambda: harness.figures("nothing", results=results),
         "format": lambda: harness.figures(formats=["gif"], results=results),
         "runs": lambda: harness.figures("regression", folder=results / "none", results=results),
+        "plot key": lambda: harness.plot(x="latents", y="r2", results=results),
+        "plot metric": lambda: harness.plot(x="latent", y="R2", results=results),
+        "plot ending": lambda: harness.plot(x="latent", y="r2", output="plot.pdf", results=results),
+        "plot series": lambda: harness.plot(x="latent", y="r2", facet="scenario", output=results / "none.svg", results=results),
+        "plot of nothing": lambda: harness.plot("smoke", x="latent", y="r2", modality="vision", results=results),
+        "plotted experiment": lambda: harness.plot("nothing", x="latent", y="r2", results=results),
+        "reported experiment": lambda: harness.report("nothing", results=results, progress=False),
         "no results": lambda: harness.verify(results / "none"),
         "latent": lambda: model.reconstruct(np.zeros((3, 5), np.float32)),
         "no latent": lambda: model.reconstruct(np.zeros((0, 4), np.float32)),
@@ -392,9 +454,25 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         ("run", KeyError, "nothing"),
         ("several runs", KeyError, "several"),
         ("dataset", FileNotFoundError, "harness collect"),
-        ("no dataset", RuntimeError, "dataset.json"),
+        ("no dataset", FileNotFoundError, "a dataset is a folder with a dataset.json"),
+        ("iteration", TypeError, "'Dataset' object is not iterable"),
+        ("name", TypeError, r"experiments: \['smoke'\] must be a text; give several names as several arguments"),
+        ("assignment", TypeError, r"overrides: \['latent=4'\] must be a dictionary, such as"),
+        ("where", TypeError, "where: 'training.epochs=2' must be a dictionary"),
+        ("setting", TypeError, "overrides: 'latent' is a set; allowed: text, number, boolean"),
+        ("jobs' type", TypeError, "jobs: 1.5 must be an integer"),
+        ("memory", ValueError, "memory: -1 must be a number of gigabytes"),
+        ("no format", ValueError, "allowed: svg, png, csv"),
+        ("episode's type", TypeError, "index: 'first' must be an integer"),
+        ("episodes", ValueError, "part: there is no 'tests'; allowed: training, validation, test"),
+        ("gap", ValueError, r"gap_seconds: -1 must be in \[0, 3600\]"),
+        ("too much", ValueError, "a part would have no transitions; the dataset has 4 episodes"),
+        ("torch", (KeyError, ImportError), "touch|Dataset.torch needs PyTorch: pip install torch"),
+        ("bytes as numbers", ValueError, r"'vision' has the value \d+, must be uint8, or float in \[0, 1\]"),
+        ("no number", ValueError, "'proprioception' has the value NaN, must be finite"),
+        ("no action", ValueError, "'action' has the value inf, must be finite"),
         ("modality", KeyError, "touch.*proprioception"),
-        ("episode", IndexError, "9"),
+        ("episode", IndexError, "there are episodes 0 to 3, not 9"),
         ("lacking", KeyError, "proprioception"),
         ("shape", ValueError, r"proprioception.*\[3, 19\].*\[3, 20\]"),
         ("batch", ValueError, "vision"),
@@ -407,13 +485,21 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         ("part", ValueError, "allowed: training, validation, test"),
         ("division", ValueError, "allowed: episode, time, sample"),
         ("shares", ValueError, r"must be in \(0, 1\)"),
-        ("starts", (ValueError, ImportError), "last sample of an episode|torch"),
+        ("starts", (ValueError, ImportError), "no transition starts from 29; .* the last sample of an episode|torch"),
         ("claim", ValueError, "no claim is called 'nothing'"),
         ("claims", FileNotFoundError, "none.yaml"),
+        ("no claims", ValueError, "smoke.yaml:7:1: this is not a file of claims, which is a list"),
         ("figure", ValueError, "there is no figure 'nothing'; allowed: .*regression"),
         ("format", ValueError, "there is no format 'gif'; allowed: svg, png, csv"),
         ("runs", RuntimeError, "regression was not drawn: "),
-        ("no results", FileNotFoundError, "there are no results in"),
+        ("plot key", ValueError, "there is no key 'latents'; allowed: experiment, scenario, latent"),
+        ("plot metric", ValueError, "the metrics are smape, wmape, r2"),
+        ("plot ending", ValueError, r"must end in \.svg, \.png or \.csv"),
+        ("plot series", ValueError, "the means differ in modality"),
+        ("plot of nothing", ValueError, "no finished run has this metric.*r2 of contact_force"),
+        ("plotted experiment", KeyError, "'nothing' has no finished runs; those that have: smoke"),
+        ("reported experiment", KeyError, "'nothing' has no finished runs; those that have: smoke"),
+        ("no results", FileNotFoundError, "there are no results in .*; the argument `results` names the folder"),
         ("latent", ValueError, r"latent.*\[3, 5\].*\[3, 4\]"),
         ("no latent", ValueError, "latent has no samples"),
     ],
@@ -430,6 +516,51 @@ def test_a_specs_mistake_is_named_with_its_place(tmp_path: Path) -> None:
     spec.write_text(SMOKE.read_text().replace("[proprioception, vision]", "[proprioception, visoin]"))
     with pytest.raises(ValueError, match=r"touch.yaml:\d+:\d+: unknown modality 'visoin'"):
         harness.run(spec, results=tmp_path)
+
+
+def test_a_damaged_network_is_named_with_what_trains_it_again(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(results, "results")
+    [network] = Path("results").glob("runs/smoke/empty-*/prediction.safetensors")
+    whole = network.read_bytes()
+    network.write_bytes(whole[: len(whole) // 2])
+    message = "prediction.safetensors is damaged .*; `harness verify` names the command that trains it again"
+    with pytest.raises(RuntimeError, match=message):
+        harness.load_model("smoke/empty")
+    [problem] = [problem for problem in harness.verify() if problem.broken]
+    assert problem.repair is not None
+    words = shlex.split(problem.repair)
+    assert words[:2] == ["harness", "run"]
+    subprocess.run([Path(sys.executable).parent / "harness", *words[1:]], check=True, capture_output=True)
+    assert network.read_bytes() == whole
+    assert harness.load_model("smoke/empty").latent == 4
+
+
+WORLDS = {
+    "no camera": ("twelve.yaml", "camera: wrist", "camera: waist", r"twelve.yaml:\d+:\d+: .*waist"),
+    "not a world": ("twelve.yaml", "step_rate_hz", "steps_hz", r"twelve.yaml:\d+:\d+: .*steps_hz"),
+    "model": ("twelve.xml", "<worldbody>", "<worldbodies>", "twelve.xml does not compile: "),
+    "rate": ("twelve.yaml", "sample_rate_hz: 10", "sample_rate_hz: 9.9", "simulation.sample_rate_hz: |9.9 Hz does not divide"),
+}
+"""Mistakes in a world: the file, what it has, what it gets instead, and the message."""
+
+
+@pytest.mark.parametrize("mistake", WORLDS)
+def test_a_mistake_in_a_world_file_is_a_wrong_value(tmp_path: Path, mistake: str) -> None:
+    for name in ("twelve.yaml", "twelve.xml"):
+        shutil.copy(ROOT / "models" / name, tmp_path / name)
+    name, right, wrong, message = WORLDS[mistake]
+    text = (tmp_path / name).read_text()
+    assert right in text
+    (tmp_path / name).write_text(text.replace(right, wrong))
+    world = str(tmp_path / "twelve.yaml")
+    with pytest.raises(ValueError, match=message):
+        harness.SimulationBatch(world)
+    for act in (harness.run, harness.collect):
+        with pytest.raises(ValueError, match=message):
+            act(SMOKE, {"scenarios": world}, results=tmp_path / "results", progress=False)
 
 
 def test_after_a_fork_what_needs_threads_is_refused(results: Path) -> None:
@@ -532,11 +663,17 @@ def test_what_is_returned_has_the_types_of_the_stubs(
         "compare": lambda: _harness.compare(["smoke"], [], results),
         "claims": lambda: _harness.claims([], ROOT / "experiments/claims.yaml", False, [], results),
         "figures": lambda: _harness.figures(["task"], tmp_path, ["svg"], False, None, None, [], results),
+        "plot": lambda: _harness.plot(
+            ["smoke"], "latent", "r2", ["modality"], "scenario", "prediction", None, [], tmp_path / "plot.svg", results
+        ),
+        "report": lambda: _harness.report(
+            ["smoke"], tmp_path / "report.html", Path("claims"), Path("readings"), False, [], results, False
+        ),
         "verify": lambda: _harness.verify(results),
         "collect": lambda: _harness.collect(SMOKE, [], False, results, False),
         "networks": lambda: _harness.networks(run, results),
         "export_onnx": lambda: _harness.export_onnx(run, tmp_path / "network.onnx", "prediction", results),
-        "Dataset.parts": lambda: dataset.parts("episode", 0.25, 0.25, None),
+        "Dataset.split": lambda: dataset.split("test", validation=0.25, test=0.25),
         "Dataset.__len__": lambda: len(dataset),
         "Dataset.__getitem__": lambda: dataset["vision"],
         "Dataset.keys": dataset.keys,

@@ -71,7 +71,7 @@ def processes(text: str) -> list[int]:
 
 def kill_when_training(cluster, results: Path, avoid: set[int]) -> int:
     """Waits for a task that trains, and is none of `avoid`; returns its index."""
-    end = time.monotonic() + 60
+    end = time.monotonic() + 300
     while True:
         assert time.monotonic() < end, "no other task trains"
         said = logs(results, "train")

@@ -12,31 +12,32 @@ from harness.export import FORMATS, export
 EXAMPLES = """examples:
   harness export --format lerobot results/datasets/empty-0123456789abcdef exported
   harness export --format rerun results/datasets/empty-0123456789abcdef recordings --episodes 0 7
-  harness export --format onnx multi_to_multi_best/cluttered network.onnx
-  harness export --format mlflow multi_to_multi sqlite:///mlflow.db
-  harness export --format tensorboard multi_to_multi logs --condition "status = 'done' and seed = 0"
+  harness export --format onnx smoke/empty network.onnx
+  harness export --format mlflow smoke sqlite:///mlflow.db
+  harness export --format tensorboard smoke logs --condition "status = 'done' and seed = 0"
 """
 
 
 def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="harness export",
-        description="Writes a dataset (lerobot, rerun), a trained network (onnx) or the runs of an experiment (mlflow, tensorboard).",
+        description="Write a dataset (lerobot, rerun), a trained network (onnx),\n"
+        "or the runs of an experiment (mlflow, tensorboard) for other programs.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--format", choices=[*FORMATS, "onnx", "mlflow", "tensorboard"], required=True)
-    parser.add_argument("source", help="the dataset's folder, as in results/datasets, the run, or the experiment")
+    parser.add_argument("source", help="the dataset's folder in results/datasets, the run (onnx), or the experiment")
     parser.add_argument(
-        "output", help="the new folder of the dataset, the network's file, MLflow's tracking URI, or TensorBoard's log folder"
+        "output", help="the new folder, the ONNX file, MLflow's tracking URI, or TensorBoard's log folder"
     )
     datasets = parser.add_argument_group("datasets")
-    datasets.add_argument("--episodes", type=int, nargs="+", metavar="N", help="these episodes [default: all]")
+    datasets.add_argument("--episodes", type=int, nargs="+", metavar="N", help="only these episodes [default: all]")
     networks = parser.add_argument_group("networks")
-    networks.add_argument("--task", choices=["prediction", "reconstruction"], help="[default: prediction]")
+    networks.add_argument("--task", choices=["prediction", "reconstruction"], help="the network [default: prediction]")
     runs = parser.add_argument_group("runs")
     runs.add_argument("--results", metavar="DIR", help="folder of datasets and runs [default: results]")
-    runs.add_argument("--condition", metavar="SQL", help="only runs for which this holds, over the table runs")
+    runs.add_argument("--condition", metavar="SQL", help="only runs that satisfy this condition over the table runs")
     runs.add_argument("--artifacts", action="store_true", help="also upload the files of each run (mlflow)")
     arguments = parser.parse_args(words)
     of_runs = {"--results": arguments.results, "--condition": arguments.condition, "--artifacts": arguments.artifacts}

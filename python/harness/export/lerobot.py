@@ -27,12 +27,13 @@ STATE = ("proprioception", "arm")
 def features_of(layout: Layout) -> dict[str, tuple[str, ...]]:
     """Returns LeRobot's features, each with the vectors that are concatenated for it.
 
-    `action` is the setpoint that is commanded at the sample's instant. A row of the LeRobot dataset therefore contains
-    an observation and the command that follows it.
+    A row of a LeRobot dataset contains an observation and the action that is sent after it. `observation.setpoint` is
+    therefore the setpoint of the row's sample, and `action` is that of the next one. In an episode's last row, which no
+    sample follows, `action` is the last setpoint again.
     """
     vectors = vector_columns(layout)
     state: tuple[str, ...] = STATE if all(name in vectors for name in STATE) else ()
-    others = [name for name in vectors if name not in (*state, "setpoint")]
+    others = [name for name in vectors if name not in state]
     features: dict[str, tuple[str, ...]] = {"observation.state": state} if state else {}
     features |= {f"observation.{name}": (name,) for name in others}
     return features | {"action": ("setpoint",)}
@@ -97,6 +98,7 @@ def _add(dataset: LeRobotDataset, episode: Episode, task: str, layout: Layout) -
         feature: np.concatenate([episode.vectors[vector] for vector in vectors], axis=1)
         for feature, vectors in features_of(layout).items()
     }
+    rows["action"] = np.concatenate([rows["action"][1:], rows["action"][-1:]])
     rows |= {feature: episode.images[image] for image, feature in cameras_of(layout).items()}
     for sample in range(len(episode)):
         dataset.add_frame({feature: values[sample] for feature, values in rows.items()} | {"task": task})

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
 
 from harness import Exported
-from harness.export.runs import Run, bar, by_experiment, params, varying
+from harness.export import bar
+from harness.export.runs import Run, by_experiment, params, varying
 
 try:
     from mlflow import MlflowClient
@@ -38,7 +39,7 @@ def write(runs: list[Run], tracking_uri: str | None, artifacts: bool, progress: 
     try:
         client = MlflowClient(tracking_uri)
         exported = 0
-        with bar(runs, "mlflow", progress) as shown:
+        with bar(len(runs), "mlflow", " runs", progress) as shown:
             for name, group in by_experiment(runs).items():
                 experiment = _experiment(client, name)
                 known, differing = _known(client, experiment), ", ".join(varying(group))
@@ -86,7 +87,7 @@ def _log(client: MlflowClient, experiment: str, run: Run, differing: str, artifa
     settings = [Param(key, value) for key, value in params(run).items()]
     for part in _batches(settings, MOST_PARAMS):
         client.log_batch(id, params=part)
-    points = run.curves()
+    points = run.curves
     last = max((point.epoch for point in points), default=0)
     metrics = [Metric(point.name, point.value, int(point.time * 1000), point.epoch) for point in points]
     metrics += [Metric(name, value, end, last) for name, value in run.metrics().items()]

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
@@ -13,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import harness
-from harness.export import tqdm
 from harness.recorded import read_sealed
 
 TAGS = (
@@ -84,8 +82,12 @@ class Run:
 
     @property
     def version(self) -> str:
-        """A hash that changes if the run does: if it continues, or is done again."""
-        return hashlib.sha256(self._record + self.row["status"].encode()).hexdigest()
+        """A hash that changes if the run does: if it has more epochs, continues, or is done again."""
+        state = self.row["status"]
+        if state == "running":
+            # Its record stays the same until the end.
+            state += f" {len(self.curves)}"
+        return hashlib.sha256(self._record + state.encode()).hexdigest()
 
     @property
     def spec(self) -> str:
@@ -117,8 +119,9 @@ class Run:
         stages = ("collect", "prediction", "reconstruction", "evaluation")
         return self.started + sum(self._seconds(stage) for stage in stages)
 
+    @cached_property
     def curves(self) -> list[Point]:
-        """Returns the losses of every epoch."""
+        """The losses of every epoch so far."""
         begin = self.started + self._seconds("collect")
         begins = {"prediction": begin, "reconstruction": begin + self._seconds("prediction")}
         ends: dict[tuple[str, int], float] = {}
@@ -186,12 +189,13 @@ def varying(runs: Iterable[Run]) -> list[str]:
     return sorted(key for key, found in values.items() if len(found) > 1)
 
 
-def read_runs(experiments: tuple[str, ...], condition: str | None, results: Path) -> list[Run]:
-    """Reads the runs of experiments, or of all, that fulfil an SQL condition over the table `runs`.
+def read_runs(experiments: Sequence[str], condition: str | None, results: Path) -> list[Run]:
+    """Reads the runs of experiments, or of all, that satisfy an SQL condition over the table `runs`.
 
     Raises:
-        KeyError: an experiment has no runs. ValueError: the condition is wrong. FileNotFoundError: there is no results
-        folder.
+        KeyError: an experiment has no runs.
+        ValueError: the condition is wrong.
+        FileNotFoundError: there is no results folder.
     """
     known = harness.query("select distinct experiment from runs order by experiment", results)["experiment"].to_list()
     for name in experiments:
@@ -208,8 +212,3 @@ def by_experiment(runs: list[Run]) -> dict[str, list[Run]]:
     for run in runs:
         groups.setdefault(run.experiment, []).append(run)
     return groups
-
-
-def bar(runs: list[Run], what: str, progress: bool) -> Any:
-    """A progress bar that counts runs."""
-    return tqdm(total=len(runs), desc=what, unit=" runs", file=sys.stderr, disable=not progress)

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from harness import Exported
-from harness.export.runs import Run, bar, by_experiment, varying
+from harness.export import bar
+from harness.export.runs import Run, by_experiment, varying
 
 try:
     from tensorboard.compat.proto.event_pb2 import Event
@@ -36,7 +37,7 @@ def write(runs: list[Run], folder: str | Path, progress: bool) -> Exported:
     """
     folder, exported = Path(folder), 0
     folder.mkdir(parents=True, exist_ok=True)
-    with bar(runs, "tensorboard", progress) as shown:
+    with bar(len(runs), "tensorboard", " runs", progress) as shown:
         for group in by_experiment(runs).values():
             differing = varying(group)
             for run in group:
@@ -74,7 +75,7 @@ def _write(folder: Path, run: Run, differing: list[str]) -> None:
             about = text.create_summary_metadata(display_name="", description="")
             tensor = make_tensor_proto(content.encode())
             _add(writer, run.started, 0, Summary.Value(tag=tag, metadata=about, tensor=tensor))
-        points = run.curves()
+        points = run.curves
         for point in points:
             _add(writer, point.time, point.epoch, Summary.Value(tag=point.name, simple_value=point.value))
         last = max((point.epoch for point in points), default=0)
