@@ -63,16 +63,18 @@ lint: setup ## check formatting, and that clippy has no warnings
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets -- -D warnings
 
-bench: ## compare the speed with PyTorch, Python's mujoco, PyBullet and MuJoCo in C (half an hour on an idle machine)
+bench: ## compare the speed with PyTorch, Python's mujoco, PyBullet, MuJoCo in C, MLflow and DuckDB (over half an hour)
 	@setup/setup.sh --bench
 	cargo build --release --bins --examples
 	.venv-bench/bin/python harness/benches/compare.py --output results/reference/benchmarks.parquet
 
-interchange: ## open exports with LeRobot, Rerun, MLflow and TensorBoard, and import (minutes; 6 GB of packages, once)
+interchange: ## test exports with LeRobot, Rerun, MLflow, TensorBoard, PyTorch, and imports (minutes; 6 GB once)
 	@setup/setup.sh --interchange
 	cargo build --bin harness
 	.venv-interchange/bin/python -m pip install --quiet --no-deps .
-	.venv-interchange/bin/python -m pytest tests/interchange tests/python_package/test_networks.py
+	.venv-interchange/bin/python -m pytest tests/interchange
+	.venv-interchange/bin/python -m pytest tests/python_package/test_networks.py tests/python_package/test_torch.py \
+		tests/python_package/test_docstrings.py
 
 cluster: ## run an experiment on a Slurm of four nodes on this machine, and kill its tasks (minutes; needs root)
 	@setup/setup.sh --cluster

@@ -2,15 +2,15 @@
 # Installs what cargo cannot: a virtual environment with MuJoCo, links to its library, and an EGL driver.
 # It installs only what is missing, so a second call takes about a second.
 #
-#   setup/setup.sh           installs what the harness needs
-#   setup/setup.sh --test    also what its tests need
-#   setup/setup.sh --python  also what building and testing the Python package needs
-#   setup/setup.sh --docs    also what building the documentation site needs
-#   setup/setup.sh --bench   also .venv-bench, with PyTorch and PyBullet for the benchmarks
-#   setup/setup.sh --interchange   also .venv-interchange, with LeRobot, Rerun, MLflow and TensorBoard
-#   setup/setup.sh --cluster  also Slurm, for its tests
-#   setup/setup.sh --notebooks     also .venv-notebooks, with Stable-Baselines3 and Jupyter
-#   setup/setup.sh --wheel    also .venv-wheel, with what builds a wheel
+#   setup/setup.sh                installs what the harness needs
+#   setup/setup.sh --test         also what its tests need
+#   setup/setup.sh --python       also what building and testing the Python package needs
+#   setup/setup.sh --docs         also what building the documentation site needs
+#   setup/setup.sh --bench        also .venv-bench, with PyTorch and PyBullet for the benchmarks
+#   setup/setup.sh --interchange  also .venv-interchange, with LeRobot, Rerun, MLflow and TensorBoard
+#   setup/setup.sh --cluster      also Slurm, for its tests
+#   setup/setup.sh --notebooks    also .venv-notebooks, with Stable-Baselines3 and Jupyter
+#   setup/setup.sh --wheel        also .venv-wheel, with what builds a wheel
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -91,7 +91,7 @@ install_packages() {
 # The wheel contains the library only under its versioned name. The mujoco-rs crate also needs the name libmujoco.so.
 link_mujoco() {
     library=$(cd .venv && echo lib/python3*/site-packages/mujoco/$mujoco_library)
-    [ -e ".venv/$library" ] || fail ".venv holds no $mujoco_library; remove .venv and run setup again"
+    [ -e ".venv/$library" ] || fail "there is no $mujoco_library in .venv; remove .venv and run setup again"
     mkdir -p .venv/mujoco
     for name in libmujoco.so $mujoco_library; do
         [ "$(readlink ".venv/mujoco/$name")" = "../$library" ] || ln -sfn "../$library" ".venv/mujoco/$name"

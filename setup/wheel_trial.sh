@@ -22,7 +22,7 @@ fail() {
 # Runs a shell command in the bare Debian, in the empty folder.
 inside() {
     chroot "$root" env -i HOME=/root LANG=C.UTF-8 PATH=/venv/bin:/usr/sbin:/usr/bin:/sbin:/bin \
-        PIP_DEFAULT_TIMEOUT="${PIP_DEFAULT_TIMEOUT:-15}" sh -c "mkdir -p /root/empty && cd /root/empty && $1"
+        PIP_DEFAULT_TIMEOUT="${PIP_DEFAULT_TIMEOUT:-15}" sh -c "mkdir -p /empty && cd /empty && $1"
 }
 
 # The same, with the command and its time.

@@ -3,6 +3,8 @@
     make bench                                                       everything, as published
     .venv-bench/bin/python harness/benches/compare.py --only collection --rounds 1 --episodes 4
     .venv-bench/bin/python harness/benches/compare.py --only training --match deep
+    .venv-bench/bin/python harness/benches/compare.py --only registry --rounds 1
+    .venv-bench/bin/python harness/benches/compare.py --only shards --rounds 2 --keep target/bench
 
 `make bench` also installs and builds what this program needs. In each round, the contenders run one after the other.
 Each number is the median over the rounds, so a change of the machine's speed favors none of them. A ratio above 1
@@ -16,21 +18,32 @@ network, with and without the processor's tile unit, with PyTorch in both of its
 Collection compares the whole command `harness collect`, including its start and writing to disk, with Python's `mujoco`
 (collect.py), PyBullet (pybullet_collect.py), and MuJoCo's functions called from C without recording (raw_limit.c). The
 start of these programs is not counted. All simulate the same episodes.
+
+Registry compares lists of runs and a query of a metric over 10,008 made-up runs (the example `many_runs`) with MLflow's
+file store and with DuckDB over the same files (registry.py). For the harness, the time is that of the whole command. All
+must give the same answer. Root can empty the system's cache of files, and so also measures with files on disk only.
+
+Shards compares an experiment that is divided among several processes with one process. All of them begin at the same time,
+or as many at a time as there are cores.
 """
 
 import argparse
+import functools
 import json
 import os
 import shlex
+import shutil
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+import registry
 import report
 
 BENCHES = Path(__file__).parent
@@ -255,7 +268,163 @@ def harness_collection(scenario: str, episodes: int, *options) -> float:
         return episodes * SAMPLES_PER_EPISODE / (time.perf_counter() - begin)
 
 
-# Both
+# Registry
+
+SEEDS = 834
+RUNS = 12 * SEEDS
+
+
+def many_runs(folder: Path) -> list[Comparison]:
+    results, store, complete = folder / "many", folder / "mlflow", folder / "many-complete"
+    harness = (TARGET / "harness", "--results", results)
+    mean = (*harness, "query", registry.MEAN.format(metrics="metrics"))
+
+    @functools.cache
+    def expected() -> list:
+        """Writes the runs if they are not there, and returns the harness's answer."""
+        if not complete.exists():
+            note(f"writing {RUNS} runs, for the harness and for MLflow")
+            run(TARGET / "examples" / "many_runs", "--results", results, "--seeds", SEEDS, "--epochs", 30)
+            run(sys.executable, BENCHES / "registry.py", "fill", results, store)
+            complete.touch()
+            # Files that were written less than two seconds ago are not compacted.
+            time.sleep(3)
+        return answer(*mean)
+
+    def ours(*command) -> Contender:
+        def measure() -> float:
+            expected()
+            return seconds(*command)
+
+        return Contender("harness", measure)
+
+    def peer(name: str, what: str, files: Path, reader: str) -> Contender:
+        def measure() -> float:
+            rows = expected()
+            told = python("registry.py", what, files, reader)
+            check_same(name, told["answer"], rows if what == "mean" else None)
+            return told["seconds"]
+
+        return Contender(name, measure)
+
+    comparisons = [
+        Comparison(
+            f"list of {RUNS} runs",
+            "s",
+            (
+                ours(*harness, "ls"),
+                peer("DuckDB over the records", "list", results, "duckdb"),
+                peer("MLflow's file store", "list", store, "mlflow"),
+            ),
+        ),
+        Comparison(
+            f"mean of a metric over {RUNS} runs",
+            "s",
+            (
+                ours(*mean),
+                peer("DuckDB over the compacted tables", "mean", results, "duckdb-compacted"),
+                peer("DuckDB over the runs' tables", "mean", results, "duckdb"),
+                peer("MLflow's file store", "mean", store, "mlflow"),
+            ),
+        ),
+    ]
+    if os.geteuid() != 0:
+        note("only root can empty the cache of files, so the first reading is not measured")
+        return comparisons
+    return comparisons + [
+        Comparison(f"{one.name}, files on disk only", one.unit, tuple(map(cold, one.contenders)))
+        for one in comparisons
+    ]
+
+
+def answer(*command) -> list:
+    """Returns the rows of a query's answer."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "answer.json"
+        run(*command, "--output", file)
+        return [list(row.values()) for row in json.loads(file.read_text())]
+
+
+def check_same(reader: str, found: list, means: list | None) -> None:
+    """Ends this program if a reader has other means, beyond rounding, or does not list all runs."""
+
+    def rounded(rows: list) -> list:
+        return [[*cell, round(mean, 9)] for *cell, mean in rows]
+
+    if len(found) != RUNS if means is None else rounded(found) != rounded(means):
+        raise SystemExit(f"{reader} has another answer: {found[:3]} …")
+
+
+def seconds(*command, **options) -> float:
+    """Returns the time of a whole command."""
+    begin = time.perf_counter()
+    run(*command, **options)
+    return time.perf_counter() - begin
+
+
+def cold(contender: Contender) -> Contender:
+    """The same after the system's cache of files was emptied."""
+
+    def measure() -> float:
+        os.sync()
+        Path("/proc/sys/vm/drop_caches").write_text("3")
+        return contender.measure()
+
+    return Contender(contender.name, measure)
+
+
+# Shards
+
+# 16 runs on one of the paper's datasets.
+DIVIDED = ("scenarios=[empty]", "latent=[4,16]", "seeds=[0,1,2,3,4,5,6,7]", "training.epochs=60")
+
+
+def shards(folder: Path) -> list[Comparison]:
+    spec = ROOT / "experiments" / "single_to_multi.yaml"
+
+    @functools.cache
+    def dataset() -> Path:
+        note("collecting the dataset")
+        run(TARGET / "harness", "--results", folder / "collected", "collect", spec, *DIVIDED)
+        return folder / "collected" / "datasets"
+
+    def measure(processes: list[tuple], at_once: int) -> float:
+        """Returns the time until all processes have ended. Each item has the options of one process."""
+        collected = dataset()
+        with tempfile.TemporaryDirectory(dir=folder) as results, ThreadPoolExecutor(at_once) as pool:
+            shutil.copytree(collected, Path(results) / "datasets", copy_function=os.link)
+            command = (TARGET / "harness", "--results", results, "run", spec, *DIVIDED)
+            begin = time.perf_counter()
+            list(pool.map(lambda options: run(*command, *options), processes))
+            return time.perf_counter() - begin
+
+    count = 4 * CORES
+    shares = [
+        ("--threads", "1", "--shard", f"{number}/{count}", "--no-wait") for number in range(1, count + 1)
+    ]
+    whole = [("--jobs", str(CORES))]
+    return [
+        Comparison(
+            f"16 runs of 60 epochs in {count} shards",
+            "s",
+            (
+                Contender("harness", lambda: measure(shares, count)),
+                Contender(f"one process with --jobs {CORES}", lambda: measure(whole, 1), 0.9),
+                Contender(f"{CORES} shards at a time", lambda: measure(shares, CORES)),
+            ),
+        )
+    ]
+
+
+# All parts
+
+# The parts of the measurement by name.
+PARTS = {
+    "training": lambda folder, options: training(),
+    "collection": lambda folder, options: collection(options.episodes, folder),
+    "registry": lambda folder, options: many_runs(options.keep or folder),
+    "shards": lambda folder, options: shards(options.keep or folder),
+}
 
 
 def compare(comparison: Comparison, rounds: int) -> list[report.Measurement]:
@@ -302,8 +471,14 @@ def arguments() -> argparse.Namespace:
         default=max(3 * CORES, 6),
         help=f"episodes of a scenario, with {SAMPLES_PER_EPISODE} samples each",
     )
-    parser.add_argument("--only", choices=("training", "collection"))
+    parser.add_argument("--only", choices=tuple(PARTS))
     parser.add_argument("--match", default="", metavar="TEXT", help="run only comparisons whose name contains TEXT")
+    parser.add_argument(
+        "--keep",
+        type=Path,
+        metavar="DIR",
+        help="keep the test data of the registry and the shards in DIR, for the next call",
+    )
     parser.add_argument("--output", type=Path, help="Parquet file to which the measurements are written")
     parser.add_argument("--markdown", type=Path, help="file to which the printed table is written")
     options = parser.parse_args()
@@ -321,14 +496,13 @@ def main() -> None:
     if load > 0.5:
         note(f"warning: the machine is not idle (load average {load:.1f}), so the ratios are not reliable")
     measurements = []
+    if options.keep:
+        options.keep.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        comparisons = []
-        if options.only != "collection":
-            comparisons += training()
-        if options.only != "training":
-            comparisons += collection(options.episodes, Path(folder))
-        for comparison in (one for one in comparisons if options.match in one.name):
-            measurements += compare(comparison, options.rounds)
+        for name in [options.only] if options.only else PARTS:
+            comparisons = PARTS[name](Path(folder), options)
+            for comparison in (one for one in comparisons if options.match in one.name):
+                measurements += compare(comparison, options.rounds)
     machine = report.Machine.this(ROOT, TARGET / "harness")
     table = report.markdown(measurements, machine)
     print(table)

@@ -42,6 +42,8 @@ class Machine:
     mujoco_version: str
     torch_version: str
     pybullet_version: str
+    duckdb_version: str
+    mlflow_version: str
     python_version: str
 
     @classmethod
@@ -62,6 +64,8 @@ class Machine:
             mujoco_version=version("mujoco"),
             torch_version=version("torch"),
             pybullet_version=version("pybullet"),
+            duckdb_version=version("duckdb"),
+            mlflow_version=version("mlflow-skinny"),
             python_version=platform.python_version(),
         )
 
@@ -71,7 +75,8 @@ class Machine:
         return (
             f"{self.processor}, {self.cores} cores, {self.memory_bytes / 2**30:.0f} GiB, {self.system}; "
             f"harness {self.harness_version} ({commit}{changed}), mujoco {self.mujoco_version}, "
-            f"torch {self.torch_version}, pybullet {self.pybullet_version}, Python {self.python_version}; {self.date}"
+            f"torch {self.torch_version}, pybullet {self.pybullet_version}, duckdb {self.duckdb_version}, "
+            f"mlflow {self.mlflow_version}, Python {self.python_version}; {self.date}"
         )
 
 
@@ -79,7 +84,7 @@ class Machine:
 COLUMNS = (
     ("name", "text", "", "name of the comparison"),
     ("contender", "text", "", "the compared program; each comparison has one row for harness"),
-    ("value", "real", "s or 1/s", "median over the rounds: seconds per training step, or samples per second"),
+    ("value", "real", "s or 1/s", "median over the rounds: seconds, or samples per second"),
     ("lowest", "real", "s or 1/s", "lowest value of a round"),
     ("highest", "real", "s or 1/s", "highest value of a round"),
     ("unit", "text", "", "unit of value, lowest and highest: s or 1/s"),
@@ -97,6 +102,8 @@ COLUMNS = (
     ("mujoco_version", "text", "", "version of MuJoCo, for the harness, Python and C"),
     ("torch_version", "text", "", "version of PyTorch"),
     ("pybullet_version", "text", "", "version of PyBullet"),
+    ("duckdb_version", "text", "", "version of DuckDB; null for measurements from before it was compared"),
+    ("mlflow_version", "text", "", "version of MLflow; null for measurements from before it was compared"),
     ("python_version", "text", "", "version of Python"),
 )
 
