@@ -62,6 +62,10 @@ class NDArray(Generic[TypeVar("Value")]):
     """The type that signatures show as `NDArray[float64]`. NumPy's own is shown with its whole definition."""
 
 
+class ArrayLike:
+    """The type of what NumPy converts to an array, such as a list. NumPy's own is shown with its whole definition."""
+
+
 def load_stub() -> None:
     """Makes autodoc read the stub of the compiled module, which has the types and docstrings."""
     path = ROOT / "python/harness/_harness.pyi"
@@ -99,7 +103,7 @@ def redirect(app: Sphinx, error: Exception | None) -> None:
 
 
 def setup(app: Sphinx) -> None:
-    numpy.typing.NDArray = NDArray
+    numpy.typing.NDArray, numpy.typing.ArrayLike = NDArray, ArrayLike
     load_stub()
     app.connect("build-finished", redirect)
     app.connect("autodoc-process-docstring", read_sections)

@@ -22,6 +22,9 @@ PROGRAM = Path(sys.executable).with_name("harness")
 
 Schema = dict[str, Any]
 
+LARGEST_INTEGER = 2**53 - 1
+"""The largest integer that JSON numbers represent exactly. It is not shown as a bound."""
+
 
 def harness(*arguments: str) -> str:
     """Returns what the program prints, 80 columns wide."""
@@ -78,7 +81,8 @@ def column_list(columns: list[dict[str, str]]) -> str:
         elements = list(group)
         first, last = elements[0], elements[-1]
         name = f"`{first['column']}`" + (f" … `{last['column']}`" if last is not first else "")
-        meaning = first["meaning"] if last is first else re.sub(r" \d+$", "", first["meaning"])
+        meaning = first["meaning"] if last is first else f"{first['meaning']} to {last['meaning'].split()[-1]}"
+        meaning = meaning[0].lower() + meaning[1:]
         unit = first["unit"] if first["unit"] not in ("", "1") else None
         items.append(f"{name}\n: {', '.join(filter(None, (first['type'], unit)))}; {meaning}\n")
     return "\n".join(items)
@@ -177,8 +181,8 @@ class Keys:
         match kind:
             case "array":
                 fewest, most = schema.get("minItems"), schema.get("maxItems")
-                length = "" if most is None else f" of {most} items" if fewest == most else f" of at most {most} items"
-                return f"list{length}, each {self.type_of(schema['items'])}"
+                count = "" if most is None else f"{most} " if fewest == most else f"at most {most} "
+                return f"list of {count}{plural(self.type_of(schema['items']))}"
             case "object":
                 return "section"
             case "string":
@@ -187,9 +191,19 @@ class Keys:
                 return "`true` or `false`"
             case "null":
                 return "`null`"
-        words = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
-        bounds = [f"{word} {schema[bound]:,}".removesuffix(".0") for bound, word in words.items() if bound in schema]
-        return f"{kind} {' and '.join(bounds)}".rstrip()
+        words = {"minimum": "of at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
+        bounds = [
+            f"{word} {schema[bound]:,}".removesuffix(".0")
+            for bound, word in words.items()
+            if bound in schema and schema[bound] < LARGEST_INTEGER
+        ]
+        range_ = re.sub(r"^of at least (\S+) and at most ", r"from \1 to ", " and ".join(bounds))
+        return f"{kind} {range_}".rstrip()
+
+
+def plural(kind: str) -> str:
+    """The words for several values of a kind."""
+    return re.sub(r"^(integer|list|number|section|text)\b", r"\1s", kind).replace("one of the values", "the values")
 
 
 def sentence(text: str) -> str:

@@ -37,6 +37,7 @@ impl Source<'_> {
             ["value", id, scenario] => self.judgment(id, scenario).interval().map_or("-".into(), short),
             ["verdict", id, scenario] => self.judgment(id, scenario).verdict().to_string(),
             ["counts"] => self.counts(),
+            ["corrected"] => self.corrected(),
             ["statements"] => self.statements(),
             ["choices"] => self.choices(),
             ["matrix"] => self.changes(),
@@ -68,15 +69,34 @@ impl Source<'_> {
         )
     }
 
+    /// For each judgment, whether its verdict stands after Holm's correction.
+    fn stands(&self) -> Vec<bool> {
+        let corrected = claims::corrected(&self.judgments);
+        self.judgments.iter().zip(corrected).map(|(one, corrected)| one.stands(corrected)).collect()
+    }
+
+    fn corrected(&self) -> String {
+        let tests = claims::corrected(&self.judgments).into_iter().flatten().count();
+        let is_decided = |one: &&Judgment| matches!(one.verdict(), Verdict::Holds | Verdict::DoesNotHold);
+        let decided = self.judgments.iter().filter(is_decided).count();
+        let unsure = self.stands().into_iter().filter(|stands| !stands).count();
+        format!(
+            "Holm's correction for {tests} tests makes {unsure} of the {decided} verdicts \"holds\" and \"does not hold\" \
+             undecided."
+        )
+    }
+
     /// A table with a row for each claim: what was measured, and the verdicts.
     fn statements(&self) -> String {
         let mut table =
             "\n| statement | place | empty | cluttered | both |\n|---|---|---|---|---|\n".to_owned();
-        for own in self.judgments.chunk_by(|a, b| a.claim.id() == b.claim.id()) {
-            let Claim { paper, section, .. } = own[0].claim;
+        let judged: Vec<(&Judgment, bool)> = self.judgments.iter().zip(self.stands()).collect();
+        for own in judged.chunk_by(|(a, _), (b, _)| a.claim.id() == b.claim.id()) {
+            let Claim { paper, section, .. } = own[0].0.claim;
             let cell = |scenario: Option<Scenario>| {
-                let found = own.iter().find(|one| one.scenario == scenario);
-                found.map_or(String::new(), |one| one.verdict().to_string())
+                let found = own.iter().find(|(one, _)| one.scenario == scenario);
+                let mark = |stands: bool| if stands { "" } else { " *" };
+                found.map_or(String::new(), |(one, stands)| format!("{}{}", one.verdict(), mark(*stands)))
             };
             let [empty, cluttered] = Scenario::PAPER.map(|scenario| cell(Some(scenario)));
             writeln!(table, "| {paper} | {section} | {empty} | {cluttered} | {} |", cell(None)).unwrap();
