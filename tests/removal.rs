@@ -228,6 +228,24 @@ fn a_beginning_of_an_experiments_name_and_an_empty_text_choose_no_run() {
 }
 
 #[test]
+fn the_path_of_a_runs_folder_chooses_the_run() {
+    let results = results("paths");
+    let runs = names(&results.join("runs/smoke"));
+    let path = |name: &str| results.join("runs/smoke").join(name).display().to_string() + "/";
+    let shown = succeed(&results, &["diff", &path(&runs[0]), &runs[1]]);
+    assert!(shown.starts_with(&format!("a  smoke/{}\nb  smoke/{}\n", runs[0], runs[1])), "{shown}");
+    assert!(succeed(&results, &["show", &path(&runs[0])]).contains(&runs[0]));
+    succeed(
+        &results,
+        &["export", "--format", "onnx", &path(&runs[0]), results.join("a.onnx").to_str().unwrap()],
+    );
+    succeed(&results, &["rm", "--yes", &path(&runs[0])]);
+    assert_eq!(names(&results.join("runs/smoke")), runs[1..]);
+    succeed(&results, &["rm", "--yes", &path("")]);
+    assert_eq!(names(&results.join("runs")), ["smoke-quick"]);
+}
+
+#[test]
 fn a_running_run_and_its_dataset_are_no_garbage() {
     let results = fresh("garbage_running");
     succeed(&results, &[&["run", SMOKE, "scenarios=[empty]", "name=smoke-quick"][..], &SHORT].concat());

@@ -12,7 +12,7 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Diff {
-    /// A run's id or EXPERIMENT/ID. A beginning is enough if only one run begins with it
+    /// A run's id, EXPERIMENT/ID or folder. A beginning is enough if only one run begins with it
     a: String,
     /// The other run
     b: String,
@@ -20,8 +20,7 @@ pub struct Diff {
 
 impl Diff {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let find = |name: &String| registry.find(&registry.run_name(name)).map(|(_, record)| record);
-        let (a, b) = (find(&self.a)?, find(&self.b)?);
+        let ((_, a), (_, b)) = (registry.find(&self.a)?, registry.find(&self.b)?);
         println!("a  {}\nb  {}\n", a.name(), b.name());
         let differences = differing(&a, &b);
         if differences.is_empty() {

@@ -15,7 +15,7 @@ pub struct Export {
     /// The file's format: onnx. The command of the Python package has more formats
     #[arg(long, value_parser = format)]
     format: Format,
-    /// The run's id or EXPERIMENT/ID. A beginning is enough if only one run begins with it
+    /// The run's id, EXPERIMENT/ID or folder. A beginning is enough if only one run begins with it
     #[arg(value_name = "RUN")]
     run: String,
     /// The file to write

@@ -184,7 +184,7 @@ fn listed(runs: &[Listed], has_experiments: bool, is_long: bool) -> Grid {
 
 #[derive(Args)]
 pub struct Show {
-    /// The run's id or EXPERIMENT/ID. A beginning is enough if only one run begins with it
+    /// The run's id, EXPERIMENT/ID or folder. A beginning is enough if only one run begins with it
     run: String,
     /// Also print every setting, layer, version and metric
     #[arg(long)]
@@ -194,7 +194,7 @@ pub struct Show {
 impl Show {
     /// Prints what is most important about the run, or everything.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let (folder, record) = registry.find(&registry.run_name(&self.run))?;
+        let (folder, record) = registry.find(&self.run)?;
         println!("{}: {}", record.name(), record.status.name());
         if let Some(reason) = &record.reason {
             print_beside([("reason".to_owned(), reason.clone())]);

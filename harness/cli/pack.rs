@@ -17,7 +17,7 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Pack {
-    /// Experiments, ids or EXPERIMENT/ID. A beginning of an id stands for every run that begins with it
+    /// Experiments, ids, EXPERIMENT/ID or folders. A beginning of an id stands for every run that begins with it
     #[arg(required = true, value_name = "RUN")]
     runs: Vec<String>,
     /// The file to write. It must not exist

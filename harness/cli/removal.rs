@@ -14,7 +14,7 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Remove {
-    /// Experiments, ids or EXPERIMENT/ID. A beginning of an id stands for every run that begins with it
+    /// Experiments, ids, EXPERIMENT/ID or folders. A beginning of an id stands for every run that begins with it
     #[arg(required = true, value_name = "RUN")]
     runs: Vec<String>,
     /// Remove without asking

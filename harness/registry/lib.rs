@@ -234,11 +234,12 @@ impl Registry {
         Known { registry: self.clone(), folders: by_label, checks: Checks::of(self, experiment) }
     }
 
-    /// The only run whose id, or `experiment/id`, begins with `wanted`.
+    /// The only run whose id, or `experiment/id`, begins with `wanted`. The path of a run's folder is allowed, too.
     ///
     /// # Errors
     /// When no run matches, or several do.
     pub fn find(&self, wanted: &str) -> Result<(RunFolder, RunRecord), RegistryError> {
+        let wanted = &*self.run_name(wanted);
         let records = self.records();
         let name = |record: &RunRecord| format!("{}/{}", record.experiment, record.run);
         let matches: Vec<&RunRecord> = records
@@ -273,9 +274,9 @@ impl Registry {
         RegistryError::Unknown { wanted: wanted.to_owned(), nearest, list: self.command("ls") }
     }
 
-    /// The name of a run for [`find`](Self::find), without the path of the folder of all runs and without the slash that a
-    /// shell adds to a folder.
-    pub fn run_name(&self, wanted: &str) -> String {
+    /// The name of a run or an experiment, without the path of the folder of all runs and without the slash that a shell
+    /// adds to a folder.
+    fn run_name(&self, wanted: &str) -> String {
         let wanted = wanted.strip_suffix('/').filter(|name| name.contains('/')).unwrap_or(wanted);
         let below = || {
             let (path, runs) = (std::path::absolute(wanted).ok()?, std::path::absolute(self.runs()).ok()?);
