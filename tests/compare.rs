@@ -335,9 +335,16 @@ fn intervals_over_datasets_are_said_to_be_over_datasets() {
     assert!(text.contains("95 % interval over 3 datasets (6 runs)"), "{text}");
     let file = results.join("means.csv").display().to_string();
     succeed(&results, &["compare", "smoke", "--metrics", "smape", "--models", "network", "--output", &file]);
-    let means = std::fs::read_to_string(file).unwrap();
+    let means = std::fs::read_to_string(&file).unwrap();
     assert!(means.lines().next().unwrap().contains(",unit,datasets,seeds,mean,"), "{means}");
     assert!(means.lines().skip(1).all(|line| line.contains(",%,3,6,")), "{means}");
+    let both = finish(&mut harness(&results, &["compare", "--format", "latex", "--output", &file]));
+    assert_eq!(both.code, 2);
+    assert!(
+        both.stderr.contains("'--format <FORMAT>' cannot be used with '--output <FILE>'"),
+        "{}",
+        both.stderr
+    );
     let plot = results.join("plot.svg").display().to_string();
     succeed(
         &results,

@@ -40,7 +40,7 @@ pub struct Compare {
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
     /// The format of the table
-    #[arg(long, value_name = "FORMAT", default_value = "text")]
+    #[arg(long, value_name = "FORMAT", default_value = "text", conflicts_with = "output")]
     format: Style,
     /// Write the means to a file instead, one in each row: .parquet, .csv or .json
     #[arg(long, short, value_name = "FILE")]
