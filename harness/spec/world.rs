@@ -783,7 +783,7 @@ pub fn range_setting(name: &str, actuator: &Actuator) -> String {
     if unit.is_empty() { format!("{name}_range") } else { format!("{name}_range_{}", unit.to_lowercase()) }
 }
 
-/// Returns the name of the setting for the smallest distance between placed bodies: `boxes_clearance_m`.
+/// Returns the name of the setting for the smallest distance between placed bodies: `box_clearance_m`.
 pub fn clearance_setting(name: &str) -> String {
     format!("{name}_clearance_m")
 }
