@@ -79,6 +79,13 @@ pub struct FolderLock {
     file: File,
 }
 
+impl Drop for FolderLock {
+    /// Unlocks the file. Closing it is not enough while a process that another thread is starting has it open, too.
+    fn drop(&mut self) {
+        let _ = self.file.unlock();
+    }
+}
+
 impl FolderLock {
     /// Locks a folder, and removes the unfinished files of killed processes. Creates the folder if it does not exist.
     /// Returns `None` if this or another process has locked it already.

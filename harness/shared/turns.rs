@@ -25,7 +25,14 @@ pub struct Turns {
 #[derive(Debug)]
 pub struct Turn {
     /// `None` where files can't be locked: then everybody gets a turn.
-    _lock: Option<File>,
+    lock: Option<File>,
+}
+
+impl Drop for Turn {
+    /// Unlocks the file. Closing it is not enough while a process that another thread is starting has it open, too.
+    fn drop(&mut self) {
+        let _ = self.lock.as_ref().map(File::unlock);
+    }
 }
 
 impl Turns {
@@ -77,12 +84,12 @@ impl Turns {
     fn lock(&self, name: &str) -> Option<Turn> {
         let path = self.folder.join(format!("{}-{name}", self.name));
         let Ok(file) = OpenOptions::new().create(true).write(true).truncate(false).open(path) else {
-            return Some(Turn { _lock: None });
+            return Some(Turn { lock: None });
         };
         match file.try_lock() {
-            Ok(()) => Some(Turn { _lock: Some(file) }),
+            Ok(()) => Some(Turn { lock: Some(file) }),
             Err(TryLockError::WouldBlock) => None,
-            Err(TryLockError::Error(_)) => Some(Turn { _lock: None }),
+            Err(TryLockError::Error(_)) => Some(Turn { lock: None }),
         }
     }
 }
