@@ -135,7 +135,7 @@ fn run_within(kilobytes: usize, results: &Path, arguments: &[&str]) -> Answer {
     let limited = format!("ulimit -v {kilobytes}; exec \"$@\"");
     let mut command = std::process::Command::new("sh");
     command
-        .args(["-c", &limited, "sh", env!("CARGO_BIN_EXE_harness"), "--results"])
+        .args(["-c", &limited, "sh", env!("CARGO_BIN_EXE_harness"), "--threads", "2", "--results"])
         .arg(results)
         .args(arguments);
     end(start_command(command.stdout(Stdio::piped()).stderr(Stdio::piped())))

@@ -174,7 +174,7 @@ fn a_killed_and_resumed_training_has_each_epoch_once() {
 #[test]
 fn watching_ends_when_nobody_reads_it() {
     let results = fresh("live-unread");
-    let run = Running(training(&results, 300).spawn().unwrap());
+    let run = Running(training(&results, 100_000).spawn().unwrap());
     wait_for_record(&results);
     signal(&run.0, libc::SIGSTOP);
     let mut watch = Command::new(env!("CARGO_BIN_EXE_harness"));
@@ -194,7 +194,7 @@ fn watching_ends_when_nobody_reads_it() {
 #[test]
 fn watching_ends_when_the_training_does() {
     let results = fresh("live-watched");
-    let mut run = Running(training(&results, 300).spawn().unwrap());
+    let mut run = Running(training(&results, 1500).spawn().unwrap());
     wait_for_record(&results);
     // The training stands still until its picture was replaced.
     signal(&run.0, libc::SIGSTOP);

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from read_page import DESKTOP, PHONE, open_browser
 from selenium import webdriver
+from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
@@ -40,11 +41,16 @@ class Served:
             "width": width, "height": height, "deviceScaleFactor": 1, "mobile": size == PHONE})
         start = time.monotonic()
         self.browser.get(self.address)
+        # The browser remembers 250 requests, and the page asks for changes again and again.
+        self.browser.execute_script("performance.setResourceTimingBufferSize(100000)")
         self.wait(lambda: self.count() is not None)
         return time.monotonic() - start
 
     def wait(self, condition):
-        WebDriverWait(self.browser, PATIENCE_S, poll_frequency=0.02).until(lambda _: condition())
+        # The page may replace what was just found.
+        ignored = [StaleElementReferenceException]
+        waiting = WebDriverWait(self.browser, PATIENCE_S, poll_frequency=0.02, ignored_exceptions=ignored)
+        waiting.until(lambda _: condition())
 
     def one(self, selector: str):
         return self.browser.find_element(By.CSS_SELECTOR, selector)
@@ -352,11 +358,12 @@ def check_many(page: Served, process: subprocess.Popen):
 
 
 def last_epoch(page: Served) -> int:
-    """The last epoch in the first chart of the chosen runs; 0 without a chart."""
+    """The last epoch in the first chart of the chosen runs; 0 without a chart or a tooltip."""
     if not page.all("#chosen .plot"):
         return 0
     page.one("#chosen .plot").send_keys(Keys.END)
-    return int(re.match(r"epoch (\d+)", page.one("#chosen .tooltip").text)[1])
+    found = re.match(r"epoch (\d+)", page.one("#chosen .tooltip").text)
+    return int(found[1]) if found else 0
 
 
 class Training:
@@ -458,7 +465,7 @@ def main():
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         address = process.stdout.readline().split()[0]
-        with tempfile.TemporaryDirectory() as profile:
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
             browser = open_browser(chosen.chromium, chosen.driver, profile)
             try:
                 page = Served(browser, address, chosen.screenshots)
