@@ -172,6 +172,21 @@ fn of_several_settings_only_chosen_ones_are_published() {
 }
 
 #[test]
+fn runs_that_are_not_published_copies_are_not_replaced() {
+    let copy = fresh("published-over-runs");
+    for changed in [&["training.epochs=1"][..], &[]] {
+        succeed(&copy, &[&["run", SMOKE, "scenarios=[empty]", "seeds=[3]"], changed].concat());
+        let before = files(&copy);
+        let answer =
+            finish(&mut harness(&RESULTS, &["publish", "smoke", "--output", copy.to_str().unwrap()]));
+        assert_eq!(answer.code, 1);
+        let said = format!("publishing would replace {}", copy.join("runs/smoke/empty-z4-seed3-").display());
+        assert!(answer.stderr.contains(&said) && answer.stderr.lines().count() == 1, "{}", answer.stderr);
+        assert!(files(&copy) == before);
+    }
+}
+
+#[test]
 fn what_cannot_be_published_is_refused() {
     let results = RESULTS.to_str().unwrap();
     for (arguments, code, message) in [

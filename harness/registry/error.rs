@@ -75,6 +75,9 @@ pub enum RegistryError {
     /// The target of publishing is the results folder itself.
     #[error("{} can't be published into itself; choose another folder", .0.display())]
     IntoItself(PathBuf),
+    /// The target of publishing has a run that a copy would replace, and that is not a copy itself.
+    #[error("publishing would replace {}, which is not a published copy; choose another folder", .0.display())]
+    NotPublished(PathBuf),
     /// The wanted text is the beginning of several runs' names.
     #[error("'{wanted}' matches several runs: {}; name one of them", first(matches))]
     Ambiguous {

@@ -29,7 +29,8 @@ impl Registry {
     /// role. A run of the same cell and seed that was published before is replaced, unless it is one of `chosen` too.
     ///
     /// # Errors
-    /// When `to` is this registry, or a file can't be read or written. Nothing that was published before is changed for a
+    /// When `to` is this registry or has such a run that is not a published copy, or a file can't be read or written.
+    /// Nothing that was published before is changed for a
     /// run with a damaged file.
     pub fn publish<'a>(
         &self,
@@ -46,6 +47,13 @@ impl Registry {
         let shown = Shown::of(chosen.iter().map(|(_, record)| *record));
         let targets: BTreeSet<PathBuf> = chosen.iter().map(|(_, record)| to.own_folder(record)).collect();
         let mut published_before = to.recorded();
+        let is_replaced = |other: &RunRecord| chosen.iter().any(|(_, record)| is_same(other, record));
+        // Other runs have networks and rows that a copy would remove, or a process works on them.
+        if let Some((folder, _)) =
+            published_before.iter().find(|(_, other)| !other.is_published() && is_replaced(other))
+        {
+            return Err(RegistryError::NotPublished(folder.clone()));
+        }
         published_before.retain(|(folder, _)| !targets.contains(folder));
         let mut published = Published::default();
         progress.begin("publishing", chosen.len() as u64, "runs");
