@@ -10,11 +10,21 @@ use std::process::Command;
 
 const SHORT: [&str; 2] = ["tasks=[prediction]", "training.epochs=1"];
 
+/// Makes a run of the experiment `name` with `--quick`, whose results have the name `NAME-quick`.
+fn quick_run(results: &Path, name: &str) {
+    let smoke = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(SMOKE)).unwrap();
+    let smoke = smoke.replace("name: smoke", &format!("name: {name}")) + "quick: {training.patience: 2}\n";
+    let spec = results.with_extension("yaml");
+    fs::write(&spec, smoke).unwrap();
+    let run = ["run", spec.to_str().unwrap(), "--quick", "scenarios=[empty]"];
+    succeed(results, &[&run[..], &SHORT].concat());
+}
+
 /// A done experiment, a quick one, and a dataset that no run uses.
 fn results(name: &str) -> PathBuf {
     let results = fresh(name);
     succeed(&results, &[&["run", SMOKE, "scenarios=[empty]", "seeds=[0,1]"][..], &SHORT].concat());
-    succeed(&results, &[&["run", SMOKE, "scenarios=[empty]", "name=smoke-quick"][..], &SHORT].concat());
+    quick_run(&results, "smoke");
     succeed(&results, &["collect", SMOKE, "scenarios=[cluttered]"]);
     results
 }
@@ -241,14 +251,28 @@ fn the_path_of_a_runs_folder_chooses_the_run() {
     );
     succeed(&results, &["rm", "--yes", &path(&runs[0])]);
     assert_eq!(names(&results.join("runs/smoke")), runs[1..]);
+    let link = fresh("paths_link");
+    let _ = fs::remove_file(&link);
+    std::os::unix::fs::symlink(&results, &link).unwrap();
+    assert!(succeed(&link, &["show", &path(&runs[1])]).contains(&runs[1]));
+    let mut inside = harness(Path::new("../.."), &["show", &format!("{}/", runs[1])]);
+    let shown = finish(inside.current_dir(results.join("runs/smoke")));
+    assert!(shown.stdout.contains(&runs[1]), "{}", shown.stderr);
     succeed(&results, &["rm", "--yes", &path("")]);
     assert_eq!(names(&results.join("runs")), ["smoke-quick"]);
 }
 
 #[test]
+fn a_run_whose_experiment_has_the_name_of_a_quick_one_is_no_garbage() {
+    let results = fresh("garbage_named_quick");
+    succeed(&results, &[&["run", SMOKE, "scenarios=[empty]", "name=my-quick"][..], &SHORT].concat());
+    assert_eq!(succeed(&results, &["gc", "--yes"]), "nothing to remove\n");
+}
+
+#[test]
 fn a_running_run_and_its_dataset_are_no_garbage() {
     let results = fresh("garbage_running");
-    succeed(&results, &[&["run", SMOKE, "scenarios=[empty]", "name=smoke-quick"][..], &SHORT].concat());
+    quick_run(&results, "smoke");
     let run = only_run(&results, "smoke-quick");
     set_in_record(&run, "/status", "running".into());
     let lock = FolderLock::attempt(&run).unwrap().unwrap();
@@ -261,9 +285,8 @@ fn a_running_run_and_its_dataset_are_no_garbage() {
 #[test]
 fn what_is_no_longer_garbage_when_the_question_is_answered_is_kept() {
     let results = fresh("garbage_asked");
-    for name in ["name=first", "name=second-quick"] {
-        succeed(&results, &[&["run", SMOKE, "scenarios=[empty]", name][..], &SHORT].concat());
-    }
+    succeed(&results, &[&["run", SMOKE, "scenarios=[empty]", "name=first"][..], &SHORT].concat());
+    quick_run(&results, "second");
     succeed(&results, &["collect", SMOKE, "scenarios=[cluttered]"]);
     let (first, dataset) = (only_run(&results, "first"), names(&results.join("datasets")));
     let unused = dataset.iter().find(|name| name.starts_with("cluttered-")).unwrap();

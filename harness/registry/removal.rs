@@ -64,6 +64,12 @@ pub struct Usage {
     pub network_bytes: u64,
 }
 
+/// Whether a run was made with `--quick`. The name alone does not tell, because a spec may have such a name, too.
+fn is_quick(record: &RunRecord) -> bool {
+    let words = shlex::split(&record.provenance.command).unwrap_or_default();
+    record.experiment.ends_with(QUICK) && words.iter().any(|word| word == "--quick")
+}
+
 impl Registry {
     /// The space that each experiment, each dataset and each other folder takes, the largest first.
     pub fn usage(&self) -> Vec<Usage> {
@@ -105,7 +111,7 @@ impl Registry {
             let reasons = [
                 (Garbage::Superseded, superseded.contains(&record.name())),
                 (Garbage::Failed, record.status == Status::Failed),
-                (Garbage::Quick, record.experiment.ends_with(QUICK)),
+                (Garbage::Quick, is_quick(record)),
             ];
             let applies = |(reason, applies): &(Garbage, bool)| *applies && wanted.contains(reason);
             match reasons.into_iter().find(applies).filter(is_free) {
