@@ -279,7 +279,13 @@ impl Registry {
     fn run_name(&self, wanted: &str) -> String {
         let wanted = wanted.strip_suffix('/').filter(|name| name.contains('/')).unwrap_or(wanted);
         let below = || {
-            let (path, runs) = (std::path::absolute(wanted).ok()?, std::path::absolute(self.runs()).ok()?);
+            let path = std::path::absolute(wanted).ok()?;
+            // The beginning of a name is not a folder that exists, but its parent is.
+            let path = match path.file_name() {
+                Some(name) => std::fs::canonicalize(path.parent()?).ok()?.join(name),
+                None => std::fs::canonicalize(path).ok()?,
+            };
+            let runs = std::fs::canonicalize(self.runs()).ok()?;
             Some(path.strip_prefix(runs).ok()?.to_str()?.to_owned())
         };
         below().filter(|name| !name.is_empty()).unwrap_or_else(|| wanted.to_owned())
