@@ -404,6 +404,11 @@ fn a_comparison_of_nothing_is_refused() {
             &["compare", "--task", "reconstruction", "--metrics", "wmape"],
             "error: no run has these metrics for this task and model; `harness --results ",
         ),
+        (
+            &RESULTS,
+            &["compare", "--task", "reconstruction", "--metrics", "wmape", "--output", "/dev/null/means.csv"],
+            "error: no run has these metrics for this task and model; `harness --results ",
+        ),
         (&RESULTS, &["compare", "--by", "size"], "error: invalid value 'size' for '--by <KEY>'"),
     ] {
         let answer = finish(&mut harness(results, arguments));

@@ -76,16 +76,19 @@ impl Compare {
                 && self.task.as_ref().is_none_or(|task| task == mean.of.task.name())
         };
         let means: Vec<Mean> = analysis.means()?.into_iter().filter(is_wanted).collect();
+        if means.is_empty() {
+            return Err(CompareError::Empty(registry.command("compare")).into());
+        }
         if let Some(path) = self.output {
+            for note in analysis.notes() {
+                eprintln!("{note}");
+            }
             save(&mut Mean::frame(&means)?, &path)?;
             println!("{} in {}", counted(means.len(), "mean"), shown(&path));
             return Ok(ExitCode::from(DONE));
         }
         let mut comparison = Comparison::new(means.iter(), &self.by, &self.metrics);
         comparison.notes.extend(analysis.notes().iter().cloned());
-        if comparison.values.is_empty() {
-            return Err(CompareError::Empty(registry.command("compare")).into());
-        }
         print!("{}", comparison.sheet(self.format).render(self.format, width()));
         Ok(ExitCode::from(DONE))
     }
