@@ -295,6 +295,13 @@ fn what_cannot_be_submitted_is_refused_in_one_line_and_leaves_nothing() {
     );
     assert!(fs::read_dir(results.join("jobs")).unwrap().next().is_none());
     let config = refusing.path().join("cluster.yaml");
+    for (setting, said) in
+        [("tasks: 0", "'tasks' is 0, and must be from 1 to 1000"), ("cpus: 2000", "'cpus' is 2000,")]
+    {
+        fs::write(&config, setting).unwrap();
+        let answer = finish(&mut harness(&results, &["submit", SMOKE, "--config", config.to_str().unwrap()]));
+        assert!(answer.code == 2 && answer.stderr.contains(said), "{}", answer.stderr);
+    }
     fs::write(&config, "tasks: 8\npartitions: gpu\n").unwrap();
     let unknown = finish(&mut harness(&results, &["submit", SMOKE, "--config", config.to_str().unwrap()]));
     assert_eq!(unknown.code, 2);

@@ -9,10 +9,7 @@ use std::process::Command;
 /// Why Slurm did not do what it was asked for.
 #[derive(Debug, thiserror::Error)]
 pub enum SlurmError {
-    #[error(
-        "{program} is not installed, so this machine is not part of a Slurm cluster; without Slurm, start the shares \
-         yourself: `harness run SPEC --shard I/N --no-wait`"
-    )]
+    #[error("{program} is not installed, so this machine is not part of a Slurm cluster{}", instead(program))]
     Missing { program: String },
     #[error("{program} failed: {said}")]
     Refused { program: String, said: String },
@@ -22,6 +19,14 @@ pub enum SlurmError {
         #[source]
         source: std::io::Error,
     },
+}
+
+/// What to do where a program of Slurm is missing.
+fn instead(program: &str) -> &'static str {
+    match program {
+        "sbatch" => "; without Slurm, start the shares yourself: `harness run SPEC --shard I/N --no-wait`",
+        _ => "; without Slurm, `harness watch` shows the running trainings",
+    }
 }
 
 /// The resources that a task requests from the cluster.
@@ -44,6 +49,28 @@ pub struct Resources {
     pub options: Vec<String>,
     /// Shell commands before the harness starts, for example `module load mesa`.
     pub setup: Vec<String>,
+}
+
+/// Largest number of tasks.
+pub const MOST_TASKS: i64 = 1000;
+/// Largest number of processors of a task.
+pub const MOST_CPUS: i64 = 1024;
+
+impl Resources {
+    /// Refuses numbers that the options of `harness submit` would refuse, too. The error is the message.
+    pub fn check(&self) -> Result<(), String> {
+        let numbers = [
+            ("tasks", Some(self.tasks), MOST_TASKS),
+            ("throttle", self.throttle, MOST_TASKS),
+            ("cpus", Some(self.cpus), MOST_CPUS),
+        ];
+        for (key, number, most) in numbers {
+            if let Some(number) = number.filter(|number| !(1..=most).contains(&i64::from(*number))) {
+                return Err(format!("'{key}' is {number}, and must be from 1 to {most}"));
+            }
+        }
+        Ok(())
+    }
 }
 
 impl Default for Resources {
@@ -126,7 +153,9 @@ impl Job<'_> {
         head.extend(memory.iter().map(|memory| format!("--mem={memory}")));
         head.extend(time.iter().map(|time| format!("--time={time}")));
         head.extend(partition.iter().map(|partition| format!("--partition={partition}")));
-        head.push(format!("--output={}", self.folder.join(log + ".log").display()));
+        // Slurm replaces patterns such as %a in the path, and splits the line at spaces unless they are quoted.
+        let folder = self.folder.to_string_lossy().replace('%', "%%");
+        head.push(format!("--output={}/{log}.log", quoted([&*folder])));
         head.extend(["--open-mode=append", "--requeue", "--signal=B:TERM@120"].map(str::to_owned));
         head.extend(options.iter().cloned());
 

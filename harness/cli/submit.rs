@@ -5,7 +5,7 @@
 //! ```
 
 use super::run::Spec;
-use super::slurm::{self, Job, Resources, SlurmError, Step, Task};
+use super::slurm::{self, Job, MOST_CPUS, MOST_TASKS, Resources, SlurmError, Step, Task};
 use super::table::{print_command, print_text, print_texts, shown};
 use super::{DONE, interrupt};
 use anyhow::{Result, bail};
@@ -43,13 +43,13 @@ pub struct Submit {
     #[command(flatten)]
     spec: Spec,
     /// Number of tasks that divide the runs [default: 8, or the number of runs if it is smaller]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_TASKS))]
     tasks: Option<u32>,
     /// Largest number of tasks that run at the same time [default: no limit]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_TASKS))]
     throttle: Option<u32>,
     /// Processors for each task [default: 4]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_CPUS))]
     cpus: Option<u32>,
     /// Memory for each task, for example 8G [default: the cluster's]
     #[arg(long, value_name = "SIZE")]
@@ -164,6 +164,9 @@ impl Submit {
             *setting = flag.clone().or(setting.take());
         }
         resources.options.extend(self.options.iter().cloned());
+        if let (Some(path), Err(reason)) = (&self.config, resources.check()) {
+            bail!(SubmitError::Config { place: path.display().to_string(), reason });
+        }
         Ok(resources)
     }
 }

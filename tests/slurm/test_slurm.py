@@ -82,7 +82,7 @@ def kill_when_training(cluster, results: Path, avoid: set[int]) -> int:
 
 
 def test_an_experiment_whose_tasks_are_killed_ends_complete_and_equal(cluster, tmp_path):
-    undisturbed, results = tmp_path / "undisturbed", tmp_path / "results"
+    undisturbed, results = tmp_path / "undisturbed", tmp_path / "results with 5 %"
     harness(cluster, undisturbed, "run", *SPEC, "--jobs", "2")
 
     resources = ["--tasks", str(TASKS), "--cpus", "1", "--time", "00:05:00"]
