@@ -3,10 +3,13 @@
 use std::fs::{DirBuilder, File, OpenOptions, TryLockError};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Time between two attempts to take a turn.
 const INTERVAL: Duration = Duration::from_millis(20);
+
+/// How long a process waits for its place in line. A process that is stopped there must not hold up the others forever.
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Turns at computing, as many as computations fit on the cores that this process may use. Processes of the same user that
 /// may use the same cores share them.
@@ -62,21 +65,17 @@ impl Turns {
     /// Takes a turn, and waits for it while `waits` returns true. Returns `None` if it returns false.
     pub fn take(&self, mut waits: impl FnMut() -> bool) -> Option<Turn> {
         // Only the first in line looks for a turn. So a process whose turn has ended does not pass those that wait.
-        let _line = self.lock_one(&["line".to_owned()], &mut waits)?;
-        let turns: Vec<String> = (0..self.count).map(|number| number.to_string()).collect();
-        self.lock_one(&turns, &mut waits)
-    }
-
-    /// Locks one of the files.
-    fn lock_one(&self, names: &[String], waits: &mut impl FnMut() -> bool) -> Option<Turn> {
+        let begun = Instant::now();
+        let mut line = self.lock("line");
+        while line.is_none() && begun.elapsed() < PATIENCE {
+            wait(&mut waits)?;
+            line = self.lock("line");
+        }
         loop {
-            if let Some(turn) = names.iter().find_map(|name| self.lock(name)) {
+            if let Some(turn) = (0..self.count).find_map(|number| self.lock(&number.to_string())) {
                 return Some(turn);
             }
-            if !waits() {
-                return None;
-            }
-            std::thread::sleep(INTERVAL);
+            wait(&mut waits)?;
         }
     }
 
@@ -92,6 +91,11 @@ impl Turns {
             Err(TryLockError::Error(_)) => Some(Turn { lock: None }),
         }
     }
+}
+
+/// Waits for a moment. Returns `None` if `waits` returns false.
+fn wait(waits: &mut impl FnMut() -> bool) -> Option<()> {
+    waits().then(|| std::thread::sleep(INTERVAL))
 }
 
 /// The number of cores in a list such as `0-3,8`.
