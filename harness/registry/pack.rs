@@ -588,7 +588,8 @@ impl Staging {
         let prefix = format!("{UNFINISHED}unpack-");
         for left in sorted(root) {
             let is_staging = left.file_name().is_some_and(|name| name.to_string_lossy().starts_with(&prefix));
-            if is_staging && FolderLock::attempt(&left)?.is_some() {
+            // The lock is held until the folder is removed, because its process may be about to lock it.
+            if is_staging && let Some(_lock) = FolderLock::attempt(&left)? {
                 // A folder that can't be removed only takes disk space.
                 let _ = std::fs::remove_dir_all(&left);
             }
