@@ -602,6 +602,10 @@ def _write(mapping: Mapping, rate: float, episodes: list[Episode], results: Path
         description = json.dumps(identity | {"mapping": mapping.text}, indent=2, default=str)
         (unfinished / "dataset.json").write_text(description + "\n")
         unfinished.rename(folder)
+    except OSError:
+        # Another process may have imported the same dataset meanwhile.
+        if not folder.exists():
+            raise
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
     return name
