@@ -163,6 +163,41 @@ const CAMERA: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_CAMERA, "camera");
 const LIGHT: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_LIGHT, "light");
 const ACTUATOR: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_ACTUATOR, "actuator");
 
+/// A column that both of two modalities have in the files of episodes, in which changes are not stored.
+fn shared_column(one: &Definition, other: &Definition) -> Option<String> {
+    let stored = |definition: &Definition| -> Vec<String> {
+        match (definition.difference_of, definition.is_image()) {
+            (Some(_), _) => Vec::new(),
+            (None, true) => vec![definition.name.name().to_owned()],
+            (None, false) => definition.columns().collect(),
+        }
+    };
+    let own = stored(one);
+    stored(other).into_iter().find(|column| own.contains(column))
+}
+
+/// The hinge or slide whose position an actuator's control is.
+fn servo(model: &MjModel, actuator: usize) -> Option<usize> {
+    let (gain, bias) = (model.actuator_gainprm()[actuator][0], model.actuator_biasprm()[actuator][1]);
+    let is_servo = model.actuator_trntype()[actuator] == MjtTrn::mjTRN_JOINT
+        && model.actuator_biastype()[actuator] == MjtBias::mjBIAS_AFFINE
+        && gain != 0.0
+        && gain == -bias
+        && model.actuator_gear()[actuator][0] == 1.0;
+    let joint = usize::try_from(model.actuator_trnid()[actuator][0]).ok().filter(|_| is_servo)?;
+    [HINGE, SLIDE].contains(&model.jnt_type()[joint]).then_some(joint)
+}
+
+/// The lowest and the highest setpoint that an actuator and, of a position servo, its joint allow. Infinite without a
+/// limit.
+pub(super) fn limits(model: &MjModel, actuator: usize) -> [f64; 2] {
+    let joint = servo(model, actuator).filter(|joint| model.jnt_limited()[*joint]);
+    let of_joint = joint.map(|joint| model.jnt_range()[joint]);
+    let of_actuator = model.actuator_ctrllimited()[actuator].then(|| model.actuator_ctrlrange()[actuator]);
+    let both = [of_joint, of_actuator].into_iter().flatten();
+    both.fold([f64::NEG_INFINITY, f64::INFINITY], |[low, high], own| [low.max(own[0]), high.min(own[1])])
+}
+
 /// Returns the names and indices of all named objects of a kind, in the model's order.
 pub(super) fn named(model: &MjModel, kind: MjtObjBase) -> Vec<(&str, usize)> {
     let count = match kind {
@@ -224,6 +259,15 @@ impl<'a> Resolver<'a> {
                 _ => {}
             }
             let sensed = self.modality(modality, sensing, &path, &modalities)?;
+            for (other, _) in &modalities {
+                if let Some(column) = shared_column(other, &sensed.0) {
+                    let message = format!(
+                        "'{modality}' and '{}' would both have the column '{column}'; rename one of them",
+                        other.name
+                    );
+                    return Err(self.fault(&format!("modalities.{modality}"), message));
+                }
+            }
             modalities.push(sensed);
         }
         let setpoint = self.setpoint();
@@ -492,8 +536,14 @@ impl<'a> Resolver<'a> {
             };
             let known = geoms.clone().next().and_then(|geom| self.force_of_geom[geom]);
             let force = known.unwrap_or(self.forces);
-            let is_free = |geom: usize| self.force_of_geom[geom] == known;
-            if !geoms.clone().all(is_free) {
+            if geoms.is_empty() {
+                return Err(self.fault(path, format!("body '{name}' has no geom, so nothing can touch it")));
+            }
+            // A known force must be that of these geoms, no more and no fewer.
+            let has_force = |geom: &usize| self.force_of_geom[*geom] == known;
+            let is_same =
+                known.is_none() || (0..self.force_of_geom.len()).filter(has_force).eq(geoms.clone());
+            if !geoms.clone().all(|geom| has_force(&geom)) || !is_same {
                 return Err(self.fault(path, format!("a geom of '{name}' belongs to another force as well")));
             }
             if known.is_none() {
@@ -541,15 +591,12 @@ impl<'a> Resolver<'a> {
             let path = format!("action.actuators.{name}");
             let own = if actuator.actuator.is_some() { format!("{path}.actuator") } else { path.clone() };
             let id = self.find(ACTUATOR, actuator.actuator.as_deref().unwrap_or(name), &own)?;
-            let servo = self.servo(id);
-            let mut limits = [f64::NEG_INFINITY, f64::INFINITY];
-            let of_joint = servo.filter(|joint| self.model.jnt_limited()[*joint]);
-            let of_joint = of_joint.map(|joint| self.model.jnt_range()[joint]);
-            let of_actuator =
-                self.model.actuator_ctrllimited()[id].then(|| self.model.actuator_ctrlrange()[id]);
-            for [low, high] in [of_joint, of_actuator].into_iter().flatten() {
-                limits = [limits[0].max(low), limits[1].min(high)];
+            if driven.iter().any(|other: &Driven| other.actuator == id) {
+                let message = "another element of the action drives the same actuator; leave one of them out";
+                return Err(self.fault(&own, message));
             }
+            let servo = servo(self.model, id);
+            let limits = limits(self.model, id);
             let [low, high] = actuator.range;
             if !within([low, high], limits) {
                 let [min, max] = limits;
@@ -563,19 +610,6 @@ impl<'a> Resolver<'a> {
         Ok(driven)
     }
 
-    /// The hinge or slide whose position an actuator's control is.
-    fn servo(&self, actuator: usize) -> Option<usize> {
-        let model = self.model;
-        let (gain, bias) = (model.actuator_gainprm()[actuator][0], model.actuator_biasprm()[actuator][1]);
-        let is_servo = model.actuator_trntype()[actuator] == MjtTrn::mjTRN_JOINT
-            && model.actuator_biastype()[actuator] == MjtBias::mjBIAS_AFFINE
-            && gain != 0.0
-            && gain == -bias
-            && model.actuator_gear()[actuator][0] == 1.0;
-        let joint = usize::try_from(model.actuator_trnid()[actuator][0]).ok().filter(|_| is_servo)?;
-        [HINGE, SLIDE].contains(&model.jnt_type()[joint]).then_some(joint)
-    }
-
     fn placements(&self, actuators: &[Driven]) -> Result<Vec<Placement>, SimulationError> {
         let mut placements = Vec::new();
         for (name, placing) in self.world.file().placement.iter() {
@@ -583,6 +617,12 @@ impl<'a> Resolver<'a> {
             let bodies = self.matches(BODY, &placing.bodies, &path)?;
             let boxes = bodies.into_iter().map(|(name, body)| self.free_box(name, body, &path));
             let boxes = boxes.collect::<Result<Vec<_>, _>>()?;
+            let placed = placements.iter().flat_map(|other: &Placement| &other.boxes);
+            if placed.into_iter().any(|placed| boxes.iter().any(|own| own.qpos == placed.qpos)) {
+                let message =
+                    "a body of this placement belongs to another one as well; leave it out of one of them";
+                return Err(self.fault(&path, message));
+            }
             let area = match (&placing.sector, placing.rectangle) {
                 (Some(sector), _) => Area::Sector(self.mount(name, sector, actuators)?),
                 (None, rectangle) => Area::Rectangle(rectangle.unwrap_or_default()),
@@ -737,7 +777,9 @@ pub(super) fn within([low, high]: [f64; 2], [min, max]: [f64; 2]) -> bool {
 /// `_` for what no column's name has.
 fn short_names(patterns: &[String], names: &[&str]) -> Vec<String> {
     let prefix = match patterns {
-        [pattern] => pattern.split(['*', '?', '[']).next().unwrap_or_default(),
+        [pattern] if !names.contains(&pattern.as_str()) => {
+            pattern.split(['*', '?', '[']).next().unwrap_or_default()
+        }
         _ => "",
     };
     let ends = |prefix: &str| -> Vec<String> {
