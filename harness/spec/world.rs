@@ -40,6 +40,11 @@ impl<T> Ordered<T> {
         self.0.iter().map(|(name, value)| (name.as_str(), value))
     }
 
+    /// Returns the names in the file's order.
+    fn names(&self) -> Vec<&str> {
+        self.iter().map(|(name, _)| name).collect()
+    }
+
     /// Returns whether there is no entry.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
@@ -668,7 +673,16 @@ impl World {
             return None;
         }
         let file = WorldFile { description: String::new(), factors: Ordered::default(), ..self.file.clone() };
-        Some(serde_json::to_value(file).expect("a world file is plain data"))
+        let mut identity = serde_json::to_value(&file).expect("a world file is plain data");
+        // Keys are sorted before they are hashed, but the samples depend on the order of these.
+        if self.folder.is_some() {
+            identity["order"] = serde_json::json!({
+                "actuators": file.action.actuators.names(),
+                "placement": file.placement.names(),
+                "regions": file.regions.names(),
+            });
+        }
+        Some(identity)
     }
 
     /// Returns the names and definitions of the factors of variation that a spec turns on, in the file's order.
