@@ -243,6 +243,146 @@ fn every_mistake_of_a_world_file_is_one_line_with_its_place_and_what_exists() {
     }
 }
 
+/// A hand with two geoms, which a servo moves, and two boxes. Some names have characters of patterns or capitals.
+const HAND: &str = r#"<mujoco><option timestep="0.003"/><worldbody>
+  <geom name="ground" type="plane" size="5 5 0.1"/>
+  <body name="hand" pos="0 0 0.3">
+    <joint name="x[0]" type="slide" axis="1 0 0" limited="true" range="-0.3 0.3"/><geom name="g1" size="0.02"/>
+    <geom name="g2" size="0.02" pos="0.1 0 0"/>
+    <body name="thumb"><joint name="x0" type="ball"/><geom name="g3" size="0.01" pos="0 0 0.1"/></body></body>
+  <body name="bare" pos="0 0 1"/>
+  <body name="b1" pos="1 0 0.05"><freejoint/><geom name="b1" type="box" size="0.05 0.05 0.05"/></body>
+  <body name="b2" pos="2 0 0.05"><freejoint/><geom name="b2" type="box" size="0.05 0.05 0.05"/></body>
+</worldbody><actuator>
+  <position name="m" joint="x[0]" kp="10"/><general name="M" joint="x[0]"/><general name="actuator_1" joint="x[0]"/>
+</actuator><sensor><force name="u" site="s"/><touch name="u_0" site="s"/></sensor></mujoco>"#;
+
+#[test]
+fn what_would_be_recorded_under_a_wrong_name_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let model =
+        HAND.replace("<body name=\"bare\" pos=\"0 0 1\"/>", "<body name=\"bare\"><site name=\"s\"/></body>");
+    fs::write(folder.path().join("hand.xml"), model).unwrap();
+    let path = folder.path().join("hand.yaml");
+    let said = |modalities: &str, actuators: &str, placement: &str| {
+        let text = format!(
+            "model: hand.xml\nstep_rate_hz: 333.3333333333333\nsample_rate_hz: 33.33333333333333\n\
+             modalities: {{joints: {{joint_positions: [\"x[0]\"]}}, {modalities}}}\n\
+             action: {{seconds: 0.3, actuators: {{{actuators}}}}}\nplacement: {{{placement}}}\n"
+        );
+        fs::write(&path, text).unwrap();
+        let scene = World::load(&path).map_err(|error| error.to_string());
+        scene.and_then(|world| Scene::new(world).map(|_| ()).map_err(|error| error.to_string()))
+    };
+    let m = "m: {range: [-0.1, 0.1]}";
+    assert_eq!(said("a: {normal_force: [hand]}, b: {normal_force: [g3]}", m, ""), Ok(()));
+    assert_eq!(
+        said("a: {normal_force: [g1, g2]}, b: {normal_force: [g2], average_over: sample}", m, ""),
+        Ok(())
+    );
+    let boxes = "p: {bodies: [b1], clearance_m: 0, rectangle: [[1, 2], [1, 2]]}";
+    assert_eq!(said("a: {sensor: [u]}", m, boxes), Ok(()));
+    for (modalities, actuators, placement, expected) in [
+        (
+            "a: {normal_force: [hand]}, b: {normal_force: [g1]}",
+            m,
+            "",
+            "a geom of 'g1' belongs to another force as well",
+        ),
+        (
+            "a: {normal_force: [g1]}, b: {normal_force: [hand]}",
+            m,
+            "",
+            "a geom of 'hand' belongs to another force",
+        ),
+        ("a: {normal_force: [bare]}", m, "", "body 'bare' has no geom, so nothing can touch it"),
+        (
+            "a: {sensor: [u]}",
+            "m: {range: [-0.1, 0.1]}, n: {actuator: m, range: [0, 0.1]}",
+            "",
+            "another element of the action drives the same actuator; leave one of them out",
+        ),
+        (
+            "a: {sensor: [u]}",
+            m,
+            "p: {bodies: [b1], clearance_m: 0, rectangle: [[1, 2], [1, 2]]}, q: {bodies: ['b1', b2], clearance_m: 0, rectangle: [[2, 3], [2, 3]]}",
+            "a body of this placement belongs to another one as well; leave it out of one of them",
+        ),
+    ] {
+        let error = said(modalities, actuators, placement).unwrap_err();
+        assert!(error.contains(expected) && error.contains("hand.yaml:"), "{error}");
+    }
+}
+
+#[test]
+fn two_modalities_cannot_have_the_same_column() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = r#"<mujoco><worldbody><body name="a"><joint name="x"/><geom size="0.1"/><site name="s"/></body></worldbody>
+        <actuator><motor name="m" joint="x"/></actuator>
+        <sensor><force name="u" site="s"/><touch name="0" site="s"/><touch name="t" site="s"/></sensor></mujoco>"#;
+    fs::write(folder.path().join("own.xml"), model).unwrap();
+    let path = folder.path().join("own.yaml");
+    let modalities = "a: {sensor: [u, t]}, a_u: {sensor: ['0', t]}";
+    let text = format!(
+        "model: own.xml\nstep_rate_hz: 500\nsample_rate_hz: 10\nmodalities: {{{modalities}}}\n\
+         action: {{seconds: 1, actuators: {{m: {{range: [-1, 1]}}}}}}\n"
+    );
+    fs::write(&path, text).unwrap();
+    let error = Scene::new(World::load(&path).unwrap()).unwrap_err().to_string();
+    assert!(
+        error.contains("'a_u' and 'a' would both have the column 'a_u_0'; rename one of them"),
+        "{error}"
+    );
+}
+
+#[test]
+fn the_order_of_actuators_and_regions_decides_the_dataset() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("own.xml"), EMPTY_XML).unwrap();
+    let path = folder.path().join("own.yaml");
+    let name = |text: &str| {
+        fs::write(&path, text.replace("model: empty.xml", "model: own.xml")).unwrap();
+        let scene = Scene::new(World::load(&path).unwrap()).unwrap();
+        let spec = scene.world().simulation();
+        dataset_of(Path::new("datasets"), &scene, &spec).name().to_owned()
+    };
+    let swapped = |first: &str, second: &str| {
+        let line =
+            |key: &str| EMPTY.lines().find(|line| line.trim_start().starts_with(key)).unwrap().to_owned();
+        let (first, second) = (line(first), line(second));
+        EMPTY.replace(&first, "FIRST").replace(&second, &first).replace("FIRST", &second)
+    };
+    let own = name(EMPTY);
+    assert_eq!(name(&EMPTY.replace("The finger, the arm", "The arm, the finger")), own);
+    assert_ne!(name(&swapped("lift: {", "extension: {actuator")), own);
+    assert_ne!(name(&swapped("arm: {red", "finger: {red")), own);
+}
+
+#[test]
+fn a_first_world_file_can_be_used_for_any_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let model =
+        HAND.replace("<sensor><force name=\"u\" site=\"s\"/><touch name=\"u_0\" site=\"s\"/></sensor>", "");
+    fs::write(folder.path().join("hand.xml"), &model).unwrap();
+    fs::write(folder.path().join("Hand-2.xml"), &model).unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    succeed(folder.path(), &["world", "new", &path("hand.xml")]);
+    let said = succeed(folder.path(), &["world", "check", &path("hand.yaml")]);
+    let text = fs::read_to_string(folder.path().join("hand.yaml")).unwrap();
+    assert!(said.contains("3 values: m, actuator_1, actuator_2"), "{said}");
+    // The limits of the servo's joint, a duration of whole samples, and the name of a joint that looks like a pattern.
+    assert!(
+        text.contains("[-0.3, 0.3]") && text.contains("seconds: 0.99\n") && said.contains("x_0_ (m)"),
+        "{text}{said}"
+    );
+    for name in ["Hand-2.xml", "empty.xml"] {
+        let refused = finish(&mut harness(folder.path(), &["world", "new", &path(name)]));
+        assert!(refused.code == 2 && refused.stderr.contains("--output my_robot.yaml"), "{}", refused.stderr);
+    }
+    succeed(folder.path(), &["world", "new", &path("Hand-2.xml"), "--output", &path("second.yaml")]);
+    succeed(folder.path(), &["world", "check", &path("second.yaml")]);
+}
+
 #[test]
 fn a_world_file_without_a_model_that_compiles_is_refused() {
     let said = fault("model: empty.xml", "model: none.xml");

@@ -6,7 +6,7 @@ use anyhow::Result;
 use clap::{Args, Subcommand};
 use harness::files::write_bytes;
 use harness::simulation::{Scene, draft_world};
-use harness::spec::{Definition, Modality, World, world_schema};
+use harness::spec::{Definition, Modality, World, is_name, world_schema};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -46,6 +46,12 @@ pub enum WorldError {
     /// The file exists already.
     #[error("{} exists already; name another file with --output", .0.display())]
     Exists(PathBuf),
+    /// The file's name can't be that of a world.
+    #[error(
+        "a world is named after its file, and can't be named '{0}'; write it to a file with another name, of lower-case \
+         letters, digits and '_', a letter first: --output my_robot.yaml"
+    )]
+    Name(String),
 }
 
 impl Command {
@@ -67,6 +73,11 @@ impl Command {
                 let path = output.unwrap_or_else(|| model.with_extension("yaml"));
                 if path.exists() {
                     return Err(WorldError::Exists(path).into());
+                }
+                let name = path.file_stem().unwrap_or_default().to_string_lossy();
+                let is_built_in = World::built_in().iter().any(|world| world.scenario().name() == name);
+                if !is_name(&name) || is_built_in {
+                    return Err(WorldError::Name(name.into_owned()).into());
                 }
                 // A world file in the model's folder names the model without a folder, others by its absolute path.
                 let named = match path.parent() == model.parent() {

@@ -1,14 +1,18 @@
 //! Writes a first world file for any model.
 
 use super::SimulationError;
-use super::resolve::named;
+use super::resolve::{limits, named};
 use super::scene::{compile_error, prepare};
 use mujoco_rs::prelude::*;
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::Path;
 
 /// Side of the images in a first world file, pixels.
 const SIDE: usize = 64;
+
+/// Sample rate in a first world file, unless it does not divide the rate of the simulation steps.
+const SAMPLE_RATE_HZ: f64 = 10.0;
 
 /// Returns the text of a world file for the MJCF at the path `model`. The file has all named joints, links, sensors,
 /// cameras and actuators of the model, and refers to the model by the path `called`.
@@ -25,12 +29,18 @@ pub fn draft_world(model: &Path, called: &str) -> Result<String, SimulationError
         let problem = "it has no actuator with a name, which a world's action needs".to_owned();
         return Err(SimulationError::Unsuitable { scene: shown, problem });
     }
+    let step_rate_hz = 1.0 / model.opt().timestep;
+    // Ten samples in a second, or the rate that is nearest to it among those with a whole number of steps for each sample.
+    let steps = (step_rate_hz / SAMPLE_RATE_HZ).round().max(1.0);
+    let is_whole = (step_rate_hz / SAMPLE_RATE_HZ - steps).abs() < 1e-9 * steps;
+    let sample_rate_hz = if is_whole { SAMPLE_RATE_HZ } else { step_rate_hz / steps };
+    let seconds = if is_whole { 1.0 } else { sample_rate_hz.round().max(1.0) * steps * model.opt().timestep };
     let mut text = format!(
         "# Written by `harness world new`. Remove what is not sensed; `harness world check` lists what each name matches.\n\
-         description: {}\nmodel: {}\nstep_rate_hz: {}\nsample_rate_hz: 10\n\nmodalities:\n",
+         description: {}\nmodel: {}\nstep_rate_hz: {step_rate_hz}\nsample_rate_hz: {sample_rate_hz}\n\n\
+         modalities:\n",
         quoted(&format!("The robot of {file}")),
         quoted(called),
-        1.0 / model.opt().timestep,
     );
     let joints = named(&model, MjtObjBase::mjOBJ_JOINT);
     let is_single =
@@ -83,12 +93,18 @@ pub fn draft_world(model: &Path, called: &str) -> Result<String, SimulationError
         entry(&mut text, &modality, &[("camera", quoted(name)), ("size", format!("[{SIDE}, {SIDE}]"))]);
         entry(&mut text, &format!("{modality}_difference"), &[("difference_of", modality.clone())]);
     }
-    text.push_str("\naction:\n  seconds: 1\n  actuators:\n");
+    let _ = write!(text, "\naction:\n  seconds: {seconds}\n  actuators:\n");
+    let mut elements = BTreeSet::new();
     for (index, (name, id)) in actuators.into_iter().enumerate() {
-        let [low, high] =
-            if model.actuator_ctrllimited()[id] { model.actuator_ctrlrange()[id] } else { [-1.0, 1.0] };
-        let element = name.to_lowercase();
-        let element = if harness_spec::is_name(&element) { element } else { format!("actuator_{index}") };
+        let [low, high] = limits(&model, id);
+        let low = if low.is_finite() { low } else { high.min(1.0) - 2.0 };
+        let high = if high.is_finite() { high } else { low + 2.0 };
+        let mut element = name.to_lowercase();
+        let mut number = index;
+        while !harness_spec::is_name(&element) || !elements.insert(element.clone()) {
+            element = format!("actuator_{number}");
+            number += 1;
+        }
         let (name, range) = (quoted(name), format!("[{low:?}, {high:?}]"));
         let _ = writeln!(text, "    {element}: {{actuator: {name}, range: {range}}}");
     }
