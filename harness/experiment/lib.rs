@@ -174,6 +174,16 @@ struct Source {
 }
 
 impl Source {
+    /// Returns an error if a run can't use the samples.
+    fn check(&self, spec: &RunSpec) -> Result<(), ExperimentError> {
+        if let AnyDataset::Imported(dataset) = &self.dataset {
+            dataset.check(spec)?;
+        }
+        let unsuitable =
+            |problem| ExperimentError::Unsuitable { dataset: self.dataset.name().to_owned(), problem };
+        spec.check(self.dataset.layout()).map_err(unsuitable)
+    }
+
     /// Returns the world if its files have changed since it was read.
     fn changed_world(&self) -> Option<&World> {
         let scene = self.scene.as_ref().filter(|scene| scene.has_changed())?;
@@ -253,6 +263,7 @@ impl<'a> Runner<'a> {
                     source
                 }
             };
+            source.check(&spec)?;
             let name = source.dataset.name();
             let folder = |spec: RunSpec| (self.registry.run(&experiment.name, &spec, name), spec);
             let rungs: Rungs = Arc::new(experiment.rungs(&spec).into_iter().map(folder).collect());
@@ -291,14 +302,9 @@ impl<'a> Runner<'a> {
                 Source { dataset, scene: Some(scene) }
             }
             (None, origin) => {
-                let dataset = Imported::open(&root, origin.name())?;
-                dataset.check(spec)?;
-                Source { dataset: AnyDataset::Imported(dataset), scene: None }
+                Source { dataset: AnyDataset::Imported(Imported::open(&root, origin.name())?), scene: None }
             }
         };
-        let dataset = source.dataset.name().to_owned();
-        spec.check(source.dataset.layout())
-            .map_err(|problem| ExperimentError::Unsuitable { dataset, problem })?;
         Ok(source)
     }
 

@@ -261,6 +261,9 @@ def test_what_an_imported_dataset_lacks_is_refused_before_anything_is_done(recor
     assert answer.returncode == 2
     assert f"the dataset {name} contains no contact_force" in answer.stderr
     assert "it contains proprioception, arm, vision, frame_difference" in answer.stderr
+    inputs = ["input=[arm]", "output=[arm]", "vary={output: [[arm], [contact_force]]}"]
+    answer = harness("run", SPEC, f"scenarios=[{name}]", *inputs)
+    assert answer.returncode == 2 and f"the dataset {name} contains no contact_force" in answer.stderr
     answer = harness("run", SPEC, "scenarios=[lab_finger-0123456789abcdef]")
     assert answer.returncode == 2 and "there is no imported dataset" in answer.stderr
     assert "harness import MAPPING.yaml" in answer.stderr
