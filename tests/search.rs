@@ -300,6 +300,25 @@ fn the_commands_after_a_search_work() {
 }
 
 #[test]
+fn the_command_that_trains_a_best_trial_again_has_the_varied_settings() {
+    let text = SPEC
+        .replace("trials: 64", "trials: 2")
+        .replace("search:", "vary: {training.kl_weight: [0, 0.01]}\nsearch:");
+    let case = Case::new(&text);
+    let answer = case.run(&[]);
+    let commands: Vec<&str> =
+        answer.stdout.lines().filter_map(|line| line.strip_prefix("retrain    ")).collect();
+    assert_eq!(commands.len(), 2, "{}", answer.stdout);
+    for (command, weight) in commands.iter().zip(["=0'", "=0.01'"]) {
+        assert!(command.contains(&format!("training.kl_weight{weight}")), "{command}");
+        let words = shlex::split(command).unwrap();
+        let arguments: Vec<&str> = words[3..].iter().map(String::as_str).chain(["--dry-run"]).collect();
+        let plan = succeed(case.path(), &arguments);
+        assert_eq!(plan.lines().filter(|line| line.starts_with("run ")).count(), 1, "{plan}");
+    }
+}
+
+#[test]
 fn a_comparison_of_trials_fits_the_terminal_and_says_how_far_each_was_trained() {
     let case = Case::new(&format!("{SPEC}{HALVING}").replace("trials: 64", "trials: 8"));
     case.run(&[]);

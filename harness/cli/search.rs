@@ -55,7 +55,7 @@ pub fn print_commands(registry: &Registry, experiment: &Experiment, best: &[Best
     }
 }
 
-/// The overrides that limit the experiment to a run's scenario and latent size.
+/// The overrides that limit the experiment to a run's scenario, latent size and varied settings.
 fn cell(experiment: &Experiment, run: &RunSpec) -> Vec<String> {
     let mut overrides = Vec::new();
     if experiment.scenarios.len() > 1
@@ -66,5 +66,6 @@ fn cell(experiment: &Experiment, run: &RunSpec) -> Vec<String> {
     if experiment.latent.len() > 1 {
         overrides.push(format!("latent=[{}]", run.latent));
     }
+    overrides.extend(experiment.varied(run).into_iter().map(|(key, value)| format!("{key}={value}")));
     overrides
 }

@@ -102,6 +102,17 @@ impl Experiment {
         found.into_iter().filter_map(with_world).collect()
     }
 
+    /// Returns the value that a run has of each setting under `vary` with several values, without the dataset's seed.
+    pub fn varied(&self, run: &RunSpec) -> Vec<(&str, &serde_json::Value)> {
+        let names: Vec<&str> = run.variant_parts().0.split(',').collect();
+        let several = self.vary.iter().filter(|(key, values)| *key != DATASET_SEED && values.len() > 1);
+        let own = several.filter_map(|(key, values)| {
+            let value = values.iter().find(|value| names.contains(&named(key, value).as_str()))?;
+            Some((key.as_str(), value))
+        });
+        own.collect()
+    }
+
     /// Returns one experiment for each combination of the varied settings, with the name of the combination.
     fn variants(&self) -> Vec<(String, Experiment)> {
         let plain = Self { search: None, ..self.clone() };
