@@ -457,6 +457,31 @@ fn the_schema_for_editors_is_the_checked_in_one() {
 }
 
 #[test]
+fn outputs_that_are_pipes_or_links_stay_what_they_are() {
+    let folder = Folder::new();
+    let (pipe, link, file) = (folder.path("pipe.csv"), folder.path("link.csv"), folder.path("file.csv"));
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    std::fs::write(&file, "before").unwrap();
+    std::os::unix::fs::symlink(&file, &link).unwrap();
+    let read = {
+        let pipe = pipe.clone();
+        std::thread::spawn(move || std::fs::read_to_string(pipe).unwrap())
+    };
+    for path in [&pipe, &link] {
+        succeed(&RESULTS, &["query", "select 1 as one", "--output", path.to_str().unwrap()]);
+    }
+    assert_eq!(read.join().unwrap(), "one\n1\n");
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), "one\n1\n");
+    assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
+    let empty = finish(&mut harness(&RESULTS, &["render", "empty", "--samples", "0", "--output", "no.gif"]));
+    assert!(
+        empty.code == 2 && empty.stderr.contains("invalid value '0' for '--samples <N>'"),
+        "{}",
+        empty.stderr
+    );
+}
+
+#[test]
 fn pictures_and_clips_have_the_size_and_length_asked_for() {
     let folder = Folder::new();
     let path = |name: &str| folder.path(name).display().to_string();

@@ -33,9 +33,16 @@ pub struct WriteError {
 
 /// Calls `write` with a temporary file next to `path`, flushes it to disk and renames it to `path`.
 ///
-/// A reader of `path` sees the old file, the new file or no file, but never an incomplete file.
+/// A reader of `path` sees the old file, the new file or no file, but never an incomplete file. If `path` is a device or a
+/// pipe, `write` is called with it.
 pub fn write_whole(path: &Path, write: impl FnOnce(&Path) -> io::Result<()>) -> Result<(), WriteError> {
     let attempt = || {
+        // A link stays, and the file that it points to is replaced. A device or a pipe is written to.
+        let target = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let path = target.as_path();
+        if std::fs::metadata(path).is_ok_and(|about| !about.is_file() && !about.is_dir()) {
+            return write(path);
+        }
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         std::fs::create_dir_all(folder)?;
         let temporary = tempfile::Builder::new()
