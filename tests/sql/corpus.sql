@@ -800,6 +800,25 @@ select latent * 9223372036854775807 from runs
 -- refuse: a sum that overflows | too large for 64 bits; make them real
 select sum(latent * 0 + 9223372036854775807) from runs
 
+-- refuse: a sum over a partition that overflows | too large for 64 bits; make them real
+select sum(latent * 0 + 9223372036854775807) over () from runs
+
+-- refuse: a running sum that overflows | too large for 64 bits; make them real
+select sum(latent * 0 + 9223372036854775807) over (order by run) from runs
+
+-- agree: a running mean of large integers
+select run, avg(latent * 0 + 4611686018427387904) over (order by experiment, run) from runs
+
+-- agree: sums over partitions and rows
+select run, sum(latent) over (), sum(latent) over (partition by experiment),
+    sum(latent) over (order by experiment, run) from runs
+
+-- refuse: an absolute value that overflows | abs(-9223372036854775808) is too large for 64 bits; make it real
+select abs(x) from (select -9223372036854775807 - 1 as x)
+
+-- refuse: two columns of a subquery with the same name | 'a' is ambiguous; give them different names with AS
+select a from (select 1 as a, 2 as a) s
+
 -- refuse: a remainder of zero | 5 % 0 has no value, because the divisor is 0; leave out such rows, or write nullif(…, 0)
 select 5 % 0
 

@@ -104,7 +104,17 @@ pub fn call(name: &str, arguments: Vec<Value>) -> Answer<Value> {
     match name {
         "abs" => {
             let value = one_number(name, arguments)?;
-            Ok(Value::new(value.expr.abs(), value.kind))
+            if value.kind != Type::Integer {
+                return Ok(Value::new(value.expr.abs(), value.kind));
+            }
+            let absolute = |value: i64, _: i64| {
+                let too_large =
+                    || format!("abs({value}) is too large for 64 bits; make it real, such as with * 1.0");
+                value.checked_abs().ok_or_else(|| PolarsError::ComputeError(too_large().into()))
+            };
+            let zero = Value::literal(AnyValue::Int64(0), Type::Integer).expr;
+            let expr = of_two::<Int64Type>(value.to(Type::Integer), zero, Type::Integer, absolute);
+            Ok(Value::new(expr, Type::Integer))
         }
         "sign" => {
             let value = one_number(name, arguments)?;

@@ -139,6 +139,9 @@ fn parsed(sql: &str) -> Answer<Statement> {
     if sql.len() > MAX_QUERY_BYTES {
         return refuse(format!("it has {} bytes, but at most {MAX_QUERY_BYTES} are allowed", sql.len()));
     }
+    if sql.contains('\0') {
+        return refuse("it has a null character".into());
+    }
     let syntax = |error: ParserError| match error {
         ParserError::RecursionLimitExceeded => QueryError::Refused(
             "its parentheses, functions or subqueries are nested too deeply; use WITH".into(),

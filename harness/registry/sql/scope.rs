@@ -150,11 +150,12 @@ pub fn resolve<'a>(columns: &'a [Column], path: &[Ident]) -> Result<&'a Column, 
         ([], Some(table)) if visible.is_empty() => Err(Unresolved::Unknown(unknown_table(columns, table))),
         ([], _) => Err(Unresolved::Unknown(unknown_column(&visible, name))),
         (several, None) => {
-            let places: Vec<String> = several
+            let mut places: Vec<String> = several
                 .iter()
                 .filter_map(|column| Some(format!("{}.{}", column.table.as_ref()?, column.name)))
                 .collect();
-            let places = if places.is_empty() {
+            places.dedup();
+            let places = if places.len() < several.len() {
                 "give them different names with AS".to_owned()
             } else {
                 format!("write {}", places.join(" or "))

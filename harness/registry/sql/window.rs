@@ -1,7 +1,7 @@
 //! Window functions: `f(…) over (partition by … order by …)`.
 
 use super::expression::{Binder, Value};
-use super::functions::Aggregate;
+use super::functions::{Aggregate, sum_within_integers};
 use super::scope::Type;
 use super::{Answer, refuse, shown};
 use polars::prelude::*;
@@ -217,6 +217,25 @@ pub fn bind(binder: &Binder, call: &Call, over: &ast::WindowType, written: &ast:
 /// Binds an aggregate over each row's frame.
 fn aggregate(binder: &Binder, window: &mut Window, call: &Call, frame: Frame) -> Answer<Value> {
     let (aggregate, argument) = binder.argument(call.name, call.arguments, call.filter)?;
+    let value = over_frame(binder, window, aggregate, argument.clone(), call.name, frame)?;
+    if aggregate != Aggregate::Sum || value.kind != Type::Integer {
+        return Ok(value);
+    }
+    let real = Value::new(argument.to(Type::Real), Type::Real);
+    let real = over_frame(binder, window, aggregate, real, call.name, frame)?;
+    let (sum, real) = (window.step(binder, value.expr), window.step(binder, real.expr));
+    Ok(sum_within_integers(Value::new(sum, value.kind), real))
+}
+
+/// An aggregate of `argument` over each row's frame.
+fn over_frame(
+    binder: &Binder,
+    window: &mut Window,
+    aggregate: Aggregate,
+    argument: Value,
+    name: &str,
+    frame: Frame,
+) -> Answer<Value> {
     let kind = argument.kind;
     let id = window.input(binder, argument);
     if frame == Frame::All {
@@ -225,8 +244,7 @@ fn aggregate(binder: &Binder, window: &mut Window, call: &Call, frame: Frame) ->
     }
     let Some((running, kind)) = running(aggregate, &id, kind) else {
         return refuse(format!(
-            "a running {} is not supported; leave ORDER BY out to compute it over the whole partition",
-            call.name
+            "a running {name} is not supported; leave ORDER BY out to compute it over the whole partition"
         ));
     };
     let running = window.step(binder, window.ordered(running)?);
@@ -323,7 +341,8 @@ fn running(aggregate: Aggregate, id: &str, kind: Type) -> Option<(Expr, Type)> {
         (Aggregate::Rows | Aggregate::Count, _) => (count.clone(), Type::Integer),
         (Aggregate::Sum, Type::Integer | Type::Real) => (some(sum), kind),
         (Aggregate::Mean, Type::Integer | Type::Real) => {
-            (some(sum.cast(DataType::Float64) / count.clone().cast(DataType::Float64)), Type::Real)
+            let sum = column.cast(DataType::Float64).fill_null(lit(0.0)).cum_sum(false);
+            (some(sum / count.clone().cast(DataType::Float64)), Type::Real)
         }
         (Aggregate::Min, Type::Integer) => (latest(column.cum_min(false)), kind),
         (Aggregate::Max, Type::Integer) => (latest(column.cum_max(false)), kind),
