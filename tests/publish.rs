@@ -188,12 +188,18 @@ fn runs_that_are_not_published_copies_are_not_replaced() {
 
 #[test]
 fn what_cannot_be_published_is_refused() {
-    let results = RESULTS.to_str().unwrap();
+    let (results, inside) = (RESULTS.to_str().unwrap(), RESULTS.join("runs/copy"));
+    let inside = inside.to_str().unwrap();
     for (arguments, code, message) in [
         (
             ["publish", "smok", "--output", "nowhere"],
             2,
             "error: 'smok' has no finished runs; those that have: smoke, sweep\n",
+        ),
+        (
+            ["publish", "smoke", "--output", inside],
+            1,
+            "can't be published into itself; choose another folder\n",
         ),
         (
             ["publish", "smoke", "--output", results],
@@ -205,5 +211,5 @@ fn what_cannot_be_published_is_refused() {
         assert_eq!(answer.code, code, "{arguments:?}");
         assert!(answer.stderr.ends_with(message), "{}", answer.stderr);
     }
-    assert!(!Path::new("nowhere").exists());
+    assert!(!Path::new("nowhere").exists() && !Path::new(inside).exists());
 }

@@ -38,9 +38,7 @@ impl Registry {
         to: &Registry,
         progress: &dyn Progress,
     ) -> Result<Published, RegistryError> {
-        if std::fs::canonicalize(&self.root)
-            .is_ok_and(|root| std::fs::canonicalize(&to.root).ok() == Some(root))
-        {
+        if self.contains(&to.root) {
             return Err(RegistryError::IntoItself(self.root.clone()));
         }
         let chosen: Vec<_> = chosen.into_iter().collect();
@@ -90,6 +88,16 @@ impl Registry {
         }
         progress.end();
         Ok(published)
+    }
+}
+
+impl Registry {
+    /// Whether a folder is this results folder, or in one of its folders.
+    fn contains(&self, folder: &Path) -> bool {
+        let real = |path: &Path| std::fs::canonicalize(path).or_else(|_| std::path::absolute(path));
+        let (Ok(folder), Ok(root)) = (real(folder), real(&self.root)) else { return false };
+        let own = ["runs", "datasets", "compacted", "specs", "jobs"];
+        folder == root || own.iter().any(|part| folder.starts_with(root.join(part)))
     }
 }
 
