@@ -55,8 +55,8 @@ fn metric(name: &str) -> Result<String, String> {
 /// The reason why there is nothing to compare.
 #[derive(Debug, thiserror::Error)]
 pub enum CompareError {
-    /// No run has the requested metrics. The field is a command that prints all means.
-    #[error("no run has these metrics for this task and model; `{0}` prints all metrics")]
+    /// No run has the requested metrics. The field is a command that lists those that runs have.
+    #[error("no run has these metrics for this task and model; `{0}` lists those that runs have")]
     Empty(String),
     /// There are no finished runs. The field is a command that makes some.
     #[error("there are no finished runs to compare; `{0}` makes some")]
@@ -77,7 +77,8 @@ impl Compare {
         };
         let means: Vec<Mean> = analysis.means()?.into_iter().filter(is_wanted).collect();
         if means.is_empty() {
-            return Err(CompareError::Empty(registry.command("compare")).into());
+            let list = "query \"select distinct experiment, task, model, modality, metric from metrics\"";
+            return Err(CompareError::Empty(registry.command(list)).into());
         }
         if let Some(path) = self.output {
             for note in analysis.notes() {

@@ -25,7 +25,7 @@ pub enum ModelError {
     Registry(#[from] RegistryError),
     /// The network can't be loaded or applied.
     #[error(transparent)]
-    Learning(#[from] LearningError),
+    Learning(LearningError),
     /// The run is not done.
     #[error("{run} is {}, not done; repeat the command that started it, to continue", status.name())]
     Unfinished {
@@ -221,6 +221,16 @@ fn applied(record: &RunRecord, task: Task) -> Architecture {
     Architecture {
         arithmetic: arithmetic(record.spec.training.tiles, Precision::F32),
         ..architecture(&record.spec, &record.layout, task)
+    }
+}
+
+impl From<LearningError> for ModelError {
+    /// Turns a damaged file into an error of the registry, which names the command that says how to repair it.
+    fn from(error: LearningError) -> Self {
+        match error {
+            LearningError::Damaged { path, reason } => RegistryError::File { path, reason }.into(),
+            other => Self::Learning(other),
+        }
     }
 }
 

@@ -77,7 +77,7 @@ pub enum LearningError {
     #[error("the training was cancelled; the same command continues from the last saved state")]
     Cancelled,
     /// A state or a checkpoint is damaged, or does not fit the network.
-    #[error("{} is damaged ({reason}); `harness verify` names the command that trains it again", path.display())]
+    #[error("{} is damaged ({reason})", path.display())]
     Damaged {
         /// The damaged file.
         path: PathBuf,
