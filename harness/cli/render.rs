@@ -31,8 +31,8 @@ pub struct Render {
     #[arg(long, value_name = "K", default_value_t = 0, requires = "episode")]
     sample: usize,
     /// The largest number of samples in a clip
-    #[arg(long, value_name = "N", default_value_t = 100)]
-    samples: usize,
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..))]
+    samples: u32,
     /// The spec whose `simulation` settings define the episode [default: the world's default settings]
     #[arg(long, value_name = "SPEC")]
     spec: Option<PathBuf>,
@@ -113,7 +113,7 @@ impl Render {
     }
 
     fn clip(&self, renderer: &mut SceneRenderer, states: &[Vec<f64>], sample_rate_hz: f64) -> Result<()> {
-        let states = &states[..states.len().min(self.samples)];
+        let states = &states[..states.len().min(self.samples as usize)];
         let bars = Bars::default();
         bars.begin("drawing", states.len() as u64, "frames");
         let mut frames = Vec::with_capacity(states.len());
