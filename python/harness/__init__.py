@@ -722,7 +722,8 @@ class Dataset(_harness.Dataset):
             IndexError: there is no such episode.
         """
         bounds = self.bounds
-        if not -len(bounds) <= integer("index", index) < len(bounds):
+        index = integer("index", index)
+        if not -len(bounds) <= index < len(bounds):
             raise IndexError(f"index: there are episodes 0 to {len(bounds) - 1}, not {index}")
         first, end = bounds[index]
         return {name: self[name][first:end] for name in self.keys()}

@@ -10,7 +10,7 @@ from typing import Any
 def integer(argument: str, value: Any) -> int:
     """Returns an integer of any type. Raises TypeError for other values."""
     try:
-        return operator.index(value)
+        return int(operator.index(value))
     except TypeError:
         raise TypeError(f"{argument}: {value!r} must be an integer") from None
 

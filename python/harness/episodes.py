@@ -188,7 +188,7 @@ class Episodes:
 
     def bounds(self) -> dict[str, tuple[Any, Any, tuple[int, ...], type]]:
         """Returns the lowest and highest value, the shape and the type of each modality of one simulation, by name."""
-        # The arm is up to 0.01 rad or m away from its setpoint, and joints bend beyond their limits by less than that.
+        # The arm is up to 0.02 rad or m away from its setpoint, and joints bend beyond their limits by less than that.
         # The bound of the forces is more than ten times the largest force of a dataset.
         arm = self.ranges + np.array([-0.5, 0.5])
         known: dict[str, tuple[Any, Any]] = {

@@ -34,6 +34,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from ._arguments import integer
 from .episodes import Episodes, checked_seed, one_action
 from .tasks import TASKS
 
@@ -237,7 +238,9 @@ class SoftFingerVector(VectorEnv[Any, Any, Any]):
         if isinstance(seed, (int, np.integer)):
             super().reset(seed=checked_seed(seed))
             seed = [int(seed) + index for index in range(self.num_envs)]
-        seeds = [None] * self.num_envs if seed is None else seed
+        if seed is not None and not isinstance(seed, Iterable):
+            raise TypeError(f"seed: {seed!r} must be an integer, or a list of them")
+        seeds = [None] * self.num_envs if seed is None else [checked_seed(one) for one in seed]
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed: {len(seeds)} seeds for {self.num_envs} environments")
         for index in np.flatnonzero(mask):
@@ -300,7 +303,7 @@ def check_rendering(render_mode: str | None, width: int, height: int) -> None:
     if render_mode not in (None, "rgb_array"):
         raise ValueError(f"render_mode: there is no {render_mode!r}; allowed: None, 'rgb_array'")
     for name, side in (("width", width), ("height", height)):
-        if not 1 <= side <= MAX_SIDE:
+        if not 1 <= integer(name, side) <= MAX_SIDE:
             raise ValueError(f"{name}: {side} must be 1 to {MAX_SIDE} pixels")
 
 

@@ -246,7 +246,10 @@ impl Batch {
             return Ok(Self { len: 1, single: true });
         }
         match shape.first() {
-            None | Some(0) => Err(PyValueError::new_err(format!("the {name} has no samples"))),
+            None => {
+                Err(PyValueError::new_err(format!("the {name} is a single number, not a sample or a batch")))
+            }
+            Some(0) => Err(PyValueError::new_err(format!("the {name} has no samples"))),
             Some(len) => Ok(Self { len: *len, single: false }),
         }
     }

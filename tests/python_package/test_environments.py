@@ -240,6 +240,10 @@ def test_seeds_are_integers_of_any_type_and_others_are_named() -> None:
             environment.reset(seed=-1)
         with pytest.raises(TypeError, match=r"seed: 1.5 must be an integer"):
             environment.reset(seed=1.5 if environment is single else [1.5, 1])
+    before = list(several.unwrapped.episodes.seeds)
+    with pytest.raises(ValueError, match=r"seed: -1 must be 0 to"):
+        several.reset(seed=[7, -1])
+    assert several.unwrapped.episodes.seeds == before, "no simulation was restarted"
     with pytest.raises(ValueError, match="index: there are simulations 0 to 1, not 2"):
         several.unwrapped.episodes.reset(2)
 
@@ -338,11 +342,13 @@ WRONG = {
     "environment's seed": (lambda: environments.load("empty", "reach", seed=-1), ValueError, "seed: -1 must be 0 to"),
     "seed's type": (lambda: environments.load("empty", "reach", seed=1.5), TypeError, "seed: 1.5 must be an integer"),
     "no reset": (lambda: harness.gymnasium.SoftFinger("empty").step(np.zeros(3)), RuntimeError, "call reset first"),
+    "width's type": (lambda: harness.gymnasium.SoftFinger("empty", width=1.5), TypeError, "width: 1.5 must be an integer"),
     "width": (lambda: harness.gymnasium.SoftFinger("empty", width=0), ValueError, "width: 0 must be 1 to 4096 pixels"),
     "actions": (lambda: reset_vector().step(np.zeros(3)), ValueError, "2 times 3 finite numbers: rotation, lift, ext"),
     "an action": (lambda: reset_vector().step(np.full((2, 3), np.nan)), ValueError, "actions: .* finite numbers"),
     "words": (lambda: reset_vector().step("left"), ValueError, "actions: 'left' must be 2 times 3 finite numbers"),
     "render mode": (lambda: harness.gymnasium.SoftFinger("empty", render_mode="human"), ValueError, "human"),
+    "no seeds": (lambda: reset_vector().reset(seed=1.0), TypeError, "seed: 1.0 must be an integer, or a list of them"),
     "seeds": (lambda: harness.gymnasium.SoftFingerVector(2, "empty").reset(seed=[1]), ValueError, "seed"),
 }
 

@@ -438,6 +438,8 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         "no results": lambda: harness.verify(results / "none"),
         "latent": lambda: model.reconstruct(np.zeros((3, 5), np.float32)),
         "no latent": lambda: model.reconstruct(np.zeros((0, 4), np.float32)),
+        "number": lambda: model.reconstruct(1.0),
+        "null": lambda: harness.query("select 1 as \"a\0b\"", results=results),
     }[name]()
 
 
@@ -502,6 +504,8 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         ("no results", FileNotFoundError, "there are no results in .*; the argument `results` names the folder"),
         ("latent", ValueError, r"latent.*\[3, 5\].*\[3, 4\]"),
         ("no latent", ValueError, "latent has no samples"),
+        ("number", ValueError, "latent is a single number, not a sample or a batch"),
+        ("null", ValueError, "it has a null character"),
     ],
 )
 def test_a_wrong_call_raises_what_fits_and_names_what_is_wrong(
@@ -526,7 +530,7 @@ def test_a_damaged_network_is_named_with_what_trains_it_again(
     [network] = Path("results").glob("runs/smoke/empty-*/prediction.safetensors")
     whole = network.read_bytes()
     network.write_bytes(whole[: len(whole) // 2])
-    message = "prediction.safetensors is damaged .*; `harness verify` names the command that trains it again"
+    message = "prediction.safetensors is damaged .*; `harness verify` says how to repair it"
     with pytest.raises(RuntimeError, match=message):
         harness.load_model("smoke/empty")
     [problem] = [problem for problem in harness.verify() if problem.broken]
