@@ -1,0 +1,292 @@
+"""Measures the values in the section "Measured" of models/README.md, and prints them as Markdown tables.
+
+    .venv/bin/python models/measure.py             # all tables
+    .venv/bin/python models/measure.py settling    # one table: contacts, settling, softness, cones or sensors
+
+The table `contacts` is computed from datasets that the package `harness` collects in a temporary folder. For the other
+tables, the models in this folder are changed and simulated with MuJoCo's Python package. Every call prints the same.
+
+All values are in SI units, angles in radians.
+"""
+
+import argparse
+import pathlib
+import tempfile
+
+import mujoco
+import numpy as np
+
+import harness
+
+HERE = pathlib.Path(__file__).resolve().parent
+SCENES = ("empty", "cluttered")
+SEED = 0  # of all random setpoints
+MOVE_STEPS = 1000  # a move from one setpoint to the next takes 1 s, as in the datasets
+
+LINKS = [f"finger_link_{link:02}" for link in range(20)]  # base to tip
+JOINTS = [f"finger_joint_{joint:02}" for joint in range(20)]
+LINK_END = (0, 0, -0.05)  # m, in the link's frame
+
+EPISODES, ACTUATIONS = 50, 20  # of each scene's dataset
+
+MASSES = (0.01, 0.02, 0.05)  # kg, of a link
+DAMPINGS = (1, 2, 2.5, 3, 3.5, 4, 6)  # N m s/rad, of a joint
+BENDING_FORCE = (8, 0, 0)  # N, at the tip, along the arm
+BENDING_DAMPING = 6  # N m s/rad, with which even the heaviest finger is at rest after the steps of bending
+BENDING_STEPS = RELEASE_STEPS = 10_000
+SETTLED = 0.05  # of the tip's deflection
+
+DEFAULT_SOLIMP = (0.9, 0.95, 0.001, 0.5, 2)  # MuJoCo's
+DRAG_MOVES = 100
+DRAG_LIFT = -0.7  # m, at which the straight finger would reach 0.25 m into the ground
+
+CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
+CONE_MOVES = 1000
+
+SENSOR_MOVES = 100
+SENSOR_RADIUS = 0.2  # m, of a sphere around each link, which contains all contacts of the link
+
+
+def load(scene):
+    """Returns the model of a scene for editing."""
+    return mujoco.MjSpec.from_file(str(HERE / f"{scene}.xml"))
+
+
+def at_rest(model):
+    """Returns the state of the keyframe `rest`."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("rest").id)
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def random_setpoints(model, count):
+    """Returns the arm's setpoint at rest and `count` uniformly random ones, `[count + 1, 3]`: rad, m, m."""
+    low, high = model.actuator_ctrlrange.T
+    drawn = np.random.default_rng(SEED).uniform(low, high, (count, model.nu))
+    return np.vstack([model.key("rest").ctrl, drawn])
+
+
+def move(model, data, setpoints):
+    """Moves the arm from each setpoint to the next, smoothly as in the datasets. Yields after each step."""
+    time = np.arange(MOVE_STEPS) / MOVE_STEPS
+    for start, end in zip(setpoints, setpoints[1:]):
+        for done in time**2 * (3 - 2 * time):
+            data.ctrl[:] = start + done * (end - start)
+            mujoco.mj_step(model, data)
+            yield
+
+
+def geom_forces(model, data):
+    """Returns the sum of the normal forces of each geom's contacts, N, `[geoms]`."""
+    forces, wrench = np.zeros(model.ngeom), np.zeros(6)
+    for index, geoms in enumerate(data.contact.geom):
+        mujoco.mj_contactForce(model, data, index, wrench)
+        forces[geoms] += wrench[0]
+    return forces
+
+
+def last_link_forces(model, setpoints):
+    """Returns the normal force on the last link in each step of moves that start at rest, N, `[moves, steps]`."""
+    data, link = at_rest(model), model.geom(LINKS[-1]).id
+    forces = [geom_forces(model, data)[link] for _ in move(model, data, setpoints)]
+    return np.reshape(forces, (-1, MOVE_STEPS))
+
+
+def number(value):
+    """Returns a number as text: from 10 on a whole number, below it two significant digits."""
+    return f"{value:.0f}" if value >= 9.95 else f"{value:#.2g}"
+
+
+def percent(*shares):
+    """Returns shares as text, in percent."""
+    return ", ".join(number(100 * share) for share in shares) + " %"
+
+
+def quantiles(forces):
+    """Returns the median, the 95 % and 99 % quantiles and the maximum of forces in N, as text."""
+    return ", ".join(number(force) for force in np.percentile(forces, [50, 95, 99, 100])) + " N"
+
+
+def print_table(header, rows):
+    """Prints a Markdown table with these cells."""
+    first, *others = ("".join(f"| {cell} " if cell else "| " for cell in cells) + "|" for cells in (header, *rows))
+    print(first, "|" + "---|" * len(header), *others, "", sep="\n", flush=True)
+
+
+def contacts():
+    """Prints contacts, forces, the largest joint angle and the arm's lag in a dataset of each scene."""
+    settings = {
+        "scenarios": SCENES,
+        "simulation.seed": SEED,
+        "simulation.episodes": EPISODES,
+        "simulation.actuations_per_episode": ACTUATIONS,
+    }
+    with tempfile.TemporaryDirectory() as results:
+        folders = harness.collect("smoke", settings, results=results, progress=False)
+        datasets = [harness.Dataset(folder, frames=False) for folder in folders]
+    columns = [dataset_values(data) for data in datasets]
+    rows = [[name, *(column[name] for column in columns)] for name in columns[0]]
+    print_table(["", *(data.scenario for data in datasets)], rows)
+
+
+def dataset_values(data):
+    """Returns the values of a dataset as text, by description."""
+    force, mean_force = data["contact_force"], data["contact_force_mean"]
+    touched = force > 0
+    instant, interval = touched.any(axis=1).mean(), (mean_force > 0).any(axis=1).mean()
+    of_samples = touched.mean(axis=0)
+    nearest = LINKS[touched.any(axis=0).argmax()]
+    last_link = force[touched[:, -1], -1]
+    correlation = np.corrcoef(force[:, -1], mean_force[:, -1])[0, 1]
+    angle = np.abs(data["proprioception"]).max()
+    rotation, lift, extension = np.abs(data["arm"] - data["setpoint"]).max(axis=0)
+    return {
+        "samples with contact at the instant / during the interval": f"{percent(instant)} / {percent(interval)}",
+        "samples in which the last link is touched": percent(of_samples[-1]),
+        "samples in which the 2nd, 3rd, 5th, 9th link from the tip is touched": percent(*of_samples[[-2, -3, -5, -9]]),
+        "the link nearest to the base that was touched": f"`{nearest}`",
+        "force on the touched last link: median, 95 %, 99 %, maximum": quantiles(last_link),
+        "correlation of instantaneous and mean force, last link": f"{correlation:.2f}",
+        "largest joint angle": f"{angle:.2f} rad",
+        "largest distance of the arm from its setpoint at a sample": (
+            f"{rotation:.3f} rad, {lift:.3f} m, {extension:.3f} m"
+        ),
+    }
+
+
+def settling():
+    """Prints how fast the released finger settles with different dampings and masses."""
+    own = load("empty")
+    own_mass, own_damping = own.geom(LINKS[-1]).mass, own.joint(JOINTS[-1]).damping[0]
+    rows = []
+    for mass in MASSES:
+        cells = []
+        for damping in DAMPINGS:
+            deflection, seconds, overshoot = release(mass, damping)
+            cell = f"{seconds:.2f} ({100 * overshoot:.0f} %)"
+            cells.append(f"**{cell}**" if (mass, damping) == (own_mass, own_damping) else cell)
+        rows.append([f"links of {mass} kg, deflected by {deflection:.2f} m", *cells])
+    print_table(["damping, N m s/rad", *map(str, DAMPINGS)], rows)
+
+
+def release(mass, damping):
+    """Bends the finger by a force at its tip, and releases it.
+
+    Returns the tip's deflection in m, the time until the tip stays near its place at rest in s, and the overshoot: how
+    far the tip moves against the deflection, as a share of the deflection.
+    """
+    spec = load("empty")
+    for link in LINKS:
+        spec.geom(link).mass = mass
+    spec.body(LINKS[-1]).add_site(name="tip", pos=LINK_END)
+    model = spec.compile()
+    data, tip, body = at_rest(model), model.site("tip").id, model.body(LINKS[-1]).id
+    rest = data.site_xpos[tip].copy()
+    joints = [model.joint(joint).dofadr[0] for joint in JOINTS]
+
+    model.dof_damping[joints] = BENDING_DAMPING
+    for _ in range(BENDING_STEPS):
+        data.qfrc_applied[:] = 0
+        mujoco.mj_applyFT(model, data, BENDING_FORCE, np.zeros(3), data.site_xpos[tip], body, data.qfrc_applied)
+        mujoco.mj_step(model, data)
+
+    model.dof_damping[joints] = damping
+    data.qfrc_applied[:] = 0
+    places = np.empty((RELEASE_STEPS, 3))
+    for step in range(RELEASE_STEPS):
+        mujoco.mj_step(model, data)
+        places[step] = data.site_xpos[tip]  # at the start of the step
+
+    offsets = places - rest
+    distances = np.linalg.norm(offsets, axis=1)
+    deflection = distances[0]
+    seconds = (np.flatnonzero(distances > SETTLED * deflection)[-1] + 1) * model.opt.timestep
+    along = offsets @ offsets[0] / deflection**2
+    return deflection, seconds, max(0, -along.min())
+
+
+def softness():
+    """Prints how often the contact of the dragged tip breaks, and how much its force changes from step to step."""
+    own = tuple(load("empty").geom(LINKS[-1]).solimp)
+    rows = []
+    for name, solimp in (("MuJoCo's default", DEFAULT_SOLIMP), ("the models'", own)):
+        breaks, change = drag(solimp)
+        text = " ".join(f"{value:g}" for value in solimp)
+        rows.append([
+            f"{name}: {text}",
+            f"{breaks.mean():.1f}, {breaks.max()}",
+            percent(np.median(change), change.max()),
+        ])
+    print_table(["`solimp`", "breaks in a move: mean, maximum", "change of the force: median, maximum"], rows)
+
+
+def drag(solimp):
+    """Drags the tip over the ground with this `solimp` of the finger.
+
+    Returns two values of each move: the number of steps in which the contact of the last link breaks, and the mean
+    change of its force from one step to the next, as a share of the mean force.
+    """
+    spec = load("empty")
+    for link in LINKS:
+        spec.geom(link).solimp = solimp
+    model = spec.compile()
+    setpoints = random_setpoints(model, DRAG_MOVES + 1)
+    setpoints[1:, model.actuator("arm_lift").id] = DRAG_LIFT
+    forces = last_link_forces(model, setpoints)[1:]  # the first move lowers the finger
+    breaks = (forces[:, :-1] > 0) & (forces[:, 1:] == 0)
+    change = np.abs(np.diff(forces)).mean(axis=1) / forces.mean(axis=1)
+    return breaks.sum(axis=1), change
+
+
+def cones():
+    """Prints the forces on the last link with pyramidal and elliptic friction cones."""
+    rows = []
+    for name, cone in CONES.items():
+        spec = load("empty")
+        spec.option.cone = cone
+        model = spec.compile()
+        forces = last_link_forces(model, random_setpoints(model, CONE_MOVES))
+        rows.append([name, percent((forces > 0).mean()), quantiles(forces[forces > 0])])
+    print_table(["cones", "steps with contact", "force: median, 95 %, 99 %, maximum"], rows)
+
+
+def sensors():
+    """Prints how far touch sensors on all links differ from the sums of the contacts' normal forces."""
+    rows = []
+    for scene in SCENES:
+        model = with_touch_sensors(scene)
+        data, links = at_rest(model), [model.geom(link).id for link in LINKS]
+        largest = difference = 0
+        for _ in move(model, data, random_setpoints(model, SENSOR_MOVES)):
+            forces = geom_forces(model, data)[links]
+            largest = max(largest, forces.max())
+            difference = max(difference, np.abs(data.sensordata - forces).max())
+        rows.append([scene, f"{number(largest)} N", f"{difference:g} N"])
+    print_table(["", "largest force on a link", "largest difference of a touch sensor"], rows)
+
+
+def with_touch_sensors(scene):
+    """Returns the compiled model of a scene with a touch sensor on each link."""
+    spec = load(scene)
+    for link in LINKS:
+        spec.body(link).add_site(name=link, size=[SENSOR_RADIUS] * 3)
+        spec.add_sensor(
+            name=link, type=mujoco.mjtSensor.mjSENS_TOUCH, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=link
+        )
+    return spec.compile()
+
+
+TABLES = {function.__name__: function for function in (contacts, settling, softness, cones, sensors)}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("table", nargs="?", choices=TABLES, help="the table to print; all if none is given")
+    table = parser.parse_args().table
+    for function in [TABLES[table]] if table else TABLES.values():
+        function()
+
+
+if __name__ == "__main__":
+    main()
