@@ -54,8 +54,10 @@ impl Readers {
             let can_filter =
                 select.from.len() == 1 && from.joins.iter().all(|join| is_inner(&join.join_operator));
             let factors = std::iter::once(&from.relation).chain(from.joins.iter().map(|join| &join.relation));
-            for name in factors.filter_map(|factor| self.name(factor)).collect::<Vec<_>>() {
+            let found: Vec<_> = factors.filter_map(|factor| Some((factor, self.name(factor)?))).collect();
+            for (factor, name) in found {
                 let mut condition = Condition::new();
+                let can_filter = can_filter && !has_own_columns(factor);
                 if let Some(filter) = select.selection.as_ref().filter(|_| can_filter) {
                     self.add_terms(filter, &name, &mut condition);
                 }
@@ -93,6 +95,11 @@ impl Readers {
             condition.entry(column.clone()).or_insert(texts);
         }
     }
+}
+
+/// Whether an alias gives the columns of a table other names: `FROM epochs AS e(a, b)`.
+fn has_own_columns(factor: &TableFactor) -> bool {
+    matches!(factor, TableFactor::Table { alias: Some(alias), .. } if !alias.columns.is_empty())
 }
 
 /// The text of a literal in single quotes; `None` for other expressions.

@@ -100,6 +100,17 @@ pub struct Key {
 /// The aliases of SELECT, with their expressions.
 pub type Aliases<'a> = &'a [(String, &'a ast::Expr)];
 
+/// The rows in which the value of an expression is needed. Polars computes it in all rows.
+#[derive(Clone, Copy)]
+pub enum Needed<'a> {
+    /// In every row.
+    Always,
+    /// Where a condition is true, such as in a branch of CASE. An operation that fails in another row is no error.
+    Where(&'a Expr),
+    /// An operation that fails gives null.
+    Lenient,
+}
+
 /// Binds the expressions of one clause: resolves names, checks types, and returns Polars expressions.
 #[derive(Clone, Copy)]
 pub struct Binder<'a> {
@@ -115,8 +126,12 @@ pub struct Binder<'a> {
     pub groups: Option<&'a RefCell<Groups>>,
     /// The window functions found so far; `None` if the clause can't contain any.
     pub windows: Option<&'a RefCell<Vec<Window>>>,
+    /// The windows of the clause WINDOW.
+    pub named_windows: &'a [ast::NamedWindowDefinition],
     /// The aliases of SELECT that the clause may name.
     pub aliases: Aliases<'a>,
+    /// The rows in which the values are needed.
+    pub needed: Needed<'a>,
 }
 
 impl<'a> Binder<'a> {
@@ -139,7 +154,34 @@ impl<'a> Binder<'a> {
 
     /// A binder for the rows before they are grouped.
     fn rows(&self) -> Self {
-        Self { groups: None, windows: None, aliases: &[], ..*self }
+        Self { groups: None, windows: None, aliases: &[], needed: Needed::Always, ..*self }
+    }
+
+    /// A binder for values that are only needed where `condition` is true.
+    fn only<'b>(&self, condition: &'b Expr) -> Binder<'b>
+    where
+        'a: 'b,
+    {
+        Binder { needed: Needed::Where(condition), ..*self }
+    }
+
+    /// Computes an operation on `value` that fails for some values. It is an error only in rows in which the result is
+    /// needed. The second argument of `operation` is whether a failure is an error.
+    fn fallible(&self, value: Value, operation: impl Fn(Value, bool) -> Answer<Value>) -> Answer<Value> {
+        let condition = match self.needed {
+            Needed::Always => return operation(value, true),
+            Needed::Lenient => return operation(value, false),
+            Needed::Where(condition) => condition,
+        };
+        // The result of constants that do not fail is a constant.
+        if let Ok(folded) = operation(value.clone(), true)?.folded()
+            && folded.constant().is_some()
+        {
+            return Ok(folded);
+        }
+        self.planner.add_condition(condition)?;
+        let masked = when(condition.clone()).then(value.expr).otherwise(Value::null(value.kind).expr);
+        operation(Value::new(masked, value.kind), true)
     }
 
     /// The column of the GROUP BY key that `expr` is equal to, if there is one.
@@ -220,15 +262,21 @@ impl<'a> Binder<'a> {
             }
             E::Function(function) => self.function(function),
             E::Ceil { expr, field: ast::CeilFloorKind::DateTimeField(ast::DateTimeField::NoDateTime) } => {
-                functions::call("ceil", vec![self.bind(expr)?])
+                functions::call("ceil", vec![self.bind(expr)?], true)
             }
             E::Floor { expr, field: ast::CeilFloorKind::DateTimeField(ast::DateTimeField::NoDateTime) } => {
-                functions::call("floor", vec![self.bind(expr)?])
+                functions::call("floor", vec![self.bind(expr)?], true)
             }
             E::Substring { expr, substring_from, substring_for, .. } => {
-                let parts = [Some(expr), substring_from.as_ref(), substring_for.as_ref()];
-                let parts = parts.into_iter().flatten().map(|part| self.bind(part));
-                functions::call("substr", parts.collect::<Answer<_>>()?)
+                let start = match substring_from {
+                    Some(start) => self.bind(start)?,
+                    None => Value::literal(AnyValue::Int64(1), Type::Integer),
+                };
+                let mut parts = vec![self.bind(expr)?, start];
+                if let Some(count) = substring_for {
+                    parts.push(self.bind(count)?);
+                }
+                functions::call("substr", parts, true)
             }
             E::Trim { expr, trim_where, trim_what, trim_characters } => {
                 let name = match trim_where {
@@ -241,7 +289,7 @@ impl<'a> Binder<'a> {
                 for characters in characters {
                     arguments.push(self.bind(characters)?);
                 }
-                functions::call(name, arguments)
+                functions::call(name, arguments, true)
             }
             E::Tuple(_) => refuse(format!(
                 "'{}' compares several columns at once; compare each with AND, or join",
@@ -250,11 +298,9 @@ impl<'a> Binder<'a> {
             E::AnyOp { .. } | E::AllOp { .. } => {
                 refuse(format!("'{}' is not supported; use IN, or compare with max or min", shown(expr)))
             }
-            E::Interval(_) | E::Extract { .. } | E::TypedString(_) | E::AtTimeZone { .. } => refuse(format!(
-                "'{}' is about dates, and no table has any: 'started' is text such as 2026-01-31T12:00:00Z; compare it \
-                 with text, or use substr",
-                shown(expr)
-            )),
+            E::Interval(_) | E::Extract { .. } | E::TypedString(_) | E::AtTimeZone { .. } => {
+                functions::no_dates(&shown(expr))
+            }
             E::GroupingSets(_) | E::Cube(_) | E::Rollup(_) => refuse(
                 "ROLLUP, CUBE and GROUPING SETS are not supported; combine several queries with UNION ALL"
                     .into(),
@@ -318,7 +364,7 @@ impl<'a> Binder<'a> {
                     Type::Real => return Ok(Value::new(value.expr * lit(-1.0), Type::Real)),
                     _ => Value::literal(AnyValue::Int64(0), Type::Integer),
                 };
-                functions::arithmetic(zero, '-', value)
+                self.fallible(value, |value, strict| functions::arithmetic(zero.clone(), '-', value, strict))
             }
             other => refuse(format!("the operator {other} is not supported")),
         }
@@ -358,7 +404,9 @@ impl<'a> Binder<'a> {
                         ));
                     }
                 }
-                functions::arithmetic(left_value, sign, right_value)
+                self.fallible(left_value, |left, strict| {
+                    functions::arithmetic(left, sign, right_value.clone(), strict)
+                })
             }
             B::StringConcat => {
                 let parts = [self.bind(left)?, self.bind(right)?];
@@ -385,7 +433,8 @@ impl<'a> Binder<'a> {
     fn side(&self, expr: &ast::Expr) -> Answer<Value> {
         let is_text = |name: &ast::Ident| {
             let path = std::slice::from_ref(name);
-            let is_unknown = matches!(resolve(self.columns, path), Err(Unresolved::Unknown(_)));
+            let is_unknown = matches!(resolve(self.columns, path), Err(Unresolved::Unknown(_)))
+                && !self.aliases.iter().any(|(alias, _)| same(alias, &name.value));
             is_unknown && name.quote_style.is_none() && !self.planner.around(path)
         };
         self.bind(expr).map_err(|error| match (expr, error) {
@@ -417,18 +466,32 @@ impl<'a> Binder<'a> {
         otherwise: Option<&ast::Expr>,
         whole: &ast::Expr,
     ) -> Answer<Value> {
+        let bound = |binder: &Binder<'_>, condition: &ast::Expr| match operand {
+            None => binder.condition(condition),
+            Some(operand) => {
+                let (operand, wanted) = binder.pair(operand, condition, whole)?;
+                Ok(operand.eq(wanted))
+            }
+        };
+        // A part is only computed where the conditions before it are not true, and a result only where its condition is.
+        let is_guarded = !matches!(self.needed, Needed::Lenient) && can_fail(whole);
+        let mut reached = match self.needed {
+            Needed::Where(condition) => condition.clone(),
+            _ => lit(true),
+        };
         let mut branches = Vec::with_capacity(conditions.len());
         for ast::CaseWhen { condition, result } in conditions {
-            let condition = match operand {
-                None => self.condition(condition)?,
-                Some(operand) => {
-                    let (operand, wanted) = self.pair(operand, condition, whole)?;
-                    operand.eq(wanted)
-                }
-            };
-            branches.push((condition, self.bind(result)?));
+            if !is_guarded {
+                branches.push((bound(self, condition)?, self.bind(result)?));
+                continue;
+            }
+            let is_true = bound(&Self { needed: Needed::Lenient, ..*self }, condition)?;
+            let chosen = reached.clone().and(is_true.clone().eq_missing(lit(true)));
+            branches.push((bound(&self.only(&reached), condition)?, self.only(&chosen).bind(result)?));
+            reached = reached.and(is_true.neq_missing(lit(true)));
         }
-        let otherwise = otherwise.map_or(Ok(Value::null(Type::Null)), |expr| self.bind(expr))?;
+        let last = if is_guarded { self.only(&reached) } else { *self };
+        let otherwise = otherwise.map_or(Ok(Value::null(Type::Null)), |expr| last.bind(expr))?;
         let results: Vec<&Value> = branches.iter().map(|(_, result)| result).chain([&otherwise]).collect();
         let kind = common(&results, whole)?;
         let branches = branches.into_iter().rev();
@@ -443,17 +506,24 @@ impl<'a> Binder<'a> {
         let value = self.bind(expr)?.for_computing();
         let strict = matches!(kind, ast::CastKind::Cast | ast::CastKind::DoubleColon);
         match data_type {
-            D::Int(None) | D::Integer(None) => {
-                functions::to_integer(value, expr, strict, i32::MIN.into(), i32::MAX.into())
+            D::Int(None) | D::Integer(None) => self.fallible(value, |value, is_error| {
+                functions::to_integer(value, expr, strict && is_error, i32::MIN.into(), i32::MAX.into())
+            }),
+            D::BigInt(None) => self.fallible(value, |value, is_error| {
+                functions::to_integer(value, expr, strict && is_error, i64::MIN, i64::MAX)
+            }),
+            D::Double(ExactNumberInfo::None) | D::DoublePrecision => {
+                self.fallible(value, |value, is_error| functions::to_real(value, strict && is_error))
             }
-            D::BigInt(None) => functions::to_integer(value, expr, strict, i64::MIN, i64::MAX),
-            D::Double(ExactNumberInfo::None) | D::DoublePrecision => functions::to_real(value, strict),
             D::Varchar(None) | D::Text | D::String(None) => functions::text(value),
             D::Boolean | D::Bool => match value.kind {
                 Type::Flag | Type::Null => Ok(Value::new(value.to(Type::Flag), Type::Flag)),
                 Type::Integer => Ok(Value::new(value.expr.neq(lit(0)), Type::Flag)),
                 other => refuse(format!("{} can't be cast to boolean; compare it instead", other.name())),
             },
+            D::Date | D::Time(..) | D::Timestamp(..) | D::Datetime(_) => {
+                functions::no_dates(&data_type.to_string())
+            }
             other => refuse(format!(
                 "the type {other} is not supported; use INTEGER, BIGINT, DOUBLE, VARCHAR or BOOLEAN"
             )),
@@ -511,8 +581,14 @@ impl<'a> Binder<'a> {
         if super::window::is_name(&name) {
             return refuse(format!("{name} needs OVER (ORDER BY …)"));
         }
-        let arguments = arguments.into_iter().map(|expr| self.bind(expr)).collect::<Answer<Vec<_>>>()?;
-        functions::call(&name, arguments)
+        let mut arguments = arguments.into_iter().map(|expr| self.bind(expr)).collect::<Answer<Vec<_>>>()?;
+        if !functions::FALLIBLE.contains(&&*name) || arguments.is_empty() {
+            return functions::call(&name, arguments, true);
+        }
+        let first = arguments.remove(0);
+        self.fallible(first, |first, strict| {
+            functions::call(&name, [vec![first], arguments.clone()].concat(), strict)
+        })
     }
 
     fn aggregate(
@@ -702,6 +778,32 @@ pub fn is_plain(expr: &ast::Expr) -> bool {
         }
     }
     expr.visit(&mut Plain).is_continue()
+}
+
+/// Whether an operation in an expression fails for some values.
+pub fn can_fail(expr: &ast::Expr) -> bool {
+    struct Fails;
+    impl Visitor for Fails {
+        type Break = ();
+        fn pre_visit_expr(&mut self, expr: &ast::Expr) -> ControlFlow<()> {
+            use BinaryOperator as B;
+            let fails = match expr {
+                ast::Expr::BinaryOp { op, .. } => {
+                    matches!(op, B::Plus | B::Minus | B::Multiply | B::Modulo)
+                }
+                ast::Expr::UnaryOp { op, expr } => {
+                    *op == UnaryOperator::Minus && !matches!(**expr, ast::Expr::Value(_))
+                }
+                ast::Expr::Cast { .. } => true,
+                ast::Expr::Function(function) => {
+                    functions::FALLIBLE.contains(&&*function.name.to_string().to_lowercase())
+                }
+                _ => false,
+            };
+            if fails { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        }
+    }
+    expr.visit(&mut Fails).is_break()
 }
 
 /// Whether an expression is a call of an aggregate or window function.

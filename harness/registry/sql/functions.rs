@@ -70,8 +70,9 @@ const OTHER: [&str; 33] = [
 ];
 
 /// The names of the aggregates.
-const AGGREGATES: [&str; 16] = [
+const AGGREGATES: [&str; 17] = [
     "count",
+    "count_if",
     "sum",
     "avg",
     "mean",
@@ -89,8 +90,38 @@ const AGGREGATES: [&str; 16] = [
     "bool_or",
 ];
 
-/// Calls the function `name`, which computes a value from values of one row.
-pub fn call(name: &str, arguments: Vec<Value>) -> Answer<Value> {
+/// The functions that fail for some values.
+pub const FALLIBLE: [&str; 2] = ["abs", "mod"];
+
+/// Refuses a part of the query about dates.
+pub fn no_dates<T>(part: &str) -> Answer<T> {
+    refuse(format!(
+        "'{part}' is about dates, and no table has any: 'started' is text such as 2026-01-31T12:00:00Z; compare it with \
+         text, or use substr"
+    ))
+}
+
+/// Functions of dates in other databases.
+const OF_DATES: [&str; 14] = [
+    "date_trunc",
+    "date_part",
+    "date_diff",
+    "datediff",
+    "strftime",
+    "strptime",
+    "now",
+    "age",
+    "year",
+    "month",
+    "day",
+    "hour",
+    "to_timestamp",
+    "current_timestamp",
+];
+
+/// Calls the function `name`, which computes a value from values of one row. Where one of [`FALLIBLE`] fails, it is an
+/// error if `strict`, and null otherwise.
+pub fn call(name: &str, arguments: Vec<Value>, strict: bool) -> Answer<Value> {
     let arguments: Vec<Value> = arguments.into_iter().map(Value::for_computing).collect();
     if let Some((_, function)) = REAL.iter().find(|(known, _)| *known == name) {
         let value = one_number(name, arguments)?;
@@ -107,19 +138,24 @@ pub fn call(name: &str, arguments: Vec<Value>) -> Answer<Value> {
             if value.kind != Type::Integer {
                 return Ok(Value::new(value.expr.abs(), value.kind));
             }
-            let absolute = |value: i64, _: i64| {
+            let absolute = move |value: i64, _: i64| {
                 let too_large =
                     || format!("abs({value}) is too large for 64 bits; make it real, such as with * 1.0");
-                value.checked_abs().ok_or_else(|| PolarsError::ComputeError(too_large().into()))
+                failed(value.checked_abs(), strict, too_large)
             };
             let zero = Value::literal(AnyValue::Int64(0), Type::Integer).expr;
-            let expr = of_two::<Int64Type>(value.to(Type::Integer), zero, Type::Integer, absolute);
+            let expr = of_two::<Int64Type>(value.to(Type::Integer), zero, Type::Integer, false, absolute);
             Ok(Value::new(expr, Type::Integer))
         }
         "sign" => {
             let value = one_number(name, arguments)?;
             let zero = Value::literal(AnyValue::Int64(0), Type::Integer).to(value.kind);
-            let (above, below) = (value.expr.clone().gt(zero.clone()), value.expr.lt(zero));
+            let value = match value.kind {
+                // The sign of NaN is 0, but Polars compares it as greater than all numbers.
+                Type::Real => value.expr.fill_nan(zero.clone()),
+                _ => value.expr,
+            };
+            let (above, below) = (value.clone().gt(zero.clone()), value.lt(zero));
             Ok(Value::new(above.cast(DataType::Int64) - below.cast(DataType::Int64), Type::Integer))
         }
         "round" => round(arguments),
@@ -136,7 +172,7 @@ pub fn call(name: &str, arguments: Vec<Value>) -> Answer<Value> {
         "mod" => {
             let [value, divisor] = take(name, arguments)?;
             numbers(&[value.clone(), divisor.clone()])?;
-            arithmetic(value, '%', divisor)
+            arithmetic(value, '%', divisor, strict)
         }
         "pi" => {
             let [] = take(name, arguments)?;
@@ -185,6 +221,7 @@ pub fn call(name: &str, arguments: Vec<Value>) -> Answer<Value> {
         | "ltrim" | "rtrim" | "replace" | "starts_with" | "ends_with" | "contains" | "split_part" => {
             of_text(name, arguments)
         }
+        _ if OF_DATES.contains(&name) => no_dates(name),
         _ => {
             let real = REAL.iter().map(|(name, _)| *name);
             let names: Vec<&str> = real.chain(OTHER).chain(AGGREGATES).chain(super::window::NAMES).collect();
@@ -236,7 +273,8 @@ fn one_type(name: &str, values: &[Value]) -> Answer<Type> {
     Ok(kind)
 }
 
-fn field(kind: Type) -> impl Fn(&Schema, &[Field]) -> PolarsResult<Field> + Send + Sync + 'static {
+/// The field of a column of type `kind` that a function of columns returns.
+pub fn field(kind: Type) -> impl Fn(&Schema, &[Field]) -> PolarsResult<Field> + Send + Sync + 'static {
     move |_, fields| Ok(Field::new(fields[0].name().clone(), kind.data_type()))
 }
 
@@ -251,41 +289,62 @@ fn of_reals(value: Expr, function: fn(f64) -> f64) -> Expr {
     )
 }
 
+/// Applies a function to columns. If it fails for some values, Polars must not apply it to rows that an earlier condition
+/// excludes. Polars moves functions of rows before conditions, but not those of groups.
+fn mapped(
+    first: Expr,
+    rest: &[Expr],
+    kind: Type,
+    can_fail: bool,
+    function: impl Fn(&mut [Column]) -> PolarsResult<Column> + Send + Sync + 'static,
+) -> Expr {
+    match can_fail {
+        true => first.apply_many(function, rest, field(kind)),
+        false => first.map_many(function, rest, field(kind)),
+    }
+}
+
 /// Applies a function row by row to two columns of the same type, either of which may be a constant.
 fn of_two<T: PolarsNumericType>(
     left: Expr,
     right: Expr,
     kind: Type,
-    function: impl Fn(T::Native, T::Native) -> PolarsResult<T::Native> + Send + Sync + 'static,
+    can_fail: bool,
+    function: impl Fn(T::Native, T::Native) -> PolarsResult<Option<T::Native>> + Send + Sync + 'static,
 ) -> Expr {
-    left.map_many(
-        move |columns| {
-            let columns: Vec<Series> =
-                columns.iter().map(|column| column.as_materialized_series().rechunk()).collect();
-            let (left, right): (&ChunkedArray<T>, &ChunkedArray<T>) =
-                (columns[0].unpack()?, columns[1].unpack()?);
-            let length = if left.len() == 1 { right.len() } else { left.len() };
-            let at =
-                |values: &ChunkedArray<T>, row: usize| values.get(if values.len() == 1 { 0 } else { row });
-            let results = (0..length).map(|row| match (at(left, row), at(right, row)) {
-                (Some(left), Some(right)) => function(left, right).map(Some),
-                _ => Ok(None),
-            });
-            let results = results.collect::<PolarsResult<Vec<Option<T::Native>>>>()?;
-            Ok(ChunkedArray::<T>::from_slice_options(left.name().clone(), &results).into_column())
-        },
-        &[right],
-        field(kind),
-    )
+    mapped(left, &[right], kind, can_fail, move |columns| {
+        let columns: Vec<Series> =
+            columns.iter().map(|column| column.as_materialized_series().rechunk()).collect();
+        let (left, right): (&ChunkedArray<T>, &ChunkedArray<T>) =
+            (columns[0].unpack()?, columns[1].unpack()?);
+        let length = if left.len() == 1 { right.len() } else { left.len() };
+        let at = |values: &ChunkedArray<T>, row: usize| values.get(if values.len() == 1 { 0 } else { row });
+        let results = (0..length).map(|row| match (at(left, row), at(right, row)) {
+            (Some(left), Some(right)) => function(left, right),
+            _ => Ok(None),
+        });
+        let results = results.collect::<PolarsResult<Vec<Option<T::Native>>>>()?;
+        Ok(ChunkedArray::<T>::from_slice_options(left.name().clone(), &results).into_column())
+    })
 }
 
 fn of_two_reals(left: Value, right: Value, function: fn(f64, f64) -> f64) -> Value {
     let (left, right) = (left.to(Type::Real), right.to(Type::Real));
-    Value::new(of_two::<Float64Type>(left, right, Type::Real, move |a, b| Ok(function(a, b))), Type::Real)
+    let of_row = move |a, b| Ok(Some(function(a, b)));
+    Value::new(of_two::<Float64Type>(left, right, Type::Real, false, of_row), Type::Real)
 }
 
-/// Computes `left sign right` for two numbers. Integer overflow is an error; `/` returns a real number.
-pub fn arithmetic(left: Value, sign: char, right: Value) -> Answer<Value> {
+/// The result of an operation that fails for some values. Its failure is an error if `strict`, and null otherwise.
+fn failed<T>(result: Option<T>, strict: bool, reason: impl Fn() -> String) -> PolarsResult<Option<T>> {
+    match result {
+        None if strict => Err(PolarsError::ComputeError(reason().into())),
+        result => Ok(result),
+    }
+}
+
+/// Computes `left sign right` for two numbers. `/` returns a real number. Integer overflow and a remainder by zero are
+/// errors if `strict`, and null otherwise.
+pub fn arithmetic(left: Value, sign: char, right: Value, strict: bool) -> Answer<Value> {
     let (left, right) = (left.for_computing(), right.for_computing());
     let kind = match left.kind.common(right.kind) {
         Some(Type::Null) => Type::Integer,
@@ -299,7 +358,7 @@ pub fn arithmetic(left: Value, sign: char, right: Value) -> Answer<Value> {
             '-' => left - right,
             '*' => left * right,
             '/' => left / right,
-            _ => of_two::<Float64Type>(left, right, kind, |a, b| Ok(a % b)),
+            _ => of_two::<Float64Type>(left, right, kind, false, |a, b| Ok(Some(a % b))),
         };
         return Ok(Value::new(expr, kind));
     }
@@ -310,7 +369,7 @@ pub fn arithmetic(left: Value, sign: char, right: Value) -> Answer<Value> {
         _ => i64::checked_rem,
     };
     let checked = move |a: i64, b: i64| {
-        operation(a, b).ok_or_else(|| {
+        failed(operation(a, b), strict, || {
             let problem = match (sign, b) {
                 ('%', 0) => {
                     "has no value, because the divisor is 0; leave out such rows, or write nullif(…, 0)"
@@ -318,10 +377,10 @@ pub fn arithmetic(left: Value, sign: char, right: Value) -> Answer<Value> {
                 ('%', _) => "is not a 64-bit integer",
                 _ => "is not a 64-bit integer; make one of them real, such as with * 1.0",
             };
-            PolarsError::ComputeError(format!("{a} {sign} {b} {problem}").into())
+            format!("{a} {sign} {b} {problem}")
         })
     };
-    Ok(Value::new(of_two::<Int64Type>(left, right, kind, checked), kind))
+    Ok(Value::new(of_two::<Int64Type>(left, right, kind, strict && sign == '%', checked), kind))
 }
 
 /// Returns a sum of integers, or an error if it overflows. `real` is the same sum, computed with real numbers.
@@ -468,7 +527,7 @@ fn of_text(name: &str, arguments: Vec<Value>) -> Answer<Value> {
             let split = move |text: &str| {
                 Ok(AnyValue::StringOwned(text.split(&separator).nth(part).unwrap_or_default().into()))
             };
-            (of_each_text(value.clone(), Type::Text, split), Type::Text)
+            (of_each_text(value.clone(), Type::Text, false, split), Type::Text)
         }
         _ => {
             let takes = match name {
@@ -490,19 +549,16 @@ fn of_text(name: &str, arguments: Vec<Value>) -> Answer<Value> {
 fn of_each_text(
     value: Expr,
     kind: Type,
+    can_fail: bool,
     function: impl Fn(&str) -> PolarsResult<AnyValue<'static>> + Send + Sync + 'static,
 ) -> Expr {
-    value.map_many(
-        move |columns| {
-            let texts = columns[0].str()?;
-            let results = texts.iter().map(|text| text.map_or(Ok(AnyValue::Null), &function));
-            let results = results.collect::<PolarsResult<Vec<_>>>()?;
-            let name = texts.name().clone();
-            Ok(Series::from_any_values_and_dtype(name, &results, &kind.data_type(), true)?.into_column())
-        },
-        &[],
-        field(kind),
-    )
+    mapped(value, &[], kind, can_fail, move |columns| {
+        let texts = columns[0].str()?;
+        let results = texts.iter().map(|text| text.map_or(Ok(AnyValue::Null), &function));
+        let results = results.collect::<PolarsResult<Vec<_>>>()?;
+        let name = texts.name().clone();
+        Ok(Series::from_any_values_and_dtype(name, &results, &kind.data_type(), true)?.into_column())
+    })
 }
 
 /// Converts a value to text. Real numbers and bytes are refused.
@@ -520,20 +576,59 @@ pub fn text(value: Value) -> Answer<Value> {
     }
 }
 
+/// The real number that a text stands for. Digits may have single underscores between them.
+fn real(text: &str) -> Option<f64> {
+    let text = text.trim();
+    let is_digit = |byte: Option<&u8>| byte.is_some_and(u8::is_ascii_digit);
+    let bytes = text.as_bytes();
+    let is_between =
+        |place: usize| place > 0 && is_digit(bytes.get(place - 1)) && is_digit(bytes.get(place + 1));
+    if text.match_indices('_').any(|(place, _)| !is_between(place)) {
+        return None;
+    }
+    text.replace('_', "").parse().ok()
+}
+
+/// The integer that is nearest to the number that a text stands for. Halves are rounded away from zero, as DuckDB does
+/// with decimal numbers.
+fn nearest_integer(text: &str) -> Option<i64> {
+    let text = text.trim();
+    let number = real(text).filter(|number| number.is_finite())?;
+    let digits = text.replace('_', "");
+    let (whole, fraction) = digits.split_once('.').unwrap_or((&digits, ""));
+    if digits.contains(['e', 'E']) {
+        let rounded = number.round();
+        return (rounded.abs() < 2_f64.powi(53)).then_some(rounded as i64);
+    }
+    // Exact where a real number of 64 bits is not.
+    let away = match (fraction.as_bytes().first(), whole.starts_with('-')) {
+        (Some(b'5'..), false) => 1,
+        (Some(b'5'..), true) => -1,
+        _ => 0,
+    };
+    let whole = if matches!(whole, "" | "-" | "+") { 0 } else { whole.parse::<i64>().ok()? };
+    whole.checked_add(away)
+}
+
+/// Whether the value of an expression is a whole number: it is that of `floor(x)`, `round(x)` or a similar function.
+fn is_whole(written: &ast::Expr) -> bool {
+    let ast::Expr::Function(function) = written else {
+        return matches!(written, ast::Expr::Ceil { .. } | ast::Expr::Floor { .. });
+    };
+    let name = function.name.to_string().to_lowercase();
+    let has_one = matches!(&function.args, ast::FunctionArguments::List(list) if list.args.len() == 1);
+    has_one && ["round", "floor", "ceil", "ceiling", "trunc"].contains(&&*name)
+}
+
 /// Converts a value to an integer from `least` to `most`. A value that is no such integer is an error if `strict`, and
 /// null otherwise.
 pub fn to_integer(value: Value, written: &ast::Expr, strict: bool, least: i64, most: i64) -> Answer<Value> {
-    let checked = move |integer: Option<i64>, from: &dyn std::fmt::Display| match integer {
-        Some(integer) if (least..=most).contains(&integer) => Ok(AnyValue::Int64(integer)),
-        _ if !strict => Ok(AnyValue::Null),
-        _ => Err(PolarsError::ComputeError(
-            format!("'{from}' is not an integer from {least} to {most}; TRY_CAST returns null instead")
-                .into(),
-        )),
+    let checked = move |integer: Option<i64>, from: &dyn std::fmt::Display| {
+        let within = integer.filter(|integer| (least..=most).contains(integer));
+        let reason =
+            || format!("'{from}' is not an integer from {least} to {most}; TRY_CAST returns null instead");
+        Ok(failed(within, strict, reason)?.map_or(AnyValue::Null, AnyValue::Int64))
     };
-    let is_whole = matches!(written, ast::Expr::Ceil { .. } | ast::Expr::Floor { .. })
-        || matches!(written, ast::Expr::Function(function)
-            if ["round", "floor", "ceil", "ceiling", "trunc"].iter().any(|name| super::scope::same(name, &function.name.to_string())));
     let expr = match value.kind {
         Type::Null => return Ok(Value::null(Type::Integer)),
         Type::Flag => value.expr.cast(DataType::Int64),
@@ -541,9 +636,9 @@ pub fn to_integer(value: Value, written: &ast::Expr, strict: bool, least: i64, m
             return refuse(format!("{} can't be cast to an integer", value.kind.name()));
         }
         Type::Text => {
-            of_each_text(value.expr, Type::Integer, move |text| checked(text.trim().parse().ok(), &text))
+            of_each_text(value.expr, Type::Integer, strict, move |text| checked(nearest_integer(text), &text))
         }
-        Type::Real if !is_whole => {
+        Type::Real if !is_whole(written) => {
             return refuse(format!(
                 "'{}' is a real number; choose how to round it: cast(round(…) as integer), or floor, ceil or trunc",
                 shown(written)
@@ -571,7 +666,7 @@ pub fn to_integer(value: Value, written: &ast::Expr, strict: bool, least: i64, m
                 )?
                 .into_column())
             };
-            value.to(kind).map_many(each, &[], field(Type::Integer))
+            mapped(value.to(kind), &[], Type::Integer, strict, each)
         }
     };
     Ok(Value::new(expr, Type::Integer))
@@ -584,15 +679,17 @@ pub fn to_real(value: Value, strict: bool) -> Answer<Value> {
         Type::Bytes => return refuse("bytes can't be cast to a real number".into()),
         Type::Flag => value.expr.cast(DataType::Float64),
         Type::Integer | Type::Single | Type::Real => value.to(Type::Real),
-        Type::Text => of_each_text(value.expr, Type::Real, move |text| match text.trim().parse() {
-            Ok(real) => Ok(AnyValue::Float64(real)),
-            Err(_) if !strict => Ok(AnyValue::Null),
-            Err(_) => Err(PolarsError::ComputeError(
-                format!("'{text}' is not a number; TRY_CAST returns null instead").into(),
-            )),
+        Type::Text => of_each_text(value.expr, Type::Real, strict, move |text| {
+            let reason = || format!("'{text}' is not a number; TRY_CAST returns null instead");
+            Ok(failed(real(text), strict, reason)?.map_or(AnyValue::Null, AnyValue::Float64))
         }),
     };
     Ok(Value::new(expr, Type::Real))
+}
+
+/// The order of numbers in SQL: NaN is larger than any other.
+fn order(a: &f64, b: &f64) -> std::cmp::Ordering {
+    a.partial_cmp(b).unwrap_or_else(|| a.is_nan().cmp(&b.is_nan()))
 }
 
 /// A function of all values of a group. Null values are ignored.
@@ -646,6 +743,14 @@ impl Aggregate {
             ("quantile_cont", None) => {
                 return refuse(format!("{name} takes a column and a number from 0 to 1"));
             }
+            ("count_if", None) => {
+                let [condition] = take(name, arguments)?;
+                if !matches!(condition.kind, Type::Flag | Type::Null) {
+                    return refuse(format!("{name} takes a condition, not {}", condition.kind.name()));
+                }
+                // Like a sum, it is null if no condition is true or false.
+                Value::new(condition.to(Type::Flag).cast(DataType::Int64), Type::Integer)
+            }
             _ => {
                 let [argument] = take(name, arguments)?;
                 argument
@@ -653,7 +758,7 @@ impl Aggregate {
         };
         let aggregate = match name {
             "count" => Self::Count,
-            "sum" => Self::Sum,
+            "sum" | "count_if" => Self::Sum,
             "avg" | "mean" => Self::Mean,
             "min" => Self::Min,
             "max" => Self::Max,
@@ -677,6 +782,36 @@ impl Aggregate {
             _ => number(name, &argument)?,
         }
         Ok((aggregate, argument))
+    }
+
+    /// The aggregate of some numbers, as [`Aggregate::of`] computes it; `None` if it is null.
+    pub fn of_values(self, values: Vec<f64>) -> Option<f64> {
+        let count = values.len() as f64;
+        let mean = || values.iter().sum::<f64>() / count;
+        let variance = |less: u8| {
+            let mean = mean();
+            let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+            (count > f64::from(less)).then(|| squares / (count - f64::from(less)))
+        };
+        match self {
+            // Rows that do not count are 0, and others 1.
+            Self::Rows | Self::Count => Some(values.iter().sum()),
+            _ if values.is_empty() => None,
+            Self::Sum => Some(values.iter().sum()),
+            Self::Mean => Some(mean()),
+            Self::Deviation(less) => variance(less).map(f64::sqrt),
+            Self::Variance(less) => variance(less),
+            Self::Min => values.iter().copied().min_by(order),
+            Self::Max => values.iter().copied().max_by(order),
+            Self::Quantile(share) => {
+                let mut sorted = values;
+                sorted.sort_by(order);
+                let place = share * (sorted.len() - 1) as f64;
+                let (low, high) = (sorted[place.floor() as usize], sorted[place.ceil() as usize]);
+                Some(if low == high { low } else { low + (high - low) * place.fract() })
+            }
+            Self::All | Self::Any => None,
+        }
     }
 
     /// The expression of the aggregate over the column `id` of type `kind`, and the type of its result. With

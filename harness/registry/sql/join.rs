@@ -216,8 +216,9 @@ impl Planner<'_> {
             }
         };
         let held = frame.clone().collect_schema()?;
-        let known = table.columns();
-        // Columns of vectors that only some datasets have.
+        // The columns of vectors follow the datasets: some lack those of the built-in finger, and some have others.
+        let mut known = table.columns();
+        known.retain(|column| held.contains(&column.name));
         let more = held.iter_names().filter(|name| !known.iter().any(|column| column.name == ***name));
         let more: Vec<(Kind, String)> = more.map(|name| (Kind::Real, name.to_string())).collect();
         let known = known.into_iter().map(|column| (column.kind, column.name));
@@ -240,7 +241,7 @@ impl Planner<'_> {
             }
         };
         let name = alias.map_or(name, |alias| &alias.name.value);
-        if !given.is_empty() && given.len() != relation.columns.len() {
+        if given.len() > relation.columns.len() {
             return refuse(format!(
                 "'{name}' names {} columns, but there are {}",
                 given.len(),

@@ -1,6 +1,6 @@
 //! Translates queries from the parser's tree to Polars plans. In a plan, every column has a unique id.
 
-use super::expression::{Binder, Groups, Key, Value, has_aggregate};
+use super::expression::{Binder, Groups, Key, Needed, Value, can_fail, has_aggregate};
 use super::join::{split_and, within_rows};
 use super::scope::{Column, Relation, Type, resolve, same};
 use super::window::Window;
@@ -14,6 +14,9 @@ use std::collections::BTreeMap;
 /// The maximum number of times that a query may read tables. Each UNION of a subquery with itself doubles the number.
 const MAX_READS: usize = 200;
 
+/// The maximum number of parts of all copies of the conditions of CASE.
+const MAX_CONDITION_PARTS: usize = 500_000;
+
 /// The queries of WITH (common table expressions), by name in lower case.
 pub type Ctes = BTreeMap<String, Relation>;
 
@@ -25,6 +28,8 @@ pub struct Planner<'a> {
     pub read: RefCell<BTreeMap<Table, LazyFrame>>,
     /// Number of ids given so far.
     names: Cell<usize>,
+    /// Number of parts of the conditions of CASE that were copied so far.
+    condition_parts: Cell<usize>,
     /// The columns of the queries that contain the subquery which is being planned.
     around: RefCell<Vec<Vec<Column>>>,
 }
@@ -38,13 +43,31 @@ enum Item<'a> {
 impl<'a> Planner<'a> {
     /// A planner that reads tables from `source`.
     pub fn new(source: &'a dyn Fn(Table) -> Answer<LazyFrame>) -> Self {
-        Self { source, read: RefCell::default(), names: Cell::new(0), around: RefCell::default() }
+        Self {
+            source,
+            read: RefCell::default(),
+            names: Cell::new(0),
+            condition_parts: Cell::new(0),
+            around: RefCell::default(),
+        }
     }
 
     /// A new unique id for a column.
     pub fn fresh(&self) -> String {
         self.names.set(self.names.get() + 1);
         format!("#{}", self.names.get())
+    }
+
+    /// Counts the parts of a condition that is copied, and refuses the query if there are too many.
+    pub fn add_condition(&self, condition: &Expr) -> Answer<()> {
+        let parts = self.condition_parts.get() + condition.into_iter().count();
+        self.condition_parts.set(parts);
+        if parts > MAX_CONDITION_PARTS {
+            return refuse(
+                "its CASEs have too many conditions; compute some of them in a query of WITH".into(),
+            );
+        }
+        Ok(())
     }
 
     /// Whether `path` names a column of a query that contains the current subquery.
@@ -187,13 +210,25 @@ impl<'a> Planner<'a> {
 
     /// A binder for a clause that can use these columns, without groups, window functions and aliases.
     pub fn binder<'b>(&'b self, columns: &'b [Column], clause: &'b str, ctes: &'b Ctes) -> Binder<'b> {
-        Binder { planner: self, ctes, columns, clause, groups: None, windows: None, aliases: &[] }
+        Binder {
+            planner: self,
+            ctes,
+            columns,
+            clause,
+            groups: None,
+            windows: None,
+            named_windows: &[],
+            aliases: &[],
+            needed: Needed::Always,
+        }
     }
 
     fn select(&self, select: &ast::Select, order_by: Option<&ast::OrderBy>, ctes: &Ctes) -> Answer<Relation> {
         check_select(select)?;
         let mut conditions: Vec<&ast::Expr> = Vec::new();
         split_and(select.selection.as_ref(), &mut conditions);
+        // A condition that can fail is only computed in the rows that satisfy the others.
+        conditions.sort_by_key(|condition| can_fail(condition));
         let input = self.from(&select.from, &mut conditions, ctes)?;
         let aliases: Vec<(String, &ast::Expr)> = select
             .projection
@@ -203,7 +238,11 @@ impl<'a> Planner<'a> {
                 _ => None,
             })
             .collect();
-        let at = |clause| Binder { aliases: &aliases, ..self.binder(&input.columns, clause, ctes) };
+        let at = |clause| Binder {
+            aliases: &aliases,
+            named_windows: &select.named_window,
+            ..self.binder(&input.columns, clause, ctes)
+        };
 
         let mut frame = input.frame.clone();
         for condition in conditions {
@@ -273,6 +312,19 @@ impl<'a> Planner<'a> {
             }
         }
 
+        let mut first_of = Vec::new();
+        if let Some(ast::Distinct::On(keys)) = &select.distinct {
+            for key in keys {
+                let value = match placed(OrderKey::Written(Box::new(key.clone())), &items, &names)? {
+                    OrderKey::Place(place) => values[place].clone(),
+                    OrderKey::Written(expr) => windowed("DISTINCT ON").bind(&expr)?,
+                };
+                let id = self.fresh();
+                projected.push(value.expr.alias(&id));
+                first_of.push(col(&*id));
+            }
+        }
+
         if is_grouped {
             frame = aggregated(frame, groups.into_inner());
         }
@@ -288,7 +340,11 @@ impl<'a> Planner<'a> {
         if is_distinct {
             frame = frame.select(&kept).unique_stable(None, UniqueKeepStrategy::First);
         }
-        frame = sorting.of(frame).select(kept);
+        frame = sorting.of(frame);
+        if !first_of.is_empty() {
+            frame = frame.unique_stable_generic(Some(first_of), UniqueKeepStrategy::First);
+        }
+        frame = frame.select(kept);
         let columns = names.into_iter().zip(outputs).zip(values).map(|((name, id), value)| Column {
             table: None,
             name,
@@ -609,7 +665,7 @@ fn check_select(select: &ast::Select) -> Answer<()> {
     let ast::Select {
         select_token: _,
         optimizer_hints: _,
-        distinct,
+        distinct: _,
         select_modifiers,
         top,
         top_before_distinct: _,
@@ -626,18 +682,13 @@ fn check_select(select: &ast::Select) -> Answer<()> {
         distribute_by,
         sort_by,
         having: _,
-        named_window,
+        named_window: _,
         qualify: _,
         window_before_qualify: _,
         value_table_mode,
         flavor: _,
     } = select;
     none_of(&[
-        (
-            matches!(distinct, Some(ast::Distinct::On(_))),
-            "DISTINCT ON",
-            "use QUALIFY row_number() OVER (…) = 1",
-        ),
         (select_modifiers.is_some(), "what follows SELECT", "leave it out"),
         (top.is_some(), "TOP", "use LIMIT"),
         (projection.is_empty(), "FROM without SELECT", "write SELECT * FROM"),
@@ -651,7 +702,6 @@ fn check_select(select: &ast::Select) -> Answer<()> {
             "CLUSTER BY, DISTRIBUTE BY and SORT BY",
             "use ORDER BY",
         ),
-        (!named_window.is_empty(), "WINDOW", "write OVER (PARTITION BY … ORDER BY …)"),
         (value_table_mode.is_some(), "SELECT AS", "name the columns"),
     ])
 }

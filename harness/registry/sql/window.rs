@@ -1,14 +1,19 @@
 //! Window functions: `f(…) over (partition by … order by …)`.
 
-use super::expression::{Binder, Value};
-use super::functions::{Aggregate, sum_within_integers};
-use super::scope::Type;
+use super::expression::{Binder, Needed, Value};
+use super::functions::{Aggregate, field, sum_within_integers};
+use super::scope::{Type, same};
 use super::{Answer, refuse, shown};
 use polars::prelude::*;
 use sqlparser::ast::{self, WindowFrameBound, WindowFrameUnits};
 
 /// The functions that need OVER. Aggregates can be called with or without it.
 pub const NAMES: [&str; 7] = ["row_number", "rank", "dense_rank", "lag", "lead", "first_value", "last_value"];
+
+/// The maximum number of values that all frames of a partition have together.
+const MOST_WORK: usize = 200_000_000;
+const NO_VALUE_OF_ROWS: &str =
+    "the first or last value of a frame with a number of rows is not supported; use lag or lead";
 
 /// Whether a function that needs OVER has this name, in lower case.
 pub fn is_name(name: &str) -> bool {
@@ -137,6 +142,8 @@ enum Frame {
     ToRow,
     /// From the partition's first row to the last of this row's peers, which is the standard's default with ORDER BY.
     ToPeers,
+    /// From a row to another, counted from this row: -2 is the second row before it. `None` is the partition's end.
+    Rows { first: Option<i64>, last: Option<i64> },
 }
 
 impl Frame {
@@ -161,11 +168,44 @@ impl Frame {
             {
                 Ok(Self::ToPeers)
             }
+            (WindowFrameUnits::Rows, start, end) if !spec.order_by.is_empty() => {
+                let (first, last) = (offset(start)?, offset(end)?);
+                match (start, end) {
+                    (WindowFrameBound::Following(None), _) | (_, WindowFrameBound::Preceding(None)) => {}
+                    _ if first.zip(last).is_some_and(|(first, last)| first > last) => {}
+                    _ => return Ok(Self::Rows { first, last }),
+                }
+                refuse(format!("the frame 'ROWS BETWEEN {start} AND {end}' ends before it begins"))
+            }
             (units, start, end) => refuse(format!(
-                "the frame '{units} BETWEEN {start} AND {end}' is not supported; use ORDER BY with ROWS or RANGE \
+                "the frame '{units} BETWEEN {start} AND {end}' is not supported; use ORDER BY with ROWS, or RANGE \
                  BETWEEN UNBOUNDED PRECEDING AND CURRENT ROW, or leave both out for the whole partition",
             )),
         }
+    }
+}
+
+/// The bound of a frame of rows, counted from the current row; `None` for an end of the partition.
+fn offset(bound: &WindowFrameBound) -> Answer<Option<i64>> {
+    let (rows, sign) = match bound {
+        WindowFrameBound::CurrentRow => return Ok(Some(0)),
+        WindowFrameBound::Preceding(None) | WindowFrameBound::Following(None) => return Ok(None),
+        WindowFrameBound::Preceding(Some(rows)) => (rows, -1),
+        WindowFrameBound::Following(Some(rows)) => (rows, 1),
+    };
+    match rows.to_string().parse::<u32>() {
+        Ok(rows) => Ok(Some(sign * i64::from(rows))),
+        Err(_) => refuse(format!("a frame takes a whole number of rows, not '{}'", shown(rows))),
+    }
+}
+
+/// The window of the clause WINDOW that has this name.
+fn named<'a>(binder: &Binder<'a>, name: &ast::Ident) -> Answer<&'a ast::WindowSpec> {
+    let found = binder.named_windows.iter().find(|window| same(&window.0.value, &name.value));
+    match found.map(|window| &window.1) {
+        Some(ast::NamedWindowExpr::WindowSpec(spec)) => Ok(spec),
+        Some(ast::NamedWindowExpr::NamedWindow(other)) => named(binder, other),
+        None => refuse(format!("there is no window '{name}'; define it with WINDOW {name} AS (…)")),
     }
 }
 
@@ -179,13 +219,24 @@ pub fn bind(binder: &Binder, call: &Call, over: &ast::WindowType, written: &ast:
         ));
     };
     let spec = match over {
-        ast::WindowType::WindowSpec(spec) if spec.window_name.is_none() => spec,
-        _ => return refuse("a named window is not supported; write OVER (PARTITION BY … ORDER BY …)".into()),
+        ast::WindowType::WindowSpec(spec) => spec,
+        ast::WindowType::NamedWindow(name) => named(binder, name)?,
     };
+    if let Some(name) = &spec.window_name {
+        return refuse(format!(
+            "a window can't add to the window {name}; write OVER {name}, or all of its parts"
+        ));
+    }
     if call.distinct {
         return refuse("DISTINCT is not supported with OVER".into());
     }
-    let binder = Binder { windows: None, clause: "a window function", aliases: &[], ..*binder };
+    let binder = Binder {
+        windows: None,
+        clause: "a window function",
+        aliases: &[],
+        needed: Needed::Always,
+        ..*binder
+    };
     let mut window = Window::new(&binder, spec)?;
     let frame = Frame::of(spec)?;
     let value = if Aggregate::is_name(call.name) {
@@ -242,14 +293,66 @@ fn over_frame(
         let (expr, kind) = aggregate.of(&id, kind, false)?;
         return Ok(Value::new(window.over_partition(expr)?, kind));
     }
-    let Some((running, kind)) = running(aggregate, &id, kind) else {
-        return refuse(format!(
-            "a running {name} is not supported; leave ORDER BY out to compute it over the whole partition"
-        ));
+    let (expr, kind) = match (frame, running(aggregate, &id, kind)) {
+        (Frame::Rows { first, last }, _) => moving(aggregate, &id, kind, name, first, last)?,
+        (_, Some(running)) => running,
+        (_, None) => moving(aggregate, &id, kind, name, None, Some(0))?,
     };
-    let running = window.step(binder, window.ordered(running)?);
-    let expr = if frame == Frame::ToRow { running } else { window.last_of_peers(running)? };
+    let expr = window.step(binder, window.ordered(expr)?);
+    let expr = if frame == Frame::ToPeers { window.last_of_peers(expr)? } else { expr };
     Ok(Value::new(expr, kind))
+}
+
+/// The expression of an aggregate over the rows around each row, and the type of its result. Without `first`, the rows
+/// begin with the partition's first, and without `last` they end with its last.
+fn moving(
+    aggregate: Aggregate,
+    id: &str,
+    kind: Type,
+    name: &str,
+    first: Option<i64>,
+    last: Option<i64>,
+) -> Answer<(Expr, Type)> {
+    let is_count = matches!(aggregate, Aggregate::Rows | Aggregate::Count);
+    let values = if is_count { col(id).is_not_null() } else { col(id) };
+    let result = match aggregate {
+        Aggregate::Sum | Aggregate::Min | Aggregate::Max if kind == Type::Integer => Type::Integer,
+        _ if is_count => Type::Integer,
+        Aggregate::All | Aggregate::Any => {
+            return refuse(format!("a moving {name} is not supported; count the rows with count_if"));
+        }
+        _ if kind.is_number() => Type::Real,
+        _ => return refuse(format!("a moving {name} of {} is not supported", kind.name())),
+    };
+    let name = name.to_owned();
+    let of_partition = move |columns: &mut [Column]| {
+        let values = columns[0].f64()?.rechunk();
+        let rows = values.len();
+        let place = |row: usize, offset: i64| usize::try_from(row as i64 + offset).unwrap_or(0).min(rows);
+        let from = |row| first.map_or(0, |first| place(row, first));
+        let upto = |row| last.map_or(rows, |last| place(row, last + 1));
+        let work: usize = (0..rows).map(|row| upto(row).saturating_sub(from(row))).sum();
+        if work > MOST_WORK {
+            let reason =
+                format!("a moving {name} over {rows} rows takes too long; use PARTITION BY, or fewer rows");
+            return Err(PolarsError::ComputeError(reason.into()));
+        }
+        let all: Vec<Option<f64>> = values.iter().collect();
+        let of_row = |row: usize| {
+            let within = &all[from(row).min(upto(row))..upto(row)];
+            aggregate.of_values(within.iter().copied().flatten().collect())
+        };
+        let results: Vec<Option<f64>> = (0..rows).map(of_row).collect();
+        let is_exact = |value: &f64| value.abs() < 2_f64.powi(53);
+        if result == Type::Integer && !results.iter().flatten().all(is_exact) {
+            let reason = format!("a moving {name} has more than 53 bits; make it real, such as with * 1.0");
+            return Err(PolarsError::ComputeError(reason.into()));
+        }
+        let results = Float64Chunked::from_slice_options(columns[0].name().clone(), &results);
+        results.into_column().cast(&result.data_type())
+    };
+    let values = values.cast(DataType::Float64);
+    Ok((values.apply_many(of_partition, &[], field(result)), result))
 }
 
 /// Binds one of [`NAMES`]: a function of a row's position, or of another row's value.
@@ -277,6 +380,9 @@ fn of_rows(
             }
             _ => refuse(format!("{name} takes a column, and a number of rows")),
         },
+        ("first_value", [_]) if matches!(frame, Frame::Rows { first: Some(_), .. }) => {
+            refuse(NO_VALUE_OF_ROWS.into())
+        }
         ("first_value", [value]) => {
             let id = window.input(binder, value.clone());
             Ok(Value::new(window.ordered(col(&*id).first())?, value.kind))
@@ -287,6 +393,7 @@ fn of_rows(
                 Frame::All => window.ordered(last.last())?,
                 Frame::ToRow => last,
                 Frame::ToPeers => window.last_of_peers(last)?,
+                Frame::Rows { .. } => return refuse(NO_VALUE_OF_ROWS.into()),
             };
             Ok(Value::new(expr, value.kind))
         }
