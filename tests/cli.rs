@@ -523,7 +523,9 @@ fn the_doctor_names_what_is_there_and_what_is_not() {
 
 #[test]
 fn every_command_names_the_file_or_folder_that_it_writes_by_the_same_option() {
-    for command in ["query", "claims", "compare", "figures", "plot", "render", "report", "publish", "pack"] {
+    for command in
+        ["query", "ls", "claims", "compare", "figures", "plot", "render", "report", "publish", "pack"]
+    {
         let help = succeed(&RESULTS, &[command, "--help"]);
         assert!(help.contains("  -o, --output <"), "{command}: {help}");
     }

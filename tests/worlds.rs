@@ -614,6 +614,20 @@ fn go_through(results: &Path, folder: &Path, spec: &Path, world: &Path, modality
     let described = succeed(results, &["query", "describe episodes"]);
     assert!(described.contains("time since the episode's start"), "{described}");
     assert!(!described.contains("contact_force_19"), "{described}");
+    // A table of all columns has those that DESCRIBE lists, and `schema` lists them too.
+    let names = succeed(results, &["query", "describe episodes", "--format", "csv"]);
+    let names: Vec<&str> = names.lines().skip(1).map(|line| line.split(',').next().unwrap()).collect();
+    let rows = succeed(results, &["query", "select * from episodes limit 1", "--format", "csv"]);
+    assert_eq!(rows.lines().next().unwrap().split(',').collect::<Vec<_>>(), names);
+    let of_folder = succeed(results, &["schema", "--tables"]);
+    let of_world = succeed(results, &["schema", "--tables", "--world", world.to_str().unwrap()]);
+    for (listed, whose) in [(of_folder, "the datasets in "), (of_world, world.to_str().unwrap())] {
+        let (_, listed) = listed.split_once("episodes: ").unwrap();
+        let (first, columns) = listed.split_once('\n').unwrap();
+        let columns = columns.lines().map(|line| line.split_whitespace().next().unwrap());
+        assert_eq!(columns.collect::<Vec<_>>(), names);
+        assert!(first.contains(&format!("these are those of {whose}")), "{first}");
+    }
     let page = folder.join("report.html");
     succeed(results, &["report", "--output", page.to_str().unwrap()]);
     assert!(fs::metadata(page).unwrap().len() > 10_000);

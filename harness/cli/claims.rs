@@ -1,6 +1,8 @@
 //! `harness claims`.
 
 use super::DONE;
+use super::format::{Destination, Form, print_page};
+use super::sheet::Style;
 use super::table::{Grid, LINE, fitted, print_command, print_text, shown, width};
 use anyhow::{Result, bail};
 use clap::Args;
@@ -8,8 +10,8 @@ use harness::analysis::{Analysis, Mixed, Setting};
 use harness::claims::{
     self, Claim, Each, Judgment, Matrix, MatrixRow, Measured, Plan, Readings, Step, Verdict, corrected,
 };
-use harness::numbers::{counted, duration, rounded};
-use harness::registry::{self, Registry, quoted};
+use harness::numbers::{duration, rounded};
+use harness::registry::{Registry, quoted};
 use harness::spec::{self, Experiment, Reading, Scenario};
 use polars::prelude::{Column, DataFrame};
 use std::collections::{BTreeMap, BTreeSet};
@@ -36,11 +38,10 @@ pub struct Claims {
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "readings")]
     readings: Option<PathBuf>,
     /// Print how many more datasets or seeds would decide the undecided claims, with the commands that run them
-    #[arg(long, conflicts_with_all = ["readings", "output"])]
+    #[arg(long, conflicts_with_all = ["readings", "format", "output"])]
     plan: bool,
-    /// Write the verdicts to a file instead: .parquet, .csv or .json
-    #[arg(long, short, value_name = "FILE")]
-    output: Option<PathBuf>,
+    #[command(flatten)]
+    to: Destination,
 }
 
 impl Claims {
@@ -48,16 +49,20 @@ impl Claims {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let all = claims::load(&self.file)?;
         let chosen = claims::choose(&all, &self.chosen)?;
+        let form = self.to.form()?;
         if let Some(path) = &self.readings {
-            return self.execute_readings(registry, path, &chosen);
+            return self.execute_readings(registry, path, &chosen, form);
         }
         let runs = claims::runs(registry, &chosen, &self.settings, self.quick)?;
         let mut judgments = Vec::new();
         for claim in chosen {
             judgments.extend(claims::judge(&runs, claim, self.quick)?);
         }
-        if let Some(path) = self.output {
-            return write(claims::table(&judgments.iter().collect::<Vec<_>>())?, &path);
+        if !matches!(form, Form::Page(Style::Text)) {
+            for note in runs.notes() {
+                eprintln!("{note}");
+            }
+            return write(claims::table(&judgments.iter().collect::<Vec<_>>())?, form);
         }
         if self.plan {
             print_plan(&claims::plan(&runs, &judgments, self.quick), &judgments);
@@ -73,7 +78,13 @@ impl Claims {
         Ok(ExitCode::from(DONE))
     }
 
-    fn execute_readings(&self, registry: &Registry, path: &Path, chosen: &[&Claim]) -> Result<ExitCode> {
+    fn execute_readings(
+        &self,
+        registry: &Registry,
+        path: &Path,
+        chosen: &[&Claim],
+        form: Form,
+    ) -> Result<ExitCode> {
         let spec = spec::load(path, &[], self.quick)?;
         if spec.readings.is_empty() {
             bail!("{} has no readings; name a spec with readings, such as `readings`", shown(path));
@@ -88,23 +99,36 @@ impl Claims {
                 registry.command(&format!("run {path}{quick}"))
             );
         }
-        if let Some(path) = &self.output {
+        if !matches!(form, Form::Page(Style::Text)) {
+            for note in &matrix.notes {
+                eprintln!("{note}");
+            }
             let judgments: Vec<&Judgment> = matrix.rows.iter().flat_map(|row| &row.judgments).collect();
             let mut table = claims::table(&judgments)?;
             let readings = matrix.readings.iter().cycle().take(judgments.len()).copied();
             table.insert_column(0, Column::new("reading".into(), readings.collect::<Vec<_>>()))?;
-            return write(table, path);
+            return write(table, form);
         }
         print_matrix(&spec, &matrix);
         Ok(ExitCode::from(DONE))
     }
 }
 
-/// Writes a table with a row for each verdict.
-fn write(mut verdicts: DataFrame, path: &Path) -> Result<ExitCode> {
-    registry::save(&mut verdicts, path)?;
-    println!("{} in {}", counted(verdicts.height(), "verdict"), shown(path));
-    Ok(ExitCode::from(DONE))
+/// The columns of the verdicts on a page.
+const ON_PAGES: [&str; 10] =
+    ["reading", "claim", "measured", "scenario", "mean", "low", "high", "condition", "p_holm", "verdict"];
+
+/// Prints or writes a table with a row for each verdict.
+fn write(mut verdicts: DataFrame, form: Form) -> Result<ExitCode> {
+    match form {
+        Form::Data(data) => data.write(&mut verdicts, "verdict"),
+        Form::Page(style) => {
+            let names = verdicts.get_column_names().into_iter().map(|name| name.as_str());
+            let on_page: Vec<&str> = names.filter(|name| ON_PAGES.contains(name)).collect();
+            print_page(Grid::of_table(&verdicts.select(on_page)?, usize::MAX), style);
+            Ok(ExitCode::from(DONE))
+        }
+    }
 }
 
 /// A verdict in one character.

@@ -1,19 +1,19 @@
 //! `harness compare`.
 
 use super::DONE;
+use super::format::{Destination, Form};
 use super::plot::key;
 use super::sheet::{Sheet, Style, best, rounded};
-use super::table::{shown, width};
+use super::table::width;
 use anyhow::Result;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use harness::analysis::{Analysis, Interval, Key, Mean, NETWORK, Of, Setting, replicates_of};
 use harness::metrics::Metric;
-use harness::numbers::{Natural, counted};
-use harness::registry::{Registry, save};
+use harness::numbers::Natural;
+use harness::registry::Registry;
 use harness::spec::{Modality, Origin, Task, variant_parts};
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 #[derive(Args)]
@@ -39,12 +39,8 @@ pub struct Compare {
     /// Use only runs with this setting, for example training.epochs=200; may be given several times
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
-    /// The format of the table
-    #[arg(long, value_name = "FORMAT", default_value = "text", conflicts_with = "output")]
-    format: Style,
-    /// Write the means to a file instead, one in each row: .parquet, .csv or .json
-    #[arg(long, short, value_name = "FILE")]
-    output: Option<PathBuf>,
+    #[command(flatten)]
+    to: Destination,
 }
 
 /// Parses the name of a metric.
@@ -64,8 +60,9 @@ pub enum CompareError {
 }
 
 impl Compare {
-    /// Prints the table, or writes the means to a file.
+    /// Prints the table, or prints or writes the means.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        let form = self.to.form()?;
         let analysis = Analysis::finished(registry, &self.experiments, &self.settings)?;
         if analysis.experiments().next().is_none() {
             return Err(CompareError::Nothing(registry.command("run single_to_multi")).into());
@@ -80,17 +77,18 @@ impl Compare {
             let list = "query \"select distinct experiment, task, model, modality, metric from metrics\"";
             return Err(CompareError::Empty(registry.command(list)).into());
         }
-        if let Some(path) = self.output {
-            for note in analysis.notes() {
-                eprintln!("{note}");
+        let style = match form {
+            Form::Page(style) => style,
+            Form::Data(data) => {
+                for note in analysis.notes() {
+                    eprintln!("{note}");
+                }
+                return data.write(&mut Mean::frame(&means)?, "mean");
             }
-            save(&mut Mean::frame(&means)?, &path)?;
-            println!("{} in {}", counted(means.len(), "mean"), shown(&path));
-            return Ok(ExitCode::from(DONE));
-        }
+        };
         let mut comparison = Comparison::new(means.iter(), &self.by, &self.metrics);
         comparison.notes.extend(analysis.notes().iter().cloned());
-        print!("{}", comparison.sheet(self.format).render(self.format, width()));
+        print!("{}", comparison.sheet(style).render(style, width()));
         Ok(ExitCode::from(DONE))
     }
 }

@@ -1,5 +1,6 @@
 //! `harness query`, `ls`, `show` and `schema`.
 
+use super::format::{Destination, Form, print_page};
 use super::layers;
 use super::results::{self, Metrics};
 use super::sheet::{MISSING, Style};
@@ -7,39 +8,38 @@ use super::table::{Grid, print, print_beside, print_command, print_text, shown, 
 use super::{DONE, submit};
 use anyhow::Result;
 use clap::Args;
-use harness::numbers::{Natural, counted, duration};
+use harness::numbers::{Natural, duration};
 use harness::registry::{self, Registry, RunFolder, RunRecord, quoted};
-use harness::schema::Table;
+use harness::schema::{Column, Table, sample_columns};
+use harness::simulation::Scene;
+use harness::spec::World;
 use polars::prelude::{AnyValue, DataFrame};
 use serde::Deserialize;
 use std::collections::BTreeSet;
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Query {
     /// The query
     sql: String,
-    /// Write the answer to a file instead: .parquet, .csv or .json
-    #[arg(long, short, value_name = "FILE")]
-    output: Option<PathBuf>,
+    #[command(flatten)]
+    to: Destination,
 }
 
 impl Query {
     /// Answers the query, and prints or writes the answer.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        let form = self.to.form()?;
         // A panic in Polars is reported as an error of the query, so nothing must be printed about it here.
         let hook = std::panic::take_hook();
         std::panic::set_hook(Box::new(|_| {}));
         let answer = registry::query(registry, &self.sql);
         std::panic::set_hook(hook);
         let mut answer = answer?;
-        match self.output {
-            Some(path) => {
-                registry::save(&mut answer, &path)?;
-                println!("{} in {}", counted(answer.height(), "row"), shown(&path));
-            }
-            None => print(&answer),
+        match form {
+            Form::Data(data) => return data.write(&mut answer, "row"),
+            Form::Page(Style::Text) => print(&answer),
+            Form::Page(style) => print_page(Grid::of_table(&answer, usize::MAX), style),
         }
         Ok(ExitCode::from(DONE))
     }
@@ -59,6 +59,8 @@ pub struct List {
     /// List the tasks of submitted jobs instead, with their nodes, and the reasons why they wait or failed
     #[arg(long, conflicts_with_all = ["experiments", "status", "sort"])]
     jobs: bool,
+    #[command(flatten)]
+    to: Destination,
 }
 
 impl List {
@@ -69,8 +71,9 @@ impl List {
 
     /// Prints the runs with how they went, or the tasks of jobs.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        let form = self.to.form()?;
         if self.jobs {
-            return submit::list(registry);
+            return submit::list(registry, form);
         }
         let mut recorded = registry.recorded();
         check_started(recorded.iter().map(|(_, record)| record), registry, &self.experiments)?;
@@ -94,10 +97,12 @@ impl List {
         let sql = format!(
             "select experiment, run, status, started, {seconds} as seconds, reason from runs where {chosen} {order}"
         );
-        let runs = registry::answer(&sql, &|of| registry::table(registry, of, &recorded, &sql))?;
-        match width() {
-            Some(limit) => print_listed(runs, limit)?,
-            None => print(&runs),
+        let mut runs = registry::answer(&sql, &|of| registry::table(registry, of, &recorded, &sql))?;
+        match (form, width()) {
+            (Form::Data(data), _) => return data.write(&mut runs, "run"),
+            (Form::Page(Style::Text), Some(limit)) => print_listed(runs, limit)?,
+            (Form::Page(Style::Text), None) => print(&runs),
+            (Form::Page(style), _) => print_page(Grid::of_table(&runs, usize::MAX), style),
         }
         Ok(ExitCode::from(DONE))
     }
@@ -279,27 +284,50 @@ fn row(registry: &Registry, record: &RunRecord) -> Result<Vec<(String, String)>>
 
 #[derive(Args)]
 pub struct Schema {
-    /// Print the columns of the tables instead
+    /// Print the columns of the tables instead. Those of `episodes` are the columns of the datasets in the results folder
     #[arg(long)]
     tables: bool,
+    /// With --tables: print the columns that `episodes` has in this world, a world file or a built-in world
+    #[arg(long, value_name = "WORLD", requires = "tables")]
+    world: Option<String>,
 }
 
 impl Schema {
     /// Prints the schema.
-    pub fn execute(self) -> Result<ExitCode> {
+    pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         if !self.tables {
             println!("{}", serde_json::to_string_pretty(&harness::spec::schema())?);
             return Ok(ExitCode::from(DONE));
         }
+        let (of_episodes, whose) = self.episodes(registry)?;
         for table in Table::ALL {
-            print_text(&format!("{}: {}", table.name(), table.meaning()));
-            print_beside(
-                table
-                    .columns()
-                    .into_iter()
-                    .map(|column| (format!("  {:<24} {:<6}", column.name, column.unit), column.meaning)),
-            );
+            let is_episodes = table == Table::Episodes;
+            let follows = if is_episodes { format!(". {whose}") } else { String::new() };
+            let columns = if is_episodes { of_episodes.clone() } else { table.columns() };
+            print_text(&format!("{}: {}{follows}", table.name(), table.meaning()));
+            let line = |column: Column| (format!("  {:<24} {:<6}", column.name, column.unit), column.meaning);
+            print_beside(columns.into_iter().map(line));
         }
         Ok(ExitCode::from(DONE))
+    }
+
+    /// The columns of `episodes`, and a sentence about whose they are.
+    fn episodes(&self, registry: &Registry) -> Result<(Vec<Column>, String)> {
+        let (columns, whose) = match &self.world {
+            Some(world) => {
+                let columns = sample_columns(Scene::new(World::find(world)?)?.layout());
+                (columns, format!("these are those of {world}"))
+            }
+            None => match registry::episode_columns(registry) {
+                (columns, true) => {
+                    (columns, format!("these are those of the datasets in {}", shown(registry.root())))
+                }
+                (columns, false) => {
+                    let command = registry.command("schema --tables --world FILE");
+                    (columns, format!("these are those of the built-in worlds; `{command}` prints others"))
+                }
+            },
+        };
+        Ok((columns, format!("The columns after time follow the world: {whose}")))
     }
 }

@@ -12,6 +12,7 @@ mod encoding;
 mod experiments;
 mod export;
 mod figures;
+mod format;
 mod import;
 mod inspect;
 mod interrupt;
@@ -124,11 +125,12 @@ Finished runs and saved states are kept. The next `harness submit` or `harness r
   harness query \"select run, status, prediction_seconds from runs\"
   harness query \"select run, modality, value from metrics where metric = 'r2'\"
   harness query \"select * from epochs where term = 'total'\" --output curves.csv
+  harness query \"select run, started from runs\" --format csv
   harness query \"show tables\"
   harness query \"describe metrics\"
 
 The tables are runs, epochs, metrics, predictions, forces, frames and episodes. `harness schema --tables` lists their \
-columns.")]
+columns. Scripts read csv and json, which have all rows and all digits.")]
     Query(inspect::Query),
     /// Test which of the paper's statements hold
     #[command(after_help = "Examples:
@@ -138,6 +140,7 @@ columns.")]
   harness claims --plan                   what would decide the undecided claims
   harness claims --readings               judge under each reading of the paper
   harness claims --output verdicts.csv
+  harness claims --format json
 
 Most claims need the runs of single_to_multi and multi_to_multi. A claim holds if the whole 95 % interval satisfies \
 its condition, and does not hold if the whole interval violates it. Otherwise, or with a single seed or dataset, it is \
@@ -150,6 +153,7 @@ not hold or is undecided. Intervals are over datasets or, with one dataset, over
   harness compare --by experiment,latent --task prediction --models network
   harness compare --by scenario --metrics r2,rmse
   harness compare smoke --format latex > table.tex
+  harness compare smoke --format csv              the means, one in each row
 
 Each number is a mean over datasets and seeds. The number after ± is half of its 95 % interval (Student's t). The best \
 value of each row is marked. Metrics are computed over all joints, links or pixels of the test episodes. The table \
@@ -160,6 +164,7 @@ metrics, which `harness query` reads, has them for each joint and link. The LaTe
   harness ls
   harness ls smoke --status failed
   harness ls --sort seconds
+  harness ls --status failed --format json
   harness ls --jobs")]
     Ls(inspect::List),
     /// Follow the running trainings: losses, speed, remaining time
@@ -205,6 +210,7 @@ with --quick. unused: no remaining run uses the simulated dataset. Imported data
     #[command(after_help = "Examples:
   harness schema > schema.json
   harness schema --tables
+  harness schema --tables --world robots/gripper.yaml
 
 Editors complete and check a spec that begins with this line:
   # yaml-language-server: $schema=schema.json")]
@@ -480,7 +486,7 @@ fn execute(
         Command::Rm(remove) => remove.execute(registry),
         Command::Gc(gc) => gc.execute(registry),
         Command::Du => removal::usage(registry),
-        Command::Schema(schema) => schema.execute(),
+        Command::Schema(schema) => schema.execute(registry),
         Command::Render(render) => render.execute(),
         Command::Figures(figures) => figures.execute(registry),
         Command::Plot(plot) => plot.execute(registry),
@@ -560,6 +566,7 @@ fn is_usage(error: &anyhow::Error) -> bool {
         || error.is::<AnalysisError>()
         || matches!(error.downcast_ref(), Some(ReportError::Claims(_) | ReportError::Analysis(_)))
         || error.is::<compare::CompareError>()
+        || error.is::<format::FormatError>()
         || error.is::<inspect::NotStarted>()
         || matches!(
             error.downcast_ref(),

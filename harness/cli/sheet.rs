@@ -1,7 +1,6 @@
 //! Tables for documents: text, Markdown, LaTeX.
 
 use super::table::{Grid, HARD_SPACE, beside, fitted, unbroken};
-use clap::ValueEnum;
 use harness::metrics::{Metric, label};
 use textwrap::core::display_width;
 
@@ -9,13 +8,13 @@ use textwrap::core::display_width;
 pub const MISSING: &str = "-";
 
 /// The format of a table.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Style {
-    /// For the terminal; `*` marks the best value of a row
+    /// For the terminal; `*` marks the best value of a row.
     Text,
-    /// A pipe table; the best value of a row is bold
+    /// A pipe table; the best value of a row is bold.
     Markdown,
-    /// A tabular with booktabs; the best value of a row is bold
+    /// A tabular with booktabs; the best value of a row is bold.
     Latex,
 }
 
@@ -188,29 +187,21 @@ impl Sheet {
     }
 
     fn markdown(&self) -> String {
-        let line = |cells: Vec<&str>| format!("| {} |\n", cells.join(" | "));
-        let words = self.words();
-        let mut text = line([vec![""; words], self.header.iter().map(String::as_str).collect()].concat());
-        text += &line([vec!["---"; words], vec!["---:"; self.header.len()]].concat());
-        for (words, numbers) in &self.rows {
-            text += &line(words.iter().chain(numbers).map(String::as_str).collect());
-        }
-        text
+        let words = vec![String::new(); self.words()];
+        let right = [vec![false; words.len()], vec![true; self.header.len()]].concat();
+        let header = [words, self.header.clone()].concat();
+        let rows = self.rows.iter().map(|(words, numbers)| [&words[..], numbers].concat()).collect();
+        Grid { header, rows, right, ..Grid::default() }.markdown()
     }
 
     fn latex(&self) -> String {
-        let line = |cells: Vec<String>| format!("{} \\\\\n", cells.join(" & "));
-        let words = self.words();
-        let header = self.header.iter().map(|name| escaped(name));
-        let mut text =
-            format!("\\begin{{tabular}}{{{}{}}}\n", "l".repeat(words), "r".repeat(self.header.len()));
-        text += "\\toprule\n";
-        text += &line(vec![String::new(); words].into_iter().chain(header).collect());
-        text += "\\midrule\n";
-        let mut above: &[String] = &[];
+        let words = vec![String::new(); self.words()];
+        let right = [vec![false; words.len()], vec![true; self.header.len()]].concat();
+        let header: Vec<String> = self.header.iter().map(|name| escaped(name)).collect();
+        let (mut body, mut above): (String, &[String]) = (String::new(), &[]);
         for (words, numbers) in &self.rows {
             if above.first().is_some_and(|word| Some(word) != words.first()) {
-                text += "\\addlinespace\n";
+                body += "\\addlinespace\n";
             }
             // The first words of a row are left out as long as they are equal to those of the row above.
             let same = words.iter().zip(above).take_while(|(word, above)| word == above).count();
@@ -218,11 +209,25 @@ impl Sheet {
                 .iter()
                 .enumerate()
                 .map(|(place, word)| if place < same { String::new() } else { escaped(word) });
-            text += &line(shown.chain(numbers.iter().cloned()).collect());
+            body += &latex_line(shown.chain(numbers.iter().cloned()));
             above = words;
         }
-        text + "\\bottomrule\n\\end{tabular}\n"
+        tabular([words, header].concat(), &right, &body)
     }
+}
+
+/// A row of a LaTeX table.
+pub fn latex_line(cells: impl Iterator<Item = String>) -> String {
+    format!("{} \\\\\n", cells.collect::<Vec<_>>().join(" & "))
+}
+
+/// A LaTeX table with this header and these lines. Some columns are aligned to the right.
+pub fn tabular(header: Vec<String>, right: &[bool], body: &str) -> String {
+    let columns: String = right.iter().map(|right| if *right { 'r' } else { 'l' }).collect();
+    let header = latex_line(header.into_iter());
+    format!(
+        "\\begin{{tabular}}{{{columns}}}\n\\toprule\n{header}\\midrule\n{body}\\bottomrule\n\\end{{tabular}}\n"
+    )
 }
 
 /// Words with commas between them, without empty ones.
@@ -231,16 +236,19 @@ fn joined(words: &[String]) -> String {
 }
 
 /// Escapes a text for LaTeX.
-fn escaped(text: &str) -> String {
+pub fn escaped(text: &str) -> String {
     if text == "R2" {
         return "$R^2$".into();
     }
     let mut escaped = String::new();
     for character in text.chars() {
-        if "_%&#$".contains(character) {
-            escaped.push('\\');
+        match character {
+            '\\' => escaped.push_str("\\textbackslash{}"),
+            '~' => escaped.push_str("\\textasciitilde{}"),
+            '^' => escaped.push_str("\\textasciicircum{}"),
+            '_' | '%' | '&' | '#' | '$' | '{' | '}' => escaped.extend(['\\', character]),
+            other => escaped.push(other),
         }
-        escaped.push(character);
     }
     escaped
 }

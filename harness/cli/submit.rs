@@ -4,9 +4,11 @@
 //! results/jobs/<experiment>-<time>/   job.json, collect.sh, train.sh, finish.sh, and a log of each task
 //! ```
 
+use super::format::{Form, print_page};
 use super::run::Spec;
+use super::sheet::Style;
 use super::slurm::{self, Job, MOST_CPUS, MOST_TASKS, Resources, SlurmError, Step, Task};
-use super::table::{print_command, print_text, print_texts, shown};
+use super::table::{Grid, print_command, print_text, print_texts, shown};
 use super::{DONE, interrupt};
 use anyhow::{Result, bail};
 use clap::Args;
@@ -15,6 +17,7 @@ use harness::files::{write_bytes, write_whole};
 use harness::numbers::counted;
 use harness::progress::Silent;
 use harness::registry::Registry;
+use polars::prelude::{Column, DataFrame};
 use serde::{Deserialize, Serialize};
 use serde_yaml::{MessageFormatter, UserMessageFormatter};
 use std::collections::BTreeMap;
@@ -243,13 +246,24 @@ impl Cancel {
     }
 }
 
-/// Prints the tasks of all jobs.
-pub fn list(registry: &Registry) -> Result<ExitCode> {
+/// The columns of the tasks of all jobs.
+const HEADER: [&str; 6] = ["job", "step", "state", "host", "time", "last log line, or why it waits"];
+
+/// Prints or writes the tasks of all jobs.
+pub fn list(registry: &Registry, form: Form) -> Result<ExitCode> {
     let rows = tasks(registry)?;
-    if rows.is_empty() {
-        println!("no jobs; `harness submit SPEC` makes some");
-    } else {
-        print_texts(["job", "step", "state", "host", "time", "last log line, or why it waits"], rows);
+    match form {
+        Form::Data(data) => {
+            let names = ["job", "step", "state", "host", "time", "message"];
+            let column = |(place, name): (usize, &str)| {
+                Column::new(name.into(), rows.iter().map(|row| row[place].as_str()).collect::<Vec<_>>())
+            };
+            let columns = names.into_iter().enumerate().map(column).collect();
+            return data.write(&mut DataFrame::new(rows.len(), columns)?, "task");
+        }
+        Form::Page(Style::Text) if rows.is_empty() => println!("no jobs; `harness submit SPEC` makes some"),
+        Form::Page(Style::Text) => print_texts(HEADER, rows),
+        Form::Page(style) => print_page(Grid::of_texts(HEADER, rows), style),
     }
     Ok(ExitCode::from(DONE))
 }

@@ -5,6 +5,7 @@
 //! of a command does not depend on where it is called.
 
 use super::encoding::{IS_UTF8, encoded};
+use super::sheet::{escaped, latex_line, tabular};
 use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table, Width};
 use harness::numbers::rounded;
 use polars::prelude::{AnyValue, DataFrame};
@@ -64,15 +65,15 @@ impl Grid {
         }
     }
 
-    /// The first rows of a table.
-    pub fn of_table(table: &DataFrame) -> Self {
+    /// The first rows of a table, at most `limit`.
+    pub fn of_table(table: &DataFrame, limit: usize) -> Self {
         let cells = |row| {
             let values = table.columns().iter().map(move |column| column.get(row));
             values.map(|value| value.map_or(String::new(), cell)).collect()
         };
         Self {
             header: table.get_column_names().into_iter().map(|name| name.to_string()).collect(),
-            rows: (0..table.height().min(MOST_ROWS)).map(cells).collect(),
+            rows: (0..table.height().min(limit)).map(cells).collect(),
             right: table.columns().iter().map(|column| column.dtype().is_numeric()).collect(),
             ..Self::default()
         }
@@ -92,6 +93,22 @@ impl Grid {
             Some(limit) if !self.fits(limit) => self.blocks(limit),
             _ => self.lines(limit),
         })
+    }
+
+    /// The table in Markdown.
+    pub fn markdown(&self) -> String {
+        let cell = |text: &String| with_spaces(text).replace('|', "\\|").replace('\n', "<br>");
+        let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
+        let ruler = self.right.iter().map(|right| if *right { "---:" } else { "---" }.to_owned());
+        let rows = self.rows.iter().map(|row| line(row.iter().map(cell).collect()));
+        line(self.header.iter().map(cell).collect()) + &line(ruler.collect()) + &rows.collect::<String>()
+    }
+
+    /// The table in LaTeX.
+    pub fn latex(&self) -> String {
+        let cell = |text: &String| escaped(&with_spaces(text).replace('\n', " "));
+        let body: String = self.rows.iter().map(|row| latex_line(row.iter().map(cell))).collect();
+        tabular(self.header.iter().map(cell).collect(), &self.right, &body)
     }
 
     /// Whether the table is at most `limit` characters wide if no word, and no line of a whole column, is broken.
@@ -165,9 +182,12 @@ fn is_within(widths: &[u16], limit: u16) -> bool {
 
 /// Prints the answer of a query. Numbers are aligned to the right and rounded to four digits.
 pub fn print(table: &DataFrame) {
-    println!("{}", Grid::of_table(table).text(width()));
+    println!("{}", Grid::of_table(table, MOST_ROWS).text(width()));
     if table.height() > MOST_ROWS {
-        println!("{} more rows; write all of them with --output FILE.csv", table.height() - MOST_ROWS);
+        let more = table.height() - MOST_ROWS;
+        println!(
+            "{more} more rows; print all of them with --format csv, or write them with --output FILE.csv"
+        );
     }
 }
 

@@ -1,12 +1,13 @@
 //! SQL over the tables of a results folder.
 
 use super::compact::RunTable;
-use super::folders::Recorded;
+use super::folders::{Recorded, folders};
 use super::record::{RunRecord, runs_table};
 use super::rows::conditions;
 use super::{QueryError, Registry, RegistryError, Status, live, sql};
 use harness_dataset::layout_of;
 use harness_shared::files::write_whole;
+use harness_shared::numbers::counted;
 use harness_spec::Layout;
 use harness_tables::schema::{Column, Table, sample_columns};
 use harness_tables::{TableError, data_type, lazily, scan};
@@ -14,6 +15,7 @@ use polars::prelude::*;
 use serde::de::DeserializeOwned;
 use std::collections::HashSet;
 use std::fs::File;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -108,7 +110,7 @@ pub fn table(
                 Some(runs_table(&records).map_err(TableError::from).map_err(RegistryError::from)?.lazy())
             }
         }
-        Table::Episodes => episodes(&registry.episode_files(runs)?, &columns)?,
+        Table::Episodes => episodes(&registry.episode_files(runs)?)?,
         Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
             // A run's tables count once its record says that it is done, and as its record lists them.
             let done = runs.iter().map(|(_, run)| run).filter(|run| run.status == Status::Done);
@@ -134,6 +136,15 @@ fn columns(registry: &Registry, table: Table, runs: &[Recorded]) -> Result<Vec<C
     };
     let columns = each_once(groups.iter().flat_map(|(layout, _)| sample_columns(layout)));
     Ok(if columns.is_empty() { table.columns() } else { columns })
+}
+
+/// The columns of `episodes`: each column that a dataset of this folder describes. Without datasets, they are those of
+/// the built-in finger, and the second value is false. No episode is read.
+pub fn episode_columns(registry: &Registry) -> (Vec<Column>, bool) {
+    let layouts = folders(&registry.datasets()).into_iter().filter_map(|folder| layout_of(&folder).ok());
+    let columns = each_once(layouts.flat_map(|layout| sample_columns(&layout)));
+    let are_there = !columns.is_empty();
+    (if are_there { columns } else { Table::Episodes.columns() }, are_there)
 }
 
 /// The columns without those whose name an earlier one has.
@@ -195,12 +206,12 @@ fn by_layout(files: &[PathBuf]) -> Result<ByLayout, QueryError> {
     Ok(groups)
 }
 
-/// The episodes' files one after the other, those of a dataset together: first the columns that the table always has, then
-/// those that only some datasets have. What a dataset lacks is null.
-fn episodes(files: &[PathBuf], always: &[Column]) -> Result<Option<LazyFrame>, QueryError> {
+/// The episodes' files one after the other, those of a dataset together, with each column that a dataset has. What a
+/// dataset lacks is null.
+fn episodes(files: &[PathBuf]) -> Result<Option<LazyFrame>, QueryError> {
     let groups = by_layout(files)?;
     let held: Vec<Vec<Column>> = groups.iter().map(|(layout, _)| sample_columns(layout)).collect();
-    let all = each_once(always.iter().chain(held.iter().flatten()).cloned());
+    let all = each_once(held.iter().flatten().cloned());
     let mut frames = Vec::new();
     for ((_, files), held) in groups.iter().zip(&held) {
         let Some(frame) = scan(files, held).map_err(QueryError::Sql)? else { continue };
@@ -235,22 +246,81 @@ pub fn rows<T: DeserializeOwned>(answer: &mut DataFrame) -> Result<Vec<T>, Query
     serde_json::from_slice(&json).map_err(QueryError::Rows)
 }
 
+/// A format of tables for other programs. Numbers have all their digits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TableFormat {
+    /// Parquet, with the types of the columns.
+    Parquet,
+    /// Comma-separated values with a line of names. A null is empty, and an empty text is `""`.
+    Csv,
+    /// An array of objects.
+    Json,
+}
+
+impl TableFormat {
+    /// The format that the ending of a file's name stands for.
+    ///
+    /// # Errors
+    /// When the name has another ending.
+    pub fn of(path: &Path) -> Result<Self, QueryError> {
+        let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_lowercase();
+        match ending.as_str() {
+            "parquet" => Ok(Self::Parquet),
+            "csv" => Ok(Self::Csv),
+            "json" => Ok(Self::Json),
+            _ => Err(QueryError::Format(path.to_owned())),
+        }
+    }
+
+    /// Writes an answer in this format.
+    ///
+    /// # Errors
+    /// When a column of bytes is written as CSV or JSON, or the answer can't be written.
+    pub fn write(self, answer: &mut DataFrame, to: impl Write) -> PolarsResult<()> {
+        match self {
+            Self::Parquet => ParquetWriter::new(to).finish(answer).map(|_| ()),
+            Self::Csv => CsvWriter::new(to).finish(answer),
+            Self::Json => JsonWriter::new(to).with_json_format(JsonFormat::Json).finish(answer),
+        }
+    }
+
+    /// The column of bytes that this format can't hold, if there is one.
+    pub fn column_of_bytes(self, answer: &DataFrame) -> Option<String> {
+        let column = answer.columns().iter().find(|column| *column.dtype() == DataType::Binary)?;
+        (self != Self::Parquet).then(|| column.name().to_string())
+    }
+
+    /// What this format loses of an answer, in a sentence: JSON has no NaN and no infinity.
+    ///
+    /// # Errors
+    /// When Polars fails.
+    pub fn loss(self, answer: &DataFrame) -> PolarsResult<Option<String>> {
+        if self != Self::Json {
+            return Ok(None);
+        }
+        let mut lost = Vec::new();
+        for column in answer.columns().iter().filter(|column| column.dtype().is_float()) {
+            let finite = column.as_materialized_series().is_finite()?;
+            let count = finite.len() - finite.null_count() - finite.sum().unwrap_or(0) as usize;
+            if count > 0 {
+                lost.push(format!("{} of '{}'", counted(count, "value"), column.name()));
+            }
+        }
+        let sentence =
+            format!("NaN and infinity are null in JSON: {}; CSV and Parquet keep them", lost.join(", "));
+        Ok((!lost.is_empty()).then_some(sentence))
+    }
+}
+
 /// Writes an answer as Parquet, CSV or JSON, depending on the ending of the file's name.
 ///
 /// # Errors
 /// When the file's name has another ending, a column of bytes is written as CSV or JSON, or the file can't be written.
 pub fn save(answer: &mut DataFrame, path: &Path) -> Result<(), QueryError> {
-    let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_lowercase();
-    let write: fn(&mut DataFrame, File) -> PolarsResult<()> = match ending.as_str() {
-        "parquet" => |answer, file| ParquetWriter::new(file).finish(answer).map(|_| ()),
-        "csv" => |answer, file| CsvWriter::new(file).finish(answer),
-        "json" => |answer, file| JsonWriter::new(file).with_json_format(JsonFormat::Json).finish(answer),
-        _ => return Err(QueryError::Format(path.to_owned())),
-    };
-    let of_bytes = answer.columns().iter().find(|column| *column.dtype() == DataType::Binary);
-    if let Some(column) = of_bytes.filter(|_| ending != "parquet") {
-        return Err(QueryError::Bytes { path: path.to_owned(), column: column.name().to_string() });
+    let format = TableFormat::of(path)?;
+    if let Some(column) = format.column_of_bytes(answer) {
+        return Err(QueryError::Bytes { path: path.to_owned(), column });
     }
-    write_whole(path, |file| write(answer, File::create(file)?).map_err(std::io::Error::other))?;
+    write_whole(path, |file| format.write(answer, File::create(file)?).map_err(std::io::Error::other))?;
     Ok(())
 }
