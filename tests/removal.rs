@@ -69,9 +69,9 @@ fn datasets_are_kept_while_a_damaged_run_may_use_them() {
     assert!(succeed(&results, &["gc", "--yes"]).ends_with("2 folders removed\n"));
 }
 
-#[test]
-fn a_run_of_before_its_world_changed_is_superseded() {
-    let (results, folder) = (fresh("superseded"), tempfile::tempdir().unwrap());
+/// A folder with the world twelve, its model, and the spec of an experiment on it, whose path is returned too.
+fn folder_of_twelve() -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
     for file in ["twelve.yaml", "twelve.xml"] {
         let text =
             fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("models").join(file)).unwrap();
@@ -82,12 +82,23 @@ fn a_run_of_before_its_world_changed_is_superseded() {
                 network: {preset: single_to_multi, hidden: [8]}\ntasks: [prediction]\n\
                 simulation: {episodes: 4, actuations_per_episode: 3}\ntraining: {epochs: 1, batch_size: 16}\n";
     fs::write(&spec, text).unwrap();
+    (folder, spec)
+}
+
+/// Changes the model of the world twelve in a folder.
+fn change_twelve(folder: &Path) {
+    let model = folder.join("twelve.xml");
+    let changed = fs::read_to_string(&model).unwrap().replacen("damping=\"", "damping=\"1", 1);
+    fs::write(&model, changed).unwrap();
+}
+
+#[test]
+fn a_run_of_before_its_world_changed_is_superseded() {
+    let (results, (folder, spec)) = (fresh("superseded"), folder_of_twelve());
     succeed(&results, &["run", spec.to_str().unwrap()]);
     let before = names(&results.join("runs/twelve"));
     assert_eq!(succeed(&results, &["gc", "--only", "superseded"]), "nothing to remove\n");
-    let model = folder.path().join("twelve.xml");
-    let changed = fs::read_to_string(&model).unwrap().replacen("damping=\"", "damping=\"1", 1);
-    fs::write(&model, changed).unwrap();
+    change_twelve(folder.path());
     // Runs are compared by the second in which they began.
     std::thread::sleep(std::time::Duration::from_secs(1));
     succeed(&results, &["run", spec.to_str().unwrap()]);
@@ -97,6 +108,41 @@ fn a_run_of_before_its_world_changed_is_superseded() {
         listed.lines().next().unwrap().ends_with(&format!("superseded  twelve/{}", before[0])),
         "{listed}"
     );
+}
+
+#[test]
+fn a_run_of_another_world_of_the_same_name_is_kept() {
+    let results = fresh("two_worlds");
+    let ((_one, spec), (other, spec_of_other)) = (folder_of_twelve(), folder_of_twelve());
+    change_twelve(other.path());
+    succeed(&results, &["run", spec.to_str().unwrap()]);
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    succeed(&results, &["run", spec_of_other.to_str().unwrap()]);
+    let runs = names(&results.join("runs/twelve"));
+    assert_eq!(runs.len(), 2);
+    assert_eq!(succeed(&results, &["gc", "--yes"]), "nothing to remove\n");
+    // Means are computed for each world, and the runs of one world do not replace published runs of the other.
+    let compared = succeed(&results, &["compare", "twelve", "--by", "settings", "--format", "markdown"]);
+    let published = fresh("two_worlds_published");
+    let datasets = names(&results.join("datasets"));
+    assert_eq!(datasets.len(), 2);
+    for only in datasets.iter().map(|dataset| format!("dataset={dataset}")) {
+        assert!(compared.lines().any(|line| line.contains(&only)), "{compared}");
+        let output = published.to_str().unwrap();
+        succeed(&results, &["publish", "twelve", "--where", &only, "--output", output]);
+    }
+    assert_eq!(names(&published.join("runs/twelve")), runs);
+    // The run of before a change of the second world is superseded, and that of the first world is not.
+    let model = other.path().join("twelve.xml");
+    let changed = fs::read_to_string(&model).unwrap().replacen("damping=\"1", "damping=\"2", 1);
+    fs::write(&model, changed).unwrap();
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    succeed(&results, &["run", spec_of_other.to_str().unwrap()]);
+    let removed = succeed(&results, &["gc", "--yes", "--only", "superseded"]);
+    assert!(removed.ends_with("1 folder removed\n"), "{removed}");
+    let left = names(&results.join("runs/twelve"));
+    assert_eq!(left.iter().filter(|run| runs.contains(run)).count(), 1, "{left:?}");
+    assert!(left.len() == 2 && succeed(&results, &["gc", "--yes"]).contains("unused"), "{left:?}");
 }
 
 #[test]

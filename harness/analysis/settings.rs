@@ -104,7 +104,7 @@ impl fmt::Display for Difference {
 /// Some settings are compared only between runs that have them: those of the simulation, which runs on imported data
 /// lack, and the loss weights of modalities, which runs that do not predict the modality lack. Datasets of different
 /// scenarios or simulation settings are no difference. Two datasets with the same scenario and simulation settings are
-/// one, because then the model or MuJoCo has changed.
+/// one, because then the world, its model or MuJoCo differs.
 pub(super) fn differences(runs: &[&Settings]) -> Vec<Difference> {
     let mut values: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
     let keys: BTreeSet<&str> = runs.iter().flat_map(|run| run.keys()).map(String::as_str).collect();

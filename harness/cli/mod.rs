@@ -201,7 +201,7 @@ Datasets are not removed. `harness gc` removes those that no run uses.")]
   harness gc --only quick --only failed --yes
 
 The command first lists what it would remove, with the size and one of these reasons. superseded: a later run has the \
-same settings, but another dataset or another revision of the method. failed: the run failed. quick: the run was made \
+same settings and the same world, but another dataset or another revision of the method. failed: the run failed. quick: the run was made \
 with --quick. unused: no remaining run uses the simulated dataset. Imported datasets are never removed.")]
     Gc(removal::Gc),
     /// Show the disk space of each experiment and each dataset

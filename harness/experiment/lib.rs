@@ -184,6 +184,11 @@ impl Source {
         spec.check(self.dataset.layout()).map_err(unsuitable)
     }
 
+    /// Returns the path of the world file; `None` for a built-in world and an imported dataset.
+    fn world_file(&self) -> Option<PathBuf> {
+        self.scene.as_ref().and_then(|scene| scene.world().path())
+    }
+
     /// Returns the world if its files have changed since it was read.
     fn changed_world(&self) -> Option<&World> {
         let scene = self.scene.as_ref().filter(|scene| scene.has_changed())?;

@@ -352,7 +352,8 @@ impl WorkerPool<'_> {
             }
             _ => {}
         }
-        let record = registry.begin(folder, spec, planned.layout(), &self.provenance)?;
+        let provenance = Provenance { world_file: planned.source.world_file(), ..self.provenance.clone() };
+        let record = registry.begin(folder, spec, planned.layout(), &provenance)?;
         planned.earlier().any(|earlier| folder.take_state(earlier, Task::Prediction));
         let end =
             self.train(planned).and_then(|outcome| Ok(registry.finish(folder, record.clone(), &outcome)?));

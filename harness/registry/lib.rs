@@ -455,7 +455,7 @@ impl Known {
         let described = alike.iter().map(|(_, record)| {
             let mut differences = differences(&record.spec, spec);
             if record.dataset != folder.dataset && differences.is_empty() {
-                differences.push("the model or MuJoCo".into());
+                differences.push("the world, its model or MuJoCo".into());
             }
             (differences, &record.run)
         });

@@ -1,6 +1,7 @@
 //! Provenance of results: source tree, versions, machine, command.
 
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 use std::process::Command;
 use sysinfo::System;
 
@@ -47,6 +48,10 @@ pub struct Provenance {
     pub processor: String,
     /// Number of threads of the command.
     pub threads: usize,
+    /// Absolute path of the run's world file. `None` for a built-in world and an imported dataset, and in records of
+    /// earlier versions. Two world files in different folders may have the same name.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub world_file: Option<PathBuf>,
     /// The command, quoted for a shell. A run's record has the command that makes only this run.
     pub command: String,
 }
@@ -71,6 +76,7 @@ impl Provenance {
             host: System::host_name().unwrap_or_default(),
             processor: system.cpus().first().map(|cpu| cpu.brand().to_owned()).unwrap_or_default(),
             threads,
+            world_file: None,
             command,
         }
     }

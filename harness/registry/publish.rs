@@ -1,6 +1,6 @@
 //! Small copies of finished runs: what figures, claims and comparisons need, fit for version control.
 
-use super::record::{RunRecord, TABLES};
+use super::record::{RunRecord, TABLES, WorldOf};
 use super::{RECORD, Registry, RegistryError, RunFolder, SPEC, removed};
 use harness_shared::files::write_bytes;
 use harness_shared::progress::Progress;
@@ -103,13 +103,13 @@ impl Registry {
 
 /// Whether two runs are of the same cell and seed.
 fn is_same(a: &RunRecord, b: &RunRecord) -> bool {
-    (&a.experiment, a.label()) == (&b.experiment, b.label())
+    (&a.experiment, a.label(), a.world()) == (&b.experiment, b.label(), b.world())
 }
 
 /// Of which runs single samples are kept.
 struct Shown {
     /// The lowest seed of each cell of an experiment.
-    seeds: BTreeMap<(String, String), u64>,
+    seeds: BTreeMap<Cell, u64>,
     /// The run that the forces of a dataset are kept of.
     forces: BTreeMap<ForcesOf, String>,
 }
@@ -159,8 +159,11 @@ impl Shown {
     }
 }
 
-fn cell(record: &RunRecord) -> (String, String) {
-    (record.experiment.clone(), record.spec.cell())
+/// An experiment, the name of one of its cells, and the world of the cell's runs.
+type Cell = (String, String, WorldOf);
+
+fn cell(record: &RunRecord) -> Cell {
+    (record.experiment.clone(), record.spec.cell(), record.world())
 }
 
 /// An experiment, a dataset, and the reading and the role of the runs on it.

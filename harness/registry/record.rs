@@ -6,7 +6,7 @@ use harness_metrics::Row;
 use harness_metrics::contact::{Contact, QUANTILES};
 use harness_metrics::epoch::Epoch;
 use harness_shared::seal::{self, SealError, hex};
-use harness_spec::{Layout, Modality, RunSpec, Task};
+use harness_spec::{Layout, Modality, RunSpec, Task, World};
 use harness_tables::schema::Table;
 use harness_tables::{Stamp, TableError, data_type, read_footer, write_table};
 use jiff::Timestamp;
@@ -247,7 +247,28 @@ mod shared {
     }
 }
 
+/// The world of a run. Two runs with equal specs may have different worlds, because a spec has only the world's name.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum WorldOf {
+    /// A built-in world.
+    BuiltIn(String),
+    /// The world file with this path, whatever it contains.
+    File(PathBuf),
+    /// The world of this dataset: an imported dataset, or a world file whose path is not known.
+    Dataset(String),
+}
+
 impl RunRecord {
+    /// The run's world.
+    pub(super) fn world(&self) -> WorldOf {
+        let name = self.spec.scenario.name();
+        match &self.provenance.world_file {
+            Some(path) => WorldOf::File(path.clone()),
+            None if World::named(name).is_some() => WorldOf::BuiltIn(name.to_owned()),
+            None => WorldOf::Dataset(self.dataset.clone()),
+        }
+    }
+
     /// The record of a run that starts now.
     pub(super) fn new(folder: &RunFolder, spec: &RunSpec, layout: &Arc<Layout>, by: &Provenance) -> Self {
         Self {

@@ -2,7 +2,7 @@
 
 use super::compact;
 use super::folders::{Recorded, folders, sorted};
-use super::record::RunRecord;
+use super::record::{RunRecord, WorldOf};
 use super::{Registry, RegistryError, RunFolder, Status, removed};
 use harness_dataset::Dataset;
 use harness_shared::files::{FolderLock, UNFINISHED, WriteError};
@@ -13,7 +13,8 @@ use std::path::{Path, PathBuf};
 /// Why a run or a dataset can be removed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Garbage {
-    /// A later run of the same experiment has the same settings, but another dataset or revision of the method.
+    /// A later run of the same experiment has the same settings and the same world, but another dataset or revision of
+    /// the method.
     Superseded,
     /// The run failed.
     Failed,
@@ -224,12 +225,12 @@ fn set_aside_prefix() -> String {
     format!("{UNFINISHED}removal-")
 }
 
-/// The names of finished runs that have a later run with the same settings.
+/// The names of finished runs that have a later run with the same settings in the same world.
 fn superseded<'a>(records: impl Iterator<Item = &'a RunRecord>) -> BTreeSet<String> {
-    let mut latest: BTreeMap<(&str, &str), &RunRecord> = BTreeMap::new();
+    let mut latest: BTreeMap<(&str, &str, WorldOf), &RunRecord> = BTreeMap::new();
     let mut superseded = BTreeSet::new();
     for record in records.filter(|record| record.status == Status::Done) {
-        let key = (record.experiment.as_str(), record.spec_hash.as_str());
+        let key = (record.experiment.as_str(), record.spec_hash.as_str(), record.world());
         let older = match latest.get(&key) {
             Some(other) if other.started > record.started => record,
             _ => match latest.insert(key, record) {

@@ -650,6 +650,15 @@ impl World {
         &self.label
     }
 
+    /// Returns the absolute path of the world file, in which links to its folder are resolved; `None` for a built-in
+    /// world.
+    pub fn path(&self) -> Option<PathBuf> {
+        let folder = self.folder.as_ref()?;
+        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+        let folder = std::fs::canonicalize(folder).or_else(|_| std::path::absolute(folder)).ok()?;
+        Some(folder.join(Path::new(&self.label).file_name()?))
+    }
+
     /// Returns the place of the world's MJCF.
     pub fn model(&self) -> ModelFile {
         let built_in = BUILT_IN.iter().find(|(name, ..)| *name == self.scenario.name());
