@@ -50,7 +50,7 @@ pub use verify::{Finding, Report};
 
 use checks::Checks;
 use folders::folders;
-use harness_shared::files::{FolderLock, WriteError, write_bytes, write_whole};
+use harness_shared::files::{FolderLock, WriteError, real, write_bytes, write_whole};
 use harness_spec::{Layout, RunSpec, Task, nearest};
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, HashMap};
@@ -278,17 +278,14 @@ impl Registry {
     /// adds to a folder.
     fn run_name(&self, wanted: &str) -> String {
         let wanted = wanted.strip_suffix('/').filter(|name| name.contains('/')).unwrap_or(wanted);
-        let below = || {
-            let path = std::path::absolute(wanted).ok()?;
-            // The beginning of a name is not a folder that exists, but its parent is.
-            let path = match path.file_name() {
-                Some(name) => std::fs::canonicalize(path.parent()?).ok()?.join(name),
-                None => std::fs::canonicalize(path).ok()?,
-            };
-            let runs = std::fs::canonicalize(self.runs()).ok()?;
-            Some(path.strip_prefix(runs).ok()?.to_str()?.to_owned())
+        let path = std::path::absolute(wanted).unwrap_or_default();
+        // The folder of a run may be a link to another disk.
+        let path = match (path.parent(), path.file_name()) {
+            (Some(folder), Some(name)) => real(folder).join(name),
+            _ => real(&path),
         };
-        below().filter(|name| !name.is_empty()).unwrap_or_else(|| wanted.to_owned())
+        let below = path.strip_prefix(real(&self.runs())).ok().and_then(Path::to_str);
+        below.filter(|name| !name.is_empty()).unwrap_or(wanted).to_owned()
     }
 
     /// Locks a run's folder, so that only the holder of the lock works on the run. Returns `None` if another process or

@@ -562,10 +562,8 @@ fn is_same(folder: &Path, name: &str, file: &FileRecord) -> bool {
 }
 
 fn lock(folder: &Path) -> Result<FolderLock, PackError> {
-    FolderLock::attempt(folder)?.ok_or_else(|| PackError::Busy {
-        folder: folder.to_owned(),
-        holder: FolderLock::holder(folder).unwrap_or_else(|| "another process".into()),
-    })
+    let busy = || PackError::Busy { folder: folder.to_owned(), holder: FolderLock::other(folder) };
+    FolderLock::attempt(folder)?.ok_or_else(busy)
 }
 
 fn rename(from: &Path, to: &Path) -> Result<(), WriteError> {

@@ -2,7 +2,7 @@
 
 use super::record::{RunRecord, TABLES, WorldOf};
 use super::{RECORD, Registry, RegistryError, RunFolder, SPEC, removed};
-use harness_shared::files::write_bytes;
+use harness_shared::files::{real, write_bytes};
 use harness_shared::progress::Progress;
 use harness_tables::schema::Table;
 use harness_tables::{TableError, TableFile, write_table};
@@ -94,8 +94,7 @@ impl Registry {
 impl Registry {
     /// Whether a folder is this results folder, or in one of its folders.
     fn contains(&self, folder: &Path) -> bool {
-        let real = |path: &Path| std::fs::canonicalize(path).or_else(|_| std::path::absolute(path));
-        let (Ok(folder), Ok(root)) = (real(folder), real(&self.root)) else { return false };
+        let (folder, root) = (real(folder), real(&self.root));
         let own = ["runs", "datasets", "compacted", "specs", "jobs"];
         folder == root || own.iter().any(|part| folder.starts_with(root.join(part)))
     }

@@ -169,8 +169,7 @@ impl Registry {
             return Ok(None);
         }
         let Some(lock) = FolderLock::attempt(&item.path)? else {
-            let holder = FolderLock::holder(&item.path);
-            return Ok(Some(holder.unwrap_or_else(|| "another process".into())));
+            return Ok(Some(FolderLock::other(&item.path)));
         };
         self.discard(&item.path, lock)?;
         if let Some(experiment) = item.path.parent() {

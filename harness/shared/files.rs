@@ -38,8 +38,7 @@ pub struct WriteError {
 pub fn write_whole(path: &Path, write: impl FnOnce(&Path) -> io::Result<()>) -> Result<(), WriteError> {
     let attempt = || {
         // A link stays, and the file that it points to is replaced. A device or a pipe is written to.
-        let target = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-        let path = target.as_path();
+        let path = &*real(path);
         if std::fs::metadata(path).is_ok_and(|about| !about.is_file() && !about.is_dir()) {
             return write(path);
         }
@@ -58,6 +57,15 @@ pub fn write_whole(path: &Path, write: impl FnOnce(&Path) -> io::Result<()>) -> 
         temporary.persist(path).map_err(|error| error.error)
     };
     attempt().map_err(|source| WriteError { path: path.to_owned(), source })
+}
+
+/// Returns the absolute path of a file or folder, with links resolved. What the path ends in need not exist.
+pub fn real(path: &Path) -> PathBuf {
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    std::fs::canonicalize(&path).unwrap_or_else(|_| match (path.parent(), path.file_name()) {
+        (Some(folder), Some(name)) => real(folder).join(name),
+        _ => path,
+    })
 }
 
 /// Writes `bytes` to a file, completely or not at all.
@@ -129,6 +137,12 @@ impl FolderLock {
             }
             _ => None,
         }
+    }
+
+    /// Returns the process that has kept this one from locking a folder, like [`holder`](Self::holder), or `another
+    /// process` if its name is not known.
+    pub fn other(folder: &Path) -> String {
+        Self::holder(folder).unwrap_or_else(|| ANOTHER.into())
     }
 
     /// Returns the process that has locked a folder, like [`holder`](Self::holder), or `another process` if processes share
