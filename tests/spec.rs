@@ -473,6 +473,11 @@ fn rules_that_tie_settings_together_are_checked() {
             "spec.yaml:7:33: 0.25 s is not a whole number of samples at 10 Hz; use a multiple of 0.1 s",
         ),
         (
+            "simulation: {seed: 1, sample_rate_hz: 2.5}\n",
+            "spec.yaml:7:39: simulation.actuation_seconds: 1 s is not a whole number of samples at 2.5 Hz; use a multiple \
+             of 0.4 s",
+        ),
+        (
             "simulation: {actuation_seconds: 0.1, actuations_per_episode: 1}\n",
             "spec.yaml:7:62: an episode of one sample has no next observation to predict; use at least 2 samples",
         ),
@@ -934,6 +939,80 @@ fn each_combination_of_what_varies_must_be_possible() {
         message.contains("2 latent sizes, 8000 combinations of settings and 1 seeds make 32000 runs"),
         "{message}"
     );
+}
+
+#[test]
+fn a_variant_is_what_its_settings_alone_make() {
+    let networks = [
+        "{preset: multi_to_multi}",
+        "{preset: multi_to_multi, channels: [4], average: 2}",
+        "{preset: single_to_multi, channels: [8, 16]}",
+    ];
+    for network in networks {
+        let vectors = base_with(&format!("network: {network}")).replace("[proprioception, arm]", "proprioception");
+        let inputs = ["[proprioception]", "[proprioception, vision]"];
+        let text = format!("{vectors}vary: {{input: [{}], network.hidden: [[8], [16]]}}\n", inputs.join(", "));
+        let runs = load(&text).runs();
+        let mut alone = Vec::new();
+        for input in inputs {
+            for hidden in [8, 16] {
+                let settings = [format!("input={input}"), format!("network.hidden={hidden}")];
+                let settings = settings.each_ref().map(String::as_str);
+                alone.extend(load_with(&vectors, &settings, false).unwrap().runs());
+            }
+        }
+        assert_eq!(runs.len(), alone.len());
+        for run in &runs {
+            let alike = alone.iter().filter(|one| spec::RunSpec { variant: run.variant.clone(), ..(*one).clone() } == *run);
+            assert_eq!(alike.count(), 1, "{network}: {}", run.label());
+        }
+    }
+}
+
+#[test]
+fn an_ablation_of_images_keeps_the_convolutions_of_its_spec() {
+    let network = "network: {preset: multi_to_multi, channels: [4], average: 2}";
+    let text = base_with(network).replace("[proprioception, arm]", "proprioception");
+    let runs = load(&format!("{text}vary: {{input: [[proprioception], [proprioception, vision]]}}\n")).runs();
+    let of_network = |input: &str| {
+        let run = runs.iter().find(|run| run.variant == format!("input={input}")).unwrap();
+        (run.network.channels().to_vec(), run.network.average, run.check(&Layout::finger()))
+    };
+    assert_eq!(of_network("proprioception"), (vec![], 1, Ok(())));
+    assert_eq!(of_network("proprioception+vision"), (vec![4], 2, Ok(())));
+    // The images of a preset's own convolutions: 16 channels.
+    let text = base_with("network: {preset: multi_to_multi}").replace("[proprioception, arm]", "proprioception");
+    let runs = load(&format!("{text}vary: {{input: [[proprioception], [proprioception, vision]]}}\n")).runs();
+    let channels: Vec<usize> = runs.iter().flat_map(|run| run.network.channels()).copied().collect();
+    assert_eq!(channels, [16].repeat(4));
+    let yaml = load(&text).to_yaml();
+    assert_eq!(load(&yaml), load(&text));
+}
+
+#[test]
+fn values_that_make_the_same_runs_are_refused() {
+    assert_refused(&[
+        (
+            "vary:\n  training.kl_weight: [1, 0.5, 1.0]\n",
+            "spec.yaml:8:33: 1.0 in 'vary.training.kl_weight' makes the same runs as 1; leave one of them out",
+        ),
+        (
+            "vary:\n  input: [[arm, proprioception], arm, [proprioception, arm]]\n",
+            "spec.yaml:8:39: [\"proprioception\",\"arm\"] in 'vary.input' makes the same runs as \
+             [\"arm\",\"proprioception\"]; leave one of them out",
+        ),
+        (
+            "vary: {training.epochs: [5, 6], network.channels: [[4], [8]]}\n",
+            "spec.yaml:7:57: [8] in 'vary.network.channels' makes the same runs as [4]; leave one of them out",
+        ),
+    ]);
+    // The channels matter where there are images.
+    let several = base_with("network: {preset: multi_to_multi}")
+        + "vary: {network.channels: [[4], [8]], input: [[arm], [vision]]}\n";
+    assert_eq!(load(&several).runs().len(), 2 * 2 * 4);
+    // One value is left if another one is given on the command line.
+    let text = format!("{BASE}vary: {{training.kl_weight: [1, 1.0]}}\n");
+    assert_eq!(load_with(&text, &["training.kl_weight=1"], false).unwrap().runs().len(), 4);
 }
 
 /// A spec with two roles, two readings besides the base, and two datasets.

@@ -11,6 +11,7 @@ use super::world::{Known, World};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Key of the setting that distinguishes datasets of the same simulation.
@@ -115,8 +116,7 @@ impl Experiment {
 
     /// Returns one experiment for each combination of the varied settings, with the name of the combination.
     fn variants(&self) -> Vec<(String, Experiment)> {
-        let plain = Self { search: None, ..self.clone() };
-        let tree = serde_json::to_value(plain).expect("an experiment is plain data");
+        let tree = serde_json::to_value(self.alone()).expect("an experiment is plain data");
         let variants = self.combinations().into_iter().map(|combination| {
             let mut tree = tree.clone();
             for (key, value) in &combination.settings {
@@ -126,10 +126,20 @@ impl Experiment {
             let mut experiment: Experiment =
                 serde_json::from_value(tree).expect("every combination is checked when the spec is read");
             experiment.worlds = self.worlds.clone();
-            experiment.make_canonical();
-            (combination.name(), experiment)
+            (combination.name(), experiment.canonical())
         });
         variants.collect()
+    }
+
+    /// Returns the experiment with its own settings alone: without readings, roles, varied settings and trials.
+    pub(super) fn alone(&self) -> Experiment {
+        let (readings, roles, vary) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
+        Self { readings, roles, vary, search: None, ..self.clone() }
+    }
+
+    /// Whether the experiment has readings, roles, varied settings or trials, which change its own settings.
+    pub(super) fn has_variants(&self) -> bool {
+        !(self.readings.is_empty() && self.roles.is_empty() && self.vary.is_empty() && self.search.is_none())
     }
 
     /// Returns every combination of a reading, a role, the settings under `vary` and a trial; a single empty combination if
@@ -267,6 +277,12 @@ impl<'a> Combination<'a> {
             combination
         };
         trials.iter().enumerate().map(with).collect()
+    }
+
+    /// Whether the combination has this value of a varied setting. Values are told apart by their place in the spec.
+    pub fn has(&self, key: &str, value: &serde_json::Value) -> bool {
+        let is = |given: &Cow<_>| matches!(given, Cow::Borrowed(given) if std::ptr::eq(*given, value));
+        self.settings.iter().any(|(own, given)| *own == key && is(given))
     }
 
     /// Returns the name: `reading=base,role=multi_to_multi` or `kl_weight=0.001,hidden=64`. It is a valid folder name.

@@ -45,7 +45,9 @@ pub use types::*;
 pub use values::matching;
 pub use world::*;
 
+use cells::Combination;
 use error::Problem;
+use overrides::VARY;
 use parse::{Entry, Node, Value};
 use std::path::Path;
 use std::sync::Arc;
@@ -156,6 +158,7 @@ fn other_file(tree: &Node) -> Option<&'static str> {
 /// Checks the experiment with each combination of a reading, a role, the settings under `vary` and a trial.
 fn check_variants(folder: &Path, tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
     let given = varied_settings(tree);
+    let mut variants = Vec::new();
     for combination in experiment.combinations() {
         let settings = combination.settings.iter().filter_map(|(key, value)| {
             let written = given.iter().find(|entry| entry.key == *key && entry.node.to_json() == **value);
@@ -165,7 +168,34 @@ fn check_variants(folder: &Path, tree: &Node, experiment: &Experiment) -> Result
         overrides::apply(&mut tree, &settings.collect::<Vec<_>>());
         let name = combination.name();
         let what = if name.is_empty() { "'vary'" } else { &name };
-        resolve(folder, &tree).map_err(|problem| problem.after(&format!("applying {what}")))?;
+        let variant = resolve(folder, &tree).map_err(|problem| problem.after(&format!("applying {what}")))?;
+        if !experiment.vary.is_empty() {
+            variants.push((combination, variant.alone().canonical()));
+        }
+    }
+    check_different(tree, experiment, &variants)
+}
+
+/// Refuses a value of a varied setting that always makes the same runs as another one, such as 1.0 and 1.
+fn check_different(
+    tree: &Node,
+    experiment: &Experiment,
+    variants: &[(Combination, Experiment)],
+) -> Result<(), Problem> {
+    for (key, values) in &experiment.vary {
+        // The variants of two values have the same order.
+        let of = |value| variants.iter().filter(|(combination, _)| combination.has(key, value));
+        let of: Vec<Vec<&Experiment>> =
+            values.iter().map(|value| of(value).map(|(_, variant)| variant).collect()).collect();
+        for (index, variants) in of.iter().enumerate() {
+            let Some(same) = of[..index].iter().position(|others| others == variants) else { continue };
+            let origin = tree.origin_of(&format!("{VARY}.{key}.{index}"));
+            let [value, other] = [index, same].map(|place| parse::shorten(&values[place].to_string()));
+            return Err(Problem::new(
+                origin,
+                format!("{value} in '{VARY}.{key}' makes the same runs as {other}; leave one of them out"),
+            ));
+        }
     }
     Ok(())
 }
@@ -204,25 +234,39 @@ fn resolve(folder: &Path, tree: &Node) -> Result<Experiment, Problem> {
     experiment.worlds = worlds(folder, tree, &experiment.scenarios)?;
     let at = |fault: validate::Fault| Problem::new(tree.origin_of(&fault.path), fault.message);
     experiment.take_defaults_of_worlds(tree).map_err(at)?;
-    check_rates_of_worlds(tree, &experiment)?;
+    check_rates(tree, &experiment)?;
     validate::validate(&experiment).map_err(at)?;
-    experiment.make_canonical();
-    Ok(experiment)
+    Ok(experiment.canonical())
 }
 
-/// Refuses a world whose own rates can't be used, unless the spec sets one of them.
-fn check_rates_of_worlds(tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
-    let given = |key: &str| tree.get("simulation").is_some_and(|section| section.get(key).is_some());
-    if given("sample_rate_hz") || given("actuation_seconds") {
-        return Ok(());
-    }
+/// Whether a spec sets this setting of the simulation.
+fn sets(tree: &Node, key: &str) -> bool {
+    tree.get("simulation").is_some_and(|section| section.get(key).is_some())
+}
+
+/// Refuses a sample rate or a duration of a move that can't be used. The place at fault is that of the value that the
+/// spec sets, or that of the world whose own values are used.
+fn check_rates(tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
+    let Simulation { actuation_seconds: seconds, sample_rate_hz: rate, .. } = experiment.simulation;
+    let [sets_rate, sets_seconds] = ["sample_rate_hz", "actuation_seconds"].map(|key| sets(tree, key));
+    let at = |path: &str, message: String| Problem::new(tree.origin_of(path), message);
     for (index, origin) in experiment.scenarios.iter().enumerate() {
         let Some(world) = experiment.world(origin) else { continue };
-        let at =
-            |error: SpecError| Problem::new(tree.origin_of(&format!("scenarios.{index}")), error.to_string());
-        world.check_rates().map_err(at)?;
+        let of_world = |error: SpecError| at(&format!("scenarios.{index}"), error.to_string());
+        if sets_rate {
+            simulation::sample_rate(rate, world.file().step_rate_hz)
+                .map_err(|message| at("simulation.sample_rate_hz", message))?;
+        } else {
+            world.check_sample_rate().map_err(of_world)?;
+        }
+        if !sets_rate && !sets_seconds {
+            world.check_rates().map_err(of_world)?;
+        }
     }
-    Ok(())
+    simulation::actuation(seconds, rate).map_err(|message| match sets_seconds {
+        true => at("simulation.actuation_seconds", message),
+        false => at("simulation.sample_rate_hz", format!("simulation.actuation_seconds: {message}")),
+    })
 }
 
 /// Loads the worlds of the world files among `scenarios`.
@@ -247,21 +291,20 @@ impl Experiment {
     /// Sets the values that the spec leaves out to those of its worlds: the rates, and the worlds' own settings.
     fn take_defaults_of_worlds(&mut self, tree: &Node) -> Result<(), validate::Fault> {
         let worlds: Vec<Arc<World>> = self.scenarios.iter().filter_map(|origin| self.world(origin)).collect();
-        let given = |key: &str| tree.get("simulation").is_some_and(|section| section.get(key).is_some());
         for (index, world) in worlds.iter().enumerate() {
             let own = world.simulation();
             let rates = [
                 ("sample_rate_hz", own.sample_rate_hz, &mut self.simulation.sample_rate_hz),
                 ("actuation_seconds", own.actuation_seconds, &mut self.simulation.actuation_seconds),
             ];
-            for (key, own, value) in rates.into_iter().filter(|(key, ..)| !given(key)) {
+            for (key, own, value) in rates.into_iter().filter(|(key, ..)| !sets(tree, key)) {
                 if index > 0 && *value != own {
                     return Err(validate::Fault::between_worlds(key, &worlds[0], world));
                 }
                 *value = own;
             }
             for (key, own) in own.world {
-                if given(&key) {
+                if sets(tree, &key) {
                     continue;
                 }
                 let other = self.simulation.world.insert(key.clone(), own);
@@ -275,7 +318,10 @@ impl Experiment {
 
     /// Makes specs with the same meaning equal: sorts the modalities, makes the default weights, channels and gap
     /// explicit, removes squared losses, which are the default, and clears `quick`.
-    fn make_canonical(&mut self) {
+    ///
+    /// Without images, the settings of convolutions have no effect and are cleared. With variants, the channels and
+    /// their default depend on the variant, so this is left to the variants.
+    fn canonical(mut self) -> Self {
         self.input.sort();
         self.output.sort();
         self.simulation.factors.sort();
@@ -292,10 +338,12 @@ impl Experiment {
                 .iter()
                 .any(|origin| self.known(origin, *modality).is_none_or(|known| known.size.is_some()))
         };
-        if self.input.iter().chain(&self.output).any(may_be_image) {
-            self.network.channels = Some(self.network.channels().to_vec());
-        } else {
-            (self.network.channels, self.network.average) = (Some(Vec::new()), 1);
+        if !self.has_variants() {
+            if self.input.iter().chain(&self.output).any(may_be_image) {
+                self.network.channels = Some(self.network.channels().to_vec());
+            } else {
+                (self.network.channels, self.network.average) = (Some(Vec::new()), 1);
+            }
         }
         if self.split.by == Division::Time {
             self.split.gap_seconds.get_or_insert(Split::GAP_SECONDS);
@@ -303,6 +351,7 @@ impl Experiment {
             self.split.gap_seconds = None;
         }
         self.quick.clear();
+        self
     }
 
     /// Returns the spec as YAML with every value explicit. Loading it gives an equal experiment.

@@ -6,7 +6,7 @@ use super::parse::{self, Entry, Node, Value};
 use super::schema;
 
 /// Key of the settings that are tried in every combination.
-const VARY: &str = "vary";
+pub(super) const VARY: &str = "vary";
 /// Key of the settings that are drawn.
 const SEARCH: &str = "search";
 /// Keys of the other readings, and of the experiments that runs stand for.

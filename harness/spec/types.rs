@@ -257,7 +257,8 @@ pub struct Network {
     pub hidden: Vec<usize>,
     /// Channels of each convolution on images (4 x 4 kernels, stride 2). The decoder mirrors them. The default is the
     /// preset's: `[16]` for multi_to_multi, none for single_to_multi. The setting has no effect without images.
-    #[serde(default, deserialize_with = "maybe_one_or_many")]
+    // A run's spec always has it.
+    #[serde(default, deserialize_with = "maybe_one_or_many", skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "channels_schema")]
     pub channels: Option<Vec<usize>>,
     /// Side of the squares of pixels over which images are averaged before the encoder's first convolution, in pixels.

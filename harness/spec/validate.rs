@@ -5,7 +5,7 @@ use super::modality::{Modality, Scale};
 use super::name::is_name;
 use super::origin::Origin;
 use super::search::{Halving, Objective, Search};
-use super::simulation::{self, Setting, Simulation};
+use super::simulation::{Setting, Simulation};
 use super::types::{
     Device, Division, Experiment, Network, Precision, Preset, Reading, Settings, Split, Task, Training,
 };
@@ -55,7 +55,6 @@ pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     precision(&experiment.training)?;
     steps(&experiment.training)?;
     settings(experiment)?;
-    timing(experiment)?;
     samples(&experiment.simulation)?;
     scaling(experiment)?;
     split(experiment)?;
@@ -422,15 +421,6 @@ fn settings(experiment: &Experiment) -> Result<(), Fault> {
         }
     }
     Ok(())
-}
-
-fn timing(experiment: &Experiment) -> Result<(), Fault> {
-    let Simulation { actuation_seconds: seconds, sample_rate_hz: rate, .. } = experiment.simulation;
-    for world in experiment.scenarios.iter().filter_map(|origin| experiment.world(origin)) {
-        simulation::sample_rate(rate, world.file().step_rate_hz)
-            .or_else(|message| fault("simulation.sample_rate_hz", message))?;
-    }
-    simulation::actuation(seconds, rate).or_else(|message| fault("simulation.actuation_seconds", message))
 }
 
 fn samples(simulation: &Simulation) -> Result<(), Fault> {

@@ -779,9 +779,15 @@ impl World {
     /// # Errors
     /// When a spec that leaves them out can't be run.
     pub fn check_rates(&self) -> Result<(), SpecError> {
-        let WorldFile { sample_rate_hz: rate, step_rate_hz: steps, action, .. } = &self.file;
-        simulation::sample_rate(*rate, *steps).map_err(|message| self.fault("sample_rate_hz", message))?;
+        self.check_sample_rate()?;
+        let WorldFile { sample_rate_hz: rate, action, .. } = &self.file;
         simulation::actuation(action.seconds, *rate).map_err(|message| self.fault("action.seconds", message))
+    }
+
+    /// Checks the sample rate that the file sets.
+    pub(super) fn check_sample_rate(&self) -> Result<(), SpecError> {
+        simulation::sample_rate(self.file.sample_rate_hz, self.file.step_rate_hz)
+            .map_err(|message| self.fault("sample_rate_hz", message))
     }
 
     /// Refuses a value that the world's setting can't have. The error is the message.
