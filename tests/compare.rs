@@ -105,6 +105,81 @@ fn every_cell_is_the_mean_and_interval_of_the_tables_and_the_best_is_bold() {
 }
 
 #[test]
+fn a_setting_is_compared_with_the_whole_spec_of_a_run() {
+    let all = succeed(&RESULTS, &["compare", "smoke", "--format", "markdown"]);
+    // Defaults that a record does not store, and values in every way in which a spec can give them. The smoke experiment
+    // has hidden: [16], and the networks see joint angles and images.
+    for setting in [
+        "split.by=episode",
+        "split.gap_seconds=null",
+        "training.dropout=0",
+        "training.schedule=constant",
+        "training.clip_norm=null",
+        "training.losses.contact_force=squared",
+        "network.fusion=early",
+        "network.average=1",
+        "scaling.contact_force.scale=shared",
+        "simulation.factors=[]",
+        "network.hidden=16",
+        "network.hidden=[16]",
+        "network.hidden=1.6e1",
+        "input=[vision, proprioception]",
+        "input=[proprioception,vision]",
+        "tasks=[prediction, reconstruction]",
+        "variant=",
+    ] {
+        let chosen = succeed(&RESULTS, &["compare", "smoke", "--format", "markdown", "--where", setting]);
+        assert_eq!(chosen, all, "{setting}");
+    }
+    for (setting, expected) in [
+        ("split.by=time", "no finished run has split.by=time; finished runs have split.by (episode)"),
+        ("network.hidden=[32, 32]", "finished runs have network.hidden ([16])"),
+        (
+            "tasks=[reconstruction, prediction]",
+            "finished runs have tasks ([\"prediction\",\"reconstruction\"])",
+        ),
+        (
+            "training.dropout=0.5",
+            "no finished run has training.dropout=0.5; finished runs have training.dropout (0.0)",
+        ),
+        ("split.buy=episode", "no run has a setting 'split.buy'; did you mean 'split.by'?"),
+    ] {
+        let answer = finish(&mut harness(&RESULTS, &["compare", "smoke", "--where", setting]));
+        assert!(answer.code == 2 && answer.stderr.contains(expected), "{setting}: {}", answer.stderr);
+    }
+}
+
+#[test]
+fn an_experiment_without_a_chosen_run_is_not_said_to_have_none() {
+    let results = fresh("compare_chosen");
+    let run = |settings: &[&str]| {
+        let run = ["run", SMOKE, "scenarios=[empty]", "tasks=prediction", "training.epochs=1"];
+        succeed(&results, &[&run[..], settings].concat())
+    };
+    run(&["name=first"]);
+    run(&["name=second", "simulation.seed=1"]);
+    run(&["name=second", "latent=2"]);
+    for (arguments, expected) in [
+        (
+            &["first", "second", "--where", "simulation.seed=1"][..],
+            "no finished run of 'first' has simulation.seed=1; its finished runs have simulation.seed (0)",
+        ),
+        (
+            &["second", "--where", "simulation.seed=1", "--where", "latent=2"],
+            "no finished run of 'second' has simulation.seed=1 and latent=2; its finished runs have latent (2, 4) and \
+             simulation.seed (0, 1)",
+        ),
+        (
+            &["third", "--where", "simulation.seed=1"],
+            "'third' has no finished runs; those that have: first, second",
+        ),
+    ] {
+        let answer = finish(&mut harness(&results, &[&["compare"], arguments].concat()));
+        assert!(answer.stderr.contains(expected), "{}", answer.stderr);
+    }
+}
+
+#[test]
 fn runs_that_differ_in_more_than_their_seed_are_never_averaged() {
     let results = fresh("compare_settings");
     let run =

@@ -949,9 +949,11 @@ fn a_variant_is_what_its_settings_alone_make() {
         "{preset: single_to_multi, channels: [8, 16]}",
     ];
     for network in networks {
-        let vectors = base_with(&format!("network: {network}")).replace("[proprioception, arm]", "proprioception");
+        let vectors =
+            base_with(&format!("network: {network}")).replace("[proprioception, arm]", "proprioception");
         let inputs = ["[proprioception]", "[proprioception, vision]"];
-        let text = format!("{vectors}vary: {{input: [{}], network.hidden: [[8], [16]]}}\n", inputs.join(", "));
+        let text =
+            format!("{vectors}vary: {{input: [{}], network.hidden: [[8], [16]]}}\n", inputs.join(", "));
         let runs = load(&text).runs();
         let mut alone = Vec::new();
         for input in inputs {
@@ -963,7 +965,9 @@ fn a_variant_is_what_its_settings_alone_make() {
         }
         assert_eq!(runs.len(), alone.len());
         for run in &runs {
-            let alike = alone.iter().filter(|one| spec::RunSpec { variant: run.variant.clone(), ..(*one).clone() } == *run);
+            let alike = alone
+                .iter()
+                .filter(|one| spec::RunSpec { variant: run.variant.clone(), ..(*one).clone() } == *run);
             assert_eq!(alike.count(), 1, "{network}: {}", run.label());
         }
     }
@@ -981,7 +985,8 @@ fn an_ablation_of_images_keeps_the_convolutions_of_its_spec() {
     assert_eq!(of_network("proprioception"), (vec![], 1, Ok(())));
     assert_eq!(of_network("proprioception+vision"), (vec![4], 2, Ok(())));
     // The images of a preset's own convolutions: 16 channels.
-    let text = base_with("network: {preset: multi_to_multi}").replace("[proprioception, arm]", "proprioception");
+    let text =
+        base_with("network: {preset: multi_to_multi}").replace("[proprioception, arm]", "proprioception");
     let runs = load(&format!("{text}vary: {{input: [[proprioception], [proprioception, vision]]}}\n")).runs();
     let channels: Vec<usize> = runs.iter().flat_map(|run| run.network.channels()).copied().collect();
     assert_eq!(channels, [16].repeat(4));
@@ -994,7 +999,7 @@ fn values_that_make_the_same_runs_are_refused() {
     assert_refused(&[
         (
             "vary:\n  training.kl_weight: [1, 0.5, 1.0]\n",
-            "spec.yaml:8:33: 1.0 in 'vary.training.kl_weight' makes the same runs as 1; leave one of them out",
+            "spec.yaml:8:32: 1.0 in 'vary.training.kl_weight' makes the same runs as 1; leave one of them out",
         ),
         (
             "vary:\n  input: [[arm, proprioception], arm, [proprioception, arm]]\n",
@@ -1184,6 +1189,45 @@ fn settings_that_came_later_change_the_hash_only_where_they_are_set() {
     ];
     for setting in set {
         assert_ne!(with(setting), first_hash(BASE), "{setting}");
+    }
+}
+
+/// The stored spec of a run leaves out most settings that came later, so that older runs keep their hashes.
+#[test]
+fn a_complete_spec_has_every_setting_with_its_default() {
+    let run = load(BASE).runs().remove(0);
+    let complete = run.complete(&Layout::finger());
+    let has = |key: &str| key.split('.').try_fold(&complete, |section, key| section.get(key)).is_some();
+    let used = run.modalities();
+    let mut known = 0;
+    for key in spec::setting_names() {
+        let parts: Vec<&str> = key.split('.').collect();
+        let expected = match parts[..] {
+            ["training", "loss_weights" | "losses", name] => {
+                run.output.iter().any(|output| output.name() == name)
+            }
+            ["scaling", name, _] => used.iter().any(|modality| modality.name() == name),
+            // The world `empty` has no tendons.
+            ["simulation", name] => !name.ends_with("_n"),
+            ["network" | "split" | "training" | "tasks" | "action" | "input" | "output", ..] => true,
+            _ => continue,
+        };
+        assert_eq!(has(&key), expected, "{key}");
+        known += usize::from(expected);
+    }
+    assert!(known > 35, "{known}");
+    assert_eq!(
+        (&complete["split"]["by"], &complete["training"]["dropout"]),
+        (&"episode".into(), &0.0.into())
+    );
+    assert_eq!(complete["training"]["losses"]["contact_force"], "squared");
+    // What is stored is what it is in the complete spec.
+    let stored = serde_json::to_value(&run).unwrap();
+    assert!(stored["training"].get("dropout").is_none());
+    for (section, settings) in stored.as_object().unwrap() {
+        for (key, value) in settings.as_object().into_iter().flatten() {
+            assert_eq!(complete[section][key], *value, "{section}.{key}");
+        }
     }
 }
 

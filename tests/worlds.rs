@@ -396,18 +396,22 @@ fn rates_that_no_experiment_can_use_are_refused_at_their_place_in_the_world_file
     fs::write(folder.path().join("own.xml"), EMPTY_XML).unwrap();
     let path = folder.path().join("own.yaml");
     let (world, scenarios) = (path.to_str().unwrap(), format!("scenarios=[{}]", path.display()));
-    for (old, new, expected, change) in [
+    for (old, new, expected, change, other, then) in [
         (
             "sample_rate_hz: 10",
             "sample_rate_hz: 7",
             "own.yaml:5:17: 7 Hz does not divide the simulation's 1000 Hz; use one that does, such as 10, 20, 50, 100",
             "simulation.sample_rate_hz=10",
+            "simulation.actuation_seconds=1",
+            "own.yaml:5:17: 7 Hz does not divide",
         ),
         (
             "  seconds: 1\n",
             "  seconds: 0.05\n",
             "own.yaml:27:12: 0.05 s is not a whole number of samples at 10 Hz; use a multiple of 0.1 s",
             "simulation.actuation_seconds=1",
+            "simulation.sample_rate_hz=10",
+            "override 'simulation.sample_rate_hz=10': simulation.actuation_seconds: 0.05 s is not a whole number of",
         ),
     ] {
         let text = EMPTY.replacen(old, new, 1).replacen("model: empty.xml", "model: own.xml", 1);
@@ -418,6 +422,9 @@ fn rates_that_no_experiment_can_use_are_refused_at_their_place_in_the_world_file
         }
         // A spec can set another rate.
         succeed(&results, &["validate", "smoke", &scenarios, change]);
+        // What it does not set is still the world's.
+        let answer = finish(&mut harness(&results, &["validate", "smoke", &scenarios, other]));
+        assert!(answer.code == 2 && answer.stderr.contains(then), "{other}: {}", answer.stderr);
     }
 }
 

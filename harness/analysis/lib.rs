@@ -63,6 +63,19 @@ pub enum AnalysisError {
         /// The names of the experiments that have finished runs.
         there: Vec<String>,
     },
+    /// No finished run of an experiment has the requested settings.
+    #[error(
+        "no finished run of '{experiment}' has {}; its finished runs have {}",
+        wanted.iter().map(Setting::to_string).collect::<Vec<_>>().join(" and "), listed(there)
+    )]
+    NothingChosen {
+        /// The name of the experiment.
+        experiment: String,
+        /// The requested settings.
+        wanted: Vec<Setting>,
+        /// The values that its finished runs have for these settings.
+        there: Vec<Difference>,
+    },
     /// No run has a setting with the requested key.
     #[error(
         "no run has a setting '{wanted}'; {}",
@@ -290,12 +303,8 @@ impl Analysis {
     /// # Errors
     /// When one of them has none.
     pub fn check_finished(&self, experiments: &[String]) -> Result<(), AnalysisError> {
-        match experiments.iter().find(|wanted| !self.experiments.contains_key(*wanted)) {
-            None => Ok(()),
-            Some(wanted) => {
-                Err(AnalysisError::NothingFinished { wanted: wanted.clone(), there: self.all_finished() })
-            }
-        }
+        let lacking = experiments.iter().find(|wanted| !self.experiments.contains_key(*wanted));
+        lacking.map_or(Ok(()), |experiment| Err(self.nothing_of(experiment)))
     }
 
     /// The names of all experiments of the results folder that have finished runs, in alphabetical order.
@@ -304,6 +313,22 @@ impl Analysis {
         let done = records.filter(|record| record.status == Status::Done);
         let names: BTreeSet<String> = done.map(|record| record.experiment).collect();
         names.into_iter().collect()
+    }
+
+    /// Why no run of an experiment counts.
+    fn nothing_of(&self, experiment: &str) -> AnalysisError {
+        let records = self.registry.records();
+        let is_own = |record: &&RunRecord| record.status == Status::Done && record.experiment == experiment;
+        let own: Vec<Settings> = records.iter().filter(is_own).map(settings::of).collect();
+        let about = self.selection.settings.iter().filter(|setting| setting.is_about(experiment));
+        let wanted: Vec<Setting> = about.cloned().collect();
+        if own.is_empty() || wanted.is_empty() {
+            let (wanted, there) = (experiment.to_owned(), self.all_finished());
+            return AnalysisError::NothingFinished { wanted, there };
+        }
+        let keys: BTreeSet<&str> = wanted.iter().map(|setting| setting.key.as_str()).collect();
+        let there = keys.into_iter().map(|key| Difference::of(key, own.iter())).collect();
+        AnalysisError::NothingChosen { experiment: experiment.to_owned(), wanted, there }
     }
 
     /// Checks that the runs of an experiment differ only in scenario, latent size and seeds. If `by_variant`, they may

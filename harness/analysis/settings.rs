@@ -1,6 +1,7 @@
 //! The settings of runs, the settings in which runs differ, and the settings that a selection requests.
 
 use harness_registry::{RunRecord, quoted};
+use harness_spec::setting_value;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -15,24 +16,23 @@ const OF_CELLS: [&str; 4] = ["scenario", "latent", "seed", "simulation.seed"];
 const VARIANT: &str = "variant";
 /// The section of a spec that only runs on simulated episodes have.
 const SIMULATION: &str = "simulation.";
-/// The section of a spec with a setting for each predicted modality.
-const LOSS_WEIGHTS: &str = "training.loss_weights.";
+/// The sections of a spec with settings for each modality that a run uses.
+const OF_MODALITIES: [&str; 3] = ["training.loss_weights.", "training.losses.", "scaling."];
+/// The lists of a spec whose order has no meaning.
+const UNORDERED: [&str; 3] = ["input", "output", "simulation.factors"];
 /// The value of a setting that a run does not have.
 const UNSET: &str = "unset";
 
 /// The settings of a run: texts by dotted keys, such as `64` for `training.batch_size`.
 pub(super) type Settings = BTreeMap<String, String>;
 
-/// All settings of a run.
+/// All settings of a run, also the defaults that its record does not store.
 pub(super) fn of(record: &RunRecord) -> Settings {
-    let mut settings = Settings::from([
-        (DATASET.to_owned(), record.dataset.clone()),
-        (VARIANT.to_owned(), record.spec.variant.clone()),
-    ]);
+    let mut settings = Settings::from([(DATASET.to_owned(), record.dataset.clone())]);
     if let Some(revision) = record.revision() {
         settings.insert(REVISION.to_owned(), revision.to_string());
     }
-    collect("", &serde_json::to_value(&record.spec).unwrap_or_default(), &mut settings);
+    collect("", &record.spec.complete(&record.layout), &mut settings);
     settings
 }
 
@@ -102,7 +102,7 @@ impl fmt::Display for Difference {
 /// The settings in which the runs of one experiment differ, without scenario, latent size and seeds.
 ///
 /// Some settings are compared only between runs that have them: those of the simulation, which runs on imported data
-/// lack, and the loss weights of modalities, which runs that do not predict the modality lack. Datasets of different
+/// lack, and the scaling, losses and loss weights of modalities, which runs that do not use the modality lack. Datasets of different
 /// scenarios or simulation settings are no difference. Two datasets with the same scenario and simulation settings are
 /// one, because then the world, its model or MuJoCo differs.
 pub(super) fn differences(runs: &[&Settings]) -> Vec<Difference> {
@@ -111,7 +111,7 @@ pub(super) fn differences(runs: &[&Settings]) -> Vec<Difference> {
     for key in keys.into_iter().filter(|key| !OF_CELLS.contains(key) && ![DATASET, REVISION].contains(key)) {
         let concerns = |run: &&&Settings| match key {
             key if key.starts_with(SIMULATION) => is_simulated(run),
-            key if key.starts_with(LOSS_WEIGHTS) => run.contains_key(key),
+            key if OF_MODALITIES.iter().any(|section| key.starts_with(section)) => run.contains_key(key),
             _ => true,
         };
         values.insert(key, runs.iter().filter(concerns).map(|run| value(run, key)).collect());
@@ -225,14 +225,29 @@ impl Setting {
         self.experiment.as_ref().is_none_or(|name| name == experiment)
     }
 
-    /// Whether a run has the setting. Numbers and JSON values are compared by value, not as texts.
+    /// Whether a run has the setting. The value is written as in a spec, and compared by what it means: 0.5 is 5e-1, and
+    /// a list with one item is the item.
     pub(super) fn is_met_by(&self, run: &Settings) -> bool {
         let found = value(run, &self.key);
-        let number = |text: &str| text.parse::<f64>().ok();
-        let tree = |text: &str| serde_json::from_str::<Value>(text).ok();
-        found == self.value
-            || number(found).is_some_and(|found| number(&self.value) == Some(found))
-            || tree(found).is_some_and(|found| tree(&self.value) == Some(found))
+        let meaning = |text: &str| setting_value(text).map(|value| plain(value, &self.key));
+        found == self.value || meaning(found).is_some_and(|found| meaning(&self.value) == Some(found))
+    }
+}
+
+/// A value in the form in which it equals all values with the same meaning: numbers are floats, a list of one item is the
+/// item, and lists without an order are sorted.
+fn plain(value: Value, key: &str) -> Value {
+    match value {
+        Value::Number(number) => number.as_f64().into(),
+        Value::Array(mut items) if items.len() == 1 => plain(items.remove(0), key),
+        Value::Array(items) => {
+            let mut items: Vec<Value> = items.into_iter().map(|item| plain(item, key)).collect();
+            if UNORDERED.contains(&key) {
+                items.sort_by_key(Value::to_string);
+            }
+            items.into()
+        }
+        other => other,
     }
 }
 

@@ -146,7 +146,7 @@ fn with_training(settings: &str) -> String {
         return settings.to_owned();
     }
     let word = |setting: &str| match setting.strip_prefix(LAST) {
-        Some("unset") => "trained to the end".to_owned(),
+        Some("null") => "trained to the end".to_owned(),
         Some(epoch) => format!("trained to epoch {epoch}"),
         None => setting.to_owned(),
     };

@@ -5,10 +5,11 @@ use super::origin::Origin;
 use super::scaling::{GivenScaling, Scaling, Scalings};
 use super::search::Trial;
 use super::simulation::Simulation;
-use super::types::{Action, Experiment, Network, Reading, Settings, Split, Task, Training};
+use super::types::{Action, Experiment, Loss, Network, Reading, Settings, Split, Task, Training};
 use super::validate::{Images, check_images};
 use super::world::{Known, World};
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 use sha2::{Digest, Sha256};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -307,18 +308,19 @@ impl RunSpec {
         used
     }
 
-    /// Returns the scaling of each modality that is used, given the dataset's layout.
+    /// Returns the scaling of each modality that is used, given the dataset's layout. A modality that the layout lacks is
+    /// left out.
     pub fn scalings(&self, layout: &Layout) -> Scalings {
         let of = |modality: Modality| {
-            let definition = &layout[modality];
+            let definition = layout.get(modality)?;
             let unsaid = if Modality::BUILT_IN.contains(&modality) {
                 Scaling::plain(definition.is_image())
             } else {
                 Scaling { scale: definition.scale, minimum: definition.minimum }
             };
-            self.scaling.get(&modality).copied().unwrap_or(unsaid)
+            Some((modality, self.scaling.get(&modality).copied().unwrap_or(unsaid)))
         };
-        self.modalities().into_iter().map(|modality| (modality, of(modality))).collect()
+        self.modalities().into_iter().filter_map(of).collect()
     }
 
     /// Checks that the run can use a dataset with this layout.
@@ -352,6 +354,41 @@ impl RunSpec {
         json.sort_all_objects();
         let digest = Sha256::digest(json.to_string());
         digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// Returns the run's spec with the defaults that are not stored, so that older runs keep their names. `layout` is that
+    /// of the dataset.
+    pub fn complete(&self, layout: &Layout) -> serde_json::Value {
+        let Self { split, network, training, simulation, .. } = self;
+        let losses: BTreeMap<Modality, Loss> = self
+            .output
+            .iter()
+            .filter(|modality| layout.get(**modality).is_some_and(|definition| !definition.is_image()))
+            .map(|modality| (*modality, training.losses.get(modality).copied().unwrap_or_default()))
+            .collect();
+        let unsaid = json!({
+            "variant": self.variant,
+            "network": { "average": network.average, "fusion": network.fusion },
+            "split": { "by": split.by, "gap_seconds": split.gap_seconds },
+            "scaling": self.scalings(layout),
+            "training": {
+                "schedule": training.schedule,
+                "warmup_epochs": training.warmup_epochs,
+                "weight_decay": training.weight_decay,
+                "clip_norm": training.clip_norm,
+                "last_epoch": training.last_epoch,
+                "stop": training.stop,
+                "losses": losses,
+                "dropout": training.dropout,
+                "tiles": training.tiles,
+            },
+        });
+        let mut all = serde_json::to_value(self).expect("a run's spec is plain data");
+        add(&mut all, unsaid);
+        if let Some(simulation) = simulation {
+            all["simulation"]["factors"] = json!(simulation.factors);
+        }
+        all
     }
 
     /// Returns the run's spec as YAML with every value explicit.
@@ -433,6 +470,16 @@ impl RunSpec {
             seed => format!("-data{seed}"),
         };
         format!("{}{data}-seed{}", self.cell(), self.seed)
+    }
+}
+
+/// Adds the values of `more` to a tree, section by section.
+fn add(tree: &mut serde_json::Value, more: serde_json::Value) {
+    match more {
+        serde_json::Value::Object(entries) => {
+            entries.into_iter().for_each(|(key, value)| add(&mut tree[key], value));
+        }
+        value => *tree = value,
     }
 }
 

@@ -135,6 +135,11 @@ fn load_text(folder: &Path, text: &str, overrides: &[String], quick: bool) -> Re
     Ok(experiment)
 }
 
+/// Returns the value that a text stands for as the value of a setting, as in `KEY=VALUE`; `None` if it is no YAML.
+pub fn setting_value(text: &str) -> Option<serde_json::Value> {
+    parse::parse(text).ok().map(|node| node.to_json())
+}
+
 /// Says what a file is, and how it is used, if it is the spec of a run or a world instead of an experiment.
 fn other_file(tree: &Node) -> Option<&'static str> {
     let has = |keys: &[&str]| keys.iter().all(|key| tree.get(key).is_some());
@@ -184,7 +189,7 @@ fn check_different(
 ) -> Result<(), Problem> {
     for (key, values) in &experiment.vary {
         // The variants of two values have the same order.
-        let of = |value| variants.iter().filter(|(combination, _)| combination.has(key, value));
+        let of = |value| variants.iter().filter(move |(combination, _)| combination.has(key, value));
         let of: Vec<Vec<&Experiment>> =
             values.iter().map(|value| of(value).map(|(_, variant)| variant).collect()).collect();
         for (index, variants) in of.iter().enumerate() {

@@ -91,7 +91,9 @@ impl Raise for AnalysisError {
     fn raise(self) -> PyErr {
         match self {
             Self::Query(error) => error.raise(),
-            Self::NothingFinished { .. } => PyKeyError::new_err(self.to_string()),
+            Self::NothingFinished { .. } | Self::NothingChosen { .. } => {
+                PyKeyError::new_err(self.to_string())
+            }
             _ => self.value_error(),
         }
     }
