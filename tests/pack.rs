@@ -597,7 +597,16 @@ fn a_killed_process_leaves_the_results_as_they_were_and_the_same_command_does_al
     let packing = ["pack", "smoke", "--datasets", "--output", output.to_str().unwrap()];
     killed_at(40, &RESULTS, &packing);
     assert!(!output.exists());
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "what it has written");
+    // A process that is still writing has locked its file.
+    let held = folder.path().join(format!("{UNFINISHED}held12"));
+    let lock = fs::File::create(&held).unwrap();
+    lock.lock().unwrap();
     succeed(&RESULTS, &packing);
+    let mut left: Vec<PathBuf> =
+        fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
+    left.sort();
+    assert_eq!(left, [held, output.clone()]);
     assert!(fs::read(&output).unwrap() == fs::read(&*WHOLE).unwrap());
 
     let results = fresh("unpacked-killed");

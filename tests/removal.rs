@@ -55,6 +55,30 @@ fn garbage_is_listed_with_its_size_and_removed_only_with_consent() {
 }
 
 #[test]
+fn what_killed_processes_left_in_the_results_folder_is_garbage() {
+    let results = results("garbage_unfinished");
+    let place = |name: &str| results.join(format!(".unfinished-{name}"));
+    for name in ["import-a1", "unpack-b2", "removal-c3", "import-held"] {
+        fs::create_dir(place(name)).unwrap();
+        fs::write(place(name).join("episode_00000.parquet"), "a part").unwrap();
+    }
+    for name in ["Xy12Za", "held12"] {
+        fs::write(place(name), "a part of a pack").unwrap();
+    }
+    let _folder = FolderLock::attempt(&place("import-held")).unwrap().unwrap();
+    let file = fs::File::open(place("held12")).unwrap();
+    file.lock().unwrap();
+    let listed = succeed(&results, &["gc", "--only", "unfinished"]);
+    assert_eq!(listed.matches("unfinished  .unfinished-").count(), 4, "{listed}");
+    assert!(listed.contains("16 B  unfinished  .unfinished-Xy12Za\n"), "{listed}");
+    let removed = succeed(&results, &["gc", "--only", "unfinished", "--yes"]);
+    assert!(removed.ends_with("4 folders removed\n"), "{removed}");
+    assert_eq!(names(&results), [".unfinished-held12", ".unfinished-import-held", "datasets", "runs"]);
+    drop(file);
+    assert!(succeed(&results, &["gc", "--only", "unfinished", "--yes"]).ends_with("1 folder removed\n"));
+}
+
+#[test]
 fn datasets_are_kept_while_a_damaged_run_may_use_them() {
     let results = results("garbage_damaged");
     let run = results.join("runs/smoke-quick");

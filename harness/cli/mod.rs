@@ -202,7 +202,8 @@ Datasets are not removed. `harness gc` removes those that no run uses.")]
 
 The command first lists what it would remove, with the size and one of these reasons. superseded: a later run has the \
 same settings and the same world, but another dataset or another revision of the method. failed: the run failed. quick: the run was made \
-with --quick. unused: no remaining run uses the simulated dataset. Imported datasets are never removed.")]
+with --quick. unused: no remaining run uses the simulated dataset. unfinished: a killed process left it. Imported \
+datasets are never removed.")]
     Gc(removal::Gc),
     /// Show the disk space of each experiment and each dataset
     Du,

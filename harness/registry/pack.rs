@@ -13,7 +13,9 @@ use super::folders::{Recorded, sorted};
 use super::record::{FileRecord, RunRecord};
 use super::{RECORD, Registry, RegistryError, Status, UNCOMMITTED, Versions};
 use harness_dataset::{Dataset, inspect, is_lock};
-use harness_shared::files::{FolderLock, LockError, UNFINISHED, WriteError, free_bytes, write_whole};
+use harness_shared::files::{
+    FolderLock, LockError, UNFINISHED, WriteError, abandoned, free_bytes, remove_abandoned, write_whole,
+};
 use harness_shared::numbers::bytes as size;
 use harness_shared::progress::Progress;
 use harness_shared::seal;
@@ -282,6 +284,8 @@ impl Registry {
         };
         let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty());
         check_room(folder.unwrap_or(Path::new(".")), space(manifest.files.values()))?;
+        // A file that can't be removed only takes disk space.
+        abandoned(folder.unwrap_or(Path::new("."))).iter().for_each(|left| drop(remove_abandoned(left)));
         let mut refused = None;
         let written = write_whole(output, |file| {
             self.write_pack(&manifest, file, progress)?.map_err(|error| {

@@ -5,7 +5,7 @@ use super::folders::{Recorded, folders, sorted};
 use super::record::{RunRecord, WorldOf};
 use super::{Registry, RegistryError, RunFolder, Status, removed};
 use harness_dataset::Dataset;
-use harness_shared::files::{FolderLock, UNFINISHED, WriteError};
+use harness_shared::files::{ANOTHER, FolderLock, UNFINISHED, WriteError, abandoned, remove_abandoned};
 use harness_spec::QUICK;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -22,11 +22,13 @@ pub enum Garbage {
     Quick,
     /// A simulated dataset that no run uses.
     Unused,
+    /// What a killed process left in the results folder: a part of a pack, of an import or of a removed folder.
+    Unfinished,
 }
 
 impl Garbage {
     /// Every reason.
-    pub const ALL: [Self; 4] = [Self::Superseded, Self::Failed, Self::Quick, Self::Unused];
+    pub const ALL: [Self; 5] = [Self::Superseded, Self::Failed, Self::Quick, Self::Unused, Self::Unfinished];
 
     /// The reason in one word.
     pub fn name(self) -> &'static str {
@@ -35,16 +37,17 @@ impl Garbage {
             Self::Failed => "failed",
             Self::Quick => "quick",
             Self::Unused => "unused",
+            Self::Unfinished => "unfinished",
         }
     }
 }
 
-/// A folder that can be removed.
+/// A folder, or an unfinished file, that can be removed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Removable {
-    /// The folder.
+    /// The folder or file.
     pub path: PathBuf,
-    /// `experiment/run`, or a dataset's name.
+    /// `experiment/run`, a dataset's name, or the name of what is unfinished.
     pub name: String,
     /// Size of all its files, bytes.
     pub bytes: u64,
@@ -97,8 +100,8 @@ impl Registry {
         usage
     }
 
-    /// Returns the runs that have one of these reasons and, if asked for, the datasets that no other run uses. Each is
-    /// returned once.
+    /// Returns the runs that have one of these reasons and, if asked for, the datasets that no other run uses, and what
+    /// killed processes left. Each is returned once.
     ///
     /// No dataset counts as unused while runs are left out, because they may use it; see [`Registry::left_out`].
     pub fn garbage(&self, wanted: &[Garbage]) -> Vec<(Garbage, Removable)> {
@@ -132,7 +135,20 @@ impl Registry {
                 }
             }
         }
+        if wanted.contains(&Garbage::Unfinished) {
+            let left = self.unfinished().into_iter();
+            found.extend(left.map(|path| (Garbage::Unfinished, Removable::new(&path, name(&path)))));
+        }
         found
+    }
+
+    /// The unfinished files and folders in the results folder that no process works on. Those in the folders of runs and
+    /// datasets are removed by the next process that works there.
+    fn unfinished(&self) -> Vec<PathBuf> {
+        let is_left =
+            |folder: &PathBuf| name(folder).starts_with(UNFINISHED) && FolderLock::in_use(folder).is_none();
+        let folders = folders(&self.root).into_iter().filter(is_left);
+        folders.chain(abandoned(&self.root)).collect()
     }
 
     /// Returns the runs of the experiment `wanted`. If there is no such experiment, returns the runs whose id, or
@@ -156,8 +172,8 @@ impl Registry {
         Ok(recorded)
     }
 
-    /// Removes the folder of a run or a dataset. If a process works there, nothing changes, and the process is
-    /// returned.
+    /// Removes the folder of a run or a dataset, or what is unfinished. If a process works there, nothing changes, and the
+    /// process is returned.
     ///
     /// The folder is renamed first, so that an interruption leaves no part of it under its name. The next call removes
     /// what an interruption left.
@@ -168,11 +184,14 @@ impl Registry {
         if !item.path.exists() {
             return Ok(None);
         }
+        if item.path.is_file() {
+            return Ok((!remove_abandoned(&item.path)?).then(|| ANOTHER.into()));
+        }
         let Some(lock) = FolderLock::attempt(&item.path)? else {
             return Ok(Some(FolderLock::other(&item.path)));
         };
         self.discard(&item.path, lock)?;
-        if let Some(experiment) = item.path.parent() {
+        if let Some(experiment) = item.path.parent().filter(|folder| *folder != self.root) {
             self.remove_empty(experiment);
         }
         let prefix = set_aside_prefix();
@@ -243,9 +262,13 @@ fn superseded<'a>(records: impl Iterator<Item = &'a RunRecord>) -> BTreeSet<Stri
 }
 
 impl Removable {
-    /// A folder with its size.
+    /// A folder or file with its size.
     pub fn new(path: &Path, name: String) -> Self {
-        Self { path: path.to_owned(), name, bytes: files(path).into_iter().map(|(_, bytes)| bytes).sum() }
+        let bytes = match std::fs::symlink_metadata(path) {
+            Ok(about) if about.is_file() => about.len(),
+            _ => files(path).into_iter().map(|(_, bytes)| bytes).sum(),
+        };
+        Self { path: path.to_owned(), name, bytes }
     }
 }
 

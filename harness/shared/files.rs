@@ -8,9 +8,12 @@ use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+use tempfile::NamedTempFile;
 
 /// Prefix of the name of a file that is not complete yet.
 pub const UNFINISHED: &str = ".unfinished-";
+/// Number of random letters and digits in the name of such a file.
+const RANDOM: usize = 6;
 /// The file of a folder that a process locks while it works there. It is not deleted afterwards, and names the last
 /// process.
 pub const LOCK: &str = ".unfinished-lock";
@@ -44,11 +47,7 @@ pub fn write_whole(path: &Path, write: impl FnOnce(&Path) -> io::Result<()>) -> 
         }
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         std::fs::create_dir_all(folder)?;
-        let temporary = tempfile::Builder::new()
-            .prefix(UNFINISHED)
-            .permissions(Permissions::from_mode(0o666))
-            .tempfile_in(folder)?
-            .into_temp_path();
+        let (_lock, temporary) = unfinished_file(folder)?.into_parts();
         let permissions = std::fs::metadata(&temporary)?.permissions();
         write(&temporary)?;
         // A writer that creates the file again may restrict its permissions to this user.
@@ -57,6 +56,52 @@ pub fn write_whole(path: &Path, write: impl FnOnce(&Path) -> io::Result<()>) -> 
         temporary.persist(path).map_err(|error| error.error)
     };
     attempt().map_err(|source| WriteError { path: path.to_owned(), source })
+}
+
+/// Creates an unfinished file in a folder, and locks it, so that no process removes it as [`abandoned`].
+fn unfinished_file(folder: &Path) -> io::Result<NamedTempFile> {
+    loop {
+        let file = tempfile::Builder::new()
+            .prefix(UNFINISHED)
+            .rand_bytes(RANDOM)
+            .permissions(Permissions::from_mode(0o666))
+            .tempfile_in(folder)?;
+        match file.as_file().try_lock() {
+            // Another process has taken it for abandoned.
+            Err(TryLockError::WouldBlock) => {}
+            Ok(()) if !is_at(file.as_file(), file.path()) => {}
+            // Some file systems have no locks.
+            _ => return Ok(file),
+        }
+    }
+}
+
+/// The unfinished files in a folder that no process is writing: what killed processes have left.
+pub fn abandoned(folder: &Path) -> Vec<PathBuf> {
+    let is_unfinished = |path: &PathBuf| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        name.strip_prefix(UNFINISHED)
+            .is_some_and(|end| end.len() == RANDOM && end.chars().all(|c| c.is_ascii_alphanumeric()))
+    };
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    entries.filter(|path| is_unfinished(path) && lock_of_abandoned(path).is_some()).collect()
+}
+
+/// Removes an unfinished file, unless a process is writing it. Returns whether there is no such file any more.
+///
+/// # Errors
+/// When the file can't be removed.
+pub fn remove_abandoned(path: &Path) -> Result<bool, WriteError> {
+    let Some(_lock) = lock_of_abandoned(path) else { return Ok(!path.exists()) };
+    std::fs::remove_file(path).map_err(|source| WriteError { path: path.to_owned(), source })?;
+    Ok(true)
+}
+
+/// Locks an unfinished file that no process is writing.
+fn lock_of_abandoned(path: &Path) -> Option<File> {
+    let is_file = std::fs::symlink_metadata(path).is_ok_and(|about| about.is_file());
+    let file = is_file.then(|| File::open(path).ok())??;
+    (file.try_lock().is_ok() && is_at(&file, path)).then_some(file)
 }
 
 /// Returns the absolute path of a file or folder, with links resolved. What the path ends in need not exist.
@@ -180,7 +225,7 @@ impl FolderLock {
 }
 
 /// The holder of a lock whose name is not known.
-const ANOTHER: &str = "another process";
+pub const ANOTHER: &str = "another process";
 
 /// Tries to lock a file.
 type Attempt = fn(&File) -> Result<(), TryLockError>;

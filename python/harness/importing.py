@@ -48,9 +48,7 @@ import io
 import json
 import os
 import re
-import shutil
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,6 +57,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from harness._unfinished import unfinished_folder
 from harness.recorded import (
     FINGER,
     FORMAT,
@@ -594,20 +593,18 @@ def _write(mapping: Mapping, rate: float, episodes: list[Episode], results: Path
     if folder.exists():
         return name
     folder.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = Path(tempfile.mkdtemp(prefix=".unfinished-import-", dir=results))
-    try:
+    with unfinished_folder(results, "import") as unfinished:
         unfinished.chmod(0o755)
         for episode in episodes:
             write_episode(unfinished / f"episode_{episode.index:05}.parquet", name, name, episode, layout)
         description = json.dumps(identity | {"mapping": mapping.text}, indent=2, default=str)
         (unfinished / "dataset.json").write_text(description + "\n")
-        unfinished.rename(folder)
-    except OSError:
-        # Another process may have imported the same dataset meanwhile.
-        if not folder.exists():
-            raise
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
+        try:
+            unfinished.rename(folder)
+        except OSError:
+            # Another process may have imported the same dataset meanwhile.
+            if not folder.exists():
+                raise
     return name
 
 

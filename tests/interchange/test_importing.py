@@ -1,5 +1,6 @@
 """Recordings from elsewhere as datasets of the harness, and trained on by it."""
 
+import fcntl
 import io
 import json
 from pathlib import Path
@@ -219,6 +220,20 @@ def test_the_name_follows_from_the_content_alone(recordings, harness, tmp_path):
     mapping = write_mapping(tmp_path, recordings, changed, **TRIALS)
     second = import_dataset(mapping, harness.results, progress=False)
     assert second != first and second.startswith("lab_finger-")
+
+
+def test_what_a_killed_import_left_is_removed_by_the_next(recordings, harness, tmp_path):
+    mapping = write_mapping(tmp_path, recordings, ROBOT, **TRIALS)
+    left, held = (harness.results / f".unfinished-import-{name}" for name in ["left", "held"])
+    for folder in [left, held]:
+        folder.mkdir(parents=True)
+        (folder / "episode_00000.parquet").write_bytes(b"a part")
+    with open(held / ".unfinished-lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        name = import_dataset(mapping, harness.results, progress=False)
+        assert not left.exists() and held.exists()
+        assert (harness.results / "datasets" / name).is_dir()
+    assert [path.name for path in harness.results.glob(".unfinished-*")] == [held.name]
 
 
 def test_a_shifted_setpoint_belongs_to_the_next_row(recordings, harness, tmp_path):

@@ -12,13 +12,12 @@ from __future__ import annotations
 
 import importlib
 import os
-import shutil
 import sys
-import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from harness._unfinished import unfinished_folder
 from harness.recorded import Episode, RecordedDataset
 
 __all__ = ["FORMATS", "export"]
@@ -69,13 +68,10 @@ def export(
         raise FileExistsError(f"{output} exists already; name a new folder, or remove it")
     writer = importlib.import_module(f"{__name__}.{format}")
     output.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = Path(tempfile.mkdtemp(prefix=f".unfinished-{output.name}-", dir=output.parent))
-    try:
+    with unfinished_folder(output.parent, output.name) as unfinished:
         written = unfinished / output.name
         writer.write(source, _read(source, chosen, format if progress else None), written)
         written.rename(output)
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
     return output
 
 
