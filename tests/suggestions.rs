@@ -151,8 +151,20 @@ type Damage<'a> = (&'a str, &'a dyn Fn(&Situation));
 
 #[test]
 fn what_is_suggested_for_damaged_runs_works() {
-    let damages: [Damage; 7] = [
+    let damages: [Damage; 8] = [
         ("a table", &|there| flip(&there.run("empty").join("metrics.parquet"))),
+        ("a folder in the place of a table", &|there| {
+            let table = there.run("empty").join("metrics.parquet");
+            std::fs::remove_file(&table).unwrap();
+            std::fs::create_dir_all(table.join("notes")).unwrap();
+            // A run would find out after its training.
+            let answer = finish(&mut harness(&there.results, &["run", SMOKE]));
+            assert!(
+                answer.stderr.contains("is damaged (a folder is in its place); `harness "),
+                "{}",
+                answer.stderr
+            );
+        }),
         ("no table", &|there| std::fs::remove_file(there.run("empty").join("metrics.parquet")).unwrap()),
         ("a record", &|there| flip(&there.run("empty").join("run.json"))),
         ("no record", &|there| std::fs::remove_file(there.run("empty").join("run.json")).unwrap()),
@@ -204,8 +216,13 @@ fn a_damaged_run_whose_spec_is_elsewhere_is_repaired_once_it_is_back() {
 
 #[test]
 fn what_is_suggested_for_damaged_datasets_works() {
-    let damages: [Damage; 6] = [
+    let damages: [Damage; 7] = [
         ("an episode", &|there| flip(&there.dataset("empty").join("episode_00001.parquet"))),
+        ("a folder in the place of an episode", &|there| {
+            let episode = there.dataset("empty").join("episode_00001.parquet");
+            std::fs::remove_file(&episode).unwrap();
+            std::fs::create_dir(&episode).unwrap();
+        }),
         ("no episode", &|there| {
             std::fs::remove_file(there.dataset("empty").join("episode_00001.parquet")).unwrap();
         }),

@@ -52,6 +52,7 @@ use checks::Checks;
 use folders::folders;
 use harness_shared::files::{FolderLock, WriteError, real, write_bytes, write_whole};
 use harness_spec::{Layout, RunSpec, Task, nearest};
+use record::IN_ITS_PLACE;
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, HashMap};
 use std::io::{self, ErrorKind};
@@ -306,7 +307,7 @@ impl Registry {
     /// record with the status `running`. Returns the record.
     ///
     /// # Errors
-    /// When a file can't be written or removed.
+    /// When a file can't be written or removed, or a folder is in the place of one that the run would write at its end.
     pub fn begin(
         &self,
         folder: &RunFolder,
@@ -314,6 +315,11 @@ impl Registry {
         layout: &Arc<Layout>,
         by: &Provenance,
     ) -> Result<RunRecord, RegistryError> {
+        let record = RunRecord::new(folder, spec, layout, by);
+        let mut results = record.expected_files().into_iter().map(|name| folder.path.join(name));
+        if let Some(path) = results.find(|path| path.is_dir()) {
+            return Err(RegistryError::File { path, reason: IN_ITS_PLACE.into() });
+        }
         write_bytes(&folder.path.join(SPEC), spec.to_yaml().as_bytes())?;
         let patch = folder.path.join(UNCOMMITTED);
         match &by.uncommitted {
@@ -321,7 +327,6 @@ impl Registry {
             // The run may have been started before, with other changes.
             None => removed(&patch, std::fs::remove_file(&patch))?,
         }
-        let record = RunRecord::new(folder, spec, layout, by);
         record.write(&folder.path.join(RECORD))?;
         Ok(record)
     }

@@ -23,6 +23,9 @@ use std::sync::Arc;
 pub(super) const TABLES: [Table; 5] =
     [Table::Epochs, Table::Metrics, Table::Predictions, Table::Forces, Table::Frames];
 
+/// What is wrong with a file that is a folder.
+pub(super) const IN_ITS_PLACE: &str = "a folder is in its place";
+
 /// The status of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -167,6 +170,7 @@ impl FileRecord {
         let damaged = |reason: String| Err(RegistryError::File { path: path.to_owned(), reason });
         let bytes = match std::fs::read(path) {
             Ok(bytes) => bytes,
+            Err(error) if error.kind() == ErrorKind::IsADirectory => return damaged(IN_ITS_PLACE.into()),
             Err(error) => return damaged(error.to_string()),
         };
         match self.check(&bytes) {

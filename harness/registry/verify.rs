@@ -123,7 +123,8 @@ impl Verification<'_> {
         }
         let described = inspection.undescribed.map(|problem| (folder.join("dataset.json"), problem));
         for (path, problem) in described.into_iter().chain(inspection.damaged) {
-            let mend = collect.clone().or_else(|| user.is_none().then(|| remove(&path)));
+            let mend = collect.as_ref().map(|command| in_its_place(&path, command));
+            let mend = mend.or_else(|| user.is_none().then(|| remove(&path)));
             report.broken(&path, again.explain(problem), mend);
         }
         let needed = self.used.get(&*name).copied().unwrap_or_default();
@@ -229,7 +230,10 @@ impl Verification<'_> {
                         let reason = "no known command makes this run again, so it can only be removed";
                         report.broken(&path, format!("{problem}; {reason}"), Some(remove(folder)));
                     }
-                    again => report.broken(&path, again.explain(problem), again.command()),
+                    again => {
+                        let mend = again.command().map(|command| in_its_place(&path, &command));
+                        report.broken(&path, again.explain(problem), mend);
+                    }
                 }
             }
         }
@@ -355,6 +359,11 @@ fn report_stray(path: &Path, report: &mut Report) {
 fn remove(path: &Path) -> String {
     let option = if path.is_dir() { "-r " } else { "" };
     format!("rm {option}{}", quoted([&*path.to_string_lossy()]))
+}
+
+/// The command that makes a file, after the removal of a folder that stands in its place.
+fn in_its_place(path: &Path, command: &str) -> String {
+    if path.is_dir() { format!("{} && {command}", remove(path)) } else { command.to_owned() }
 }
 
 fn rename(from: &Path, to: &Path) -> String {
