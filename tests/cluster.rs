@@ -120,6 +120,13 @@ fn shards_collect_the_same_datasets_with_those_that_vary() {
         let count = |line: &str| line.split(": ").last().unwrap().split(' ').next().unwrap().parse::<usize>();
         let counts: usize = said.lines().map(|line| count(line).unwrap()).sum();
         assert_eq!(counts, made, "{said}");
+        // An episode has 30 samples.
+        let ends = match shard {
+            "1/3" => "2 episodes made, 60 of 120 samples so far",
+            "3/3" => "1 episode made, 120 samples in all",
+            _ => "made, 90 of 120 samples so far",
+        };
+        assert!(said.lines().next().unwrap().ends_with(ends), "{said}");
     }
     assert!(episodes(&shared) == episodes(&whole));
 }

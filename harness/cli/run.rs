@@ -8,6 +8,7 @@ use super::{DONE, FAILED, interrupt, layers, output, search};
 use anyhow::Result;
 use clap::Args;
 use harness::collection::{check_rendering, collect, collect_share, dataset_of};
+use harness::dataset::Dataset;
 use harness::experiment::{Planned, Runner, Summary, best, describe, provenance};
 use harness::numbers::{counted, rounded};
 use harness::registry::{Decision, Registry, RunRecord, Status, quoted};
@@ -152,6 +153,15 @@ impl Run {
     }
 }
 
+/// The number of samples of a dataset, of which other shares may not have collected all.
+fn there(dataset: &Dataset) -> String {
+    let there = dataset.files() * dataset.spec().samples_per_episode();
+    match dataset.len() {
+        all if there < all => format!("{there} of {} so far", counted(all, "sample")),
+        all => format!("{} in all", counted(all, "sample")),
+    }
+}
+
 #[derive(Args)]
 pub struct Collect {
     #[command(flatten)]
@@ -187,10 +197,10 @@ impl Collect {
             };
             match made {
                 Ok(episodes) => print_text(&format!(
-                    "{}: {} made, {} in all",
+                    "{}: {} made, {}",
                     shown(dataset.folder()),
                     counted(episodes, "episode"),
-                    counted(dataset.len(), "sample"),
+                    there(&dataset),
                 )),
                 Err(error) if error.is_cancelled() => return Err(error.into()),
                 Err(error) => {

@@ -124,6 +124,11 @@ impl Dataset {
         (0..self.spec.episodes).all(|index| self.episode_path(index).exists())
     }
 
+    /// Returns the number of episodes that have a file. It may be damaged.
+    pub fn files(&self) -> usize {
+        (0..self.spec.episodes).filter(|index| self.episode_path(*index).exists()).count()
+    }
+
     /// Returns the indices of the episodes that are missing or damaged.
     pub fn missing(&self) -> Vec<u32> {
         self.to_make(&Silent)
