@@ -606,6 +606,31 @@ fn several_datasets_count_as_datasets_whatever_their_seeds_say() {
     works(&plan, "new");
 }
 
+#[test]
+fn a_plan_adds_the_seeds_that_make_pairs_with_the_existing_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let registry = Registry::new(folder.path());
+    write(&registry, "single_to_multi", &[0, 1], |_| Same);
+    write(&registry, "multi_to_multi", &[0], |_| Same);
+    let plan = succeed(folder.path(), &["claims", "vision_improves_force", "--plan"]);
+    let commands: Vec<&str> = plan.lines().filter(|line| line.starts_with("  ")).collect();
+    assert!(
+        !commands.is_empty() && commands.iter().all(|line| line.contains("run multi_to_multi ")),
+        "{plan}"
+    );
+    assert!(commands.iter().all(|line| line.ends_with("'seeds=[1]'")), "{plan}");
+    works(&plan, "new");
+    // Each experiment lacks a seed of the other one. One of the two is enough for a second value.
+    write(&registry, "multi_to_multi", &[2], |_| Same);
+    let plan = succeed(folder.path(), &["claims", "vision_improves_force", "--plan"]);
+    let commands: Vec<&str> = plan.lines().filter(|line| line.starts_with("  ")).collect();
+    assert!(
+        !commands.is_empty() && commands.iter().all(|line| line.contains("run multi_to_multi ")),
+        "{plan}"
+    );
+    assert!(commands.iter().all(|line| line.ends_with("'seeds=[1]'")), "{plan}");
+}
+
 /// Runs every command of a plan in a shell as a dry run, which must plan new runs.
 #[track_caller]
 fn works(plan: &str, expected: &str) {

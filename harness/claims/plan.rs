@@ -24,6 +24,14 @@ impl More {
         };
         format!("{count} more {one}{}", if count == 1 { "" } else { "s" })
     }
+
+    /// The seed of a value, or of a run, that more of these have: of `(seed of the dataset, seed of the run)`.
+    fn seed_of(self, (dataset, run): (u64, i64)) -> u64 {
+        match self {
+            Self::Datasets => dataset,
+            Self::Seeds => run as u64,
+        }
+    }
 }
 
 /// Runs that would decide claims, if means and standard deviations do not change.
@@ -101,68 +109,102 @@ fn step<'a>(analysis: &Analysis, judgment: &Judgment, quick: bool) -> Option<Ste
     let count = needed - there;
     let has_datasets = judgment.measured.each == Each::Dataset || judgment.measured.datasets().len() > 1;
     let more = if has_datasets { More::Datasets } else { More::Seeds };
-    let (mut runs, mut seconds, mut commands) = (0, 0.0, Vec::new());
     let claim = judgment.claim;
-    for (name, experiment) in claim.experiments.iter().zip(claim.experiments(quick)) {
-        let own =
-            |run: &&Run| judgment.scenario.is_none_or(|of| run.record.spec.scenario == Origin::from(of));
-        let own: Vec<&Run> = analysis.runs(&experiment).iter().filter(own).collect();
-        let an_addition = one_more(&own, more);
-        runs += count * an_addition.0;
-        seconds += count as f64 * an_addition.1;
+    let experiments: Vec<Existing> = claim
+        .experiments(quick)
+        .iter()
+        .map(|experiment| {
+            let own =
+                |run: &&Run| judgment.scenario.is_none_or(|of| run.record.spec.scenario == Origin::from(of));
+            Existing::of(analysis.runs(experiment).iter().filter(own).collect(), more)
+        })
+        .collect();
+    let measured: BTreeSet<u64> = judgment.measured.values.keys().map(|key| more.seed_of(*key)).collect();
+    let added = to_add(&experiments, &measured, count);
+    let (mut runs, mut seconds, mut commands) = (0, 0.0, Vec::new());
+    for (name, existing) in claim.experiments.iter().zip(experiments) {
+        let lacking: Vec<u64> = added.iter().copied().filter(|seed| existing.lacks(*seed) > 0).collect();
+        if lacking.is_empty() {
+            continue;
+        }
+        let new: usize = lacking.iter().map(|seed| existing.lacks(*seed)).sum();
+        runs += new;
+        seconds += new as f64 * existing.seconds(more);
         let run = analysis.command(name, quick);
-        commands.extend(run.map(|run| command(&run, judgment.scenario, &own, more, count)));
+        commands.extend(run.map(|run| command(&run, judgment.scenario, &existing.runs, more, &lacking)));
     }
     Some(Step { more, there, count, runs, seconds, commands, decides: Vec::new() })
 }
 
-/// The number of runs that one more dataset or seed needs, and their duration in seconds: the averages of the existing
-/// datasets or seeds.
-fn one_more(runs: &[&Run], more: More) -> (usize, f64) {
-    let seconds = |run: &Run| {
-        run.record.timings.map_or(0.0, |timings| {
-            timings.prediction + timings.reconstruction.unwrap_or_default() + timings.evaluation
-        })
-    };
-    let there = seeds_of(runs, more).len().max(1);
-    let trained: f64 = runs.iter().map(|run| seconds(run)).sum();
-    // Each run on a dataset records the time of collecting it. It is short if the dataset existed before.
-    let mut collected: BTreeMap<&str, f64> = BTreeMap::new();
-    for run in runs.iter().filter(|_| more == More::Datasets) {
-        let longest = collected.entry(&run.record.dataset).or_default();
-        *longest = longest.max(run.record.timings.map_or(0.0, |timings| timings.collect));
+/// The seeds to add, so that every experiment has runs with `count` more seeds: first those that some experiments have
+/// already, which need the fewest runs. The seeds of `measured` values add none.
+fn to_add(experiments: &[Existing], measured: &BTreeSet<u64>, count: usize) -> Vec<u64> {
+    let lacking = |seed: u64| experiments.iter().map(|existing| existing.lacks(seed)).sum::<usize>();
+    let there: BTreeSet<u64> =
+        experiments.iter().flat_map(|existing| existing.by_seed.keys().copied()).collect();
+    let mut partly: Vec<u64> =
+        there.iter().copied().filter(|seed| !measured.contains(seed) && lacking(*seed) > 0).collect();
+    partly.sort_by_key(|seed| (lacking(*seed), *seed));
+    let new = (0..).filter(|seed| !there.contains(seed) && !measured.contains(seed));
+    partly.into_iter().chain(new).take(count).collect()
+}
+
+/// The runs of an experiment.
+struct Existing<'a> {
+    runs: Vec<&'a Run>,
+    /// The number of runs with each seed, of the runs or of their datasets.
+    by_seed: BTreeMap<u64, usize>,
+}
+
+impl<'a> Existing<'a> {
+    fn of(runs: Vec<&'a Run>, more: More) -> Self {
+        let mut by_seed = BTreeMap::new();
+        for run in &runs {
+            let spec = &run.record.spec;
+            *by_seed.entry(more.seed_of((spec.dataset_seed(), spec.seed as i64))).or_default() += 1;
+        }
+        Self { runs, by_seed }
     }
-    let all = trained + collected.values().sum::<f64>();
-    (runs.len().div_ceil(there), all / there as f64)
+
+    /// The number of runs with a seed that are missing: on average, the others have as many.
+    fn lacks(&self, seed: u64) -> usize {
+        let there = self.by_seed.get(&seed).copied().unwrap_or_default();
+        self.runs.len().div_ceil(self.by_seed.len().max(1)).saturating_sub(there)
+    }
+
+    /// The duration of one more run, in seconds: the average of the existing runs.
+    fn seconds(&self, more: More) -> f64 {
+        let seconds = |run: &&Run| {
+            run.record.timings.map_or(0.0, |timings| {
+                timings.prediction + timings.reconstruction.unwrap_or_default() + timings.evaluation
+            })
+        };
+        let trained: f64 = self.runs.iter().map(seconds).sum();
+        // Each run on a dataset records the time of collecting it. It is short if the dataset existed before.
+        let mut collected: BTreeMap<&str, f64> = BTreeMap::new();
+        for run in self.runs.iter().filter(|_| more == More::Datasets) {
+            let longest = collected.entry(&run.record.dataset).or_default();
+            *longest = longest.max(run.record.timings.map_or(0.0, |timings| timings.collect));
+        }
+        (trained + collected.values().sum::<f64>()) / self.runs.len().max(1) as f64
+    }
 }
 
-fn seeds_of(runs: &[&Run], more: More) -> BTreeSet<u64> {
-    let seed = |run: &&Run| match more {
-        More::Datasets => run.record.spec.dataset_seed(),
-        More::Seeds => run.record.spec.seed,
-    };
-    runs.iter().map(seed).collect()
-}
-
-/// The command that makes the runs of `count` more datasets or seeds than there are.
-fn command(run: &str, scenario: Option<Scenario>, runs: &[&Run], more: More, count: usize) -> String {
-    let there = seeds_of(runs, more);
-    let new: Vec<u64> = (0..).filter(|seed| !there.contains(seed)).take(count).collect();
+/// The command that makes the runs with these seeds, of the runs or of their datasets.
+fn command(run: &str, scenario: Option<Scenario>, runs: &[&Run], more: More, seeds: &[u64]) -> String {
     let scenarios = scenario.map(|scenario| format!("scenarios=[{scenario}]"));
     let listed =
         |seeds: &[u64], between: &str| seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(between);
     match more {
         More::Seeds => {
-            let seeds = format!("seeds=[{}]", listed(&new, ","));
+            let seeds = format!("seeds=[{}]", listed(seeds, ","));
             format!("{run} {}", quoted(scenarios.as_deref().into_iter().chain([seeds.as_str()])))
         }
         More::Datasets => {
-            let seeds = format!(
-                "seeds=[{}]",
-                listed(&seeds_of(runs, More::Seeds).into_iter().collect::<Vec<_>>(), ",")
-            );
-            let words = quoted(scenarios.as_deref().into_iter().chain([seeds.as_str()]));
-            format!("for seed in {}; do {run} {words} simulation.seed=$seed; done", listed(&new, " "))
+            let of_runs: BTreeSet<u64> = runs.iter().map(|run| run.record.spec.seed).collect();
+            let of_runs = format!("seeds=[{}]", listed(&of_runs.into_iter().collect::<Vec<_>>(), ","));
+            let words = quoted(scenarios.as_deref().into_iter().chain([of_runs.as_str()]));
+            format!("for seed in {}; do {run} {words} simulation.seed=$seed; done", listed(seeds, " "))
         }
     }
 }
