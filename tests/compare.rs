@@ -416,7 +416,7 @@ fn intervals_over_datasets_are_said_to_be_over_datasets() {
     let both = finish(&mut harness(&results, &["compare", "--format", "latex", "--output", &file]));
     assert_eq!(both.code, 2);
     assert!(
-        both.stderr.contains("'--format <FORMAT>' cannot be used with '--output <FILE>'"),
+        both.stderr.contains("--format is the format of the standard output, and the ending of '"),
         "{}",
         both.stderr
     );

@@ -126,9 +126,11 @@ fn text_is_what_commands_print_without_a_format() {
         assert_eq!(printed(command, "text"), succeed(&reference(), command));
     }
     let text = printed(COMMANDS[0].0, "text");
-    assert!(text.ends_with(
-        "100 more rows; print all of them with --format csv, or write them with --output FILE.csv\n"
-    ));
+    assert!(
+        text.ends_with(
+            "100 more rows; print all with `--format csv`, or write them with `--output FILE.csv`\n"
+        )
+    );
 }
 
 #[test]

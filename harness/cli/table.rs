@@ -185,9 +185,9 @@ pub fn print(table: &DataFrame) {
     println!("{}", Grid::of_table(table, MOST_ROWS).text(width()));
     if table.height() > MOST_ROWS {
         let more = table.height() - MOST_ROWS;
-        println!(
-            "{more} more rows; print all of them with --format csv, or write them with --output FILE.csv"
-        );
+        print_text(&format!(
+            "{more} more rows; print all with `--format csv`, or write them with `--output FILE.csv`"
+        ));
     }
 }
 

@@ -179,7 +179,9 @@ impl<'a> Binder<'a> {
         {
             return Ok(folded);
         }
-        self.planner.add_condition(condition)?;
+        if !self.planner.can_copy(condition) {
+            return operation(value, true);
+        }
         let masked = when(condition.clone()).then(value.expr).otherwise(Value::null(value.kind).expr);
         operation(Value::new(masked, value.kind), true)
     }
