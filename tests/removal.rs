@@ -170,6 +170,28 @@ fn a_run_of_another_world_of_the_same_name_is_kept() {
 }
 
 #[test]
+fn a_damaged_run_is_not_repaired_by_another_world_of_its_name() {
+    let results = fresh("two_worlds_damaged");
+    let ((one, spec), (other, spec_of_other)) = (folder_of_twelve(), folder_of_twelve());
+    change_twelve(other.path());
+    succeed(&results, &["run", spec.to_str().unwrap()]);
+    let damaged = only_run(&results, "twelve");
+    succeed(&results, &["run", spec_of_other.to_str().unwrap()]);
+    fs::write(damaged.join("metrics.parquet"), "damaged").unwrap();
+    let verified = || finish(&mut harness(&results, &["verify"])).stdout;
+    let by = |spec: &Path| format!("run {}", spec.display());
+    assert!(verified().contains(&by(&spec)) && !verified().contains(&by(&spec_of_other)), "{}", verified());
+    // Its own spec is gone. The other spec makes a run with the same settings, in another world.
+    drop(one);
+    assert!(!verified().contains(&format!(
+        "repair: harness --results {} {}",
+        results.display(),
+        by(&spec_of_other)
+    )));
+    assert!(verified().contains("where it was run before"), "{}", verified());
+}
+
+#[test]
 fn chosen_runs_are_removed_and_one_in_use_is_kept() {
     let results = results("removed");
     let run = names(&results.join("runs/smoke")).remove(0);

@@ -50,8 +50,9 @@ impl Again {
     }
 }
 
-/// The runs that a command makes: their experiment, and the hashes of their specs. An error if its spec can't be used.
-type Made = Result<(String, BTreeSet<String>), String>;
+/// The runs that a command makes: their experiment, and the hashes of their specs with the paths of their world files. An
+/// error if its spec can't be used.
+type Made = Result<(String, BTreeSet<(String, Option<PathBuf>)>), String>;
 
 impl<'a> Commands<'a> {
     /// Searches the commands of all recorded runs.
@@ -65,10 +66,11 @@ impl<'a> Commands<'a> {
         let experiment = folder.parent().and_then(Path::file_name).and_then(OsStr::to_str);
         let spec = record.map(|record| record.spec.clone()).or_else(|| read_spec(folder));
         let (Some(experiment), Some(spec)) = (experiment, spec) else { return Again::Unknown };
-        let is_own = |dataset: &str| self.registry.run(experiment, &spec, dataset).path() == folder;
-        if !self.datasets().iter().any(|dataset| is_own(dataset)) {
-            return Again::Unknown;
-        }
+        let is_own = |dataset: &String| self.registry.run(experiment, &spec, dataset).path() == folder;
+        let Some(dataset) = self.datasets().into_iter().find(is_own) else { return Again::Unknown };
+        // Without a record, the world is that of another run on the dataset.
+        let same = || self.recorded.iter().map(|(_, other)| other).find(|other| other.dataset == dataset);
+        let world = record.or_else(same).and_then(|record| record.provenance.world_file.as_deref());
         let others =
             self.recorded.iter().map(|(_, other)| other).filter(|other| other.experiment == experiment);
         let own = record.map(|record| command_of(&record.provenance.command, &spec));
@@ -76,7 +78,7 @@ impl<'a> Commands<'a> {
             others.map(|other| command_of(&other.provenance.command, &spec)).collect();
         let mut best = Again::Unknown;
         for command in own.iter().chain(&others) {
-            let found = self.again("run", command, experiment, &spec);
+            let found = self.again("run", command, experiment, &spec, world);
             match found {
                 Again::Command(_) => return found,
                 // The commands of other runs may never have made this one.
@@ -90,7 +92,8 @@ impl<'a> Commands<'a> {
 
     /// How a run's dataset can be collected again.
     pub fn collect(&self, record: &RunRecord) -> Again {
-        self.again("collect", &record.provenance.command, &record.experiment, &record.spec)
+        let by = &record.provenance;
+        self.again("collect", &by.command, &record.experiment, &record.spec, by.world_file.as_deref())
     }
 
     /// The names of all datasets that exist or that a run used.
@@ -101,8 +104,16 @@ impl<'a> Commands<'a> {
         used.chain(there).collect()
     }
 
-    /// `command` with the subcommand `verb` (`run` or `collect`), if it makes the run of `spec`.
-    fn again(&self, verb: &str, command: &str, experiment: &str, spec: &RunSpec) -> Again {
+    /// `command` with the subcommand `verb` (`run` or `collect`), if it makes the run of `spec`, in the world of the file
+    /// `world` if the file is known.
+    fn again(
+        &self,
+        verb: &str,
+        command: &str,
+        experiment: &str,
+        spec: &RunSpec,
+        world: Option<&Path>,
+    ) -> Again {
         let Some(asked) = Asked::of(command) else { return Again::Unknown };
         let made = self.made.borrow().get(command).cloned();
         let made = made.unwrap_or_else(|| {
@@ -111,8 +122,12 @@ impl<'a> Commands<'a> {
             made
         });
         let words = format!("{verb} {}", asked.words());
+        let hash = spec.hash();
+        let is_it = |(own, of): &(String, Option<PathBuf>)| {
+            *own == hash && (world.is_none() || of.as_deref() == world)
+        };
         match &*made {
-            Ok((name, specs)) if name == experiment && specs.contains(&spec.hash()) => {
+            Ok((name, runs)) if name == experiment && runs.iter().any(is_it) => {
                 Again::Command(self.registry.command(&words))
             }
             Ok(_) => Again::Changed(format!(
@@ -177,7 +192,8 @@ impl Asked {
         let load = spec::load(&self.spec, &self.overrides, self.quick);
         let experiment = load.map_err(|error| error.to_string())?;
         let runs = experiment.runs();
-        let specs = runs.iter().flat_map(|run| experiment.rungs(run)).map(|run| run.hash()).collect();
-        Ok((experiment.name, specs))
+        let of = |run: RunSpec| (run.hash(), experiment.world(&run.scenario).and_then(|world| world.path()));
+        let made = runs.iter().flat_map(|run| experiment.rungs(run)).map(of).collect();
+        Ok((experiment.name, made))
     }
 }
