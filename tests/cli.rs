@@ -837,3 +837,21 @@ fn a_missing_renderer_is_reported_once_before_any_work_that_needs_it() {
     assert_eq!(without(&["collect", SMOKE]).code, 0);
     assert_whole(&results);
 }
+
+#[test]
+fn an_ablation_of_the_camera_is_valid_and_runs() {
+    let folder = Folder::new();
+    let (results, spec) = (folder.path("results"), folder.path("ablation.yaml"));
+    let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(SMOKE)).unwrap();
+    let text = text.replace("input: [proprioception, vision]", "input: [proprioception]");
+    let text =
+        text.replace("output: [proprioception, contact_force, frame_difference]", "output: [contact_force]");
+    std::fs::write(&spec, text + "vary: {input: [[proprioception], [proprioception, vision]]}\n").unwrap();
+    let settings = [spec.to_str().unwrap(), "scenarios=[empty]", "tasks=prediction", "training.epochs=1"];
+    let valid = succeed(&results, &[&["validate"], &settings[..]].concat());
+    assert!(valid.contains("is valid: 2 runs"), "{valid}");
+    let ran = succeed(&results, &[&["run"], &settings[..]].concat());
+    assert!(ran.contains("2 done, 0 done before, 0 failed"), "{ran}");
+    let shown = succeed(&results, &["show", "smoke/empty-z4-input=proprioception+vision", "--all"]);
+    assert!(shown.contains("\n  channels:\n  - 4\n"), "{shown}");
+}
