@@ -1014,7 +1014,14 @@ fn values_that_make_the_same_runs_are_refused() {
     // The channels matter where there are images.
     let several = base_with("network: {preset: multi_to_multi}")
         + "vary: {network.channels: [[4], [8]], input: [[arm], [vision]]}\n";
-    assert_eq!(load(&several).runs().len(), 2 * 2 * 4);
+    let several = load(&several);
+    assert_eq!(several.runs().len(), 2 * 2 * 4);
+    assert_eq!(
+        several.repetitions().unwrap(),
+        "4 of 16 runs only repeat another one, because their settings have the same effect: \
+         empty-z2-input=arm,channels=8-seed0 repeats empty-z2-input=arm,channels=4-seed0"
+    );
+    assert_eq!(load(BASE).repetitions(), None);
     // One value is left if another one is given on the command line.
     let text = format!("{BASE}vary: {{training.kl_weight: [1, 1.0]}}\n");
     assert_eq!(load_with(&text, &["training.kl_weight=1"], false).unwrap().runs().len(), 4);

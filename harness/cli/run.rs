@@ -366,6 +366,9 @@ impl Validate {
         for run in runs {
             println!("  {}", run.label());
         }
+        if let Some(repetitions) = experiment.repetitions() {
+            print_text(&repetitions);
+        }
         Ok(ExitCode::from(DONE))
     }
 }

@@ -254,6 +254,9 @@ impl<'a> Runner<'a> {
     /// Returns each run of the experiment, with a decision whether to run, resume or skip it.
     pub fn plan(&self, experiment: &Experiment) -> Result<Vec<Planned>, ExperimentError> {
         open_device(experiment.training.device)?;
+        if let Some(repetitions) = experiment.repetitions() {
+            self.progress.say(&repetitions);
+        }
         let mut sources: Vec<(Origin, Option<Simulation>, Arc<Source>)> = Vec::new();
         let mut wanted = Vec::new();
         for spec in experiment.runs() {

@@ -12,7 +12,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 use sha2::{Digest, Sha256};
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::hash_map::Entry;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 /// Key of the setting that distinguishes datasets of the same simulation.
@@ -72,6 +73,26 @@ impl Experiment {
             }
         }
         runs
+    }
+
+    /// Returns a sentence about the runs that only repeat another one of the experiment under another variant, such as those
+    /// with several numbers of channels and without an image. `None` if there are none.
+    pub fn repetitions(&self) -> Option<String> {
+        let runs = if self.has_variants() { self.runs() } else { Vec::new() };
+        let mut first: HashMap<String, &RunSpec> = HashMap::new();
+        let mut repeated = Vec::new();
+        for run in &runs {
+            let unnamed = RunSpec { variant: String::new(), ..run.clone() };
+            match first.entry(unnamed.hash()) {
+                Entry::Vacant(place) => drop(place.insert(run)),
+                Entry::Occupied(place) => repeated.push((run.label(), place.get().label())),
+            }
+        }
+        let (run, other) = repeated.first()?;
+        let (some, all) = (repeated.len(), runs.len());
+        Some(format!(
+            "{some} of {all} runs only repeat another one, because their settings have the same effect: {run} repeats {other}"
+        ))
     }
 
     /// Returns the runs of which successive halving makes one: its trainings up to each rung, and last the run itself. They
