@@ -1106,6 +1106,12 @@ with r as (select run, seed from runs where seed > 0) select seed, count(*) as n
 -- agree: texts that are no numbers, excluded by case
 select distinct variant, case when variant like 'hidden=%' then cast(split_part(variant, '=', 2) as integer) end as hidden from runs
 
+-- agree: a remainder by zero that coalesce does not need
+select distinct coalesce(latent, 5 % seed) as a, coalesce(1, 5 % 0) as b, coalesce(nullif(seed, 0), seed + 1, 6 % seed) as c from runs
+
+-- agree: a cast that ifnull does not need
+select distinct ifnull(try_cast(variant as integer), length(variant)) as a, ifnull(latent, cast(run as integer)) as b from runs
+
 -- agree: texts that are no numbers, excluded by where
 select distinct cast(split_part(variant, '=', 2) as integer) as hidden from runs where variant like 'hidden=%' and cast(split_part(variant, '=', 2) as integer) > 64
 

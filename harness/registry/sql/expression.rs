@@ -165,6 +165,14 @@ impl<'a> Binder<'a> {
         Binder { needed: Needed::Where(condition), ..*self }
     }
 
+    /// A condition that is true in the rows in which the values are needed.
+    fn where_needed(&self) -> Expr {
+        match self.needed {
+            Needed::Where(condition) => condition.clone(),
+            Needed::Always | Needed::Lenient => lit(true),
+        }
+    }
+
     /// Computes an operation on `value` that fails for some values. It is an error only in rows in which the result is
     /// needed. The second argument of `operation` is whether a failure is an error.
     fn fallible(&self, value: Value, operation: impl Fn(Value, bool) -> Answer<Value>) -> Answer<Value> {
@@ -477,10 +485,7 @@ impl<'a> Binder<'a> {
         };
         // A part is only computed where the conditions before it are not true, and a result only where its condition is.
         let is_guarded = !matches!(self.needed, Needed::Lenient) && can_fail(whole);
-        let mut reached = match self.needed {
-            Needed::Where(condition) => condition.clone(),
-            _ => lit(true),
-        };
+        let mut reached = self.where_needed();
         let mut branches = Vec::with_capacity(conditions.len());
         for ast::CaseWhen { condition, result } in conditions {
             if !is_guarded {
@@ -583,6 +588,9 @@ impl<'a> Binder<'a> {
         if super::window::is_name(&name) {
             return refuse(format!("{name} needs OVER (ORDER BY …)"));
         }
+        if matches!(&*name, "coalesce" | "ifnull") {
+            return functions::call(&name, self.alternatives(&arguments)?, true);
+        }
         let mut arguments = arguments.into_iter().map(|expr| self.bind(expr)).collect::<Answer<Vec<_>>>()?;
         if !functions::FALLIBLE.contains(&&*name) || arguments.is_empty() {
             return functions::call(&name, arguments, true);
@@ -591,6 +599,21 @@ impl<'a> Binder<'a> {
         self.fallible(first, |first, strict| {
             functions::call(&name, [vec![first], arguments.clone()].concat(), strict)
         })
+    }
+
+    /// Binds the arguments of `coalesce`. Each is only computed where those before it are null.
+    fn alternatives(&self, arguments: &[&ast::Expr]) -> Answer<Vec<Value>> {
+        if matches!(self.needed, Needed::Lenient) || !arguments.iter().any(|expr| can_fail(expr)) {
+            return arguments.iter().map(|expr| self.bind(expr)).collect();
+        }
+        let mut reached = self.where_needed();
+        let mut values = Vec::with_capacity(arguments.len());
+        for expr in arguments {
+            values.push(self.only(&reached).bind(expr)?);
+            let value = Self { needed: Needed::Lenient, ..*self }.bind(expr)?;
+            reached = reached.and(value.expr.is_null());
+        }
+        Ok(values)
     }
 
     fn aggregate(
