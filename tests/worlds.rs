@@ -429,6 +429,24 @@ fn rates_that_no_experiment_can_use_are_refused_at_their_place_in_the_world_file
 }
 
 #[test]
+fn a_default_in_which_worlds_differ_is_blamed_at_the_second() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = EMPTY.replacen("model: empty.xml", "model: own.xml", 1);
+    let text = text.replacen("sample_rate_hz: 10", "sample_rate_hz: 20", 1);
+    fs::write(folder.path().join("own.yaml"), text).unwrap();
+    let spec = folder.path().join("spec.yaml");
+    let smoke =
+        fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments/smoke.yaml")).unwrap();
+    let smoke = smoke.split_once("\nname:").unwrap().1;
+    let smoke = smoke.replace("scenarios: [empty, cluttered]", "scenarios: [empty, own.yaml]");
+    fs::write(&spec, format!("name:{smoke}")).unwrap();
+    let answer = finish(&mut harness(folder.path(), &["validate", spec.to_str().unwrap()]));
+    let expected = "spec.yaml:3:20: the worlds empty and own have different defaults for \
+                    'simulation.sample_rate_hz'; give it a value";
+    assert!(answer.code == 2 && answer.stderr.contains(expected), "{}", answer.stderr);
+}
+
+#[test]
 fn a_model_is_refused_with_the_command_that_writes_its_world_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("own.xml");

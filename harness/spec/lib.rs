@@ -295,16 +295,20 @@ fn worlds(folder: &Path, tree: &Node, scenarios: &[Origin]) -> Result<Vec<Arc<Wo
 impl Experiment {
     /// Sets the values that the spec leaves out to those of its worlds: the rates, and the worlds' own settings.
     fn take_defaults_of_worlds(&mut self, tree: &Node) -> Result<(), validate::Fault> {
-        let worlds: Vec<Arc<World>> = self.scenarios.iter().filter_map(|origin| self.world(origin)).collect();
-        for (index, world) in worlds.iter().enumerate() {
+        let world = |(index, origin)| Some((index, self.world(origin)?));
+        let worlds: Vec<(usize, Arc<World>)> = self.scenarios.iter().enumerate().filter_map(world).collect();
+        let Some((_, first)) = worlds.first() else { return Ok(()) };
+        for (index, world) in &worlds {
+            let is_first = Arc::ptr_eq(world, first);
+            let differs = |key: &str| validate::Fault::between_worlds(key, first, world, *index);
             let own = world.simulation();
             let rates = [
                 ("sample_rate_hz", own.sample_rate_hz, &mut self.simulation.sample_rate_hz),
                 ("actuation_seconds", own.actuation_seconds, &mut self.simulation.actuation_seconds),
             ];
             for (key, own, value) in rates.into_iter().filter(|(key, ..)| !sets(tree, key)) {
-                if index > 0 && *value != own {
-                    return Err(validate::Fault::between_worlds(key, &worlds[0], world));
+                if !is_first && *value != own {
+                    return Err(differs(key));
                 }
                 *value = own;
             }
@@ -313,8 +317,8 @@ impl Experiment {
                     continue;
                 }
                 let other = self.simulation.world.insert(key.clone(), own);
-                if index > 0 && other.is_some_and(|other| other != own) {
-                    return Err(validate::Fault::between_worlds(&key, &worlds[0], world));
+                if !is_first && other.is_some_and(|other| other != own) {
+                    return Err(differs(&key));
                 }
             }
         }

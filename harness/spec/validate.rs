@@ -28,13 +28,14 @@ pub(super) struct Fault {
 }
 
 impl Fault {
-    /// Creates the fault of a setting that the spec leaves out, and for which two worlds have different defaults.
-    pub fn between_worlds(key: &str, one: &World, other: &World) -> Self {
+    /// Creates the fault of a setting that the spec leaves out, and for which two worlds have different defaults. The other
+    /// world is the scenario with this index.
+    pub fn between_worlds(key: &str, one: &World, other: &World, index: usize) -> Self {
         let (one, other) = (one.scenario(), other.scenario());
-        let path = format!("simulation.{key}");
-        let message =
-            format!("the worlds {one} and {other} have different defaults for '{path}'; give it a value");
-        Self { path, message }
+        let message = format!(
+            "the worlds {one} and {other} have different defaults for 'simulation.{key}'; give it a value"
+        );
+        Self { path: format!("scenarios.{index}"), message }
     }
 }
 
