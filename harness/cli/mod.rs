@@ -16,6 +16,7 @@ mod format;
 mod import;
 mod inspect;
 mod interrupt;
+mod latex;
 mod layers;
 mod pack;
 mod plot;

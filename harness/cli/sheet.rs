@@ -1,5 +1,6 @@
 //! Tables for documents: text, Markdown, LaTeX.
 
+use super::latex::{escaped, line, tabular};
 use super::table::{Grid, HARD_SPACE, beside, fitted, unbroken};
 use harness::metrics::{Metric, label};
 use textwrap::core::display_width;
@@ -209,46 +210,14 @@ impl Sheet {
                 .iter()
                 .enumerate()
                 .map(|(place, word)| if place < same { String::new() } else { escaped(word) });
-            body += &latex_line(shown.chain(numbers.iter().cloned()));
+            body += &line(shown.chain(numbers.iter().cloned()));
             above = words;
         }
         tabular([words, header].concat(), &right, &body)
     }
 }
 
-/// A row of a LaTeX table.
-pub fn latex_line(cells: impl Iterator<Item = String>) -> String {
-    format!("{} \\\\\n", cells.collect::<Vec<_>>().join(" & "))
-}
-
-/// A LaTeX table with this header and these lines. Some columns are aligned to the right.
-pub fn tabular(header: Vec<String>, right: &[bool], body: &str) -> String {
-    let columns: String = right.iter().map(|right| if *right { 'r' } else { 'l' }).collect();
-    let header = latex_line(header.into_iter());
-    format!(
-        "\\begin{{tabular}}{{{columns}}}\n\\toprule\n{header}\\midrule\n{body}\\bottomrule\n\\end{{tabular}}\n"
-    )
-}
-
 /// Words with commas between them, without empty ones.
 fn joined(words: &[String]) -> String {
     words.iter().map(String::as_str).filter(|word| !word.is_empty()).collect::<Vec<_>>().join(", ")
-}
-
-/// Escapes a text for LaTeX.
-pub fn escaped(text: &str) -> String {
-    if text == "R2" {
-        return "$R^2$".into();
-    }
-    let mut escaped = String::new();
-    for character in text.chars() {
-        match character {
-            '\\' => escaped.push_str("\\textbackslash{}"),
-            '~' => escaped.push_str("\\textasciitilde{}"),
-            '^' => escaped.push_str("\\textasciicircum{}"),
-            '_' | '%' | '&' | '#' | '$' | '{' | '}' => escaped.extend(['\\', character]),
-            other => escaped.push(other),
-        }
-    }
-    escaped
 }

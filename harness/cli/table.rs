@@ -5,7 +5,7 @@
 //! of a command does not depend on where it is called.
 
 use super::encoding::{IS_UTF8, encoded};
-use super::sheet::{escaped, latex_line, tabular};
+use super::latex::{escaped, line, tabular};
 use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table, Width};
 use harness::numbers::rounded;
 use polars::prelude::{AnyValue, DataFrame};
@@ -107,7 +107,7 @@ impl Grid {
     /// The table in LaTeX.
     pub fn latex(&self) -> String {
         let cell = |text: &String| escaped(&with_spaces(text).replace('\n', " "));
-        let body: String = self.rows.iter().map(|row| latex_line(row.iter().map(cell))).collect();
+        let body: String = self.rows.iter().map(|row| line(row.iter().map(cell))).collect();
         tabular(self.header.iter().map(cell).collect(), &self.right, &body)
     }
 
