@@ -19,6 +19,8 @@ mod factors;
 mod finger;
 #[path = "simulation/flow.rs"]
 mod flow;
+#[path = "simulation/integrators.rs"]
+mod integrators;
 
 /// Path of the repository.
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
@@ -572,6 +574,13 @@ fn models_that_do_not_compile_are_refused_with_mujocos_message() {
     let message = load();
     assert!(message.contains(path.to_str().unwrap()), "{message}");
     assert!(message.contains("tpye") && message.contains("line 2"), "{message}");
+    // MuJoCo's advice begins after more than 99 characters.
+    let unlimited = "<mujoco><compiler autolimits='false'/><worldbody><body><joint name='a' range='-1 1'/></body></worldbody></mujoco>";
+    let advice = "specify `limited` explicitly (\"true\" or \"false\"), or remove the `range` attribute.; Element name 'a', id 0, line 1";
+    std::fs::write(&path, unlimited).unwrap();
+    for message in [load(), load_error(unlimited)] {
+        assert!(message.ends_with(advice), "{message}");
+    }
     std::fs::write(&path, "").unwrap();
     assert!(load().contains("does not compile: "), "{}", load());
 }

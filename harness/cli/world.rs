@@ -5,7 +5,7 @@ use super::table::{print_beside, print_text, shown};
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use harness::files::write_bytes;
-use harness::simulation::{Scene, draft_world};
+use harness::simulation::{Scene, draft_world, notes};
 use harness::spec::{Definition, Modality, World, is_name, world_schema};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -67,7 +67,7 @@ impl Command {
             Action::Check { world } => {
                 let world = World::find(&world)?;
                 world.check_rates()?;
-                check(&Scene::new(world)?);
+                check(&Scene::new(world)?)?;
             }
             Action::New { model, output } => {
                 let path = output.unwrap_or_else(|| model.with_extension("yaml"));
@@ -93,7 +93,7 @@ impl Command {
     }
 }
 
-fn check(scene: &Scene) {
+fn check(scene: &Scene) -> Result<()> {
     let (world, layout) = (scene.world(), scene.layout());
     print_text(&format!("{}: {}", world.scenario(), world.description()));
     let mut entries = vec![("model".to_owned(), scene.source().to_string())];
@@ -113,10 +113,16 @@ fn check(scene: &Scene) {
     for (name, property, drawing, elements) in scene.factors() {
         entries.push((format!("factor {name}"), format!("{property}, {drawing}: {}", elements.join(", "))));
     }
+    let notes = notes(scene)?;
+    if let Some(time) = notes.rendering {
+        entries.push(("rendering".into(), format!("{:.1} ms for the images of a sample", 1e3 * time.own_s)));
+    }
     print_beside(entries);
     if scene.boxes() > 0 {
         println!("{} bodies are placed at random in each episode", scene.boxes());
     }
+    notes.notes.iter().for_each(|note| print_text(&format!("note: {note}")));
+    Ok(())
 }
 
 fn describe(definition: &Definition) -> String {

@@ -11,6 +11,7 @@ use mujoco_rs::renderer::MjRenderer;
 use mujoco_rs::wrappers::mj_model::traits::ModelType;
 use std::ffi::{CStr, c_char, c_uint};
 use std::sync::Arc;
+use std::time::Instant;
 
 /// Longest side of a picture, pixels. A buffer larger than the driver's limit would end the process.
 const MAX_PICTURE_SIDE: u32 = 4096;
@@ -98,6 +99,55 @@ impl Camera {
     pub fn renderer_name(&self) -> &str {
         &self.renderer_name
     }
+}
+
+/// Number of times that rendering is measured. The shortest time counts, because others may include other work.
+const MEASUREMENTS: usize = 5;
+
+/// How long rendering the images of a sample takes.
+#[derive(Debug, Clone, Copy)]
+pub struct SampleTime {
+    /// With the settings of the model, s.
+    pub own_s: f64,
+    /// Without shadows and smooth edges, s; `None` if the model has neither.
+    pub plain_s: Option<f64>,
+}
+
+/// Measures how long the recorded cameras take to render a state; `None` if no camera is recorded.
+pub(super) fn time_rendering<M: ModelType>(
+    scene: &Scene,
+    data: &mut MjData<M>,
+) -> Result<Option<SampleTime>, SimulationError> {
+    if scene.cameras.is_empty() {
+        return Ok(None);
+    }
+    let mut time = |model: &MjModel| -> Result<f64, SimulationError> {
+        let mut total = 0.0;
+        for SceneCamera { camera, size: [rows, columns], .. } in &scene.cameras {
+            let mut camera = Camera::for_model(model, scene, Some(*camera), *columns as u32, *rows as u32)?;
+            let mut shortest = f64::INFINITY;
+            for _ in 0..MEASUREMENTS {
+                let begun = Instant::now();
+                camera.capture(data)?;
+                shortest = shortest.min(begun.elapsed().as_secs_f64());
+            }
+            total += shortest;
+        }
+        Ok(total)
+    };
+    let quality = &scene.model.vis().quality;
+    let is_plain = (quality.shadowsize, quality.offsamples) == (0, 0);
+    let own_s = time(&scene.model)?;
+    let plain_s = if is_plain { None } else { Some(time(&plain(&scene.model))?) };
+    Ok(Some(SampleTime { own_s, plain_s }))
+}
+
+/// Returns a copy of the model that is rendered without shadows and smooth edges.
+fn plain(model: &MjModel) -> MjModel {
+    let mut model = model.clone();
+    let quality = &mut model.vis_mut().quality;
+    (quality.shadowsize, quality.offsamples) = (0, 0);
+    model
 }
 
 /// Renders pictures for figures and videos, with shadows, smooth edges and round capsules, up to 4096 pixels wide or

@@ -1,8 +1,10 @@
 //! Writes a first world file for any model.
 
 use super::SimulationError;
+use super::joints::{ball_and_free, body_name, described, is_single, joint_of, touches, word};
+use super::load::load_file;
 use super::resolve::{limits, named};
-use super::scene::{compile_error, prepare};
+use super::scene::prepare;
 use mujoco_rs::prelude::*;
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -23,7 +25,7 @@ pub fn draft_world(model: &Path, called: &str) -> Result<String, SimulationError
     prepare()?;
     let shown = model.display().to_string();
     let file = model.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let model = MjModel::from_xml(model).map_err(|error| compile_error(&shown, error))?;
+    let model = load_file(model)?;
     let actuators = named(&model, MjtObjBase::mjOBJ_ACTUATOR);
     if actuators.is_empty() {
         let problem = "it has no actuator with a name, which a world's action needs".to_owned();
@@ -42,32 +44,8 @@ pub fn draft_world(model: &Path, called: &str) -> Result<String, SimulationError
         quoted(&format!("The robot of {file}")),
         quoted(called),
     );
-    let joints = named(&model, MjtObjBase::mjOBJ_JOINT);
-    let is_single =
-        |joint: usize| [MjtJoint::mjJNT_HINGE, MjtJoint::mjJNT_SLIDE].contains(&model.jnt_type()[joint]);
-    let joints: Vec<&str> = joints.iter().filter(|(_, id)| is_single(*id)).map(|(name, _)| *name).collect();
-    if !joints.is_empty() {
-        entry(&mut text, "joints", &[("joint_positions", list(&joints))]);
-        entry(&mut text, "joint_velocities", &[("joint_velocities", list(&joints))]);
-    }
-    let moves = |body: usize| {
-        let first = model.body_jntadr()[body];
-        first >= 0 && is_single(first as usize)
-    };
-    let touches = |geom: usize| {
-        let collides = model.geom_contype()[geom] != 0 || model.geom_conaffinity()[geom] != 0;
-        collides && moves(model.geom_bodyid()[geom] as usize)
-    };
-    let geoms = named(&model, MjtObjBase::mjOBJ_GEOM);
-    let mut links: Vec<&str> = geoms.iter().filter(|(_, id)| touches(*id)).map(|(name, _)| *name).collect();
-    if links.is_empty() && geoms.is_empty() {
-        let bodies = named(&model, MjtObjBase::mjOBJ_BODY);
-        let is_link = |body: usize| moves(body) && model.body_geomnum()[body] > 0;
-        links = bodies.iter().filter(|(_, id)| is_link(*id)).map(|(name, _)| *name).collect();
-    }
-    if !links.is_empty() {
-        entry(&mut text, "contact_force", &[("normal_force", list(&links))]);
-    }
+    joints(&mut text, &model);
+    contact_forces(&mut text, &model);
     let mut sensors: Vec<(String, Vec<&str>)> = Vec::new();
     for (name, id) in named(&model, MjtObjBase::mjOBJ_SENSOR) {
         let kind = format!("{:?}", model.sensor_type()[id]).trim_start_matches("mjSENS_").to_lowercase();
@@ -97,6 +75,10 @@ pub fn draft_world(model: &Path, called: &str) -> Result<String, SimulationError
     let mut elements = BTreeSet::new();
     for (index, (name, id)) in actuators.into_iter().enumerate() {
         let [low, high] = limits(&model, id);
+        let guess = match low.is_finite() || high.is_finite() {
+            true => "",
+            false => "   # a guess: the model sets no ctrlrange for this actuator",
+        };
         let low = if low.is_finite() { low } else { high.min(1.0) - 2.0 };
         let high = if high.is_finite() { high } else { low + 2.0 };
         let mut element = name.to_lowercase();
@@ -106,9 +88,81 @@ pub fn draft_world(model: &Path, called: &str) -> Result<String, SimulationError
             number += 1;
         }
         let (name, range) = (quoted(name), format!("[{low:?}, {high:?}]"));
-        let _ = writeln!(text, "    {element}: {{actuator: {name}, range: {range}}}");
+        let _ = writeln!(text, "    {element}: {{actuator: {name}, range: {range}}}{guess}");
     }
     Ok(text)
+}
+
+/// Writes the hinges and slides, and comments that record the bodies of ball and free joints.
+fn joints(text: &mut String, model: &MjModel) {
+    let joints = named(model, MjtObjBase::mjOBJ_JOINT);
+    let names: Vec<&str> =
+        joints.iter().filter(|(_, id)| is_single(model, *id)).map(|(name, _)| *name).collect();
+    if !names.is_empty() {
+        entry(text, "joints", &[("joint_positions", list(&names))]);
+        entry(text, "joint_velocities", &[("joint_velocities", list(&names))]);
+    }
+    let left_out = ball_and_free(model);
+    if left_out.is_empty() {
+        return;
+    }
+    let _ = writeln!(
+        text,
+        "  # Left out, because their positions are several numbers: {}.",
+        left_out.iter().map(|joint| described(model, *joint)).collect::<Vec<_>>().join(", ")
+    );
+    let bodies = |is_wanted: &dyn Fn(usize) -> bool| -> Vec<&str> {
+        left_out
+            .iter()
+            .filter(|joint| is_wanted(**joint))
+            .filter_map(|joint| body_name(model, *joint))
+            .collect()
+    };
+    let (oriented, free) = (bodies(&|_| true), bodies(&|joint| word(model, joint) == "free"));
+    if !oriented.is_empty() {
+        let _ = writeln!(text, "  # To record where these bodies are, remove the # from these lines:");
+    }
+    for key in ["body_positions", "body_orientations"] {
+        let names = if key == "body_positions" { &free } else { &oriented };
+        if !names.is_empty() {
+            optional_entry(text, key, &[(key, list(names))]);
+        }
+    }
+}
+
+/// Writes the forces on the geoms that hinges and slides move or, without named geoms, on their bodies. Those that ball
+/// and free joints move are in a comment.
+fn contact_forces(text: &mut String, model: &MjModel) {
+    let geoms = named(model, MjtObjBase::mjOBJ_GEOM);
+    let is_moved = |is_wanted: &dyn Fn(usize) -> bool| -> Vec<&str> {
+        if geoms.is_empty() {
+            let has_joint = |body: usize| joint_of(model, body).is_some_and(is_wanted);
+            let is_link = |body: usize| has_joint(body) && model.body_geomnum()[body] > 0;
+            let bodies = named(model, MjtObjBase::mjOBJ_BODY);
+            return bodies.into_iter().filter(|(_, id)| is_link(*id)).map(|(name, _)| name).collect();
+        }
+        let touching = geoms.iter().filter(|(_, id)| touches(model, *id, is_wanted));
+        touching.map(|(name, _)| *name).collect()
+    };
+    let (links, others) =
+        (is_moved(&|joint| is_single(model, joint)), is_moved(&|joint| !is_single(model, joint)));
+    if !links.is_empty() {
+        entry(text, "contact_force", &[("normal_force", list(&links))]);
+    }
+    if !others.is_empty() {
+        text.push_str(
+            "  # Left out, because a ball or free joint moves them. To record the forces on them, remove the #:\n",
+        );
+        optional_entry(text, "other_contact_force", &[("normal_force", list(&others))]);
+    }
+}
+
+/// Writes an entry as a comment.
+fn optional_entry(text: &mut String, name: &str, keys: &[(&str, String)]) {
+    let mut line = String::new();
+    entry(&mut line, name, keys);
+    // Without the `#`, the line is indented like the others.
+    let _ = writeln!(text, "  #{}", line.trim());
 }
 
 fn entry(text: &mut String, name: &str, keys: &[(&str, String)]) {

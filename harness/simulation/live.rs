@@ -131,7 +131,8 @@ impl LiveSimulation {
     /// sensed. It is `None` if there is no such link.
     pub fn fingertip(&self) -> Option<[f64; 3]> {
         let tip = self.physics.scene.tip?;
-        let (joint, middle) = (self.physics.data.xpos()[tip.body], self.physics.data.geom_xpos()[tip.geom]);
+        let data = self.physics.derived();
+        let (joint, middle) = (data.xpos()[tip.body], data.geom_xpos()[tip.geom]);
         Some(std::array::from_fn(|axis| 2.0 * middle[axis] - joint[axis]))
     }
 
@@ -164,7 +165,7 @@ impl LiveSimulation {
                 None => Camera::recording(scene, recorded)?,
             };
             let camera = cameras.entry((key(scene), modality)).or_insert(camera);
-            frame.copy_from_slice(camera.capture(&mut self.physics.data)?);
+            frame.copy_from_slice(camera.capture(self.physics.sampled().1)?);
             Ok(())
         })
     }

@@ -16,12 +16,17 @@ pub(super) struct Physics<'s> {
     pub scene: &'s Scene,
     pub timing: Timing,
     /// MuJoCo's state, with the episode's model.
-    pub data: MjData<Arc<MjModel>>,
+    data: MjData<Arc<MjModel>>,
+    /// The state at the latest sampled instant, with all derived quantities. It is `None` if a step leaves those of the
+    /// instant at which it starts in `data`.
+    sampled: Option<MjData<Arc<MjModel>>>,
+    /// Whether forces are averaged over steps.
+    averages: bool,
     /// Values at the latest sampled instant.
     pub instant: Instant,
     /// Setpoint of this step.
     setpoint: Vec<f64>,
-    /// Forces of the latest step.
+    /// Forces of the latest step whose forces are needed.
     forces: Vec<f64>,
     /// Mean of the forces since the latest sampled instant.
     mean: MeanForces,
@@ -106,6 +111,12 @@ impl<'s> Physics<'s> {
     pub fn new(scene: &'s Scene, spec: &Simulation) -> Result<Self, SimulationError> {
         let timing = scene.timing(spec)?;
         let data = MjData::new(scene.model.clone());
+        // Runge-Kutta evaluates the derived quantities at later instants within the step, and leaves those of the last
+        // one. Only the sensors keep the values of the first.
+        let overwrites = scene.model.opt().integrator == MjtIntegrator::mjINT_RK4 as i32;
+        let sampled = overwrites.then(|| MjData::new(scene.model.clone()));
+        let averages =
+            scene.readings.iter().flatten().any(|reading| matches!(reading, Reading::MeanForce(_)));
         let elements = scene.actuators.len();
         let instant = Instant {
             model: scene.model.clone(),
@@ -122,6 +133,8 @@ impl<'s> Physics<'s> {
             scene,
             timing,
             data,
+            sampled,
+            averages,
             instant,
             setpoint: vec![0.0; elements],
             forces: vec![0.0; scene.forces],
@@ -139,7 +152,8 @@ impl<'s> Physics<'s> {
         self.start(plan);
         for _ in 0..self.timing.samples {
             self.advance(|step, setpoint| plan.setpoint(step, setpoint))?;
-            observe(&self.instant, &mut self.data)?;
+            let (instant, data) = self.sampled();
+            observe(instant, data)?;
         }
         Ok(())
     }
@@ -148,7 +162,8 @@ impl<'s> Physics<'s> {
     /// setpoint of each step, counted from the start.
     ///
     /// MuJoCo's step computes the forces and poses of the instant at which it starts, and then advances the positions.
-    /// A sample therefore takes its positions before a step and everything else after it, at no extra cost.
+    /// A sample therefore takes its positions before a step and everything else after it, at no extra cost. With the
+    /// Runge-Kutta integrator, a copy of the state computes them instead.
     ///
     /// # Errors
     /// When the simulation diverges.
@@ -163,6 +178,11 @@ impl<'s> Physics<'s> {
                 self.instant.qpos.copy_from_slice(self.data.qpos());
                 self.instant.qvel.copy_from_slice(self.data.qvel());
             }
+            let is_read = is_sample || self.averages;
+            if let Some(sampled) = self.sampled.as_mut().filter(|_| is_read) {
+                self.data.copy_to(sampled).expect("both have the episode's model");
+                sampled.forward();
+            }
             self.data.step();
             if let Some(what) = instability(&self.data) {
                 let time_s = self.step as f64 * self.timing.step_s;
@@ -170,19 +190,32 @@ impl<'s> Physics<'s> {
                 return Err(SimulationError::Diverged { scene, episode: self.episode, time_s, what });
             }
             self.step += 1;
-            sum_forces(self.scene, &self.data, &mut self.forces);
-            self.mean.add(&self.forces);
+            let data = self.sampled.as_ref().unwrap_or(&self.data);
+            if is_read {
+                sum_forces(self.scene, data, &mut self.forces);
+                self.mean.add(&self.forces);
+            }
             if is_sample {
                 self.instant.setpoint.copy_from_slice(&self.setpoint);
                 self.instant.forces.copy_from_slice(&self.forces);
                 self.mean.take(&mut self.instant.mean_forces);
-                self.instant.sensors.copy_from_slice(self.data.sensordata());
+                self.instant.sensors.copy_from_slice(data.sensordata());
                 for (pose, (of, id)) in self.instant.poses.iter_mut().zip(&self.scene.posed) {
-                    *pose = pose_of(&self.data, *of, *id);
+                    *pose = pose_of(data, *of, *id);
                 }
                 return Ok(());
             }
         }
+    }
+
+    /// Returns the values at the latest sampled instant, and the state whose derived quantities belong to it.
+    pub fn sampled(&mut self) -> (&Instant, &mut MjData<Arc<MjModel>>) {
+        (&self.instant, self.sampled.as_mut().unwrap_or(&mut self.data))
+    }
+
+    /// Returns the state whose derived quantities belong to the latest sampled instant.
+    pub fn derived(&self) -> &MjData<Arc<MjModel>> {
+        self.sampled.as_ref().unwrap_or(&self.data)
     }
 
     /// Returns the number of steps since the start of the episode.
@@ -197,7 +230,9 @@ impl<'s> Physics<'s> {
         self.mean.clear();
         // Starts from the scene's own model, so that no change of the previous episode remains.
         self.instant.model = plan.factors.apply(self.scene, &self.scene.model);
-        self.data.swap_model(self.instant.model.clone());
+        for data in [&mut self.data].into_iter().chain(&mut self.sampled) {
+            data.swap_model(self.instant.model.clone());
+        }
         self.data.reset();
         plan.setpoint(0, &mut self.setpoint);
         let qpos = self.data.qpos_mut();

@@ -6,6 +6,7 @@ use harness_spec::{
     clearance_setting, matching, range_setting,
 };
 use mujoco_rs::prelude::*;
+use std::collections::BTreeSet;
 
 /// A world file with its names resolved in the model. The fields are those of the scene.
 pub(super) struct Resolved {
@@ -214,6 +215,19 @@ pub(super) fn named(model: &MjModel, kind: MjtObjBase) -> Vec<(&str, usize)> {
     with_name.filter(|(name, _)| !name.is_empty()).collect()
 }
 
+/// Whether a camera is a perspective camera that only its field of view defines.
+pub(super) fn is_pinhole(model: &MjModel, camera: usize) -> bool {
+    let is_perspective =
+        model.cam_projection()[camera] == mujoco_rs::wrappers::mj_model::MjtProjection::mjPROJ_PERSPECTIVE;
+    is_perspective && model.cam_sensorsize()[camera] == [0.0; 2]
+}
+
+/// Returns the name of an object in quotes.
+pub(super) fn name_of(model: &MjModel, kind: MjtObjBase, id: usize) -> String {
+    let name = model.id_to_name(kind, id).filter(|name| !name.is_empty());
+    name.map_or("one without a name".into(), |name| format!("'{name}'"))
+}
+
 /// Largest number of names in a message.
 const NAMES_SHOWN: usize = 40;
 
@@ -411,20 +425,9 @@ impl<'a> Resolver<'a> {
                 self.sensors(patterns, path, sensing.unit.as_deref().unwrap_or_default())?
             }
         };
-        let patterns = match source {
-            Source::JointPositions(names) | Source::JointVelocities(names) | Source::Sensor(names) => names,
-            Source::NormalForce { names, .. } | Source::Pose { names, .. } => names,
-            _ => &[],
-        };
         let names: Vec<&str> = values.iter().map(|value| value.name.as_str()).collect();
-        let short = match source {
-            // Their names are those of columns already.
-            Source::Pose { .. } => names.iter().map(|name| (*name).to_owned()).collect(),
-            _ => short_names(patterns, &names),
-        };
-        let elements = short.into_iter().zip(&values);
-        let elements = elements.map(|(name, value)| Element { name, unit: value.unit.clone() }).collect();
-        definition.kind = Kind::Vector { elements };
+        let element = |value: &Sensed| Element { name: value.element.clone(), unit: value.unit.clone() };
+        definition.kind = Kind::Vector { elements: values.iter().map(element).collect() };
         for (group, patterns) in sensing.groups.iter() {
             let path = format!("modalities.{name}.groups.{group}");
             let elements = matching(patterns, &names).map_err(|(pattern, problem)| {
@@ -451,20 +454,29 @@ impl<'a> Resolver<'a> {
         address: fn(&MjModel, usize) -> i32,
     ) -> Result<Vec<Sensed>, SimulationError> {
         let found = self.matches(JOINT, patterns, path)?;
-        let joint = |(name, id): (&str, usize)| {
+        let joint = |((name, id), element): ((&str, usize), String)| {
             let unit = match self.model.jnt_type()[id] {
                 HINGE => units[0],
                 SLIDE => units[1],
-                other => {
-                    let message =
-                        format!("joint '{name}' is {other:?}; only hinges and slides can be sensed");
-                    return Err(self.fault(path, message));
-                }
+                other => return Err(self.fault(path, self.no_single_joint(name, id, other))),
             };
             let reading = reading(address(self.model, id) as usize);
-            Ok(Sensed { name: name.to_owned(), unit: unit.to_owned(), reading })
+            Ok(Sensed { name: name.to_owned(), element, unit: unit.to_owned(), reading })
         };
-        found.into_iter().map(joint).collect()
+        let elements = short_names(patterns, &names_of(&found));
+        found.into_iter().zip(elements).map(joint).collect()
+    }
+
+    /// Why a ball or free joint can't be sensed as a joint, and what can be sensed instead.
+    fn no_single_joint(&self, name: &str, id: usize, kind: MjtJoint) -> String {
+        let (kind, keys) = match kind {
+            FREE => ("free", "body_positions and body_orientations record"),
+            _ => ("ball", "body_orientations records"),
+        };
+        let body = self.model.jnt_bodyid()[id] as usize;
+        let body = self.model.id_to_name(MjtObjBase::mjOBJ_BODY, body).filter(|body| !body.is_empty());
+        let body = body.map_or("its body, which needs a name".into(), |body| format!("its body '{body}'"));
+        format!("joint '{name}' is a {kind} joint; only hinges and slides have one position; {keys} {body}")
     }
 
     /// Positions or orientations of bodies or sites.
@@ -476,14 +488,13 @@ impl<'a> Resolver<'a> {
         orientation: bool,
     ) -> Result<Vec<Sensed>, SimulationError> {
         let found = self.matches(if of == Posed::Body { BODY } else { SITE }, patterns, path)?;
-        let names: Vec<&str> = found.iter().map(|(name, _)| *name).collect();
         let (values, unit) = match orientation {
             false => (["x", "y", "z"].as_slice(), "m"),
             true => (["w", "x", "y", "z"].as_slice(), "1"),
         };
         let first = if orientation { 3 } else { 0 };
         let mut sensed = Vec::new();
-        for (name, (_, id)) in short_names(patterns, &names).into_iter().zip(found) {
+        for (name, (_, id)) in short_names(patterns, &names_of(&found)).into_iter().zip(found) {
             let known = self.posed.iter().position(|posed| *posed == (of, id));
             let pose = known.unwrap_or_else(|| {
                 self.posed.push((of, id));
@@ -491,6 +502,7 @@ impl<'a> Resolver<'a> {
             });
             sensed.extend(values.iter().enumerate().map(|(index, value)| Sensed {
                 name: format!("{name}_{value}"),
+                element: format!("{name}_{value}"),
                 unit: unit.to_owned(),
                 reading: Reading::Pose(pose, first + index),
             }));
@@ -501,10 +513,7 @@ impl<'a> Resolver<'a> {
     /// Returns the index of a camera. It must be a perspective camera defined only by its field of view.
     fn pinhole(&self, name: &str, path: &str) -> Result<usize, SimulationError> {
         let camera = self.find(CAMERA, name, path)?;
-        let is_plain = self.model.cam_projection()[camera]
-            == mujoco_rs::wrappers::mj_model::MjtProjection::mjPROJ_PERSPECTIVE
-            && self.model.cam_sensorsize()[camera] == [0.0; 2];
-        if is_plain {
+        if is_pinhole(self.model, camera) {
             return Ok(camera);
         }
         let message =
@@ -524,8 +533,9 @@ impl<'a> Resolver<'a> {
             Ok(geoms) => (geoms, false),
             Err(error) => (bodies.map_err(|_| error)?, true),
         };
+        let elements = short_names(patterns, &names_of(&found));
         let mut sensed = Vec::new();
-        for (name, id) in found {
+        for ((name, id), element) in found.into_iter().zip(elements) {
             let geoms = match of_bodies {
                 false => id..id + 1,
                 true => {
@@ -537,7 +547,7 @@ impl<'a> Resolver<'a> {
             let known = geoms.clone().next().and_then(|geom| self.force_of_geom[geom]);
             let force = known.unwrap_or(self.forces);
             if geoms.is_empty() {
-                return Err(self.fault(path, format!("body '{name}' has no geom, so nothing can touch it")));
+                return Err(self.fault(path, self.untouchable(name, id)));
             }
             // A known force must be that of these geoms, no more and no fewer.
             let has_force = |geom: &usize| self.force_of_geom[*geom] == known;
@@ -551,7 +561,7 @@ impl<'a> Resolver<'a> {
             }
             geoms.for_each(|geom| self.force_of_geom[geom] = Some(force));
             let reading = if mean { Reading::MeanForce(force) } else { Reading::Force(force) };
-            sensed.push(Sensed { name: name.to_owned(), unit: "N".into(), reading });
+            sensed.push(Sensed { name: name.to_owned(), element, unit: "N".into(), reading });
         }
         if let (None, Some(last)) = (self.tip, sensed.last()) {
             let id = |(kind, _): (MjtObjBase, &str)| self.model.name_to_id(kind, &last.name);
@@ -560,15 +570,35 @@ impl<'a> Resolver<'a> {
         Ok(sensed)
     }
 
+    /// Why a body without geoms has no contact force.
+    fn untouchable(&self, name: &str, body: usize) -> String {
+        let of_flexes = self.model.flex_vertbodyid().iter().chain(self.model.flex_nodebodyid());
+        if of_flexes.into_iter().any(|other| *other as usize == body) {
+            return format!(
+                "body '{name}' is a part of a flex, and the forces on a flex can't be sensed; list the geoms that touch it"
+            );
+        }
+        format!("body '{name}' has no geom, so nothing can touch it")
+    }
+
     fn sensors(&self, patterns: &[String], path: &str, unit: &str) -> Result<Vec<Sensed>, SimulationError> {
+        let found = self.matches(SENSOR, patterns, path)?;
+        let short = short_names(patterns, &names_of(&found));
         let mut sensed = Vec::new();
-        for (name, id) in self.matches(SENSOR, patterns, path)? {
+        for ((name, id), short) in found.into_iter().zip(short) {
             let (first, count) = (self.model.sensor_adr()[id] as usize, self.model.sensor_dim()[id] as usize);
+            let of = |name: &str, value| if count == 1 { name.to_owned() } else { format!("{name}_{value}") };
             sensed.extend((0..count).map(|value| Sensed {
-                name: if count == 1 { name.to_owned() } else { format!("{name}_{value}") },
+                name: of(name, value),
+                element: of(&short, value),
                 unit: unit.to_owned(),
                 reading: Reading::Sensor(first + value),
             }));
+        }
+        // A sensor `a_0` and the first value of a sensor `a` would have the same name.
+        let elements: Vec<String> = sensed.iter().map(|value| value.element.clone()).collect();
+        if !are_names(&elements) {
+            sensed.iter_mut().zip(numbers(elements.len())).for_each(|(value, number)| value.element = number);
         }
         Ok(sensed)
     }
@@ -762,7 +792,10 @@ impl<'a> Resolver<'a> {
 
 /// One element as it was found in the model.
 struct Sensed {
+    /// Its name in the model, which groups match.
     name: String,
+    /// Its name in the layout.
+    element: String,
     unit: String,
     reading: Reading,
 }
@@ -789,16 +822,26 @@ fn short_names(patterns: &[String], names: &[&str]) -> Vec<String> {
         };
         names.iter().map(end).collect()
     };
-    let is_unique = |ends: &[String]| {
-        let distinct: std::collections::BTreeSet<&String> = ends.iter().collect();
-        distinct.len() == ends.len() && ends.iter().all(|end| !end.is_empty())
-    };
     let found = ends(prefix);
-    if is_unique(&found) {
+    if are_names(&found) {
         return found;
     }
     let whole = ends("");
-    if is_unique(&whole) { whole } else { (0..names.len()).map(|index| index.to_string()).collect() }
+    if are_names(&whole) { whole } else { numbers(names.len()) }
+}
+
+fn names_of<'a>(found: &[(&'a str, usize)]) -> Vec<&'a str> {
+    found.iter().map(|(name, _)| *name).collect()
+}
+
+/// Whether names of elements are distinct and not empty.
+fn are_names(names: &[String]) -> bool {
+    let distinct: BTreeSet<&String> = names.iter().collect();
+    distinct.len() == names.len() && names.iter().all(|name| !name.is_empty())
+}
+
+fn numbers(count: usize) -> Vec<String> {
+    (0..count).map(|index| index.to_string()).collect()
 }
 
 /// Returns the indices of a joint's degrees of freedom.

@@ -1,5 +1,6 @@
 //! A scene: the compiled MuJoCo model of a world, with the names of the world file resolved.
 
+use super::load::{compile_error, load_file, load_text};
 use super::resolve::{
     Driven, Placement, Reading, Resolver, SceneCamera, SceneFactor, SceneFlow, Tip, within,
 };
@@ -60,7 +61,7 @@ impl Scene {
                 let xml = std::fs::read_to_string(&path)
                     .map_err(|error| world.fault("model", format!("can't read the model {name}: {error}")))?;
                 forget_assets();
-                let model = MjModel::from_xml(&path).map_err(|error| compile_error(&name, error))?;
+                let model = load_file(&path)?;
                 // The compiled model contains the content of other files. MJCF refers to them by attributes that begin
                 // with `file`, such as `file` and `fileright`. A comment with that word does no harm.
                 let stands_alone = !xml.contains("file");
@@ -98,7 +99,7 @@ impl Scene {
     /// For the reasons of [`Scene::new`], except that no file is read.
     pub fn from_xml(world: Arc<World>, xml: &str, name: String) -> Result<Self, SimulationError> {
         prepare()?;
-        let model = MjModel::from_xml_string(xml).map_err(|error| compile_error(&name, error))?;
+        let model = load_text(xml, &name)?;
         Self::of_model(world, model, xml.to_owned(), digest(xml.as_bytes()), name)
     }
 
@@ -304,15 +305,6 @@ pub(super) fn prepare() -> Result<(), SimulationError> {
     require_mujoco_version()?;
     silence_mujoco_warnings();
     Ok(())
-}
-
-pub(super) fn compile_error(scene: &str, error: MjModelError) -> SimulationError {
-    let message = match error {
-        // MuJoCo puts the element and its line below what is wrong with it.
-        MjModelError::LoadFailed(message) => message.trim().replace('\n', "; "),
-        other => other.to_string(),
-    };
-    SimulationError::Compile { scene: scene.to_owned(), message }
 }
 
 fn require_mujoco_version() -> Result<(), SimulationError> {

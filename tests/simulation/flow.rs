@@ -54,6 +54,10 @@ fn focal() -> f64 {
 
 /// The stage, with the ranges of the camera's angle, and of the plate's place and angle.
 fn stage(pan: [f64; 2], slide: [f64; 2], turn: [f64; 2]) -> Scene {
+    stage_of(STAGE, pan, slide, turn)
+}
+
+fn stage_of(xml: &str, pan: [f64; 2], slide: [f64; 2], turn: [f64; 2]) -> Scene {
     let text = format!(
         "model: stage.xml
 step_rate_hz: 1000
@@ -75,7 +79,7 @@ action:
 "
     );
     let world = World::parse("stage.yaml", Some("".into()), "stage", &text).unwrap();
-    Scene::from_xml(world.into(), STAGE, "stage.xml".into()).unwrap()
+    Scene::from_xml(world.into(), xml, "stage.xml".into()).unwrap()
 }
 
 fn filmed(pan: [f64; 2], slide: [f64; 2], turn: [f64; 2]) -> Episode {
@@ -192,16 +196,14 @@ fn a_turning_camera_makes_all_it_sees_flow_the_other_way() {
 }
 
 /// The flow is computed with rays, the frames are rendered: what was seen before has the color that it had where it was.
-#[test]
-fn frames_have_the_colors_of_the_frames_before_where_the_flow_says() {
-    let episode = filmed([-0.3, 0.3], [-0.9, 0.5], [-1.0, 1.0]);
+fn assert_colors_flow(episode: &Episode) {
     let (mut alike, mut all) = (0u32, 0u32);
     for sample in 1..episode.samples {
         for at in (0..SIDE * SIDE).map(|place| [place % SIDE, place / SIDE]) {
-            let ([right, down], true) = flow(&episode, sample, at) else { continue };
+            let ([right, down], true) = flow(episode, sample, at) else { continue };
             let was = [at[0] as f64 + 0.5 - right, at[1] as f64 + 0.5 - down];
             let was = was.map(|value| (value as usize).min(SIDE - 1));
-            let colors = [pixel(&episode, "vision", sample, at), pixel(&episode, "vision", sample - 1, was)];
+            let colors = [pixel(episode, "vision", sample, at), pixel(episode, "vision", sample - 1, was)];
             all += 1;
             alike += u32::from(colors[0].iter().zip(colors[1]).all(|(a, b)| a.abs_diff(*b) < 12));
         }
@@ -209,6 +211,60 @@ fn frames_have_the_colors_of_the_frames_before_where_the_flow_says() {
     let share = f64::from(alike) / f64::from(all);
     // What is left are pixels at the plate's edges, 2 % of all, of which a half may round to the other side.
     assert!(all > 90_000 && share > 0.985, "{share} of {all}");
+}
+
+#[test]
+fn frames_have_the_colors_of_the_frames_before_where_the_flow_says() {
+    assert_colors_flow(&filmed([-0.3, 0.3], [-0.9, 0.5], [-1.0, 1.0]));
+}
+
+/// Geoms around the camera and geoms nearer than its near plane, at 1 % of the extent of 4 m, are not rendered.
+#[test]
+fn the_flow_looks_through_what_rendering_looks_through() {
+    let plain = STAGE.replace("<default>", "<statistic extent=\"4\"/><default>");
+    let with = |parent: &str, geom: &str| {
+        let mesh = "<asset><mesh name=\"tent\" vertex=\"-1 -1 -1 1 -1 -1 0 1 -1 0 0 1\"/></asset>";
+        let hill = "<asset><hfield name=\"hill\" nrow=\"2\" ncol=\"2\" size=\"1 1 1 1\" elevation=\"1 0 0 1\"/></asset>";
+        let body = format!("<body name=\"{parent}\"");
+        let geom = format!("<geom rgba=\"0.9 0.9 0.2 1\" mass=\"0\" {geom}/>");
+        let place = plain.find(&body).unwrap() + plain[plain.find(&body).unwrap()..].find('>').unwrap() + 1;
+        let text = format!("{}{geom}{}", &plain[..place], &plain[place..]);
+        text.replace("<default>", &format!("{mesh}{hill}<default>"))
+    };
+    let filmed = |xml: &str| {
+        let spec = Simulation { actuations_per_episode: 3, ..Simulation::default() };
+        simulate(&stage_of(xml, [-0.3, 0.3], [-0.2, 0.2], [-1.0, 1.0]), &spec, 0)
+    };
+    let [flow, vision] = ["flow", "vision"].map(|name| Modality::new(name).unwrap());
+    let free = filmed(&plain);
+    for (parent, geom) in [
+        ("tripod", "size=\"0.5\""),
+        ("tripod", "type=\"capsule\" size=\"0.3 0.3\""),
+        ("tripod", "type=\"ellipsoid\" size=\"0.3 0.4 0.5\""),
+        ("tripod", "type=\"cylinder\" size=\"0.3 0.3\""),
+        ("tripod", "type=\"box\" size=\"0.3 0.3 0.3\""),
+        ("tripod", "type=\"mesh\" mesh=\"tent\""),
+        ("tripod", "type=\"hfield\" hfield=\"hill\""),
+        // Two shells, one in the other.
+        ("tripod", "size=\"0.5\"/><geom type=\"box\" size=\"0.9 0.9 0.9\" mass=\"0\""),
+        // A lens.
+        ("tripod", "type=\"box\" size=\"0.2 0.2 0.01\" pos=\"0 0 -0.02\""),
+        // A box that moves around the camera.
+        ("plate", "type=\"box\" size=\"0.4 0.4 0.4\" pos=\"0 0 3\""),
+    ] {
+        let enclosed = filmed(&with(parent, geom));
+        assert!(enclosed.image(vision) == free.image(vision), "the image of {geom}");
+        assert!(enclosed.image(flow) == free.image(flow), "the flow of {geom}");
+    }
+}
+
+/// The box moves with the plate, so that the camera is inside it and outside of it in turn.
+#[test]
+fn a_camera_that_geoms_enclose_now_and_then_has_the_flow_of_its_images() {
+    let cover = "<geom type=\"box\" size=\"0.3 0.3 0.3\" pos=\"0 0 3\" rgba=\"0.9 0.9 0.2 1\" mass=\"0\"/>";
+    let xml = STAGE.replace("<site name=\"corner\"", &format!("{cover}<site name=\"corner\""));
+    let spec = Simulation { actuations_per_episode: 10, ..Simulation::default() };
+    assert_colors_flow(&simulate(&stage_of(&xml, [-0.3, 0.3], [-0.9, 0.5], [-1.0, 1.0]), &spec, 0));
 }
 
 #[test]

@@ -1,0 +1,55 @@
+//! Compiles MJCF, and passes on the whole of MuJoCo's message if it can't be compiled.
+
+use super::SimulationError;
+use mujoco_rs::mujoco_c::{mj_deleteModel, mj_loadXML, mjVFS};
+use mujoco_rs::prelude::*;
+use mujoco_rs::wrappers::MjVfs;
+use std::ffi::{CStr, CString, c_char, c_int};
+use std::path::Path;
+
+/// Room for MuJoCo's longest message, bytes. The bindings have room for its first 99 characters only.
+const MESSAGE_LEN: usize = 4096;
+
+/// Compiles an MJCF file.
+pub(super) fn load_file(path: &Path) -> Result<MjModel, SimulationError> {
+    MjModel::from_xml(path).map_err(|error| {
+        let whole = path.to_str().and_then(|path| message(path, std::ptr::null()));
+        compile_error(&path.display().to_string(), whole.map_or(error, MjModelError::LoadFailed))
+    })
+}
+
+/// Compiles MJCF text, which messages call `name`.
+pub(super) fn load_text(xml: &str, name: &str) -> Result<MjModel, SimulationError> {
+    MjModel::from_xml_string(xml).map_err(|error| {
+        let (file, mut files) = ("model.xml", MjVfs::new());
+        let added = files.add_from_buffer(file, xml.as_bytes());
+        let whole = added.ok().and_then(|()| message(file, files.ffi()));
+        compile_error(name, whole.map_or(error, MjModelError::LoadFailed))
+    })
+}
+
+/// Returns the reason why MuJoCo can't compile a file, with the path that messages call the model.
+pub(super) fn compile_error(scene: &str, error: MjModelError) -> SimulationError {
+    let message = match error {
+        // MuJoCo puts the element and its line below what is wrong with it.
+        MjModelError::LoadFailed(message) => message.trim().replace('\n', "; "),
+        other => other.to_string(),
+    };
+    SimulationError::Compile { scene: scene.to_owned(), message }
+}
+
+/// Returns MuJoCo's whole message about a file that it can't compile; `None` if it can by now. The file is in `files`
+/// or, if that is null, on the disk.
+fn message(file: &str, files: *const mjVFS) -> Option<String> {
+    let (file, mut text) = (CString::new(file).ok()?, [0 as c_char; MESSAGE_LEN]);
+    // SAFETY: the file's name ends with a zero byte, `files` is null or valid, and MuJoCo writes at most the given
+    // number of bytes, of which the last one is zero.
+    unsafe {
+        let model = mj_loadXML(file.as_ptr(), files, text.as_mut_ptr(), text.len() as c_int);
+        if !model.is_null() {
+            mj_deleteModel(model);
+            return None;
+        }
+        Some(CStr::from_ptr(text.as_ptr()).to_string_lossy().into_owned())
+    }
+}

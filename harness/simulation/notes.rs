@@ -1,0 +1,152 @@
+//! What a user should know about a world before recording it.
+
+use super::SimulationError;
+use super::camera::{SampleTime, time_rendering};
+use super::flow::unrendered;
+use super::joints::{ball_and_free, described, is_single, touches};
+use super::physics::Physics;
+use super::plan::EpisodePlan;
+use super::resolve::{is_pinhole, name_of};
+use super::scene::Scene;
+use harness_spec::Posed;
+use mujoco_rs::prelude::*;
+use std::collections::BTreeSet;
+
+/// Largest number of names in a note.
+const NAMES_SHOWN: usize = 10;
+/// How many times as long as the fastest rendering the model's own must take to be worth a note.
+const SLOW: f64 = 1.5;
+
+/// What is known about a world besides its layout.
+pub struct Notes {
+    /// A sentence for each property of the world that may surprise.
+    pub notes: Vec<String>,
+    /// The time that rendering a sample takes; `None` if no camera is recorded, or nothing can be rendered.
+    pub rendering: Option<SampleTime>,
+}
+
+/// Examines a world at the start of its first episode, and measures how long rendering takes.
+///
+/// # Errors
+/// When the boxes find no place, or rendering fails for another reason than a missing driver.
+pub fn notes(scene: &Scene) -> Result<Notes, SimulationError> {
+    let spec = scene.world().simulation();
+    let mut physics = Physics::new(scene, &spec)?;
+    physics.start(&EpisodePlan::draw(scene, &spec, 0)?);
+    let data = physics.sampled().1;
+    data.forward();
+    let mut notes = Vec::new();
+    notes.extend(integrator(scene));
+    notes.extend(unlimited(scene));
+    notes.extend(unrecorded_bodies(scene));
+    notes.extend(unrecorded_forces(scene));
+    notes.extend(unrendered_geoms(scene, data));
+    let rendering = match time_rendering(scene, data) {
+        Err(error @ SimulationError::NoRenderer { .. }) => {
+            notes.push(format!("rendering was not tried: {error}"));
+            None
+        }
+        other => other?,
+    };
+    notes.extend(rendering.as_ref().and_then(slow_rendering));
+    Ok(Notes { notes, rendering })
+}
+
+fn integrator(scene: &Scene) -> Option<String> {
+    let note = "the model's integrator is RK4, so each sample takes one more evaluation of the dynamics, at the sample's \
+                instant; a step of RK4 leaves poses, forces and images of a later instant";
+    (scene.model.opt().integrator == MjtIntegrator::mjINT_RK4 as i32).then(|| note.to_owned())
+}
+
+/// Actuators whose setpoints the model does not limit.
+fn unlimited(scene: &Scene) -> Vec<String> {
+    let actuators = scene.world().file().action.actuators.iter();
+    let free =
+        actuators.zip(&scene.actuators).filter(|(_, driven)| driven.limits.map(f64::is_finite) == [false; 2]);
+    free.map(|((element, actuator), _)| {
+        let [low, high] = actuator.range;
+        format!(
+            "the model sets no ctrlrange for the actuator of '{element}', so only the world file limits it: [{low}, \
+             {high}]"
+        )
+    })
+    .collect()
+}
+
+/// The indices of the ball and free joints whose bodies are not placed at random.
+fn unplaced(scene: &Scene) -> Vec<usize> {
+    let placed: BTreeSet<usize> =
+        scene.placements.iter().flat_map(|placement| &placement.boxes).map(|body| body.qpos).collect();
+    let joints = ball_and_free(&scene.model).into_iter();
+    joints.filter(|joint| !placed.contains(&(scene.model.jnt_qposadr()[*joint] as usize))).collect()
+}
+
+/// The ball and free joints of bodies whose poses are not recorded.
+fn unrecorded_bodies(scene: &Scene) -> Option<String> {
+    let model = &scene.model;
+    let recorded: BTreeSet<i32> = scene
+        .posed
+        .iter()
+        .map(|(of, id)| match of {
+            Posed::Body => model.body_weldid()[*id],
+            Posed::Site => model.body_weldid()[model.site_bodyid()[*id] as usize],
+        })
+        .collect();
+    let mut joints = unplaced(scene);
+    joints.retain(|joint| !recorded.contains(&model.jnt_bodyid()[*joint]));
+    let names: Vec<String> = joints.into_iter().map(|joint| described(model, joint)).collect();
+    (!names.is_empty()).then(|| {
+        format!("no modality of poses records {}; body_positions and body_orientations can", listed(&names))
+    })
+}
+
+/// The geoms that ball and free joints move and whose contacts are not sensed, if the contacts of others are.
+fn unrecorded_forces(scene: &Scene) -> Option<String> {
+    let (model, unplaced) = (&scene.model, unplaced(scene));
+    let is_left_out = |geom: &usize| {
+        scene.force_of_geom[*geom].is_none()
+            && touches(model, *geom, |joint| !is_single(model, joint) && unplaced.contains(&joint))
+    };
+    let geoms: Vec<usize> = (0..model.ngeom() as usize).filter(is_left_out).collect();
+    let names: Vec<String> =
+        geoms.into_iter().map(|geom| name_of(model, MjtObjBase::mjOBJ_GEOM, geom)).collect();
+    (scene.forces > 0 && !names.is_empty())
+        .then(|| format!("no modality records the forces on the geoms {}", listed(&names)))
+}
+
+/// The geoms that a camera would see if it were not inside them.
+fn unrendered_geoms(scene: &Scene, data: &mut MjData<std::sync::Arc<MjModel>>) -> Vec<String> {
+    let images = scene.cameras.iter().chain(scene.flows.iter().map(|flow| &flow.image));
+    let mut notes: Vec<String> = Vec::new();
+    for image in images.filter(|image| is_pinhole(&scene.model, image.camera)) {
+        let geoms = unrendered(data, image);
+        let names: Vec<String> =
+            geoms.into_iter().map(|geom| name_of(&scene.model, MjtObjBase::mjOBJ_GEOM, geom)).collect();
+        if !names.is_empty() {
+            notes.push(format!(
+                "the camera of '{}' is inside of {}, or nearer than the model's near plane, so its image shows what is \
+                 behind",
+                image.modality,
+                listed(&names)
+            ));
+        }
+    }
+    notes
+}
+
+fn slow_rendering(time: &SampleTime) -> Option<String> {
+    let plain = time.plain_s?;
+    let note = format!(
+        "rendering a sample takes {:.1} ms, and {:.1} ms without shadows and smooth edges; to collect faster, write \
+         `<visual><quality shadowsize=\"0\" offsamples=\"0\"/></visual>` into the MJCF",
+        1e3 * time.own_s,
+        1e3 * plain
+    );
+    (time.own_s > SLOW * plain).then_some(note)
+}
+
+fn listed(names: &[String]) -> String {
+    let more = names.len().saturating_sub(NAMES_SHOWN);
+    let shown = names[..names.len() - more].join(", ");
+    if more == 0 { shown } else { format!("{shown} and {more} more") }
+}
