@@ -297,6 +297,12 @@ fn what_would_be_recorded_under_a_wrong_name_is_refused() {
         ),
         ("a: {normal_force: [bare]}", m, "", "body 'bare' has no geom, so nothing can touch it"),
         (
+            "a: {joint_positions: [x0]}",
+            m,
+            "",
+            "joint 'x0' is a ball joint; only hinges and slides have one position; body_orientations records its body 'thumb'",
+        ),
+        (
             "a: {sensor: [u]}",
             "m: {range: [-0.1, 0.1]}, n: {actuator: m, range: [0, 0.1]}",
             "",
@@ -333,6 +339,62 @@ fn two_modalities_cannot_have_the_same_column() {
         error.contains("'a_u' and 'a' would both have the column 'a_u_0'; rename one of them"),
         "{error}"
     );
+}
+
+#[test]
+fn a_flex_is_felt_by_the_geoms_that_touch_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = r#"<mujoco><worldbody><geom name="ground" type="plane" size="1 1 .1"/>
+      <body name="hand" pos="0 0 1"><joint name="x" type="slide" axis="1 0 0"/><geom size=".05"/></body>
+      <flexcomp name="jelly" type="grid" count="3 3 3" spacing=".1 .1 .1" dim="3" radius=".01" mass="1" pos="0 0 .2">
+        <contact selfcollide="none"/></flexcomp>
+      </worldbody><actuator><motor name="m" joint="x" ctrlrange="-1 1"/></actuator></mujoco>"#;
+    fs::write(folder.path().join("own.xml"), model).unwrap();
+    let path = folder.path().join("own.yaml");
+    let scene = |name: &str| {
+        let text = format!(
+            "model: own.xml\nstep_rate_hz: 500\nmodalities: {{a: {{normal_force: [{name}]}}}}\n\
+             action: {{actuators: {{m: {{range: [-1, 1]}}}}}}\n"
+        );
+        fs::write(&path, text).unwrap();
+        Scene::new(World::load(&path).unwrap())
+    };
+    let said = scene("jelly_0").unwrap_err().to_string();
+    let expected = "body 'jelly_0' is a part of a flex, and the forces on a flex can't be sensed; list the geoms that touch it";
+    assert!(said.ends_with(expected), "{said}");
+    let ground = scene("ground").unwrap();
+    let spec = spec::Simulation { actuations_per_episode: 1, ..ground.world().simulation() };
+    let mut simulator = harness::simulation::Simulator::new(&ground, &spec).unwrap();
+    let episode = simulator.run(0, &mut || std::ops::ControlFlow::Continue(())).unwrap();
+    assert!(episode.vector(Modality::new("a").unwrap()).iter().any(|force| *force > 1.0));
+}
+
+#[test]
+fn the_values_of_a_sensor_are_named_after_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = r#"<mujoco><worldbody><body name="a"><joint name="x"/><geom size="0.1"/><site name="s"/></body></worldbody>
+        <actuator><motor name="m" joint="x"/></actuator>
+        <sensor><accelerometer name="acc" site="s"/><gyro name="imu_gyro" site="s"/><touch name="imu_touch" site="s"/>
+        <touch name="acc_0" site="s"/></sensor></mujoco>"#;
+    fs::write(folder.path().join("own.xml"), model).unwrap();
+    let path = folder.path().join("own.yaml");
+    for (sensors, expected) in [
+        ("acc", &["acc_0", "acc_1", "acc_2"][..]),
+        ("'[a]cc'", &["acc_0", "acc_1", "acc_2"]),
+        ("'imu_*'", &["gyro_0", "gyro_1", "gyro_2", "touch"]),
+        // The touch sensor has the name of the accelerometer's first value.
+        ("[acc, acc_0]", &["0", "1", "2", "3"]),
+    ] {
+        let text = format!(
+            "model: own.xml\nstep_rate_hz: 500\nmodalities: {{com: {{sensor: {sensors}}}}}\n\
+             action: {{actuators: {{m: {{range: [-1, 1]}}}}}}\n"
+        );
+        fs::write(&path, text).unwrap();
+        let scene = Scene::new(World::load(&path).unwrap()).unwrap();
+        let elements = scene.layout()[Modality::new("com").unwrap()].elements().iter();
+        let names: Vec<&str> = elements.map(|element| element.name.as_str()).collect();
+        assert_eq!(names, expected, "{sensors}");
+    }
 }
 
 #[test]
@@ -381,6 +443,77 @@ fn a_first_world_file_can_be_used_for_any_model() {
     }
     succeed(folder.path(), &["world", "new", &path("Hand-2.xml"), "--output", &path("second.yaml")]);
     succeed(folder.path(), &["world", "check", &path("second.yaml")]);
+}
+
+#[test]
+fn a_first_world_file_says_what_it_leaves_out_and_guesses() {
+    let folder = tempfile::tempdir().unwrap();
+    let sensors = "<sensor><force name=\"u\" site=\"s\"/><touch name=\"u_0\" site=\"s\"/></sensor>";
+    fs::write(folder.path().join("hand.xml"), HAND.replace(sensors, "")).unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    succeed(folder.path(), &["world", "new", &path("hand.xml")]);
+    let text = fs::read_to_string(folder.path().join("hand.yaml")).unwrap();
+    for expected in [
+        "several numbers: the ball joint of body 'thumb', the free joint of body 'b1', the free joint of body 'b2'.\n",
+        "\n  #body_positions: {body_positions: [\"b1\", \"b2\"]}\n",
+        "\n  #body_orientations: {body_orientations: [\"thumb\", \"b1\", \"b2\"]}\n",
+        "\n  #other_contact_force: {normal_force: [\"g3\", \"b1\", \"b2\"]}\n",
+        "{actuator: \"m\", range: [-0.3, 0.3]}\n",
+        "{actuator: \"M\", range: [-1.0, 1.0]}   # a guess: the model sets no ctrlrange for this actuator\n",
+    ] {
+        assert!(text.contains(expected), "{expected}{text}");
+    }
+    let check = || succeed(folder.path(), &["world", "check", &path("hand.yaml")]);
+    let unrecorded = [
+        "note: no modality of poses records the ball joint of body 'thumb', the free joint of body 'b1', the free joint \
+         of body 'b2'; body_positions and body_orientations can",
+        "note: no modality records the forces on the geoms 'g3', 'b1', 'b2'",
+    ];
+    let said = check();
+    assert!(unrecorded.iter().all(|note| said.contains(note)), "{said}");
+    let guess = "note: the model sets no ctrlrange for the actuator of 'actuator_2', so only the world file limits it: [-1, 1]";
+    assert!(said.contains(guess) && !said.contains("the actuator of 'm'"), "{said}");
+    let used = |line: &str| match line.strip_prefix("  #") {
+        Some(entry) if !entry.starts_with(' ') => format!("  {entry}\n"),
+        _ => format!("{line}\n"),
+    };
+    fs::write(folder.path().join("hand.yaml"), text.lines().map(used).collect::<String>()).unwrap();
+    let said = check();
+    assert!(
+        said.contains("12 values: thumb_w") && said.contains("3 values: g3 (N), b1 (N), b2 (N)"),
+        "{said}"
+    );
+    assert!(!unrecorded.iter().any(|note| said.contains(note)), "{said}");
+}
+
+#[test]
+fn a_check_notes_hidden_geoms_slow_rendering_and_rk4() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = r#"<mujoco><option integrator="RK4"/><visual></visual><worldbody><light pos="0 0 3"/>
+      <geom name="floor" type="plane" size="2 2 .1"/>
+      <body name="head" pos="0 0 .5"><joint name="neck" axis="0 0 1"/><geom name="skull" size=".1"/>
+        <camera name="eye" xyaxes="0 -1 0 0 0 1"/></body>
+      </worldbody><actuator><position name="neck" joint="neck" ctrlrange="-1 1"/></actuator></mujoco>"#;
+    let (file, path) =
+        (folder.path().join("head.xml"), folder.path().join("head.yaml").display().to_string());
+    fs::write(&file, model).unwrap();
+    succeed(folder.path(), &["world", "new", file.to_str().unwrap()]);
+    let said = succeed(folder.path(), &["world", "check", &path]);
+    let quality = "<visual><quality shadowsize=\"0\" offsamples=\"0\"/></visual>";
+    for expected in [
+        "note: the model's integrator is RK4",
+        "note: the camera of 'camera_0' is inside of 'skull', or nearer than the model's near plane",
+        "note: rendering a sample takes ",
+        quality,
+        " ms for the images of a sample",
+    ] {
+        assert!(said.contains(expected), "{expected}: {said}");
+    }
+    // The advice of the note, and a camera in front of the head.
+    let tuned = model.replace("<visual></visual>", quality).replace(" integrator=\"RK4\"", "");
+    fs::write(&file, tuned.replace("name=\"eye\"", "name=\"eye\" pos=\"0.2 0 0\"")).unwrap();
+    let said = succeed(folder.path(), &["world", "check", &path]);
+    assert!(said.contains(" ms for the images of a sample") && !said.contains("note: "), "{said}");
 }
 
 #[test]

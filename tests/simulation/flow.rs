@@ -260,7 +260,7 @@ fn the_flow_looks_through_what_rendering_looks_through() {
 
 /// The box moves with the plate, so that the camera is inside it and outside of it in turn.
 #[test]
-fn a_camera_that_geoms_enclose_now_and_then_has_the_flow_of_its_images() {
+fn a_camera_that_enters_and_leaves_a_geom_has_its_flow() {
     let cover = "<geom type=\"box\" size=\"0.3 0.3 0.3\" pos=\"0 0 3\" rgba=\"0.9 0.9 0.2 1\" mass=\"0\"/>";
     let xml = STAGE.replace("<site name=\"corner\"", &format!("{cover}<site name=\"corner\""));
     let spec = Simulation { actuations_per_episode: 10, ..Simulation::default() };
