@@ -31,7 +31,7 @@ fn intervals_are_those_of_students_t() {
     // The sum of three times 0.1 is not 0.3 in floating point.
     let same = mean_interval(&[0.1; 3], 0.95).unwrap();
     assert_eq!(same, Interval { mean: 0.1, bounds: Some((0.1, 0.1)) });
-    assert_eq!((p_value(&[0.1; 3], 0.2), p_value(&[0.1; 3], 0.1)), (Some(0.0), Some(1.0)));
+    assert_eq!(p_value(&[0.1; 3], 0.2), None, "values that do not vary are not tested");
     assert_eq!(replicates([(0, 0.1), (0, 0.1), (0, 0.1), (1, 0.1), (1, 0.1)]), [0.1, 0.1]);
 }
 

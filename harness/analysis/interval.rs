@@ -86,13 +86,11 @@ pub fn replicates(values: impl IntoIterator<Item = (u64, f64)>) -> Vec<f64> {
 }
 
 /// The two-sided p-value of Student's t-test: the probability of a mean at least as far from `bound` as the mean of
-/// `values`, if the true mean were `bound`. `None` for fewer than two values.
+/// `values`, if the true mean were `bound`. `None` for fewer than two values, and for equal values, such as numbers of
+/// parameters: they are not a sample, so nothing is tested.
 pub fn p_value(values: &[f64], bound: f64) -> Option<f64> {
     let (mean, error) = mean_and_error(values)?;
-    let (error, distance) = (error?, (mean - bound).abs());
-    if error == 0.0 {
-        return Some(if distance > 0.0 { 0.0 } else { 1.0 });
-    }
+    let (error, distance) = (error.filter(|error| *error > 0.0)?, (mean - bound).abs());
     let student = StudentsT::new(0.0, 1.0, values.len() as f64 - 1.0).ok()?;
     Some(2.0 * student.cdf(-distance / error))
 }

@@ -222,17 +222,15 @@ pub struct Measured {
 }
 
 impl Measured {
-    /// The mean over datasets and seeds, or over episodes, with its confidence interval. `None` without values.
+    /// The mean over datasets, and over the seeds or episodes of each, with its confidence interval. `None` without
+    /// values.
     pub fn interval(&self) -> Option<Interval> {
         mean_interval(&self.replicates(), LEVEL)
     }
 
-    /// The values that the interval is computed from. Episodes are independent of each other, even within a dataset.
+    /// The values that the interval is computed from: the means of the datasets or, with one dataset, its values.
     pub fn replicates(&self) -> Vec<f64> {
-        match self.each {
-            Each::Seed => replicates(self.values.iter().map(|((dataset, _), value)| (*dataset, *value))),
-            Each::Episode | Each::Dataset => self.values.values().copied().collect(),
-        }
+        replicates(self.values.iter().map(|((dataset, _), value)| (*dataset, *value)))
     }
 
     /// The seeds of the datasets that have values.
@@ -320,7 +318,8 @@ pub struct Judgment<'a> {
 }
 
 impl Judgment<'_> {
-    /// The mean over datasets and seeds, or over episodes, with its confidence interval. `None` without values.
+    /// The mean over datasets, and over the seeds or episodes of each, with its confidence interval. `None` without
+    /// values.
     pub fn interval(&self) -> Option<Interval> {
         self.measured.interval()
     }
@@ -336,7 +335,7 @@ impl Judgment<'_> {
     }
 
     /// The two-sided p-value of a t-test against the condition's bound. `None` unless the claim holds, does not hold,
-    /// or is undecided.
+    /// or is undecided, and if all values are equal.
     pub fn p_value(&self) -> Option<f64> {
         let is_tested = matches!(self.verdict(), Verdict::Holds | Verdict::DoesNotHold | Verdict::Undecided);
         p_value(&self.measured.replicates(), self.claim.condition.bound()).filter(|_| is_tested)
@@ -360,7 +359,7 @@ impl Judgment<'_> {
     /// Whether the verdict is not one that the correction of p-values for their number ([`corrected`]) makes undecided.
     pub fn stands(&self, corrected: Option<f64>) -> bool {
         let is_decided = matches!(self.verdict(), Verdict::Holds | Verdict::DoesNotHold);
-        !is_decided || corrected.is_some_and(|p| p < 1.0 - LEVEL)
+        !is_decided || corrected.is_none_or(|p| p < 1.0 - LEVEL)
     }
 }
 

@@ -60,7 +60,7 @@ pub struct Plan<'a> {
     pub steps: Vec<Step<'a>>,
     /// Claims that would stay undecided with [`Plan::MOST`] datasets or seeds.
     pub out_of_reach: Vec<(&'a Claim, Option<Scenario>)>,
-    /// Claims with a value for each episode. A dataset of more or longer episodes may decide them.
+    /// Claims with a value for each episode of one dataset. A dataset of more or longer episodes may decide them.
     pub by_episode: Vec<(&'a Claim, Option<Scenario>)>,
 }
 
@@ -78,7 +78,7 @@ pub fn plan<'a>(analysis: &Analysis, judgments: &[Judgment<'a>], quick: bool) ->
         if !matches!(judgment.verdict(), Verdict::Undecided | Verdict::OneValue { .. }) {
             continue;
         }
-        if judgment.measured.each == Each::Episode {
+        if judgment.measured.each == Each::Episode && judgment.measured.datasets().len() == 1 {
             plan.by_episode.push(of);
             continue;
         }
