@@ -127,8 +127,8 @@ fn image_errors(place: Place) -> [(Metric, [f64; 2]); 3] {
     let finger = [[0.85, 0.75], [0.9, 0.7], [0.9, 0.7]][place.size];
     [
         (Metric::RelativeError, [0.5, 0.5]),
-        (Metric::of_region("arm"), [0.2, 0.8]),
-        (Metric::of_region("finger"), finger),
+        (Metric::RelativeError.in_region("arm"), [0.2, 0.8]),
+        (Metric::RelativeError.in_region("finger"), finger),
     ]
 }
 
@@ -688,8 +688,10 @@ fn a_correction_for_the_number_of_claims_stands_beside_the_verdicts() {
     let least = |of: fn(&(f64, f64)) -> f64| both.iter().map(of).fold(1.0, f64::min);
     assert_eq!(least(|both| both.1), (least(|both| both.0) * both.len() as f64).min(1.0));
     let is_decided = |one: &Judgment| matches!(one.verdict(), Verdict::Holds | Verdict::DoesNotHold);
-    let unsure =
-        judged.iter().zip(corrected(&judged)).filter(|(one, p)| is_decided(one) && p.unwrap() >= 0.05);
+    let unsure = judged
+        .iter()
+        .zip(corrected(&judged))
+        .filter(|(one, p)| is_decided(one) && p.is_some_and(|p| p >= 0.05));
     let unsure = unsure.count();
     let printed = succeed(folder.path(), &["claims"]);
     assert_eq!(printed.matches("holds *").count() + printed.matches("hold *").count(), unsure, "{printed}");

@@ -2,7 +2,7 @@
 
 use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness_collection::{CollectionError, collect, dataset_of};
-use harness_dataset::{Dataset, DatasetError, FramePlace, Partition, Recording, Samples};
+use harness_dataset::{CompiledModel, Dataset, DatasetError, FramePlace, Partition, Recording, Samples};
 use harness_learning::Normalizers;
 use harness_shared::files::UNFINISHED;
 use harness_shared::progress::{Progress, Silent};
@@ -82,6 +82,37 @@ fn episodes_are_the_same_bytes_with_one_thread_and_with_two() {
             assert!(*bytes == two[name], "{scenario}: {name} differs");
         }
     }
+}
+
+#[test]
+fn episodes_that_lack_a_column_are_collected_again() {
+    let collected = Collected::new(Scenario::CLUTTERED, 2);
+    let lacking = |modality: &str| {
+        let mut layout = Layout::clone(collected.scene.layout());
+        layout.modalities.retain(|definition| definition.name.name() != modality);
+        Arc::new(layout)
+    };
+    let now = collected.dataset.read(1, true).unwrap();
+    // The dataset of an earlier version, which did not record the mean forces.
+    let layout = lacking("contact_force_mean");
+    let model = CompiledModel {
+        layout: &layout,
+        sha256: collected.scene.model_sha256(),
+        mujoco_version: harness_simulation::mujoco_version(),
+    };
+    let earlier = Dataset::new(collected.root.path(), collected.scene.world(), model, &short());
+    assert_eq!(earlier.name(), collected.dataset.name());
+    earlier.describe().unwrap();
+    let mut episode = Episode::new(layout.clone(), 1, now.samples);
+    for definition in &layout.modalities {
+        let place = layout.position(definition.name).unwrap();
+        episode.vectors[place] = now.vector(definition.name).to_vec();
+        episode.images[place] = now.image(definition.name).to_vec();
+    }
+    earlier.save(&episode).unwrap();
+    assert_eq!(collected.dataset.missing(), [1]);
+    assert_eq!(collected.collect_again(), 1);
+    assert!(collected.dataset.read(1, true).unwrap() == now);
 }
 
 #[test]

@@ -280,15 +280,53 @@ fn the_arms_and_the_fingers_pixels_have_errors_of_their_own() {
     let mut evaluation = Evaluation::new(&of_finger(Modality::FRAME_DIFFERENCE), &Layout::finger().regions);
     evaluation.add_with_regions(&reference, &predicted, &parts).unwrap();
     let value = |metric| find(&evaluation.rows(), metric, None, None).value;
-    assert_close(value(Metric::of_region("arm")), 0.25);
-    assert!((value(Metric::of_region("finger")).unwrap() - 0.04).abs() < 1e-6, "f32 rounds 0.4");
+    assert_close(value(Metric::RelativeError.in_region("arm")), 0.25);
+    assert!(
+        (value(Metric::RelativeError.in_region("finger")).unwrap() - 0.04).abs() < 1e-6,
+        "f32 rounds 0.4"
+    );
     assert!(value(Metric::RelativeError).unwrap() > 90.0, "all pixels count there");
 
     let mut unseen = Evaluation::new(&of_finger(Modality::FRAME_DIFFERENCE), &Layout::finger().regions);
     unseen.add_with_regions(&reference, &predicted, &[None; PLANE]).unwrap();
-    assert_eq!(find(&unseen.rows(), Metric::of_region("finger"), None, None).value, None);
+    assert_eq!(find(&unseen.rows(), Metric::RelativeError.in_region("finger"), None, None).value, None);
     assert!(unseen.add_with_regions(&reference, &predicted, &parts[1..]).is_err());
     assert!(unseen.add_with_regions(&reference, &predicted, &[None; 2 * PLANE]).is_err());
+}
+
+#[test]
+fn contacts_of_each_kind_have_metrics_of_their_own() {
+    let kinds = ["ground", "box"].map(String::from).to_vec();
+    let force = Definition { contact_kinds: kinds, ..of_finger(Modality::CONTACT_FORCE) };
+    assert_eq!(force.contact_kind().unwrap().name(), "contact_force_kind");
+    // Two samples of 20 links. Link 19 touches the ground with 2 N and then with 4 N, and link 18 a box with 1 N and
+    // then with 3 N. The last contact of link 17 is of another kind. All else is untouched, with a prediction of 0.5 N.
+    let (mut reference, mut predicted) = (vec![0.0; 40], vec![0.5; 40]);
+    let mut kind = vec![Some(0); 40];
+    let contacts =
+        [(19, 2.0, 2.5, Some(1)), (39, 4.0, 3.5, Some(1)), (18, 1.0, 0.0, Some(2)), (38, 3.0, 4.0, Some(2))];
+    for (place, r, p, of) in contacts.into_iter().chain([(37, 9.0, 0.0, None)]) {
+        (reference[place], predicted[place], kind[place]) = (r, p, of);
+    }
+    let mut evaluation = Evaluation::new(&force, &[]);
+    evaluation.add_with_regions(&reference, &predicted, &kind).unwrap();
+    let rows = evaluation.rows();
+    let value = |metric: Metric, region: &str| find(&rows, metric.in_region(region), None, None).value;
+    // Squared errors of 0.25 and 0.25 around the mean of 3 N, and of 1 and 1 around the mean of 2 N.
+    assert_close(value(Metric::R2, "ground"), 1.0 - 0.5 / 2.0);
+    assert_close(value(Metric::R2, "box"), 1.0 - 2.0 / 2.0);
+    assert_close(value(Metric::Wmape, "ground"), 100.0 * 1.0 / 6.0);
+    assert_close(value(Metric::Mae, "box"), 1.0);
+    assert_close(value(Metric::Rmse, "none"), 0.5);
+    assert_eq!(value(Metric::R2, "none"), None, "the force without contact is constant");
+    assert_eq!(Metric::named("r2_ground"), Some(Metric::R2.in_region("ground")));
+    let total = evaluate(&of_finger(Modality::CONTACT_FORCE), &reference, &predicted).unwrap();
+    assert_eq!(
+        find(&rows, Metric::R2, None, None),
+        find(&total, Metric::R2, None, None),
+        "kinds change no other row"
+    );
+    assert!(rows.iter().all(|row| row.index.is_none() || !matches!(row.metric, Metric::Regional(..))));
 }
 
 #[test]

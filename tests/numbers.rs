@@ -189,7 +189,9 @@ fn metrics(task: Task, modality: Modality, model: &'static str, random: &mut Cha
     let places: Vec<_> = [(None, None)].into_iter().chain(parts).collect();
     let mut rows = Vec::new();
     for (direction, index) in places {
-        for metric in Metric::of(&layout[modality], &layout.regions) {
+        let regions = layout.regions.iter().filter(|_| layout[modality].difference_of.is_some());
+        let regional = regions.map(|region| Metric::RelativeError.in_region(&region.name));
+        for metric in Metric::of(&layout[modality]).into_iter().chain(regional) {
             let value = match metric {
                 Metric::R2 => 1.0 - 1.5 * random.random::<f64>(),
                 Metric::Smape | Metric::Wmape => 100.0 * random.random::<f64>(),

@@ -326,6 +326,58 @@ fn contact_forces_are_those_of_mujocos_touch_sensors() {
     }
 }
 
+/// Expected values come from `mj_contactForce` and the names of the geoms that touch.
+#[test]
+fn the_kind_of_a_contact_is_that_of_the_largest_force() {
+    let force = "    normal_force: finger_link_*\n";
+    let kinds = format!("{force}    contact_kinds: {{ground: ground, box: box_*}}\n");
+    let world = include_str!("../models/cluttered.yaml").replacen(force, &kinds, 1);
+    let world = World::parse("kinds.yaml", None, "cluttered", &world).unwrap();
+    let scene =
+        Scene::from_xml(world.into(), scene(Scenario::CLUTTERED).xml(), "cluttered.xml".into()).unwrap();
+    let spec = Simulation { actuations_per_episode: 10, ..Default::default() }
+        .with("lift_range_m", Setting::Range([-1.0, -0.8]));
+    let recorded = Modality::new("contact_force_kind").unwrap();
+    let mut seen = [0; 4];
+    for index in 0..3 {
+        let plan = EpisodePlan::draw(&scene, &spec, index).unwrap();
+        let episode = simulate(&scene, &spec, index);
+        let mut data = MjData::new(scene.model());
+        data.qpos_mut().copy_from_slice(&replay(&scene, &spec, index).unwrap()[0]);
+        for step in 0..=(episode.samples - 1) * STEPS_PER_SAMPLE {
+            data.ctrl_mut().copy_from_slice(&setpoint(&plan, step));
+            data.step();
+            if step % STEPS_PER_SAMPLE != 0 {
+                continue;
+            }
+            let name =
+                |geom: i32| scene.model().id_to_name(MjtObjBase::mjOBJ_GEOM, geom as usize).unwrap_or("");
+            // For each link the sum of the forces by kind: ground, box, other.
+            let mut sums = [[0.0; 3]; JOINTS];
+            for (contact, touch) in data.contact().iter().enumerate() {
+                for (one, other) in [(0, 1), (1, 0)] {
+                    let Some(link) = name(touch.geom[one]).strip_prefix("finger_link_") else { continue };
+                    let kind = match name(touch.geom[other]) {
+                        "ground" => 0,
+                        other if other.starts_with("box_") => 1,
+                        _ => 2,
+                    };
+                    sums[link.parse::<usize>().unwrap()][kind] += data.contact_force(contact)[0];
+                }
+            }
+            let first = step / STEPS_PER_SAMPLE * JOINTS;
+            for (link, sums) in sums.iter().enumerate() {
+                let largest =
+                    (0..3).filter(|kind| sums[*kind] > 0.0).max_by(|a, b| sums[*a].total_cmp(&sums[*b]));
+                let expected = largest.map_or(0, |kind| kind + 1);
+                assert_eq!(episode.vector(recorded)[first + link], expected as f32, "link {link}: {sums:?}");
+                seen[expected] += 1;
+            }
+        }
+    }
+    assert!(seen[..3].iter().all(|count| *count > 10), "{seen:?}");
+}
+
 /// Checks that values are equal up to the rounding of a 32-bit float.
 fn assert_close(recorded: &[f32], expected: &[f64]) {
     assert_eq!(recorded.len(), expected.len());

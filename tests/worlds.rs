@@ -107,6 +107,24 @@ fn every_mistake_of_a_world_file_is_one_line_with_its_place_and_what_exists() {
         ),
         ("average_over: sample", "average_over: minute", place("sample\n"), "unknown interval 'minute'"),
         (
+            "average_over: sample\n",
+            "average_over: sample\n    contact_kinds: {ground: ground}\n",
+            "own.yaml:19:20".into(),
+            "only a normal_force at the instant has 'contact_kinds'",
+        ),
+        (
+            "    normal_force: finger_link_*\n",
+            "    normal_force: finger_link_*\n    contact_kinds: {none: ground}\n",
+            "own.yaml:15:20".into(),
+            "'none' means no contact; give this kind another name",
+        ),
+        (
+            "    normal_force: finger_link_*\n",
+            "    normal_force: finger_link_*\n    contact_kinds: {ground: ground, floor: ground}\n",
+            "own.yaml:15:44".into(),
+            "'ground' belongs to the kind 'ground' as well",
+        ),
+        (
             "step_rate_hz: 1000",
             "step_rate_hz: 500",
             place("1000"),

@@ -5,9 +5,9 @@ use super::episode_file::{episode_file, open_episode, push_all, read_episode};
 use super::{DatasetError, FramePlace, Recording, Samples};
 use harness_shared::files::write_bytes;
 use harness_shared::progress::{Progress, Silent};
-use harness_spec::{Episode, Layout, Scenario, Simulation, World};
+use harness_spec::{Definition, Episode, Layout, Scenario, Simulation, World};
 use harness_tables::schema::{image_columns, sample_columns};
-use harness_tables::{Stamp, TableError, TableFile, write_table};
+use harness_tables::{Stamp, TableError, write_table};
 use polars::prelude::*;
 use rayon::prelude::*;
 use serde_json::json;
@@ -137,7 +137,7 @@ impl Dataset {
     /// Returns the indices of the episodes that are missing or damaged, and reports each damaged one.
     pub fn to_make(&self, progress: &dyn Progress) -> Vec<u32> {
         let faults = (0..self.spec.episodes).into_par_iter().filter_map(|index| {
-            let fault = self.open(index).err()?;
+            let fault = self.check(index).err()?;
             Some((index, self.episode_path(index).exists().then_some(fault)))
         });
         let faults: Vec<(u32, Option<DatasetError>)> = faults.collect();
@@ -147,9 +147,20 @@ impl Dataset {
         faults.into_iter().map(|(index, _)| index).collect()
     }
 
-    /// Opens the file of an episode. Fails if it is damaged, or is not this episode of this dataset.
-    fn open(&self, index: u32) -> Result<TableFile, DatasetError> {
-        open_episode(&self.episode_path(index), &self.name, index, self.spec.samples_per_episode())
+    /// Checks the file of an episode. Fails if it is damaged, is not this episode of this dataset, or lacks a column,
+    /// because an earlier version of the program recorded less.
+    fn check(&self, index: u32) -> Result<(), DatasetError> {
+        let path = self.episode_path(index);
+        let file = open_episode(&path, &self.name, index, self.spec.samples_per_episode())?;
+        let found = file.footer()?.columns;
+        let wanted = self.layout.stored_vectors().flat_map(Definition::columns);
+        match wanted.into_iter().find(|column| !found.contains(column)) {
+            Some(column) => {
+                let problem = format!("an earlier version did not record the column {column}");
+                Err(DatasetError::Damaged { path, problem })
+            }
+            None => Ok(()),
+        }
     }
 
     /// Writes the dataset's description to its folder.

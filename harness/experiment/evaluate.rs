@@ -89,11 +89,22 @@ fn add(
     if !evaluation.has_regions() {
         return evaluation.add(reference, predicted);
     }
-    let regions = |sample: &usize| {
-        let before = samples.previous_frame_bytes(modality, *sample);
-        parts::in_either(&samples.layout().regions, before, samples.frame_bytes(modality, *sample))
+    let layout = samples.layout();
+    let regions: Vec<Option<u8>> = match layout[modality].contact_kind() {
+        Some(kinds) => {
+            let last = layout[modality].contact_kinds.len() as u8;
+            // A contact of no kind, which has the value after the last kind, belongs to no region.
+            let region = |kind: &f32| Some(*kind as u8).filter(|kind| *kind <= last);
+            at.iter().flat_map(|sample| samples.vector(kinds, *sample).iter().map(region)).collect()
+        }
+        None => {
+            let regions = |sample: &usize| {
+                let before = samples.previous_frame_bytes(modality, *sample);
+                parts::in_either(&layout.regions, before, samples.frame_bytes(modality, *sample))
+            };
+            at.par_iter().flat_map_iter(regions).collect()
+        }
     };
-    let regions: Vec<Option<u8>> = at.par_iter().flat_map_iter(regions).collect();
     evaluation.add_with_regions(reference, predicted, &regions)
 }
 

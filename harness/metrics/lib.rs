@@ -19,7 +19,6 @@ pub use series::Series;
 
 use harness_spec::{Definition, IMAGE_CHANNELS, Modality, Percentage, Region, intern};
 use rayon::prelude::*;
-use std::slice::from_ref;
 use std::str::FromStr;
 
 const RELATIVE_ERROR: &str = "relative_error";
@@ -72,8 +71,9 @@ pub enum Metric {
     /// prediction. An image difference is compared with no change. Other images are compared with the mean of each
     /// pixel over the test samples, which is the best constant image.
     RelativeError,
-    /// The same over the pixels that show a region before or after the change. It holds the whole name of the metric.
-    RelativeErrorOf(&'static str),
+    /// Another metric over a region: over the pixels that show the region before or after the change, or over the
+    /// contacts of one kind. It holds the other metric and the whole name, such as `r2_ground`.
+    Regional(&'static Metric, &'static str),
 }
 
 impl Metric {
@@ -83,35 +83,37 @@ impl Metric {
         [Smape, Wmape, R2, Rmse, Mae, RelativeError]
     };
 
-    /// Returns the relative error of the region with this name.
-    pub fn of_region(region: &str) -> Self {
-        Self::RelativeErrorOf(intern(&format!("{RELATIVE_ERROR}_{region}")))
+    /// Returns this metric over the region with this name. A metric of a region has no regions itself.
+    pub fn in_region(self, region: &str) -> Self {
+        match Self::GENERAL.iter().find(|general| **general == self) {
+            Some(general) => Self::Regional(general, intern(&format!("{}_{region}", self.name()))),
+            None => self,
+        }
     }
 
     /// Returns the metric with this name, if there is one.
     pub fn named(name: &str) -> Option<Self> {
-        let general = Self::GENERAL.into_iter().find(|metric| metric.name() == name);
-        general.or_else(|| {
-            let region = name.strip_prefix(RELATIVE_ERROR)?.strip_prefix('_')?;
-            Modality::new(region).map(|_| Self::of_region(region))
+        let general = || Self::GENERAL.into_iter();
+        general().find(|metric| metric.name() == name).or_else(|| {
+            let regional = |metric: Self| {
+                let region = name.strip_prefix(metric.name())?.strip_prefix('_')?;
+                Modality::new(region).map(|_| metric.in_region(region))
+            };
+            general().find_map(regional)
         })
     }
 
-    /// Returns the metrics of a modality, if images have these regions.
-    pub fn of(definition: &Definition, regions: &[Region]) -> Vec<Metric> {
+    /// Returns the metrics of a modality over all its values.
+    pub fn of(definition: &Definition) -> Vec<Metric> {
         use Metric::*;
-        if !definition.is_image() {
-            let percentage = definition.percentage.map(|percentage| match percentage {
-                Percentage::Smape => Smape,
-                Percentage::Wmape => Wmape,
-            });
-            return percentage.into_iter().chain([R2, Rmse, Mae]).collect();
+        if definition.is_image() {
+            return vec![RelativeError, Rmse, Mae];
         }
-        // Regions are only defined for changes of a camera's image.
-        let has_regions = definition.difference_of.is_some() && !definition.optical_flow;
-        let regions = if has_regions { regions } else { &[] };
-        let of_regions = regions.iter().map(|region| Self::of_region(&region.name));
-        [RelativeError].into_iter().chain(of_regions).chain([Rmse, Mae]).collect()
+        let percentage = definition.percentage.map(|percentage| match percentage {
+            Percentage::Smape => Smape,
+            Percentage::Wmape => Wmape,
+        });
+        percentage.into_iter().chain([R2, Rmse, Mae]).collect()
     }
 
     /// Whether higher values are better. All other metrics are errors.
@@ -128,7 +130,7 @@ impl Metric {
             Metric::Rmse => "rmse",
             Metric::Mae => "mae",
             Metric::RelativeError => RELATIVE_ERROR,
-            Metric::RelativeErrorOf(name) => name,
+            Metric::Regional(_, name) => name,
         }
     }
 }
@@ -139,7 +141,10 @@ impl FromStr for Metric {
     fn from_str(name: &str) -> Result<Self, String> {
         let names = Self::GENERAL.map(Self::name).join(", ");
         Self::named(name).ok_or_else(|| {
-            format!("the metrics are {names}, and relative_error_REGION of a world's regions, as relative_error_finger")
+            format!(
+                "the metrics are {names}, relative_error_REGION of a world's regions, as relative_error_finger, and \
+                 METRIC_KIND of its kinds of contact, as r2_ground"
+            )
         })
     }
 }
@@ -173,29 +178,48 @@ pub struct Row {
 /// Compares predictions of one modality with the reference, batch by batch.
 ///
 /// Values are in physical units: rad, m, N. Images are intensities in [0, 1], and their differences are in [-1, 1].
+///
+/// A region is a part of the values that has metrics of its own: the pixels that show a region of a camera's image, or
+/// the contacts of one kind, among which `none` is the absence of a contact.
 #[derive(Debug, Clone)]
 pub struct Evaluation {
     definition: Definition,
-    metrics: Vec<Metric>,
     columns: Vec<Series>,
-    /// Sums over the pixels that show each region.
-    regions: Vec<Series>,
+    regions: Vec<RegionSums>,
+}
+
+/// Sums over the values in a region.
+#[derive(Debug, Clone)]
+struct RegionSums {
+    name: String,
+    /// One series for each element of a vector, or one for all values of an image.
+    series: Vec<Series>,
 }
 
 impl Evaluation {
-    /// Returns whether the modality's metrics need the region of each pixel.
-    pub fn has_regions(&self) -> bool {
-        self.metrics.iter().any(|metric| matches!(metric, Metric::RelativeErrorOf(_)))
-    }
-
     /// Creates an evaluation of a modality. `regions` are the regions of its images.
     pub fn new(definition: &Definition, regions: &[Region]) -> Self {
+        // Regions of images are only defined for changes of a camera's image.
+        let is_change = definition.difference_of.is_some() && !definition.optical_flow;
+        let of_image =
+            regions.iter().filter(|_| definition.is_image() && is_change).map(|region| &region.name);
+        let width = if definition.is_image() { 1 } else { definition.width() };
+        let region =
+            |name: &String| RegionSums { name: name.clone(), series: vec![Series::default(); width] };
         Self {
             definition: definition.clone(),
-            metrics: Metric::of(definition, regions),
             columns: vec![Series::default(); definition.width()],
-            regions: vec![Series::default(); regions.len()],
+            regions: of_image
+                .cloned()
+                .chain(definition.contact_regions())
+                .map(|name| region(&name))
+                .collect(),
         }
+    }
+
+    /// Returns whether the modality's metrics need the region of each pixel or contact.
+    pub fn has_regions(&self) -> bool {
+        !self.regions.is_empty()
     }
 
     /// Adds a batch. `reference` and `predicted` are row-major `[samples, width of the modality]`.
@@ -221,7 +245,8 @@ impl Evaluation {
         Ok(())
     }
 
-    /// Adds a batch of frames. `parts` has the index of the region that each pixel shows, `[samples, pixels]`.
+    /// Adds a batch with regions. `parts` has the index of the region of each element, or of each pixel of an image,
+    /// which all its channels share: `[samples, elements]` or `[samples, pixels]`.
     ///
     /// # Errors
     /// Those of [`Evaluation::add`], and when `parts` has another number of samples.
@@ -232,15 +257,18 @@ impl Evaluation {
         parts: &[Option<u8>],
     ) -> Result<(), MetricsError> {
         let width = self.columns.len();
-        let parts = rows("the mask of regions", parts, width / IMAGE_CHANNELS)?;
+        let (is_image, channels) =
+            (self.definition.is_image(), if self.definition.is_image() { IMAGE_CHANNELS } else { 1 });
+        let parts = rows("the mask of regions", parts, width / channels)?;
         check_samples(("the reference", reference.len() / width), ("the mask of regions", parts.len()))?;
         self.add(reference, predicted)?;
-        let frames = reference.chunks_exact(width).zip(predicted.chunks_exact(width));
-        for ((reference, predicted), parts) in frames.zip(parts) {
-            // All channels have the same pixels.
-            for ((&r, &p), part) in reference.iter().zip(predicted).zip(parts.iter().cycle()) {
+        let samples = reference.chunks_exact(width).zip(predicted.chunks_exact(width));
+        for ((reference, predicted), parts) in samples.zip(parts) {
+            let values = reference.iter().zip(predicted).zip(parts.iter().cycle());
+            for (element, ((&r, &p), part)) in values.enumerate() {
                 if let Some(region) = part {
-                    self.regions[usize::from(*region)].add(r, p);
+                    let series = &mut self.regions[usize::from(*region)].series;
+                    series[if is_image { 0 } else { element }].add(r, p);
                 }
             }
         }
@@ -249,27 +277,47 @@ impl Evaluation {
 
     /// Returns the metrics of all batches so far: of all elements first, then of each group, then of each element.
     ///
-    /// Elements of different units are not pooled. Images have only pooled values. A pooled value is computed from the
-    /// added sums of its series, see [`series`].
+    /// Elements of different units are not pooled. Images have only pooled values, and regions as well. A pooled value
+    /// is computed from the added sums of its series, see [`series`].
     pub fn rows(&self) -> Vec<Row> {
-        let groups = self.groups();
-        let rows = groups.iter().flat_map(|group| {
-            self.metrics.iter().map(|&metric| Row {
-                modality: self.definition.name,
-                direction: group.direction,
-                index: group.index,
-                metric,
-                value: self.value(metric, &group.series),
-                unit: self.unit(metric, group.index),
-            })
-        });
-        rows.collect()
+        let metrics = Metric::of(&self.definition);
+        let mut found = Vec::new();
+        for Group { direction, index, elements } in self.groups() {
+            let mut add = |metric: Metric, base: Metric, series: &[Series]| {
+                let (modality, value) = (self.definition.name, self.value(base, series));
+                found.push(Row { modality, direction, index, metric, value, unit: self.unit(base, index) });
+            };
+            let all: Vec<Series> = elements.iter().map(|element| self.columns[*element]).collect();
+            let regions: Vec<(&str, Vec<Series>)> = self
+                .regions
+                .iter()
+                .filter(|_| index.is_none())
+                .map(|region| (region.name.as_str(), self.pooled(region, &elements)))
+                .collect();
+            for metric in &metrics {
+                add(*metric, *metric, &all);
+                // Images have only the relative error of regions.
+                let has_regions = !self.definition.is_image() || *metric == Metric::RelativeError;
+                for (name, series) in regions.iter().filter(|_| has_regions) {
+                    add(metric.in_region(name), *metric, series);
+                }
+            }
+        }
+        found
     }
 
+    /// Returns the sums of a region over some elements.
+    fn pooled(&self, region: &RegionSums, elements: &[usize]) -> Vec<Series> {
+        match self.definition.is_image() {
+            true => region.series.clone(),
+            false => elements.iter().map(|element| region.series[*element]).collect(),
+        }
+    }
+
+    /// Returns the unit of a metric that does not belong to a region.
     fn unit(&self, metric: Metric, index: Option<u32>) -> String {
         match metric {
             Metric::Smape | Metric::Wmape => "%".into(),
-            Metric::R2 | Metric::RelativeError | Metric::RelativeErrorOf(_) => "1".into(),
             Metric::Rmse | Metric::Mae => {
                 let element = index.and_then(|index| self.definition.elements().get(index as usize));
                 element
@@ -278,6 +326,7 @@ impl Evaluation {
                     .unwrap_or_default()
                     .into()
             }
+            Metric::R2 | Metric::RelativeError | Metric::Regional(..) => "1".into(),
         }
     }
 
@@ -293,12 +342,7 @@ impl Evaluation {
                 series::error_relative_to_zero(series)
             }
             Metric::RelativeError => series::error_relative_to_mean(series),
-            Metric::RelativeErrorOf(_) => {
-                let of_regions =
-                    self.metrics.iter().filter(|other| matches!(other, Metric::RelativeErrorOf(_)));
-                let region = of_regions.zip(&self.regions).find(|(other, _)| **other == metric);
-                series::error_relative_to_zero(from_ref(region?.1))
-            }
+            Metric::Regional(metric, _) => self.value(*metric, series),
         }
     }
 
@@ -306,29 +350,29 @@ impl Evaluation {
         let definition = &self.definition;
         let mut groups = Vec::new();
         if definition.unit().is_some() {
-            groups.push(Group { direction: None, index: None, series: self.columns.clone() });
+            groups.push(Group { direction: None, index: None, elements: (0..definition.width()).collect() });
             groups.extend(definition.groups.iter().map(|group| Group {
                 direction: Some(Direction::new(&group.name)),
                 index: None,
-                series: group.elements.iter().map(|element| self.columns[*element]).collect(),
+                elements: group.elements.clone(),
             }));
         }
         if !definition.is_image() {
-            groups.extend(self.columns.iter().enumerate().map(|(index, &series)| Group {
-                direction: definition.group_of(index).map(|group| Direction::new(&group.name)),
-                index: Some(index as u32),
-                series: vec![series],
+            groups.extend((0..definition.width()).map(|element| Group {
+                direction: definition.group_of(element).map(|group| Direction::new(&group.name)),
+                index: Some(element as u32),
+                elements: vec![element],
             }));
         }
         groups
     }
 }
 
-/// Series whose metrics are computed together.
+/// Elements whose metrics are computed together.
 struct Group {
     direction: Option<Direction>,
     index: Option<u32>,
-    series: Vec<Series>,
+    elements: Vec<usize>,
 }
 
 /// Returns the metrics of one modality over samples in memory. [`Evaluation`] describes shapes, units and errors.

@@ -4,7 +4,7 @@ use super::SimulationError;
 use super::plan::EpisodePlan;
 use super::resolve::Reading;
 use super::scene::Scene;
-use super::sensors::{MeanForces, instability, sum_forces};
+use super::sensors::{MeanForces, instability, largest_kinds, sum_forces};
 use super::timing::Timing;
 use harness_spec::{Layout, Modality, Pose, Posed, Simulation};
 use mujoco_rs::prelude::*;
@@ -52,6 +52,8 @@ pub(super) struct Instant {
     pub forces: Vec<f64>,
     /// Averaged over the steps since the previous sample.
     pub mean_forces: Vec<f64>,
+    /// The kind of each force's contact, by each of the scene's divisions into kinds.
+    pub contact_kinds: Vec<Vec<usize>>,
     /// Values of all of the model's sensors.
     pub sensors: Vec<f64>,
 }
@@ -64,6 +66,7 @@ impl Instant {
             Reading::Pose(index, value) => self.poses[index][value],
             Reading::Force(index) => self.forces[index],
             Reading::MeanForce(index) => self.mean_forces[index],
+            Reading::ContactKind(division, index) => self.contact_kinds[division][index] as f64,
             Reading::Sensor(index) => self.sensors[index],
             Reading::Setpoint(index) => self.setpoint[index],
         };
@@ -127,6 +130,7 @@ impl<'s> Physics<'s> {
             poses: vec![Pose::default(); scene.posed.len()],
             forces: vec![0.0; scene.forces],
             mean_forces: vec![0.0; scene.forces],
+            contact_kinds: vec![vec![0; scene.forces]; scene.contact_kinds.len()],
             sensors: data.sensordata().to_vec(),
         };
         Ok(Self {
@@ -199,6 +203,9 @@ impl<'s> Physics<'s> {
                 self.instant.setpoint.copy_from_slice(&self.setpoint);
                 self.instant.forces.copy_from_slice(&self.forces);
                 self.mean.take(&mut self.instant.mean_forces);
+                for (kinds, found) in self.scene.contact_kinds.iter().zip(&mut self.instant.contact_kinds) {
+                    largest_kinds(self.scene, kinds, data, found);
+                }
                 self.instant.sensors.copy_from_slice(data.sensordata());
                 for (pose, (of, id)) in self.instant.poses.iter_mut().zip(&self.scene.posed) {
                     *pose = pose_of(data, *of, *id);

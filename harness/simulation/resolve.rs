@@ -7,6 +7,7 @@ use harness_spec::{
 };
 use mujoco_rs::prelude::*;
 use std::collections::BTreeSet;
+use std::ops::Range;
 
 /// A world file with its names resolved in the model. The fields are those of the scene.
 pub(super) struct Resolved {
@@ -18,6 +19,7 @@ pub(super) struct Resolved {
     pub actuators: Vec<Driven>,
     pub force_of_geom: Vec<Option<usize>>,
     pub forces: usize,
+    pub contact_kinds: Vec<ContactKinds>,
     pub placements: Vec<Placement>,
     pub factors: Vec<SceneFactor>,
     pub view: Option<usize>,
@@ -37,10 +39,21 @@ pub(super) enum Reading {
     Force(usize),
     /// The same, averaged since the sample before.
     MeanForce(usize),
+    /// The kind of the contact of one of the scene's forces, by one of the scene's divisions into kinds.
+    ContactKind(usize, usize),
     /// Index into `sensordata`.
     Sensor(usize),
     /// An element of what the actuators are commanded.
     Setpoint(usize),
+}
+
+/// A division of contacts into kinds by the geom on the other side of the contact.
+#[derive(Debug, Clone)]
+pub(super) struct ContactKinds {
+    /// The value of each geom's kind. Geoms of no kind have the last value.
+    pub of_geom: Vec<usize>,
+    /// The largest value. The value 0 means no contact.
+    pub last: usize,
 }
 
 /// A camera that is recorded.
@@ -237,6 +250,7 @@ pub(super) struct Resolver<'a> {
     model: &'a MjModel,
     force_of_geom: Vec<Option<usize>>,
     forces: usize,
+    contact_kinds: Vec<ContactKinds>,
     posed: Vec<(Posed, usize)>,
     tip: Option<Tip>,
 }
@@ -244,7 +258,8 @@ pub(super) struct Resolver<'a> {
 impl<'a> Resolver<'a> {
     pub fn new(world: &'a World, model: &'a MjModel) -> Self {
         let force_of_geom = vec![None; model.ngeom() as usize];
-        Self { world, model, force_of_geom, forces: 0, posed: Vec::new(), tip: None }
+        let contact_kinds = Vec::new();
+        Self { world, model, force_of_geom, forces: 0, contact_kinds, posed: Vec::new(), tip: None }
     }
 
     pub fn resolve(mut self) -> Result<Resolved, SimulationError> {
@@ -273,16 +288,19 @@ impl<'a> Resolver<'a> {
                 _ => {}
             }
             let sensed = self.modality(modality, sensing, &path, &modalities)?;
-            for (other, _) in &modalities {
-                if let Some(column) = shared_column(other, &sensed.0) {
-                    let message = format!(
-                        "'{modality}' and '{}' would both have the column '{column}'; rename one of them",
-                        other.name
-                    );
-                    return Err(self.fault(&format!("modalities.{modality}"), message));
+            let kinds = self.contact_kinds(sensing, &sensed)?;
+            for sensed in [Some(sensed), kinds].into_iter().flatten() {
+                for (other, _) in &modalities {
+                    if let Some(column) = shared_column(other, &sensed.0) {
+                        let message = format!(
+                            "'{}' and '{}' would both have the column '{column}'; rename one of them",
+                            sensed.0.name, other.name
+                        );
+                        return Err(self.fault(&format!("modalities.{modality}"), message));
+                    }
                 }
+                modalities.push(sensed);
             }
-            modalities.push(sensed);
         }
         let setpoint = self.setpoint();
         let is_sensed =
@@ -303,6 +321,7 @@ impl<'a> Resolver<'a> {
             actuators,
             force_of_geom: self.force_of_geom,
             forces: self.forces,
+            contact_kinds: self.contact_kinds,
             placements,
             factors,
             view,
@@ -435,6 +454,7 @@ impl<'a> Resolver<'a> {
             })?;
             definition.groups.push(Group { name: group.to_owned(), elements });
         }
+        definition.contact_kinds = sensing.contact_kinds.iter().map(|(kind, _)| kind.to_owned()).collect();
         if definition.percentage.is_none() {
             definition.percentage = match source {
                 Source::NormalForce { .. } => Some(Percentage::Wmape),
@@ -521,6 +541,69 @@ impl<'a> Resolver<'a> {
         Err(self.fault(path, format!("camera '{name}' {message}")))
     }
 
+    /// Returns the modality that tells the kind of each contact of a force, if the world file divides them into kinds.
+    fn contact_kinds(
+        &mut self,
+        sensing: &harness_spec::Sensing,
+        (force, readings): &(Definition, Vec<Reading>),
+    ) -> Result<Option<(Definition, Vec<Reading>)>, SimulationError> {
+        let Some(name) = force.contact_kind() else { return Ok(None) };
+        let last = force.contact_kinds.len() + 1;
+        let mut of_geom = vec![last; self.model.ngeom() as usize];
+        for (kind, (kind_name, patterns)) in (1..).zip(sensing.contact_kinds.iter()) {
+            let path = format!("modalities.{}.contact_kinds.{kind_name}", force.name);
+            for (touched, geoms) in self.touchable(patterns, &path)? {
+                for geom in geoms {
+                    if of_geom[geom] != last {
+                        let other = &force.contact_kinds[of_geom[geom] - 1];
+                        return Err(
+                            self.fault(&path, format!("'{touched}' belongs to the kind '{other}' as well"))
+                        );
+                    }
+                    of_geom[geom] = kind;
+                }
+            }
+        }
+        self.contact_kinds.push(ContactKinds { of_geom, last });
+        let division = self.contact_kinds.len() - 1;
+        let kinds: Vec<String> =
+            (1..).zip(&force.contact_kinds).map(|(value, kind)| format!("{value} {kind}")).collect();
+        let meaning =
+            format!("Kind of the largest contact (0 none, {}, {last} other) on link", kinds.join(", "));
+        let elements =
+            force.elements().iter().map(|element| Element { name: element.name.clone(), unit: "1".into() });
+        let of_force = |reading: &Reading| match reading {
+            Reading::Force(force) => Reading::ContactKind(division, *force),
+            other => *other,
+        };
+        Ok(Some((
+            Definition::vector(name, meaning, elements.collect()),
+            readings.iter().map(of_force).collect(),
+        )))
+    }
+
+    /// Returns the matching geoms or, where no geom matches, the matching bodies, each with its geoms.
+    fn touchable(
+        &self,
+        patterns: &[String],
+        path: &str,
+    ) -> Result<Vec<(&'a str, Range<usize>)>, SimulationError> {
+        let bodies = self.matches(BODY, patterns, path);
+        let error = match self.matches(GEOM, patterns, path) {
+            Ok(geoms) => return Ok(geoms.into_iter().map(|(name, geom)| (name, geom..geom + 1)).collect()),
+            Err(error) => error,
+        };
+        let geoms_of = |(name, body): (&'a str, usize)| {
+            let first = self.model.body_geomadr()[body].max(0) as usize;
+            let geoms = first..first + self.model.body_geomnum()[body] as usize;
+            match geoms.is_empty() {
+                true => Err(self.fault(path, self.untouchable(name, body))),
+                false => Ok((name, geoms)),
+            }
+        };
+        bodies.map_err(|_| error)?.into_iter().map(geoms_of).collect()
+    }
+
     /// Forces on geoms or, where no geom matches, on all geoms of each body.
     fn contact_forces(
         &mut self,
@@ -528,27 +611,13 @@ impl<'a> Resolver<'a> {
         path: &str,
         mean: bool,
     ) -> Result<Vec<Sensed>, SimulationError> {
-        let bodies = self.matches(BODY, patterns, path);
-        let (found, of_bodies) = match self.matches(GEOM, patterns, path) {
-            Ok(geoms) => (geoms, false),
-            Err(error) => (bodies.map_err(|_| error)?, true),
-        };
-        let elements = short_names(patterns, &names_of(&found));
+        let found = self.touchable(patterns, path)?;
+        let names: Vec<&str> = found.iter().map(|(name, _)| *name).collect();
+        let elements = short_names(patterns, &names);
         let mut sensed = Vec::new();
-        for ((name, id), element) in found.into_iter().zip(elements) {
-            let geoms = match of_bodies {
-                false => id..id + 1,
-                true => {
-                    let count = self.model.body_geomnum()[id] as usize;
-                    let first = self.model.body_geomadr()[id].max(0) as usize;
-                    first..first + count
-                }
-            };
+        for ((name, geoms), element) in found.into_iter().zip(elements) {
             let known = geoms.clone().next().and_then(|geom| self.force_of_geom[geom]);
             let force = known.unwrap_or(self.forces);
-            if geoms.is_empty() {
-                return Err(self.fault(path, self.untouchable(name, id)));
-            }
             // A known force must be that of these geoms, no more and no fewer.
             let has_force = |geom: &usize| self.force_of_geom[*geom] == known;
             let is_same =

@@ -2,7 +2,7 @@
 
 use super::load::{compile_error, load_file, load_text};
 use super::resolve::{
-    Driven, Placement, Reading, Resolver, SceneCamera, SceneFactor, SceneFlow, Tip, within,
+    ContactKinds, Driven, Placement, Reading, Resolver, SceneCamera, SceneFactor, SceneFlow, Tip, within,
 };
 use super::timing::Timing;
 use super::{MUJOCO_VERSION, SimulationError, mujoco_version};
@@ -36,6 +36,8 @@ pub struct Scene {
     pub(super) force_of_geom: Vec<Option<usize>>,
     /// Number of contact forces that are sensed.
     pub(super) forces: usize,
+    /// Divisions of the contacts into kinds.
+    pub(super) contact_kinds: Vec<ContactKinds>,
     pub(super) placements: Vec<Placement>,
     pub(super) factors: Vec<SceneFactor>,
     /// The camera for figures and videos; `None` for MuJoCo's free camera.
@@ -151,6 +153,7 @@ impl Scene {
             actuators: resolved.actuators,
             force_of_geom: resolved.force_of_geom,
             forces: resolved.forces,
+            contact_kinds: resolved.contact_kinds,
             placements: resolved.placements,
             factors: resolved.factors,
             view: resolved.view,

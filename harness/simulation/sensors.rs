@@ -1,5 +1,6 @@
 //! Values that are computed from the state after each step: contact forces, and MuJoCo's warnings.
 
+use super::resolve::ContactKinds;
 use super::scene::Scene;
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_auxiliary::MjContact;
@@ -19,14 +20,45 @@ pub(super) fn sum_forces(scene: &Scene, data: &MjData<impl ModelType>, forces: &
     if forces.is_empty() {
         return;
     }
+    each_touch(scene, data, |link, _, force| forces[link] += force);
+}
+
+/// Writes the kind of each force's contact: the kind whose contacts have the largest sum of forces, or 0 if no contact
+/// has a force. Of equal sums, the later kind counts.
+pub(super) fn largest_kinds(
+    scene: &Scene,
+    kinds: &ContactKinds,
+    data: &MjData<impl ModelType>,
+    found: &mut [usize],
+) {
+    let width = kinds.last + 1;
+    let mut sums = vec![0.0; found.len() * width];
+    each_touch(scene, data, |link, other, force| {
+        let kind = usize::try_from(other).map_or(kinds.last, |geom| kinds.of_geom[geom]);
+        sums[link * width + kind] += force;
+    });
+    for (found, sums) in found.iter_mut().zip(sums.chunks_exact(width)) {
+        let largest = |a: &usize, b: &usize| sums[*a].total_cmp(&sums[*b]);
+        *found = (0..width).filter(|kind| sums[*kind] > 0.0).max_by(largest).unwrap_or(0);
+    }
+}
+
+/// Calls `touch` with the force's index, the geom on the other side (negative for a flex) and the normal force, N, of
+/// each contact of a sensed link. A contact between two links counts for both, and one within a link once.
+fn each_touch(scene: &Scene, data: &MjData<impl ModelType>, mut touch: impl FnMut(usize, i32, f64)) {
     for contact in data.contact() {
         let links = contact.geom.map(|geom| scene.force_of_geom.get(geom as usize).copied().flatten());
         if links == [None, None] {
             continue;
         }
         let force = normal_force(scene, data, contact);
-        let second = links[1].filter(|second| links[0] != Some(*second));
-        links[0].into_iter().chain(second).for_each(|link| forces[link] += force);
+        let [first, second] = contact.geom;
+        if let Some(link) = links[0] {
+            touch(link, second, force);
+        }
+        if let Some(link) = links[1].filter(|link| links[0] != Some(*link)) {
+            touch(link, first, force);
+        }
     }
 }
 

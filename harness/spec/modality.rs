@@ -6,6 +6,12 @@ use serde::{Deserialize, Serialize};
 use std::ops::Index;
 use std::sync::{Arc, LazyLock};
 
+/// What the name of a force's contact kinds adds to the name of the force.
+pub(super) const CONTACT_KIND: &str = "_kind";
+
+/// The region of a force's elements without a contact.
+pub(super) const NO_CONTACT: &str = "none";
+
 /// Number of color channels of an image.
 pub const IMAGE_CHANNELS: usize = 3;
 
@@ -160,6 +166,10 @@ pub struct Definition {
     /// Groups of elements for which metrics are computed together.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub groups: Vec<Group>,
+    /// Names of the kinds of contact of a force, for which metrics are computed separately. The modality
+    /// [`Definition::contact_kind`] has the kind of each element.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub contact_kinds: Vec<String>,
     /// Which standard deviation the values are divided by for a network, if the spec does not say.
     pub scale: Scale,
     /// The least value of a prediction, in physical units, if the spec does not say.
@@ -180,6 +190,7 @@ impl Definition {
             difference_of: None,
             optical_flow: false,
             groups: Vec::new(),
+            contact_kinds: Vec::new(),
             scale: Scale::PerElement,
             minimum: None,
             percentage: None,
@@ -234,6 +245,20 @@ impl Definition {
     /// Returns whether the values are contact forces. The table `forces` holds their distribution.
     pub fn is_force(&self) -> bool {
         !self.is_image() && self.unit() == Some("N")
+    }
+
+    /// Returns the modality that tells the kind of contact of each element: 0 without a contact, k for the contact kind
+    /// k - 1, and the number after the last kind for any other contact. `None` without kinds.
+    pub fn contact_kind(&self) -> Option<Modality> {
+        let name = || Modality(crate::intern(&format!("{}{CONTACT_KIND}", self.name)));
+        (!self.contact_kinds.is_empty()).then(name)
+    }
+
+    /// Returns the names of the parts of the values that have metrics of their own, in the order of the values of
+    /// [`Definition::contact_kind`]: `none` and the kinds of contact. There are none without kinds.
+    pub fn contact_regions(&self) -> impl Iterator<Item = String> {
+        let none = (!self.contact_kinds.is_empty()).then(|| NO_CONTACT.to_owned());
+        none.into_iter().chain(self.contact_kinds.iter().cloned())
     }
 
     /// Returns the first group that contains an element.
@@ -325,7 +350,8 @@ impl Layout {
     /// Returns the modalities that a spec can name as inputs or outputs.
     pub fn names(&self) -> impl Iterator<Item = Modality> {
         let names = self.modalities.iter().map(|definition| definition.name);
-        names.filter(|name| ![Modality::SETPOINT, Modality::FACTORS].contains(name))
+        let is_kind = |name| self.modalities.iter().any(|definition| definition.contact_kind() == Some(name));
+        names.filter(move |name| ![Modality::SETPOINT, Modality::FACTORS].contains(name) && !is_kind(*name))
     }
 }
 

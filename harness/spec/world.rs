@@ -3,7 +3,7 @@
 use super::check::{allow_single_values, check_against, list_single, unknown};
 use super::error::{Problem, SpecError};
 use super::factor::Factor;
-use super::modality::{Modality, Percentage, Region, Scale};
+use super::modality::{CONTACT_KIND, Modality, NO_CONTACT, Percentage, Region, Scale};
 use super::name::{NAME, is_name};
 use super::origin::Scenario;
 use super::parse::{self, Node, shorten};
@@ -185,6 +185,13 @@ pub struct Sensing {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "averaged")]
     pub average_over: Option<Interval>,
+    /// Kinds of contact of a `normal_force` at the instant, by name. Each is a list of the geoms or bodies on the other
+    /// side of the contact. The metrics of the force are also computed for the contacts of each kind, and for `none`,
+    /// the elements without a contact. If an element has contacts of several kinds, the one with the largest force
+    /// counts.
+    #[serde(default, skip_serializing_if = "Ordered::is_empty")]
+    #[schemars(schema_with = "groups")]
+    pub contact_kinds: Ordered<Vec<String>>,
     /// Unit of a sensor's values.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "text")]
@@ -896,6 +903,9 @@ fn modality<'a>(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), (
     if sensing.average_over.is_some() && sensing.normal_force.is_none() {
         return misplaced("average_over", "a normal_force");
     }
+    if !sensing.contact_kinds.is_empty() {
+        contact_kinds(file, name, sensing).map_err(|message| ("contact_kinds", message))?;
+    }
     if sensing.unit.is_some() && sensing.sensor.is_none() {
         return misplaced("unit", "a sensor");
     }
@@ -919,6 +929,27 @@ fn modality<'a>(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), (
         return Err(("percentage", "errors of images are not given in percent".into()));
     }
     Ok(())
+}
+
+/// Checks the kinds of contact of a force, whose values are recorded as a modality.
+fn contact_kinds(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), String> {
+    if sensing.normal_force.is_none() || sensing.average_over.is_some() {
+        return Err("only a normal_force at the instant has 'contact_kinds'".into());
+    }
+    for (kind, _) in sensing.contact_kinds.iter() {
+        named("a kind of contact", kind)?;
+        if kind == NO_CONTACT {
+            return Err(format!("'{NO_CONTACT}' means no contact; give this kind another name"));
+        }
+    }
+    let recorded = format!("{name}{CONTACT_KIND}");
+    named("the modality that records the kinds", &recorded)?;
+    match file.modalities.iter().any(|(other, _)| other == recorded) {
+        true => Err(format!(
+            "the kinds are recorded as '{recorded}'; give the modality '{recorded}' another name"
+        )),
+        false => Ok(()),
+    }
 }
 
 fn named(what: &str, name: &str) -> Result<(), String> {

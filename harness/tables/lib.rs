@@ -80,6 +80,8 @@ pub fn write_table(
 pub struct Footer {
     /// Number of rows.
     pub rows: usize,
+    /// Names of the columns.
+    pub columns: Vec<String>,
     /// Provenance of the table.
     pub stamp: Stamp,
 }
@@ -106,7 +108,7 @@ impl TableFile {
         Ok(Self { path: path.to_owned(), bytes })
     }
 
-    /// Returns the number of rows and the provenance.
+    /// Returns the number of rows, the columns and the provenance.
     pub fn footer(&self) -> Result<Footer, TableError> {
         let mut reader = ParquetReader::new(Cursor::new(&self.bytes));
         let metadata = reader.get_metadata().map_err(|error| unreadable(&self.path, error))?;
@@ -115,7 +117,8 @@ impl TableFile {
             let key = pair.key.strip_prefix("harness.")?.to_owned();
             Some((key, pair.value?))
         });
-        Ok(Footer { rows: metadata.num_rows, stamp: stamp.collect() })
+        let columns = metadata.schema().fields().iter().map(|field| field.name().to_owned());
+        Ok(Footer { rows: metadata.num_rows, columns: columns.collect(), stamp: stamp.collect() })
     }
 
     /// Decodes the given columns, or all columns.

@@ -222,7 +222,8 @@ fn metric_values() -> Vec<Column> {
         text(
             "metric",
             "smape, wmape, r2, rmse, mae, relative_error; relative_error_arm, relative_error_finger and those of other \
-             regions: over the pixels that show the region before or after the change",
+             regions: over the pixels that show the region before or after the change; r2_ground, mae_none and those of \
+             other kinds of contact: over the links with such a contact",
         ),
         real("value", "", "the metric; null if it is not defined"),
         text("unit", "unit of the value"),
