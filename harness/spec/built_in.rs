@@ -40,6 +40,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "multi_to_multi_continuous",
     "readings",
     "search",
+    "senses",
     "single_to_multi",
     "single_to_multi_best",
     "smoke",
