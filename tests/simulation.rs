@@ -21,6 +21,8 @@ mod finger;
 mod flow;
 #[path = "simulation/integrators.rs"]
 mod integrators;
+#[path = "simulation/placement.rs"]
+mod placement;
 
 /// Path of the repository.
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
@@ -654,7 +656,11 @@ fn models_that_lack_a_name_or_a_property_are_refused() {
             "position name=\"lift\"",
             "no actuator 'arm_lift'; the model has arm_rotation",
         ),
-        ("geom name=\"box_7\"", "geom name=\"crate\"", "no geom 'box_7'"),
+        (
+            "geom name=\"box_7\"",
+            "geom name=\"box_7\" contype=\"0\" conaffinity=\"0\"",
+            "body 'box_7' has no geom that can touch anything, so it can't stand on the ground",
+        ),
         ("<freejoint name=\"box_3\"/>", "", "body 'box_3' must have a free joint"),
     ];
     for (old, new, expected) in cases {

@@ -1049,3 +1049,162 @@ fn no_size_of_the_finger_stands_in_the_program() {
     }
     assert!(files > 100 && found.is_empty(), "{files} files: {found:#?}");
 }
+
+/// A box and a slider on the ground, seen by a camera, and things that no factor can change.
+const YARD: &str = r#"<mujoco><option timestep="0.002"/><default><geom friction="0.5"/></default><worldbody>
+  <light name="sun" pos="0 0 5"/><light name="dark" active="false"/>
+  <camera name="eye" pos="0 0 5"/><camera name="other" pos="0 0 6"/>
+  <geom name="ground" type="plane" size="5 5 1" friction="0.5"/>
+  <geom name="shelf" type="box" size="0.1 0.1 0.1" pos="4 4 1"/>
+  <body name="post" pos="4 0 1"><geom name="post" type="box" size="0.1 0.1 0.1" mass="1" rgba="1 1 1 1"/></body>
+  <body name="slider" pos="0 0 0.099">
+    <joint name="x" type="slide" axis="1 0 0" damping="1"/>
+    <geom name="slider" type="box" size="0.1 0.1 0.1" mass="1" friction="0.5"/>
+    <geom name="ghost" size="0.05" mass="0.1" contype="0" conaffinity="0" group="4"/></body>
+  <body name="still" pos="0 3 1"><joint name="still" type="slide" axis="1 0 0" stiffness="5"/><geom size="0.1"/></body>
+  <body name="box" pos="2 0 0.1"><freejoint/><geom name="box" type="box" size="0.1 0.1 0.1" friction="0.3"/></body>
+</worldbody><actuator><motor name="x" joint="x"/></actuator></mujoco>"#;
+
+/// The output of `world check` for the yard with these modalities, placement and factors.
+fn check_yard(modalities: &str, placement: &str, factors: &str) -> (i32, String, String) {
+    let (folder, results) = (tempfile::tempdir().unwrap(), fresh("worlds_yard"));
+    fs::write(folder.path().join("yard.xml"), YARD).unwrap();
+    let path = folder.path().join("yard.yaml");
+    let text = format!(
+        "model: yard.xml\nstep_rate_hz: 500\nmodalities: {{joints: {{joint_positions: [x]}}{modalities}}}\n\
+         action: {{actuators: {{x: {{range: [-20, 20]}}}}}}\nplacement: {{{placement}}}\nfactors:\n  {factors}\n"
+    );
+    fs::write(&path, text).unwrap();
+    let said = finish(&mut harness(&results, &["world", "check", path.to_str().unwrap()]));
+    let stderr = said.stderr.replace(&format!("{}/", folder.path().display()), "");
+    (said.code, said.stdout, stderr)
+}
+
+const EYE: &str = ", vision: {camera: eye, size: [16, 16]}";
+
+#[test]
+fn world_check_warns_about_factors_that_change_nothing() {
+    for (modalities, factor, expected) in [
+        (
+            EYE,
+            "f: {geom_friction: shelf, scale_by: {choice: [0.5, 2]}}",
+            "changed nothing in 40 s of simulation with the value 0.5 or 2",
+        ),
+        (
+            EYE,
+            "f: {geom_friction: ghost, scale_by: {choice: [0.5, 2]}}",
+            "changes nothing for 'ghost', because nothing can touch it",
+        ),
+        (
+            EYE,
+            "f: {body_mass: post, scale_by: {choice: [0.5, 2]}}",
+            "changes nothing for 'post', because the model can't move it",
+        ),
+        (
+            EYE,
+            "f: {body_mass: slider, scale_by: {choice: 1}}",
+            "changes nothing for 'slider': no value that is drawn changes the model",
+        ),
+        (EYE, "f: {joint_stiffness: still, scale_by: {choice: [0.5, 2]}}", "changed nothing in 40 s"),
+        (
+            EYE,
+            "f: {geom_size: ghost, scale_by: {choice: [0.5, 2]}}",
+            "because no camera sees it and nothing can touch it",
+        ),
+        (EYE, "f: {geom_colour: ghost, offset_by: {choice: 0.5}}", "because no camera sees it"),
+        ("", "f: {geom_colour: box, offset_by: {choice: 0.5}}", "because no camera sees it"),
+        (
+            EYE,
+            "f: {geom_colour: post, offset_by: {uniform: [0, 0.5]}}",
+            "'post': no value that is drawn changes the model",
+        ),
+        (EYE, "f: {light_brightness: dark, scale_by: {choice: 2}}", "because it is off"),
+        ("", "f: {light_brightness: sun, scale_by: {choice: 2}}", "because no image is recorded"),
+        (EYE, "f: {camera_position: other, offset_by: {choice: 1}}", "because no modality records its image"),
+        (
+            EYE,
+            "f: {geom_friction: box, scale_by: {choice: [0.5, 2]}}",
+            "also changes the contacts of 'box' and 'ground': while it is on, they have the friction of 'box' alone",
+        ),
+    ] {
+        let (code, _, warned) = check_yard(modalities, "", factor);
+        assert_eq!(code, 0, "{warned}");
+        assert!(
+            warned.lines().any(|line| line.starts_with("warning: yard.yaml:7:") && line.contains(expected)),
+            "{factor}: {warned}"
+        );
+        assert!(warned.contains(": the factor 'f' "), "{warned}");
+    }
+    for factor in [
+        "f: {geom_friction: slider, scale_by: {uniform: [0.5, 1.5]}}",
+        "f: {body_mass: slider, scale_by: {uniform: [0.5, 1.5]}}",
+        "f: {joint_damping: x, scale_by: {uniform: [0.5, 1.5]}}",
+        "f: {geom_size: box, scale_by: {uniform: [0.5, 1.5]}}",
+        "f: {geom_colour: box, offset_by: {uniform: [0, 0.5]}}",
+        "f: {light_brightness: sun, scale_by: {choice: 2}}",
+        "f: {camera_position: eye, offset_by: {choice: 1}}",
+    ] {
+        assert_eq!(check_yard(EYE, "", factor).2, "", "{factor}");
+    }
+}
+
+#[test]
+fn every_factor_of_a_built_in_world_has_an_effect() {
+    let results = fresh("worlds_built_in_factors");
+    for world in World::built_in() {
+        let said = finish(&mut harness(&results, &["world", "check", world.scenario().name()]));
+        assert_eq!(said.code, 0, "{}", said.stderr);
+        // The column that carries the arm has MuJoCo's default friction of 1, and the boxes have 0.5.
+        let of_column = |line: &str| line.contains("the contacts of 'box_0' and 'arm_column'");
+        let others: Vec<&str> = said.stderr.lines().filter(|line| !of_column(line)).collect();
+        assert_eq!(others, [""; 0], "{}", world.scenario());
+    }
+}
+
+#[test]
+fn world_check_refuses_bodies_that_would_start_inside_others() {
+    let placement = "box: {bodies: box, clearance_m: 0, rectangle: [[-1, 1], [-0.1, 0.1]]}";
+    let (code, _, said) = check_yard("", placement, "f: {body_mass: slider, scale_by: {choice: 2}}");
+    assert_eq!((code, said.lines().count()), (2, 1), "{said}");
+    assert!(said.contains("yard.yaml:5:") && said.contains("overlap of 'slider' and 'box' by 0."), "{said}");
+    let away = placement.replace("[-1, 1]", "[2, 3]");
+    assert_eq!(check_yard("", &away, "f: {body_mass: slider, scale_by: {choice: 2}}").0, 0);
+}
+
+#[test]
+fn factors_cannot_share_a_column_with_factors_or_modalities() {
+    let each = "mass: {body_mass: ['slider', 'box'], scale_by: {choice: 2}, each: true}";
+    let slider = "mass_slider: {geom_friction: slider, scale_by: {choice: 2}}";
+    let image = ", factors_mass: {camera: eye, size: [8, 8]}";
+    for (modalities, factors, place, expected) in [
+        (
+            "",
+            format!("{each}\n  {slider}"),
+            "yard.yaml:8:",
+            "the factor 'mass_slider' and the factor 'mass' would both have the column 'factors_mass_slider'",
+        ),
+        (
+            image,
+            "mass: {body_mass: slider, scale_by: {choice: 2}}".into(),
+            "yard.yaml:7:",
+            "the factor 'mass' and the modality 'factors_mass' would both have the column 'factors_mass'",
+        ),
+        (
+            ", factors_mass: {joint_positions: [x]}",
+            "mass_x: {body_mass: slider, scale_by: {choice: 2}}".into(),
+            "yard.yaml:7:",
+            "the modality 'factors_mass' would both have the column 'factors_mass_x'",
+        ),
+        (
+            ", setpoint_x: {camera: eye, size: [8, 8]}",
+            "mass: {body_mass: slider, scale_by: {choice: 2}}".into(),
+            "yard.yaml:3:",
+            "'setpoint_x' and the action would both have the column 'setpoint_x'",
+        ),
+    ] {
+        let (code, _, said) = check_yard(modalities, "", &factors);
+        assert_eq!((code, said.lines().count()), (2, 1), "{said}");
+        assert!(said.contains(place) && said.contains(expected) && said.contains("rename one"), "{said}");
+    }
+    assert_eq!(check_yard("", "", each).0, 0);
+}

@@ -67,7 +67,12 @@ impl Command {
             Action::Check { world } => {
                 let world = World::find(&world)?;
                 world.check_rates()?;
-                check(&Scene::new(world)?)?;
+                let scene = Scene::new(world)?;
+                scene.check_starts()?;
+                check(&scene)?;
+                for warning in scene.warnings() {
+                    eprintln!("warning: {warning}");
+                }
             }
             Action::New { model, output } => {
                 let path = output.unwrap_or_else(|| model.with_extension("yaml"));

@@ -5,7 +5,7 @@ use super::episode_file::{episode_file, open_episode, push_all, read_episode};
 use super::{DatasetError, FramePlace, Recording, Samples};
 use harness_shared::files::write_bytes;
 use harness_shared::progress::{Progress, Silent};
-use harness_spec::{Definition, Episode, Layout, Scenario, Simulation, World};
+use harness_spec::{Definition, Episode, Factor, Layout, Property, Scenario, Simulation, World};
 use harness_tables::schema::{image_columns, sample_columns};
 use harness_tables::{Stamp, TableError, write_table};
 use polars::prelude::*;
@@ -52,6 +52,12 @@ impl Dataset {
             world.factors(&spec).map(|(name, factor)| (name.to_owned(), json!(factor))).collect();
         if !factors.is_empty() {
             description["factors"] = factors.into();
+        }
+        // Datasets with these factors were simulated by other rules before.
+        let is_of_rule =
+            |factor: &Factor| [Property::GeomFriction, Property::GeomSize].contains(&factor.property().0);
+        if world.factors(&spec).any(|(_, factor)| is_of_rule(factor)) {
+            description["factor_rule"] = json!(2);
         }
         if let Some(world) = world.identity() {
             description["world"] = world;

@@ -8,6 +8,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// The values that an episode draws for the factors of variation that a spec turns on.
@@ -27,6 +28,11 @@ impl FactorValues {
             (index, values)
         };
         Self { drawn: on.map(draw).collect() }
+    }
+
+    /// Returns values of one factor that all equal `value`.
+    pub(super) fn of_one(scene: &Scene, factor: usize, value: f64) -> Self {
+        Self { drawn: vec![(factor, vec![value; scene.factors[factor].elements.len()])] }
     }
 
     /// Returns all values, in the order of the elements of `factors` in [`Scene::layout_of`].
@@ -60,9 +66,14 @@ impl FactorValues {
             return model.clone();
         }
         let mut varied = Box::new(MjModel::clone(model));
+        let mut frictions: BTreeMap<usize, f64> = BTreeMap::new();
         for (property, thing, values) in self.each(scene) {
             change(&mut varied, property, thing, values);
+            if property == Property::GeomFriction {
+                *frictions.entry(thing).or_insert(1.0) *= values[0];
+            }
         }
+        prefer_frictions(&mut varied, &frictions);
         let mut data = MjData::new(varied);
         // Recomputes the constants that depend on masses, sizes and camera positions.
         data.set_const();
@@ -156,8 +167,35 @@ fn change(model: &mut MjModel, property: Property, thing: usize, values: &[f64])
     }
 }
 
+/// Makes the frictions of these geoms count wherever they touch others of the same priority, of which MuJoCo would take
+/// the larger friction. The model's own priorities keep their order. `frictions` has the number by which each geom's
+/// friction was multiplied. Contact pairs of the model have frictions of their own.
+fn prefer_frictions(model: &mut MjModel, frictions: &BTreeMap<usize, f64>) {
+    if frictions.is_empty() {
+        return;
+    }
+    for (geom, priority) in model.geom_priority_mut().iter_mut().enumerate() {
+        *priority = priority.saturating_mul(2).saturating_add(frictions.contains_key(&geom).into());
+    }
+    model.flex_priority_mut().iter_mut().for_each(|priority| *priority = priority.saturating_mul(2));
+    for pair in 0..model.npair() as usize {
+        let geoms = [model.pair_geom1()[pair], model.pair_geom2()[pair]];
+        let scales = geoms.iter().filter_map(|geom| frictions.get(&(*geom as usize)).copied());
+        if let Some(scale) = scales.reduce(f64::max) {
+            model.pair_friction_mut()[pair].iter_mut().for_each(|value| *value *= scale);
+        }
+    }
+}
+
+/// Returns the largest number by which the factors that a spec turns on multiply a geom's size.
+pub(super) fn largest_size(scene: &Scene, spec: &Simulation, geom: usize) -> f64 {
+    let on = scene.factors.iter().filter(|factor| spec.factors.contains(&factor.name));
+    let of_geom = on.filter(|factor| factor.property == Property::GeomSize && factor.things.contains(&geom));
+    of_geom.map(|factor| factor.drawing.range()[1]).product()
+}
+
 /// Returns the color in which a geom is rendered: its own, or its material's if its own is MuJoCo's default.
-fn color_of(model: &MjModel, geom: usize) -> [f32; 4] {
+pub(super) fn color_of(model: &MjModel, geom: usize) -> [f32; 4] {
     const DEFAULT: [f32; 4] = [0.5, 0.5, 0.5, 1.0];
     let own = model.geom_rgba()[geom];
     match usize::try_from(model.geom_matid()[geom]) {
@@ -192,7 +230,8 @@ fn quaternion(vector: &[f64]) -> [f64; 4] {
     [cos, sin * vector[0] / angle, sin * vector[1] / angle, sin * vector[2] / angle]
 }
 
-fn product([a, b, c, d]: [f64; 4], [e, f, g, h]: [f64; 4]) -> [f64; 4] {
+/// Returns the product of two quaternions w, x, y, z.
+pub(super) fn product([a, b, c, d]: [f64; 4], [e, f, g, h]: [f64; 4]) -> [f64; 4] {
     [
         a * e - b * f - c * g - d * h,
         a * f + b * e + c * h - d * g,

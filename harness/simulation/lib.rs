@@ -21,7 +21,9 @@ mod plan;
 mod resolve;
 mod scene;
 mod sensors;
+mod standing;
 mod timing;
+mod trial;
 
 pub use batch::Batch;
 pub use camera::{Camera, SampleTime, SceneRenderer, prepare_rendering, renderer_name};
@@ -116,6 +118,20 @@ pub enum SimulationError {
         attempts: usize,
         /// Key of the clearance under `simulation`.
         setting: String,
+    },
+
+    /// A placed body overlaps something at an episode's start.
+    #[error(
+        "episode {episode} would start with an overlap of {what}; move the area of placement '{placement}' away from what \
+         stands there, or raise the body in the model above the surface that it is to stand on"
+    )]
+    Overlap {
+        /// Index of the episode.
+        episode: u32,
+        /// Name of the body's placement in the world file.
+        placement: String,
+        /// What overlaps, and by how much.
+        what: String,
     },
 
     /// MuJoCo reported that the simulation became unstable.

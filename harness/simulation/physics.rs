@@ -1,6 +1,7 @@
 //! The simulation loop: moves the actuators and passes each sampled instant to an observer.
 
 use super::SimulationError;
+use super::placement::check_start;
 use super::plan::EpisodePlan;
 use super::resolve::Reading;
 use super::scene::Scene;
@@ -188,6 +189,9 @@ impl<'s> Physics<'s> {
                 sampled.forward();
             }
             self.data.step();
+            if self.step == 0 {
+                check_start(self.scene, self.episode, self.sampled.as_ref().unwrap_or(&self.data))?;
+            }
             if let Some(what) = instability(&self.data) {
                 let time_s = self.step as f64 * self.timing.step_s;
                 let scene = self.scene.name.clone();

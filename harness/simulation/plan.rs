@@ -28,10 +28,19 @@ impl EpisodePlan {
     /// # Errors
     /// When the spec's ranges or rates do not suit the scene, or the boxes find no place.
     pub fn draw(scene: &Scene, spec: &Simulation, index: u32) -> Result<Self, SimulationError> {
+        Self::with_factors(scene, spec, index, FactorValues::draw(scene, spec, index))
+    }
+
+    /// Draws everything except the factors, which have the given values.
+    pub(super) fn with_factors(
+        scene: &Scene,
+        spec: &Simulation,
+        index: u32,
+        factors: FactorValues,
+    ) -> Result<Self, SimulationError> {
         let timing = scene.timing(spec)?;
         let mut rng = episode_stream(scene, spec.seed, index);
         let motion = Motion::draw(&scene.ranges(spec), &scene.start(spec), spec, &timing, &mut rng);
-        let factors = FactorValues::draw(scene, spec, index);
         let boxes = place_boxes(scene, spec, &factors, index, &mut rng)?;
         Ok(Self { episode: index, boxes, factors, motion })
     }

@@ -1,6 +1,7 @@
 //! Looks up the names of a world file in its MuJoCo model.
 
 use super::SimulationError;
+use super::standing::FreeBody;
 use harness_spec::{
     Definition, Drawing, Element, Group, Kind, Layout, Modality, Percentage, Posed, Property, Source, World,
     clearance_setting, matching, range_setting,
@@ -91,7 +92,9 @@ pub(super) struct Driven {
 /// Bodies that each episode places.
 #[derive(Debug, Clone)]
 pub(super) struct Placement {
-    pub boxes: Vec<FreeBox>,
+    /// Its name in the world file.
+    pub name: String,
+    pub boxes: Vec<FreeBody>,
     /// The setting of a spec that has their clearance.
     pub setting: String,
     pub clearance_m: f64,
@@ -120,16 +123,6 @@ pub(super) struct Mount {
     pub bearing: f64,
     /// Radius of the body, m.
     pub body_radius: f64,
-}
-
-/// A box with a free joint.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct FreeBox {
-    /// Index into `qpos` of its position (3 values) and orientation (4).
-    pub qpos: usize,
-    pub geom: usize,
-    /// Half of its sides, m.
-    pub half_size: [f64; 3],
 }
 
 impl Mount {
@@ -165,7 +158,6 @@ pub(super) struct SceneFactor {
 
 const HINGE: MjtJoint = MjtJoint::mjJNT_HINGE;
 const SLIDE: MjtJoint = MjtJoint::mjJNT_SLIDE;
-const FREE: MjtJoint = MjtJoint::mjJNT_FREE;
 
 /// Kinds of things that a world file names, and the word for each.
 const JOINT: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_JOINT, "joint");
@@ -303,6 +295,14 @@ impl<'a> Resolver<'a> {
             }
         }
         let setpoint = self.setpoint();
+        for (definition, _) in &modalities {
+            if let Some(column) = shared_column(definition, &setpoint.0) {
+                let message =
+                    format!("'{}' and the action would both have the column '{column}'", definition.name);
+                let path = format!("modalities.{}", definition.name);
+                return Err(self.fault(&path, message + "; rename one of them"));
+            }
+        }
         let is_sensed =
             |(definition, _): &(Definition, Vec<Reading>)| definition.elements() == setpoint.0.elements();
         let place = modalities.iter().position(is_sensed).map_or(modalities.len(), |index| index + 1);
@@ -310,7 +310,8 @@ impl<'a> Resolver<'a> {
         let images = cameras.iter_mut().chain(flows.iter_mut().map(|flow| &mut flow.image));
         images.filter(|image| image.position >= place).for_each(|image| image.position += 1);
         let (placements, factors) = (self.placements(&actuators)?, self.factors()?);
-        let (definitions, readings) = modalities.into_iter().unzip();
+        let (definitions, readings): (Vec<Definition>, _) = modalities.into_iter().unzip();
+        self.check_columns(&factors, &definitions)?;
         let view = cameras.first().map(|camera| camera.camera).or((self.model.ncam() > 0).then_some(0));
         Ok(Resolved {
             layout: Layout { modalities: definitions, regions: self.world.regions() },
@@ -490,7 +491,7 @@ impl<'a> Resolver<'a> {
     /// Why a ball or free joint can't be sensed as a joint, and what can be sensed instead.
     fn no_single_joint(&self, name: &str, id: usize, kind: MjtJoint) -> String {
         let (kind, keys) = match kind {
-            FREE => ("free", "body_positions and body_orientations record"),
+            MjtJoint::mjJNT_FREE => ("free", "body_positions and body_orientations record"),
             _ => ("ball", "body_orientations records"),
         };
         let body = self.model.jnt_bodyid()[id] as usize;
@@ -714,7 +715,10 @@ impl<'a> Resolver<'a> {
         for (name, placing) in self.world.file().placement.iter() {
             let path = format!("placement.{name}.bodies");
             let bodies = self.matches(BODY, &placing.bodies, &path)?;
-            let boxes = bodies.into_iter().map(|(name, body)| self.free_box(name, body, &path));
+            let boxes = bodies.into_iter().map(|(name, body)| {
+                let free = FreeBody::new(self.model, body);
+                free.map_err(|problem| self.fault(&path, format!("body '{name}' {problem}")))
+            });
             let boxes = boxes.collect::<Result<Vec<_>, _>>()?;
             let placed = placements.iter().flat_map(|other: &Placement| &other.boxes);
             if placed.into_iter().any(|placed| boxes.iter().any(|own| own.qpos == placed.qpos)) {
@@ -726,8 +730,8 @@ impl<'a> Resolver<'a> {
                 (Some(sector), _) => Area::Sector(self.mount(name, sector, actuators)?),
                 (None, rectangle) => Area::Rectangle(rectangle.unwrap_or_default()),
             };
-            let setting = clearance_setting(name);
-            placements.push(Placement { boxes, setting, clearance_m: placing.clearance_m, area });
+            let (name, setting) = (name.to_owned(), clearance_setting(name));
+            placements.push(Placement { name, boxes, setting, clearance_m: placing.clearance_m, area });
         }
         Ok(placements)
     }
@@ -763,6 +767,35 @@ impl<'a> Resolver<'a> {
             });
         }
         Ok(factors)
+    }
+
+    /// Refuses factors whose values would be in the same column as those of another factor or a modality.
+    fn check_columns(
+        &self,
+        factors: &[SceneFactor],
+        modalities: &[Definition],
+    ) -> Result<(), SimulationError> {
+        let drawn = |factor: &SceneFactor| {
+            Definition::vector(Modality::FACTORS, String::new(), factor.elements.clone())
+        };
+        for (place, factor) in factors.iter().enumerate() {
+            let own = drawn(factor);
+            let of_factor = |other: &SceneFactor| {
+                Some((format!("factor '{}'", other.name), shared_column(&drawn(other), &own)?))
+            };
+            let of_modality = |other: &Definition| {
+                Some((format!("modality '{}'", other.name), shared_column(other, &own)?))
+            };
+            let factors = factors[..place].iter().filter_map(of_factor);
+            if let Some((other, column)) = factors.chain(modalities.iter().filter_map(of_modality)).next() {
+                let message = format!(
+                    "the factor '{}' and the {other} would both have the column '{column}'; rename one of them",
+                    factor.name
+                );
+                return Err(self.fault(&format!("factors.{}", factor.name), message));
+            }
+        }
+        Ok(())
     }
 
     /// Returns why a factor can't change an object; `None` if it can.
@@ -843,19 +876,6 @@ impl<'a> Resolver<'a> {
             ));
         }
         Ok(mount)
-    }
-
-    fn free_box(&self, name: &str, body: usize, path: &str) -> Result<FreeBox, SimulationError> {
-        let geom = self.find(GEOM, name, path)?;
-        if self.model.geom_type()[geom] != MjtGeomBase::mjGEOM_BOX {
-            return Err(self.fault(path, format!("geom '{name}' must be a box")));
-        }
-        let joint = self.model.body_jntadr()[body];
-        if joint < 0 || self.model.jnt_type()[joint as usize] != FREE {
-            return Err(self.fault(path, format!("body '{name}' must have a free joint")));
-        }
-        let qpos = self.model.jnt_qposadr()[joint as usize] as usize;
-        Ok(FreeBox { qpos, geom, half_size: self.model.geom_size()[geom] })
     }
 }
 

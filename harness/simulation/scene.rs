@@ -4,6 +4,7 @@ use super::load::{compile_error, load_file, load_text};
 use super::resolve::{
     ContactKinds, Driven, Placement, Reading, Resolver, SceneCamera, SceneFactor, SceneFlow, Tip, within,
 };
+use super::standing::GroundModel;
 use super::timing::Timing;
 use super::{MUJOCO_VERSION, SimulationError, mujoco_version};
 use harness_shared::seal::hex;
@@ -39,6 +40,8 @@ pub struct Scene {
     /// Divisions of the contacts into kinds.
     pub(super) contact_kinds: Vec<ContactKinds>,
     pub(super) placements: Vec<Placement>,
+    /// The ground below the bodies that are placed; `None` if there are none.
+    pub(super) ground: Option<GroundModel>,
     pub(super) factors: Vec<SceneFactor>,
     /// The camera for figures and videos; `None` for MuJoCo's free camera.
     pub(super) view: Option<usize>,
@@ -139,6 +142,7 @@ impl Scene {
             buffer.offheight = buffer.offheight.max(camera.size[0] as i32);
             buffer.offwidth = buffer.offwidth.max(camera.size[1] as i32);
         }
+        let ground = (!resolved.placements.is_empty()).then(|| GroundModel::new(&model));
         Ok(Self {
             name,
             world,
@@ -155,6 +159,7 @@ impl Scene {
             forces: resolved.forces,
             contact_kinds: resolved.contact_kinds,
             placements: resolved.placements,
+            ground,
             factors: resolved.factors,
             view: resolved.view,
             tip: resolved.tip,
@@ -265,6 +270,17 @@ impl Scene {
     /// Returns the number of bodies that an episode places.
     pub fn boxes(&self) -> usize {
         self.placements.iter().map(|placement| placement.boxes.len()).sum()
+    }
+
+    /// Returns a geom's name for messages, or that of its body if it has none.
+    pub(super) fn geom_name(&self, geom: usize) -> String {
+        let name = |kind, id| self.model.id_to_name(kind, id).filter(|name| !name.is_empty());
+        let body = self.model.geom_bodyid()[geom] as usize;
+        match (name(MjtObjBase::mjOBJ_GEOM, geom), name(MjtObjBase::mjOBJ_BODY, body)) {
+            (Some(geom), _) => format!("'{geom}'"),
+            (None, Some(body)) => format!("a geom of the body '{body}'"),
+            (None, None) => format!("geom {geom}"),
+        }
     }
 
     /// Returns the index of a named object. Messages call its kind `word`.

@@ -271,18 +271,23 @@ impl Distribution {
 }
 
 impl Drawing {
-    fn check(&self, property: Property) -> Result<(), String> {
-        let [low, high] = match self {
+    /// Returns the lowest and the highest value that can be drawn.
+    pub fn range(&self) -> [f64; 2] {
+        match self {
             Self::Uniform(range) | Self::LogUniform(range) | Self::Normal(Normal { range, .. }) => *range,
-            Self::Choice(values) if values.is_empty() => {
-                return Err("'choice' lists no value; give at least one".into());
-            }
             Self::Choice(values) => {
                 values.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
                     [low.min(*value), high.max(*value)]
                 })
             }
-        };
+        }
+    }
+
+    fn check(&self, property: Property) -> Result<(), String> {
+        if matches!(self, Self::Choice(values) if values.is_empty()) {
+            return Err("'choice' lists no value; give at least one".into());
+        }
+        let [low, high] = self.range();
         ascending([low, high])?;
         let [least, most] = property.bounds();
         if low < least || high > most {

@@ -267,11 +267,12 @@ pub enum Start {
     High,
 }
 
-/// Bodies with free joints that each episode places on the ground, uniformly over an area and with a random yaw.
+/// Bodies with free joints that each episode places on the ground, uniformly over an area and with a random yaw. The
+/// ground is the highest surface of geoms that can't move, below the height that the body has in the model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Placing {
-    /// Names of the bodies. Each needs a free joint, and a box geom of the same name.
+    /// Names of the bodies. Each needs a free joint, and a geom that can touch something.
     #[schemars(schema_with = "globs")]
     pub bodies: Vec<String>,
     /// Smallest distance between two bodies, m. A body that is drawn nearer to another is drawn again.
@@ -692,6 +693,10 @@ impl World {
         let mut identity = serde_json::to_value(&file).expect("a world file is plain data");
         // Keys are sorted before they are hashed, but the samples depend on the order of these.
         if self.folder.is_some() {
+            if !file.placement.is_empty() {
+                // Bodies were placed by another rule before, which held for boxes on a floor at z = 0 only.
+                identity["placement_rule"] = 2.into();
+            }
             identity["order"] = serde_json::json!({
                 "actuators": file.action.actuators.names(),
                 "placement": file.placement.names(),

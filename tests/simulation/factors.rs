@@ -302,3 +302,112 @@ fn a_picture_of_an_episode_shows_its_factors() {
     renderer.vary(&EpisodePlan::draw(&scene, &varied(&[]), 0).unwrap().factors);
     assert_eq!(renderer.render(scene.rest()).unwrap(), plain);
 }
+
+/// A sled of 1 kg that a force pushes over a plate of the same friction, and a second sled, on a plate that counts more.
+const SLEDS: &str = r#"<mujoco><option timestep="0.001" cone="elliptic"/><worldbody>
+  <geom name="ground" type="plane" size="20 20 1" friction="0.5"/>
+  <geom name="plate" type="plane" size="20 20 1" pos="0 0 -1" friction="0.5" priority="1" contype="2" conaffinity="2"/>
+  <body pos="0 0 0.1">
+    <joint name="sled" type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>
+    <geom name="sled" type="box" size="0.1 0.1 0.1" mass="1" friction="0.5"/></body>
+  <body pos="0 2 -0.9">
+    <joint name="other" type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>
+    <geom name="other" type="box" size="0.1 0.1 0.1" mass="1" friction="0.5" contype="2" conaffinity="2"/></body>
+</worldbody><actuator><motor name="sled" joint="sled"/><motor name="other" joint="other"/></actuator></mujoco>"#;
+
+/// How far the two sleds of a model get in 0.9 s under 12 N, with these factors.
+fn slide(model: &str, factors: &str) -> [f64; 2] {
+    let text = format!(
+        "model: sleds.xml\nstep_rate_hz: 1000\nmodalities: {{position: {{joint_positions: [sled, other]}}}}\n\
+         action: {{actuators: {{sled: {{range: [12, 12]}}, other: {{range: [12, 12]}}}}}}\nfactors: {{{factors}}}\n"
+    );
+    let world = World::parse("sleds.yaml", Some("".into()), "sleds", &text).unwrap();
+    let factors = world.file().factors.iter().map(|(name, _)| name.to_owned()).collect();
+    let spec = Simulation { actuations_per_episode: 1, factors, ..Simulation::default() };
+    let scene = Scene::from_xml(world.into(), model, "sleds.xml".into()).unwrap();
+    last::<2>(&simulate(&scene, &spec, 0), "position").map(f64::from)
+}
+
+/// How far 1 kg gets in 0.9 s if 12 N push it against this friction.
+fn slid(friction: f64) -> f64 {
+    0.5 * (12.0 - 9.81 * friction) * 0.9 * 0.9
+}
+
+#[track_caller]
+fn assert_slid(found: f64, friction: f64) {
+    assert!((found - slid(friction)).abs() < 0.03, "{found} instead of {}", slid(friction));
+}
+
+#[test]
+fn friction_scales_below_and_above_one_on_ground_of_equal_friction() {
+    for scale in [0.2, 0.5, 1.0, 1.5] {
+        let factor = format!("f: {{geom_friction: [sled, other], scale_by: {{choice: {scale}}}}}");
+        let [sled, other] = slide(SLEDS, &factor);
+        assert_slid(sled, 0.5 * scale);
+        // The model says that the plate's friction counts, whatever lies on it.
+        assert_slid(other, 0.5);
+    }
+    assert_eq!(slide(SLEDS, ""), slide(SLEDS, "f: {geom_friction: sled, scale_by: {choice: 1}}"));
+}
+
+#[test]
+fn of_two_scaled_frictions_in_a_contact_the_larger_counts() {
+    for [sled, ground] in [[0.4f64, 0.8], [0.8, 0.4], [1.5, 0.5]] {
+        let factors = format!(
+            "s: {{geom_friction: sled, scale_by: {{choice: {sled}}}}}, \
+             g: {{geom_friction: ground, scale_by: {{choice: {ground}}}}}"
+        );
+        assert_slid(slide(SLEDS, &factors)[0], 0.5 * sled.max(ground));
+    }
+}
+
+#[test]
+fn the_friction_of_a_contact_pair_is_scaled_with_its_geoms() {
+    let pair = r#"<contact><pair geom1="sled" geom2="ground" condim="3" friction="0.6 0.6 0.005 0.0001 0.0001"/></contact>"#;
+    let model = SLEDS.replace("<actuator>", &format!("{pair}<actuator>"));
+    for scale in [0.5, 1.0, 1.5] {
+        let factor = format!("f: {{geom_friction: sled, scale_by: {{choice: {scale}}}}}");
+        assert_slid(slide(&model, &factor)[0], 0.6 * scale);
+    }
+}
+
+#[test]
+fn the_size_of_boxes_moves_only_those_that_would_be_too_near() {
+    let own = scene(Scenario::CLUTTERED);
+    let text = include_str!("../../models/cluttered.yaml");
+    let sized = |distribution: &str| {
+        let text = text.replacen("box_*, scale_by: {uniform: [0.8, 1.2]}", distribution, 1);
+        assert!(text.contains(distribution));
+        let world = World::parse("sized.yaml", None, "cluttered", &text).unwrap();
+        Scene::from_xml(world.into(), own.xml(), "cluttered.xml".into()).unwrap()
+    };
+    let plans = |scene: &Scene, factors: &[&str]| {
+        (0..60).map(|index| EpisodePlan::draw(scene, &varied(factors), index).unwrap()).collect::<Vec<_>>()
+    };
+    let plain = plans(&own, &[]);
+    let place = |pose: &[f64; 7]| [pose[0], pose[1], pose[3], pose[6]];
+    let small = plans(&sized("box_*, scale_by: {choice: [0.5, 1]}"), &["box_size"]);
+    let (wide, other) =
+        (plans(&own, &["box_size"]), plans(&sized("box_*, scale_by: {choice: [0.7, 1.2]}"), &["box_size"]));
+    let (mut moved, mut heights) = (0, Vec::new());
+    for (index, plan) in plain.iter().enumerate() {
+        for (number, pose) in plan.boxes.iter().enumerate() {
+            assert_eq!(place(&small[index].boxes[number]), place(pose), "boxes that shrink stay");
+            let [wide, other] = [&wide, &other].map(|plans| plans[index].boxes[number]);
+            assert_eq!(place(&wide), place(&other), "the drawn size has no influence");
+            moved += usize::from(place(&wide) != place(pose));
+            heights.push(wide[2]);
+        }
+        // At the largest size, no two circles are nearer than the clearance.
+        let radius = 1.2 * 0.12f64.hypot(0.12);
+        for (number, one) in wide[index].boxes.iter().enumerate() {
+            for other in &wide[index].boxes[..number] {
+                let gap = (one[0] - other[0]).hypot(one[1] - other[1]) - 2.0 * radius;
+                assert!(gap >= 0.05 - 1e-9, "{gap}");
+            }
+        }
+    }
+    // Eight boxes fill about a fifth of the sector, so few are so near to another one.
+    assert!((1..96).contains(&moved), "{moved} of 480 boxes moved");
+    assert!(heights.iter().any(|height| *height > 0.17) && heights.iter().any(|height| *height < 0.13));
+}
