@@ -225,14 +225,23 @@ fn untouched_links_have_no_wmape() {
 }
 
 #[test]
-fn arm_joints_are_never_pooled() {
+fn joints_of_different_units_are_pooled_by_unit() {
     let (reference, predicted) = random_pairs(6, 10 * ARM_JOINTS, 0.0);
     let rows = evaluate(&of_finger(Modality::ARM), &reference, &predicted).unwrap();
-    let seen: Vec<_> = rows.iter().map(|row| (row.index, row.metric.name(), row.unit.as_str())).collect();
-    let of =
-        |joint, unit| [(Some(joint), "r2", "1"), (Some(joint), "rmse", unit), (Some(joint), "mae", unit)];
-    assert_eq!(seen, [of(0, "rad"), of(1, "m"), of(2, "m")].concat());
-    assert!(rows.iter().all(|row| row.direction.is_none()));
+    let part = |row: &Row| row.direction.map(Direction::name);
+    let seen: Vec<_> =
+        rows.iter().map(|row| (part(row), row.index, row.metric.name(), row.unit.as_str())).collect();
+    let of = |part, joint, unit| {
+        [(part, joint, "r2", "1"), (part, joint, "rmse", unit), (part, joint, "mae", unit)]
+    };
+    let parts = [of(Some("in rad"), None, "rad"), of(Some("in m"), None, "m")];
+    let joints = [of(None, Some(0), "rad"), of(None, Some(1), "m"), of(None, Some(2), "m")];
+    assert_eq!(seen, [parts.concat(), joints.concat()].concat());
+    // The sums of the formulas run over the pooled elements: the mean of the two slides' absolute errors.
+    let mae = |place: usize| {
+        rows.iter().filter(|row| row.metric.name() == "mae").nth(place).unwrap().value.unwrap()
+    };
+    assert!((mae(1) - 0.5 * (mae(3) + mae(4))).abs() < 1e-12);
 }
 
 #[test]

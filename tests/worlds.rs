@@ -1208,3 +1208,68 @@ fn factors_cannot_share_a_column_with_factors_or_modalities() {
     }
     assert_eq!(check_yard("", "", each).0, 0);
 }
+
+/// A gantry: two slides and a hinge.
+const GANTRY: &str = r#"<mujoco><option timestep="0.01"/><worldbody>
+  <body name="beam"><joint name="beam" type="slide" axis="1 0 0" damping="5"/><geom type="box" size="0.1 1 0.1" mass="1"/>
+  <body name="cart"><joint name="cart" type="slide" axis="0 1 0" damping="5"/><geom type="box" size="0.1 0.1 0.1" mass="1"/>
+  <body name="gripper"><joint name="gripper" type="hinge" axis="0 0 1" damping="1"/>
+    <geom type="box" size="0.2 0.05 0.05" mass="0.5"/></body></body></body>
+</worldbody><actuator>
+  <position name="beam" joint="beam" kp="50" ctrlrange="-1 1"/><position name="cart" joint="cart" kp="50" ctrlrange="-1 1"/>
+  <position name="gripper" joint="gripper" kp="10" ctrlrange="-2 2"/>
+</actuator></mujoco>"#;
+
+#[test]
+fn a_robot_with_slides_and_hinges_is_judged_by_unit() {
+    let (folder, results) = (tempfile::tempdir().unwrap(), fresh("worlds_gantry"));
+    let model = folder.path().join("gantry.xml");
+    fs::write(&model, GANTRY).unwrap();
+    succeed(&results, &["world", "new", model.to_str().unwrap()]);
+    let spec = write_spec(folder.path(), "gantry.yaml", "[joint_velocities]", "[joints]");
+    let said = succeed(&results, &["run", spec.to_str().unwrap(), "latent=2"]);
+    let note = "a modality whose elements have different units is judged by unit";
+    let has =
+        |text: &str, words: &[&str]| text.lines().any(|line| words.iter().all(|word| line.contains(word)));
+    for unit in ["in m ", "in rad "] {
+        assert!(has(&said, &["joints", unit]), "{said}");
+    }
+    assert!(said.contains(note), "{said}");
+    let line = said.lines().find(|line| line.contains("beats ")).unwrap_or_default();
+    assert!(line.contains("persistence in ") && line.contains(" of 2"), "{said}");
+
+    let said = succeed(&results, &["compare", "--metrics", "r2,rmse"]);
+    for (unit, sign) in [("m", "(m)"), ("rad", "(rad)")] {
+        let joints = format!("joints in {unit}");
+        assert!(has(&said, &[&joints, "R2"]) && has(&said, &[&joints, "RMSE", sign]), "{said}");
+    }
+    assert!(said.contains(note), "{said}");
+
+    let plot = |more: &[&str]| {
+        let output = folder.path().join("plot.csv");
+        let args = ["plot", "--x", "latent", "--y", "rmse", "--output", output.to_str().unwrap()];
+        let answer = finish(&mut harness(&results, &[&args[..], more].concat()));
+        (answer.code, answer.stderr, fs::read_to_string(output).unwrap_or_default())
+    };
+    let (code, said, _) = plot(&[]);
+    assert_eq!(code, 2, "{said}");
+    assert!(said.contains("the means differ in modality: joints in m, joints in rad"), "{said}");
+    let (code, said, means) = plot(&["--facet", "modality"]);
+    assert_eq!((code, means.lines().count()), (0, 3), "{said}{means}");
+    let (code, said, means) = plot(&["--modality", "joints in rad"]);
+    assert_eq!((code, means.lines().count()), (0, 2), "{said}{means}");
+    assert!(means.contains("in rad"), "{means}");
+
+    // The RMSE of the slides is the root of the mean of their squares, and that of the hinge is its own.
+    let answer = folder.path().join("answer.json");
+    let sql = "select direction, index, unit, value from metrics where metric = 'rmse' and model = 'network' \
+        and task = 'prediction' order by index nulls first, direction";
+    succeed(&results, &["query", sql, "--output", answer.to_str().unwrap()]);
+    let rows: serde_json::Value = serde_json::from_slice(&fs::read(answer).unwrap()).unwrap();
+    let value = |row: usize| rows[row]["value"].as_f64().unwrap();
+    assert_eq!(rows.as_array().unwrap().len(), 5, "{rows}");
+    assert_eq!([&rows[0]["direction"], &rows[1]["direction"]], ["in m", "in rad"], "{rows}");
+    assert_eq!([&rows[0]["unit"], &rows[1]["unit"]], ["m", "rad"], "{rows}");
+    let slides = (0.5 * (value(2).powi(2) + value(3).powi(2))).sqrt();
+    assert!((value(0) - slides).abs() < 1e-9 && (value(1) - value(4)).abs() < 1e-9, "{rows}");
+}

@@ -1,7 +1,7 @@
 //! Means of metrics over datasets and seeds.
 
 use super::{Analysis, AnalysisError, Interval, Run, Setting, interval};
-use harness_registry::{QueryError, Registry, rows};
+use harness_registry::{OVERALL, QueryError, Registry, rows};
 use harness_spec::{Modality, Origin, Task};
 use polars::prelude::{Column, DataFrame, PolarsResult};
 use serde::Deserialize;
@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 /// The value of the column `model` for the network. All other models are baselines.
 pub const NETWORK: &str = "network";
 
-/// The mean of a metric over all joints, links or pixels, for the networks of a group of runs or for a baseline.
+/// The mean of a metric over all joints, links or pixels, or over those with the same unit if their units differ, for the networks of a group of runs or for a baseline.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mean {
     /// The group, the model and the metric.
@@ -42,6 +42,8 @@ pub struct Of {
     pub task: Task,
     /// The predicted modality.
     pub modality: Modality,
+    /// `in` and the unit of the elements, such as `in rad`, if the modality has elements of different units.
+    pub direction: Option<String>,
     /// The name of the metric, such as `r2`.
     pub metric: String,
     /// [`NETWORK`], or the name of a baseline.
@@ -59,6 +61,15 @@ pub fn compare(
 ) -> Result<DataFrame, AnalysisError> {
     let analysis = Analysis::finished(registry, experiments, settings)?;
     Ok(Mean::frame(&analysis.means()?).map_err(QueryError::Sql)?)
+}
+
+impl Of {
+    /// Returns the name of the modality, followed by the unit of its elements if they are only a part of it: `joints in
+    /// rad`.
+    pub fn predicted(&self) -> String {
+        let part = self.direction.iter().map(String::as_str);
+        std::iter::once(self.modality.name()).chain(part).collect::<Vec<_>>().join(" ")
+    }
 }
 
 impl Mean {
@@ -85,6 +96,10 @@ impl Mean {
             text("task", &|mean| mean.of.task.to_string()),
             text("model", &|mean| mean.of.model.clone()),
             text("modality", &|mean| mean.of.modality.to_string()),
+            Column::new(
+                "direction".into(),
+                means.iter().map(|mean| mean.of.direction.clone()).collect::<Vec<_>>(),
+            ),
             text("metric", &|mean| mean.of.metric.clone()),
             text("unit", &|mean| mean.unit.clone()),
             count("datasets", &|mean| Some(mean.datasets as i64)),
@@ -127,6 +142,7 @@ struct Row {
     task: Task,
     model: String,
     modality: Modality,
+    direction: Option<String>,
     metric: String,
     value: f64,
     unit: String,
@@ -136,7 +152,7 @@ struct Row {
 type Values = (String, BTreeMap<usize, (u64, f64)>);
 
 impl Analysis {
-    /// The means of all metrics over all joints, links or pixels, for each group of runs that count, and for the
+    /// The means of all metrics of whole modalities (see [`OVERALL`]), for each group of runs that count, and for the
     /// baselines.
     ///
     /// # Errors
@@ -145,8 +161,10 @@ impl Analysis {
         let experiments: Vec<&str> = self.experiments().collect();
         let mut answer = self.query(
             &experiments,
-            "select experiment, run, task, model, modality, metric, value, unit from metrics \
-             where index is null and direction is null and value is not null",
+            &format!(
+                "select experiment, run, task, model, modality, direction, metric, value, unit from metrics \
+                 where {OVERALL} and value is not null"
+            ),
         )?;
         // A baseline's value is taken from the first run of a dataset. All runs of a group repeat it, up to rounding.
         let runs = experiments.iter().flat_map(|experiment| self.runs(experiment));
@@ -167,6 +185,7 @@ impl Analysis {
                 latent: (row.model == NETWORK).then_some(spec.latent),
                 task: row.task,
                 modality: row.modality,
+                direction: row.direction,
                 metric: row.metric,
                 model: row.model,
             };

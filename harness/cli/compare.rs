@@ -3,6 +3,7 @@
 use super::DONE;
 use super::format::{Destination, Form};
 use super::plot::key;
+use super::results::BY_UNIT;
 use super::sheet::{Sheet, Style, best, rounded};
 use super::table::width;
 use anyhow::Result;
@@ -184,6 +185,8 @@ struct Subject {
     task: Task,
     place: Place,
     modality: Modality,
+    /// The unit of the elements, if the modality has elements of different units.
+    direction: Option<String>,
     /// The position of the metric among the requested metrics.
     metric: usize,
 }
@@ -209,6 +212,7 @@ impl<'a> Comparison<'a> {
             task: of.task,
             place: Place::of(of, |key| !by.contains(&key)),
             modality: of.modality,
+            direction: of.direction.clone(),
             metric: metrics.iter().position(|name| *name == of.metric).unwrap_or(metrics.len()),
         };
         let side = |of: &Of| Side {
@@ -234,6 +238,9 @@ impl<'a> Comparison<'a> {
         }
         comparison.merge_baselines();
         comparison.notes.push(comparison.replicates());
+        if comparison.units.keys().any(|subject| subject.direction.is_some()) {
+            comparison.notes.push(BY_UNIT.to_owned());
+        }
         comparison
     }
 
@@ -303,7 +310,9 @@ impl<'a> Comparison<'a> {
         let metric = &self.metrics[subject.metric];
         let mut words = vec![subject.task.name().to_owned()];
         words.extend(subject.place.words(style, legend));
-        words.extend([subject.modality.name().replace('_', " "), style.metric(metric, unit)]);
+        let part = subject.direction.iter().map(|direction| format!(" {direction}"));
+        let predicted = subject.modality.name().replace('_', " ") + &part.collect::<String>();
+        words.extend([predicted, style.metric(metric, unit)]);
         words
     }
 

@@ -34,7 +34,8 @@ pub struct Plot {
     /// The network's task
     #[arg(long, default_value = "prediction", value_parser = task())]
     task: Task,
-    /// Plot only this predicted modality, for example contact_force
+    /// Plot only this predicted modality, for example contact_force, or the part of it with one unit, for example
+    /// "joints in rad"
     #[arg(long, value_name = "NAME")]
     modality: Option<String>,
     /// Use only runs with this setting, for example training.batch_size=64; may be given several times

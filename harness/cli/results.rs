@@ -6,14 +6,14 @@ use anyhow::Result;
 use harness::learning::objective::KL;
 use harness::learning::training::TOTAL;
 use harness::numbers::Natural;
-use harness::registry::{Registry, RunRecord, query_of, rows};
+use harness::registry::{OVERALL, Registry, RunRecord, query_of, rows};
 use serde::Deserialize;
 use std::cmp::Reverse;
 
 /// The models in the columns of a table: the network and the baselines.
 const MODELS: [&str; 4] = ["network", "persistence", "ridge", "training_mean"];
-/// Metrics over all joints, links or pixels.
-const POOLED: &str = "direction is null and index is null";
+/// The note of a table with modalities whose elements have different units.
+pub const BY_UNIT: &str = "a modality whose elements have different units is judged by unit";
 
 /// A row of the table, with the means over runs that differ in their seeds.
 #[derive(Deserialize)]
@@ -45,7 +45,7 @@ pub enum Metrics {
 pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecord) -> bool) -> Result<Sheet> {
     let means = MODELS.map(|model| format!("avg(case when model = '{model}' then value end) as {model}"));
     let chosen = match metrics {
-        Metrics::Main => format!("{POOLED} and metric in ('smape', 'wmape', 'r2', 'relative_error')"),
+        Metrics::Main => format!("{OVERALL} and metric in ('smape', 'wmape', 'r2', 'relative_error')"),
         Metrics::All => "index is null".to_owned(),
     };
     let cell = "task, scenario, variant, latent, modality, direction, metric, unit";
@@ -77,7 +77,9 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
         (words, numbers)
     };
     let header = MODELS.map(|model| model.replace('_', " ")).to_vec();
-    Ok(Sheet { titles: 4, header, rows: rows.into_iter().map(row).collect(), ..Sheet::default() })
+    let is_part = |row: &Row| row.direction.as_ref().is_some_and(|name| name.starts_with("in "));
+    let notes = rows.iter().any(is_part).then(|| BY_UNIT.to_owned()).into_iter().collect();
+    Ok(Sheet { titles: 4, header, rows: rows.into_iter().map(row).collect(), notes, ..Sheet::default() })
 }
 
 /// The run with the lowest validation error of some runs that were validated alike.
@@ -116,13 +118,14 @@ impl Comparison {
     /// Compares a run with each baseline: by R2, and for images by the relative error, on the test samples.
     pub fn all(registry: &Registry, is_run: impl Fn(&RunRecord) -> bool) -> Result<Vec<Self>> {
         let errors = format!(
-            "select model, modality, case when metric = 'r2' then 1 - value else value end as error from metrics \
-             where task = 'prediction' and {POOLED} and metric in ('r2', 'relative_error') and value is not null"
+            "select model, modality, coalesce(direction, '') as part, \
+             case when metric = 'r2' then 1 - value else value end as error from metrics \
+             where task = 'prediction' and {OVERALL} and metric in ('r2', 'relative_error') and value is not null"
         );
         let sql = format!(
             "with errors as ({errors}) select b.model as baseline, \
              sum(case when n.error < b.error then 1 else 0 end) as better, count(*) as outputs \
-             from errors as n join errors as b on n.modality = b.modality \
+             from errors as n join errors as b on n.modality = b.modality and n.part = b.part \
              where n.model = 'network' and b.model <> 'network' group by b.model order by baseline"
         );
         Ok(rows(&mut query_of(registry, is_run, &sql)?)?)

@@ -35,7 +35,7 @@ pub struct Plot {
     pub facet: Option<Key>,
     /// The task of the networks.
     pub task: Task,
-    /// The predicted modality; `None` for all of them.
+    /// The predicted modality, or its elements with one unit (`joints in rad`); `None` for all of them.
     pub modality: Option<String>,
 }
 
@@ -51,11 +51,14 @@ impl Plot {
     pub fn draw(&self, analysis: &Analysis) -> Result<Drawing, FigureError> {
         let of_task = |mean: &Mean| mean.of.model == NETWORK && mean.of.task == self.task;
         let all: Vec<Mean> = analysis.means()?.into_iter().filter(of_task).collect();
-        let has_modality = |of: &Of| self.modality.as_ref().is_none_or(|name| of.modality.name() == name);
+        let has_modality = |of: &Of| {
+            let is_named = |name: &String| of.modality.name() == name || of.predicted() == *name;
+            self.modality.as_ref().is_none_or(is_named)
+        };
         let is_shown = |mean: &&Mean| mean.of.metric == self.y.name() && has_modality(&mean.of);
         let means: Vec<Mean> = all.iter().filter(is_shown).cloned().collect();
         if means.is_empty() {
-            let there = all.iter().map(|mean| format!("{} of {}", mean.of.metric, mean.of.modality.name()));
+            let there = all.iter().map(|mean| format!("{} of {}", mean.of.metric, mean.of.predicted()));
             let there: BTreeSet<String> = there.collect();
             return Err(FigureError::NoMeans { there: there.into_iter().collect() });
         }
@@ -64,8 +67,10 @@ impl Plot {
 
     /// The label of the vertical axis.
     fn label(&self, means: &[Mean]) -> String {
-        let label = label(self.y.name(), &means[0].unit);
-        let modalities: BTreeSet<&str> = means.iter().map(|mean| mean.of.modality.name()).collect();
+        let units: BTreeSet<&str> = means.iter().map(|mean| mean.unit.as_str()).collect();
+        // Without a unit if the values have several.
+        let label = label(self.y.name(), if units.len() == 1 { &means[0].unit } else { "1" });
+        let modalities: BTreeSet<String> = means.iter().map(|mean| mean.of.predicted()).collect();
         match modalities.first() {
             Some(modality) if modalities.len() == 1 => format!("{}, {label}", modality.replace('_', " ")),
             _ => label,
@@ -181,7 +186,7 @@ fn value(key: Key, of: &Of) -> Natural {
         Key::Variant => of.variant.clone(),
         Key::Settings => of.settings.clone(),
         Key::Task => of.task.name().to_owned(),
-        Key::Modality => of.modality.name().to_owned(),
+        Key::Modality => of.predicted(),
     };
     Natural::new(if text.is_empty() { "none".into() } else { text })
 }

@@ -43,6 +43,12 @@ impl Direction {
         Self(intern(name))
     }
 
+    /// Returns the name for all elements with this unit, of a modality whose elements have different units. Names of
+    /// other groups contain no space.
+    pub fn in_unit(unit: &str) -> Self {
+        Self::new(&format!("in {}", if unit.is_empty() { "no unit" } else { unit }))
+    }
+
     /// Returns the name in tables. For the finger it is the paper's subscript.
     pub fn name(self) -> &'static str {
         self.0
@@ -277,15 +283,23 @@ impl Evaluation {
 
     /// Returns the metrics of all batches so far: of all elements first, then of each group, then of each element.
     ///
-    /// Elements of different units are not pooled. Images have only pooled values, and regions as well. A pooled value
-    /// is computed from the added sums of its series, see [`series`].
+    /// Elements of different units are not pooled: all elements with the same unit are a group, and a group of the
+    /// definition whose elements have different units is left out. Images have only pooled values, and regions as well.
+    /// A pooled value is computed from the added sums of its series, see [`series`].
     pub fn rows(&self) -> Vec<Row> {
         let metrics = Metric::of(&self.definition);
         let mut found = Vec::new();
         for Group { direction, index, elements } in self.groups() {
             let mut add = |metric: Metric, base: Metric, series: &[Series]| {
                 let (modality, value) = (self.definition.name, self.value(base, series));
-                found.push(Row { modality, direction, index, metric, value, unit: self.unit(base, index) });
+                found.push(Row {
+                    modality,
+                    direction,
+                    index,
+                    metric,
+                    value,
+                    unit: self.unit(base, &elements),
+                });
             };
             let all: Vec<Series> = elements.iter().map(|element| self.columns[*element]).collect();
             let regions: Vec<(&str, Vec<Series>)> = self
@@ -314,18 +328,11 @@ impl Evaluation {
         }
     }
 
-    /// Returns the unit of a metric that does not belong to a region.
-    fn unit(&self, metric: Metric, index: Option<u32>) -> String {
+    /// Returns the unit of a metric of some elements that does not belong to a region.
+    fn unit(&self, metric: Metric, elements: &[usize]) -> String {
         match metric {
             Metric::Smape | Metric::Wmape => "%".into(),
-            Metric::Rmse | Metric::Mae => {
-                let element = index.and_then(|index| self.definition.elements().get(index as usize));
-                element
-                    .map(|element| element.unit.as_str())
-                    .or(self.definition.unit())
-                    .unwrap_or_default()
-                    .into()
-            }
+            Metric::Rmse | Metric::Mae => self.definition.unit_of(elements).unwrap_or_default().into(),
             Metric::R2 | Metric::RelativeError | Metric::Regional(..) => "1".into(),
         }
     }
@@ -349,14 +356,23 @@ impl Evaluation {
     fn groups(&self) -> Vec<Group> {
         let definition = &self.definition;
         let mut groups = Vec::new();
-        if definition.unit().is_some() {
-            groups.push(Group { direction: None, index: None, elements: (0..definition.width()).collect() });
-            groups.extend(definition.groups.iter().map(|group| Group {
-                direction: Some(Direction::new(&group.name)),
+        match definition.unit() {
+            Some(_) => {
+                let elements = (0..definition.width()).collect();
+                groups.push(Group { direction: None, index: None, elements });
+            }
+            None => groups.extend(definition.by_unit().into_iter().map(|(unit, elements)| Group {
+                direction: Some(Direction::in_unit(unit)),
                 index: None,
-                elements: group.elements.clone(),
-            }));
+                elements,
+            })),
         }
+        let own = definition.groups.iter().filter(|group| definition.unit_of(&group.elements).is_some());
+        groups.extend(own.map(|group| Group {
+            direction: Some(Direction::new(&group.name)),
+            index: None,
+            elements: group.elements.clone(),
+        }));
         if !definition.is_image() {
             groups.extend((0..definition.width()).map(|element| Group {
                 direction: definition.group_of(element).map(|group| Direction::new(&group.name)),

@@ -40,7 +40,9 @@ pub use live::{LiveEpochs, live_epochs};
 pub use pack::{PackError, Packed, Unpacked};
 pub use provenance::{Provenance, Versions, peak_memory_bytes};
 pub use publish::{ForcesOf, Published, forces_of};
-pub use query::{TableFormat, answer, episode_columns, query, query_of, query_recorded, rows, save, table};
+pub use query::{
+    OVERALL, TableFormat, answer, episode_columns, query, query_of, query_recorded, rows, save, table,
+};
 pub use record::{
     FileRecord, ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings,
 };

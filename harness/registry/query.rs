@@ -23,6 +23,10 @@ use std::sync::Arc;
 /// the parser and Polars walk what nests by recursion. Only what is used takes memory.
 const QUERY_STACK_BYTES: usize = 1 << 30;
 
+/// The SQL condition for the rows of `metrics` that judge a whole modality: those of all its elements, or those of all
+/// elements with the same unit if their units differ.
+pub const OVERALL: &str = "index is null and (direction is null or direction like 'in %')";
+
 /// Answers one statement of standard SQL over the tables of [`Table::ALL`].
 ///
 /// Runs and datasets that can't be used are left out; see [`Registry::left_out`].

@@ -235,11 +235,28 @@ impl Definition {
     pub fn unit(&self) -> Option<&str> {
         match &self.kind {
             Kind::Image { .. } => Some("1"),
-            Kind::Vector { elements } => {
-                let unit = elements.first().map_or("", |element| element.unit.as_str());
-                elements.iter().all(|element| element.unit == unit).then_some(unit)
+            Kind::Vector { elements } => one_unit(elements.iter()),
+        }
+    }
+
+    /// Returns the unit of some values; `None` if the units differ.
+    pub fn unit_of(&self, elements: &[usize]) -> Option<&str> {
+        match &self.kind {
+            Kind::Image { .. } => self.unit(),
+            Kind::Vector { elements: all } => one_unit(elements.iter().filter_map(|index| all.get(*index))),
+        }
+    }
+
+    /// Returns the units of a vector's elements, and the elements with each, in the order of the first ones.
+    pub fn by_unit(&self) -> Vec<(&str, Vec<usize>)> {
+        let mut units: Vec<(&str, Vec<usize>)> = Vec::new();
+        for (index, Element { unit, .. }) in self.elements().iter().enumerate() {
+            match units.iter_mut().find(|(other, _)| other == unit) {
+                Some((_, elements)) => elements.push(index),
+                None => units.push((unit, vec![index])),
             }
         }
+        units
     }
 
     /// Returns whether the values are contact forces. The table `forces` holds their distribution.
@@ -273,6 +290,11 @@ impl Definition {
             groups => groups.iter().filter_map(|group| group.elements.last().copied()).collect(),
         }
     }
+}
+
+fn one_unit<'a>(mut elements: impl Iterator<Item = &'a Element>) -> Option<&'a str> {
+    let unit = elements.next().map_or("", |element| element.unit.as_str());
+    elements.all(|element| element.unit == unit).then_some(unit)
 }
 
 /// A part of the images for which a separate error is reported.

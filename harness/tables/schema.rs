@@ -215,8 +215,8 @@ fn metric_values() -> Vec<Column> {
         text("modality", "what is predicted"),
         text(
             "direction",
-            "group of elements, such as the finger's fe (flexion/extension) and aa (adduction/abduction); null if none \
-             or all",
+            "group of elements, such as the finger's fe (flexion/extension) and aa (adduction/abduction); 'in rad', 'in m' \
+             and so on for the elements with a unit, if a modality has several; null if none or all",
         ),
         integer("index", "element: joint or link, 0 at the base; null for an aggregate"),
         text(
