@@ -1,22 +1,26 @@
 """Measures the values in the section "Measured" of models/README.md, and prints them as Markdown tables.
 
     .venv/bin/python models/measure.py             # all tables
-    .venv/bin/python models/measure.py settling    # one table: contacts, settling, softness, cones or sensors
+    .venv/bin/python models/measure.py settling    # one table; --help lists all
 
 The table `contacts` is computed from datasets that the package `harness` collects in a temporary folder. For the other
-tables, the models in this folder are changed and simulated with MuJoCo's Python package. Every call prints the same.
+tables, the models in this folder are changed and simulated with MuJoCo's Python package. The tables `stepping` and
+`rendering` contain rates, which depend on the machine. Of all other tables, every call prints the same.
 
 All values are in SI units, angles in radians.
 """
 
 import argparse
+import os
 import pathlib
 import tempfile
+import time
 
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import harness  # before MuJoCo, because it makes Mesa render on the calling thread
 import mujoco
 import numpy as np
-
-import harness
 
 HERE = pathlib.Path(__file__).resolve().parent
 SCENES = ("empty", "cluttered")
@@ -42,6 +46,15 @@ DRAG_LIFT = -0.7  # m, at which the straight finger would reach 0.25 m into the 
 
 CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
 CONE_MOVES = 1000
+
+MODE_STEP = 1e-6  # rad, by which joints are moved to find the change of the forces
+
+STEPPING_MOVES = 20
+STEPPING_ROUNDS = 3
+
+POSES = 100  # random poses of the arm, of which frames are rendered
+RENDERING_ROUNDS = 5
+LARGER = 640  # pixels, width and height of a larger buffer
 
 SENSOR_MOVES = 100
 SENSOR_RADIUS = 0.2  # m, of a sphere around each link, which contains all contacts of the link
@@ -266,6 +279,129 @@ def sensors():
     print_table(["", "largest force on a link", "largest difference of a touch sensor"], rows)
 
 
+def modes():
+    """Prints the slowest and the fastest mode of the hanging finger, with factors of variation at their extremes."""
+    own = load("empty")
+    step = own.option.timestep
+    rows = []
+    for name, mass, stiffness, armature in (
+        ("the model's", 1, 1, None),
+        ("the model's, without armature", 1, 1, 0),
+        ("`finger_mass` 0.5, `finger_stiffness` 2", 0.5, 2, None),
+        ("`finger_mass` 2, `finger_stiffness` 0.5", 2, 0.5, None),
+    ):
+        spec = load("empty")
+        for link, joint in zip(LINKS, JOINTS):
+            spec.geom(link).mass *= mass
+            spec.joint(joint).stiffness *= stiffness
+            if armature is not None:
+                spec.joint(joint).armature = armature
+        rates = mode_rates(spec.compile())
+        rows.append([name, f"{rates.min():.1f} rad/s", f"{rates.max():.0f} rad/s", f"{rates.max() * step:.2f} rad"])
+    print_table(["finger", "slowest mode", "fastest mode", "fastest mode in a step"], rows)
+
+
+def mode_rates(model):
+    """Returns the rates of the undamped modes of the finger at rest while the arm stands still, rad/s."""
+    data = at_rest(model)
+    joints = [model.joint(joint).dofadr[0] for joint in JOINTS]
+    places = [model.joint(joint).qposadr[0] for joint in JOINTS]
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    rest = data.qpos.copy()
+
+    def force():
+        """Returns the forces that move the finger's joints: gravity and springs."""
+        mujoco.mj_forward(model, data)
+        return (data.qfrc_passive - data.qfrc_bias)[joints]
+
+    stiffness = np.empty((len(joints), len(joints)))
+    for column, place in enumerate(places):
+        ends = []
+        for sign in (1, -1):
+            data.qpos[:] = rest
+            data.qpos[place] += sign * MODE_STEP
+            ends.append(force())
+        stiffness[:, column] = (ends[1] - ends[0]) / (2 * MODE_STEP)
+    squares = np.linalg.eigvals(np.linalg.solve(mass[np.ix_(joints, joints)], stiffness))
+    return np.sqrt(squares.real)
+
+
+def stepping():
+    """Prints how many steps a core simulates in a second, and the solver's iterations, with and without sleeping."""
+    rows = []
+    for scene in SCENES:
+        for name, flags in (("on", int(mujoco.mjtEnableBit.mjENBL_SLEEP)), ("off", 0)):
+            model = load(scene).compile()
+            model.opt.enableflags = flags
+            setpoints = random_setpoints(model, STEPPING_MOVES)
+            times, iterations = [], []
+            for _ in range(STEPPING_ROUNDS):
+                data = at_rest(model)
+                start = time.thread_time()
+                iterations = [data.solver_niter[: max(1, data.nisland)].max() for _ in move(model, data, setpoints)]
+                times.append(time.thread_time() - start)
+            rate = len(iterations) / min(times)
+            rows.append([scene, name, f"{rate:,.0f}", f"{np.mean(iterations):.2f}"])
+    print_table(["", "sleeping", "steps in a second", "iterations of the solver in a step: mean"], rows)
+
+
+def rendering():
+    """Prints how many frames a core renders in a second with the models' settings, and with one of them changed."""
+
+    def changed(**quality):
+        spec = load("cluttered")
+        for name, value in quality.items():
+            setattr(spec.visual.quality, name, value)
+        return spec
+
+    unchanged = mujoco.MjSpec().visual.quality
+    infinite, larger = changed(), changed()
+    infinite.geom("ground").size = (0, 0, 1)
+    larger.visual.global_.offwidth = larger.visual.global_.offheight = LARGER
+    variants = {
+        "the models'": changed(),
+        "MuJoCo's `shadowsize`": changed(shadowsize=unchanged.shadowsize),
+        "MuJoCo's `offsamples`": changed(offsamples=unchanged.offsamples),
+        "MuJoCo's `shadowsize` and `offsamples`": changed(
+            shadowsize=unchanged.shadowsize, offsamples=unchanged.offsamples
+        ),
+        "MuJoCo's `numslices`, `numstacks`, `numquads`": changed(
+            numslices=unchanged.numslices, numstacks=unchanged.numstacks, numquads=unchanged.numquads
+        ),
+        "an infinite ground": infinite,
+        f"`offwidth`, `offheight` {LARGER}": larger,
+    }
+    rows, own = [], None
+    for name, spec in variants.items():
+        seconds = frame_seconds(spec.compile())
+        own = own or seconds
+        rows.append([name, number(1 / seconds), f"{seconds / own:.1f}"])
+    print_table(["settings", "frames in a second", "time of a frame, in those of the models' settings"], rows)
+
+
+def frame_seconds(model):
+    """Returns the processor time of a frame of 64 x 64 pixels, s: the least of some rounds over random poses."""
+    own = load("cluttered").visual.global_
+    data, poses = at_rest(model), []
+    for setpoint in random_setpoints(model, POSES)[1:]:
+        data.qpos[: model.nu] = setpoint
+        poses.append(data.qpos.copy())
+    with mujoco.Renderer(model, own.offheight, own.offwidth) as renderer:
+        times = []
+        for _ in range(RENDERING_ROUNDS):
+            spent = 0
+            for pose in poses:
+                data.qpos[:] = pose
+                mujoco.mj_forward(model, data)
+                start = time.process_time()
+                renderer.update_scene(data, "external")
+                renderer.render()
+                spent += time.process_time() - start
+            times.append(spent / len(poses))
+    return min(times)
+
+
 def with_touch_sensors(scene):
     """Returns the compiled model of a scene with a touch sensor on each link."""
     spec = load(scene)
@@ -277,7 +413,10 @@ def with_touch_sensors(scene):
     return spec.compile()
 
 
-TABLES = {function.__name__: function for function in (contacts, settling, softness, cones, sensors)}
+TABLES = {
+    function.__name__: function
+    for function in (contacts, settling, softness, cones, sensors, modes, stepping, rendering)
+}
 
 
 def main():

@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 /// Runs of two latent sizes with two seeds each, in both scenarios.
 static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
     let results = fresh("plot");
-    succeed(&results, &["run", SMOKE, "seeds=[0,1]", "latent=[2,4]", "tasks=[prediction]"]);
+    succeed(&results, &["run", SMOKE, "seeds=[0,1]", "latent=[2,4]"]);
     results
 });
 
@@ -22,7 +22,18 @@ fn a_plot_shows_the_means_and_intervals_of_a_comparison() {
     };
     assert_eq!(plot("plot.csv"), format!("8 means in {}\n", path("plot.csv")));
     let compared = path("compare.csv");
-    let asked = ["compare", "smoke", "--metrics", "r2", "--models", "network", "--output", &compared];
+    let asked = [
+        "compare",
+        "smoke",
+        "--metrics",
+        "r2",
+        "--models",
+        "network",
+        "--task",
+        "prediction",
+        "--output",
+        &compared,
+    ];
     succeed(&RESULTS, &asked);
     let read = |name: &str| std::fs::read_to_string(path(name)).unwrap();
     assert_eq!(read("plot.csv"), read("compare.csv"));
@@ -43,6 +54,52 @@ fn a_plot_shows_the_means_and_intervals_of_a_comparison() {
     plot("plot.png");
     let (width, height) = image::image_dimensions(path("plot.png")).unwrap();
     assert!(width > 1900 && height > 900, "{width} x {height}");
+}
+
+#[test]
+fn baselines_are_plotted_beside_the_networks() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let models = ["--models", "network,persistence,ridge,training_mean"];
+    let plot = |name: &str| {
+        let asked =
+            ["plot", "smoke", "--x", "latent", "--y", "r2", "--by", "modality", "--facet", "scenario"];
+        succeed(&RESULTS, &[&asked[..], &models, &["--output", &path(name)]].concat())
+    };
+    // Two scenarios and two modalities: 8 means of networks, and one of each of the three baselines.
+    assert_eq!(plot("plot.csv"), format!("20 means in {}\n", path("plot.csv")));
+    let compared = path("compare.csv");
+    let asked = ["compare", "smoke", "--metrics", "r2", "--task", "prediction", "--output", &compared];
+    succeed(&RESULTS, &[&asked[..], &models].concat());
+    let read = |name: &str| std::fs::read_to_string(path(name)).unwrap();
+    assert_eq!(read("plot.csv"), read("compare.csv"));
+
+    plot("plot.svg");
+    let svg = read("plot.svg");
+    for name in ["contact_force", "contact_force, persistence", "proprioception, ridge"] {
+        assert!(svg.contains(&format!("aria-label=\"{name}\"")), "no {name}");
+    }
+    assert!(svg.contains("contact_force, training mean"));
+    // Each of six series of baselines has a dashed line in both panels and one in the legend. Ridge regression's R2 of
+    // the contact force in `empty`, below -20, lies far below all others.
+    assert_eq!(svg.matches("stroke-dasharray").count(), 18 - 1);
+    assert!(svg.contains("beyond the axis: contact_force, ridge, empty: \u{2212}2"));
+}
+
+#[test]
+fn panels_by_task_show_both_tasks() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let tasks = |more: &[&str]| {
+        let asked = ["plot", "smoke", "--x", "latent", "--y", "r2", "--by", "modality", "--where"];
+        let rest = ["scenario=empty", "--output", &path("plot.csv")];
+        succeed(&RESULTS, &[&asked[..], &rest, more].concat());
+        let table = std::fs::read_to_string(path("plot.csv")).unwrap();
+        ["prediction", "reconstruction"].map(|task| table.contains(&format!(",{task},")))
+    };
+    assert_eq!(tasks(&["--facet", "task"]), [true, true]);
+    assert_eq!(tasks(&[]), [true, false]);
+    assert_eq!(tasks(&["--facet", "task", "--task", "reconstruction"]), [false, true]);
 }
 
 #[test]

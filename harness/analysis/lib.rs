@@ -22,7 +22,7 @@ pub use interval::{
     Interval, LEVEL, holm, interval, intervals, mean_interval, p_value, replicates, replicates_needed,
 };
 pub use key::Key;
-pub use means::{Mean, NETWORK, Of, compare, replicates_of};
+pub use means::{MODELS, Mean, NETWORK, Of, compare, replicates_of};
 pub use settings::{Difference, Setting, all_settings, differing, has_settings};
 pub use subset::Subset;
 

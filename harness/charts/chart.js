@@ -5,8 +5,10 @@ const COLORS = ["first", "second", "third", "fourth", "fifth", "sixth", "seventh
 const DASHES = { dashed: [6, 4], dotted: [2, 3] };
 /** The farthest that a point is from the pointer that shows it, px. */
 const REACH = 40;
-/** The most values in a tooltip. */
+/** The most values in a tooltip, and the most that are named because they lie beyond the axis. */
 const MOST_VALUES = 6;
+/** An outlier is at least this many times as far from the other values as these are from each other. */
+const FAR = 9;
 
 // --- Themes ---
 
@@ -157,6 +159,32 @@ function logarithmicTicks(low, high) {
   return all.filter((tick) => tick >= low * 0.999 && tick <= high * 1.001);
 }
 
+/** The ends of an axis for values from min to max: with some room, and with 0 if no value is negative. */
+function roomy(min, max) {
+  const room = 0.04 * (max - Math.min(min, 0)) || 0.04 * Math.abs(max) || 1;
+  return [min < 0 ? min - room : 0, max + room];
+}
+
+/**
+ * The ends `low` and `high` of an axis without outliers, which would leave a small part of it to all other values. Nothing if there
+ * are none. Outliers are fewer than half of the values.
+ */
+function withoutOutliers(values) {
+  const sorted = values.filter((value) => typeof value === "number").sort((a, b) => a - b);
+  for (let kept = sorted.length - 1; kept > sorted.length / 2; kept -= 1) {
+    for (let place = 0; place + kept <= sorted.length; place += 1) {
+      const [min, max] = [sorted[place], sorted[place + kept - 1]];
+      const length = max - Math.min(min, 0);
+      const gap = Math.min(min - (sorted[place - 1] ?? -Infinity), (sorted[place + kept] ?? Infinity) - max);
+      if (length > 0 && gap >= FAR * length) {
+        const [low, high] = roomy(min, max);
+        return { low, high };
+      }
+    }
+  }
+  return {};
+}
+
 /** The table that uPlot draws lines from: all x, and a list of values for each series, with null where there is none. */
 function tableOf(series) {
   const xs = distinct(series.flatMap((one) => one.points.map((point) => point.x)));
@@ -178,7 +206,7 @@ function tableOf(series) {
  * line), its `width` and `dash`, `kind` (the shape of its marks), `hollow`, and `behind` (whether it lies behind others). A
  * series without a name has no tooltips. A point has `x`, `y`, and optionally `bounds` (the ends of its interval) and `says`
  * (the lines of its tooltip); without `says`, the tooltip has the values of all series at this x. A point beyond the ends of y
- * is at the end, with a mark that points away.
+ * is at the end, with a mark that points away, and is named below the chart.
  *
  * A `small` chart is one of several, which share the set `hidden` and a legend that is not part of them.
  */
@@ -189,7 +217,8 @@ class Chart {
     this.tooltip = element("div", { class: "tooltip", role: "status", hidden: "" });
     this.ring = element("div", { class: "ring", hidden: "" });
     this.legend = small ? null : new Legend(hidden, () => this.hideSeries());
-    place.append(...(small ? [this.frame] : [this.legend.list, this.frame]));
+    this.beyond = element("p", { class: "beyond", hidden: "" });
+    place.append(...(small ? [] : [this.legend.list]), this.frame, this.beyond);
     this.listen();
     this.observer = new ResizeObserver(() => this.plot && this.frame.clientWidth !== this.plot.width && this.plot.setSize(this.size()));
     this.observer.observe(this.frame);
@@ -222,6 +251,7 @@ class Chart {
     this.hide();
     this.look({ ...this.home, ...kept });
     this.legend?.show(content.series);
+    this.nameBeyond();
     const about = `${content.title}: ${y.label} over ${x.label}.`;
     this.frame.setAttribute("aria-label", `${about} Arrow keys go from point to point, plus and minus zoom, 0 shows everything.`);
     // The chart of a training grows while someone reads it.
@@ -243,7 +273,13 @@ class Chart {
     if (x.ticks) {
       const texts = new Map(x.ticks.map(({ at, text }) => [at, text]));
       across.splits = (_, index, min, max) => [...texts.keys()].filter((at) => at >= min && at <= max);
-      across.values = (_, splits) => splits.map((at) => texts.get(at));
+      // Texts that would overlap are left out.
+      const longest = Math.max(...[...texts.values()].map((text) => text.length));
+      across.values = (plot, splits) => {
+        const room = plot.bbox.width / devicePixelRatio / splits.length;
+        const every = Math.ceil((7 * longest + 6) / room);
+        return splits.map((at, place) => (place % every ? "" : texts.get(at)));
+      };
     }
     const up = { ...axis, label: y.label, size: 50, gap: 4 };
     if (y.logarithmic) Object.assign(up, { splits: (_, index, min, max) => logarithmicTicks(min, max), filter: (_, splits) => splits });
@@ -276,8 +312,7 @@ class Chart {
   rangeOf(min, max) {
     if (min === null || max === null) return this.content.y.logarithmic ? [0.1, 1] : [0, 1];
     if (this.content.y.logarithmic) return [min / 1.06, max * 1.06];
-    const room = 0.04 * (max - Math.min(min, 0)) || 0.04 * Math.abs(max) || 1;
-    return [min < 0 ? min - room : 0, max + room];
+    return roomy(min, max);
   }
 
   // --- Drawing ---
@@ -521,7 +556,27 @@ class Chart {
     const near = this.told().flatMap((series) => series.points.filter((point) => point.x === x).map((point) => ({ series, point })))
       .map((one) => ({ ...one, distance: Math.abs(this.plot.valToPos(one.point.y, "y") - height) }))
       .sort((a, b) => a.distance - b.distance).slice(0, MOST_VALUES);
-    return [`${this.content.x.label} ${shown(x)}`, ...near.map(({ series, point }) => `${series.name}: ${shown(point.y)}`)];
+    return [`${this.content.x.label} ${this.textOf(x)}`, ...near.map(({ series, point }) => `${series.name}: ${shown(point.y)}`)];
+  }
+
+  /** The text of a value of x. */
+  textOf(x) {
+    return this.content.x.ticks?.find(({ at }) => at === x)?.text ?? shown(x);
+  }
+
+  /** Names the points beyond the ends of y below the chart. A series with a single value is named without its places. */
+  nameBeyond() {
+    const { series, y } = this.content;
+    const isBeyond = (point) => point.y < (y.low ?? -Infinity) || point.y > (y.high ?? Infinity);
+    const words = (one, point) => {
+      const isFlat = one.points.every((other) => other.y === point.y);
+      return `${one.name}${isFlat ? "" : ` at ${this.textOf(point.x)}`}: ${shown(point.y)}`;
+    };
+    const named = series.filter((one) => one.name);
+    const all = distinct(named.flatMap((one) => one.points.filter(isBeyond).map((point) => words(one, point))));
+    const more = all.length > MOST_VALUES ? [`${all.length - MOST_VALUES} more`] : [];
+    this.beyond.textContent = `Beyond the axis: ${[...all.slice(0, MOST_VALUES), ...more].join("; ")}.`;
+    this.beyond.hidden = all.length === 0;
   }
 
   hide() {
@@ -545,6 +600,7 @@ class Chart {
   remove() {
     painted.delete(this);
     painted.delete(this.legend);
+    this.beyond.remove();
     this.observer.disconnect();
     this.plot?.destroy();
   }

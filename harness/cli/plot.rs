@@ -5,7 +5,7 @@ use super::table::shown;
 use anyhow::Result;
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use harness::analysis::{Analysis, Key, Setting};
+use harness::analysis::{Analysis, Key, MODELS, NETWORK, Setting};
 use harness::figures::{Format, Plot as Drawn};
 use harness::metrics::Metric;
 use harness::numbers::counted;
@@ -31,9 +31,13 @@ pub struct Plot {
     /// The key that distinguishes panels
     #[arg(long, value_name = "KEY", value_parser = key(&Key::ALL))]
     facet: Option<Key>,
-    /// The network's task
-    #[arg(long, default_value = "prediction", value_parser = task())]
-    task: Task,
+    /// The networks and the baselines to plot, separated by commas
+    #[arg(long, value_name = "MODEL", value_delimiter = ',', default_value = NETWORK,
+          value_parser = PossibleValuesParser::new(MODELS))]
+    models: Vec<String>,
+    /// Plot only this task [default: prediction; both tasks if the plot distinguishes them]
+    #[arg(long, value_parser = task())]
+    task: Option<Task>,
     /// Plot only this predicted modality, for example contact_force, or the part of it with one unit, for example
     /// "joints in rad"
     #[arg(long, value_name = "NAME")]
@@ -70,8 +74,8 @@ impl Plot {
         for note in analysis.notes() {
             eprintln!("{note}");
         }
-        let Self { x, y, by, facet, task, modality, output: (path, format), .. } = self;
-        let drawing = Drawn { x, y, by, facet, task, modality }.draw(&analysis)?;
+        let Self { x, y, by, facet, models, task, modality, output: (path, format), .. } = self;
+        let drawing = Drawn { x, y, by, facet, task, modality, models }.draw(&analysis)?;
         let means = counted(drawing.data.height(), "mean");
         drawing.save_as(&path, format)?;
         println!("{means} in {}", shown(&path));

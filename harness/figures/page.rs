@@ -144,6 +144,12 @@ pub enum Mark {
     Disc,
     /// An upright square.
     Square,
+    /// A square on one of its corners.
+    Diamond,
+    /// A triangle that points upwards.
+    Triangle,
+    /// Two crossed lines, which look the same hollow.
+    Cross,
 }
 
 /// A page that shapes, text and pictures are drawn on.
@@ -253,7 +259,38 @@ impl Page {
                     number(radius)
                 ));
             }
+            Mark::Diamond => {
+                let reach = radius * 1.35;
+                self.polygon(
+                    center,
+                    &[[0.0, -reach], [reach, 0.0], [0.0, reach], [-reach, 0.0]],
+                    fill,
+                    stroke,
+                );
+            }
+            Mark::Triangle => {
+                let (half, down) = (radius * 1.2, radius * 0.85);
+                self.polygon(center, &[[0.0, -radius * 1.25], [half, down], [-half, down]], fill, stroke);
+            }
+            Mark::Cross => {
+                let reach = radius * 0.9;
+                for slope in [-reach, reach] {
+                    let [x, y] = center;
+                    self.line([x - reach, y - slope], [x + reach, y + slope], Stroke::new(color, rim));
+                }
+            }
         }
+    }
+
+    /// Draws a polygon whose corners are given from its center.
+    fn polygon(&mut self, center: Point, corners: &[Point], fill: &str, border: Option<Stroke>) {
+        let corners: Vec<Point> =
+            corners.iter().map(|corner| [center[0] + corner[0], center[1] + corner[1]]).collect();
+        let stroke = border.map_or(String::new(), |stroke| {
+            format!(" stroke=\"{}\" stroke-width=\"{}\"", stroke.color, number(stroke.width))
+        });
+        let path = path_data(&corners);
+        self.put(format_args!("<path d=\"{path}Z\" fill=\"{fill}\"{stroke}/>"));
     }
 
     /// Draws many small data points, `size` points wide. They are spread over a few SVG elements, which keeps the file

@@ -1,28 +1,39 @@
 //! A plot of a metric over a setting, for any runs: one series for each value of other settings, in one or several panels.
 
-use super::axes::{Look, Panel, Scale, legend, remark};
-use super::page::{BLACK, BLUE, COLUMN, GRAY, GREEN, Mark, Page, Type, VERMILION, WINE};
+use super::axes::{Look, Panel, Scale, legend, remarks};
+use super::page::{BLACK, BLUE, COLUMN, GRAY, GREEN, Mark, PALE, Page, Stroke, Type, VERMILION, WINE};
 use super::{Drawing, FigureError};
 use harness_analysis::{Analysis, Interval, Key, Mean, NETWORK, Of, replicates_of};
 use harness_metrics::{Metric, label};
-use harness_shared::numbers::Natural;
+use harness_shared::numbers::{Natural, rounded};
 use harness_spec::Task;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 
 /// Height of a panel, points.
 const HEIGHT: f64 = 110.0;
 /// Space below a panel for names, the axis label and the heading of the next panel, points.
 const BELOW: f64 = 38.0;
-/// The colors of the series. The second half has hollow points.
+/// The colors of the series of networks. The second half has hollow points.
 const COLORS: [&str; 6] = [BLUE, VERMILION, GREEN, WINE, BLACK, GRAY];
+/// The points of networks, by turns.
+const MARKS: [Mark; 2] = [Mark::Disc, Mark::Square];
+/// The points of baselines, which have dashed lines.
+const BASELINE_MARKS: [Mark; 3] = [Mark::Diamond, Mark::Triangle, Mark::Cross];
 /// The most series that can be told apart.
 const MOST_SERIES: usize = 2 * COLORS.len();
 /// The most panels.
 const MOST_PANELS: usize = 8;
 /// Height of a row of names, points.
 const ROW: f64 = 8.0;
+/// Part of a slot's width over which the points of its series are spread.
+const SPREAD: f64 = 0.6;
+/// The most values beyond the axis that the remarks name.
+const MOST_NAMED: usize = 6;
+/// An outlier is at least this many times as far from the other values as these are from each other.
+const FAR: f64 = 9.0;
 
-/// A plot of a metric of networks, as means with their intervals.
+/// A plot of a metric of networks and baselines, as means with their intervals.
 #[derive(Debug, Clone)]
 pub struct Plot {
     /// The key along the horizontal axis.
@@ -33,14 +44,31 @@ pub struct Plot {
     pub by: Vec<Key>,
     /// The key that distinguishes panels.
     pub facet: Option<Key>,
-    /// The task of the networks.
-    pub task: Task,
+    /// The task that is evaluated. `None` for the prediction, or for both tasks if the plot distinguishes them.
+    pub task: Option<Task>,
     /// The predicted modality, or its elements with one unit (`joints in rad`); `None` for all of them.
     pub modality: Option<String>,
+    /// What is drawn: [`NETWORK`] and names of baselines.
+    pub models: Vec<String>,
 }
 
 /// The values of a key that occur, in order.
-type Values = BTreeSet<Natural>;
+type Values = Vec<Natural>;
+
+/// The networks with the same values of the keys `by`, or a baseline.
+struct Series<'a> {
+    name: String,
+    look: Look,
+    spots: Vec<Spot<'a>>,
+}
+
+/// A mean, and where it is drawn.
+struct Spot<'a> {
+    panel: usize,
+    /// Its position along the horizontal axis.
+    slot: usize,
+    value: &'a Interval,
+}
 
 impl Plot {
     /// Draws the means of an analysis.
@@ -49,8 +77,8 @@ impl Plot {
     /// When no run has the metric, when the means differ in a key that the plot does not show, or when there are too
     /// many series or panels.
     pub fn draw(&self, analysis: &Analysis) -> Result<Drawing, FigureError> {
-        let of_task = |mean: &Mean| mean.of.model == NETWORK && mean.of.task == self.task;
-        let all: Vec<Mean> = analysis.means()?.into_iter().filter(of_task).collect();
+        let shown = |of: &Of| self.models.contains(&of.model) && self.has_task(of.task);
+        let all: Vec<Mean> = analysis.means()?.into_iter().filter(|mean| shown(&mean.of)).collect();
         let has_modality = |of: &Of| {
             let is_named = |name: &String| of.modality.name() == name || of.predicted() == *name;
             self.modality.as_ref().is_none_or(is_named)
@@ -65,6 +93,18 @@ impl Plot {
         self.draw_means(&means)
     }
 
+    /// Whether the plot distinguishes the values of a key.
+    fn distinguishes(&self, key: Key) -> bool {
+        key == self.x || self.by.contains(&key) || self.facet == Some(key)
+    }
+
+    fn has_task(&self, task: Task) -> bool {
+        match self.task {
+            Some(wanted) => task == wanted,
+            None => task == Task::Prediction || self.distinguishes(Key::Task),
+        }
+    }
+
     /// The label of the vertical axis.
     fn label(&self, means: &[Mean]) -> String {
         let units: BTreeSet<&str> = means.iter().map(|mean| mean.unit.as_str()).collect();
@@ -77,48 +117,92 @@ impl Plot {
         }
     }
 
-    fn draw_means(&self, means: &[Mean]) -> Result<Drawing, FigureError> {
-        let label = self.label(means);
-        let values = |key: Key| -> Values { means.iter().map(|mean| value(key, &mean.of)).collect() };
-        let is_shown = |key: &Key| *key == self.x || self.by.contains(key) || self.facet == Some(*key);
-        for key in Key::ALL.into_iter().filter(|key| !is_shown(key)) {
-            let values = values(key);
+    /// Returns an error if the means differ in a key that the plot does not show.
+    fn check(&self, means: &[Mean]) -> Result<(), FigureError> {
+        for key in Key::ALL.into_iter().filter(|key| !self.distinguishes(*key)) {
+            let values = values(key, means);
             if values.len() > 1 {
                 let values: Vec<String> = values.iter().map(|value| value.text().to_owned()).collect();
                 return Err(FigureError::Ambiguous { key: key.name(), values });
             }
         }
-        let series_of = |of: &Of| self.by.iter().map(|key| value(*key, of)).collect::<Vec<_>>();
-        let series: BTreeSet<Vec<Natural>> = means.iter().map(|mean| series_of(&mean.of)).collect();
-        let panels: Vec<Natural> =
-            self.facet.map_or(vec![Natural::new("")], |key| values(key).into_iter().collect());
-        if series.len() > MOST_SERIES || panels.len() > MOST_PANELS {
-            return Err(FigureError::TooMany { series: series.len(), panels: panels.len() });
+        Ok(())
+    }
+
+    /// The series of all means: first those of the networks, then those of each baseline. The series of a baseline with
+    /// the same points are one.
+    fn series<'a>(&self, means: &'a [Mean], panels: &Values, slots: &Values) -> Vec<Series<'a>> {
+        let panels_of = |of: &Of| self.facet.map_or(0..1, |key| places(key, of, panels));
+        let spots_of = |mean: &'a Mean| {
+            let across = move || places(self.x, &mean.of, slots);
+            let spots = |panel| across().map(move |slot| Spot { panel, slot, value: &mean.interval });
+            panels_of(&mean.of).flat_map(spots).collect::<Vec<_>>()
+        };
+        let mut networks: BTreeMap<Values, Vec<Spot>> = BTreeMap::new();
+        let mut baselines: BTreeMap<(&str, Values), Vec<Spot>> = BTreeMap::new();
+        for mean in means {
+            let keys = self.by.iter().filter(|key| !is_every_value(**key, &mean.of));
+            let by: Values = keys.map(|key| value(*key, &mean.of)).collect();
+            let spots = if mean.of.model == NETWORK {
+                networks.entry(by).or_default()
+            } else {
+                baselines.entry((&mean.of.model, by)).or_default()
+            };
+            spots.extend(spots_of(mean));
         }
-        let series: Vec<Vec<Natural>> = series.into_iter().collect();
-        let names: Vec<String> = series.iter().map(|values| words(values)).collect();
-        let entries: Vec<(Look, &str)> =
-            names.iter().enumerate().map(|(place, name)| (look(place), name.as_str())).collect();
-        let entries = if self.by.is_empty() { Vec::new() } else { entries };
-        let legends = rows_of(&entries);
+        let own: Vec<Values> = networks.keys().cloned().collect();
+        let network = |(place, (by, spots)): (usize, (Values, Vec<Spot<'a>>))| {
+            let name = if by.is_empty() { NETWORK.to_owned() } else { words(&by) };
+            Series { name, look: look(place), spots }
+        };
+        let mut series: Vec<Series> = networks.into_iter().enumerate().map(network).collect();
+        let order =
+            |model: &str| self.models.iter().filter(|name| *name != NETWORK).position(|name| name == model);
+        let mut baselines = merged(baselines);
+        baselines.sort_by_key(|(model, by, _)| (order(model), by.clone()));
+        for (model, by, spots) in baselines {
+            let mark = order(model);
+            let place = own.iter().position(|values| !by.is_empty() && *values == by);
+            let color = place.map_or(BLACK, |place| look(place).color);
+            let mark = BASELINE_MARKS[mark.unwrap_or_default() % BASELINE_MARKS.len()];
+            let model = model.replace('_', " ");
+            let name = if by.is_empty() { model } else { format!("{}, {model}", words(&by)) };
+            series.push(Series { name, look: Look { color, mark, hollow: true, dashed: true }, spots });
+        }
+        series
+    }
+
+    fn draw_means(&self, means: &[Mean]) -> Result<Drawing, FigureError> {
+        self.check(means)?;
+        let label = self.label(means);
+        let panels = self.facet.map_or(vec![Natural::new("")], |key| values(key, means));
+        let slots = values(self.x, means);
+        let all = self.series(means, &panels, &slots);
+        if all.len() > MOST_SERIES || panels.len() > MOST_PANELS {
+            return Err(FigureError::TooMany { series: all.len(), panels: panels.len() });
+        }
+        let entries: Vec<(Look, &str)> = all.iter().map(|one| (one.look, one.name.as_str())).collect();
+        let legends = if entries.len() > 1 || !self.by.is_empty() { rows_of(&entries) } else { Vec::new() };
+        let [low, high] = range(means);
+        let axis = |ends: [f64; 2]| Scale::linear(low, high, 5, ends);
+        let notes = notes(means, &self.beyond(&all, &panels, &slots, &axis([0.0, 1.0])), &axis([0.0, 1.0]));
 
         let columns = panels.len().min(2);
         let left = 36.0;
         let between = 12.0;
         let width = (COLUMN - left - 4.0 - between * (columns as f64 - 1.0)) / columns as f64;
-        let across: Vec<String> = values(self.x).iter().map(|value| plain(value.text())).collect();
-        let name_rows = rows_of_names(&across, width / across.len() as f64);
+        let names: Vec<String> = slots.iter().map(|value| plain(value.text())).collect();
+        let name_rows = rows_of_names(&names, width / names.len() as f64);
         let below = BELOW + ROW * (name_rows as f64 - 1.0);
         let top = 8.0 + 9.0 * legends.len() as f64 + if self.facet.is_some() { 12.0 } else { 4.0 };
         let rows = panels.len().div_ceil(columns);
-        let height = top + rows as f64 * (HEIGHT + below) + 4.0;
+        let bottom = top + rows as f64 * (HEIGHT + below);
+        let height = bottom + 4.0 + 8.5 * (notes.len() as f64 - 1.0);
 
         let mut page = Page::new(COLUMN, height, &format!("{label} over {}", self.x.name()));
         for (row, entries) in legends.iter().enumerate() {
             legend(&mut page, COLUMN / 2.0, 9.0 + 9.0 * row as f64, entries);
         }
-        let [low, high] = range(means);
-        let mut is_cut = false;
         for (place, panel_value) in panels.iter().enumerate() {
             let (row, column) = (place / columns, place % columns);
             let panel = Panel {
@@ -127,37 +211,58 @@ impl Plot {
                 width,
                 height: HEIGHT,
             };
-            let scale = Scale::linear(low, high, 5, panel.upwards());
+            let scale = axis(panel.upwards());
             panel.left_axis(&mut page, &scale, (column == 0).then_some(label.as_str()));
             if self.facet.is_some() {
                 let letter = char::from(b'a' + place as u8).to_string();
                 panel.heading(&mut page, &letter, &plain(panel_value.text()));
             }
-            let slots = panel.slots(across.len());
-            self.name(&mut page, &panel, &slots, &across, name_rows);
-            let is_here = |of: &Of| self.facet.is_none_or(|key| value(key, of) == *panel_value);
-            for (place, one) in series.iter().enumerate() {
-                let own = means.iter().filter(|mean| is_here(&mean.of) && series_of(&mean.of) == *one);
-                let aside = (place as f64 - (series.len() as f64 - 1.0) / 2.0) * width / across.len() as f64;
-                let aside = aside * 0.6 / series.len() as f64;
-                let mut points: Vec<(f64, &Interval)> = own
-                    .filter_map(|mean| {
-                        let text = plain(value(self.x, &mean.of).text());
-                        let slot = across.iter().position(|name| *name == text)?;
-                        Some((slots[slot] + aside, &mean.interval))
-                    })
-                    .collect();
+            let centers = panel.slots(slots.len());
+            self.name(&mut page, &panel, &centers, &names, name_rows);
+            let slot = width / slots.len() as f64;
+            if all.len() > 1 {
+                for center in &centers[1..] {
+                    let x = center - slot / 2.0;
+                    page.line([x, panel.top], [x, panel.bottom()], Stroke::new(PALE, 0.5));
+                }
+            }
+            for (order, series) in all.iter().enumerate() {
+                let aside =
+                    (order as f64 - (all.len() as f64 - 1.0) / 2.0) * SPREAD * slot / all.len() as f64;
+                let here = series.spots.iter().filter(|spot| spot.panel == place);
+                let mut points: Vec<(f64, &Interval)> =
+                    here.map(|spot| (centers[spot.slot] + aside, spot.value)).collect();
                 points.sort_by(|a, b| a.0.total_cmp(&b.0));
-                let path: Vec<_> = points.iter().map(|(x, value)| [*x, scale.at(value.mean)]).collect();
-                look(place).path(&mut page, &path);
+                let within = points.iter().filter(|(_, value)| scale.clamp(value.mean) == value.mean);
+                let path: Vec<_> = within.map(|(x, value)| [*x, scale.at(value.mean)]).collect();
+                series.look.path(&mut page, &path);
                 for (x, value) in points {
-                    look(place).point(&mut page, x, &scale, value);
-                    is_cut |= scale.cuts(value);
+                    point(&mut page, series.look, x, &scale, value);
                 }
             }
         }
-        remark(&mut page, &remark_of(means, is_cut), [COLUMN / 2.0, height - 4.0]);
+        remarks(&mut page, bottom, notes);
         Ok(Drawing { page, data: Mean::frame(means)? })
+    }
+
+    /// The means beyond the axis, in words. A baseline that is at every latent size is named once.
+    fn beyond(&self, all: &[Series], panels: &Values, slots: &Values, scale: &Scale) -> Vec<String> {
+        let mut named = Vec::new();
+        for series in all {
+            for spot in series.spots.iter().filter(|spot| scale.clamp(spot.value.mean) != spot.value.mean) {
+                let mut here = series.spots.iter().filter(|other| other.panel == spot.panel);
+                let varies = slots.len() > 1 && here.any(|other| other.value.mean != spot.value.mean);
+                let panel = match panels.len() {
+                    1 => String::new(),
+                    _ => format!(", {}", panels[spot.panel].text()),
+                };
+                let slot = if varies { format!(" at {}", slots[spot.slot].text()) } else { String::new() };
+                let place = plain(&format!("{}{panel}{slot}", series.name));
+                named.push(format!("{place}: {}", rounded(spot.value.mean).replace('-', "\u{2212}")));
+            }
+        }
+        named.dedup();
+        named
     }
 
     /// Writes the names along the horizontal axis, in several rows if they are long.
@@ -191,10 +296,76 @@ fn value(key: Key, of: &Of) -> Natural {
     Natural::new(if text.is_empty() { "none".into() } else { text })
 }
 
+/// The values of a key that occur. A baseline has none of the latent size.
+fn values(key: Key, means: &[Mean]) -> Values {
+    let own = means.iter().filter(|mean| !is_every_value(key, &mean.of));
+    let found: BTreeSet<Natural> = own.map(|mean| value(key, &mean.of)).collect();
+    if found.is_empty() { vec![Natural::new("none")] } else { found.into_iter().collect() }
+}
+
+/// Whether a mean belongs to every value of a key, as a baseline belongs to every latent size.
+fn is_every_value(key: Key, of: &Of) -> bool {
+    key == Key::Latent && of.latent.is_none()
+}
+
+/// The positions of a mean among the values of a key.
+fn places(key: Key, of: &Of, values: &Values) -> Range<usize> {
+    if is_every_value(key, of) {
+        return 0..values.len();
+    }
+    let own = value(key, of);
+    let place = values.iter().position(|value| *value == own).unwrap_or_default();
+    place..place + 1
+}
+
+/// Makes one series of the series of a baseline that have the same points up to rounding. It keeps the values that they
+/// share, or the first ones if another series of this baseline shares the same.
+fn merged<'a, 'b>(
+    baselines: BTreeMap<(&'b str, Values), Vec<Spot<'a>>>,
+) -> Vec<(&'b str, Values, Vec<Spot<'a>>)> {
+    let text = |spot: &Spot| {
+        let ends = [spot.value.mean, spot.value.low(), spot.value.high()];
+        format!("{} {} {}", spot.panel, spot.slot, ends.map(|end| format!("{end:.4e}")).join(" "))
+    };
+    let mut alike: BTreeMap<(&str, Vec<String>), (Values, Values, Vec<Spot>)> = BTreeMap::new();
+    for ((model, by), mut spots) in baselines {
+        spots.sort_by_key(|spot| (spot.panel, spot.slot));
+        let same = alike.entry((model, spots.iter().map(text).collect()));
+        let (shared, ..) = same.or_insert_with(|| (by.clone(), by.clone(), spots));
+        shared.retain(|value| by.contains(value));
+    }
+    let shared: Vec<(&str, Values)> =
+        alike.iter().map(|((model, _), (shared, ..))| (*model, shared.clone())).collect();
+    let is_unique = |model: &str, by: &Values| {
+        shared.iter().filter(|(other, values)| *other == model && values == by).count() == 1
+    };
+    let named = |((model, _), (shared, first, spots))| {
+        let by = if is_unique(model, &shared) { shared } else { first };
+        (model, by, spots)
+    };
+    alike.into_iter().map(named).collect()
+}
+
+/// Draws a point, or an arrow at the end of the axis if it lies beyond.
+fn point(page: &mut Page, look: Look, x: f64, scale: &Scale, value: &Interval) {
+    let end = scale.clamp(value.mean);
+    if end == value.mean {
+        return look.point(page, x, scale, value);
+    }
+    let inwards = if value.mean < end { -9.0 } else { 9.0 };
+    let y = scale.at(end);
+    page.arrow(&[[x, y + inwards], [x, y]], Stroke::new(look.color, 0.8));
+}
+
+/// The look of a series of networks.
 fn look(place: usize) -> Look {
     let is_second = place >= COLORS.len();
-    let mark = if place.is_multiple_of(2) { Mark::Disc } else { Mark::Square };
-    Look { color: COLORS[place % COLORS.len()], mark, hollow: is_second, dashed: is_second }
+    Look {
+        color: COLORS[place % COLORS.len()],
+        mark: MARKS[place % MARKS.len()],
+        hollow: is_second,
+        dashed: is_second,
+    }
 }
 
 /// The name of a series.
@@ -231,24 +402,68 @@ fn rows_of_names(names: &[String], slot: f64) -> usize {
     ((widest / slot).ceil() as usize).clamp(1, names.len().clamp(1, 4))
 }
 
-/// The range of the vertical axis. It includes every mean. An interval may be cut if it is more than twice as long as the
-/// range of the means.
+/// The range of the vertical axis. It includes the mean of every network but outliers. An interval or a baseline may be
+/// cut if it is farther from these means than twice their range.
 fn range(means: &[Mean]) -> [f64; 2] {
-    let values = || means.iter().map(|mean| mean.interval.mean);
-    let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max));
-    let shortest =
-        means.iter().map(|mean| mean.interval.high() - mean.interval.mean).fold(f64::INFINITY, f64::min);
-    let room = (high - low).max(shortest).max(1e-9 * high.abs());
-    let lows = means.iter().map(|mean| mean.interval.low().max(low - room));
-    let highs = means.iter().map(|mean| mean.interval.high().min(high + room));
-    [lows.fold(low, f64::min), highs.fold(high, f64::max)]
+    let networks: Vec<&Mean> = means.iter().filter(|mean| mean.of.model == NETWORK).collect();
+    let chosen = if networks.is_empty() { means.iter().collect() } else { networks };
+    let [low, high] = without_outliers(chosen.iter().map(|mean| mean.interval.mean).collect());
+    let is_within = |mean: &&&Mean| (low..=high).contains(&mean.interval.mean);
+    let shortest = chosen.iter().filter(is_within).map(|mean| mean.interval.high() - mean.interval.mean);
+    let room = (high - low).max(shortest.fold(f64::INFINITY, f64::min)).max(1e-9 * high.abs());
+    let ends = chosen
+        .iter()
+        .filter(is_within)
+        .flat_map(|mean| [mean.interval.low().max(low - room), mean.interval.high().min(high + room)]);
+    let near = (low - room)..=(high + room);
+    let others = means.iter().map(|mean| mean.interval.mean).filter(|mean| near.contains(mean));
+    let all: Vec<f64> = ends.chain(others).collect();
+    [all.iter().copied().fold(low, f64::min), all.into_iter().fold(high, f64::max)]
 }
 
-/// Returns the note that says what the bars are.
-fn remark_of(means: &[Mean], is_cut: bool) -> String {
+/// The lowest and the highest value without outliers, which would leave a small part of the axis to all others. Outliers
+/// are fewer than half of the values.
+fn without_outliers(mut values: Vec<f64>) -> [f64; 2] {
+    values.sort_by(f64::total_cmp);
+    let count = values.len();
+    let gap = |end: f64, next: Option<&f64>| next.map_or(f64::INFINITY, |next| (next - end).abs());
+    for kept in (count / 2 + 1..count).rev() {
+        for (place, window) in values.windows(kept).enumerate() {
+            let [low, high] = [window[0], window[kept - 1]];
+            let before = place.checked_sub(1).and_then(|place| values.get(place));
+            let nearest = gap(low, before).min(gap(high, values.get(place + kept)));
+            if high > low && nearest >= FAR * (high - low) {
+                return [low, high];
+            }
+        }
+    }
+    [values[0], values[count - 1]]
+}
+
+/// The remarks below a plot: what the bars are, and the means beyond the axis.
+fn notes(means: &[Mean], beyond: &[String], scale: &Scale) -> Vec<String> {
+    let networks: Vec<&Mean> = means.iter().filter(|mean| mean.of.model == NETWORK).collect();
+    let is_cut = means
+        .iter()
+        .any(|mean| scale.cuts(&mean.interval) && scale.clamp(mean.interval.mean) == mean.interval.mean);
     let cut = if is_cut { "; without a cap, they go on beyond the axis" } else { "" };
-    match replicates_of(means) {
+    let bars = match replicates_of(if networks.is_empty() { means.iter().collect() } else { networks }) {
         Some(over) => format!("bars: 95 % intervals over {over}{cut}"),
         None => "one seed, no bars".into(),
+    };
+    let mut named: Vec<String> = beyond.iter().take(MOST_NAMED).cloned().collect();
+    if beyond.len() > MOST_NAMED {
+        named.push(format!("{} more", beyond.len() - MOST_NAMED));
     }
+    let mut lines = vec![bars];
+    for (place, name) in named.into_iter().enumerate() {
+        let text = if place == 0 { format!("beyond the axis: {name}") } else { format!("; {name}") };
+        let last = lines.len() - 1;
+        if place > 0 && Type::SMALL.width(&lines[last]) + Type::SMALL.width(&text) < COLUMN - 8.0 {
+            lines[last] += &text;
+        } else {
+            lines.push(text.trim_start_matches("; ").to_owned());
+        }
+    }
+    lines
 }

@@ -238,9 +238,8 @@ function showJoints(place) {
     const rows = withoutTwins(byLatent ? alike : left);
     const series = byLatent ? latentSeries(rows, directions, latents) : jointSeries(rows, directions);
     const part = chosen.modality === "proprioception" ? "joint" : "link";
-    const narrow = place.clientWidth < 480;
     const last = Math.max(...left.map((row) => row.values.length)) - 1;
-    const joints = Array.from({ length: last + 1 }, (_, joint) => ({ at: joint, text: narrow && joint % 2 ? "" : String(joint) }));
+    const joints = Array.from({ length: last + 1 }, (_, joint) => ({ at: joint, text: String(joint) }));
     const x = byLatent
       ? { label: "latent size", low: -0.4, high: latents.length - 0.6, ticks: latents.map((latent, at) => ({ at, text: String(latent) })) }
       : { label: `${part}, 0 at the base, ${last} at the tip`, low: -0.5, high: last + 0.5, ticks: joints };

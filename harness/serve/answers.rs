@@ -95,6 +95,14 @@ pub fn run(registry: &Registry, recorded: &Recorded) -> Result<Answer, Failure> 
         .names()
         .filter_map(|name| Some((name.name().to_owned(), json!(record.layout.get(name)?.size()?))))
         .collect();
+    let elements: serde_json::Map<String, Value> = record
+        .layout
+        .names()
+        .filter_map(|name| {
+            let elements = record.layout.get(name)?.elements();
+            Some((name.name().to_owned(), elements.iter().map(|element| element.name.as_str()).collect()))
+        })
+        .collect();
     let run = json!({
         "name": record.name(),
         "status": record.status.name(),
@@ -105,6 +113,7 @@ pub fn run(registry: &Registry, recorded: &Recorded) -> Result<Answer, Failure> 
         "losses": losses_of(registry, recorded)?,
         "frames": columns(&frames, frames.height()),
         "sizes": sizes,
+        "elements": elements,
     });
     Ok(Answer::Json(run.to_string()))
 }

@@ -397,16 +397,17 @@ def plot(
     y: str,
     by: str | Iterable[str] = (),
     facet: str | None = None,
-    task: str = "prediction",
+    models: str | Iterable[str] = "network",
+    task: str | None = None,
     modality: str | None = None,
     where: Mapping[str, Any] | None = None,
     output: str | os.PathLike[str] = "plot.svg",
     results: str | os.PathLike[str] = "results",
 ) -> Path:
-    """Draws a metric of the networks over a key, as `harness plot` does.
+    """Draws a metric of networks and baselines over a key, as `harness plot` does.
 
     Points are the means of `compare`, and bars are its intervals. The keys are experiment, scenario, latent, variant,
-    settings, task and modality.
+    settings, task and modality. A baseline has no latent state, so it has the same value at every latent size.
 
     Args:
         experiments: names of experiments; all of them by default.
@@ -414,7 +415,8 @@ def plot(
         y: the metric along the vertical axis, such as `r2`.
         by: the key or keys that distinguish series.
         facet: the key that distinguishes panels.
-        task: prediction or reconstruction.
+        models: what is drawn: `network`, and the baselines `persistence`, `ridge` and `training_mean`.
+        task: prediction or reconstruction. The default is prediction, or both if `task` is one of the keys.
         modality: draws only this predicted modality, such as `contact_force`.
         where: settings that the runs must have, as in `compare`.
         output: the file to write. It ends in `.svg`, `.png`, or `.csv` for the numbers.
@@ -425,7 +427,7 @@ def plot(
 
     Raises:
         KeyError: an experiment has no finished runs.
-        ValueError: there is no such key, metric, task or format, no run has the metric, or the means differ in a key
+        ValueError: there is no such key, metric, model, task or format, no run has the metric, or the means differ in a key
             that the plot does not show.
         FileNotFoundError: there is no results folder.
         OSError: the file can't be written.
@@ -435,8 +437,9 @@ def plot(
         >>> harness.plot("smoke", x="latent", y="r2", by="modality", facet="scenario", output="r2.png")
         PosixPath('r2.png')
     """
-    chosen, keys = _names("experiments", experiments), list(name_tuple(by))
-    _harness.plot(chosen, x, y, keys, facet, task, modality, _settings(where), Path(output), Path(results))
+    chosen, keys, models = _names("experiments", experiments), list(name_tuple(by)), list(name_tuple(models))
+    settings, file = _settings(where), Path(output)
+    _harness.plot(chosen, x, y, keys, facet, models, task, modality, settings, file, Path(results))
     return Path(output)
 
 

@@ -61,10 +61,11 @@ class NetworkFile:
 class Network(torch.nn.Module):
     """A trained network as a `torch.nn.Module`. `harness.load_network` builds it.
 
-    It takes and returns the same values as `harness.Model`, for a batch. An observation is a dictionary by modality,
-    with exactly the modalities of the network's input. Vectors are `[batch, width]` in SI units. Images are
-    `[batch, rows, columns, 3]`, either uint8 or floating-point numbers in [0, 1]. Changes of images are floating-point
-    numbers in [-1, 1]. NumPy arrays and lists are converted to tensors.
+    It takes and returns the same values as `harness.Model`, for a batch, but its images have PyTorch's order of axes. An
+    observation is a dictionary by modality, with exactly the modalities of the network's input. Vectors are
+    `[batch, width]` in SI units. Images are `[batch, 3, rows, columns]`, as `Dataset.torch` gives them, either uint8 or
+    floating-point numbers in [0, 1]. Changes of images are floating-point numbers in [-1, 1]. NumPy arrays and lists of
+    these shapes are converted to tensors.
 
     The parameters can be trained. They have the same names as in the network's file, and those of the decoder that
     reconstructs begin with `reconstruction.`.
@@ -79,14 +80,14 @@ class Network(torch.nn.Module):
 
     Example:
         >>> network = harness.load_network("smoke/empty-z4")                                      # needs torch
-        >>> observation = {"proprioception": [[0.0] * 20], "vision": [[[[0.5] * 3] * 64] * 64]}
+        >>> observation = {"proprioception": [[0.0] * 20], "vision": [[[[0.5] * 64] * 64] * 3]}
         >>> mean, log_variance = network.encode(observation)
         >>> mean.shape
         torch.Size([1, 4])
         >>> network(observation, [[0.1, 0.0, 0.0]])["contact_force"].shape
         torch.Size([1, 20])
         >>> network.reconstruct(mean)["vision"].shape
-        torch.Size([1, 64, 64, 3])
+        torch.Size([1, 3, 64, 64])
     """
 
     def __init__(self, prediction: NetworkFile, reconstruction: NetworkFile | None = None) -> None:
@@ -221,7 +222,9 @@ class Network(torch.nn.Module):
         found = list(values.shape)
         if found[1:] != list(shape) or not found or (batch is not None and found[0] != batch):
             wanted = ", ".join(str(size) for size in ["batch" if batch is None else batch, *shape])
-            raise ValueError(f"'{name}' has the shape {found}, must be [{wanted}]")
+            is_last = len(shape) == 3 and found[1:] == [*shape[1:], shape[0]]
+            hint = "; channels come first in PyTorch, so use permute(0, 3, 1, 2)" if is_last else ""
+            raise ValueError(f"'{name}' has the shape {found}, must be [{wanted}]{hint}")
 
     def _normalized(self, observation: Mapping[str, Any]) -> dict[str, Tensor]:
         """Returns what the encoder is given: vectors side by side, and images stacked by channel."""
@@ -236,10 +239,8 @@ class Network(torch.nn.Module):
         for quantity in inputs:
             name, is_image = quantity["name"], quantity["kind"] == "image"
             values = self._image(name, observation[name]) if is_image else self._tensor(observation[name])
-            self._check(name, values, quantity["shape"], batch)
+            self._check(name, values, _shape(quantity), batch)
             batch = len(values)
-            if is_image:
-                values = values.permute(0, 3, 1, 2)
             mean, deviation = self._scales(quantity, values.shape[1:])
             parts.setdefault(quantity["value"], []).append((values - mean) / deviation)
         return {value: torch.cat(tensors, 1) for value, tensors in parts.items()}
@@ -251,14 +252,12 @@ class Network(torch.nn.Module):
         return {quantity["name"]: self._physical(quantity, values) for quantity in description["outputs"]}
 
     def _physical(self, quantity: dict[str, Any], values: dict[str, Tensor]) -> Tensor:
-        image = quantity["kind"] == "image"
-        columns = quantity["shape"][-1]
-        part = values[quantity["value"]].narrow(1, quantity["start"], columns)
+        part = values[quantity["value"]].narrow(1, quantity["start"], _shape(quantity)[0])
         mean, deviation = self._scales(quantity, part.shape[1:])
         part = part * deviation + mean
         if "minimum" in quantity:
             part = part.clamp(min=quantity["minimum"])
-        return part.permute(0, 2, 3, 1) if image else part
+        return part
 
     def _run(self, layers: list[Layer], values: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
         """Applies layers one after the other, and returns the values with all outputs."""
@@ -293,6 +292,12 @@ class Network(torch.nn.Module):
             case kind:
                 raise ValueError(f"the network has a layer of the kind '{kind}', which this version cannot compute")
         return torch.relu(y) if layer["activation"] == "relu" else y
+
+
+def _shape(quantity: dict[str, Any]) -> list[int]:
+    """Returns the shape of a sample, with the channels of an image first."""
+    *places, last = quantity["shape"]
+    return [last, *places]
 
 
 def _attribute(name: str) -> str:

@@ -3,7 +3,7 @@
 use crate::errors::Raise;
 use crate::run::{Listener, Table, loaded, settings_of, warn};
 use crate::work::interruptible;
-use harness::analysis::{Analysis, AnalysisError, Key, Selection};
+use harness::analysis::{Analysis, AnalysisError, Key, MODELS, Selection};
 use harness::claims::ClaimsError;
 use harness::collection::{collect as collect_episodes, dataset_of};
 use harness::experiment::describe;
@@ -116,7 +116,8 @@ pub fn plot(
     y: &str,
     by: Vec<String>,
     facet: Option<&str>,
-    task: &str,
+    models: Vec<String>,
+    task: Option<&str>,
     modality: Option<String>,
     settings: Vec<String>,
     output: PathBuf,
@@ -127,8 +128,9 @@ pub fn plot(
         y: y.parse().map_err(PyValueError::new_err)?,
         by: by.iter().map(|key| one_named("key", key, &Key::ALL, Key::name)).collect::<PyResult<_>>()?,
         facet: facet.map(|key| one_named("key", key, &Key::ALL, Key::name)).transpose()?,
-        task: one_named("task", task, Task::ALL, Task::name)?,
+        task: task.map(|task| one_named("task", task, Task::ALL, Task::name)).transpose()?,
         modality,
+        models: named("model", &models, &MODELS, |name| name)?.into_iter().map(str::to_owned).collect(),
     };
     let format = Format::of(&output).map_err(PyValueError::new_err)?;
     let (settings, registry) = (settings_of(&settings)?, existing(results)?);

@@ -176,7 +176,12 @@ def check_runs(page: Served):
     done = page.count()[0]
     assert done > 0 and set(page.column("status")) == {"done"}
     page.filter("nothing=3")
-    assert page.text("#state") == "there is no column nothing"
+    assert page.text("#note") == "there is no column nothing"
+    page.one("#tab-sql").click()
+    shown = page.one("body").text
+    assert "Query" in shown and "there is no column" not in shown, "a message stays on its own tab"
+    page.one("#tab-runs").click()
+    assert "there is no column nothing" in page.one("body").text
     page.filter("no such run")
     assert page.count()[0] == 0
     page.filter("status=done")

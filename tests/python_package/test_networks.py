@@ -279,13 +279,36 @@ def test_onnx_agrees_with_the_harness(trained: Trained, tmp_path: Path) -> None:
 def test_torch_agrees_with_the_harness(trained: Trained) -> None:
     torch = pytest.importorskip("torch", reason="`make interchange` tests with torch")
     network = harness.load_network(trained.run, trained.results)
+    observation = channels_first(trained.observation)
     with torch.no_grad():
-        mean, log_variance = network.encode(trained.observation)
-        predicted = network(trained.observation, trained.action)
+        mean, log_variance = network.encode(observation)
+        predicted = network(observation, trained.action)
         reconstructed = network.reconstruct(mean)
     trained.assert_same_posterior(mean.numpy(), log_variance.numpy(), "PyTorch")
     for found, expected in ((predicted, trained.predicted), (reconstructed, trained.reconstructed)):
-        trained.assert_equal({name: values.numpy() for name, values in found.items()}, expected, "PyTorch")
+        values = {name: values.numpy() for name, values in found.items()}
+        trained.assert_equal(values, channels_first(expected), "PyTorch")
+
+
+def test_a_network_takes_the_batches_of_a_dataset(smoke: Trained) -> None:
+    torch = pytest.importorskip("torch", reason="`make interchange` tests with torch")
+    model, network = smoke.model, harness.load_network(smoke.run, smoke.results)
+    data = harness.Dataset(smoke.results / "datasets" / model.dataset)
+    transitions = data.torch(model.input, model.output, model.action)
+    observation, action, following = next(iter(torch.utils.data.DataLoader(transitions, batch_size=8)))
+    with torch.no_grad():
+        predicted = network(observation, action)
+    arrays = {name: observed(data, name, transitions.samples[:8]) for name in model.input}
+    expected = model.predict(arrays, action.numpy())
+    smoke.assert_equal({name: values.numpy() for name, values in predicted.items()}, channels_first(expected))
+    assert {name: values.shape for name, values in predicted.items()} == {
+        name: values.shape for name, values in following.items()
+    }
+
+
+def channels_first(values: Arrays) -> Arrays:
+    """The values with images as PyTorch has them, `[batch, 3, rows, columns]`."""
+    return {name: value.transpose(0, 3, 1, 2) if value.ndim == 4 else value for name, value in values.items()}
 
 
 def test_a_file_says_everything_about_its_tensors(trained: Trained) -> None:
@@ -399,8 +422,8 @@ def test_files_of_earlier_versions_are_described_by_the_runs_spec(smoke: Trained
         NetworkFile(SMOKE)
     network = Network(NetworkFile(without, json.loads(text)))
     with torch.no_grad():
-        predicted = network(smoke.observation, smoke.action)
-    smoke.assert_equal({name: values.numpy() for name, values in predicted.items()}, smoke.predicted)
+        predicted = network(channels_first(smoke.observation), smoke.action)
+    smoke.assert_equal({name: values.numpy() for name, values in predicted.items()}, channels_first(smoke.predicted))
     with pytest.raises(RuntimeError, match="no reconstruction"):
         network.reconstruct(smoke.latent)
 
@@ -408,23 +431,26 @@ def test_files_of_earlier_versions_are_described_by_the_runs_spec(smoke: Trained
 def test_a_torch_network_can_be_trained_and_refuses_wrong_observations(smoke: Trained) -> None:
     torch = pytest.importorskip("torch", reason="`make interchange` tests with torch")
     network = harness.load_network(smoke.run, smoke.results)
+    observation = channels_first(smoke.observation)
     _, tensors = read_file(smoke.results / "runs" / "smoke" / smoke.run / "prediction.safetensors")
     parameters = dict(network.named_parameters())
     assert {name for name in tensors if not name.startswith("scale.")} < parameters.keys()
-    sum(values.sum() for values in network(smoke.observation, smoke.action).values()).backward()
+    sum(values.sum() for values in network(observation, smoke.action).values()).backward()
     assert all(parameters[name].grad is not None for name in parameters if not name.startswith("reconstruction."))
     with pytest.raises(KeyError, match="lacks vision; the network takes proprioception, vision"):
-        network({"proprioception": smoke.observation["proprioception"]}, smoke.action)
+        network({"proprioception": observation["proprioception"]}, smoke.action)
     with pytest.raises(KeyError, match="has visoin"):
-        network({**smoke.observation, "visoin": smoke.observation["vision"]}, smoke.action)
+        network({**observation, "visoin": observation["vision"]}, smoke.action)
     with pytest.raises(ValueError, match=r"'action' has the shape \[1, 3\], must be"):
-        network(smoke.observation, smoke.action[:1])
+        network(observation, smoke.action[:1])
     with pytest.raises(ValueError, match=r"'proprioception' has the shape \[20\], must be \[batch, 20\]"):
-        network({name: values[0] for name, values in smoke.observation.items()}, smoke.action)
+        network({name: values[0] for name, values in observation.items()}, smoke.action)
+    with pytest.raises(ValueError, match=r"64, 64, 3\], must be .* 3, 64, 64\]; channels come first in PyTorch"):
+        network(smoke.observation, smoke.action)
     with pytest.raises(TypeError, match=r"'vision' must be uint8, or float in \[0, 1\]"):
-        network({**smoke.observation, "vision": smoke.observation["vision"].astype(int)}, smoke.action)
+        network({**observation, "vision": observation["vision"].astype(int)}, smoke.action)
     copied = pickle.loads(pickle.dumps(network))
-    assert torch.equal(copied.encode(smoke.observation)[0], network.encode(smoke.observation)[0])
+    assert torch.equal(copied.encode(observation)[0], network.encode(observation)[0])
     count = sum(values.numel() for values in network.parameters())
     described = "proprioception, vision to proprioception, contact_force, frame_difference, latent 4"
     assert repr(copied) == f"<harness.networks.Network: {described}, {count:,} parameters>"
@@ -480,7 +506,7 @@ def test_the_torch_code_in_the_documentation_computes_every_layer(folder: Path) 
         trained = Trained(kind, folder)
         network = harness.load_network(trained.run, trained.results)
         tensors = dict(network.named_parameters())
-        values = network._normalized(trained.observation)
+        values = network._normalized(channels_first(trained.observation))
         for layer in network.description["encoder"]:
             values[layer["name"]] = names["compute"](layer, [values[name] for name in layer["inputs"]], tensors)
         mean, log_variance = values["posterior"].detach().numpy().reshape(-1, 2, trained.model.latent).swapaxes(0, 1)
@@ -491,8 +517,8 @@ def test_the_torch_code_in_the_documentation_computes_every_layer(folder: Path) 
             values[layer["name"]] = names["compute"](layer, [values[name] for name in layer["inputs"]], tensors)
         image = values["conv"].detach() * network.scale_frame_difference_deviation
         image += network.scale_frame_difference_mean.reshape(image.shape[1:])
-        found = {"frame_difference": image.permute(0, 2, 3, 1).numpy()}
-        trained.assert_equal(found, {"frame_difference": trained.predicted["frame_difference"]})
+        expected = channels_first({"frame_difference": trained.predicted["frame_difference"]})
+        trained.assert_equal({"frame_difference": image.numpy()}, expected)
         computed |= {layer["kind"] for part in ("encoder", "decoder") for layer in network.description[part]}
     assert computed == {
         "concatenate",

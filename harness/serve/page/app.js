@@ -39,7 +39,10 @@ function messageOf(error) {
   throw error;
 }
 
+/** Says how the server is, on all tabs. */
 const say = (text) => (find("state").textContent = text);
+/** Says what is wrong with the filter or the choice of runs, on their tab. */
+const note = (text) => (find("note").textContent = text);
 
 // --- Tabs ---
 
@@ -97,10 +100,10 @@ function test() {
   try {
     const matches = parseFilter(find("filter").value, state.columns);
     state.filter = find("filter").value;
-    say(state.problem ?? "");
+    note("");
     return matches;
   } catch (error) {
-    say(error.message);
+    note(error.message);
   }
   try {
     return parseFilter(state.filter, state.columns);
@@ -192,7 +195,7 @@ find("group").addEventListener("change", () => {
 async function choose(name) {
   if (!state.chosen.delete(name)) {
     if (state.chosen.size === MOST_CHOSEN) {
-      say(`${MOST_CHOSEN} runs are shown at most; click one of them to take it away`);
+      note(`${MOST_CHOSEN} runs are shown at most; click one of them to take it away`);
       return;
     }
     state.chosen.set(name, null);
@@ -202,7 +205,7 @@ async function choose(name) {
       if (!state.chosen.has(name)) return;
       state.chosen.set(name, run);
     } catch (error) {
-      say(messageOf(error));
+      note(messageOf(error));
       state.chosen.delete(name);
     }
   }
@@ -259,7 +262,7 @@ function showChosen() {
   parts.append(differences(runs), metricsTable(runs));
   const contents = elementContents(runs);
   const elements = element("div", { class: "charts" });
-  if (contents.length) parts.append(element("h3", {}, "Joints and links"), elements);
+  if (contents.length) parts.append(element("h3", {}, "By element"), elements);
   for (const content of contents) addChart(elements, content);
   parts.append(...runs.map(pictures));
   return undefined;
@@ -308,14 +311,17 @@ function metricsTable(runs) {
   return element("details", { open: "" }, element("summary", {}, "Metrics on test episodes"), element("div", { class: "scroll" }, plainTable(columns)));
 }
 
-/** A chart over joints or links for each metric of a predicted vector. */
+/** A chart over the elements, such as joints or links, for each metric and unit of a predicted vector. */
 function elementContents(runs) {
   const rows = runs.map((run) => rowsOf(run.metrics).filter((row) => row.index !== null && row.task === "prediction"));
-  const kinds = distinct(rows.flat().map((row) => `${row.modality} ${row.metric}`));
-  return kinds.map((kind) => {
-    const [modality, metric] = kind.split(" ");
+  const kindOf = (row) => JSON.stringify([row.modality, row.metric, row.unit]);
+  return distinct(rows.flat().map(kindOf)).map((kind) => {
+    const [modality, metric, unit] = JSON.parse(kind);
+    const names = runs.find((run) => run.elements[modality])?.elements[modality] ?? [];
+    const indices = distinct(rows.flat().filter((row) => kindOf(row) === kind).map((row) => row.index));
+    const ticks = indices.map((at) => ({ at, text: names[at] ?? String(at) }));
     const series = rows.flatMap((rows, place) => {
-      const own = rows.filter((row) => row.modality === modality && row.metric === metric);
+      const own = rows.filter((row) => kindOf(row) === kind);
       // With several runs there would be too many lines for baselines.
       const models = distinct(own.map((row) => row.model)).filter((model) => runs.length === 1 || model === "network");
       return models.map((model) => ({
@@ -328,7 +334,9 @@ function elementContents(runs) {
         points: own.filter((row) => row.model === model).map((row) => ({ x: row.index, y: row.value })),
       }));
     });
-    return { title: `${modality}: ${metric}`, x: { label: "joint or link", whole: true }, y: { label: metric }, series };
+    const values = series.flatMap((one) => one.points.map((point) => point.y));
+    const y = { label: unit === "1" ? metric : `${metric} (${unit})`, ...withoutOutliers(values) };
+    return { title: `${modality}: ${metric}`, x: { label: "element", low: indices[0] - 0.5, high: indices.at(-1) + 0.5, ticks }, y, series };
   });
 }
 
