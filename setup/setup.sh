@@ -11,6 +11,7 @@
 #   setup/setup.sh --cluster      also Slurm, for its tests
 #   setup/setup.sh --notebooks    also .venv-notebooks, with Stable-Baselines3 and Jupyter
 #   setup/setup.sh --wheel        also .venv-wheel, with what builds a wheel
+#   setup/setup.sh --models       also .venv-models, with other people's robot models for the tests
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -78,13 +79,16 @@ make_venv() {
     "$python" -m venv --clear "$1"
 }
 
-# Installs the lock file setup/$2 into the environment $1, unless it was the last one installed there.
+# Installs the lock file setup/$2 into the environment $1, unless it was the last one installed there. Further arguments
+# are pip's.
 install_packages() {
     lock=setup/$2
     installed=$1/installed-$2
+    environment=$1
+    shift 2
     cmp -s "$lock" "$installed" && return
     say "installing the Python packages of $lock"
-    "$1/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes -r "$lock"
+    "$environment/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes -r "$lock" "$@"
     cp "$lock" "$installed"
 }
 
@@ -163,6 +167,10 @@ case ${1-} in
 --wheel)
     make_venv .venv-wheel
     install_packages .venv-wheel requirements-wheel.txt
+    ;;
+--models)
+    make_venv .venv-models
+    install_packages .venv-models requirements-models.txt --no-deps
     ;;
 esac
 check_egl

@@ -11,6 +11,7 @@ mod compacted;
 mod compare;
 mod cycles;
 mod figures;
+mod foreign;
 mod formats;
 mod hostile;
 mod integrity;

@@ -565,6 +565,26 @@ fn frames_are_those_of_pythons_renderer() {
     }
 }
 
+/// 150 sites that nobody sees, and a red one in front of the camera. MuJoCo draws sites in their order.
+#[test]
+fn images_show_all_sites_of_a_model_with_many() {
+    let sites = "<site pos=\"0 0 -9\"/>".repeat(150);
+    let xml = format!(
+        "<mujoco><visual><quality shadowsize=\"0\"/></visual><worldbody><light pos=\"0 0 3\"/>\
+         <camera name=\"c\" pos=\"0 0 1\"/>{sites}\
+         <site size=\"0.5\" rgba=\"1 0 0 1\"/><body pos=\"0 0 -5\"><joint name=\"j\"/><geom size=\"0.01\"/></body>\
+         </worldbody><actuator><motor name=\"m\" joint=\"j\"/></actuator></mujoco>"
+    );
+    let world = "model: many.xml\nstep_rate_hz: 500\nmodalities: {view: {camera: c, size: [8, 8]}}\n\
+        action: {actuators: {m: {range: [-1, 1]}}}\n";
+    let world = World::parse("many.yaml", None, "many", world).unwrap();
+    let scene = Scene::from_xml(world.into(), &xml, "many.xml".to_owned()).unwrap();
+    let episode =
+        simulate(&scene, &scene.world().complete(&Simulation { actuations_per_episode: 1, ..short() }), 0);
+    let middle = &episode.image(Modality::new("view").unwrap())[(4 * 8 + 4) * IMAGE_CHANNELS..][..3];
+    assert!(middle[0] > 100 && middle[1] < 20 && middle[2] < 20, "{middle:?}");
+}
+
 #[test]
 fn colors_tell_the_robots_parts_as_mujocos_segmentation_does() {
     for scenario in Scenario::PAPER {

@@ -7,7 +7,7 @@ use super::scene::{Scene, prepare};
 use image::RgbImage;
 use libloading::Library;
 use mujoco_rs::prelude::*;
-use mujoco_rs::renderer::MjRenderer;
+use mujoco_rs::renderer::{MjRenderer, MjRendererBuilder};
 use mujoco_rs::wrappers::mj_model::traits::ModelType;
 use std::ffi::{CStr, c_char, c_uint};
 use std::sync::Arc;
@@ -15,6 +15,10 @@ use std::time::Instant;
 
 /// Longest side of a picture, pixels. A buffer larger than the driver's limit would end the process.
 const MAX_PICTURE_SIDE: u32 = 4096;
+
+/// Largest number of things in an image that are not geoms, such as sites and the segments of tendons. MuJoCo leaves out
+/// further ones without a warning. The limit of Python's `mujoco.Renderer` is also 10,000.
+const DECORATIONS: u32 = 10_000;
 
 /// Limits software rendering to the calling threads, because the simulators already use all cores.
 ///
@@ -283,7 +287,8 @@ fn good_looking(model: &MjModel, width: u32, height: u32) -> MjModel {
 }
 
 fn open_renderer(model: &MjModel, width: u32, height: u32) -> Result<MjRenderer, SimulationError> {
-    MjRenderer::new(model, width as usize, height as usize, 0).map_err(|error| match error {
+    let renderer = MjRendererBuilder::new().width(width).height(height).num_visual_internal_geom(DECORATIONS);
+    renderer.build(model).map_err(|error| match error {
         RendererError::GlutinError(cause) => SimulationError::NoRenderer { cause: cause.to_string() },
         other => SimulationError::Render(other),
     })

@@ -1,7 +1,7 @@
 //! Writes a first world file for any model.
 
 use super::SimulationError;
-use super::joints::{ball_and_free, body_name, described, is_single, joint_of, touches, word};
+use super::joints::{ball_and_free, body_name, described, is_single, touches, word};
 use super::load::load_file;
 use super::resolve::{limits, named};
 use super::scene::prepare;
@@ -28,7 +28,13 @@ pub fn draft_world(model: &Path, called: &str) -> Result<String, SimulationError
     let model = load_file(model)?;
     let actuators = named(&model, MjtObjBase::mjOBJ_ACTUATOR);
     if actuators.is_empty() {
-        let problem = "it has no actuator with a name, which a world's action needs".to_owned();
+        let problem = match model.nactuator() {
+            0 => "it has no actuator, which a world's action needs".to_owned(),
+            count => format!(
+                "none of its {count} actuators has a name, which a world's action needs; write names into the MJCF, \
+                 such as <motor name=\"push\" .../>"
+            ),
+        };
         return Err(SimulationError::Unsuitable { scene: shown, problem });
     }
     let step_rate_hz = 1.0 / model.opt().timestep;
@@ -130,19 +136,23 @@ fn joints(text: &mut String, model: &MjModel) {
     }
 }
 
-/// Writes the forces on the geoms that hinges and slides move or, without named geoms, on their bodies. Those that ball
-/// and free joints move are in a comment.
+/// Writes the forces on the geoms that hinges and slides move or, if none of them has a name, on their bodies. Those that
+/// ball and free joints move are in a comment.
 fn contact_forces(text: &mut String, model: &MjModel) {
     let geoms = named(model, MjtObjBase::mjOBJ_GEOM);
     let is_moved = |is_wanted: &dyn Fn(usize) -> bool| -> Vec<&str> {
-        if geoms.is_empty() {
-            let has_joint = |body: usize| joint_of(model, body).is_some_and(is_wanted);
-            let is_link = |body: usize| has_joint(body) && model.body_geomnum()[body] > 0;
-            let bodies = named(model, MjtObjBase::mjOBJ_BODY);
-            return bodies.into_iter().filter(|(_, id)| is_link(*id)).map(|(name, _)| name).collect();
-        }
         let touching = geoms.iter().filter(|(_, id)| touches(model, *id, is_wanted));
-        touching.map(|(name, _)| *name).collect()
+        let names: Vec<&str> = touching.map(|(name, _)| *name).collect();
+        if !names.is_empty() {
+            return names;
+        }
+        let body_of = |geom: usize| model.geom_bodyid()[geom] as usize;
+        let links: BTreeSet<usize> = (0..model.ngeom() as usize)
+            .filter(|geom| touches(model, *geom, is_wanted))
+            .map(body_of)
+            .collect();
+        let bodies = named(model, MjtObjBase::mjOBJ_BODY);
+        bodies.into_iter().filter(|(_, id)| links.contains(id)).map(|(name, _)| name).collect()
     };
     let (links, others) =
         (is_moved(&|joint| is_single(model, joint)), is_moved(&|joint| !is_single(model, joint)));

@@ -13,7 +13,7 @@ pub(super) fn word(model: &MjModel, joint: usize) -> &'static str {
 }
 
 /// Returns the first joint of a body or, if it is rigidly attached to another body, of that one.
-pub(super) fn joint_of(model: &MjModel, body: usize) -> Option<usize> {
+fn joint_of(model: &MjModel, body: usize) -> Option<usize> {
     let moved = model.body_weldid()[body] as usize;
     usize::try_from(model.body_jntadr()[moved]).ok()
 }

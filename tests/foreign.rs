@@ -1,0 +1,326 @@
+//! Robot models that nobody here wrote, from packages of dm_control and MuJoCo. Each goes through the commands that a new
+//! user calls. What was recorded is compared with what Python's `mujoco` computes at the recorded states.
+
+use crate::common::{fresh, succeed};
+use harness::dataset::Dataset;
+use harness::simulation::{EpisodePlan, Scene, replay};
+use harness::spec::World;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Instant;
+
+/// A model of a Python package.
+struct Robot {
+    /// The folder in `.venv` or `.venv-models` of the packages, and the model's path in it.
+    model: (&'static str, &'static str),
+    /// Inputs and outputs of the network.
+    input: &'static str,
+    output: &'static str,
+    /// Samples per second, and duration of a move, s. They make the experiment short.
+    sample_rate_hz: f64,
+    actuation_seconds: f64,
+    /// What is compared beyond [`ALWAYS`], by its source in a world file. Its values vary during the episodes.
+    compared: &'static [&'static str],
+}
+
+/// What is compared for each robot. `controls` are the recorded setpoints.
+const ALWAYS: [&str; 4] = ["time", "controls", "joint_positions", "joint_velocities"];
+
+/// dm_control is installed for the environments, and the others for this test.
+const SUITE: &str = ".venv";
+const OTHERS: &str = ".venv-models";
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Adds the poses of all bodies and sites with a name, and mean forces, to a world file that `world new` wrote.
+fn add_poses(path: &Path) {
+    let text = fs::read_to_string(path).unwrap();
+    let mut more = String::from("  places: {body_positions: \"*\"}\n  turns: {body_orientations: \"*\"}\n");
+    let model = World::load(path).and_then(|world| Ok(Scene::new(world).unwrap())).unwrap();
+    if model.model().nsite() > 0 {
+        more += "  site_places: {site_positions: \"*\"}\n  site_turns: {site_orientations: \"*\"}\n";
+    }
+    if let Some(line) = text.lines().find(|line| line.trim_start().starts_with("contact_force:")) {
+        let mean = line.replace("contact_force:", "mean_force:").replace("]}", "], average_over: sample}");
+        more += &format!("{mean}\n");
+    }
+    fs::write(path, text.replacen("\naction:", &format!("{more}\naction:"), 1)).unwrap();
+}
+
+impl Robot {
+    fn name(&self) -> String {
+        let path = Path::new(self.model.1).with_extension("");
+        path.iter().map(|part| part.to_string_lossy()).collect::<Vec<_>>().join("_").replace('-', "_")
+    }
+
+    fn path(&self) -> PathBuf {
+        let (environment, model) = self.model;
+        let library = root().join(environment).join("lib");
+        let mut versions = fs::read_dir(&library)
+            .unwrap_or_else(|_| panic!("no {environment}: run `setup/setup.sh --models`"));
+        versions.next().unwrap().unwrap().path().join("site-packages").join(model)
+    }
+
+    /// Writes a world file, checks it, runs an experiment in it, and reads the results.
+    fn assert_recorded_as_python_computes(&self) {
+        let folder = fresh(&format!("foreign_{}", self.name()));
+        fs::create_dir_all(&folder).unwrap();
+        let (results, world) = (folder.join("results"), folder.join("robot.yaml"));
+        let file = |name: &str| folder.join(name).display().to_string();
+        let model = self.path().display().to_string();
+        succeed(&results, &["world", "new", &model, "--output", &file("robot.yaml")]);
+        add_poses(&world);
+        succeed(&results, &["world", "check", &file("robot.yaml")]);
+        let spec = format!(
+            "name: foreign\nscenarios: [robot.yaml]\ninput: {}\noutput: {}\nlatent: 2\n\
+             network: {{preset: multi_to_multi, hidden: [8], channels: [2]}}\n\
+             simulation: {{episodes: 4, actuations_per_episode: 2, sample_rate_hz: {}, actuation_seconds: {}}}\n\
+             training: {{epochs: 1, batch_size: 16}}\n",
+            self.input, self.output, self.sample_rate_hz, self.actuation_seconds,
+        );
+        fs::write(folder.join("experiment.yaml"), spec).unwrap();
+        let said = succeed(&results, &["run", &file("experiment.yaml")]);
+        assert!(said.contains("1 done, 0 done before, 0 failed"), "{said}");
+        let said = succeed(&results, &["compare", "foreign", "--metrics", "r2,rmse"]);
+        assert!(said.contains("persistence"), "{said}");
+        succeed(&results, &["report", "--output", &file("report.html")]);
+        let dataset = fs::read_dir(results.join("datasets")).unwrap().next().unwrap().unwrap().path();
+        self.assert_equals_python(&world, &Dataset::at(&dataset).unwrap());
+    }
+
+    /// Simulates a dataset's episodes again with Python, under the same controls, and compares each recorded value.
+    fn assert_equals_python(&self, world: &Path, dataset: &Dataset) {
+        let (folder, spec) = (world.parent().unwrap(), dataset.spec());
+        let scene = Scene::new(World::load(world).unwrap()).unwrap();
+        let every = (1.0 / (spec.sample_rate_hz * scene.step_s())).round() as usize;
+        let steps = (spec.samples_per_episode() - 1) * every + 1;
+        let mut setpoint = vec![0.0; scene.world().file().action.actuators.0.len()];
+        let (mut starts, mut controls) = (Vec::new(), Vec::new());
+        for episode in 0..spec.episodes {
+            starts.extend(replay(&scene, spec, episode).unwrap().swap_remove(0));
+            let plan = EpisodePlan::draw(&scene, spec, episode).unwrap();
+            for step in 0..steps {
+                plan.setpoint(step, &mut setpoint);
+                controls.extend_from_slice(&setpoint);
+            }
+        }
+        let write = |name: &str, values: &[f64]| {
+            let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+            fs::write(folder.join(name), bytes).unwrap();
+        };
+        write("starts.f64", &starts);
+        write("controls.f64", &controls);
+        fs::write(folder.join("world.json"), serde_json::to_vec(scene.world().file()).unwrap()).unwrap();
+        let output = Command::new(root().join(".venv/bin/python"))
+            .arg(root().join("tests/python/recorded_values.py"))
+            .args([&self.path(), &folder.join("world.json"), &dataset.folder().to_owned()])
+            .args([folder.join("starts.f64"), folder.join("controls.f64")])
+            .arg(every.to_string())
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&output.stdout);
+        println!("{}:\n{said}", self.name());
+        assert!(
+            output.status.success(),
+            "{}: {said}{}",
+            self.name(),
+            String::from_utf8_lossy(&output.stderr)
+        );
+        let varies = |source: &str| {
+            let of_source = said.lines().filter(|line| line.contains(&format!(": {source}, ")));
+            of_source.filter(|line| !line.contains(", 0 vary")).count() > 0
+        };
+        for source in ALWAYS.iter().chain(self.compared) {
+            assert!(varies(source), "{}: no {source} was compared, or it was constant: {said}", self.name());
+        }
+    }
+}
+
+/// Runge-Kutta of the 4th order, and a cylinder.
+const ACROBOT: Robot = Robot {
+    model: (SUITE, "dm_control/suite/acrobot.xml"),
+    input: "[joints, camera_0]",
+    output: "[joint_velocities]",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.2,
+    compared: &["camera", "body_positions", "body_orientations", "site_positions", "site_orientations"],
+};
+/// Elliptic friction cones, cylinders and touch sensors.
+const FINGER: Robot = Robot {
+    model: (SUITE, "dm_control/suite/finger.xml"),
+    input: "[joints, touch]",
+    output: "[framepos, touch]",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.2,
+    compared: &[
+        "sensor",
+        "camera",
+        "body_positions",
+        "body_orientations",
+        "site_positions",
+        "site_orientations",
+    ],
+};
+/// A free joint in a fluid, and tendons.
+const FISH: Robot = Robot {
+    model: (SUITE, "dm_control/suite/fish.xml"),
+    input: "[joints, gyro]",
+    output: "[joints, velocimeter]",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.4,
+    compared: &[
+        "sensor",
+        "camera",
+        "body_positions",
+        "body_orientations",
+        "site_positions",
+        "site_orientations",
+    ],
+};
+/// Slides, tendons, an equality constraint and elliptic friction cones.
+const MANIPULATOR: Robot = Robot {
+    model: (SUITE, "dm_control/suite/manipulator.xml"),
+    input: "[joints, camera_1]",
+    output: "[joints, contact_force]",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.4,
+    compared: &[
+        "normal_force",
+        "camera",
+        "body_positions",
+        "body_orientations",
+        "site_positions",
+        "site_orientations",
+    ],
+};
+/// Two free joints, a flat height field, filtered actuators and rangefinders.
+const QUADRUPED: Robot = Robot {
+    model: (SUITE, "dm_control/suite/quadruped.xml"),
+    input: "[joints, rangefinder]",
+    output: "[joint_velocities, contact_force]",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.4,
+    compared: &[
+        "normal_force",
+        "sensor",
+        "camera",
+        "body_positions",
+        "body_orientations",
+        "site_positions",
+        "site_orientations",
+    ],
+};
+/// Force, torque and touch sensors.
+const HUMANOID: Robot = Robot {
+    model: (SUITE, "dm_control/suite/humanoid.xml"),
+    input: "[joints, gyro]",
+    output: "[touch, contact_force]",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.4,
+    compared: &[
+        "normal_force",
+        "sensor",
+        "camera",
+        "body_positions",
+        "body_orientations",
+        "site_positions",
+        "site_orientations",
+    ],
+};
+/// Skins, 162 meshes and 38 filtered actuators.
+const DOG: Robot = Robot {
+    model: (SUITE, "dm_control/suite/dog.xml"),
+    input: "[joints, camera_1]",
+    output: "[joints, contact_force]",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.4,
+    compared: &[
+        "normal_force",
+        "sensor",
+        "camera",
+        "body_positions",
+        "body_orientations",
+        "site_positions",
+        "site_orientations",
+    ],
+};
+/// Runge-Kutta of the 4th order, and a free joint.
+const MUJOCOS_HUMANOID: Robot = Robot {
+    model: (SUITE, "dm_control/mujoco/testing/assets/humanoid.xml"),
+    input: "[joints, places]",
+    output: "[joints, contact_force]",
+    sample_rate_hz: 1000.0 / 99.0,
+    actuation_seconds: 0.198,
+    compared: &["normal_force", "camera", "body_positions", "body_orientations"],
+};
+/// Ball joints, and 28 kinds of sensors.
+const SENSORS: Robot = Robot {
+    model: (OTHERS, "mujoco/mjx/test_data/sensor/sensor.xml"),
+    input: "[joints, framequat]",
+    output: "[gyro, framelinacc]",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.4,
+    compared: &["sensor", "body_positions", "body_orientations", "site_positions", "site_orientations"],
+};
+/// Six muscles, and tendons that wrap around cylinders.
+const MUSCLES: Robot = Robot {
+    model: (OTHERS, "mujoco/mjx/test_data/actuator/arm26.xml"),
+    input: "[joints]",
+    output: "[joints, site_places]",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.4,
+    compared: &["site_positions", "site_orientations"],
+};
+/// A soft body of 384 vertices on a cylinder.
+const FLEX: Robot = Robot {
+    model: (OTHERS, "mujoco_warp/test_data/flex/floppy.xml"),
+    input: "[joints]",
+    output: "[joints, places]",
+    sample_rate_hz: 20.0,
+    actuation_seconds: 0.2,
+    compared: &["body_positions"],
+};
+/// 24 servos, tendons and meshes.
+const HAND: Robot = Robot {
+    model: (OTHERS, "mujoco/mjx/test_data/shadow_hand/scene_right.xml"),
+    input: "[joints]",
+    output: "[joints, contact_force]",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.4,
+    compared: &["normal_force", "body_positions", "body_orientations", "site_positions", "site_orientations"],
+};
+/// A four-legged robot of meshes above a height field.
+const HEIGHT_FIELD: Robot = Robot {
+    model: (OTHERS, "mujoco/mjx/test_data/barkour_v0/assets/barkour_v0_mjx.xml"),
+    input: "[joints, gyro]",
+    output: "[joints, accelerometer]",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.4,
+    compared: &[
+        "sensor",
+        "camera",
+        "body_positions",
+        "body_orientations",
+        "site_positions",
+        "site_orientations",
+    ],
+};
+
+#[test]
+fn three_foreign_robots_record_what_python_computes() {
+    [ACROBOT, FINGER, MUJOCOS_HUMANOID].iter().for_each(Robot::assert_recorded_as_python_computes);
+}
+
+#[test]
+#[ignore = "takes minutes: make soak"]
+fn ten_more_foreign_robots_record_what_python_computes() {
+    let robots = [FISH, MANIPULATOR, QUADRUPED, HUMANOID, DOG, SENSORS, MUSCLES, FLEX, HAND, HEIGHT_FIELD];
+    for robot in robots {
+        let begin = Instant::now();
+        robot.assert_recorded_as_python_computes();
+        println!("{} took {:.0} s", robot.name(), begin.elapsed().as_secs_f64());
+    }
+}
