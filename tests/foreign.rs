@@ -310,6 +310,7 @@ const HEIGHT_FIELD: Robot = Robot {
 };
 
 #[test]
+#[ignore = "not yet run in a fresh clone: make soak"]
 fn three_foreign_robots_record_what_python_computes() {
     [ACROBOT, FINGER, MUJOCOS_HUMANOID].iter().for_each(Robot::assert_recorded_as_python_computes);
 }
