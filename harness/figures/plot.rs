@@ -327,7 +327,9 @@ fn merged<'a, 'b>(
         let ends = [spot.value.mean, spot.value.low(), spot.value.high()];
         format!("{} {} {}", spot.panel, spot.slot, ends.map(|end| format!("{end:.4e}")).join(" "))
     };
-    let mut alike: BTreeMap<(&str, Vec<String>), (Values, Values, Vec<Spot>)> = BTreeMap::new();
+    /// A baseline and the texts of its points.
+    type Points<'b> = (&'b str, Vec<String>);
+    let mut alike: BTreeMap<Points, (Values, Values, Vec<Spot>)> = BTreeMap::new();
     for ((model, by), mut spots) in baselines {
         spots.sort_by_key(|spot| (spot.panel, spot.slot));
         let same = alike.entry((model, spots.iter().map(text).collect()));
