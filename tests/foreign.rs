@@ -39,7 +39,7 @@ fn root() -> &'static Path {
 fn add_poses(path: &Path) {
     let text = fs::read_to_string(path).unwrap();
     let mut more = String::from("  places: {body_positions: \"*\"}\n  turns: {body_orientations: \"*\"}\n");
-    let model = World::load(path).and_then(|world| Ok(Scene::new(world).unwrap())).unwrap();
+    let model = World::load(path).map(|world| Scene::new(world).unwrap()).unwrap();
     if model.model().nsite() > 0 {
         more += "  site_places: {site_positions: \"*\"}\n  site_turns: {site_orientations: \"*\"}\n";
     }
