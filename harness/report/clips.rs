@@ -15,6 +15,8 @@ use serde::{Deserialize, Serialize};
 const SIZE: [u32; 2] = [640, 400];
 /// JPEG quality, %. A lower quality blurs the checks of the ground.
 const QUALITY: u8 = 72;
+/// Side of a block, pixels. It is a multiple of the side of a JPEG file's units, so a block looks the same in every file.
+const BLOCK: u32 = 16;
 /// Number of samples in a clip. They are five actuations.
 const SAMPLES: usize = 50;
 
@@ -52,8 +54,17 @@ pub struct Frames {
     first: usize,
     /// The time from one sample to the next, s.
     seconds: f64,
-    /// The pictures: JPEG files in base64.
-    frames: Vec<String>,
+    /// What differs from the first picture, for each picture.
+    frames: Vec<Frame>,
+}
+
+/// The part of a picture that differs from the first one. The camera stands still, so it is small.
+#[derive(Serialize, Deserialize)]
+struct Frame {
+    /// The changed blocks: their numbers, row by row from the upper left corner.
+    blocks: Vec<u32>,
+    /// The changed blocks side by side, in rows as wide as a picture: a JPEG file in base64.
+    picture: String,
 }
 
 /// Returns a clip of each of these scenarios of the paper. A clip that isn't in the cache is simulated and rendered.
@@ -78,15 +89,37 @@ fn clip(scenario: Scenario, progress: &dyn Progress) -> Result<(Clip, Frames), F
     let scene = Scene::paper(scenario)?;
     let mut renderer = SceneRenderer::new(&scene, SIZE[0], SIZE[1])?;
     let states = replay(&scene, &simulation, episode)?;
-    let mut frames = Vec::with_capacity(SAMPLES);
+    let mut pictures = Vec::with_capacity(SAMPLES);
     for state in states.iter().skip(first).take(SAMPLES) {
-        frames.push(jpeg(&renderer.render(state)?)?);
+        pictures.push(renderer.render(state)?);
         progress.advance(1);
     }
-    let still = frames.first().cloned().unwrap_or_default();
-    let samples = (first, first + frames.len().saturating_sub(1));
+    let still = jpeg(&pictures[0])?;
+    let frames: Vec<Frame> =
+        pictures.iter().map(|picture| Frame::new(picture, &pictures[0])).collect::<Result<_, _>>()?;
+    let samples = (first, first + frames.len() - 1);
     let clip = Clip { scenario, episode, samples, width: SIZE[0], height: SIZE[1], still };
     Ok((clip, Frames { scenario, first, seconds: 1.0 / simulation.sample_rate_hz, frames }))
+}
+
+impl Frame {
+    fn new(picture: &RgbImage, first: &RgbImage) -> Result<Self, FigureError> {
+        let columns = SIZE[0] / BLOCK;
+        let corner = |block: u32| [block % columns * BLOCK, block / columns * BLOCK];
+        let at = |picture: &RgbImage, block| {
+            let [x, y] = corner(block);
+            image::imageops::crop_imm(picture, x, y, BLOCK, BLOCK).to_image()
+        };
+        let all = 0..columns * (SIZE[1] / BLOCK);
+        let blocks: Vec<u32> = all.filter(|block| at(picture, *block) != at(first, *block)).collect();
+        let rows = (blocks.len() as u32).div_ceil(columns).max(1);
+        let mut packed = RgbImage::new(SIZE[0], rows * BLOCK);
+        for (place, block) in (0..).zip(&blocks) {
+            let [x, y] = corner(place);
+            image::imageops::replace(&mut packed, &at(picture, *block), x.into(), y.into());
+        }
+        Ok(Self { picture: jpeg(&packed)?, blocks })
+    }
 }
 
 fn jpeg(picture: &RgbImage) -> Result<String, FigureError> {

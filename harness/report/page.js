@@ -5,11 +5,24 @@ const data = JSON.parse(document.getElementById("data").textContent);
 
 // --- Clips ---
 
-/** Plays a clip's pictures in a loop, at the speed of the simulation. */
+/** Side of the blocks that pictures consist of, px. */
+const BLOCK = 16;
+
+/**
+ * Plays a clip's pictures in a loop, at the speed of the simulation. Each picture consists of the first one and of the blocks that
+ * differ from it.
+ */
 class Clip {
   constructor(figure, clip) {
     this.clip = clip;
-    this.picture = figure.querySelector("img");
+    this.still = figure.querySelector("img");
+    const [width, height, alt] = ["width", "height", "alt"].map((name) => this.still.getAttribute(name));
+    this.canvas = element("canvas", { width, height, role: "img", "aria-label": alt });
+    this.changes = clip.frames.map(({ picture }) => Object.assign(new Image(), { src: `data:image/jpeg;base64,${picture}` }));
+    Promise.all([this.still, ...this.changes].map((image) => image.decode())).then(() => {
+      this.still.replaceWith(this.canvas);
+      this.show(Number(this.slider.value));
+    });
     this.button = figure.querySelector("button");
     this.slider = figure.querySelector("input");
     this.output = figure.querySelector("output");
@@ -21,7 +34,13 @@ class Clip {
   }
 
   show(frame) {
-    this.picture.src = `data:image/jpeg;base64,${this.clip.frames[frame]}`;
+    const pen = this.canvas.getContext("2d");
+    const columns = this.canvas.width / BLOCK;
+    const corner = (block) => [(block % columns) * BLOCK, Math.floor(block / columns) * BLOCK];
+    pen.drawImage(this.still, 0, 0);
+    this.clip.frames[frame].blocks.forEach((block, place) => {
+      pen.drawImage(this.changes[frame], ...corner(place), BLOCK, BLOCK, ...corner(block), BLOCK, BLOCK);
+    });
     this.slider.value = frame;
     const time = `${(frame * this.clip.seconds).toFixed(1)} s`;
     this.output.textContent = time;
