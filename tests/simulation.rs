@@ -331,12 +331,7 @@ fn contact_forces_are_those_of_mujocos_touch_sensors() {
 /// Expected values come from `mj_contactForce` and the names of the geoms that touch.
 #[test]
 fn the_kind_of_a_contact_is_that_of_the_largest_force() {
-    let force = "    normal_force: finger_link_*\n";
-    let kinds = format!("{force}    contact_kinds: {{ground: ground, box: box_*}}\n");
-    let world = include_str!("../models/cluttered.yaml").replacen(force, &kinds, 1);
-    let world = World::parse("kinds.yaml", None, "cluttered", &world).unwrap();
-    let scene =
-        Scene::from_xml(world.into(), scene(Scenario::CLUTTERED).xml(), "cluttered.xml".into()).unwrap();
+    let scene = scene(Scenario::CLUTTERED);
     let spec = Simulation { actuations_per_episode: 10, ..Default::default() }
         .with("lift_range_m", Setting::Range([-1.0, -0.8]));
     let recorded = Modality::new("contact_force_kind").unwrap();
@@ -582,7 +577,7 @@ fn images_show_all_sites_of_a_model_with_many() {
     let episode =
         simulate(&scene, &scene.world().complete(&Simulation { actuations_per_episode: 1, ..short() }), 0);
     let middle = &episode.image(Modality::new("view").unwrap())[(4 * 8 + 4) * IMAGE_CHANNELS..][..3];
-    assert!(middle[0] > 100 && middle[1] < 20 && middle[2] < 20, "{middle:?}");
+    assert!(middle[0] > 2 * middle[1].max(middle[2]), "{middle:?} is not red");
 }
 
 #[test]

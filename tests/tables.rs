@@ -1,13 +1,14 @@
 //! The result tables, read with other programs: pyarrow, pandas, DuckDB, Polars, scikit-learn.
 
 use crate::common::{smoke_run, succeed};
-use harness::schema::{Column, Table, image_columns};
-use harness::spec::Layout;
+use harness::schema::{Column, Table, image_columns, sample_columns};
+use harness::simulation::Scene;
+use harness::spec::{Layout, Scenario};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::LazyLock;
+use std::sync::{Arc, LazyLock};
 
 /// The output of tests/python/read_tables.py for a results folder.
 #[derive(Deserialize)]
@@ -62,12 +63,18 @@ impl File {
 
     /// The columns that the file must have.
     fn expected_columns(&self) -> Vec<Column> {
-        let mut columns = self.table().columns();
-        if self.table() == Table::Episodes {
-            columns.extend(image_columns(&Layout::finger()));
+        if self.table() != Table::Episodes {
+            return self.table().columns();
         }
-        columns
+        let is_of =
+            |scenario: &Scenario| self.path.to_string_lossy().contains(&format!("datasets/{scenario}-"));
+        let layout = layout_of(Scenario::PAPER.into_iter().find(is_of).unwrap());
+        [sample_columns(&layout), image_columns(&layout)].concat()
     }
+}
+
+fn layout_of(scenario: Scenario) -> Arc<Layout> {
+    Scene::paper(scenario).unwrap().layout().clone()
 }
 
 #[test]
@@ -123,9 +130,14 @@ fn the_printed_schema_says_the_same_as_the_files() {
         }
     }
     for table in Table::ALL {
-        let columns = table.columns().into_iter();
-        let expected: Vec<_> =
-            columns.map(|column| (column.name, column.unit.into_owned(), column.meaning)).collect();
+        let columns = match table {
+            Table::Episodes => sample_columns(&layout_of(Scenario::CLUTTERED)),
+            _ => table.columns(),
+        };
+        let expected: Vec<_> = columns
+            .into_iter()
+            .map(|column| (column.name, column.unit.into_owned(), column.meaning))
+            .collect();
         assert_eq!(tables[table.name()], expected, "{}", table.name());
     }
     assert_eq!(tables.len(), Table::ALL.len());
@@ -162,9 +174,14 @@ fn the_metrics_are_those_of_scikit_learn_on_the_written_predictions() {
         }
     }
     // Two runs, with two modalities of the prediction and one of the reconstruction; four metrics overall, by direction
-    // and by joint or link.
-    assert_eq!(ANSWER.metrics.len(), 2 * 3 * (1 + 2 + 20) * 4);
-    let overall = |metric: &&Metric| metric.direction.is_none() && metric.index.is_none();
+    // and by joint or link. Those of forces are there by kind of contact as well, overall and by direction.
+    let of_forces_by_kind = |kinds_of_contact: usize| (1 + 2) * (4 * kinds_of_contact + 2);
+    let by_kind = of_forces_by_kind(1) + of_forces_by_kind(2);
+    assert_eq!(ANSWER.metrics.len(), 2 * 3 * (1 + 2 + 20) * 4 + by_kind);
+    // Nothing touches a box in the test episode.
+    let overall = |metric: &&Metric| {
+        metric.direction.is_none() && metric.index.is_none() && !metric.metric.ends_with("_box")
+    };
     let defined = |metric: &Metric| metric.table.is_some();
     assert!(ANSWER.metrics.iter().filter(overall).all(defined), "the overall metrics are defined");
     let one = |task: &str, modality: &str, name: &str| {

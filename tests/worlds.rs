@@ -109,18 +109,18 @@ fn every_mistake_of_a_world_file_is_one_line_with_its_place_and_what_exists() {
         (
             "average_over: sample\n",
             "average_over: sample\n    contact_kinds: {ground: ground}\n",
-            "own.yaml:19:20".into(),
+            "own.yaml:20:20".into(),
             "only a normal_force at the instant has 'contact_kinds'",
         ),
         (
-            "    normal_force: finger_link_*\n",
-            "    normal_force: finger_link_*\n    contact_kinds: {none: ground}\n",
+            "    contact_kinds: {ground: ground}\n",
+            "    contact_kinds: {none: ground}\n",
             "own.yaml:15:20".into(),
             "'none' means no contact; give this kind another name",
         ),
         (
-            "    normal_force: finger_link_*\n",
-            "    normal_force: finger_link_*\n    contact_kinds: {ground: ground, floor: ground}\n",
+            "    contact_kinds: {ground: ground}\n",
+            "    contact_kinds: {ground: ground, floor: ground}\n",
             "own.yaml:15:44".into(),
             "'ground' belongs to the kind 'ground' as well",
         ),
@@ -559,7 +559,7 @@ fn rates_that_no_experiment_can_use_are_refused_at_their_place_in_the_world_file
         (
             "  seconds: 1\n",
             "  seconds: 0.05\n",
-            "own.yaml:27:12: 0.05 s is not a whole number of samples at 10 Hz; use a multiple of 0.1 s",
+            "own.yaml:28:12: 0.05 s is not a whole number of samples at 10 Hz; use a multiple of 0.1 s",
             "simulation.actuation_seconds=1",
             "simulation.sample_rate_hz=10",
             "override 'simulation.sample_rate_hz=10': simulation.actuation_seconds: 0.05 s is not a whole number of",

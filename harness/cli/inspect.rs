@@ -12,7 +12,7 @@ use harness::numbers::{Natural, duration};
 use harness::registry::{self, Registry, RunFolder, RunRecord, quoted};
 use harness::schema::{Column, Table, sample_columns};
 use harness::simulation::Scene;
-use harness::spec::World;
+use harness::spec::{Scenario, World};
 use polars::prelude::{AnyValue, DataFrame};
 use serde::Deserialize;
 use std::collections::BTreeSet;
@@ -322,7 +322,8 @@ impl Schema {
                 (columns, true) => {
                     (columns, format!("these are those of the datasets in {}", shown(registry.root())))
                 }
-                (columns, false) => {
+                (_, false) => {
+                    let columns = sample_columns(Scene::paper(Scenario::CLUTTERED)?.layout());
                     let command = registry.command("schema --tables --world FILE");
                     (columns, format!("these are those of the built-in worlds; `{command}` prints others"))
                 }

@@ -17,7 +17,7 @@ pub use error::MetricsError;
 use error::{check_finite, check_samples, rows};
 pub use series::Series;
 
-use harness_spec::{Definition, IMAGE_CHANNELS, Modality, Percentage, Region, intern};
+use harness_spec::{Definition, IMAGE_CHANNELS, Modality, NO_CONTACT, Percentage, Region, intern};
 use rayon::prelude::*;
 use std::str::FromStr;
 
@@ -124,7 +124,10 @@ impl Metric {
 
     /// Whether higher values are better. All other metrics are errors.
     pub fn higher_is_better(self) -> bool {
-        self == Metric::R2
+        match self {
+            Metric::Regional(metric, _) => metric.higher_is_better(),
+            metric => metric == Metric::R2,
+        }
     }
 
     /// Returns the name in tables.
@@ -157,10 +160,11 @@ impl FromStr for Metric {
 
 /// The name of a metric for people, with the unit of the values.
 pub fn label(metric: &str, unit: &str) -> String {
-    let name = match metric {
-        "smape" | "wmape" | "r2" | "rmse" | "mae" => metric.to_uppercase(),
-        name => name.replace('_', " "),
-    };
+    let words = metric.split('_').map(|word| match word {
+        "smape" | "wmape" | "r2" | "rmse" | "mae" => word.to_uppercase(),
+        _ => word.to_owned(),
+    });
+    let name = words.collect::<Vec<_>>().join(" ");
     if unit == "1" { name } else { format!("{name} ({unit})") }
 }
 
@@ -310,14 +314,21 @@ impl Evaluation {
                 .collect();
             for metric in &metrics {
                 add(*metric, *metric, &all);
-                // Images have only the relative error of regions.
-                let has_regions = !self.definition.is_image() || *metric == Metric::RelativeError;
-                for (name, series) in regions.iter().filter(|_| has_regions) {
+                for (name, series) in regions.iter().filter(|(name, _)| self.is_defined_in(name, *metric)) {
                     add(metric.in_region(name), *metric, series);
                 }
             }
         }
         found
+    }
+
+    /// Whether a metric has a row for a region. Images have only the relative error, and forces without a contact are
+    /// zero, so that only the absolute errors are defined.
+    fn is_defined_in(&self, region: &str, metric: Metric) -> bool {
+        match self.definition.is_image() {
+            true => metric == Metric::RelativeError,
+            false => region != NO_CONTACT || matches!(metric, Metric::Rmse | Metric::Mae),
+        }
     }
 
     /// Returns the sums of a region over some elements.

@@ -10,7 +10,7 @@ use std::sync::{Arc, LazyLock};
 pub(super) const CONTACT_KIND: &str = "_kind";
 
 /// The region of a force's elements without a contact.
-pub(super) const NO_CONTACT: &str = "none";
+pub const NO_CONTACT: &str = "none";
 
 /// Number of color channels of an image.
 pub const IMAGE_CHANNELS: usize = 3;

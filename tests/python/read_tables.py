@@ -24,6 +24,8 @@ import pyarrow.parquet as pq
 from sklearn.metrics import mean_absolute_error, r2_score, root_mean_squared_error
 
 FINGER = ("proprioception", "contact_force", "contact_force_mean")
+# The kinds of contacts of each world, in the order of their numbers in the tables.
+KINDS = {"empty": ["none", "ground"], "cluttered": ["none", "ground", "box"]}
 KEY = ["run", "task", "modality", "direction", "index", "metric"]
 
 
@@ -71,6 +73,26 @@ def scores(reference: np.ndarray, predicted: np.ndarray, modality: str) -> dict[
     return found
 
 
+def scores_by_kind(reference: np.ndarray, predicted: np.ndarray, kinds: np.ndarray, names: list[str]) -> dict:
+    """The metrics over the samples and columns of each kind of contact: those where `kinds` has its number."""
+    values = {}
+    for number, name in enumerate(names):
+        is_kind = kinds == number
+        error = (predicted - reference)[is_kind]
+        found = {"rmse": np.sqrt(np.mean(error**2)), "mae": np.abs(error).mean()} if is_kind.any() else {}
+        magnitude = np.abs(reference[is_kind]).sum()
+        found["wmape"] = 100 * np.abs(error).sum() / magnitude if magnitude else None
+        means = np.array([column[mask].mean() if mask.any() else 0 for column, mask in zip(reference.T, is_kind.T)])
+        constant = np.array([mask.any() and np.ptp(column[mask]) == 0 for column, mask in zip(reference.T, is_kind.T)])
+        varying = is_kind & ~constant
+        deviation = ((reference - means) ** 2)[varying].sum()
+        found["r2"] = 1 - ((predicted - reference) ** 2)[varying].sum() / deviation if deviation else None
+        # Without a contact, the forces are zero, so only the absolute errors are defined.
+        metrics = ("rmse", "mae") if number == 0 else ("rmse", "mae", "wmape", "r2")
+        values |= {f"{metric}_{name}": found.get(metric) for metric in metrics}
+    return values
+
+
 def groups(width: int) -> list[tuple[str | None, int | None, list[int]]]:
     """Direction, index and columns of every group of joints or links that has metrics."""
     joints = list(range(width))
@@ -78,7 +100,13 @@ def groups(width: int) -> list[tuple[str | None, int | None, list[int]]]:
     return pooled + [("fe" if joint % 2 == 0 else "aa", joint, [joint]) for joint in joints]
 
 
-def computed(predictions: pd.DataFrame) -> dict[tuple, float | None]:
+def contact_kinds(dataset: Path) -> pd.DataFrame:
+    """The kind of each link's contact, by episode and sample."""
+    episodes = pd.concat(map(pd.read_parquet, sorted(dataset.glob("episode_*.parquet"))))
+    return episodes.set_index(["episode", "sample"]).filter(like="contact_force_kind_")
+
+
+def computed(predictions: pd.DataFrame, touched: pd.DataFrame, kinds: list[str]) -> dict[tuple, float | None]:
     """Every metric that the predictions of one run allow, by the columns of `KEY`."""
     values = {}
     for (run, task, modality), rows in predictions.groupby(["run", "task", "modality"]):
@@ -88,6 +116,11 @@ def computed(predictions: pd.DataFrame) -> dict[tuple, float | None]:
             found = scores(reference[:, columns], predicted[:, columns], modality)
             for metric, value in found.items():
                 values[run, task, modality, direction, index, metric] = value
+            if modality == "contact_force" and index is None:
+                of_rows = touched.loc[wide.index].to_numpy()[:, columns]
+                found = scores_by_kind(reference[:, columns], predicted[:, columns], of_rows, kinds)
+                for metric, value in found.items():
+                    values[run, task, modality, direction, index, metric] = value
     return values
 
 
@@ -102,7 +135,10 @@ def written(metrics: pd.DataFrame) -> dict[tuple, float | None]:
 
 
 def compare(run: Path) -> list[dict]:
-    ours = computed(pd.read_parquet(run / "predictions.parquet"))
+    record = json.loads((run / "run.json").read_text())
+    dataset = run.parents[2] / "datasets" / record["dataset"]
+    kinds = KINDS[record["spec"]["scenario"]]
+    ours = computed(pd.read_parquet(run / "predictions.parquet"), contact_kinds(dataset), kinds)
     theirs = written(pd.read_parquet(run / "metrics.parquet"))
     assert ours.keys() == theirs.keys(), sorted(map(str, ours.keys() ^ theirs.keys()))
     return [dict(zip(KEY, key)) | {"table": theirs[key], "computed": ours[key]} for key in ours]
