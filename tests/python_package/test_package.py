@@ -668,7 +668,17 @@ def test_what_is_returned_has_the_types_of_the_stubs(
         "claims": lambda: _harness.claims([], ROOT / "experiments/claims.yaml", False, [], results),
         "figures": lambda: _harness.figures(["task"], tmp_path, ["svg"], False, None, None, [], results),
         "plot": lambda: _harness.plot(
-            ["smoke"], "latent", "r2", ["modality"], "scenario", "prediction", None, [], tmp_path / "plot.svg", results
+            ["smoke"],
+            "latent",
+            "r2",
+            ["modality"],
+            "scenario",
+            ["network"],
+            "prediction",
+            None,
+            [],
+            tmp_path / "plot.svg",
+            results,
         ),
         "report": lambda: _harness.report(
             ["smoke"], tmp_path / "report.html", Path("claims"), Path("readings"), False, [], results, False
