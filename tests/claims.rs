@@ -7,10 +7,11 @@ use harness::claims::{
     Claim, Condition, Each, Judgment, Matrix, Measured, Readings, Verdict, choose, corrected, judge, load,
     runs,
 };
+use harness::judge::MetricRow;
 use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::contact::Contact;
 use harness::metrics::{Direction, Metric, Row};
-use harness::registry::{ForceRows, MetricRow, Outcome, Provenance, Registry};
+use harness::registry::{ForceRows, Outcome, Provenance, Registry};
 use harness::seal;
 use harness::spec::{self, Experiment, Layout, Modality, RunSpec, Scenario, Task};
 use sha2::{Digest, Sha256};
@@ -173,7 +174,7 @@ fn outcome(says: Says, spec: &RunSpec) -> Outcome {
     let mut push = |model, of: Of, metric, value| {
         let Of { task, modality, direction, index } = of;
         let row = Row { modality, direction, index, metric, value: Some(value), unit: String::new() };
-        metrics.push(MetricRow { task, model, row });
+        metrics.push(MetricRow { task, model: String::from(model), row });
     };
     for (task, modalities) in [(Task::Prediction, &spec.output), (Task::Reconstruction, &spec.input)] {
         for &modality in modalities {

@@ -3,12 +3,11 @@
 use crate::common::{SMOKE, finish, fresh, harness, set_in_record, succeed};
 use harness::analysis::compare;
 use harness::experiment::provenance;
+use harness::judge::{MetricRow, PredictionRow};
 use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::evaluate;
 use harness::progress::Silent;
-use harness::registry::{
-    Decision, MetricRow, Outcome, PredictionRow, QueryError, Registry, RunRecord, query, query_of,
-};
+use harness::registry::{Decision, Outcome, QueryError, Registry, RunRecord, query, query_of};
 use harness::seal;
 use harness::spec::{self, Layout, Modality, Task};
 use polars::prelude::DataFrame;
@@ -62,7 +61,11 @@ fn outcome(seed: u64, scale: f32) -> Outcome {
     let losses = |epoch: usize| Losses::from([(TOTAL.to_owned(), f64::from(value(epoch)))]);
     let epoch = |epoch| Epoch { epoch, train: losses(epoch), validation: losses(epoch + 1), seconds: 0.5 };
     let of_models = ["network", "ridge"].into_iter().flat_map(|model| {
-        rows.iter().map(move |row| MetricRow { task: Task::Prediction, model, row: row.clone() })
+        rows.iter().map(move |row| MetricRow {
+            task: Task::Prediction,
+            model: String::from(model),
+            row: row.clone(),
+        })
     });
     let prediction = |(place, (reference, predicted)): (usize, (f32, f32))| PredictionRow {
         task: Task::Prediction,

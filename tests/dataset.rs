@@ -2,17 +2,18 @@
 
 use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness_collection::{CollectionError, collect, dataset_of};
-use harness_dataset::{CompiledModel, Dataset, DatasetError, FramePlace, Partition, Recording, Samples};
-use harness_learning::Normalizers;
+use harness_dataset::{CompiledModel, Dataset, DatasetError};
+use harness_learning::frames::SampleFrames;
+use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples};
 use harness_shared::files::UNFINISHED;
 use harness_shared::progress::{Progress, Silent};
 use harness_simulation::{Episode, Scene, SimulationError, Simulator};
 use harness_spec::{
     Action, Division, IMAGE_CHANNELS, Layout, Modality, Scale, Scaling, Scalings, Scenario, Setting,
-    Simulation, Split, World,
+    Simulation, Split, Window, World,
 };
 use std::cell::RefCell;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -171,7 +172,7 @@ fn an_episode_comes_back_as_it_was_simulated() {
     let (first, plane) = (samples.episodes()[2].start, FRAME_LEN / IMAGE_CHANNELS);
     for (row, frame) in expected.image(Modality::VISION).chunks(FRAME_LEN).enumerate() {
         // Frames are stored pixel by pixel, and kept in memory channel by channel.
-        let held = samples.frame_bytes(Modality::VISION, first + row);
+        let held = samples.frame_bytes(Modality::VISION, Sample::at(first + row));
         assert!(
             (0..FRAME_LEN).all(|at| held[at % IMAGE_CHANNELS * plane + at / IMAGE_CHANNELS] == frame[at])
         );
@@ -374,7 +375,7 @@ fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
 fn normalized_values_restore_to_what_was_recorded() {
     let samples: Arc<Samples> =
         Arc::new(Collected::new(Scenario::CLUTTERED, 2).dataset.load(FramePlace::Memory, &Silent).unwrap());
-    let at = samples.partition(&Split::default()).unwrap().training;
+    let at = samples.partition(&Split::default(), Window::TRANSITION).unwrap().training;
     let scalings = Modality::BUILT_IN
         .iter()
         .map(|&modality| (modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap()))
@@ -383,17 +384,17 @@ fn normalized_values_restore_to_what_was_recorded() {
     for modality in Modality::BUILT_IN.iter().copied() {
         let scale = &normalizers.modalities[&modality];
         let (mut values, expected, unit) = if samples.layout()[modality].is_image() {
-            let frames = normalizers.frames(&samples, &at, &[modality]).unwrap();
+            let frames = SampleFrames::new(&samples, &normalizers, &at, &[modality]).unwrap();
             let mut values = vec![0.0; at.len() * FRAME_LEN];
             let each = values.chunks_exact_mut(FRAME_LEN).enumerate();
             each.for_each(|(index, frame)| frames.write(index, frame));
-            (values, harness_dataset::physical(&samples, modality, &at), 1.0)
+            (values, harness_samples::physical(&samples, modality, &at), 1.0)
         } else {
-            let table = normalizers.vectors(&samples, &at, &[modality]).unwrap().unwrap();
+            let values = normalizers.vectors(&samples, &at, &[modality]);
             let expected: Vec<f32> =
                 at.iter().flat_map(|sample| samples.vector(modality, *sample).iter().copied()).collect();
             let largest = expected.iter().fold(1.0, |largest: f32, value| largest.max(value.abs()));
-            (table.flatten_all().unwrap().to_vec1().unwrap(), expected, largest)
+            (values, expected, largest)
         };
         let spread = values.iter().map(|value| value * value).sum::<f32>() / values.len() as f32;
         assert!(spread < 1.01, "{modality:?}: the mean square is {spread}");
@@ -402,13 +403,7 @@ fn normalized_values_restore_to_what_was_recorded() {
         let error = largest_difference(&values, &expected);
         assert!(error < 1e-5 * unit, "{modality:?} is off by {error}");
     }
-    let mut actions = normalizers
-        .actions(&samples, &at, Action::Increment)
-        .unwrap()
-        .flatten_all()
-        .unwrap()
-        .to_vec1()
-        .unwrap();
+    let mut actions = normalizers.actions(&samples, &at, Action::Increment);
     normalizers.action.denormalize(&mut actions);
     let expected: Vec<f32> =
         at.iter().flat_map(|sample| samples.action(Action::Increment, *sample).collect::<Vec<_>>()).collect();
@@ -425,7 +420,7 @@ fn frames_on_disk_are_those_in_memory_and_leave_no_file() {
     assert_eq!(memory.image(Modality::VISION).len(), memory.len() * FRAME_LEN);
     assert!(disk.image(Modality::VISION) == memory.image(Modality::VISION));
     // This is often enough that pages are released in between.
-    let at: Vec<usize> = (0..disk.len()).rev().collect();
+    let at = at((0..disk.len()).rev());
     for _ in 0..400 {
         disk.prefetch(Modality::VISION, &at);
     }
@@ -433,7 +428,10 @@ fn frames_on_disk_are_those_in_memory_and_leave_no_file() {
         at.iter().all(|&sample| disk.frame_bytes(Modality::VISION, sample)
             == memory.frame_bytes(Modality::VISION, sample))
     );
-    assert!(disk.previous_frame_bytes(Modality::VISION, 7) == memory.frame_bytes(Modality::VISION, 6));
+    assert!(
+        disk.previous_frame_bytes(Modality::VISION, Sample::at(7))
+            == memory.frame_bytes(Modality::VISION, Sample::at(6))
+    );
     assert_eq!(disk.vectors(Modality::CONTACT_FORCE), memory.vectors(Modality::CONTACT_FORCE));
     assert!(contents(collected.dataset.folder()) == before, "the file has no name, even while it is used");
     assert!(!collected.dataset.load(FramePlace::Nowhere, &Silent).unwrap().has_frames());
@@ -492,6 +490,11 @@ fn ramps(seed: u64, lengths: &[usize]) -> Samples {
     all
 }
 
+/// The samples at these positions.
+fn at(positions: impl IntoIterator<Item = usize>) -> Vec<Sample> {
+    positions.into_iter().map(Sample::at).collect()
+}
+
 fn split(by: Division) -> Split {
     Split { by, ..Split::default() }
 }
@@ -500,38 +503,36 @@ fn split(by: Division) -> Split {
 fn a_split_by_time_trains_on_the_first_part_of_each_episode_and_leaves_a_gap() {
     // Of 200 samples at 10 Hz, 20 are for validation and 20 for test, and each gap has 50 by default.
     let samples = ramps(0, &[200, 200]);
-    let Partition { training, validation, test } = samples.partition(&split(Division::Time)).unwrap();
+    let Partition { training, validation, test } =
+        samples.partition(&split(Division::Time), Window::TRANSITION).unwrap();
     // A transition's next sample belongs to the same part, so a part has one transition less than samples.
-    let expected = |part: std::ops::Range<usize>| -> Vec<usize> {
-        part.clone().chain(part.start + 200..part.end + 200).collect()
-    };
+    let expected = |part: std::ops::Range<usize>| at(part.clone().chain(part.start + 200..part.end + 200));
     assert_eq!(training, expected(0..59));
     assert_eq!(validation, expected(110..129));
     assert_eq!(test, expected(180..199));
     let narrow = Split { gap_seconds: Some(0.25), test: 0.2, ..split(Division::Time) };
-    let Partition { training, validation, test } = samples.partition(&narrow).unwrap();
-    assert_eq!((training.len(), validation[0], test[0]), (2 * 133, 137, 160));
+    let Partition { training, validation, test } = samples.partition(&narrow, Window::TRANSITION).unwrap();
+    assert_eq!((training.len(), validation[0], test[0]), (2 * 133, Sample::at(137), Sample::at(160)));
     // If an episode is too short for the gaps, there is nothing to train on.
-    assert_eq!(ramps(0, &[200, 100]).partition(&split(Division::Time)), None);
+    assert_eq!(ramps(0, &[200, 100]).partition(&split(Division::Time), Window::TRANSITION), None);
 }
 
 #[test]
 fn one_continuous_run_is_split_by_time_or_sample_but_not_by_episode() {
     let samples = ramps(0, &[1000]);
-    assert_eq!(samples.partition(&split(Division::Episode)), None);
-    let Partition { training, validation, test } = samples.partition(&split(Division::Time)).unwrap();
-    assert_eq!(
-        (training, validation, test),
-        ((0..699).collect(), (750..849).collect(), (900..999).collect())
-    );
-    let Partition { training, validation, test } = samples.partition(&split(Division::Sample)).unwrap();
+    assert_eq!(samples.partition(&split(Division::Episode), Window::TRANSITION), None);
+    let Partition { training, validation, test } =
+        samples.partition(&split(Division::Time), Window::TRANSITION).unwrap();
+    assert_eq!((training, validation, test), (at(0..699), at(750..849), at(900..999)));
+    let Partition { training, validation, test } =
+        samples.partition(&split(Division::Sample), Window::TRANSITION).unwrap();
     assert_eq!([training.len(), validation.len(), test.len()], [799, 100, 100]);
 }
 
 #[test]
 fn a_split_by_sample_draws_every_transition_once_and_depends_on_the_datasets_seed_alone() {
     let by_sample = split(Division::Sample);
-    let drawn = |seed| ramps(seed, &[300, 200]).partition(&by_sample).unwrap();
+    let drawn = |seed| ramps(seed, &[300, 200]).partition(&by_sample, Window::TRANSITION).unwrap();
     let one = drawn(1);
     assert_eq!(one, drawn(1));
     assert_ne!(one.test, drawn(2).test);
@@ -539,17 +540,52 @@ fn a_split_by_sample_draws_every_transition_once_and_depends_on_the_datasets_see
     assert_eq!([training.len(), validation.len(), test.len()], [398, 50, 50]);
     let mut all = [training.clone(), validation, test.clone()].concat();
     all.sort_unstable();
-    assert_eq!(all, (0..299).chain(300..499).collect::<Vec<_>>());
+    assert_eq!(all, at((0..299).chain(300..499)));
     // The documentation warns of this: nearly every test sample has a neighbor in the training set.
     let neighbors =
-        test.iter().filter(|&&at| training.contains(&(at + 1)) || training.contains(&(at.wrapping_sub(1))));
+        test.iter().filter(|at| training.iter().any(|other| other.index().abs_diff(at.index()) == 1));
     assert!(neighbors.count() > 40);
+}
+
+#[test]
+fn a_window_never_leaves_its_episode_or_its_part() {
+    let samples = ramps(0, &[200, 300]);
+    let window = Window { context: 4, horizon: 3 };
+    let episode_of = |sample: Sample| samples.place(sample).0;
+    let parts = |by| {
+        let Partition { training, validation, test } = samples.partition(&split(by), window).unwrap();
+        [training, validation, test]
+    };
+    // A part of an episode has six windows less than samples.
+    assert_eq!(parts(Division::Sample).each_ref().map(Vec::len), [482 - 96, 48, 48]);
+    let by_time = parts(Division::Time);
+    assert_eq!(by_time.each_ref().map(Vec::len), [60 + 140 - 12, 20 + 30 - 12, 20 + 30 - 12]);
+    assert_eq!(
+        (by_time[0][0], by_time[1][0], by_time[2][0]),
+        (Sample::at(3), Sample::at(113), Sample::at(183))
+    );
+    for present in [by_time, parts(Division::Sample)].iter().flatten().flatten() {
+        assert_eq!(episode_of(present.before(3)), episode_of(present.after(3)));
+    }
+    let used = |part: &[Sample]| -> BTreeSet<usize> {
+        part.iter().flat_map(|present| present.index() - 3..=present.index() + 3).collect()
+    };
+    let [training, validation, test] = parts(Division::Time).each_ref().map(|part| used(part));
+    assert!(
+        training.is_disjoint(&validation) && validation.is_disjoint(&test) && training.is_disjoint(&test)
+    );
+    // No episode has a window that is longer than it.
+    let long = Window { context: 150, horizon: 100 };
+    let Partition { training, validation, test } =
+        ramps(0, &[200, 300, 300, 300]).partition(&split(Division::Episode), long).unwrap();
+    assert_eq!([training.len(), validation.len(), test.len()], [51, 51, 51]);
+    assert_eq!(samples.partition(&split(Division::Time), long), None);
 }
 
 #[test]
 fn a_shared_deviation_pools_the_variances_and_leaves_each_mean() {
     let samples = ramps(0, &[12]);
-    let at: Vec<usize> = (0..11).collect();
+    let at = at(0..11);
     let scaling = |scale, minimum| Scaling { scale, minimum };
     let scalings = Scalings::from([
         (Modality::CONTACT_FORCE, scaling(Scale::Shared, Some(-1.0))),
@@ -567,10 +603,8 @@ fn a_shared_deviation_pools_the_variances_and_leaves_each_mean() {
     assert_eq!(shared.std, [((19.0 * 10.0 + 90.0) / 20.0_f32).sqrt()]);
     assert_eq!((own.std[0], own.std[19]), (10.0_f32.sqrt(), 90.0_f32.sqrt()));
     // In units of the shared standard deviation, the last link's forces vary three times as much as another link's.
-    let table =
-        normalizers.vectors(&Arc::new(samples), &[0, 10], &[Modality::CONTACT_FORCE]).unwrap().unwrap();
-    let table: Vec<Vec<f32>> = table.to_vec2().unwrap();
-    let span = |link: usize| table[1][link] - table[0][link];
+    let table = normalizers.vectors(&samples, &[at[0], at[10]], &[Modality::CONTACT_FORCE]);
+    let span = |link: usize| table[JOINTS + link] - table[link];
     assert!((span(19) / span(0) - 3.0).abs() < 1e-6);
     // -7 + 5 N on the first link is below the minimum, and becomes -1 N. -1 + 15 N on the last link is not changed.
     let mut predicted: Vec<f32> =
@@ -609,19 +643,19 @@ fn a_constant_value_has_the_deviation_1_whatever_it_is_and_however_many_samples_
         false => 0.1 + element as f32 / 3.0,
     };
     let samples = still(40_001, FramePlace::Nowhere, 0, value);
-    let at: Vec<usize> = (0..40_000).collect();
+    let many = at(0..40_000);
     let own = Scaling { scale: Scale::PerElement, minimum: None };
     let scalings = Scalings::from([(Modality::CONTACT_FORCE, own)]);
-    let normalizers = Normalizers::fit(&samples, &at, &scalings, Action::Increment);
+    let normalizers = Normalizers::fit(&samples, &many, &scalings, Action::Increment);
     let forces = &normalizers.modalities[&Modality::CONTACT_FORCE].std;
     assert_eq!(forces[..JOINTS - 1], [1.0; JOINTS - 1]);
     assert!((forces[JOINTS - 1] - 5e-5).abs() < 1e-7, "{forces:?}");
 
     let samples = still(11, FramePlace::Memory, 245, |_, _| 0.0);
-    let at: Vec<usize> = (0..10).collect();
+    let few = at(0..10);
     let shared = Scaling { scale: Scale::Shared, minimum: None };
     let scalings = Scalings::from([(Modality::VISION, shared)]);
-    let normalizers = Normalizers::fit(&samples, &at, &scalings, Action::Increment);
+    let normalizers = Normalizers::fit(&samples, &few, &scalings, Action::Increment);
     assert_eq!(normalizers.modalities[&Modality::VISION].std, [1.0]);
 }
 
@@ -629,7 +663,7 @@ fn a_constant_value_has_the_deviation_1_whatever_it_is_and_however_many_samples_
 fn frames_are_scaled_by_their_pixels_means_and_one_deviation_whatever_the_threads() {
     // These are more samples than are summed at once.
     let samples = ramps(0, &[3000, 3000]);
-    let at: Vec<usize> = (0..6000).filter(|sample| sample % 7 != 0).collect();
+    let at = at((0..6000).filter(|sample| sample % 7 != 0));
     for modality in [Modality::VISION, Modality::FRAME_DIFFERENCE] {
         let scalings = Scalings::from([(modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap())]);
         let fit = |threads: usize| {
@@ -645,7 +679,7 @@ fn frames_are_scaled_by_their_pixels_means_and_one_deviation_whatever_the_thread
                 .map(|&sample| match modality {
                     Modality::VISION => f64::from(samples.frame_bytes(modality, sample)[pixel]) / 255.0,
                     _ => f64::from(
-                        harness_dataset::frame_difference(&samples, modality, sample).nth(pixel).unwrap(),
+                        harness_samples::frame_difference(&samples, modality, sample).nth(pixel).unwrap(),
                     ),
                 })
                 .collect();

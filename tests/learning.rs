@@ -4,10 +4,8 @@
 use candle_core::{Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
 use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
-use harness_dataset::{FramePlace, Partition, Recording, Samples};
 use harness_kernels::convolution::LANES;
 use harness_kernels::product::{Arithmetic, Unit};
-use harness_learning::Normalizers;
 use harness_learning::frames::{Averaged, DenseFrames, Frames};
 use harness_learning::network::description::Description;
 use harness_learning::network::{Architecture, Observation, Parameters, Targets, scalar};
@@ -21,11 +19,12 @@ use harness_learning::state::StateFile;
 use harness_learning::tensors::TensorFile;
 use harness_learning::training::{Epoch, Fit, TOTAL, learning_rate};
 use harness_learning::{LearningError, checkpoint};
+use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples};
 use harness_shared::progress::Progress;
 use harness_spec::Episode;
 use harness_spec::{
     Action, Fusion, Layout, Loss, Modality, Network, Preset, Scenario, Schedule, Split, Stop, Task, Training,
-    World,
+    Window, World,
 };
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, HashMap};
@@ -669,7 +668,7 @@ struct Bench {
 impl Bench {
     fn new() -> Self {
         let samples = walks(4, 12);
-        let partition = samples.partition(&Split::default()).unwrap();
+        let partition = samples.partition(&Split::default(), Window::TRANSITION).unwrap();
         let scalings = Modality::BUILT_IN
             .iter()
             .map(|&modality| (modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap()))
@@ -841,22 +840,27 @@ fn fit(
     fit.run(objective, parameters).unwrap()
 }
 
+/// The samples at these positions.
+fn at(positions: impl IntoIterator<Item = usize>) -> Vec<Sample> {
+    positions.into_iter().map(Sample::at).collect()
+}
+
 /// An objective that records the transitions of each call, and whether it is for training. There is nothing to learn.
 struct Protocol {
     parameter: Tensor,
-    asked: RefCell<Vec<(bool, Vec<usize>)>>,
+    asked: RefCell<Vec<(bool, Vec<Sample>)>>,
 }
 
 impl Protocol {
     /// The transitions of all calls for training or for validation, in order.
-    fn asked(&self, training: bool) -> Vec<usize> {
+    fn asked(&self, training: bool) -> Vec<Sample> {
         let asked = self.asked.borrow();
         asked.iter().filter(|(sampled, _)| *sampled == training).flat_map(|(_, at)| at.clone()).collect()
     }
 }
 
 impl Objective for Protocol {
-    fn terms(&self, at: &[usize], draw: Draw) -> Result<Vec<Weighted>> {
+    fn terms(&self, at: &[Sample], draw: Draw) -> Result<Vec<Weighted>> {
         self.asked.borrow_mut().push((matches!(draw, Draw::Sample(_)), at.to_vec()));
         Ok(vec![Weighted { name: "nothing".into(), weight: 1.0, value: self.parameter.sqr()? }])
     }
@@ -867,7 +871,7 @@ impl Objective for Protocol {
 }
 
 impl Objective for &Protocol {
-    fn terms(&self, at: &[usize], draw: Draw) -> Result<Vec<Weighted>> {
+    fn terms(&self, at: &[Sample], draw: Draw) -> Result<Vec<Weighted>> {
         (*self).terms(at, draw)
     }
 
@@ -881,10 +885,10 @@ fn every_epoch_visits_every_transition_once_in_an_order_of_its_own() {
     let parameter = Var::new(1.0f32, &Device::Cpu).unwrap();
     let protocol = Protocol { parameter: parameter.as_tensor().clone(), asked: RefCell::default() };
     let parameters = Parameters::from([("parameter".to_owned(), parameter)]);
-    let partition = Partition { training: (0..10).collect(), validation: vec![20, 21, 22], test: vec![30] };
+    let partition = Partition { training: at(0..10), validation: at(20..23), test: at([30]) };
     let training = Training { epochs: 3, batch_size: 4, patience: None, ..Training::default() };
     fit(&protocol, &parameters, &training, &partition);
-    let orders: Vec<Vec<usize>> = protocol.asked(true).chunks(10).map(<[usize]>::to_vec).collect();
+    let orders: Vec<Vec<Sample>> = protocol.asked(true).chunks(10).map(<[Sample]>::to_vec).collect();
     assert_eq!(orders.len(), 3);
     for order in &orders {
         let mut sorted = order.clone();
@@ -894,7 +898,7 @@ fn every_epoch_visits_every_transition_once_in_an_order_of_its_own() {
     }
     assert_eq!(
         protocol.asked(false),
-        [20, 21, 22].repeat(3),
+        at(20..23).repeat(3),
         "validation uses the mean, and nothing of the test"
     );
     let sizes: Vec<usize> = protocol.asked.borrow().iter().map(|(_, at)| at.len()).collect();
@@ -1056,7 +1060,7 @@ struct Scripted {
 }
 
 impl Objective for Scripted {
-    fn terms(&self, _: &[usize], draw: Draw) -> Result<Vec<Weighted>> {
+    fn terms(&self, _: &[Sample], draw: Draw) -> Result<Vec<Weighted>> {
         let term = |name: &str, weight: f64, value: f32| -> Result<Weighted> {
             // The parameter always changes in the same direction, and does not change the value.
             let falling = (&self.parameter - self.parameter.detach())?;
@@ -1081,7 +1085,7 @@ impl Objective for Scripted {
 }
 
 impl Objective for &Scripted {
-    fn terms(&self, at: &[usize], draw: Draw) -> Result<Vec<Weighted>> {
+    fn terms(&self, at: &[Sample], draw: Draw) -> Result<Vec<Weighted>> {
         (*self).terms(at, draw)
     }
 
@@ -1102,7 +1106,7 @@ fn patience_counts_from_the_best_total_or_from_the_last_term_that_improved() {
             reached: RefCell::default(),
         };
         let parameters = Parameters::from([("parameter".to_owned(), parameter.clone())]);
-        let partition = Partition { training: vec![0], validation: vec![1], test: vec![2] };
+        let partition = Partition { training: at([0]), validation: at([1]), test: at([2]) };
         let training = Training { epochs: 7, patience: Some(2), stop, ..Training::default() };
         let done = fit(&scripted, &parameters, &training, &partition).len();
         let kept = parameter.to_scalar::<f32>().unwrap();
@@ -1125,7 +1129,7 @@ fn a_loss_that_is_not_finite_ends_the_training() {
 struct InfiniteOnValidation(Tensor);
 
 impl Objective for InfiniteOnValidation {
-    fn terms(&self, _: &[usize], draw: Draw) -> Result<Vec<Weighted>> {
+    fn terms(&self, _: &[Sample], draw: Draw) -> Result<Vec<Weighted>> {
         let infinite = if matches!(draw, Draw::Mean) { f64::INFINITY } else { 1.0 };
         let term = |name: &str, value: f64| -> Result<Weighted> {
             Ok(Weighted { name: name.into(), weight: 1.0, value: (&self.0 * value)? })
@@ -1143,7 +1147,7 @@ fn a_loss_that_is_not_finite_on_validation_samples_is_named_with_its_terms() {
     let parameter = Var::new(1.0f32, &Device::Cpu).unwrap();
     let objective = InfiniteOnValidation(parameter.as_tensor().clone());
     let parameters = Parameters::from([("parameter".to_owned(), parameter)]);
-    let partition = Partition { training: vec![0], validation: vec![1], test: vec![2] };
+    let partition = Partition { training: at([0]), validation: at([1]), test: at([2]) };
     let (training, state) = (Training::default(), StateFile::none());
     let fit = Fit {
         task: Task::Prediction,
@@ -1204,12 +1208,12 @@ fn normalized_values_have_no_mean_and_one_deviation_and_restore_to_what_they_wer
     let bench = Bench::new();
     let at = &bench.partition.training;
     let normalizers = &bench.data.normalizers;
-    let table = normalizers.vectors(&bench.data.samples, at, &[Modality::ARM]).unwrap().unwrap();
+    let mut values = normalizers.vectors(&bench.data.samples, at, &[Modality::ARM]);
+    let table = Tensor::from_slice(&values, (at.len(), values.len() / at.len()), &Device::Cpu).unwrap();
     let mean = table.mean(0).unwrap().to_vec1::<f32>().unwrap();
     let square = table.sqr().unwrap().mean(0).unwrap().to_vec1::<f32>().unwrap();
     assert!(mean.iter().all(|mean| mean.abs() < 1e-4), "{mean:?}");
     assert!(square.iter().all(|square| (square - 1.0).abs() < 1e-3), "{square:?}");
-    let mut values = table.flatten_all().unwrap().to_vec1::<f32>().unwrap();
     normalizers.modalities[&Modality::ARM].denormalize(&mut values);
     let physical = at.iter().flat_map(|sample| bench.data.samples.vector(Modality::ARM, *sample).to_vec());
     assert!(values.iter().zip(physical).all(|(value, physical)| (value - physical).abs() < 1e-5));
@@ -1218,15 +1222,15 @@ fn normalized_values_have_no_mean_and_one_deviation_and_restore_to_what_they_wer
 #[test]
 fn a_frame_difference_is_what_changed_since_the_sample_before() {
     let samples = walks(2, 3);
-    let first = samples.episodes()[1].start;
+    let first = Sample::at(samples.episodes()[1].start);
     assert!(
-        harness_dataset::frame_difference(&samples, Modality::FRAME_DIFFERENCE, first)
+        harness_samples::frame_difference(&samples, Modality::FRAME_DIFFERENCE, first)
             .all(|change| change == 0.0)
     );
     let change: Vec<f32> =
-        harness_dataset::frame_difference(&samples, Modality::FRAME_DIFFERENCE, first + 1).collect();
+        harness_samples::frame_difference(&samples, Modality::FRAME_DIFFERENCE, first.after(1)).collect();
     let (now, before) =
-        (samples.frame_bytes(Modality::VISION, first + 1), samples.frame_bytes(Modality::VISION, first));
+        (samples.frame_bytes(Modality::VISION, first.after(1)), samples.frame_bytes(Modality::VISION, first));
     assert_eq!(change[5], (f32::from(now[5]) - f32::from(before[5])) / 255.0);
     assert!(change.iter().any(|change| *change != 0.0));
 }
@@ -1234,8 +1238,9 @@ fn a_frame_difference_is_what_changed_since_the_sample_before() {
 #[test]
 fn transitions_never_cross_episodes_and_splits_never_share_one() {
     let samples = walks(5, 6);
-    let Partition { training, validation, test } = samples.partition(&Split::default()).unwrap();
-    let episode = |transitions: &[usize]| -> Vec<usize> {
+    let Partition { training, validation, test } =
+        samples.partition(&Split::default(), Window::TRANSITION).unwrap();
+    let episode = |transitions: &[Sample]| -> Vec<usize> {
         transitions.iter().map(|sample| samples.place(*sample).0).collect()
     };
     assert_eq!(training.len(), 3 * 5);
@@ -1243,7 +1248,7 @@ fn transitions_never_cross_episodes_and_splits_never_share_one() {
     assert!(episode(&validation).iter().all(|episode| *episode == 3));
     assert!(episode(&test).iter().all(|episode| *episode == 4));
     for sample in training.iter().chain(&validation).chain(&test) {
-        assert_eq!(samples.place(*sample).0, samples.place(sample + 1).0);
+        assert_eq!(samples.place(*sample).0, samples.place(sample.after(1)).0);
     }
 }
 

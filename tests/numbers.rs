@@ -7,10 +7,11 @@
 use crate::common::finger::{FRAME_LEN, JOINTS};
 use crate::common::{finish, fresh, harness};
 use harness::claims::{Claim, load};
+use harness::judge::{FrameRow, MetricRow, PredictionRow};
 use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::contact::by_link;
 use harness::metrics::{Direction, Metric, Row};
-use harness::registry::{ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, Provenance, Registry};
+use harness::registry::{ForceRows, Outcome, Provenance, Registry};
 use harness::spec::{self, Experiment, Layout, Modality, RunSpec, Task};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -206,7 +207,7 @@ fn metrics(task: Task, modality: Modality, model: &'static str, random: &mut Cha
             let value = (index.is_none() || !chance(random, 0.05)).then_some(value);
             rows.push(MetricRow {
                 task,
-                model,
+                model: model.to_owned(),
                 row: Row { modality, direction, index, metric, value, unit: unit.into() },
             });
         }

@@ -2,11 +2,12 @@
 //! be packed or unpacked is refused in one line, and leaves everything as it was.
 
 use crate::common::{Answer, Disk, FAILING, SMOKE, finish, fresh, harness, smoke_run, succeed};
-use harness::dataset::{Dataset, FramePlace, physical};
+use harness::dataset::Dataset;
 use harness::experiment::{Model, Values};
 use harness::files::{FolderLock, UNFINISHED};
 use harness::progress::Silent;
 use harness::registry::Registry;
+use harness::samples::{FramePlace, Sample, physical};
 use harness::seal;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -79,7 +80,7 @@ fn computed(results: &Path, scenario: &str, datasets: &Path) -> Vec<u32> {
     let samples = samples.load(FramePlace::Memory, &Silent).unwrap();
     let model = Model::load(&Registry::new(results), &format!("smoke/{scenario}")).unwrap();
     let spec = &model.record().spec;
-    let at: Vec<usize> = (0..samples.len()).filter(|sample| sample % 10 < 5).collect();
+    let at: Vec<Sample> = (0..samples.len()).filter(|sample| sample % 10 < 5).map(Sample::at).collect();
     let observed: Values =
         spec.input.iter().map(|&modality| (modality, physical(&samples, modality, &at))).collect();
     let action = at.iter().flat_map(|&sample| samples.action(spec.action, sample)).collect();

@@ -18,11 +18,12 @@ mod seen;
 mod settings;
 mod subset;
 
+pub use harness_judge::models;
 pub use interval::{
     Interval, LEVEL, holm, interval, intervals, mean_interval, p_value, replicates, replicates_needed,
 };
 pub use key::Key;
-pub use means::{MODELS, Mean, NETWORK, Of, compare, replicates_of};
+pub use means::{Mean, Of, compare, replicates_of};
 pub use settings::{Difference, Setting, all_settings, differing, has_settings};
 pub use subset::Subset;
 

@@ -1,16 +1,12 @@
 //! Means of metrics over datasets and seeds.
 
 use super::{Analysis, AnalysisError, Interval, Run, Setting, interval};
+use harness_judge::models::NETWORK;
 use harness_registry::{OVERALL, QueryError, Registry, rows};
 use harness_spec::{Modality, Origin, Task};
 use polars::prelude::{Column, DataFrame, PolarsResult};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-
-/// The value of the column `model` for the network. All other models are baselines.
-pub const NETWORK: &str = "network";
-/// The values of the column `model`.
-pub const MODELS: [&str; 4] = [NETWORK, "persistence", "ridge", "training_mean"];
 
 /// The mean of a metric over all joints, links or pixels, or over those with the same unit if their units differ, for the networks of a group of runs or for a baseline.
 #[derive(Debug, Clone, PartialEq)]

@@ -9,12 +9,11 @@
 use clap::Parser;
 use harness::collection::dataset_of;
 use harness::experiment::provenance;
+use harness::judge::{FrameRow, MetricRow, PredictionRow};
 use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::contact::{Contact, by_link};
 use harness::metrics::{Row, evaluate};
-use harness::registry::{
-    ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, Provenance, Registry, Timings,
-};
+use harness::registry::{ForceRows, Outcome, Provenance, Registry, Timings};
 use harness::simulation::Scene;
 use harness::spec::{self, Definition, Experiment, Layout, Modality, RunSpec, Scenario, Task};
 use rand::{RngExt, SeedableRng};
@@ -159,7 +158,11 @@ fn judge(
             value: row.value.map(|value| value * (1.0 + 0.1 * place as f64)),
             ..row.clone()
         };
-        outcome.metrics.extend(rows.iter().map(|row| MetricRow { task, model, row: worse(row) }));
+        outcome.metrics.extend(rows.iter().map(|row| MetricRow {
+            task,
+            model: String::from(model),
+            row: worse(row),
+        }));
     }
     if definition.is_image() {
         outcome.frames.extend((0..samples).map(|sample| FrameRow {

@@ -9,7 +9,8 @@ use super::table::width;
 use anyhow::Result;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
-use harness::analysis::{Analysis, Interval, Key, MODELS, Mean, NETWORK, Of, Setting, replicates_of};
+use harness::analysis::{Analysis, Interval, Key, Mean, Of, Setting, replicates_of};
+use harness::judge::models::{self, NETWORK};
 use harness::metrics::Metric;
 use harness::numbers::Natural;
 use harness::registry::Registry;
@@ -32,7 +33,7 @@ pub struct Compare {
     metrics: Vec<String>,
     /// The network and the baselines, separated by commas
     #[arg(long, value_name = "MODEL", value_delimiter = ',', default_value = "network,persistence,ridge,training_mean",
-          value_parser = PossibleValuesParser::new(MODELS))]
+          value_parser = PossibleValuesParser::new(models::ALL))]
     models: Vec<String>,
     /// Compare only this task [default: both]
     #[arg(long, value_parser = PossibleValuesParser::new(Task::ALL.iter().map(|task| task.name())))]

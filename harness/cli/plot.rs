@@ -5,8 +5,9 @@ use super::table::shown;
 use anyhow::Result;
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use harness::analysis::{Analysis, Key, MODELS, NETWORK, Setting};
+use harness::analysis::{Analysis, Key, Setting};
 use harness::figures::{Format, Plot as Drawn};
+use harness::judge::models::{self, NETWORK};
 use harness::metrics::Metric;
 use harness::numbers::counted;
 use harness::registry::Registry;
@@ -33,7 +34,7 @@ pub struct Plot {
     facet: Option<Key>,
     /// The networks and the baselines to plot, separated by commas
     #[arg(long, value_name = "MODEL", value_delimiter = ',', default_value = NETWORK,
-          value_parser = PossibleValuesParser::new(MODELS))]
+          value_parser = PossibleValuesParser::new(models::ALL))]
     models: Vec<String>,
     /// Plot only this task [default: prediction; both tasks if the plot distinguishes them]
     #[arg(long, value_parser = task())]

@@ -3,6 +3,7 @@
 
 use super::sheet::{MISSING, Sheet, Style, best, rounded};
 use anyhow::Result;
+use harness::judge::models;
 use harness::learning::objective::KL;
 use harness::learning::training::TOTAL;
 use harness::numbers::Natural;
@@ -10,8 +11,6 @@ use harness::registry::{OVERALL, Registry, RunRecord, query_of, rows};
 use serde::Deserialize;
 use std::cmp::Reverse;
 
-/// The models in the columns of a table: the network and the baselines.
-const MODELS: [&str; 4] = ["network", "persistence", "ridge", "training_mean"];
 /// The note of a table with modalities whose elements have different units.
 pub const BY_UNIT: &str = "a modality whose elements have different units is judged by unit";
 
@@ -43,7 +42,8 @@ pub enum Metrics {
 
 /// Metrics of the runs in question and of the baselines, averaged over seeds.
 pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecord) -> bool) -> Result<Sheet> {
-    let means = MODELS.map(|model| format!("avg(case when model = '{model}' then value end) as {model}"));
+    let means =
+        models::ALL.map(|model| format!("avg(case when model = '{model}' then value end) as {model}"));
     let chosen = match metrics {
         Metrics::Main => format!("{OVERALL} and metric in ('smape', 'wmape', 'r2', 'relative_error')"),
         Metrics::All => "index is null".to_owned(),
@@ -76,7 +76,7 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
         ];
         (words, numbers)
     };
-    let header = MODELS.map(|model| model.replace('_', " ")).to_vec();
+    let header = models::ALL.map(|model| model.replace('_', " ")).to_vec();
     let is_part = |row: &Row| row.direction.as_ref().is_some_and(|name| name.starts_with("in "));
     let notes = rows.iter().any(is_part).then(|| BY_UNIT.to_owned()).into_iter().collect();
     Ok(Sheet { titles: 4, header, rows: rows.into_iter().map(row).collect(), notes, ..Sheet::default() })
@@ -135,7 +135,7 @@ impl Comparison {
 impl std::fmt::Display for Comparison {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         let Self { baseline, better, outputs } = self;
-        let article = if baseline == "training_mean" { "the " } else { "" };
+        let article = if baseline == models::TRAINING_MEAN { "the " } else { "" };
         write!(f, "{article}{} in {better} of {outputs}", baseline.replace('_', " "))
     }
 }

@@ -1,7 +1,8 @@
 //! A dataset on disk that was simulated or imported.
 
 use super::description::is_imported;
-use super::{Dataset, DatasetError, FramePlace, Imported, Samples};
+use super::{Dataset, DatasetError, Imported};
+use harness_samples::{FramePlace, Samples};
 use harness_shared::progress::Progress;
 use harness_spec::Layout;
 use std::path::Path;

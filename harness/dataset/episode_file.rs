@@ -1,6 +1,7 @@
 //! The file of an episode.
 
-use super::{DatasetError, Samples};
+use super::DatasetError;
+use harness_samples::Samples;
 use harness_shared::progress::Progress;
 use harness_spec::{Definition, Episode, Layout};
 use harness_tables::{TableError, TableFile};

@@ -1,8 +1,9 @@
 //! Imported datasets, which were recorded elsewhere. They are read like simulated datasets, but can't be collected.
 
+use super::DatasetError;
 use super::description::{Content, Description};
 use super::episode_file::{episode_file, push_all, read_episode};
-use super::{DatasetError, FramePlace, Recording, Samples};
+use harness_samples::{FramePlace, Recording, Samples};
 use harness_shared::progress::Progress;
 use harness_spec::{Layout, Modality, RunSpec};
 use std::path::{Path, PathBuf};

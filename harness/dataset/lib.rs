@@ -4,20 +4,17 @@
 mod any;
 mod description;
 mod episode_file;
-mod frame_store;
 mod imported;
-mod samples;
 mod store;
 mod verify;
 
 pub use any::AnyDataset;
 pub use description::layout_of;
-pub use frame_store::{FramePlace, frame_bytes};
 pub use imported::Imported;
-pub use samples::{Partition, Recording, Samples, frame_difference, physical};
 pub use store::{CompiledModel, Dataset};
 pub use verify::{Inspection, inspect, is_lock};
 
+use harness_samples::FramesError;
 use harness_shared::files::{LockError, WriteError};
 use harness_spec::Modality;
 use harness_tables::TableError;
@@ -66,17 +63,8 @@ pub enum DatasetError {
         held: String,
     },
     /// Frames can't be stored on disk.
-    #[error(
-        "the dataset's frames can't be kept in {}: {source}; free disk space there, or keep them in memory \
-         (`harness run --memory GB`)",
-        folder.display()
-    )]
-    Frames {
-        /// The dataset's folder.
-        folder: PathBuf,
-        /// The error of the file system.
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    Frames(#[from] FramesError),
     /// The caller cancelled the collection or the loading.
     #[error("the collection was cancelled; the same command continues with the missing episodes")]
     Cancelled,

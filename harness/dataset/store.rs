@@ -1,8 +1,9 @@
 //! Simulated datasets on disk. Each episode is a Parquet file, in a folder whose name is determined by the content.
 
+use super::DatasetError;
 use super::description::{Description, FORMAT, identify};
 use super::episode_file::{episode_file, open_episode, push_all, read_episode};
-use super::{DatasetError, FramePlace, Recording, Samples};
+use harness_samples::{FramePlace, Recording, Samples};
 use harness_shared::files::write_bytes;
 use harness_shared::progress::{Progress, Silent};
 use harness_spec::{Definition, Episode, Factor, Layout, Property, Scenario, Simulation, World};

@@ -11,28 +11,28 @@ pub use model::{Model, ModelError, Values};
 pub use schedule::Summary;
 pub use search::{Best, best};
 
-use candle_core::Tensor;
-use evaluate::SampledTransition;
 use harness_collection::{CollectionError, collect, collect_together, dataset_of};
-use harness_dataset::{AnyDataset, DatasetError, FramePlace, Imported, Partition, Samples, frame_bytes};
+use harness_dataset::{AnyDataset, DatasetError, Imported};
+use harness_judge::{JudgeError, MetricRow, SampledWindow, Test, judge, sample_windows};
 use harness_learning::network::description::Description;
 use harness_learning::network::{Architecture, Decoder, Encoder, Parameters, architecture};
 use harness_learning::objective::{NormalizedData, Objective, Prediction, Reconstruction};
+use harness_learning::predict::{self, Latent, TrainedNetwork};
 use harness_learning::random::{Random, Stream};
 use harness_learning::state::StateFile;
 use harness_learning::training::Fit;
-use harness_learning::{self as learning, LearningError, Normalizers, checkpoint, open_device, predict};
-use harness_metrics::MetricsError;
+use harness_learning::{self as learning, LearningError, checkpoint, open_device};
 use harness_registry::{
-    Decision, ForceRows, LiveEpochs, MetricRow, Outcome, Provenance, Registry, RegistryError, RunFolder,
-    RunRecord, Timings, Versions,
+    Decision, ForceRows, LiveEpochs, Outcome, Provenance, Registry, RegistryError, RunFolder, RunRecord,
+    Timings, Versions,
 };
+use harness_samples::{FramePlace, Normalizers, Partition, Sample, Samples, frame_bytes};
 use harness_shared::files::free_bytes;
 use harness_shared::memory;
 use harness_shared::progress::Progress;
 use harness_shared::shard::Shard;
 use harness_simulation::{Scene, SimulationError, mujoco_version};
-use harness_spec::{Experiment, Layout, Modality, Origin, RunSpec, Simulation, Task, World};
+use harness_spec::{Experiment, Layout, Modality, Origin, RunSpec, Simulation, Task, Window, World};
 use rayon::prelude::*;
 use search::{Rungs, Standing};
 use std::path::PathBuf;
@@ -56,7 +56,7 @@ pub enum ExperimentError {
     Learning(#[from] LearningError),
     /// The evaluation failed.
     #[error(transparent)]
-    Metrics(#[from] MetricsError),
+    Judge(#[from] JudgeError),
     /// The results folder can't be read or written.
     #[error(transparent)]
     Registry(#[from] RegistryError),
@@ -365,7 +365,8 @@ impl<'a> Runner<'a> {
         let Planned { spec, source, .. } = planned;
         let frames = self.frame_place(planned);
         let samples = self.samples(source, frames)?;
-        let partition = samples.partition(&spec.split).ok_or(ExperimentError::NoTraining)?;
+        let partition =
+            samples.partition(&spec.split, Window::TRANSITION).ok_or(ExperimentError::NoTraining)?;
         let normalizers =
             Normalizers::fit(&samples, &partition.training, &spec.scalings(samples.layout()), spec.action);
         let data = NormalizedData {
@@ -380,10 +381,10 @@ impl<'a> Runner<'a> {
             baselines.extend(evaluate::baselines(&data, &partition, *task, &spec.input, output)?);
         }
         let forces = evaluate::forces(&data.samples);
-        let sampled_transitions = evaluate::sample_transitions(&data.samples, &partition.test);
+        let sampled = sample_windows(&data.samples, &partition.test);
         let bytes = Samples::bytes(source.dataset.layout(), source.dataset.len(), frames);
         let seconds = begin.elapsed().as_secs_f64();
-        Ok(PreparedData { data, partition, baselines, forces, sampled_transitions, bytes, seconds })
+        Ok(PreparedData { data, partition, baselines, forces, sampled, bytes, seconds })
     }
 }
 
@@ -441,8 +442,8 @@ struct PreparedData {
     partition: Partition,
     baselines: Vec<MetricRow>,
     forces: Vec<ForceRows>,
-    /// The test transitions whose images are stored.
-    sampled_transitions: Vec<SampledTransition>,
+    /// The test windows whose images are stored.
+    sampled: Vec<SampledWindow>,
     /// Memory of the samples, bytes.
     bytes: u64,
     seconds: f64,
@@ -476,7 +477,7 @@ impl TrainingRun<'_> {
 
     /// Trains and evaluates the encoder and the decoder.
     fn predict(&self, outcome: &mut Outcome) -> Result<(Box<dyn Encoder>, Parameters), ExperimentError> {
-        let (spec, PreparedData { data, partition, .. }) = (self.spec, self.prepared);
+        let (spec, data) = (self.spec, &self.prepared.data);
         let begin = Instant::now();
         let task = Task::Prediction;
         let mut parameters = Parameters::new();
@@ -500,20 +501,20 @@ impl TrainingRun<'_> {
         self.train(task, &architecture, &objective, &parameters, outcome)?;
         outcome.timings.prediction = begin.elapsed().as_secs_f64();
         let begin = Instant::now();
-        let latent = predict::encode(data, &*objective.encoder, &spec.input, &partition.test);
-        self.evaluate(task, &*objective.decoder, &spec.output, latent, outcome)?;
+        let latent = Latent::Encoded(&*objective.encoder, &spec.input);
+        self.judge(task, &*objective.decoder, &spec.output, latent, outcome)?;
         outcome.timings.evaluation += begin.elapsed().as_secs_f64();
         Ok((objective.encoder, parameters))
     }
 
     /// Trains and evaluates a new decoder on the latent states of the frozen encoder.
     fn reconstruct(&self, encoder: &dyn Encoder, outcome: &mut Outcome) -> Result<(), ExperimentError> {
-        let (spec, PreparedData { data, partition, .. }) = (self.spec, self.prepared);
+        let (spec, data) = (self.spec, &self.prepared.data);
         let begin = Instant::now();
         let task = Task::Reconstruction;
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
-        let everything: Vec<usize> = (0..data.samples.len()).collect();
+        let everything: Vec<Sample> = (0..data.samples.len()).map(Sample::at).collect();
         let latent = predict::encode(data, encoder, &spec.input, &everything).map_err(LearningError::from)?;
         let architecture = architecture(spec, data.samples.layout(), task);
         let decoder = architecture.decoder(&mut parameters, &mut random, &data.device);
@@ -526,8 +527,7 @@ impl TrainingRun<'_> {
         self.train(task, &architecture, &objective, &parameters, outcome)?;
         outcome.timings.reconstruction = Some(begin.elapsed().as_secs_f64());
         let begin = Instant::now();
-        let test = harness_learning::objective::rows(&latent, &partition.test);
-        self.evaluate(task, &*objective.decoder, &spec.input, test, outcome)?;
+        self.judge(task, &*objective.decoder, &spec.input, Latent::Known(&latent), outcome)?;
         outcome.timings.evaluation += begin.elapsed().as_secs_f64();
         Ok(())
     }
@@ -559,22 +559,22 @@ impl TrainingRun<'_> {
         Ok(())
     }
 
-    /// Evaluates a decoder on the latent states of the test transitions. Adds the results to the outcome.
-    fn evaluate(
+    /// Judges a trained network on the test windows. Adds the results to the outcome.
+    fn judge(
         &self,
         task: Task,
         decoder: &dyn Decoder,
         output: &[Modality],
-        latent: Result<Tensor, candle_core::Error>,
+        latent: Latent,
         outcome: &mut Outcome,
     ) -> Result<(), ExperimentError> {
-        let PreparedData { data, partition, sampled_transitions, .. } = self.prepared;
-        let latent = latent.map_err(LearningError::from)?;
-        let evaluated =
-            evaluate::network(data, task, decoder, output, &latent, &partition.test, sampled_transitions)?;
-        outcome.metrics.extend(evaluated.metrics);
-        outcome.predictions.extend(evaluated.predictions);
-        outcome.frames.extend(evaluated.frames);
+        let PreparedData { data, partition, sampled, .. } = self.prepared;
+        let network = TrainedNetwork { data, latent, decoder: decoder.detached(), output };
+        let judged =
+            judge(&network, &Test { samples: &data.samples, task, windows: &partition.test, sampled })?;
+        outcome.metrics.extend(judged.metrics);
+        outcome.predictions.extend(judged.predictions);
+        outcome.frames.extend(judged.frames);
         Ok(())
     }
 }

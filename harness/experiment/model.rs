@@ -1,13 +1,13 @@
 //! A trained network, applied to observations from any source, in physical units.
 
 use candle_core::{Device, Tensor};
-use harness_learning::Normalizers;
 use harness_learning::frames::{DenseFrames, Frames};
 use harness_learning::network::{Architecture, Decoder, Encoder, Observation, Parameters, architecture};
 use harness_learning::ops::arithmetic;
 use harness_learning::random::{Random, Stream};
 use harness_learning::{LearningError, checkpoint, predict};
 use harness_registry::{Registry, RegistryError, RunFolder, RunRecord, Status};
+use harness_samples::Normalizers;
 use harness_spec::{IMAGE_CHANNELS, Modality, Precision, Task};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -3,7 +3,8 @@
 use super::axes::{Look, Panel, Scale, legend, remarks};
 use super::page::{BLACK, BLUE, COLUMN, GRAY, GREEN, Mark, PALE, Page, Stroke, Type, VERMILION, WINE};
 use super::{Drawing, FigureError};
-use harness_analysis::{Analysis, Interval, Key, Mean, NETWORK, Of, replicates_of};
+use harness_analysis::models::NETWORK;
+use harness_analysis::{Analysis, Interval, Key, Mean, Of, replicates_of};
 use harness_metrics::{Metric, label};
 use harness_shared::numbers::{Natural, rounded};
 use harness_spec::Task;

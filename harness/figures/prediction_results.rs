@@ -4,6 +4,7 @@ use super::curves::{Curves, explain, pair, remarks, stack};
 use super::page::{COLUMN, Page};
 use super::source::{Source, Study};
 use super::{Drawing, FigureError};
+use harness_analysis::models::PERSISTENCE;
 use harness_metrics::Metric;
 use harness_spec::{Modality, Task};
 
@@ -19,7 +20,7 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
         modality,
         metric,
         letter,
-        baseline: Some(("persistence", "pers.")),
+        baseline: Some((PERSISTENCE, "pers.")),
     };
     let (body, force) = (Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE);
     let a = curves(&single, body, Metric::Smape, "a");

@@ -4,8 +4,8 @@
 use super::LearningError;
 use super::network::{Parameters, description::Description};
 use super::tensors::TensorFile;
-use crate::{Normalizer, Normalizers};
 use candle_core::{Device, Result as CandleResult, Tensor};
+use harness_samples::{Normalizer, Normalizers};
 use harness_spec::Modality;
 use serde_json::{Map, json};
 use std::collections::HashMap;

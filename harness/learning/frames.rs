@@ -4,6 +4,8 @@
 //! cache, and no batch has to be assembled before.
 
 use candle_core::{Device, Result, Tensor};
+use harness_samples::{Normalizer, Normalizers, Sample, Samples};
+use harness_spec::{IMAGE_CHANNELS, Modality};
 use std::sync::Arc;
 
 /// A batch of normalized frames, `[channels, rows, columns]` each.
@@ -103,5 +105,68 @@ impl Frames for Averaged {
         }
         let factor = 1.0 / (self.by * self.by) as f32;
         frame.iter_mut().for_each(|value| *value *= factor);
+    }
+}
+
+/// Normalized frames of chosen samples, computed one at a time. Several images are stacked by channel and have the same
+/// size.
+pub struct SampleFrames {
+    samples: Arc<Samples>,
+    at: Vec<Sample>,
+    size: [usize; 2],
+    normalizers: Vec<(Modality, Normalizer)>,
+}
+
+impl SampleFrames {
+    /// Returns the frames of the images among `modalities` at the samples `at`; `None` without an image.
+    pub fn new(
+        samples: &Arc<Samples>,
+        normalizers: &Normalizers,
+        at: &[Sample],
+        modalities: &[Modality],
+    ) -> Option<Arc<dyn Frames>> {
+        let normalizers: Vec<(Modality, Normalizer)> = modalities
+            .iter()
+            .filter(|modality| samples.layout()[**modality].is_image())
+            .map(|modality| (*modality, normalizers.modalities[modality].clone()))
+            .collect();
+        let (first, _) = normalizers.first()?;
+        let size = samples.layout()[*first].size()?;
+        normalizers.iter().for_each(|(modality, _)| samples.prefetch(*modality, at));
+        Some(Arc::new(Self { samples: samples.clone(), at: at.to_vec(), size, normalizers }))
+    }
+}
+
+impl Frames for SampleFrames {
+    fn batch(&self) -> usize {
+        self.at.len()
+    }
+
+    fn channels(&self) -> usize {
+        self.normalizers.len() * IMAGE_CHANNELS
+    }
+
+    fn size(&self) -> [usize; 2] {
+        self.size
+    }
+
+    fn write(&self, index: usize, frame: &mut [f32]) {
+        let sample = self.at[index];
+        let len = IMAGE_CHANNELS * self.size[0] * self.size[1];
+        for ((modality, scale), frame) in self.normalizers.iter().zip(frame.chunks_exact_mut(len)) {
+            let now = self.samples.frame_bytes(*modality, sample);
+            let factor = 1.0 / scale.std[0];
+            let bytes = 1.0 / 255.0;
+            if self.samples.layout()[*modality].difference_of.is_none() {
+                for ((value, now), mean) in frame.iter_mut().zip(now).zip(&scale.mean) {
+                    *value = (f32::from(*now) * bytes - mean) * factor;
+                }
+            } else {
+                let before = self.samples.previous_frame_bytes(*modality, sample);
+                for (((value, now), before), mean) in frame.iter_mut().zip(now).zip(before).zip(&scale.mean) {
+                    *value = ((f32::from(*now) - f32::from(*before)) * bytes - mean) * factor;
+                }
+            }
+        }
     }
 }

@@ -4,7 +4,6 @@ pub mod checkpoint;
 pub mod frames;
 pub mod memory;
 pub mod network;
-mod normalizer;
 pub mod objective;
 pub mod onnx;
 pub mod ops;
@@ -13,8 +12,6 @@ pub mod random;
 pub mod state;
 pub mod tensors;
 pub mod training;
-
-pub use normalizer::{Normalizer, Normalizers};
 
 use harness_shared::files::WriteError;
 use harness_spec::{Device, Task};

@@ -1,11 +1,11 @@
 //! Training objectives: the loss terms of a batch of transitions.
 
+use super::frames::{Frames, SampleFrames};
 use super::network::{Decoder, Encoder, Observation, Targets};
 use super::ops::Dropout;
 use super::random::Random;
-use crate::Normalizers;
 use candle_core::{Device, Result, Tensor};
-use harness_dataset::Samples;
+use harness_samples::{Normalizers, Sample, Samples};
 use harness_spec::{Action, Loss, Modality};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -28,27 +28,36 @@ pub struct NormalizedData {
 
 impl NormalizedData {
     /// Returns the normalized observation of `modalities` at the samples `at`.
-    pub fn observation(&self, at: &[usize], modalities: &[Modality]) -> Result<Observation> {
-        let vector = self.normalizers.vectors(&self.samples, at, modalities).transpose()?;
-        Ok(Observation {
-            vector: vector.map(|vector| vector.to_device(&self.device)).transpose()?,
-            frames: self.normalizers.frames(&self.samples, at, modalities),
-        })
+    pub fn observation(&self, at: &[Sample], modalities: &[Modality]) -> Result<Observation> {
+        let values = self.normalizers.vectors(&self.samples, at, modalities);
+        let vector = (!values.is_empty()).then(|| self.table(values, at.len())).transpose()?;
+        Ok(Observation { vector, frames: self.frames(at, modalities) })
+    }
+
+    /// Returns the normalized images among `modalities` at the samples `at`, stacked by channel.
+    fn frames(&self, at: &[Sample], modalities: &[Modality]) -> Option<Arc<dyn Frames>> {
+        SampleFrames::new(&self.samples, &self.normalizers, at, modalities)
+    }
+
+    /// Returns `values` as a matrix of `rows` rows.
+    fn table(&self, values: Vec<f32>, rows: usize) -> Result<Tensor> {
+        let columns = values.len() / rows;
+        Tensor::from_vec(values, (rows, columns), &Device::Cpu)?.to_device(&self.device)
     }
 
     /// Returns the same values as a decoder's targets: the vectors side by side, and the frames of each modality
     /// separately.
-    fn targets(&self, at: &[usize], modalities: &[Modality]) -> Result<Targets> {
-        let frames = modalities.iter().filter_map(|modality| {
-            Some((*modality, self.normalizers.frames(&self.samples, at, std::slice::from_ref(modality))?))
-        });
+    fn targets(&self, at: &[Sample], modalities: &[Modality]) -> Result<Targets> {
+        let frames = modalities
+            .iter()
+            .filter_map(|modality| Some((*modality, self.frames(at, std::slice::from_ref(modality))?)));
         let vector = self.observation(at, modalities)?.vector;
         Ok(Targets { vector, losses: BTreeMap::new(), frames: frames.collect() })
     }
 
     /// Returns the normalized actions, `[batch, elements]`, between each sample in `at` and the next one.
-    pub fn actions(&self, at: &[usize]) -> Result<Tensor> {
-        self.normalizers.actions(&self.samples, at, self.action)?.to_device(&self.device)
+    pub fn actions(&self, at: &[Sample]) -> Result<Tensor> {
+        self.table(self.normalizers.actions(&self.samples, at, self.action), at.len())
     }
 }
 
@@ -73,7 +82,7 @@ pub enum Draw<'a> {
 /// A loss over transitions, which training minimizes.
 pub trait Objective {
     /// Returns the terms of the loss over the transitions that start at the samples `at`.
-    fn terms(&self, at: &[usize], draw: Draw) -> Result<Vec<Weighted>>;
+    fn terms(&self, at: &[Sample], draw: Draw) -> Result<Vec<Weighted>>;
 
     /// Returns the same objective over detached parameters, so that no gradients are computed.
     fn detached(&self) -> Box<dyn Objective + '_>;
@@ -103,7 +112,7 @@ pub struct Prediction<'a> {
 }
 
 impl Objective for Prediction<'_> {
-    fn terms(&self, at: &[usize], mut draw: Draw) -> Result<Vec<Weighted>> {
+    fn terms(&self, at: &[Sample], mut draw: Draw) -> Result<Vec<Weighted>> {
         let dropout = match &mut draw {
             Draw::Sample(random) if self.dropout > 0.0 => Some(Dropout::new(self.dropout, random.seed())),
             _ => None,
@@ -118,7 +127,7 @@ impl Objective for Prediction<'_> {
             }
             Draw::Mean => posterior.mean()?,
         };
-        let next: Vec<usize> = at.iter().map(|sample| sample + 1).collect();
+        let next: Vec<Sample> = at.iter().map(|sample| sample.after(1)).collect();
         let targets = Targets { losses: self.losses.clone(), ..self.data.targets(&next, self.output)? };
         let action = self.data.actions(at)?;
         let mut terms = weighted(self.decoder.losses(&latent, Some(&action), &targets)?, self.loss_weights);
@@ -145,7 +154,7 @@ pub struct Reconstruction<'a> {
 }
 
 impl Objective for Reconstruction<'_> {
-    fn terms(&self, at: &[usize], _draw: Draw) -> Result<Vec<Weighted>> {
+    fn terms(&self, at: &[Sample], _draw: Draw) -> Result<Vec<Weighted>> {
         let targets = self.data.targets(at, self.input)?;
         let latent = rows(self.latent, at)?;
         Ok(weighted(self.decoder.losses(&latent, None, &targets)?, &BTreeMap::new()))
@@ -156,9 +165,9 @@ impl Objective for Reconstruction<'_> {
     }
 }
 
-/// Returns the rows `at` of a matrix.
-pub fn rows(matrix: &Tensor, at: &[usize]) -> Result<Tensor> {
-    let at = at.iter().map(|row| *row as u32).collect::<Vec<_>>();
+/// Returns the rows of a matrix that belong to the samples `at`.
+pub fn rows(matrix: &Tensor, at: &[Sample]) -> Result<Tensor> {
+    let at = at.iter().map(|sample| sample.index() as u32).collect::<Vec<_>>();
     matrix.index_select(&Tensor::new(at, matrix.device())?, 0)
 }
 

@@ -1,57 +1,72 @@
-//! Applies trained networks to chosen transitions, with results in physical units.
+//! Applies trained networks to the samples of a dataset, with results in physical units.
 
+use super::LearningError;
 use super::network::{Decoded, Decoder, Encoder};
 use super::objective::{NormalizedData, rows};
-use crate::Normalizers;
 use candle_core::{Result, Tensor};
+use harness_judge::{BATCH, JudgeError, Predicted, Predictor, Receive, models};
+use harness_samples::{Normalizers, Sample};
 use harness_spec::{IMAGE_CHANNELS, Layout, Modality};
 
-/// Number of transitions that are decoded at once. It limits the memory for frames.
-const BATCH: usize = 256;
-
-/// Returns the posterior's mean of every transition in `at`, `[transitions, latent]`.
+/// Returns the posterior's mean at every sample in `at`, `[at, latent]`.
 pub fn encode(
     data: &NormalizedData,
     encoder: &dyn Encoder,
     input: &[Modality],
-    at: &[usize],
+    at: &[Sample],
 ) -> Result<Tensor> {
     let encoder = encoder.detached();
     let means = at.chunks(BATCH).map(|at| encoder.encode(&data.observation(at, input)?)?.mean());
     Tensor::cat(&means.collect::<Result<Vec<_>>>()?, 0)?.contiguous()
 }
 
-/// The predictions of one output modality for a batch.
-pub struct Predicted<'a> {
-    /// The output modality.
-    pub modality: Modality,
-    /// The predicted transitions, given by their first samples.
-    pub at: &'a [usize],
-    /// Predicted values in physical units, `[batch, width]`; frames channel by channel.
-    pub values: Vec<f32>,
+/// The latent states from which a network decodes.
+pub enum Latent<'a> {
+    /// Those of an encoder with these modalities as input. The decoder gets the action and predicts the next sample.
+    Encoded(&'a dyn Encoder, &'a [Modality]),
+    /// One for each sample of the dataset, `[samples, latent]`. The decoder reconstructs the present sample.
+    Known(&'a Tensor),
 }
 
-/// Decodes the rows of `latent`, one for each transition in `at`. Calls `each` with every output modality of every
-/// batch, in order. The decoder gets the action if `acting`.
-pub fn decode(
-    data: &NormalizedData,
-    decoder: &dyn Decoder,
-    output: &[Modality],
-    acting: bool,
-    latent: &Tensor,
-    at: &[usize],
-    mut each: impl FnMut(Predicted),
-) -> Result<()> {
-    let decoder = decoder.detached();
-    for (index, at) in at.chunks(BATCH).enumerate() {
-        let places: Vec<usize> = (index * BATCH..index * BATCH + at.len()).collect();
-        let action = acting.then(|| data.actions(at)).transpose()?;
-        let decoded = decoder.decode(&rows(latent, &places)?, action.as_ref())?;
-        for (modality, values) in denormalized(&data.normalizers, data.samples.layout(), output, decoded)? {
-            each(Predicted { modality, at, values });
-        }
+/// A trained network.
+pub struct TrainedNetwork<'a> {
+    /// The dataset.
+    pub data: &'a NormalizedData,
+    /// The latent states.
+    pub latent: Latent<'a>,
+    /// Maps latent states to samples.
+    pub decoder: Box<dyn Decoder>,
+    /// The modalities that it decodes.
+    pub output: &'a [Modality],
+}
+
+impl TrainedNetwork<'_> {
+    /// Returns the output at the windows `at`, and its distance from the present.
+    fn decoded(&self, at: &[Sample]) -> Result<(usize, Vec<(Modality, Vec<f32>)>)> {
+        let data = self.data;
+        let (horizon, decoded) = match self.latent {
+            Latent::Encoded(encoder, input) => {
+                let latent = encode(data, encoder, input, at)?;
+                (1, self.decoder.decode(&latent, Some(&data.actions(at)?))?)
+            }
+            Latent::Known(latent) => (0, self.decoder.decode(&rows(latent, at)?, None)?),
+        };
+        Ok((horizon, denormalized(&data.normalizers, data.samples.layout(), self.output, decoded)?))
     }
-    Ok(())
+}
+
+impl Predictor for TrainedNetwork<'_> {
+    fn name(&self) -> &str {
+        models::NETWORK
+    }
+
+    fn predict(&self, at: &[Sample], receive: &mut Receive) -> std::result::Result<(), JudgeError> {
+        let failed = |error| JudgeError::Predictor(Box::new(LearningError::from(error)));
+        let (horizon, decoded) = self.decoded(at).map_err(failed)?;
+        decoded
+            .into_iter()
+            .try_for_each(|(modality, values)| receive(Predicted { modality, horizon, values }))
+    }
 }
 
 /// Converts a decoder's output to physical units. Returns the values of each modality in `output`, `[batch, width]`;

@@ -7,7 +7,7 @@ use super::ops::Adam;
 use super::random::{Random, Stream};
 use super::state::{State, StateFile};
 use candle_core::{Result as CandleResult, Tensor};
-use harness_dataset::Partition;
+use harness_samples::Partition;
 use harness_shared::progress::Progress;
 use harness_spec::{Schedule, Stop, Task, Training};
 use std::f64::consts::PI;

@@ -43,9 +43,7 @@ pub use publish::{ForcesOf, Published, forces_of};
 pub use query::{
     OVERALL, TableFormat, answer, episode_columns, query, query_of, query_recorded, rows, save, table,
 };
-pub use record::{
-    FileRecord, ForceRows, FrameRow, MetricRow, Outcome, PredictionRow, RunRecord, Status, Timings,
-};
+pub use record::{FileRecord, ForceRows, Outcome, RunRecord, Status, Timings};
 pub use removal::{Garbage, Removable, Usage};
 pub use rows::{Condition, Terms, conditions, implies};
 pub use verify::{Finding, Report};

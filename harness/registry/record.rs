@@ -2,7 +2,7 @@
 
 use super::command_line::command_of;
 use super::{Provenance, REVISION, RegistryError, RunFolder, SPEC, identity, peak_memory_bytes};
-use harness_metrics::Row;
+use harness_judge::{FrameRow, MetricRow, PredictionRow};
 use harness_metrics::contact::{Contact, QUANTILES};
 use harness_metrics::epoch::Epoch;
 use harness_shared::seal::{self, SealError, hex};
@@ -66,36 +66,6 @@ pub struct Timings {
     pub evaluation: f64,
 }
 
-/// A row of the metrics table, without the columns that identify the run.
-#[derive(Debug, Clone)]
-pub struct MetricRow {
-    /// The task that is evaluated.
-    pub task: Task,
-    /// `network`, or the name of a baseline.
-    pub model: &'static str,
-    /// The metric, its value, and what it is computed over.
-    pub row: Row,
-}
-
-/// A row of the predictions table, without the columns that identify the run.
-#[derive(Debug, Clone, Copy)]
-pub struct PredictionRow {
-    /// The task that is evaluated.
-    pub task: Task,
-    /// The vector that contains the element.
-    pub modality: Modality,
-    /// The episode of the dataset.
-    pub episode: u32,
-    /// The predicted sample, counted from 0 within its episode.
-    pub sample: u32,
-    /// The element of the vector, counted from 0.
-    pub index: u32,
-    /// The simulated or recorded value, in the modality's unit.
-    pub reference: f32,
-    /// The network's value, in the modality's unit.
-    pub predicted: f32,
-}
-
 /// Rows of the forces table, one for each link, without the columns that identify the run.
 #[derive(Debug, Clone)]
 pub struct ForceRows {
@@ -105,25 +75,6 @@ pub struct ForceRows {
     pub episode: Option<u32>,
     /// The distribution of each link's force, from the base on.
     pub links: Vec<Contact>,
-}
-
-/// A row of the frames table, without the columns that identify the run.
-#[derive(Debug, Clone)]
-pub struct FrameRow {
-    /// The task that is evaluated.
-    pub task: Task,
-    /// The image that is predicted.
-    pub modality: Modality,
-    /// The episode of the dataset.
-    pub episode: u32,
-    /// The predicted sample, counted from 0 within its episode.
-    pub sample: u32,
-    /// The mean absolute change of the camera image in the transition, in [0, 1].
-    pub motion: f64,
-    /// The simulated or recorded image, `[rows, columns, 3]`, encoded as the table's schema says.
-    pub reference: Vec<u8>,
-    /// The network's image, likewise.
-    pub predicted: Vec<u8>,
 }
 
 /// The results of a finished run.
@@ -601,7 +552,7 @@ impl Outcome {
         let rows = &self.metrics;
         vec![
             Column::new("task".into(), rows.iter().map(|row| row.task.name()).collect::<Vec<_>>()),
-            Column::new("model".into(), rows.iter().map(|row| row.model).collect::<Vec<_>>()),
+            Column::new("model".into(), rows.iter().map(|row| row.model.as_str()).collect::<Vec<_>>()),
             Column::new(
                 "modality".into(),
                 rows.iter().map(|row| row.row.modality.name()).collect::<Vec<_>>(),

@@ -2,7 +2,8 @@
 
 use super::subjects::{Subject, direction_of, of_each};
 use super::{Absent, Asked, short};
-use harness_analysis::{Interval, LEVEL, NETWORK, mean_interval, replicates};
+use harness_analysis::models::NETWORK;
+use harness_analysis::{Interval, LEVEL, mean_interval, replicates};
 use harness_figures::FigureError;
 use harness_figures::source::{Runs, Source};
 use harness_metrics::Direction;

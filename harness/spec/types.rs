@@ -385,13 +385,12 @@ impl Split {
         self.divide(all, 0, 1)
     }
 
-    /// Splits an episode of `samples` samples by time into the ranges for training, validation and test; `None` if no
-    /// transition would be left for training.
-    pub fn times(&self, samples: usize, sample_rate_hz: f64) -> Option<[Range<usize>; 3]> {
+    /// Splits an episode of `samples` samples by time into the ranges for training, validation and test. Each has at
+    /// least `least` samples, the length of a window; `None` if fewer would be left for training.
+    pub fn times(&self, samples: usize, least: usize, sample_rate_hz: f64) -> Option<[Range<usize>; 3]> {
         let seconds = self.gap_seconds.unwrap_or(Self::GAP_SECONDS);
         let gap = (seconds * sample_rate_hz - 1e-9).ceil().max(0.0) as usize;
-        // A transition consists of two samples.
-        let SplitCounts { training, validation, test } = self.divide(samples, gap, 2)?;
+        let SplitCounts { training, validation, test } = self.divide(samples, gap, least)?;
         let (second, third) = (training + gap, samples - test);
         Some([0..training, second..second + validation, third..samples])
     }
@@ -402,6 +401,26 @@ impl Split {
         let (validation, test) = (share(self.validation), share(self.test));
         let training = all.checked_sub(validation + test + 2 * gap).filter(|&n| n >= least)?;
         Some(SplitCounts { training, validation, test })
+    }
+}
+
+/// Consecutive samples of an episode: what a model has seen, and what it predicts. A window is named by its present
+/// sample, the last one that the model has seen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Window {
+    /// Number of samples that the model has seen, with the present one; at least 1.
+    pub context: usize,
+    /// Number of samples after the present one.
+    pub horizon: usize,
+}
+
+impl Window {
+    /// A transition: the present sample and the next one.
+    pub const TRANSITION: Self = Self { context: 1, horizon: 1 };
+
+    /// Returns the number of samples in a window.
+    pub fn samples(self) -> usize {
+        self.context + self.horizon
     }
 }
 

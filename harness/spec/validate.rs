@@ -8,6 +8,7 @@ use super::search::{Halving, Objective, Search};
 use super::simulation::{Setting, Simulation};
 use super::types::{
     Device, Division, Experiment, Network, Precision, Preset, Reading, Settings, Split, Task, Training,
+    Window,
 };
 use super::world::World;
 
@@ -496,15 +497,19 @@ fn split(experiment: &Experiment) -> Result<(), Fault> {
                  use smaller shares or more episodes"
             ),
         ),
-        Division::Time if split.times(samples, simulation.sample_rate_hz).is_none() => fault(
-            "split",
-            format!(
-                "validation {validation}, test {test} and two gaps of {} s leave nothing of an episode of {} s for \
+        Division::Time
+            if split.times(samples, Window::TRANSITION.samples(), simulation.sample_rate_hz).is_none() =>
+        {
+            fault(
+                "split",
+                format!(
+                    "validation {validation}, test {test} and two gaps of {} s leave nothing of an episode of {} s for \
                  training; use smaller shares, a smaller gap_seconds or more actuations_per_episode",
-                split.gap_seconds.unwrap_or(Split::GAP_SECONDS),
-                samples as f64 / simulation.sample_rate_hz,
-            ),
-        ),
+                    split.gap_seconds.unwrap_or(Split::GAP_SECONDS),
+                    samples as f64 / simulation.sample_rate_hz,
+                ),
+            )
+        }
         Division::Sample if split.counts(episodes * (samples - 1)).is_none() => fault(
             "split",
             format!(

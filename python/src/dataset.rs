@@ -4,9 +4,10 @@ use crate::array::{array, natural, pixels_last, view};
 use crate::errors::Raise;
 use crate::simulation::{SimulationBatch, scene};
 use crate::work::interruptible;
-use harness::dataset::{AnyDataset, DatasetError, FramePlace, Samples};
+use harness::dataset::{AnyDataset, DatasetError};
 use harness::progress::Silent;
-use harness::spec::{Division, IMAGE_CHANNELS, Modality, Split, World};
+use harness::samples::{FramePlace, Samples};
+use harness::spec::{Division, IMAGE_CHANNELS, Modality, Split, Window, World};
 use pyo3::exceptions::{PyFileNotFoundError, PyKeyError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyType;
@@ -184,7 +185,9 @@ impl Dataset {
         if let Some(gap) = gap_seconds.filter(|gap| !(0.0..=3600.0).contains(gap)) {
             return wrong(format!("gap_seconds: {gap} must be in [0, 3600]"));
         }
-        let Some(partition) = self.samples.partition(&Split { by, validation, test, gap_seconds }) else {
+        let Some(partition) =
+            self.samples.partition(&Split { by, validation, test, gap_seconds }, Window::TRANSITION)
+        else {
             let episodes = self.samples.episodes().len();
             return wrong(format!(
                 "validation, test, gap_seconds: a part would have no transitions; the dataset has {episodes} episodes"
@@ -196,7 +199,7 @@ impl Dataset {
             "test" => partition.test,
             _ => return wrong(format!("part: there is no '{part}'; allowed: training, validation, test")),
         };
-        array(py, samples.iter().map(|sample| *sample as i64).collect(), &[samples.len()])
+        array(py, samples.iter().map(|sample| sample.index() as i64).collect(), &[samples.len()])
     }
 
     /// Returns the names of the modalities that the dataset contains.

@@ -3,13 +3,14 @@
 use crate::errors::Raise;
 use crate::run::{Listener, Table, loaded, settings_of, warn};
 use crate::work::interruptible;
-use harness::analysis::{Analysis, AnalysisError, Key, MODELS, Selection};
+use harness::analysis::{Analysis, AnalysisError, Key, Selection};
 use harness::claims::ClaimsError;
 use harness::collection::{collect as collect_episodes, dataset_of};
 use harness::experiment::describe;
 use harness::figures::source::{Experiments, Source};
 use harness::figures::{Figure, Format, Plot};
 use harness::files::write_bytes;
+use harness::judge::models;
 use harness::progress::Silent;
 use harness::registry::Registry;
 use harness::report::{Asked, ReportError};
@@ -130,7 +131,7 @@ pub fn plot(
         facet: facet.map(|key| one_named("key", key, &Key::ALL, Key::name)).transpose()?,
         task: task.map(|task| one_named("task", task, Task::ALL, Task::name)).transpose()?,
         modality,
-        models: named("model", &models, &MODELS, |name| name)?.into_iter().map(str::to_owned).collect(),
+        models: named("model", &models, &models::ALL, |name| name)?.into_iter().map(str::to_owned).collect(),
     };
     let format = Format::of(&output).map_err(PyValueError::new_err)?;
     let (settings, registry) = (settings_of(&settings)?, existing(results)?);

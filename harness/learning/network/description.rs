@@ -3,8 +3,8 @@
 //! docs/networks.md explains it. Names of tensors are those of the network's file.
 
 use super::Architecture;
-use crate::{Normalizer, Normalizers};
 use candle_core::Result;
+use harness_samples::{Normalizer, Normalizers};
 use harness_spec::{Action, Element, IMAGE_CHANNELS, Kind, Loss, Modality, Task};
 use serde::Serialize;
 use std::collections::BTreeMap;

@@ -1,6 +1,7 @@
 //! The frames of a dataset. They are in memory or, if they do not fit there, in a file that the system reads when
 //! needed.
 
+use super::Sample;
 use harness_shared::memory;
 use harness_spec::{IMAGE_CHANNELS, Layout};
 use memmap2::{Advice, Mmap, UncheckedAdvice};
@@ -106,7 +107,7 @@ impl FrameStore {
     }
 
     /// Announces that these frames, and the one before each of them, are about to be read.
-    pub fn prefetch(&self, frames: &[usize]) {
+    pub fn prefetch(&self, frames: &[Sample]) {
         if let Kept::Disk(file) = &self.kept {
             file.prefetch(frames);
         }
@@ -159,14 +160,14 @@ impl FrameFile {
 
     /// Asks the system to read several frames at once, each with the frame before it. Otherwise the reader would wait
     /// for each frame.
-    fn prefetch(&self, frames: &[usize]) {
+    fn prefetch(&self, frames: &[Sample]) {
         let Some(map) = &self.map else { return };
         if self.held.fetch_add(frames.len(), Ordering::Relaxed) > FRAMES_HELD {
             self.held.store(0, Ordering::Relaxed);
             // SAFETY: released pages of a file are read again from the file when they are accessed.
             let _ = unsafe { map.unchecked_advise(UncheckedAdvice::DontNeed) };
         }
-        for frame in frames {
+        for frame in frames.iter().map(|frame| frame.index()) {
             let before = frame.saturating_sub(1) * self.len;
             // The system may refuse this advice, which does no harm.
             let _ = map.advise_range(Advice::WillNeed, before, (frame + 1) * self.len - before);

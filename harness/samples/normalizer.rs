@@ -1,12 +1,9 @@
-//! Normalization with the training set's statistics, and batches of normalized values.
+//! Normalization with the training set's statistics.
 
-use super::frames::Frames;
-use candle_core::{Device, Result, Tensor};
-use harness_dataset::Samples;
-use harness_spec::{Action, IMAGE_CHANNELS, Modality, Scale, Scalings};
+use super::{Sample, Samples};
+use harness_spec::{Action, Modality, Scale, Scalings};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 /// A column is constant if its largest and smallest value differ by less than this part of the largest magnitude, which
 /// is 8 times the precision of an f32. The difference of two sums could not tell: its rounding error grows with the
@@ -76,7 +73,7 @@ struct Moments {
 
 impl Moments {
     /// Sums `width` values over the given `samples`.
-    fn of<V: AsRef<[f32]>>(width: usize, samples: &[usize], values: impl Fn(usize) -> V) -> Self {
+    fn of<V: AsRef<[f32]>>(width: usize, samples: &[Sample], values: impl Fn(Sample) -> V) -> Self {
         let (mut sum, mut square) = (vec![0.0; width], vec![0.0; width]);
         let mut range = vec![(f64::INFINITY, f64::NEG_INFINITY); width];
         for sample in samples {
@@ -124,7 +121,7 @@ fn root(variance: f64) -> f32 {
 
 impl Normalizers {
     /// Computes the statistics of the modalities in `scalings`, and of the action, over `transitions`.
-    pub fn fit(samples: &Samples, transitions: &[usize], scalings: &Scalings, action: Action) -> Self {
+    pub fn fit(samples: &Samples, transitions: &[Sample], scalings: &Scalings, action: Action) -> Self {
         let fitted = scalings.iter().map(|(&modality, scaling)| {
             let definition = &samples.layout()[modality];
             let moments = if definition.is_image() {
@@ -141,14 +138,9 @@ impl Normalizers {
         Self { modalities: fitted.collect(), action: actions.scale(Scale::PerElement) }
     }
 
-    /// Returns the normalized vectors of several modalities side by side, `[batch, width]`. Returns `None` if there are
-    /// none.
-    pub fn vectors(
-        &self,
-        samples: &Samples,
-        at: &[usize],
-        modalities: &[Modality],
-    ) -> Option<Result<Tensor>> {
+    /// Returns the normalized vectors of several modalities side by side, `[batch, width]`. They are empty if all
+    /// modalities are images.
+    pub fn vectors(&self, samples: &Samples, at: &[Sample], modalities: &[Modality]) -> Vec<f32> {
         let layout = samples.layout();
         let vectors = modalities.iter().filter(|modality| !layout[**modality].is_image());
         let part = |modality: &Modality| {
@@ -156,57 +148,35 @@ impl Normalizers {
         };
         let parts: Vec<(usize, &[f32], &Normalizer)> = vectors.map(part).collect();
         let width: usize = parts.iter().map(|(width, ..)| width).sum();
-        if width == 0 {
-            return None;
-        }
         let mut values = Vec::with_capacity(at.len() * width);
         for sample in at {
             for (width, vectors, scale) in &parts {
                 let first = values.len();
-                values.extend_from_slice(&vectors[sample * width..][..*width]);
+                values.extend_from_slice(&vectors[sample.index() * width..][..*width]);
                 scale.normalize(&mut values[first..]);
             }
         }
-        Some(Tensor::from_vec(values, (at.len(), width), &Device::Cpu))
+        values
     }
 
     /// Returns the normalized actions, `[batch, elements]`, of the steps from the samples `at` to the next ones.
-    pub fn actions(&self, samples: &Samples, at: &[usize], action: Action) -> Result<Tensor> {
+    pub fn actions(&self, samples: &Samples, at: &[Sample], action: Action) -> Vec<f32> {
         let scale = &self.action;
         let values = at.iter().flat_map(|sample| {
             let scales = scale.mean.iter().zip(&scale.std);
             samples.action(action, *sample).zip(scales).map(|(value, (mean, std))| (value - mean) / std)
         });
-        Tensor::from_vec(values.collect(), (at.len(), scale.mean.len()), &Device::Cpu)
-    }
-
-    /// Returns the frames of several modalities stacked by channel. They are normalized when they are read. Returns
-    /// `None` if there are none.
-    pub fn frames(
-        &self,
-        samples: &Arc<Samples>,
-        at: &[usize],
-        modalities: &[Modality],
-    ) -> Option<Arc<dyn Frames>> {
-        let normalizers: Vec<(Modality, Normalizer)> = modalities
-            .iter()
-            .filter(|modality| samples.layout()[**modality].is_image())
-            .map(|modality| (*modality, self.modalities[modality].clone()))
-            .collect();
-        let (first, _) = normalizers.first()?;
-        let size = samples.layout()[*first].size()?;
-        normalizers.iter().for_each(|(modality, _)| samples.prefetch(*modality, at));
-        Some(Arc::new(SampleFrames { samples: samples.clone(), at: at.to_vec(), size, normalizers }))
+        values.collect()
     }
 }
 
 /// Returns the sums of a frame modality. Bytes are summed as integers, so the result does not depend on threads or
 /// order.
-fn frame_moments(samples: &Samples, at: &[usize], modality: Modality) -> Moments {
+fn frame_moments(samples: &Samples, at: &[Sample], modality: Modality) -> Moments {
     let definition = &samples.layout()[modality];
     let (width, is_difference) = (definition.width(), definition.difference_of.is_some());
     let black = vec![0; width];
-    let sums_of = |at: &[usize]| {
+    let sums_of = |at: &[Sample]| {
         samples.prefetch(modality, at);
         let mut sums = vec![[0i32; 2]; width];
         for sample in at.iter().copied() {
@@ -233,46 +203,4 @@ fn frame_moments(samples: &Samples, at: &[usize], modality: Modality) -> Moments
     let [sum, square] = [(0, 255.0), (1, 255.0 * 255.0)]
         .map(|(which, unit)| sums.iter().map(|sums| sums[which] as f64 / unit).collect());
     Moments { count: at.len() as f64, sum, square, constant }
-}
-
-/// Normalized frames of chosen samples, computed one at a time. All images have the same size.
-struct SampleFrames {
-    samples: Arc<Samples>,
-    at: Vec<usize>,
-    size: [usize; 2],
-    normalizers: Vec<(Modality, Normalizer)>,
-}
-
-impl Frames for SampleFrames {
-    fn batch(&self) -> usize {
-        self.at.len()
-    }
-
-    fn channels(&self) -> usize {
-        self.normalizers.len() * IMAGE_CHANNELS
-    }
-
-    fn size(&self) -> [usize; 2] {
-        self.size
-    }
-
-    fn write(&self, index: usize, frame: &mut [f32]) {
-        let sample = self.at[index];
-        let len = IMAGE_CHANNELS * self.size[0] * self.size[1];
-        for ((modality, scale), frame) in self.normalizers.iter().zip(frame.chunks_exact_mut(len)) {
-            let now = self.samples.frame_bytes(*modality, sample);
-            let factor = 1.0 / scale.std[0];
-            let bytes = 1.0 / 255.0;
-            if self.samples.layout()[*modality].difference_of.is_none() {
-                for ((value, now), mean) in frame.iter_mut().zip(now).zip(&scale.mean) {
-                    *value = (f32::from(*now) * bytes - mean) * factor;
-                }
-            } else {
-                let before = self.samples.previous_frame_bytes(*modality, sample);
-                for (((value, now), before), mean) in frame.iter_mut().zip(now).zip(before).zip(&scale.mean) {
-                    *value = ((f32::from(*now) - f32::from(*before)) * bytes - mean) * factor;
-                }
-            }
-        }
-    }
 }

@@ -1,16 +1,33 @@
-//! A dataset in memory, and its values as a network uses them.
+//! A dataset in memory: its samples, the windows and splits of them, and their normalization.
 
-use super::DatasetError;
-use super::frame_store::{FramePlace, FrameStore, frame_bytes};
-use harness_spec::{Action, Definition, Division, Episode, Layout, Modality, Split};
-use rand::SeedableRng;
-use rand::seq::SliceRandom;
-use rand_chacha::ChaCha8Rng;
+mod frames;
+mod normalizer;
+mod window;
+
+pub use frames::{FramePlace, frame_bytes};
+pub use normalizer::{Normalizer, Normalizers};
+pub use window::{Partition, Sample};
+
+use frames::FrameStore;
+use harness_spec::{Action, Definition, Episode, Layout, Modality};
 use rayon::prelude::*;
-use sha2::{Digest, Sha256};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// Frames can't be stored on disk.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "the dataset's frames can't be kept in {}: {source}; free disk space there, or keep them in memory \
+     (`harness run --memory GB`)",
+    folder.display()
+)]
+pub struct FramesError {
+    /// The dataset's folder.
+    pub folder: PathBuf,
+    /// The error of the file system.
+    pub source: std::io::Error,
+}
 
 /// Properties that all samples of a dataset share.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,7 +74,7 @@ impl Samples {
         samples: usize,
         frames: FramePlace,
         folder: &Path,
-    ) -> Result<Self, DatasetError> {
+    ) -> Result<Self, FramesError> {
         let vector = |definition: &Definition| match definition.is_image() {
             true => Vec::new(),
             false => Vec::with_capacity(samples * definition.width()),
@@ -68,7 +85,7 @@ impl Samples {
         };
         let vectors = layout.modalities.iter().map(vector).collect();
         let images = layout.modalities.iter().map(image).collect::<Result<_, _>>();
-        let images = images.map_err(|source| DatasetError::Frames { folder: folder.to_owned(), source })?;
+        let images = images.map_err(|source| FramesError { folder: folder.to_owned(), source })?;
         let folder = folder.to_owned();
         Ok(Self { recording, episodes: Vec::new(), layout, vectors, images, folder })
     }
@@ -77,14 +94,14 @@ impl Samples {
     ///
     /// # Errors
     /// When frames can't be written to disk.
-    pub fn push(&mut self, episode: &Episode) -> Result<(), DatasetError> {
+    pub fn push(&mut self, episode: &Episode) -> Result<(), FramesError> {
         let first = self.len();
         self.episodes.push(first..first + episode.samples);
         for (index, definition) in self.layout.modalities.iter().enumerate() {
             match (&mut self.images[index], definition.difference_of) {
                 (Some(frames), _) => frames
                     .push(&episode.images[index])
-                    .map_err(|source| DatasetError::Frames { folder: self.folder.clone(), source })?,
+                    .map_err(|source| FramesError { folder: self.folder.clone(), source })?,
                 (None, None) => self.vectors[index].extend_from_slice(&episode.vectors[index]),
                 (None, Some(_)) if definition.is_image() => {}
                 (None, Some(of)) => {
@@ -95,6 +112,11 @@ impl Samples {
             }
         }
         Ok(())
+    }
+
+    /// Returns the properties that all samples share.
+    pub fn recording(&self) -> Recording {
+        self.recording
     }
 
     /// Returns the layout of the samples.
@@ -123,7 +145,8 @@ impl Samples {
     }
 
     /// Returns the index of the episode that contains `sample`, and the sample's index in that episode.
-    pub fn place(&self, sample: usize) -> (usize, usize) {
+    pub fn place(&self, sample: Sample) -> (usize, usize) {
+        let sample = sample.index();
         let episode = self.episodes.partition_point(|range| range.end <= sample);
         (episode, sample - self.episodes[episode].start)
     }
@@ -142,9 +165,9 @@ impl Samples {
     }
 
     /// Returns a vector modality of one sample in physical units, `[width]`.
-    pub fn vector(&self, modality: Modality, sample: usize) -> &[f32] {
+    pub fn vector(&self, modality: Modality, sample: Sample) -> &[f32] {
         let width = self.layout[modality].width();
-        &self.vectors(modality)[sample * width..][..width]
+        &self.vectors(modality)[sample.index() * width..][..width]
     }
 
     /// Returns the commands to the actuators at all samples, `[samples, elements of the action]`.
@@ -170,110 +193,42 @@ impl Samples {
     }
 
     /// Returns an image of one sample as bytes, `[channel, row, column]`. For a difference, this is the later image.
-    pub fn frame_bytes(&self, modality: Modality, sample: usize) -> &[u8] {
-        self.frames(modality).frame(sample)
+    pub fn frame_bytes(&self, modality: Modality, sample: Sample) -> &[u8] {
+        self.frames(modality).frame(sample.index())
     }
 
     /// Announces that the frames of these samples, and of the samples before them, are about to be read. For frames on
     /// disk this saves time, and it releases the memory of frames that were read long ago. It has no other effect.
-    pub fn prefetch(&self, modality: Modality, samples: &[usize]) {
+    pub fn prefetch(&self, modality: Modality, samples: &[Sample]) {
         self.frames(modality).prefetch(samples);
     }
 
     /// Returns the image before `sample` in its episode. For the first sample it is the sample's own image, because
     /// nothing moved before.
-    pub fn previous_frame_bytes(&self, modality: Modality, sample: usize) -> &[u8] {
+    pub fn previous_frame_bytes(&self, modality: Modality, sample: Sample) -> &[u8] {
         self.frame_bytes(modality, self.previous(sample))
     }
 
     /// Returns the sample before this one in its episode. For the first sample, returns the sample itself.
-    fn previous(&self, sample: usize) -> usize {
+    fn previous(&self, sample: Sample) -> Sample {
         let (_, place) = self.place(sample);
-        if place == 0 { sample } else { sample - 1 }
+        if place == 0 { sample } else { sample.before(1) }
     }
 
     /// Returns the action between `sample` and the next one, in physical units.
-    pub fn action(&self, action: Action, sample: usize) -> impl Iterator<Item = f32> {
+    pub fn action(&self, action: Action, sample: Sample) -> impl Iterator<Item = f32> {
         let width = self.layout.action().len();
-        let steps = &self.setpoints()[sample * width..][..2 * width];
+        let steps = &self.setpoints()[sample.index() * width..][..2 * width];
         (0..width).map(move |element| match action {
             Action::Target => steps[width + element],
             Action::Increment => steps[width + element] - steps[element],
         })
     }
-
-    /// Splits the transitions into training, validation and test; `None` if one of them would be empty.
-    pub fn partition(&self, split: &Split) -> Option<Partition> {
-        match split.by {
-            Division::Episode => self.partition_by_episode(split),
-            Division::Time => self.partition_by_time(split),
-            Division::Sample => self.partition_by_sample(split),
-        }
-    }
-
-    /// The last episodes are for the test, those before them for validation, and the rest for training.
-    ///
-    /// Episodes are independent and have the same distribution, so their order does not matter. Splitting by episode
-    /// keeps the neighbors of a test sample out of the training data.
-    fn partition_by_episode(&self, split: &Split) -> Option<Partition> {
-        let counts = split.counts(self.episodes.len())?;
-        let all = |episodes: &[Range<usize>]| episodes.iter().flat_map(transitions).collect();
-        let (training, others) = self.episodes.split_at(counts.training);
-        let (validation, test) = others.split_at(counts.validation);
-        Some(Partition { training: all(training), validation: all(validation), test: all(test) })
-    }
-
-    /// In each episode, the last part is for the test, the part before it for validation, and the first part for
-    /// training. A gap separates the parts.
-    fn partition_by_time(&self, split: &Split) -> Option<Partition> {
-        let mut parts = [(); 3].map(|()| Vec::new());
-        for episode in &self.episodes {
-            let times = split.times(episode.len(), self.recording.sample_rate_hz)?;
-            for (part, time) in parts.iter_mut().zip(times) {
-                part.extend(transitions(&(episode.start + time.start..episode.start + time.end)));
-            }
-        }
-        let [training, validation, test] = parts;
-        Some(Partition { training, validation, test })
-    }
-
-    /// Transitions are drawn at random. The seed is that of the dataset, so all runs on the dataset have the same
-    /// split.
-    fn partition_by_sample(&self, split: &Split) -> Option<Partition> {
-        let mut drawn: Vec<usize> = self.episodes.iter().flat_map(transitions).collect();
-        let counts = split.counts(drawn.len())?;
-        let identity = format!("harness split by sample: seed {}", self.recording.seed);
-        drawn.shuffle(&mut ChaCha8Rng::from_seed(Sha256::digest(identity).into()));
-        let mut take = |count: usize| {
-            let mut taken = drawn.split_off(drawn.len() - count);
-            taken.sort_unstable();
-            taken
-        };
-        let (test, validation, training) =
-            (take(counts.test), take(counts.validation), take(counts.training));
-        Some(Partition { training, validation, test })
-    }
-}
-
-/// Returns the samples in a range whose next sample is in the range too.
-fn transitions(samples: &Range<usize>) -> Range<usize> {
-    samples.start..samples.end.saturating_sub(1)
-}
-
-/// Transitions by split. A transition is given by its first sample, whose next sample belongs to the same episode.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Partition {
-    /// Transitions for training.
-    pub training: Vec<usize>,
-    /// Transitions for validation.
-    pub validation: Vec<usize>,
-    /// Transitions for the test.
-    pub test: Vec<usize>,
 }
 
 /// Returns the values of `modality` at the samples `at` in physical units, `[samples, width]`. Images are stored
 /// channel by channel, with intensities in [0, 1] or differences in [-1, 1].
-pub fn physical(samples: &Samples, modality: Modality, at: &[usize]) -> Vec<f32> {
+pub fn physical(samples: &Samples, modality: Modality, at: &[Sample]) -> Vec<f32> {
     let definition = &samples.layout()[modality];
     let width = definition.width();
     let mut values = vec![0.0; at.len() * width];
@@ -295,7 +250,7 @@ pub fn physical(samples: &Samples, modality: Modality, at: &[usize]) -> Vec<f32>
 }
 
 /// Returns the change of an image since the previous sample, in [-1, 1], `[channel, row, column]`.
-pub fn frame_difference(samples: &Samples, modality: Modality, sample: usize) -> impl Iterator<Item = f32> {
+pub fn frame_difference(samples: &Samples, modality: Modality, sample: Sample) -> impl Iterator<Item = f32> {
     let before = samples.previous_frame_bytes(modality, sample);
     let frames = samples.frame_bytes(modality, sample).iter().zip(before);
     frames.map(|(now, before)| (f32::from(*now) - f32::from(*before)) / 255.0)

@@ -1,0 +1,155 @@
+//! What a prediction is worth. Anything that predicts is a [`Predictor`], and [`judge`] turns its predictions into rows of
+//! the tables. This crate knows no networks: those that were trained are predictors of the crate `learning`.
+
+mod frames;
+mod persistence;
+mod ridge;
+mod rows;
+mod training_mean;
+
+pub use frames::{SampledWindow, sample_windows};
+pub use persistence::Persistence;
+pub use ridge::{Given, Ridge};
+pub use rows::{FrameRow, MetricRow, PredictionRow};
+pub use training_mean::TrainingMean;
+
+use harness_metrics::{Evaluation, MetricsError, parts};
+use harness_samples::{Sample, Samples, physical};
+use harness_spec::{Modality, Task};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Number of windows that are predicted at once. It limits the memory for frames.
+pub const BATCH: usize = 256;
+
+/// The values of the column `model`.
+pub mod models {
+    /// A trained network.
+    pub const NETWORK: &str = "network";
+    /// The present sample, repeated.
+    pub const PERSISTENCE: &str = "persistence";
+    /// A linear regression of the model's input and the action.
+    pub const RIDGE: &str = "ridge";
+    /// The mean of the training samples.
+    pub const TRAINING_MEAN: &str = "training_mean";
+    /// All of them. Those after the first are baselines.
+    pub const ALL: [&str; 4] = [NETWORK, PERSISTENCE, RIDGE, TRAINING_MEAN];
+}
+
+/// Why predictions can't be judged.
+#[derive(Debug, thiserror::Error)]
+pub enum JudgeError {
+    /// The predictions can't be compared with the reference.
+    #[error(transparent)]
+    Metrics(#[from] MetricsError),
+    /// The predictor failed.
+    #[error("{0}")]
+    Predictor(#[source] Box<dyn std::error::Error + Send + Sync>),
+}
+
+/// The predictions of one modality for a batch of windows, at one distance from the present.
+pub struct Predicted {
+    /// The predicted modality.
+    pub modality: Modality,
+    /// Number of samples from the present to the predicted one; 0 for a reconstruction.
+    pub horizon: usize,
+    /// Predicted values in physical units, `[windows, width]`; images channel by channel.
+    pub values: Vec<f32>,
+}
+
+/// Receives the predictions of a batch.
+pub type Receive<'a> = dyn FnMut(Predicted) -> Result<(), JudgeError> + 'a;
+
+/// Anything that predicts samples from what came before them.
+pub trait Predictor {
+    /// Returns the name in the column `model`.
+    fn name(&self) -> &str;
+
+    /// Predicts each modality of the windows at these present samples, and passes it to `receive`.
+    ///
+    /// # Errors
+    /// When the prediction fails, and errors of `receive`.
+    fn predict(&self, at: &[Sample], receive: &mut Receive) -> Result<(), JudgeError>;
+}
+
+/// The samples on which predictors are judged.
+#[derive(Clone, Copy)]
+pub struct Test<'a> {
+    /// The dataset.
+    pub samples: &'a Samples,
+    /// What the rows call the task.
+    pub task: Task,
+    /// The present samples of the windows that are predicted.
+    pub windows: &'a [Sample],
+    /// The windows whose images are stored.
+    pub sampled: &'a [SampledWindow],
+}
+
+/// The rows of a predictor.
+#[derive(Default)]
+pub struct Judged {
+    /// Rows of the metrics table.
+    pub metrics: Vec<MetricRow>,
+    /// Rows of the predictions table.
+    pub predictions: Vec<PredictionRow>,
+    /// Rows of the frames table.
+    pub frames: Vec<FrameRow>,
+}
+
+/// Judges a predictor on the windows of a test.
+///
+/// # Errors
+/// When the predictor fails, or its predictions have the wrong shape or are not finite.
+pub fn judge(predictor: &dyn Predictor, test: &Test) -> Result<Judged, JudgeError> {
+    let layout = test.samples.layout();
+    let mut evaluations = BTreeMap::<(Modality, usize), Evaluation>::new();
+    let mut judged = Judged::default();
+    for at in test.windows.chunks(BATCH) {
+        predictor.predict(at, &mut |predicted| {
+            let Predicted { modality, horizon, values } = &predicted;
+            let definition = &layout[*modality];
+            let ahead: Vec<Sample> = at.iter().map(|sample| sample.after(*horizon)).collect();
+            let reference = physical(test.samples, *modality, &ahead);
+            let new = || Evaluation::new(definition, &layout.regions);
+            let evaluation = evaluations.entry((*modality, *horizon)).or_insert_with(new);
+            add(evaluation, test.samples, *modality, &ahead, &reference, values)?;
+            judged.frames.extend(frames::rows(test, at, &reference, &predicted));
+            judged.predictions.extend(rows::predictions(test, &ahead, &reference, &predicted));
+            Ok(())
+        })?;
+    }
+    let named = |row| MetricRow { task: test.task, model: predictor.name().to_owned(), row };
+    judged.metrics = evaluations.values().flat_map(Evaluation::rows).map(named).collect();
+    Ok(judged)
+}
+
+/// Adds the predictions of `modality` at the samples `at` to an evaluation.
+fn add(
+    evaluation: &mut Evaluation,
+    samples: &Samples,
+    modality: Modality,
+    at: &[Sample],
+    reference: &[f32],
+    predicted: &[f32],
+) -> Result<(), MetricsError> {
+    if !evaluation.has_regions() {
+        return evaluation.add(reference, predicted);
+    }
+    let layout = samples.layout();
+    let regions: Vec<Option<u8>> = match layout[modality].contact_kind() {
+        Some(kinds) => {
+            let last = layout[modality].contact_kinds.len() as u8;
+            // A contact of no kind, which has the value after the last kind, belongs to no region.
+            let region = |kind: &f32| Some(*kind as u8).filter(|kind| *kind <= last);
+            at.iter().flat_map(|sample| samples.vector(kinds, *sample).iter().map(region)).collect()
+        }
+        None => {
+            let regions = |sample: &Sample| {
+                let before = samples.previous_frame_bytes(modality, *sample);
+                parts::in_either(&layout.regions, before, samples.frame_bytes(modality, *sample))
+            };
+            at.par_iter().flat_map_iter(regions).collect()
+        }
+    };
+    evaluation.add_with_regions(reference, predicted, &regions)
+}

@@ -1,0 +1,117 @@
+//! The baseline that predicts vectors by a linear regression of a model's input and the action.
+
+use super::{BATCH, JudgeError, Predicted, Predictor, Receive, models};
+use harness_metrics::MetricsError;
+use harness_metrics::baselines::{self, RidgeSums, downsample_frame};
+use harness_samples::{Normalizers, Sample, Samples, physical};
+use harness_spec::{Action, Modality};
+use rayon::prelude::*;
+
+/// Factor of the ridge regression's penalty, for normalized inputs and thousands of samples.
+const ALPHA: f64 = 1.0;
+
+/// What the regression gets: the action, and the input's vectors and images, normalized. Images are reduced to small gray
+/// ones.
+#[derive(Clone, Copy)]
+pub struct Given<'a> {
+    /// The dataset.
+    pub samples: &'a Samples,
+    /// The normalizers of the input and the action.
+    pub normalizers: &'a Normalizers,
+    /// Which quantity is used as the action.
+    pub action: Action,
+    /// Modalities of the input.
+    pub input: &'a [Modality],
+}
+
+/// A ridge regression of the next sample's vectors.
+pub struct Ridge<'a> {
+    given: Given<'a>,
+    output: Vec<Modality>,
+    regression: baselines::Ridge,
+}
+
+impl<'a> Ridge<'a> {
+    /// Fits a regression to the transitions that start at the samples `training`. It predicts the vectors in `output`.
+    /// Returns `None` if all of them are images.
+    ///
+    /// # Errors
+    /// When a value is not finite.
+    pub fn fit(
+        given: Given<'a>,
+        training: &[Sample],
+        output: &[Modality],
+    ) -> Result<Option<Self>, JudgeError> {
+        let layout = given.samples.layout();
+        let output: Vec<Modality> =
+            output.iter().copied().filter(|modality| !layout[*modality].is_image()).collect();
+        if output.is_empty() {
+            return Ok(None);
+        }
+        let widths = output.iter().map(|modality| layout[*modality].width()).sum();
+        let inputs = given.values(&training[..1])?.len();
+        let mut sums = RidgeSums::new(inputs, widths);
+        for at in training.chunks(BATCH) {
+            sums.add(&given.values(at)?, &side_by_side(given.samples, &output, at))?;
+        }
+        Ok(Some(Self { given, output, regression: sums.solve(ALPHA)? }))
+    }
+}
+
+impl Predictor for Ridge<'_> {
+    fn name(&self) -> &str {
+        models::RIDGE
+    }
+
+    fn predict(&self, at: &[Sample], receive: &mut Receive) -> Result<(), JudgeError> {
+        let predicted = self.regression.predict(&self.given.values(at)?)?;
+        let layout = self.given.samples.layout();
+        let mut first = 0;
+        for &modality in &self.output {
+            let width = layout[modality].width();
+            let rows = predicted.chunks_exact(predicted.len() / at.len());
+            let values = rows.flat_map(|row| &row[first..first + width]).copied().collect();
+            receive(Predicted { modality, horizon: 1, values })?;
+            first += width;
+        }
+        Ok(())
+    }
+}
+
+impl Given<'_> {
+    /// Returns the normalized inputs at the samples `at`, `[at, inputs]`: the action, the vectors, and the images reduced
+    /// to small gray ones.
+    fn values(&self, at: &[Sample]) -> Result<Vec<f32>, MetricsError> {
+        let Given { samples, normalizers, action, input } = *self;
+        let vectors = normalizers.vectors(samples, at, input);
+        let actions = normalizers.actions(samples, at, action);
+        let of_row = |values: &[f32], row: usize| {
+            let width = values.len() / at.len();
+            values[row * width..][..width].to_vec()
+        };
+        let layout = samples.layout();
+        let images: Vec<(Modality, [usize; 2])> =
+            input.iter().filter_map(|modality| Some((*modality, layout[*modality].size()?))).collect();
+        let rows = at.par_iter().enumerate().map(|(row, &sample)| {
+            let mut values = of_row(&actions, row);
+            values.extend(of_row(&vectors, row));
+            for (modality, size) in &images {
+                let mut frame = physical(samples, *modality, &[sample]);
+                normalizers.modalities[modality].normalize(&mut frame);
+                values.extend(downsample_frame(&frame, *size)?);
+            }
+            Ok(values)
+        });
+        let rows: Vec<Vec<f32>> = rows.collect::<Result<_, MetricsError>>()?;
+        Ok(rows.concat())
+    }
+}
+
+/// Returns the vectors of the samples after those in `at`, side by side.
+fn side_by_side(samples: &Samples, vectors: &[Modality], at: &[Sample]) -> Vec<f32> {
+    let next = |sample: &Sample| {
+        let next = sample.after(1);
+        vectors.iter().flat_map(move |modality| samples.vector(*modality, next).iter().copied())
+    };
+    at.iter().flat_map(next).collect()
+}

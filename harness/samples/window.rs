@@ -1,0 +1,116 @@
+//! Samples, and the division of windows into training, validation and test.
+
+use super::Samples;
+use harness_spec::{Division, Split, Window};
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use sha2::{Digest, Sha256};
+use std::ops::Range;
+
+/// A sample of a dataset, by its position among the samples of all episodes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Sample(u32);
+
+impl Sample {
+    /// Returns the sample at a position, counted from 0.
+    ///
+    /// # Panics
+    /// When the position is at least 2^32. So many samples of a single number would take 17 GB.
+    pub fn at(position: usize) -> Self {
+        Self(u32::try_from(position).expect("a dataset has fewer than 2^32 samples"))
+    }
+
+    /// Returns the position, counted from 0.
+    pub fn index(self) -> usize {
+        self.0 as usize
+    }
+
+    /// Returns the sample that follows `steps` later.
+    pub fn after(self, steps: usize) -> Self {
+        Self::at(self.index() + steps)
+    }
+
+    /// Returns the sample that came `steps` before.
+    ///
+    /// # Panics
+    /// When the dataset begins later.
+    pub fn before(self, steps: usize) -> Self {
+        Self::at(self.index().checked_sub(steps).expect("the dataset begins before the sample"))
+    }
+}
+
+/// Returns the present samples of all windows within a range of consecutive samples.
+fn within(window: Window, samples: &Range<usize>) -> impl Iterator<Item = Sample> + use<> {
+    let first = samples.start + window.context - 1;
+    (first..samples.end.saturating_sub(window.horizon)).map(Sample::at)
+}
+
+/// Windows by split, each named by its present sample.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Partition {
+    /// Windows for training.
+    pub training: Vec<Sample>,
+    /// Windows for validation.
+    pub validation: Vec<Sample>,
+    /// Windows for the test.
+    pub test: Vec<Sample>,
+}
+
+impl Samples {
+    /// Divides the windows into training, validation and test; `None` if one of them would be empty. A window never
+    /// leaves its episode. If episodes or times are split, it never leaves its part.
+    pub fn partition(&self, split: &Split, window: Window) -> Option<Partition> {
+        let partition = match split.by {
+            Division::Episode => self.partition_by_episode(split, window),
+            Division::Time => self.partition_by_time(split, window),
+            Division::Sample => self.partition_by_sample(split, window),
+        }?;
+        let parts = [&partition.training, &partition.validation, &partition.test];
+        parts.iter().all(|part| !part.is_empty()).then_some(partition)
+    }
+
+    /// The last episodes are for the test, those before them for validation, and the rest for training.
+    ///
+    /// Episodes are independent and have the same distribution, so their order does not matter. Splitting by episode
+    /// keeps the neighbors of a test sample out of the training data.
+    fn partition_by_episode(&self, split: &Split, window: Window) -> Option<Partition> {
+        let counts = split.counts(self.episodes().len())?;
+        let all =
+            |episodes: &[Range<usize>]| episodes.iter().flat_map(|range| within(window, range)).collect();
+        let (training, others) = self.episodes().split_at(counts.training);
+        let (validation, test) = others.split_at(counts.validation);
+        Some(Partition { training: all(training), validation: all(validation), test: all(test) })
+    }
+
+    /// In each episode, the last part is for the test, the part before it for validation, and the first part for
+    /// training. A gap separates the parts.
+    fn partition_by_time(&self, split: &Split, window: Window) -> Option<Partition> {
+        let mut parts = [(); 3].map(|()| Vec::new());
+        for episode in self.episodes() {
+            let times = split.times(episode.len(), window.samples(), self.recording().sample_rate_hz)?;
+            for (part, time) in parts.iter_mut().zip(times) {
+                part.extend(within(window, &(episode.start + time.start..episode.start + time.end)));
+            }
+        }
+        let [training, validation, test] = parts;
+        Some(Partition { training, validation, test })
+    }
+
+    /// Windows are drawn at random. The seed is that of the dataset, so all runs on the dataset have the same split.
+    /// Windows of different parts share samples.
+    fn partition_by_sample(&self, split: &Split, window: Window) -> Option<Partition> {
+        let mut drawn: Vec<Sample> = self.episodes().iter().flat_map(|range| within(window, range)).collect();
+        let counts = split.counts(drawn.len())?;
+        let identity = format!("harness split by sample: seed {}", self.recording().seed);
+        drawn.shuffle(&mut ChaCha8Rng::from_seed(Sha256::digest(identity).into()));
+        let mut take = |count: usize| {
+            let mut taken = drawn.split_off(drawn.len() - count);
+            taken.sort_unstable();
+            taken
+        };
+        let (test, validation, training) =
+            (take(counts.test), take(counts.validation), take(counts.training));
+        Some(Partition { training, validation, test })
+    }
+}
