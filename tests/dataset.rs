@@ -557,7 +557,7 @@ fn a_window_never_leaves_its_episode_or_its_part() {
         [training, validation, test]
     };
     // A part of an episode has six windows less than samples.
-    assert_eq!(parts(Division::Sample).each_ref().map(Vec::len), [482 - 96, 48, 48]);
+    assert_eq!(parts(Division::Sample).each_ref().map(Vec::len), [488 - 98, 49, 49]);
     let by_time = parts(Division::Time);
     assert_eq!(by_time.each_ref().map(Vec::len), [60 + 140 - 12, 20 + 30 - 12, 20 + 30 - 12]);
     assert_eq!(

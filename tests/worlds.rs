@@ -1226,6 +1226,8 @@ fn a_robot_with_slides_and_hinges_is_judged_by_unit() {
     let model = folder.path().join("gantry.xml");
     fs::write(&model, GANTRY).unwrap();
     succeed(&results, &["world", "new", model.to_str().unwrap()]);
+    let said = succeed(&results, &["world", "check", model.with_extension("yaml").to_str().unwrap()]);
+    assert!(said.contains("the elements of 'joints' have the units m, rad, so its metrics"), "{said}");
     let spec = write_spec(folder.path(), "gantry.yaml", "[joint_velocities]", "[joints]");
     let said = succeed(&results, &["run", spec.to_str().unwrap(), "latent=2"]);
     let note = "a modality whose elements have different units is judged by unit";

@@ -8,7 +8,7 @@ use super::physics::Physics;
 use super::plan::EpisodePlan;
 use super::resolve::{is_pinhole, name_of};
 use super::scene::Scene;
-use harness_spec::Posed;
+use harness_spec::{Definition, Posed};
 use mujoco_rs::prelude::*;
 use std::collections::BTreeSet;
 
@@ -37,6 +37,7 @@ pub fn notes(scene: &Scene) -> Result<Notes, SimulationError> {
     data.forward();
     let mut notes = Vec::new();
     notes.extend(integrator(scene));
+    notes.extend(several_units(scene));
     notes.extend(unlimited(scene));
     notes.extend(unrecorded_bodies(scene));
     notes.extend(unrecorded_forces(scene));
@@ -56,6 +57,20 @@ fn integrator(scene: &Scene) -> Option<String> {
     let note = "the model's integrator is RK4, so each sample takes one more evaluation of the dynamics, at the sample's \
                 instant; a step of RK4 leaves poses, forces and images of a later instant";
     (scene.model.opt().integrator == MjtIntegrator::mjINT_RK4 as i32).then(|| note.to_owned())
+}
+
+/// Modalities whose elements have different units, so that their errors can't be added.
+fn several_units(scene: &Scene) -> Vec<String> {
+    let vectors = scene.layout().stored_vectors().filter(|definition| definition.unit().is_none());
+    let note = |definition: &Definition| {
+        let units: Vec<&str> = definition.by_unit().into_iter().map(|(unit, _)| unit).collect();
+        let name = definition.name;
+        format!(
+            "the elements of '{name}' have the units {}, so its metrics are computed for each unit",
+            units.join(", ")
+        )
+    };
+    vectors.map(note).collect()
 }
 
 /// Actuators whose setpoints the model does not limit.
