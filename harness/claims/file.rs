@@ -1,9 +1,10 @@
 //! Reads a YAML file of claims.
 
 use super::Claim;
+use super::metric::Metric;
 use harness_spec::{BuiltIn, SpecError, find};
 use serde::de::{DeserializeOwned, IgnoredAny};
-use serde_yaml::{Location, MessageFormatter, UserMessageFormatter};
+use serde_yaml::{Location, MessageFormatter, Spanned, UserMessageFormatter};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -25,7 +26,7 @@ pub fn load(path: &Path) -> Result<Vec<Claim>, SpecError> {
         let (line, column) = known.map_or((1, 1), |location| (location.line(), location.column()));
         SpecError::Invalid { path: source.label.clone(), line, column, message }
     };
-    let claims: Vec<Claim> = parse(&source.text).map_err(|error| {
+    let mut claims: Vec<Claim> = parse(&source.text).map_err(|error| {
         if let Err(broken) = parse::<IgnoredAny>(&source.text) {
             return invalid(broken.location(), format!("broken YAML: {}", told(&broken)));
         }
@@ -44,8 +45,41 @@ pub fn load(path: &Path) -> Result<Vec<Claim>, SpecError> {
                 format!("there is a claim '{}' already", claim.id()),
             ));
         }
+        if let Some((location, message)) = fault_of_metric(claim) {
+            return Err(invalid(Some(location), message));
+        }
     }
+    claims.iter_mut().for_each(Claim::insert_metric);
     Ok(claims)
+}
+
+/// The place and the message of a fault, if the queries of a claim do not match its metric.
+fn fault_of_metric(claim: &Claim) -> Option<(Location, String)> {
+    let id = claim.id();
+    let Some(metric) = &claim.metric else {
+        let of = |query: &Spanned<String>| Some((query.defined, Metric::place_in(&query.value)?));
+        let (location, place) = claim.queries().find_map(of)?;
+        let message = format!(
+            "{place} stands for the metric of the claim '{id}'; add the key `metric`, such as metric: r2"
+        );
+        return Some((location, message));
+    };
+    let required = claim.requires.as_ref().map(|requirement| &requirement.query);
+    let lacking = required.filter(|query| !query.value.contains(Metric::NAME));
+    let is_used = claim.queries().any(|query| query.value.contains(Metric::NAME));
+    match lacking {
+        Some(query) => Some((
+            query.defined,
+            format!(
+                "the claim '{id}' has a metric, so its requirement must be in it; write metric = '{{metric}}'"
+            ),
+        )),
+        None if !is_used => Some((
+            metric.referenced,
+            format!("no query of the claim '{id}' contains {{metric}}; write metric = '{{metric}}'"),
+        )),
+        None => None,
+    }
 }
 
 fn parse<T: DeserializeOwned>(text: &str) -> Result<T, serde_yaml::Error> {

@@ -3,6 +3,7 @@
 //! A claim is a statement with a query and a condition on the query's result.
 
 mod file;
+mod metric;
 mod plan;
 mod readings;
 mod table;
@@ -18,6 +19,7 @@ use harness_analysis::{
 };
 use harness_registry::{Registry, rows};
 use harness_spec::{Origin, QUICK, Scenario, SpecError, nearest};
+use metric::Metric;
 use polars::prelude::DataFrame;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
@@ -44,6 +46,8 @@ pub struct Claim {
     /// The latent sizes that replace `{experiment}` in the queries. Their number replaces `{experiment.runs}`.
     #[serde(default)]
     pub latent: Sizes,
+    /// The metric by which the claim compares predictions. It is inserted in the claim and in its requirement.
+    metric: Option<Spanned<Metric>>,
     /// A condition without which the claim can't be tested. The claim is not testable if it does not hold or is
     /// undecided.
     pub requires: Option<Requirement>,
@@ -104,6 +108,17 @@ impl Claim {
     /// The queries of the claim and of its requirement, as they are in the file.
     fn queries(&self) -> impl Iterator<Item = &Spanned<String>> {
         std::iter::once(&self.query).chain(self.requires.as_ref().map(|requirement| &requirement.query))
+    }
+
+    /// Inserts the claim's metric in its texts and queries.
+    fn insert_metric(&mut self) {
+        let Some(metric) = &self.metric else { return };
+        let own = [&mut self.measured, &mut self.query.value];
+        let required = self.requires.as_mut();
+        let required = required.map(|requirement| [&mut requirement.measured, &mut requirement.query.value]);
+        for text in own.into_iter().chain(required.into_iter().flatten()) {
+            *text = metric.value.complete(text);
+        }
     }
 
     /// Inserts these latent sizes in a query, and, if `quick`, the names of the quick runs' experiments.
