@@ -329,9 +329,9 @@ def claims(
         RuntimeError: a table is damaged.
 
     Example:
-        >>> verdicts = harness.claims("vision_improves_force", results="results/reference")
+        >>> verdicts = harness.claims("vision_improves_force_r2", results="results/reference")
         >>> verdicts["scenario"].to_list(), verdicts["verdict"].to_list()
-        (['empty', 'cluttered'], ['does not hold', 'does not hold'])
+        (['empty', 'cluttered'], ['holds', 'undecided'])
     """
     import polars
 
