@@ -119,6 +119,7 @@ pub struct SampleFrames {
 
 impl SampleFrames {
     /// Returns the frames of the images among `modalities` at the samples `at`; `None` without an image.
+    #[expect(clippy::new_ret_no_self, reason = "callers treat all frames alike, and there may be none")]
     pub fn new(
         samples: &Arc<Samples>,
         normalizers: &Normalizers,

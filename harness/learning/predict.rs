@@ -40,9 +40,12 @@ pub struct TrainedNetwork<'a> {
     pub output: &'a [Modality],
 }
 
+/// A modality and its values at some windows.
+type ValuesOf = (Modality, Vec<f32>);
+
 impl TrainedNetwork<'_> {
     /// Returns the output at the windows `at`, and its distance from the present.
-    fn decoded(&self, at: &[Sample]) -> Result<(usize, Vec<(Modality, Vec<f32>)>)> {
+    fn decoded(&self, at: &[Sample]) -> Result<(usize, Vec<ValuesOf>)> {
         let data = self.data;
         let (horizon, decoded) = match self.latent {
             Latent::Encoded(encoder, input) => {
