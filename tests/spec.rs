@@ -1027,6 +1027,31 @@ fn values_that_make_the_same_runs_are_refused() {
     assert_eq!(load_with(&text, &["training.kl_weight=1"], false).unwrap().runs().len(), 4);
 }
 
+#[test]
+fn a_reading_weights_outputs_that_only_some_roles_have() {
+    let reading = "readings: [{name: heavy, choice: c, base: b, instead: i, paper: p, settings: \
+        {training.loss_weights.arm: 3, training.loss_weights.contact_force: 2}}]\n";
+    let text = format!(
+        "{}roles: {{small: {{output: [contact_force]}}, large: {{output: [arm, contact_force]}}}}\n{reading}",
+        BASE.replace("latent: [2, 4]", "latent: [2]")
+    );
+    let weights = |role: &str| {
+        let runs = load(&text).runs();
+        let of_role = |run: &&spec::RunSpec| run.variant.contains(role) && run.variant.contains("heavy");
+        let run = runs.iter().find(of_role).unwrap();
+        run.training
+            .loss_weights
+            .iter()
+            .map(|(modality, weight)| (modality.name(), *weight))
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(weights("small"), [("contact_force", 2.0)]);
+    assert_eq!(weights("large"), [("arm", 3.0), ("contact_force", 2.0)]);
+    // No role predicts the camera's image.
+    let said = refusal(text.replace("loss_weights.arm", "loss_weights.vision"));
+    assert!(said.contains("'vision' has a loss weight but is not an output"), "{said}");
+}
+
 /// A spec with two roles, two readings besides the base, and two datasets.
 fn readings() -> String {
     let reading = |name: &str, settings: &str| {

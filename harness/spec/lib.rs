@@ -49,6 +49,7 @@ use cells::Combination;
 use error::Problem;
 use overrides::VARY;
 use parse::{Entry, Node, Value};
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -163,6 +164,7 @@ fn other_file(tree: &Node) -> Option<&'static str> {
 /// Checks the experiment with each combination of a reading, a role, the settings under `vary` and a trial.
 fn check_variants(folder: &Path, tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
     let given = varied_settings(tree);
+    let outputs = outputs(tree, &given);
     let mut variants = Vec::new();
     for combination in experiment.combinations() {
         let settings = combination.settings.iter().filter_map(|(key, value)| {
@@ -171,6 +173,7 @@ fn check_variants(folder: &Path, tree: &Node, experiment: &Experiment) -> Result
         });
         let mut tree = tree.clone();
         overrides::apply(&mut tree, &settings.collect::<Vec<_>>());
+        leave_out_losses_of(&mut tree, &outputs);
         let name = combination.name();
         let what = if name.is_empty() { "'vary'" } else { &name };
         let variant = resolve(folder, &tree).map_err(|problem| problem.after(&format!("applying {what}")))?;
@@ -179,6 +182,34 @@ fn check_variants(folder: &Path, tree: &Node, experiment: &Experiment) -> Result
         }
     }
     check_different(tree, experiment, &variants)
+}
+
+/// The key of the predicted modalities.
+const OUTPUT: &str = "output";
+
+/// Returns the names of all modalities that some combination predicts.
+fn outputs(tree: &Node, varied: &[Entry]) -> BTreeSet<String> {
+    let own = tree.get(OUTPUT).into_iter();
+    let all = own.chain(varied.iter().filter(|entry| entry.key == OUTPUT).map(|entry| &entry.node));
+    all.flat_map(names_in).collect()
+}
+
+/// Returns the texts in a list; none if this is not a list.
+fn names_in(node: &Node) -> Vec<String> {
+    let Value::List(items) = &node.value else { return Vec::new() };
+    items.iter().filter_map(|item| item.to_json().as_str().map(str::to_owned)).collect()
+}
+
+/// Removes losses and their weights of modalities that other combinations predict and this one does not. A reading can
+/// then weight the outputs of all roles.
+fn leave_out_losses_of(tree: &mut Node, outputs: &BTreeSet<String>) {
+    let own = tree.get(OUTPUT).map(names_in).unwrap_or_default();
+    for key in ["losses", "loss_weights"] {
+        let section = tree.get_mut("training").and_then(|training| training.get_mut(key));
+        if let Some(Node { value: Value::Section(entries), .. }) = section {
+            entries.retain(|entry| own.contains(&entry.key) || !outputs.contains(&entry.key));
+        }
+    }
 }
 
 /// Refuses a value of a varied setting that always makes the same runs as another one, such as 1.0 and 1.
