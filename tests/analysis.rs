@@ -1,12 +1,20 @@
 //! Intervals over datasets and seeds, compared with printed tables and with random draws whose true mean is known.
 
-use harness_analysis::{Interval, LEVEL, holm, mean_interval, p_value, replicates, replicates_needed};
+use harness_analysis::{Estimate, Interval, LEVEL, holm, mean_interval, replicates, unpaired_replicates};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 const TRUTH: f64 = 0.3;
 const TABLES: usize = 10_000;
+
+fn p_value(values: &[f64], bound: f64) -> Option<f64> {
+    Estimate::of(values)?.p_value(bound)
+}
+
+fn needed(values: &[f64], bound: f64) -> Option<usize> {
+    Estimate::of(values)?.needed(bound, LEVEL, 100)
+}
 
 fn assert_close(a: f64, b: f64) {
     assert!((a - b).abs() < 1e-12 * b.abs().max(1.0), "{a} is not {b}");
@@ -176,10 +184,52 @@ fn corrected_p_values_are_holm_s() {
 #[test]
 fn as_many_values_as_are_planned_exclude_the_bound_if_their_spread_stays() {
     let values = [0.5, 1.5, 1.0];
-    let count = replicates_needed(&values, 0.5, LEVEL, 100).unwrap();
+    let count = needed(&values, 0.5).unwrap();
     // Deviation and distance are 0.5, so t(n - 1) must be less than the root of n. This holds from n = 7 on (2.447 and
     // 2.646).
     assert_eq!(count, 7);
-    assert_eq!(replicates_needed(&values, 0.999, LEVEL, 100), None);
-    assert_eq!(replicates_needed(&[1.0], 0.0, LEVEL, 100), None);
+    assert_eq!(needed(&values, 0.999), None);
+    assert_eq!(needed(&[1.0], 0.0), None);
+}
+
+// --- unpaired differences ---
+
+#[test]
+fn an_unpaired_difference_is_that_of_welch_s_test() {
+    // scipy.stats.ttest_ind([1, 2, 4], [2, 5, 9, 12], equal_var=False): p-value, and its 95 % interval.
+    let difference = Estimate::difference(&[1.0, 2.0, 4.0], &[2.0, 5.0, 9.0, 12.0]).unwrap();
+    let (low, high) = difference.interval(LEVEL).bounds.unwrap();
+    assert!((difference.p_value(0.0).unwrap() - 0.122_121_1).abs() < 1e-6, "{difference:?}");
+    assert!((low - -11.316_035).abs() < 1e-5 && (high - 1.982_702).abs() < 1e-5, "{low} {high}");
+    assert_eq!(Estimate::difference(&[1.0], &[2.0, 3.0]).unwrap().interval(LEVEL).bounds, None);
+    assert_eq!(Estimate::difference(&[], &[2.0, 3.0]), None);
+    let equal = Estimate::difference(&[1.0, 1.0], &[2.0, 2.0]).unwrap();
+    assert_eq!((equal.interval(LEVEL).bounds, equal.p_value(0.0)), (Some((-1.0, -1.0)), None));
+}
+
+#[test]
+fn unpaired_groups_count_by_datasets_if_one_has_several() {
+    let one = [(0, 1.0), (0, 3.0)];
+    let several = [(0, 1.0), (0, 3.0), (1, 5.0)];
+    assert_eq!(unpaired_replicates([one, one]), [vec![1.0, 3.0], vec![1.0, 3.0]]);
+    assert_eq!(unpaired_replicates([one.to_vec(), several.to_vec()]), [vec![2.0], vec![2.0, 5.0]]);
+}
+
+#[test]
+fn intervals_of_unpaired_differences_keep_their_level() {
+    let mut random = ChaCha8Rng::seed_from_u64(15);
+    for (sizes, spreads) in
+        [([3, 3], [1.0, 1.0]), ([6, 6], [1.0, 3.0]), ([20, 20], [0.5, 2.0]), ([3, 6], [1.0, 1.0])]
+    {
+        let covers = |_: &usize| {
+            let [a, b] = [0, 1].map(|group| {
+                let value = |_| TRUTH * (1 - group) as f64 + spreads[group] * normal(&mut random);
+                (0..sizes[group]).map(value).collect::<Vec<_>>()
+            });
+            let (low, high) = Estimate::difference(&a, &b).unwrap().interval(LEVEL).bounds.unwrap();
+            low <= TRUTH && TRUTH <= high
+        };
+        let coverage = (0..TABLES).filter(covers).count() as f64 / TABLES as f64;
+        assert_covers(coverage, &format!("{sizes:?} {spreads:?}"));
+    }
 }

@@ -20,6 +20,8 @@ use std::sync::LazyLock;
 use std::time::Duration;
 use tempfile::TempDir;
 
+mod error_rates;
+
 const FILE: &str = "experiments/claims.yaml";
 const EXPERIMENTS: [&str; 3] = ["single_to_multi", "multi_to_multi", "choose_action"];
 
@@ -338,7 +340,7 @@ fn claims_are_undecided_where_seeds_disagree() {
     let (_folder, registry) = results(&[0, 1, 2, 3], |seed| if seed % 2 == 0 { Same } else { Opposite });
     for judgment in judgments(&registry, false).iter().filter(|judgment| !about_the_dataset(judgment)) {
         assert_eq!(judgment.verdict(), Verdict::Undecided, "{}", judgment.claim.id());
-        let Measured { each: Each::Seed, values } = &judgment.measured else { panic!("{judgment:?}") };
+        let Measured { each: Each::Seed, values, .. } = &judgment.measured else { panic!("{judgment:?}") };
         assert_eq!(values.keys().copied().collect::<Vec<_>>(), [(0, 0), (0, 1), (0, 2), (0, 3)]);
     }
 }
@@ -589,7 +591,7 @@ fn several_datasets_count_as_datasets_whatever_their_seeds_say() {
         if !about_the_dataset(judgment) {
             let places: Vec<_> = judgment.measured.values.keys().copied().collect();
             assert_eq!(places, [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]);
-            assert_eq!(judgment.measured.replicates().len(), 3);
+            assert_eq!(judgment.measured.estimate().unwrap().count(), 3);
         }
     }
     // Four of six values agree with the paper, but one dataset disagrees, so the claims are undecided.
@@ -606,7 +608,7 @@ fn several_datasets_count_as_datasets_whatever_their_seeds_say() {
     }
     assert!(undecided > 20, "{undecided}");
     let one = succeed(folder.path(), &["claims", "force_errors_stay_high"]);
-    assert!(one.contains("force_errors_stay_high empty: dataset 0 seed 0: 5.1"), "{one}");
+    assert!(one.contains("force_errors_stay_high empty: dataset 0 seed 0: -5.1"), "{one}");
     // The plan's commands can be pasted into a shell.
     let plan =
         succeed(folder.path(), &["claims", "force_errors_stay_high", "vision_improves_force", "--plan"]);
@@ -845,20 +847,22 @@ fn readings_without_runs_are_named_with_their_command() {
 
 // --- conditions and intervals ---
 
+/// A judgment of values, without a requirement.
+fn judgment(claim: &Claim, measured: Measured) -> Judgment<'_> {
+    Judgment { claim, scenario: None, measured, required: None, mixed: Vec::new() }
+}
+
 /// Values of seeds on one dataset.
 fn measured(values: &[f64]) -> Measured {
     let at = (0..).map(|seed| (0, seed));
-    Measured { each: Each::Seed, values: at.zip(values.iter().copied()).collect() }
+    Measured { each: Each::Seed, values: at.zip(values.iter().copied()).collect(), minus: None }
 }
 
 #[test]
 fn a_verdict_needs_the_whole_interval() {
     let text = "- {id: a, paper: p, section: s, measured: m, experiments: [single_to_multi], query: q, condition: above 1}";
     let claims = load_text(text).unwrap();
-    let verdict = |values: &[f64]| {
-        let measured = measured(values);
-        Judgment { claim: &claims[0], scenario: None, measured, required: None, mixed: Vec::new() }.verdict()
-    };
+    let verdict = |values: &[f64]| judgment(&claims[0], measured(values)).verdict();
     // Two values at a distance of d have the interval mean ± 12.71 d / 2, from a table of Student's t.
     assert_eq!(verdict(&[2.0, 2.1]), Verdict::Holds);
     assert_eq!(verdict(&[2.0, 2.2]), Verdict::Undecided);
@@ -866,6 +870,50 @@ fn a_verdict_needs_the_whole_interval() {
     assert_eq!(verdict(&[1.0, 1.0]), Verdict::DoesNotHold);
     assert_eq!(verdict(&[1.5]), Verdict::OneValue { each: Each::Seed, satisfied: true });
     assert!(Condition::Below(0.5).satisfied_by(0.4) && !Condition::Below(0.5).satisfied_by(0.5));
+}
+
+#[test]
+fn a_claim_of_no_advantage_is_judged_by_its_margin() {
+    let text = "- {id: a, paper: p, section: s, measured: m, experiments: [single_to_multi], query: q, condition: below \
+                margin 1}";
+    let claims = load_text(text).unwrap();
+    assert_eq!(claims[0].condition, Condition::Margin(1.0));
+    let verdict = |values: &[f64]| judgment(&claims[0], measured(values)).verdict();
+    // The half widths of the intervals are 12.71 times half of the distance.
+    assert_eq!(verdict(&[0.0, 0.0]), Verdict::Holds, "equal networks");
+    assert_eq!(verdict(&[0.2, 0.3]), Verdict::Holds, "an advantage that does not matter");
+    assert_eq!(verdict(&[0.2, 0.4]), Verdict::Undecided);
+    assert_eq!(verdict(&[1.7, 1.8]), Verdict::DoesNotHold);
+    assert_eq!(verdict(&[-9.0, -8.9]), Verdict::Holds, "a disadvantage");
+}
+
+#[test]
+fn a_difference_between_scenarios_is_not_paired() {
+    let text = "- {id: a, paper: p, section: s, measured: m, experiments: [single_to_multi], query: q, condition: above 0, \
+                difference: [cluttered, empty]}";
+    let claims = load_text(text).unwrap();
+    let of = |values: &[(u64, i64, f64)]| {
+        values.iter().map(|(dataset, n, value)| ((*dataset, *n), *value)).collect()
+    };
+    let judged = |values: &[(u64, i64, f64)], minus: &[(u64, i64, f64)]| {
+        judgment(&claims[0], Measured { each: Each::Episode, values: of(values), minus: Some(of(minus)) })
+    };
+    // The differences of episodes with the same number are all 1, but no episode has a partner in the other scenario.
+    let large = [(0, 0, 2.0), (0, 1, 12.0), (0, 2, 22.0)];
+    let small = [(0, 0, 1.0), (0, 1, 11.0), (0, 2, 21.0)];
+    let one = judged(&large, &small);
+    assert_eq!(one.verdict(), Verdict::Undecided);
+    assert_eq!((one.interval().unwrap().mean, one.measured.count(), one.measured.datasets()), (1.0, 6, 1));
+    // With several datasets, their means count: the episodes of each agree, but the datasets do not.
+    let of_datasets = |values: [f64; 2]| {
+        values.into_iter().zip(0..).flat_map(|(value, dataset)| [(dataset, 0, value), (dataset, 1, value)])
+    };
+    let several =
+        judged(&of_datasets([1.0, 2.0]).collect::<Vec<_>>(), &of_datasets([0.0, 0.5]).collect::<Vec<_>>());
+    assert_eq!((several.verdict(), several.measured.datasets()), (Verdict::Undecided, 2));
+    let lone = judged(&of_datasets([1.0, 2.0]).collect::<Vec<_>>(), &small);
+    assert_eq!(lone.verdict(), Verdict::OneValue { each: Each::Dataset, satisfied: false });
+    assert_eq!(judged(&large, &[]).verdict(), Verdict::NoData);
 }
 
 #[test]
@@ -973,13 +1021,23 @@ fn faults_of_a_file_are_named_with_their_place() {
         load_text(&ONE.replace(old, new)).unwrap_err()
     };
     let cases = [
-        (edited("paper:", "papr:"), "2:3: unknown field `papr`, expected one of id, paper, "),
+        (edited("paper:", "papr:"), "2:3: unknown field `papr`, expected one of id, paper, statement, "),
         (
             edited("above 0.5", "over 0.5"),
-            "9:14: 'over 0.5' is not a condition; write 'above NUMBER' or 'below NUMBER'",
+            "9:14: 'over 0.5' is not a condition; write 'above NUMBER', 'below NUMBER' or 'below margin NUMBER' with a \
+             margin above 0",
+        ),
+        (edited("above 0.5", "below margin 0"), "9:14: 'below margin 0' is not a condition; "),
+        (
+            edited("scenarios: [empty]", "difference: [empty, empty]"),
+            "5:15: a difference is between two scenarios; write [cluttered, empty], for example",
+        ),
+        (
+            edited("  scenarios", "  difference: [cluttered, empty]\n  scenarios"),
+            "1:7: the claim 'force' has scenarios and a difference; leave out `scenarios`, which are judged one by one",
         ),
         (edited("above 0.5", "above inf"), "9:14: 'above inf' is not a condition; "),
-        (edited("[empty]", "[emty]"), "5:14: unknown scenario `emty`, expected one of empty, cluttered"),
+        (edited("[empty]", "[my/robot.yaml]"), "5:14: 'my/robot.yaml' can't name a scenario"),
         (load_text(&[ONE, ONE].concat()).unwrap_err(), "10:7: there is a claim 'force' already"),
         (
             edited("  query", "  requires: {measured: m, query: q}\n  query"),
@@ -987,7 +1045,7 @@ fn faults_of_a_file_are_named_with_their_place() {
         ),
         (
             edited("  query", "  metric: r2 box\n  query"),
-            "7:11: 'r2 box' can't name a metric; use a name of docs/metrics.md, such as wmape or r2_box",
+            "7:11: 'r2 box' is no metric; the metrics are smape, wmape, r2, rmse, mae, relative_error, ",
         ),
         (
             edited("  query", "  metric: r2\n  query"),
@@ -1062,7 +1120,7 @@ fn a_query_that_is_no_claims_query_is_refused_even_without_data() {
         assert!(ONE.contains(old));
         let claims = load_text(&ONE.replacen(old, new, 1)).unwrap();
         let error = judged(&nowhere, &claims);
-        assert!(error.starts_with("claim 'force', query at line "), "{error}");
+        assert!(error.contains("claims.yaml:8:5: claim 'force': "), "{error}");
         assert!(error.contains(expected), "{error}");
     }
     // The requirement's query is checked in the same way. The error names the line of the query, not of an alias.
@@ -1077,7 +1135,7 @@ fn a_query_that_is_no_claims_query_is_refused_even_without_data() {
     let runs_of_none = runs(&nowhere, &[&claims[1]], &[], false).unwrap();
     let error = judge(&runs_of_none, &claims[1], false).unwrap_err().to_string();
     assert!(
-        error.starts_with("claim 'b', query at line 9: it gives the columns seed, value instead of "),
+        error.contains("claims.yaml:9:12: claim 'b': it gives the columns seed, value instead of "),
         "{error}"
     );
 
@@ -1121,6 +1179,99 @@ fn every_statement_of_the_paper_has_an_entry_or_a_reason_why_not() {
     assert!(heads[0] < first, "every entry belongs to a statement");
 }
 
+// --- claims about other runs ---
+
+/// A claim about a robot of one's own: own names of experiments, scenarios, modalities, metrics.
+const OWN: &str = "- id: boxes
+  statement: The force on boxes is predicted.
+  measured: R2 of the force on boxes
+  scenarios: [maze, corridor]
+  experiments: [my_robot]
+  metric: r2_box
+  requires:
+    measured: error of the force in {metric} relative to the training mean
+    query: |
+      select scenario, seed, min(case when model = 'network' then {error} end)
+                           / min(case when model = 'training_mean' then {error} end) as value
+      from metrics
+      where experiment = 'my_robot' and modality = 'grip' and metric = '{metric}'
+      group by scenario, seed
+    condition: below 0.95
+  query: |
+    select scenario, seed, max(case when model = 'network' then value end) as value
+    from metrics
+    where experiment = 'my_robot' and modality = 'grip' and metric = '{metric}'
+    group by scenario, seed
+  condition: above 0.5
+";
+
+/// The runs of an experiment of one's own, in two worlds of one's own, and a file of claims.
+fn own_runs() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let registry = Registry::new(folder.path());
+    let mut spec = experiment("single_to_multi", &[0]).runs().remove(0);
+    for (scenario, r2) in [("maze", 0.8), ("corridor", 0.3)] {
+        for seed in 0..3 {
+            (spec.scenario, spec.seed) = (Scenario::new(scenario).unwrap().into(), seed);
+            let mut made = Outcome { parameters: 1, ..Outcome::default() };
+            for (model, value) in [("network", r2 + 1e-3 * seed as f64), ("training_mean", 0.0)] {
+                let (modality, metric) = (Modality::new("grip").unwrap(), Metric::R2.in_region("box"));
+                let row = Row {
+                    modality,
+                    direction: None,
+                    index: None,
+                    metric,
+                    value: Some(value),
+                    unit: String::new(),
+                };
+                made.metrics.push(MetricRow { task: Task::Prediction, model: model.to_owned(), row });
+            }
+            let run = registry.run("my_robot", &spec, &format!("{scenario}-made-up"));
+            let record = registry.begin(&run, &spec, &Layout::finger(), &Provenance::default()).unwrap();
+            for task in &spec.tasks {
+                std::fs::write(run.checkpoint(*task), "made up").unwrap();
+            }
+            registry.finish(&run, record, &made).unwrap();
+        }
+    }
+    std::fs::write(folder.path().join("own.yaml"), OWN).unwrap();
+    folder
+}
+
+#[test]
+fn claims_may_be_about_anybody_s_runs() {
+    let folder = own_runs();
+    let file = folder.path().join("own.yaml");
+    let command = ["claims", "--file", file.to_str().unwrap()];
+    let csv = succeed(folder.path(), &[&command[..], &["--format", "csv"]].concat());
+    let verdict = |scenario: &str| {
+        let line = csv.lines().find(|line| line.contains(&format!(",{scenario},")));
+        line.unwrap_or_else(|| panic!("{csv}")).rsplit(',').next().unwrap().to_owned()
+    };
+    assert_eq!((verdict("maze").as_str(), verdict("corridor").as_str()), ("holds", "does not hold"));
+    for format in ["text", "markdown", "latex", "csv", "json"] {
+        let printed = succeed(folder.path(), &[&command[..], &["--format", format]].concat());
+        assert!(printed.contains("datasets"), "{format}: {printed}");
+    }
+}
+
+#[test]
+fn a_name_that_no_run_has_is_named_with_those_that_there_are() {
+    let folder = own_runs();
+    let file = folder.path().join("own.yaml");
+    let answer = |old: &str, new: &str| {
+        assert!(OWN.contains(old));
+        std::fs::write(&file, OWN.replace(old, new)).unwrap();
+        finish(&mut harness(folder.path(), &["claims", "--file", file.to_str().unwrap()]))
+    };
+    let misspelled = answer("metric: r2_box", "metric: r2_bx");
+    let expected = "own.yaml:6:11: claim 'boxes': no run has the metric 'r2_bx'; the runs have r2_box";
+    assert!(misspelled.stdout.contains(expected), "{}", misspelled.stdout);
+    let elsewhere = answer("[maze, corridor]", "[maze, coridor]");
+    let expected = "no run of my_robot is in coridor; its runs are in corridor, maze";
+    assert!(elsewhere.stdout.contains(expected), "{}", elsewhere.stdout);
+}
+
 // --- the command ---
 
 #[test]
@@ -1141,10 +1292,12 @@ fn the_command_prints_every_claim_with_its_verdict() {
     );
 
     let one = succeed(folder.path(), &["claims", "force_errors_stay_high"]);
-    assert!(one.contains("force_errors_stay_high empty: seed 0: 5.1"), "{one}");
+    assert!(one.contains("force_errors_stay_high empty: seed 0: -5.1"), "{one}");
     assert!(one.contains("force_errors_stay_high empty requires: seed 0: 0."), "{one}");
     assert!(
-        one.contains("select scenario, seed, min(case when model = 'network' then value end)\n"),
+        one.contains(
+            "select scenario, seed, least(min(case when model = 'persistence' then value end), 100)\n"
+        ),
         "{one}"
     );
     assert!(one.contains("requires squared error of the joint angles or "), "{one}");

@@ -321,6 +321,7 @@ fn ask(results: &Path, answers: &Path) {
             "sql": claim.sql(false),
             "quick": claim.sql(true),
             "scenarios": claim.scenarios,
+            "difference": claim.difference,
             "experiments": claim.experiments,
             "condition": claim.condition.to_string(),
             "required_sql": claim.required_sql(false),

@@ -92,14 +92,14 @@ impl Source<'_> {
             "\n| statement | place | empty | cluttered | both |\n|---|---|---|---|---|\n".to_owned();
         let judged: Vec<(&Judgment, bool)> = self.judgments.iter().zip(self.stands()).collect();
         for own in judged.chunk_by(|(a, _), (b, _)| a.claim.id() == b.claim.id()) {
-            let Claim { paper, section, .. } = own[0].0.claim;
+            let Claim { statement, section, .. } = own[0].0.claim;
             let cell = |scenario: Option<Scenario>| {
                 let found = own.iter().find(|(one, _)| one.scenario == scenario);
                 let mark = |stands: bool| if stands { "" } else { " *" };
                 found.map_or(String::new(), |(one, stands)| format!("{}{}", one.verdict(), mark(*stands)))
             };
             let [empty, cluttered] = Scenario::PAPER.map(|scenario| cell(Some(scenario)));
-            writeln!(table, "| {paper} | {section} | {empty} | {cluttered} | {} |", cell(None)).unwrap();
+            writeln!(table, "| {statement} | {section} | {empty} | {cluttered} | {} |", cell(None)).unwrap();
         }
         table
     }

@@ -51,14 +51,104 @@ impl fmt::Display for Interval {
 /// # Panics
 /// When `level` is not between 0 and 1.
 pub fn mean_interval(values: &[f64], level: f64) -> Option<Interval> {
-    assert!(level > 0.0 && level < 1.0, "the level of an interval is between 0 and 1, not {level}");
-    let (mean, error) = mean_and_error(values)?;
-    let student = StudentsT::new(0.0, 1.0, values.len() as f64 - 1.0).ok();
-    let bounds = student.zip(error).map(|(student, error)| {
-        let half = student.inverse_cdf(0.5 + level / 2.0) * error;
-        (mean - half, mean + half)
-    });
-    Some(Interval { mean, bounds })
+    Some(Estimate::of(values)?.interval(level))
+}
+
+/// A mean, or a difference between two means, with its standard error.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate {
+    /// The mean, or the difference.
+    pub mean: f64,
+    /// `None` for a single value, which has no standard deviation.
+    spread: Option<Spread>,
+    /// The number of values or, of a difference, the smaller one of both numbers.
+    count: usize,
+}
+
+/// The standard error of an estimate, and the degrees of freedom of Student's t.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Spread {
+    error: f64,
+    freedom: f64,
+}
+
+impl Estimate {
+    /// The mean of values. `None` without values.
+    pub fn of(values: &[f64]) -> Option<Self> {
+        let (mean, error) = mean_and_error(values)?;
+        let spread = error.map(|error| Spread { error, freedom: values.len() as f64 - 1.0 });
+        Some(Self { mean, spread, count: values.len() })
+    }
+
+    /// The mean of `values` minus the mean of `others`, which are independent of `values`, by the method of Welch (1947):
+    /// the variances of both add up, and may differ. `None` if there are no values or no others.
+    pub fn difference(values: &[f64], others: &[f64]) -> Option<Self> {
+        let (a, b) = (Self::of(values)?, Self::of(others)?);
+        let spread = a.spread.zip(b.spread).map(|(a, b)| a.and(b));
+        Some(Self { mean: a.mean - b.mean, spread, count: a.count.min(b.count) })
+    }
+
+    /// The number of values or, of a difference, the smaller one of both numbers.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// The confidence interval at `level`, by Student's t.
+    ///
+    /// # Panics
+    /// When `level` is not between 0 and 1.
+    pub fn interval(&self, level: f64) -> Interval {
+        assert!(level > 0.0 && level < 1.0, "the level of an interval is between 0 and 1, not {level}");
+        let half = self.spread.and_then(|spread| Some(spread.quantile(level)? * spread.error));
+        Interval { mean: self.mean, bounds: half.map(|half| (self.mean - half, self.mean + half)) }
+    }
+
+    /// The two-sided p-value of Student's t-test: the probability of an estimate at least as far from `bound`, if the true
+    /// value were `bound`. `None` for fewer than two values, and for equal values, such as numbers of parameters: they are
+    /// not a sample, so nothing is tested.
+    pub fn p_value(&self, bound: f64) -> Option<f64> {
+        let Spread { error, freedom } = self.spread.filter(|spread| spread.error > 0.0)?;
+        let student = StudentsT::new(0.0, 1.0, freedom).ok()?;
+        Some(2.0 * student.cdf(-(self.mean - bound).abs() / error))
+    }
+
+    /// The number of values that the interval at `level` needs to exclude `bound`, if the mean and the standard deviation
+    /// stay the same. A difference needs as many of both. `None` if it is more than `most`, or if there are fewer than two
+    /// values.
+    pub fn needed(&self, bound: f64, level: f64, most: usize) -> Option<usize> {
+        let spread = self.spread?;
+        let excludes = |count: &usize| {
+            let spread = spread.with(self.count, *count);
+            spread.quantile(level).is_some_and(|t| t * spread.error < (self.mean - bound).abs())
+        };
+        (2..=most).find(excludes)
+    }
+}
+
+impl Spread {
+    /// The spread of the difference between two independent means.
+    fn and(self, other: Self) -> Self {
+        let (a, b) = (self.error.powi(2), other.error.powi(2));
+        let freedom = (a + b).powi(2) / (a.powi(2) / self.freedom + b.powi(2) / other.freedom);
+        // Without any variance, the quotient is undefined.
+        let freedom = if freedom.is_nan() { self.freedom + other.freedom } else { freedom };
+        Self { error: (a + b).sqrt(), freedom }
+    }
+
+    /// The quantile of Student's t for an interval at `level`.
+    fn quantile(self, level: f64) -> Option<f64> {
+        let student = StudentsT::new(0.0, 1.0, self.freedom).ok()?;
+        Some(student.inverse_cdf(0.5 + level / 2.0))
+    }
+
+    /// The spread with another number of values of the same standard deviation.
+    fn with(self, there: usize, count: usize) -> Self {
+        let (there, count) = (there as f64, count as f64);
+        Self {
+            error: self.error * (there / count).sqrt(),
+            freedom: self.freedom * (count - 1.0) / (there - 1.0),
+        }
+    }
 }
 
 /// The values that an interval is computed from: the mean of each dataset or, if there is only one dataset, its values.
@@ -75,24 +165,35 @@ pub fn mean_interval(values: &[f64], level: f64) -> Option<Interval> {
 ///
 /// With one dataset, the interval is valid only for other seeds on that dataset.
 pub fn replicates(values: impl IntoIterator<Item = (u64, f64)>) -> Vec<f64> {
+    let datasets = by_dataset(values);
+    if datasets.len() == 1 {
+        return datasets.into_values().flatten().collect();
+    }
+    means(&datasets)
+}
+
+/// The values that the interval of an unpaired difference is computed from, of both groups. They are the datasets' means
+/// if one of the groups has several datasets, and the groups' values otherwise.
+pub fn unpaired_replicates(groups: [impl IntoIterator<Item = (u64, f64)>; 2]) -> [Vec<f64>; 2] {
+    let groups = groups.map(by_dataset);
+    if groups.iter().all(|datasets| datasets.len() <= 1) {
+        return groups.map(|datasets| datasets.into_values().flatten().collect());
+    }
+    groups.map(|datasets| means(&datasets))
+}
+
+/// The values of each dataset.
+fn by_dataset(values: impl IntoIterator<Item = (u64, f64)>) -> BTreeMap<u64, Vec<f64>> {
     let mut datasets: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
     for (dataset, value) in values {
         datasets.entry(dataset).or_default().push(value);
     }
-    if datasets.len() == 1 {
-        return datasets.into_values().flatten().collect();
-    }
-    datasets.into_values().filter_map(|values| mean_of(&values)).collect()
+    datasets
 }
 
-/// The two-sided p-value of Student's t-test: the probability of a mean at least as far from `bound` as the mean of
-/// `values`, if the true mean were `bound`. `None` for fewer than two values, and for equal values, such as numbers of
-/// parameters: they are not a sample, so nothing is tested.
-pub fn p_value(values: &[f64], bound: f64) -> Option<f64> {
-    let (mean, error) = mean_and_error(values)?;
-    let (error, distance) = (error.filter(|error| *error > 0.0)?, (mean - bound).abs());
-    let student = StudentsT::new(0.0, 1.0, values.len() as f64 - 1.0).ok()?;
-    Some(2.0 * student.cdf(-distance / error))
+/// The mean of each dataset.
+fn means(datasets: &BTreeMap<u64, Vec<f64>>) -> Vec<f64> {
+    datasets.values().filter_map(|values| mean_of(values)).collect()
 }
 
 /// The p-values of several tests, corrected for their number by the method of Holm (1979). If all tests with a
@@ -107,20 +208,6 @@ pub fn holm(p_values: &[f64]) -> Vec<f64> {
         corrected[index] = largest;
     }
     corrected
-}
-
-/// The number of values that the interval at `level` needs to exclude `bound`, if the mean and the standard deviation
-/// stay those of `values`. `None` if it is more than `most`, or if there are fewer than two values.
-pub fn replicates_needed(values: &[f64], bound: f64, level: f64, most: usize) -> Option<usize> {
-    let (mean, error) = mean_and_error(values)?;
-    let spread = error? * (values.len() as f64).sqrt();
-    let excludes = |count: &usize| {
-        let student = StudentsT::new(0.0, 1.0, *count as f64 - 1.0).ok();
-        student.is_some_and(|student| {
-            student.inverse_cdf(0.5 + level / 2.0) * spread / (*count as f64).sqrt() < (mean - bound).abs()
-        })
-    };
-    (2..=most).find(excludes)
 }
 
 /// The mean and its standard error, which is `None` for a single value. `None` without values.

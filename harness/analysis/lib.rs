@@ -20,7 +20,7 @@ mod subset;
 
 pub use harness_judge::models;
 pub use interval::{
-    Interval, LEVEL, holm, interval, intervals, mean_interval, p_value, replicates, replicates_needed,
+    Estimate, Interval, LEVEL, holm, interval, intervals, mean_interval, replicates, unpaired_replicates,
 };
 pub use key::Key;
 pub use means::{Mean, Of, compare, replicates_of};

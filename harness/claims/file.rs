@@ -1,7 +1,7 @@
 //! Reads a YAML file of claims.
 
 use super::Claim;
-use super::metric::Metric;
+use super::metric::ClaimMetric;
 use harness_spec::{BuiltIn, SpecError, find};
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde_yaml::{Location, MessageFormatter, Spanned, UserMessageFormatter};
@@ -12,8 +12,8 @@ use std::path::Path;
 const CLAIMS: BuiltIn = BuiltIn { name: "claims", text: include_str!("../../experiments/claims.yaml") };
 
 /// The message for YAML that is something else, such as a spec.
-const NO_CLAIMS: &str = "this is not a file of claims, which is a list; each claim in it has at least the keys id, paper, \
-                         section, measured, experiments, query and condition";
+const NO_CLAIMS: &str = "this is not a file of claims, which is a list; each claim in it has at least the keys id, \
+                         statement, measured, experiments, query and condition";
 
 /// Reads and checks the claims of a file. The name `claims` stands for the paper's claims, as [`find`] says.
 ///
@@ -45,11 +45,21 @@ pub fn load(path: &Path) -> Result<Vec<Claim>, SpecError> {
                 format!("there is a claim '{}' already", claim.id()),
             ));
         }
+        if claim.difference.is_some() && !claim.scenarios.is_empty() {
+            let message = format!(
+                "the claim '{}' has scenarios and a difference; leave out `scenarios`, which are judged one by one",
+                claim.id()
+            );
+            return Err(invalid(Some(claim.id.referenced), message));
+        }
         if let Some((location, message)) = fault_of_metric(claim) {
             return Err(invalid(Some(location), message));
         }
     }
-    claims.iter_mut().for_each(Claim::insert_metric);
+    for claim in &mut claims {
+        claim.insert_metric();
+        claim.file.clone_from(&source.label);
+    }
     Ok(claims)
 }
 
@@ -57,7 +67,7 @@ pub fn load(path: &Path) -> Result<Vec<Claim>, SpecError> {
 fn fault_of_metric(claim: &Claim) -> Option<(Location, String)> {
     let id = claim.id();
     let Some(metric) = &claim.metric else {
-        let of = |query: &Spanned<String>| Some((query.defined, Metric::place_in(&query.value)?));
+        let of = |query: &Spanned<String>| Some((query.defined, ClaimMetric::place_in(&query.value)?));
         let (location, place) = claim.queries().find_map(of)?;
         let message = format!(
             "{place} stands for the metric of the claim '{id}'; add the key `metric`, such as metric: r2"
@@ -65,8 +75,8 @@ fn fault_of_metric(claim: &Claim) -> Option<(Location, String)> {
         return Some((location, message));
     };
     let required = claim.requires.as_ref().map(|requirement| &requirement.query);
-    let lacking = required.filter(|query| !query.value.contains(Metric::NAME));
-    let is_used = claim.queries().any(|query| query.value.contains(Metric::NAME));
+    let lacking = required.filter(|query| !query.value.contains(ClaimMetric::NAME));
+    let is_used = claim.queries().any(|query| query.value.contains(ClaimMetric::NAME));
     match lacking {
         Some(query) => Some((
             query.defined,

@@ -1,4 +1,4 @@
-//! Tests the paper's statements on the tables of runs.
+//! Tests statements, such as the paper's, on the tables of runs.
 //!
 //! A claim is a statement with a query and a condition on the query's result.
 
@@ -14,46 +14,56 @@ pub use readings::{Matrix, Readings, Row as MatrixRow};
 pub use table::table;
 
 use harness_analysis::{
-    Analysis, AnalysisError, Interval, LEVEL, Mixed, Run, Selection, Setting, Subset, holm, mean_interval,
-    p_value, replicates,
+    Analysis, AnalysisError, Estimate, Interval, LEVEL, Mixed, Run, Selection, Setting, Subset, holm,
+    replicates, unpaired_replicates,
 };
-use harness_registry::{Registry, rows};
+use harness_registry::{QueryError, Registry, rows};
 use harness_spec::{Origin, QUICK, Scenario, SpecError, nearest};
-use metric::Metric;
+use metric::ClaimMetric;
 use polars::prelude::DataFrame;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
-use serde_yaml::Spanned;
+use serde_yaml::{Location, Spanned};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-/// A statement of the paper, and how to test it.
+/// A statement, and how to test it.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Claim {
     id: Spanned<String>,
-    /// A summary of the paper's statement.
-    pub paper: String,
-    /// The paper's section and figure.
+    /// The statement, or a summary of it.
+    #[serde(alias = "paper")]
+    pub statement: String,
+    /// The section and figure of a paper that makes the statement. Empty without one.
+    #[serde(default)]
     pub section: String,
     /// A description of the query's value, with its unit.
     pub measured: String,
-    /// The scenarios that are judged one by one. Empty if the claim is about both scenarios together.
-    #[serde(default, deserialize_with = "scenarios_of_the_paper")]
+    /// The scenarios that are judged one by one: names of worlds, the built-in ones or others. Empty if the claim has one
+    /// judgment over all of them.
+    #[serde(default)]
     pub scenarios: Vec<Scenario>,
+    /// The two scenarios whose difference is judged: the value in the first minus that in the second. Their datasets have
+    /// different motions, so the difference is not paired.
+    #[serde(default, deserialize_with = "two_scenarios")]
+    pub difference: Option<[Scenario; 2]>,
     /// The experiments whose tables the queries read.
     pub experiments: Vec<String>,
     /// The latent sizes that replace `{experiment}` in the queries. Their number replaces `{experiment.runs}`.
     #[serde(default)]
     pub latent: Sizes,
     /// The metric by which the claim compares predictions. It is inserted in the claim and in its requirement.
-    metric: Option<Spanned<Metric>>,
+    metric: Option<Spanned<ClaimMetric>>,
     /// A condition without which the claim can't be tested. The claim is not testable if it does not hold or is
     /// undecided.
     pub requires: Option<Requirement>,
     query: Spanned<String>,
     /// The condition that the query's value satisfies if the claim holds.
     pub condition: Condition,
+    /// The name of the file.
+    #[serde(skip)]
+    file: String,
 }
 
 /// Latent sizes by experiment.
@@ -71,15 +81,14 @@ pub struct Requirement {
     pub condition: Condition,
 }
 
-/// Reads scenarios, and refuses those that the paper does not have.
-fn scenarios_of_the_paper<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Scenario>, D::Error> {
-    let scenarios = Vec::<Spanned<Scenario>>::deserialize(deserializer)?;
-    let other = scenarios.iter().find(|scenario| !Scenario::PAPER.contains(&scenario.value));
-    if let Some(other) = other {
-        let names = Scenario::PAPER.map(Scenario::name).join(", ");
-        return Err(D::Error::custom(format!("unknown scenario `{}`, expected one of {names}", other.value)));
+/// Reads the scenarios of a difference.
+fn two_scenarios<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[Scenario; 2]>, D::Error> {
+    match Vec::<Scenario>::deserialize(deserializer)?.as_slice() {
+        [a, b] if a != b => Ok(Some([*a, *b])),
+        _ => Err(D::Error::custom(
+            "a difference is between two scenarios; write [cluttered, empty], for example",
+        )),
     }
-    Ok(scenarios.into_iter().map(|scenario| scenario.value).collect())
 }
 
 impl Claim {
@@ -94,6 +103,26 @@ impl Claim {
         self.experiments.iter().map(|name| format!("{name}{ending}")).collect()
     }
 
+    /// Says which metrics the runs of the claim have, if none of them has the claim's metric.
+    ///
+    /// # Errors
+    /// When a table is damaged.
+    pub fn absent_metric(&self, analysis: &Analysis, quick: bool) -> Result<Option<String>, ClaimsError> {
+        let Some(metric) = &self.metric else { return Ok(None) };
+        let failed = |error: QueryError| self.fault(metric.referenced, error.to_string());
+        let experiments = self.experiments(quick);
+        let runs = experiments.iter().flat_map(|name| analysis.runs(name));
+        let mut answer = analysis.query_runs(runs, METRICS).map_err(failed)?;
+        let there: Vec<Named> = rows(&mut answer).map_err(failed)?;
+        let there: Vec<&str> = there.iter().map(|metric| metric.name.as_str()).collect();
+        let wanted = metric.value.name();
+        if there.is_empty() || there.contains(&wanted) {
+            return Ok(None);
+        }
+        let problem = format!("no run has the metric '{wanted}'; the runs have {}", there.join(", "));
+        Ok(Some(self.fault(metric.referenced, problem).to_string()))
+    }
+
     /// The claim's query, completed, over the runs of the experiments or, if `quick`, over their quick runs.
     pub fn sql(&self, quick: bool) -> String {
         self.complete(&self.query.value, &self.latent, quick)
@@ -103,6 +132,25 @@ impl Claim {
     pub fn required_sql(&self, quick: bool) -> Option<String> {
         let requirement = self.requires.as_ref()?;
         Some(self.complete(&requirement.query.value, &self.latent, quick))
+    }
+
+    /// The error about a part of the claim that starts at `place` in its file.
+    fn fault(&self, place: Location, problem: String) -> ClaimsError {
+        let (file, id) = (self.file.clone(), self.id().to_owned());
+        ClaimsError::Claim { file, line: place.line(), column: place.column(), id, problem }
+    }
+
+    /// The scenarios that are judged one by one, or `None` alone if there is one judgment.
+    fn judged(&self) -> Vec<Option<Scenario>> {
+        match self.scenarios.as_slice() {
+            [] => vec![None],
+            scenarios => scenarios.iter().copied().map(Some).collect(),
+        }
+    }
+
+    /// The scenarios of the query's values: those that are judged one by one, or those of the difference.
+    fn measured_in(&self) -> Vec<Option<Scenario>> {
+        self.difference.map_or_else(|| self.judged(), |both| both.map(Some).to_vec())
     }
 
     /// The queries of the claim and of its requirement, as they are in the file.
@@ -136,7 +184,7 @@ impl Claim {
     }
 }
 
-/// A condition on a measured value. It is written as `above NUMBER` or `below NUMBER`.
+/// A condition on a measured value. It is written as `above NUMBER`, `below NUMBER` or `below margin NUMBER`.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(try_from = "String")]
 pub enum Condition {
@@ -144,12 +192,16 @@ pub enum Condition {
     Above(f64),
     /// The value is less than the bound.
     Below(f64),
+    /// The value, an advantage, is less than the margin: the least advantage that matters. This is the condition of
+    /// statements that something is no better, or has no substantial advantage. If only advantages below zero satisfied
+    /// it, two equal networks could never show that neither is better.
+    Margin(f64),
 }
 
 impl Condition {
     /// The bound, in the unit of the value.
     pub fn bound(self) -> f64 {
-        let (Self::Above(bound) | Self::Below(bound)) = self;
+        let (Self::Above(bound) | Self::Below(bound) | Self::Margin(bound)) = self;
         bound
     }
 
@@ -157,7 +209,7 @@ impl Condition {
     pub fn satisfied_by(self, value: f64) -> bool {
         match self {
             Self::Above(bound) => value > bound,
-            Self::Below(bound) => value < bound,
+            Self::Below(bound) | Self::Margin(bound) => value < bound,
         }
     }
 
@@ -177,6 +229,7 @@ impl fmt::Display for Condition {
         match self {
             Self::Above(bound) => write!(f, "above {bound}"),
             Self::Below(bound) => write!(f, "below {bound}"),
+            Self::Margin(bound) => write!(f, "below margin {bound}"),
         }
     }
 }
@@ -185,13 +238,19 @@ impl TryFrom<String> for Condition {
     type Error = String;
 
     fn try_from(text: String) -> Result<Self, String> {
-        let refused = || format!("'{text}' is not a condition; write 'above NUMBER' or 'below NUMBER'");
-        let (word, bound) = text.trim().split_once(' ').ok_or_else(refused)?;
-        let bound: f64 = bound.trim().parse().map_err(|_| refused())?;
-        match word {
+        let refused = || {
+            format!(
+                "'{text}' is not a condition; write 'above NUMBER', 'below NUMBER' or 'below margin NUMBER' with a margin \
+                 above 0"
+            )
+        };
+        let (words, bound) = text.trim().rsplit_once(' ').ok_or_else(refused)?;
+        let bound: f64 = bound.parse().map_err(|_| refused())?;
+        match words.split_whitespace().collect::<Vec<_>>().as_slice() {
             _ if !bound.is_finite() => Err(refused()),
-            "above" => Ok(Self::Above(bound)),
-            "below" => Ok(Self::Below(bound)),
+            ["above"] => Ok(Self::Above(bound)),
+            ["below"] => Ok(Self::Below(bound)),
+            ["below", "margin"] if bound > 0.0 => Ok(Self::Margin(bound)),
             _ => Err(refused()),
         }
     }
@@ -215,43 +274,77 @@ pub enum ClaimsError {
         nearest: Option<String>,
     },
     /// A claim's query failed, or its answer does not have the required columns and rows.
-    #[error("claim '{id}', query at line {line}: {problem}")]
-    Query {
+    #[error("{file}:{line}:{column}: claim '{id}': {problem}")]
+    Claim {
+        /// The file.
+        file: String,
+        /// The line of the file where the faulty part starts, counted from 1.
+        line: u64,
+        /// The column where it starts, counted from 1.
+        column: u64,
         /// The claim's id.
         id: String,
-        /// The line of the file where the query starts, counted from 1.
-        line: u64,
-        /// What is wrong with the query or its answer.
+        /// What is wrong.
         problem: String,
     },
 }
+
+/// Values by the seed of the dataset, and by seed or episode. For a value of the whole dataset, the second number is 0.
+pub type Values = BTreeMap<(u64, i64), f64>;
 
 /// The values that a claim's query returned for one scenario, or for both together. There are none if runs are missing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measured {
     /// Whether there is a value for each seed, for each episode, or for each dataset.
     pub each: Each,
-    /// The values, by the seed of the dataset, and by seed or episode. For a value of the whole dataset, the second number
-    /// is 0.
-    pub values: BTreeMap<(u64, i64), f64>,
+    /// The values.
+    pub values: Values,
+    /// The values that are subtracted if the claim is about the difference between two scenarios.
+    pub minus: Option<Values>,
 }
 
 impl Measured {
-    /// The mean over datasets, and over the seeds or episodes of each, with its confidence interval. `None` without
-    /// values.
+    /// The mean over datasets, and over the seeds or episodes of each, or the difference between two such means. If there
+    /// are several datasets, it is computed from their means. `None` without values.
+    pub fn estimate(&self) -> Option<Estimate> {
+        let of = |values: &Values| {
+            values.iter().map(|((dataset, _), value)| (*dataset, *value)).collect::<Vec<_>>()
+        };
+        let Some(minus) = &self.minus else { return Estimate::of(&replicates(of(&self.values))) };
+        let [values, minus] = unpaired_replicates([of(&self.values), of(minus)]);
+        Estimate::difference(&values, &minus)
+    }
+
+    /// The estimate with its confidence interval. `None` without values.
     pub fn interval(&self) -> Option<Interval> {
-        mean_interval(&self.replicates(), LEVEL)
+        Some(self.estimate()?.interval(LEVEL))
     }
 
-    /// The values that the interval is computed from: the means of the datasets or, with one dataset, its values.
-    pub fn replicates(&self) -> Vec<f64> {
-        replicates(self.values.iter().map(|((dataset, _), value)| (*dataset, *value)))
+    /// The number of values.
+    pub fn count(&self) -> usize {
+        self.groups().map(BTreeMap::len).sum()
     }
 
-    /// The seeds of the datasets that have values.
-    pub fn datasets(&self) -> BTreeSet<u64> {
-        self.values.keys().map(|(dataset, _)| *dataset).collect()
+    /// The number of datasets that have values. For a difference between scenarios, it is the smaller of both numbers.
+    pub fn datasets(&self) -> usize {
+        self.groups().map(|values| datasets_of(values).len()).min().unwrap_or_default()
     }
+
+    /// The values, and those that are subtracted if there are any.
+    pub fn groups(&self) -> impl Iterator<Item = &Values> {
+        std::iter::once(&self.values).chain(&self.minus)
+    }
+
+    /// What the value belongs to if there is only one in a group.
+    fn single(&self) -> Each {
+        let several = self.groups().any(|values| datasets_of(values).len() > 1);
+        if several { Each::Dataset } else { self.each }
+    }
+}
+
+/// The seeds of the datasets of values.
+fn datasets_of(values: &Values) -> BTreeSet<u64> {
+    values.keys().map(|(dataset, _)| *dataset).collect()
 }
 
 /// What a measured value belongs to.
@@ -345,7 +438,7 @@ impl Judgment<'_> {
             None if self.mixed.is_empty() => Verdict::NoData,
             None => Verdict::Mixed,
             Some(_) if self.unmet().is_some() => Verdict::NotTestable,
-            Some(interval) => self.claim.condition.judge(interval, self.measured.each),
+            Some(interval) => self.claim.condition.judge(interval, self.measured.single()),
         }
     }
 
@@ -353,7 +446,15 @@ impl Judgment<'_> {
     /// or is undecided, and if all values are equal.
     pub fn p_value(&self) -> Option<f64> {
         let is_tested = matches!(self.verdict(), Verdict::Holds | Verdict::DoesNotHold | Verdict::Undecided);
-        p_value(&self.measured.replicates(), self.claim.condition.bound()).filter(|_| is_tested)
+        self.measured.estimate()?.p_value(self.claim.condition.bound()).filter(|_| is_tested)
+    }
+
+    /// The values with their scenario, which is `None` if the claim is about both together. A difference between two
+    /// scenarios has the values of each.
+    pub fn groups(&self) -> Vec<(Option<Scenario>, &Values)> {
+        let scenarios =
+            self.claim.difference.map_or_else(|| vec![self.scenario], |both| both.map(Some).to_vec());
+        scenarios.into_iter().zip(self.measured.groups()).collect()
     }
 
     /// Describes the claim's requirement if it does not hold or is undecided: what was measured, its value and the
@@ -476,22 +577,27 @@ impl<'a> Evidence<'a> {
         quick: bool,
     ) -> Result<Vec<Judgment<'c>>, ClaimsError> {
         let datasets = self.by_dataset();
-        let measure = |query: &Spanned<String>| {
+        let measure = |query: &Spanned<String>, scenarios: &[Option<Scenario>]| {
             let sql = claim.complete(&query.value, sizes, quick);
-            claim.measure(&datasets, &sql).map_err(|problem| ClaimsError::Query {
-                id: claim.id().to_owned(),
-                line: query.defined.line(),
-                problem,
-            })
+            measure(&datasets, &sql, scenarios).map_err(|problem| claim.fault(query.defined, problem))
         };
-        let measured = measure(&claim.query)?;
-        let required = claim.requires.as_ref().map(|requires| measure(&requires.query)).transpose()?;
+        let judged = claim.judged();
+        let mut measured = measure(&claim.query, &claim.measured_in())?;
+        if claim.difference.is_some() {
+            let minus = measured.pop().map(|subtracted| subtracted.values);
+            measured.iter_mut().for_each(|measured| measured.minus.clone_from(&minus));
+        }
+        let required =
+            claim.requires.as_ref().map(|requires| measure(&requires.query, &judged)).transpose()?;
         let mut required = required.into_iter().flatten();
-        let judgment = |(scenario, measured)| {
-            let required = required.next().map(|(_, measured)| measured);
-            Judgment { claim, scenario, measured, required, mixed: self.mixed.clone() }
+        let judgment = |(scenario, measured)| Judgment {
+            claim,
+            scenario,
+            measured,
+            required: required.next(),
+            mixed: self.mixed.clone(),
         };
-        Ok(measured.into_iter().map(judgment).collect())
+        Ok(judged.into_iter().zip(measured).map(judgment).collect())
     }
 
     /// The runs of each dataset, with the dataset's seed. Queries are answered for each dataset separately, because
@@ -512,6 +618,15 @@ impl<'a> Evidence<'a> {
     }
 }
 
+/// The names of all metrics.
+const METRICS: &str = "select distinct metric as name from metrics order by name";
+
+/// A name in a query's answer.
+#[derive(Deserialize)]
+struct Named {
+    name: String,
+}
+
 /// A row of a query's answer.
 #[derive(Deserialize)]
 struct Row {
@@ -521,63 +636,60 @@ struct Row {
     value: Option<f64>,
 }
 
-impl Claim {
-    /// The values of a query on all datasets, for each of the claim's scenarios, or for both together.
-    fn measure(
-        &self,
-        datasets: &[(u64, Subset)],
-        sql: &str,
-    ) -> Result<Vec<(Option<Scenario>, Measured)>, String> {
-        let scenarios: Vec<Option<Scenario>> = match self.scenarios.as_slice() {
-            [] => vec![None],
-            scenarios => scenarios.iter().copied().map(Some).collect(),
-        };
-        let empty = |scenario| (scenario, Measured { each: Each::Seed, values: BTreeMap::new() });
-        let mut found: Vec<_> = scenarios.into_iter().map(empty).collect();
-        for (dataset, runs) in datasets {
-            let mut answer = runs.query(sql).map_err(|error| error.to_string())?;
-            let each = self.check_columns(&answer)?;
-            let rows: Vec<Row> = rows(&mut answer).map_err(|error| error.to_string())?;
-            for (scenario, measured) in &mut found {
-                measured.each = each;
-                for row in rows.iter().filter(|row| row.scenario == scenario.map(Origin::from)) {
-                    // An undefined value counts as not measured.
-                    let key = (*dataset, row.seed);
-                    if row.value.is_some_and(|value| measured.values.insert(key, value).is_some()) {
-                        let (name, seed) = (each.name(), row.seed);
-                        return Err(match each {
-                            Each::Dataset => "it gives several values; group by scenario".to_owned(),
-                            _ => {
-                                format!("it gives {name} {seed} several values; group by scenario and {name}")
-                            }
-                        });
-                    }
+/// The values of a query on all datasets, for each of the scenarios.
+fn measure(
+    datasets: &[(u64, Subset)],
+    sql: &str,
+    scenarios: &[Option<Scenario>],
+) -> Result<Vec<Measured>, String> {
+    let empty = || Measured { each: Each::Seed, values: Values::new(), minus: None };
+    let mut found: Vec<Measured> = scenarios.iter().map(|_| empty()).collect();
+    for (dataset, runs) in datasets {
+        let mut answer = runs.query(sql).map_err(|error| error.to_string())?;
+        let each = check_columns(&answer, scenarios != [None])?;
+        let rows: Vec<Row> = rows(&mut answer).map_err(|error| error.to_string())?;
+        for (scenario, measured) in scenarios.iter().zip(&mut found) {
+            measured.each = each;
+            for row in rows.iter().filter(|row| row.scenario == scenario.map(Origin::from)) {
+                // An undefined value counts as not measured.
+                let key = (*dataset, row.seed);
+                if row.value.is_some_and(|value| measured.values.insert(key, value).is_some()) {
+                    return Err(repeated(each, row.seed));
                 }
             }
         }
-        Ok(found)
     }
+    Ok(found)
+}
 
-    /// Checks the columns of a query's answer. Returns whether a row is a seed, an episode or a dataset.
-    fn check_columns(&self, answer: &DataFrame) -> Result<Each, String> {
-        let mut found: Vec<&str> = answer.get_column_names().into_iter().map(|name| name.as_str()).collect();
-        let scenario = (!self.scenarios.is_empty()).then_some("scenario");
-        let each = if found.contains(&"episode") {
-            Each::Episode
-        } else if found.iter().all(|name| Some(*name) == scenario || *name == "value") {
-            Each::Dataset
-        } else {
-            Each::Seed
-        };
-        let number = (each != Each::Dataset).then(|| each.name());
-        let mut expected: Vec<&str> = scenario.into_iter().chain(number).chain(["value"]).collect();
-        let columns = (found.join(", "), expected.join(", "));
-        found.sort_unstable();
-        expected.sort_unstable();
-        if found == expected {
-            Ok(each)
-        } else {
-            Err(format!("it gives the columns {} instead of {}", columns.0, columns.1))
-        }
+/// The message about a query that gives several values where one is allowed.
+fn repeated(each: Each, seed: i64) -> String {
+    let name = each.name();
+    match each {
+        Each::Dataset => "it gives several values; group by scenario".to_owned(),
+        _ => format!("it gives {name} {seed} several values; group by scenario and {name}"),
+    }
+}
+
+/// Checks the columns of a query's answer. Returns whether a row is a seed, an episode or a dataset.
+fn check_columns(answer: &DataFrame, by_scenario: bool) -> Result<Each, String> {
+    let mut found: Vec<&str> = answer.get_column_names().into_iter().map(|name| name.as_str()).collect();
+    let scenario = by_scenario.then_some("scenario");
+    let each = if found.contains(&"episode") {
+        Each::Episode
+    } else if found.iter().all(|name| Some(*name) == scenario || *name == "value") {
+        Each::Dataset
+    } else {
+        Each::Seed
+    };
+    let number = (each != Each::Dataset).then(|| each.name());
+    let mut expected: Vec<&str> = scenario.into_iter().chain(number).chain(["value"]).collect();
+    let columns = (found.join(", "), expected.join(", "));
+    found.sort_unstable();
+    expected.sort_unstable();
+    if found == expected {
+        Ok(each)
+    } else {
+        Err(format!("it gives the columns {} instead of {}", columns.0, columns.1))
     }
 }

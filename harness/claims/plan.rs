@@ -1,7 +1,7 @@
 //! Plans the runs that would decide undecided claims: how many more datasets or seeds, their duration and the commands.
 
-use super::{Claim, Each, Judgment, Verdict};
-use harness_analysis::{Analysis, LEVEL, Run, replicates_needed};
+use super::{Claim, Each, Judgment, Values, Verdict};
+use harness_analysis::{Analysis, LEVEL, Run};
 use harness_registry::quoted;
 use harness_spec::{Origin, Scenario};
 use std::collections::{BTreeMap, BTreeSet};
@@ -78,7 +78,7 @@ pub fn plan<'a>(analysis: &Analysis, judgments: &[Judgment<'a>], quick: bool) ->
         if !matches!(judgment.verdict(), Verdict::Undecided | Verdict::OneValue { .. }) {
             continue;
         }
-        if judgment.measured.each == Each::Episode && judgment.measured.datasets().len() == 1 {
+        if judgment.measured.each == Each::Episode && judgment.measured.datasets() == 1 {
             plan.by_episode.push(of);
             continue;
         }
@@ -98,16 +98,15 @@ pub fn plan<'a>(analysis: &Analysis, judgments: &[Judgment<'a>], quick: bool) ->
 
 /// The step that would decide a judgment. `None` if it would need more than [`Plan::MOST`] datasets or seeds.
 fn step<'a>(analysis: &Analysis, judgment: &Judgment, quick: bool) -> Option<Step<'a>> {
-    let replicates = judgment.measured.replicates();
-    let there = replicates.len();
+    let estimate = judgment.measured.estimate()?;
+    let there = estimate.count();
     let needed = match there {
         // A single value has no standard deviation. Two values have an interval.
         1 => 2,
-        _ => replicates_needed(&replicates, judgment.claim.condition.bound(), LEVEL, Plan::MOST)?
-            .max(there + 1),
+        _ => estimate.needed(judgment.claim.condition.bound(), LEVEL, Plan::MOST)?.max(there + 1),
     };
     let count = needed - there;
-    let has_datasets = judgment.measured.each == Each::Dataset || judgment.measured.datasets().len() > 1;
+    let has_datasets = judgment.measured.each == Each::Dataset || judgment.measured.datasets() > 1;
     let more = if has_datasets { More::Datasets } else { More::Seeds };
     let claim = judgment.claim;
     let experiments: Vec<Existing> = claim
@@ -119,7 +118,8 @@ fn step<'a>(analysis: &Analysis, judgment: &Judgment, quick: bool) -> Option<Ste
             Existing::of(analysis.runs(experiment).iter().filter(own).collect(), more)
         })
         .collect();
-    let measured: BTreeSet<u64> = judgment.measured.values.keys().map(|key| more.seed_of(*key)).collect();
+    let seeds = |values: &Values| values.keys().map(|key| more.seed_of(*key)).collect::<BTreeSet<u64>>();
+    let measured = judgment.measured.groups().map(seeds).reduce(|a, b| &a & &b).unwrap_or_default();
     let added = to_add(&experiments, &measured, count);
     let (mut runs, mut seconds, mut commands) = (0, 0.0, Vec::new());
     for (name, existing) in claim.experiments.iter().zip(experiments) {

@@ -24,11 +24,11 @@ pub fn table(judgments: &[&Judgment]) -> PolarsResult<DataFrame> {
     let requirement = |name: &str, of: &dyn Fn(&Requirement) -> String| {
         text(name, &|judgment| judgment.claim.requires.as_ref().map(of))
     };
-    let counts = judgments.iter().map(|judgment| judgment.measured.values.len() as i64);
-    let datasets = judgments.iter().map(|judgment| judgment.measured.datasets().len() as i64);
+    let counts = judgments.iter().map(|judgment| judgment.measured.count() as i64);
+    let datasets = judgments.iter().map(|judgment| judgment.measured.datasets() as i64);
     let mut columns = vec![
         text("claim", &|judgment| Some(judgment.claim.id().to_owned())),
-        text("paper", &|judgment| Some(judgment.claim.paper.clone())),
+        text("paper", &|judgment| Some(judgment.claim.statement.clone())),
         text("section", &|judgment| Some(judgment.claim.section.clone())),
         text("measured", &|judgment| Some(judgment.claim.measured.clone())),
         text("scenario", &|judgment| judgment.scenario.map(|scenario| scenario.name().to_owned())),

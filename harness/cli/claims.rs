@@ -8,11 +8,11 @@ use anyhow::{Result, bail};
 use clap::Args;
 use harness::analysis::{Analysis, Mixed, Setting};
 use harness::claims::{
-    self, Claim, Each, Judgment, Matrix, MatrixRow, Measured, Plan, Readings, Step, Verdict, corrected,
+    self, Claim, Each, Judgment, Matrix, MatrixRow, Plan, Readings, Step, Values, Verdict, corrected,
 };
-use harness::numbers::{duration, rounded};
+use harness::numbers::{counted, duration, rounded};
 use harness::registry::{Registry, quoted};
-use harness::spec::{self, Experiment, Reading, Scenario};
+use harness::spec::{self, Experiment, Origin, Reading, Scenario};
 use polars::prelude::{Column, DataFrame};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -66,7 +66,7 @@ impl Claims {
         }
         if self.plan {
             print_plan(&claims::plan(&runs, &judgments, self.quick), &judgments);
-            print_missing(&runs, &judgments, self.quick);
+            print_missing(&runs, &judgments, self.quick)?;
             return Ok(ExitCode::from(DONE));
         }
         print(&judgments);
@@ -74,7 +74,7 @@ impl Claims {
             print_details(&judgments, self.quick);
         }
         print_summary(&runs, &judgments);
-        print_missing(&runs, &judgments, self.quick);
+        print_missing(&runs, &judgments, self.quick)?;
         Ok(ExitCode::from(DONE))
     }
 
@@ -115,8 +115,19 @@ impl Claims {
 }
 
 /// The columns of the verdicts on a page.
-const ON_PAGES: [&str; 10] =
-    ["reading", "claim", "measured", "scenario", "mean", "low", "high", "condition", "p_holm", "verdict"];
+const ON_PAGES: [&str; 11] = [
+    "reading",
+    "claim",
+    "measured",
+    "scenario",
+    "datasets",
+    "mean",
+    "low",
+    "high",
+    "condition",
+    "p_holm",
+    "verdict",
+];
 
 /// Prints or writes a table with a row for each verdict.
 fn write(mut verdicts: DataFrame, form: Form) -> Result<ExitCode> {
@@ -171,7 +182,11 @@ fn print_matrix(spec: &Experiment, matrix: &Matrix) {
     println!("\nChoices that change a verdict:");
     let mut changed = 0;
     for row in &matrix.rows {
-        let value = |judgment: &Judgment| judgment.interval().map_or("no value".into(), |i| i.to_string());
+        let value = |judgment: &Judgment| {
+            judgment.interval().map_or("no value".into(), |interval| {
+                format!("{interval}, {}", counted(judgment.measured.datasets(), "dataset"))
+            })
+        };
         let mut changes = row.changes().peekable();
         if changes.peek().is_none() {
             continue;
@@ -244,17 +259,18 @@ fn print(judgments: &[Judgment]) {
             judgments.iter().map(|(judgment, _)| of(judgment)).collect::<Vec<_>>().join("\n")
         };
         [
-            format!("{} ({})\n{}", claim.paper, claim.section, claim.id()),
+            format!("{}\n{}", statement(claim), claim.id()),
             claim.measured.clone(),
             lines(&|judgment| scenario(judgment).to_owned()),
             lines(&value),
+            lines(&|judgment| judgment.measured.datasets().to_string()),
             claim.condition.to_string(),
             judgments.iter().map(verdict).collect::<Vec<_>>().join("\n"),
         ]
     });
-    let header = ["claim", "measured", "scenario", "value", "condition", "verdict"];
+    let header = ["claim", "measured", "scenario", "value", "datasets", "condition", "verdict"];
     // A scenario, its value and its verdict are on the same line, so these columns are not broken.
-    let whole = vec![false, false, true, true, false, true];
+    let whole = vec![false, false, true, true, true, false, true];
     let table = Grid { ruled: true, whole, ..Grid::of_texts(header, rows.collect()) };
     match width() {
         Some(limit) if !table.fits(limit) => {
@@ -265,13 +281,23 @@ fn print(judgments: &[Judgment]) {
     }
 }
 
+/// The statement of a claim, with its section in a paper if there is one.
+fn statement(claim: &Claim) -> String {
+    match claim.section.as_str() {
+        "" => claim.statement.clone(),
+        section => format!("{} ({section})", claim.statement),
+    }
+}
+
 /// A claim with a line for each scenario.
 fn listed(judgments: &[(&Judgment, Option<f64>)], limit: u16) -> String {
     let claim = judgments[0].0.claim;
-    let heading = format!("{}: {} ({})", claim.id(), claim.paper, claim.section);
+    let heading = format!("{}: {}", claim.id(), statement(claim));
     let measured = format!("  measured: {}; condition: {}", claim.measured, claim.condition);
     let lines = judgments.iter().map(|one| {
-        let value = one.0.interval().map_or(String::new(), |interval| format!("{interval}: "));
+        let value = one.0.interval().map_or(String::new(), |interval| {
+            format!("{interval}, {}: ", counted(one.0.measured.datasets(), "dataset"))
+        });
         let text = format!("  {}: {value}{}", scenario(one.0), verdict(one));
         fitted(&text, Some(limit))
     });
@@ -296,9 +322,12 @@ fn scenario(judgment: &Judgment) -> &'static str {
 fn print_details(judgments: &[Judgment], quick: bool) {
     for judgment in judgments {
         let (id, scenario) = (judgment.claim.id(), scenario(judgment));
-        print_values(&format!("{id} {scenario}"), &judgment.measured);
+        for (scenario, values) in judgment.groups() {
+            let scenario = scenario.map_or("both", Scenario::name);
+            print_values(&format!("{id} {scenario}"), judgment.measured.each, values);
+        }
         if let Some(required) = &judgment.required {
-            print_values(&format!("{id} {scenario} requires"), required);
+            print_values(&format!("{id} {scenario} requires"), required.each, &required.values);
         }
     }
     for judgments in judgments.chunk_by(|a, b| a.claim.id() == b.claim.id()) {
@@ -311,16 +340,17 @@ fn print_details(judgments: &[Judgment], quick: bool) {
     }
 }
 
-fn print_values(of: &str, measured: &Measured) {
-    let each = measured.each.name();
-    let several = measured.datasets().len() > 1;
-    let place = |(dataset, n): &(u64, i64)| match measured.each {
+fn print_values(of: &str, each: Each, values: &Values) {
+    let name = each.name();
+    let several =
+        values.keys().any(|(dataset, _)| Some(dataset) != values.keys().next().map(|(first, _)| first));
+    let place = |(dataset, n): &(u64, i64)| match each {
         Each::Dataset => format!("dataset {dataset}"),
-        _ if several => format!("dataset {dataset} {each} {n}"),
-        _ => format!("{each} {n}"),
+        _ if several => format!("dataset {dataset} {name} {n}"),
+        _ => format!("{name} {n}"),
     };
     let values: Vec<String> =
-        measured.values.iter().map(|(at, value)| format!("{}: {}", place(at), rounded(*value))).collect();
+        values.iter().map(|(at, value)| format!("{}: {}", place(at), rounded(*value))).collect();
     if !values.is_empty() {
         print_text(&format!("{of}: {}", values.join(", ")));
     }
@@ -351,8 +381,33 @@ fn print_summary(runs: &Analysis, judgments: &[Judgment]) {
     }
 }
 
+/// Prints the scenarios and metrics of claims without data that no run has, with those that there are.
+fn print_absent(runs: &Analysis, judgments: &[Judgment], quick: bool) -> Result<()> {
+    let mut absent: BTreeSet<String> = BTreeSet::new();
+    for judgment in judgments.iter().filter(|judgment| judgment.verdict() == Verdict::NoData) {
+        absent.extend(judgment.claim.absent_metric(runs, quick)?);
+        for scenario in judgment.groups().into_iter().filter_map(|(scenario, _)| scenario) {
+            let experiments = judgment.claim.experiments(quick);
+            absent.extend(experiments.iter().filter_map(|name| elsewhere(runs, name, scenario)));
+        }
+    }
+    absent.iter().for_each(|text| print_text(text));
+    Ok(())
+}
+
+/// Says in which scenarios the runs of an experiment are, if none is in this one.
+fn elsewhere(runs: &Analysis, experiment: &str, scenario: Scenario) -> Option<String> {
+    let there: BTreeSet<&Origin> =
+        runs.runs(experiment).iter().map(|run| &run.record.spec.scenario).collect();
+    let names: Vec<&str> = there.iter().map(|origin| origin.name()).collect();
+    let is_absent = !there.is_empty() && !there.contains(&Origin::from(scenario));
+    is_absent
+        .then(|| format!("no run of {experiment} is in {scenario}; its runs are in {}", names.join(", ")))
+}
+
 /// Prints the commands that make the runs of the claims without data.
-fn print_missing(runs: &Analysis, judgments: &[Judgment], quick: bool) {
+fn print_missing(runs: &Analysis, judgments: &[Judgment], quick: bool) -> Result<()> {
+    print_absent(runs, judgments, quick)?;
     let lacking = judgments.iter().filter(|judgment| judgment.verdict() == Verdict::NoData);
     let experiments: BTreeSet<&String> = lacking.flat_map(|judgment| &judgment.claim.experiments).collect();
     for experiment in experiments {
@@ -361,6 +416,7 @@ fn print_missing(runs: &Analysis, judgments: &[Judgment], quick: bool) {
             None => print_text(&format!("for claims without data   there is no spec called {experiment}")),
         }
     }
+    Ok(())
 }
 
 /// Prints the requirements that do not hold or are undecided, each with its claims.

@@ -2,7 +2,7 @@
 
 use harness_analysis::{Analysis, Mixed};
 use harness_claims::{Claim, ClaimsError, Condition, Each, Judgment, Verdict, corrected, judge};
-use harness_shared::numbers::rounded;
+use harness_shared::numbers::{counted, rounded};
 use harness_spec::Scenario;
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -69,6 +69,8 @@ struct Words {
     unmet: Option<String>,
     /// What each value belongs to: a seed, an episode or a dataset.
     each: &'static str,
+    /// The number of datasets.
+    datasets: String,
     /// The values, each with the number of its seed, episode or dataset.
     values: Vec<(String, String)>,
     /// The judgment as a picture. `None` without data.
@@ -144,7 +146,7 @@ impl Judged {
     ) -> Self {
         Self {
             id: claim.id().to_owned(),
-            paper: claim.paper.clone(),
+            paper: claim.statement.clone(),
             section: claim.section.clone(),
             measured: claim.measured.clone(),
             condition: claim.condition.to_string(),
@@ -162,13 +164,19 @@ impl Judged {
 impl Words {
     fn new(judgment: &Judgment, corrected: Option<f64>) -> Self {
         let verdict = judgment.verdict();
-        let values = judgment.measured.values.iter();
-        let several = judgment.measured.datasets().len() > 1;
-        let place = |(dataset, n): &(u64, i64)| match judgment.measured.each {
-            Each::Dataset => dataset.to_string(),
-            _ if several => format!("{n} of dataset {dataset}"),
-            _ => n.to_string(),
+        let several = judgment.measured.datasets() > 1;
+        let is_difference = judgment.measured.minus.is_some();
+        let place = |scenario: Option<Scenario>, (dataset, n): &(u64, i64)| {
+            let scenario = scenario.filter(|_| is_difference);
+            let number = match judgment.measured.each {
+                Each::Dataset => dataset.to_string(),
+                _ if several => format!("{n} of dataset {dataset}"),
+                _ => n.to_string(),
+            };
+            scenario.map_or_else(|| number.clone(), |scenario| format!("{scenario} {number}"))
         };
+        let groups = judgment.groups().into_iter();
+        let values = groups.flat_map(|(scenario, values)| values.iter().map(move |of| (scenario, of)));
         Self {
             scenario: judgment.scenario.map_or("both", Scenario::name),
             value: judgment.interval().map_or_else(|| "no value".into(), |interval| interval.to_string()),
@@ -178,7 +186,8 @@ impl Words {
             stands: judgment.stands(corrected),
             unmet: judgment.unmet().filter(|_| verdict == Verdict::NotTestable),
             each: judgment.measured.each.name(),
-            values: values.map(|(at, value)| (place(at), rounded(*value))).collect(),
+            datasets: counted(judgment.measured.datasets(), "dataset"),
+            values: values.map(|(scenario, (at, value))| (place(scenario, at), rounded(*value))).collect(),
             strip: Strip::of(judgment),
         }
     }
@@ -202,8 +211,10 @@ fn p_words(p: f64) -> String {
 impl Strip {
     fn of(judgment: &Judgment) -> Option<Self> {
         let interval = judgment.interval()?;
-        let (Condition::Above(bound) | Condition::Below(bound)) = judgment.claim.condition;
-        let values: Vec<f64> = judgment.measured.values.values().copied().collect();
+        let bound = judgment.claim.condition.bound();
+        // The values of two scenarios are not differences, so they have no place beside the difference.
+        let values = judgment.measured.values.values().filter(|_| judgment.measured.minus.is_none());
+        let values: Vec<f64> = values.copied().collect();
         let all = || values.iter().copied().chain([bound, interval.low(), interval.high()]);
         let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
         let span = if high > low { high - low } else { 1.0 };
@@ -211,7 +222,7 @@ impl Strip {
         let at = |value: f64| ((6.0 + 88.0 * (value - low) / span) * 10.0).round() / 10.0;
         let satisfied = match judgment.claim.condition {
             Condition::Above(_) => [at(bound), 100.0 - at(bound)],
-            Condition::Below(_) => [0.0, at(bound)],
+            Condition::Below(_) | Condition::Margin(_) => [0.0, at(bound)],
         };
         Some(Self {
             bound: at(bound),

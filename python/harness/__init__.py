@@ -309,7 +309,7 @@ def claims(
     where: Mapping[str, Any] | None = None,
     results: str | os.PathLike[str] = "results",
 ) -> "polars.DataFrame":
-    """Judges which of the paper's statements hold, as `harness claims` does.
+    """Judges which statements of a file of claims hold, as `harness claims` does. The built-in file has the paper's.
 
     Args:
         names: names of claims. Without any, all claims are judged.

@@ -266,18 +266,20 @@ def check_claims(quick):
         required = asked(claim["required_quick" if quick else "required_sql"], runs)
         for scenario in scenarios:
             row = rows[claim["id"], scenario]
-            values, must = values_of(answer, scenario), values_of(required, scenario)
-            for found, prefix in ((values, ""), (must, "required_")):
-                ends = interval(found) if found else (None, None, None)
+            must = values_of(required, scenario)
+            groups = [values_of(answer, one) for one in claim["difference"] or [scenario]]
+            value = interval_of(groups)
+            for ends, prefix in ((value, ""), (interval_of([must]), "required_")):
                 same = all(close(row[prefix + name], end) for name, end in zip(("mean", "low", "high"), ends))
-                check(same, command, row, "instead of", found, ends)
-            check(row["values"] == len(values), command, row, "instead of", values)
-            if not values:
+                check(same, command, row, "instead of", groups, ends)
+            check(row["values"] == sum(map(len, groups)), command, row, "instead of", groups)
+            if value[0] is None:
                 check(row["verdict"] == "undecided: no data", "no data:", row)
                 continue
             each = next((name for name in ("seed", "episode") if name in answer[0]), "dataset")
-            expected = verdict(values, claim["condition"], each)
-            if claim["required_sql"] and verdict(must, claim["required_condition"]) not in ("holds", AGREES):
+            expected = verdict(value, claim["condition"], each)
+            must = verdict(interval_of([must]), claim["required_condition"])
+            if claim["required_sql"] and must not in ("holds", AGREES):
                 expected = "not testable"
             check(row["verdict"] == expected, command, row, "instead of", expected)
 
@@ -286,12 +288,25 @@ def values_of(answer, scenario):
     return [row["value"] for row in answer if row.get("scenario") == scenario and row["value"] is not None]
 
 
-def verdict(values, condition, each="seed"):
+def interval_of(groups):
+    """The mean of one group, or the difference of two by Welch's t, with its interval. All are None without values."""
+    if not all(groups):
+        return None, None, None
+    if len(groups) == 1:
+        return interval(groups[0])
+    mean = np.mean(groups[0]) - np.mean(groups[1])
+    if min(map(len, groups)) == 1:
+        return mean, None, None
+    ends = stats.ttest_ind(*groups, equal_var=False).confidence_interval(0.95)
+    return mean, ends.low, ends.high
+
+
+def verdict(value, condition, each="seed"):
     """Holds, does not hold or undecided; and of a single value whether it satisfies the condition."""
-    if not values:
+    mean, low, high = value
+    if mean is None:
         return "no data"
-    word, bound = condition.split()
-    mean, low, high = interval(values)
+    word, *_, bound = condition.split()
     ends = (mean,) if low is None else (low, high)
     satisfied = tuple((end > float(bound)) == (word == "above") and end != float(bound) for end in ends)
     if len(satisfied) == 1:

@@ -439,6 +439,7 @@ async function showClaims() {
       { name: "claim", values: of("claim").map((claim) => claim.replaceAll("_", " ")) },
       ...["verdict", "scenario"].map((name) => ({ name, values: of(name) })),
       { name: "mean and 95 % interval", values: of("mean").map((mean, row) => interval(mean, of("low")[row], of("high")[row])) },
+      { name: "datasets", values: of("datasets") },
       ...["condition", "measured", "paper", "section"].map((name) => ({ name, values: of(name) })),
       { name: "p (Holm)", values: of("p_holm") },
     ];
