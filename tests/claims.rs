@@ -1037,7 +1037,7 @@ fn faults_of_a_file_are_named_with_their_place() {
             "1:7: the claim 'force' has scenarios and a difference; leave out `scenarios`, which are judged one by one",
         ),
         (edited("above 0.5", "above inf"), "9:14: 'above inf' is not a condition; "),
-        (edited("[empty]", "[my/robot.yaml]"), "5:14: 'my/robot.yaml' can't name a scenario"),
+        (edited("[empty]", "[my/robot.yaml]"), "5:15: 'my/robot.yaml' can't name a scenario"),
         (load_text(&[ONE, ONE].concat()).unwrap_err(), "10:7: there is a claim 'force' already"),
         (
             edited("  query", "  requires: {measured: m, query: q}\n  query"),
