@@ -618,7 +618,7 @@ fn a_page_that_cant_be_written_is_an_error_and_leaves_nothing() {
     let claim = "- id: x\n  paper: x\n  section: x\n  measured: x\n  experiments: []\n  condition: above 0\n";
     let wrong = format!("{claim}  query: select sed from metrics\n");
     let out = results.join("report.html");
-    for (text, problem) in [("- id: [", "claims.yaml:1:"), (&wrong, "claim 'x', query at line 7: ")] {
+    for (text, problem) in [("- id: [", "claims.yaml:1:"), (&wrong, "claims.yaml:7:10: claim 'x': ")] {
         fs::write(&claims, text).unwrap();
         let arguments = ["report", "--output", out.to_str().unwrap(), "--claims", claims.to_str().unwrap()];
         let mut command = harness(&results, &arguments);
