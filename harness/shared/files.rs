@@ -216,6 +216,7 @@ impl FolderLock {
                 // Another process has removed the folder meanwhile.
                 Ok(Some(file)) if !is_at(&file, &path) => {}
                 Err(error) if error.kind() == ErrorKind::NotFound => {}
+                Err(error) if error.kind() == ErrorKind::AlreadyExists && !folder.is_file() => {}
                 Ok(file) => return Ok(file.map(|file| Self { file })),
                 Err(source) => return Err(LockError { path, source }),
             }

@@ -1952,7 +1952,7 @@ select sum(latent) over v from runs window w as (order by seed)
 -- refuse: a window that adds to another | a window can't add to the window w; write OVER w, or all of its parts
 select sum(latent) over (w order by seed) from runs window w as (partition by scenario)
 
--- refuse: a running deviation of all rows | a moving stddev over 403652 rows takes too long; use PARTITION BY, or fewer rows
+-- refuse: a running deviation of all rows | rows takes too long; use PARTITION BY, or fewer rows
 select stddev(value) over (order by epoch) from epochs
 
 -- refuse: a frame that ends before it begins | the frame 'ROWS BETWEEN 1 FOLLOWING AND 1 PRECEDING' ends before it begins
