@@ -20,7 +20,7 @@ pub fn baselines(
     output: &[Modality],
 ) -> Result<Vec<MetricRow>, JudgeError> {
     let samples = &*data.samples;
-    let test = Test { samples, task, windows: &partition.test, sampled: &[] };
+    let test = Test { samples, task, windows: &partition.test, sampled: None };
     let mut rows = Vec::new();
     let mut add = |predictor: &dyn Predictor| {
         rows.extend(judge(predictor, &test)?.metrics);

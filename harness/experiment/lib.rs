@@ -570,8 +570,8 @@ impl TrainingRun<'_> {
     ) -> Result<(), ExperimentError> {
         let PreparedData { data, partition, sampled, .. } = self.prepared;
         let network = TrainedNetwork { data, latent, decoder: decoder.detached(), output };
-        let judged =
-            judge(&network, &Test { samples: &data.samples, task, windows: &partition.test, sampled })?;
+        let test = Test { samples: &data.samples, task, windows: &partition.test, sampled: Some(sampled) };
+        let judged = judge(&network, &test)?;
         outcome.metrics.extend(judged.metrics);
         outcome.predictions.extend(judged.predictions);
         outcome.frames.extend(judged.frames);

@@ -42,8 +42,14 @@ pub fn sample_windows(samples: &Samples, test: &[Sample]) -> Vec<SampledWindow> 
     MOTION_QUANTILES.map(|share| windows[(share * (windows.len() - 1) as f64).round() as usize]).to_vec()
 }
 
-/// Returns the rows of the images that a batch of windows shares with those that are stored; none for a vector.
-pub(super) fn rows(test: &Test, at: &[Sample], reference: &[f32], predicted: &Predicted) -> Vec<FrameRow> {
+/// Returns the rows of the `sampled` windows' images that are in a batch of windows; none for a vector.
+pub(super) fn rows(
+    test: &Test,
+    sampled: &[SampledWindow],
+    at: &[Sample],
+    reference: &[f32],
+    predicted: &Predicted,
+) -> Vec<FrameRow> {
     let definition = &test.samples.layout()[predicted.modality];
     if !definition.is_image() {
         return Vec::new();
@@ -63,7 +69,7 @@ pub(super) fn rows(test: &Test, at: &[Sample], reference: &[f32], predicted: &Pr
             predicted: picture(&predicted.values),
         })
     };
-    test.sampled.iter().filter_map(row).collect()
+    sampled.iter().filter_map(row).collect()
 }
 
 /// Converts a frame `[channel, row, column]` to bytes `[row, column, channel]`. An intensity in [0, 1] is multiplied by

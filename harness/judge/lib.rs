@@ -81,8 +81,8 @@ pub struct Test<'a> {
     pub task: Task,
     /// The present samples of the windows that are predicted.
     pub windows: &'a [Sample],
-    /// The windows whose images are stored.
-    pub sampled: &'a [SampledWindow],
+    /// The windows whose images are stored. `None` if only the metrics are wanted, without predictions and images.
+    pub sampled: Option<&'a [SampledWindow]>,
 }
 
 /// The rows of a predictor.
@@ -113,8 +113,10 @@ pub fn judge(predictor: &dyn Predictor, test: &Test) -> Result<Judged, JudgeErro
             let new = || Evaluation::new(definition, &layout.regions);
             let evaluation = evaluations.entry((*modality, *horizon)).or_insert_with(new);
             add(evaluation, test.samples, *modality, &ahead, &reference, values)?;
-            judged.frames.extend(frames::rows(test, at, &reference, &predicted));
-            judged.predictions.extend(rows::predictions(test, &ahead, &reference, &predicted));
+            if let Some(sampled) = test.sampled {
+                judged.frames.extend(frames::rows(test, sampled, at, &reference, &predicted));
+                judged.predictions.extend(rows::predictions(test, &ahead, &reference, &predicted));
+            }
             Ok(())
         })?;
     }

@@ -85,16 +85,12 @@ impl Given<'_> {
         let Given { samples, normalizers, action, input } = *self;
         let vectors = normalizers.vectors(samples, at, input);
         let actions = normalizers.actions(samples, at, action);
-        let of_row = |values: &[f32], row: usize| {
-            let width = values.len() / at.len();
-            values[row * width..][..width].to_vec()
-        };
         let layout = samples.layout();
         let images: Vec<(Modality, [usize; 2])> =
             input.iter().filter_map(|modality| Some((*modality, layout[*modality].size()?))).collect();
         let rows = at.par_iter().enumerate().map(|(row, &sample)| {
-            let mut values = of_row(&actions, row);
-            values.extend(of_row(&vectors, row));
+            let mut values = row_of(&actions, row, at.len()).to_vec();
+            values.extend_from_slice(row_of(&vectors, row, at.len()));
             for (modality, size) in &images {
                 let mut frame = physical(samples, *modality, &[sample]);
                 normalizers.modalities[modality].normalize(&mut frame);
@@ -105,6 +101,12 @@ impl Given<'_> {
         let rows: Vec<Vec<f32>> = rows.collect::<Result<_, MetricsError>>()?;
         Ok(rows.concat())
     }
+}
+
+/// Returns one of the rows of a matrix.
+fn row_of(values: &[f32], row: usize, rows: usize) -> &[f32] {
+    let width = values.len() / rows;
+    &values[row * width..][..width]
 }
 
 /// Returns the vectors of the samples after those in `at`, side by side.
