@@ -3,7 +3,7 @@
 use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness_collection::{CollectionError, collect, dataset_of};
 use harness_dataset::{CompiledModel, Dataset, DatasetError};
-use harness_learning::frames::SampleFrames;
+use harness_learning::frames::{Frames, SampleFrames};
 use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples};
 use harness_shared::files::UNFINISHED;
 use harness_shared::progress::{Progress, Silent};
@@ -380,11 +380,11 @@ fn normalized_values_restore_to_what_was_recorded() {
         .iter()
         .map(|&modality| (modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap()))
         .collect();
-    let normalizers = Normalizers::fit(&samples, &at, &scalings, Action::Increment);
+    let normalizers = Arc::new(Normalizers::fit(&samples, &at, &scalings, Action::Increment));
     for modality in Modality::BUILT_IN.iter().copied() {
         let scale = &normalizers.modalities[&modality];
         let (mut values, expected, unit) = if samples.layout()[modality].is_image() {
-            let frames = SampleFrames::new(&samples, &normalizers, &at, &[modality]).unwrap();
+            let frames = SampleFrames::new(&samples, &normalizers, &at, modality).unwrap();
             let mut values = vec![0.0; at.len() * FRAME_LEN];
             let each = values.chunks_exact_mut(FRAME_LEN).enumerate();
             each.for_each(|(index, frame)| frames.write(index, frame));

@@ -8,8 +8,8 @@ use harness_kernels::convolution::LANES;
 use harness_kernels::product::{Arithmetic, Unit};
 use harness_learning::frames::{Averaged, DenseFrames, Frames};
 use harness_learning::network::description::Description;
-use harness_learning::network::{Architecture, Observation, Parameters, Targets, scalar};
-use harness_learning::objective::{Draw, NormalizedData, Objective, Prediction, Weighted};
+use harness_learning::network::{Architecture, Draw, Observation, Parameters, Targets, Value, scalar};
+use harness_learning::objective::{NormalizedData, Objective, Prediction, Weighted};
 use harness_learning::ops::{
     Adam, Dropout, FrameDecoder, Quantity, Stack, TwoLayers, composed, frame_decoder, frame_encoder,
     frame_loss, kl_divergence, linear, sample, two_layers, vector_losses,
@@ -506,8 +506,15 @@ impl Twin {
         self.tensors.get(name).unwrap_or_else(|| panic!("the fixture has '{name}'"))
     }
 
-    fn frames(&self, name: &str) -> Option<Arc<dyn Frames>> {
-        self.tensors.get(name).map(dense)
+    /// The tensors with these names that the fixture has. Those with four dimensions are images.
+    fn values<const N: usize>(&self, names: [(Modality, &str); N]) -> Observation {
+        let value = |(modality, name): (Modality, &str)| {
+            let tensor = self.tensors.get(name)?;
+            let is_image = tensor.rank() == 4;
+            let value = if is_image { Value::Frames(dense(tensor)) } else { Value::Vector(tensor.clone()) };
+            Some((modality, value))
+        };
+        names.into_iter().filter_map(value).collect()
     }
 }
 
@@ -521,25 +528,20 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool, arithmetic: Arithmetic)
         parameter.set(twin.get(name)).unwrap();
     }
     let observation =
-        Observation { vector: Some(twin.get("input.vector").clone()), frames: twin.frames("input.frame") };
-    let targets = Targets {
-        vector: Some(
-            Tensor::cat(&[twin.get("target.proprioception"), twin.get("target.contact_force")], 1).unwrap(),
-        ),
-        losses: BTreeMap::new(),
-        frames: twin
-            .frames("target.frame_difference")
-            .map(|frames| (Modality::FRAME_DIFFERENCE, frames))
-            .into_iter()
-            .collect(),
-    };
+        twin.values([(Modality::PROPRIOCEPTION, "input.vector"), (Modality::VISION, "input.frame")]);
+    let values = twin.values([
+        (Modality::PROPRIOCEPTION, "target.proprioception"),
+        (Modality::CONTACT_FORCE, "target.contact_force"),
+        (Modality::FRAME_DIFFERENCE, "target.frame_difference"),
+    ]);
+    let targets = Targets { values: &values, losses: &BTreeMap::new() };
     let mut adam = Adam::new(parameters.values().cloned().collect(), 1e-3).unwrap();
     for step in 0..3 {
         let posterior = encoder.encode(&observation).unwrap();
         let latent = posterior.sample(twin.get("noise")).unwrap();
         let kl = posterior.kl_divergence().unwrap();
         let mut total = (&kl * twin.kl_weight).unwrap();
-        let terms = decoder.losses(&latent, Some(twin.get("action")), &targets).unwrap();
+        let terms = decoder.losses(&latent, Some(twin.get("action")), targets).unwrap();
         for term in &terms {
             total = (total + (&term.value * twin.weights[&term.modality]).unwrap()).unwrap();
         }
@@ -549,15 +551,12 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool, arithmetic: Arithmetic)
                 Tensor::cat(&[posterior.mean().unwrap(), posterior.log_variance().unwrap()], 1).unwrap();
             assert_close(&found, twin.get("output.posterior"), TOLERANCE, "the posterior");
             let decoded = decoder.decode(&latent, Some(twin.get("action"))).unwrap();
-            assert_close(
-                &decoded.vector.unwrap(),
-                twin.get("output.vector"),
-                TOLERANCE,
-                "the predicted vectors",
-            );
+            let vectors = [Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE].map(|vector| &decoded[&vector]);
+            let vectors = Tensor::cat(&vectors, 1).unwrap();
+            assert_close(&vectors, twin.get("output.vector"), TOLERANCE, "the predicted vectors");
             if frames {
                 assert_close(
-                    &decoded.frames.unwrap(),
+                    &decoded[&Modality::FRAME_DIFFERENCE],
                     twin.get("output.frame"),
                     TOLERANCE,
                     "the predicted frames",
@@ -742,14 +741,13 @@ impl Bench {
         let mut random = random(seed);
         let objective = Prediction {
             data: &self.data,
-            encoder: architecture.encoder(&mut parameters, &mut random, &Device::Cpu)?,
-            decoder: architecture.decoder(&mut parameters, &mut random, &Device::Cpu)?,
+            network: architecture.network(&mut parameters, &mut random, &Device::Cpu)?,
+            window: Window::TRANSITION,
             input: &INPUT,
             output: &OUTPUT,
             kl_weight: self.training.kl_weight,
             losses: &self.training.losses,
             loss_weights: &self.weights,
-            dropout: self.training.dropout,
         };
         let partition = &self.partition;
         let fit = Fit {
@@ -861,7 +859,7 @@ impl Protocol {
 
 impl Objective for Protocol {
     fn terms(&self, at: &[Sample], draw: Draw) -> Result<Vec<Weighted>> {
-        self.asked.borrow_mut().push((matches!(draw, Draw::Sample(_)), at.to_vec()));
+        self.asked.borrow_mut().push((matches!(draw, Draw::Sample { .. }), at.to_vec()));
         Ok(vec![Weighted { name: "nothing".into(), weight: 1.0, value: self.parameter.sqr()? }])
     }
 

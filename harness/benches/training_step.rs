@@ -9,7 +9,7 @@
 use candle_core::{Device, Tensor};
 use clap::Parser;
 use harness::learning::frames::{DenseFrames, Frames};
-use harness::learning::network::{Architecture, Observation, Parameters, Targets};
+use harness::learning::network::{Architecture, Observation, Parameters, Targets, Value};
 use harness::learning::ops::Adam;
 use harness::learning::ops::arithmetic;
 use harness::learning::random::{Random, Stream};
@@ -94,30 +94,31 @@ fn main() -> candle_core::Result<()> {
     let mut adam = Adam::new(parameters.values().cloned().collect(), 1e-3)?;
     let mut matrix =
         |width: usize| Tensor::from_vec(random.normal(batch * width), (batch, width), &Device::Cpu);
-    let (vector, action, noise, target) =
+    let (vector_seen, action, noise, target) =
         (matrix(20)?, matrix(layout.action().len())?, matrix(arguments.latent)?, matrix(40)?);
     let mut picture = || -> candle_core::Result<Arc<dyn Frames>> {
         let values = random.normal(batch * 3 * 64 * 64);
         Ok(Arc::new(DenseFrames::new(&Tensor::from_vec(values, (batch, 3, 64, 64), &Device::Cpu)?)?))
     };
-    let observation = Observation { vector: Some(vector), frames: frames.then(&mut picture).transpose()? };
-    let targets = Targets {
-        vector: Some(target),
-        losses: Default::default(),
-        frames: frames
-            .then(&mut picture)
-            .transpose()?
-            .map(|f| (Modality::FRAME_DIFFERENCE, f))
-            .into_iter()
-            .collect(),
-    };
+    let mut image = |modality| Ok::<_, candle_core::Error>((modality, Value::Frames(picture()?)));
+    let seen = frames.then(|| image(Modality::VISION)).transpose()?;
+    let changed = frames.then(|| image(Modality::FRAME_DIFFERENCE)).transpose()?;
+    let vector = |modality, values| (modality, Value::Vector(values));
+    let observation: Observation =
+        seen.into_iter().chain([vector(Modality::PROPRIOCEPTION, vector_seen)]).collect();
+    let vectors = [
+        vector(Modality::PROPRIOCEPTION, target.narrow(1, 0, 20)?.contiguous()?),
+        vector(Modality::CONTACT_FORCE, target.narrow(1, 20, 20)?.contiguous()?),
+    ];
+    let values: Observation = changed.into_iter().chain(vectors).collect();
+    let targets = Targets { values: &values, losses: &Default::default() };
     let mut seconds = Vec::with_capacity(arguments.steps);
     for _ in 0..arguments.steps + 2 {
         let begin = Instant::now();
         let posterior = encoder.encode(&observation)?;
         let latent = posterior.sample(&noise)?;
         let mut loss = (posterior.kl_divergence()? * 1e-3)?;
-        for term in decoder.losses(&latent, Some(&action), &targets)? {
+        for term in decoder.losses(&latent, Some(&action), targets)? {
             loss = (loss + term.value)?;
         }
         adam.step(&loss.backward()?)?;

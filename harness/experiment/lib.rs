@@ -13,11 +13,11 @@ pub use search::{Best, best};
 
 use harness_collection::{CollectionError, collect, collect_together, dataset_of};
 use harness_dataset::{AnyDataset, DatasetError, Imported};
-use harness_judge::{JudgeError, MetricRow, SampledWindow, Test, judge, sample_windows};
+use harness_judge::{JudgeError, MetricRow, Predictor, SampledWindow, Test, judge, sample_windows};
 use harness_learning::network::description::Description;
-use harness_learning::network::{Architecture, Decoder, Encoder, Parameters, architecture};
+use harness_learning::network::{Architecture, Network, Parameters, architecture};
 use harness_learning::objective::{NormalizedData, Objective, Prediction, Reconstruction};
-use harness_learning::predict::{self, Latent, TrainedNetwork};
+use harness_learning::predict::{Latents, TrainedDecoder, TrainedNetwork};
 use harness_learning::random::{Random, Stream};
 use harness_learning::state::StateFile;
 use harness_learning::training::Fit;
@@ -26,13 +26,13 @@ use harness_registry::{
     Decision, ForceRows, LiveEpochs, Outcome, Provenance, Registry, RegistryError, RunFolder, RunRecord,
     Timings, Versions,
 };
-use harness_samples::{FramePlace, Normalizers, Partition, Sample, Samples, frame_bytes};
+use harness_samples::{FramePlace, Normalizers, Partition, Samples, frame_bytes};
 use harness_shared::files::free_bytes;
 use harness_shared::memory;
 use harness_shared::progress::Progress;
 use harness_shared::shard::Shard;
 use harness_simulation::{Scene, SimulationError, mujoco_version};
-use harness_spec::{Experiment, Layout, Modality, Origin, RunSpec, Simulation, Task, Window, World};
+use harness_spec::{Experiment, Layout, Origin, RunSpec, Simulation, Task, Window, World};
 use rayon::prelude::*;
 use search::{Rungs, Standing};
 use std::path::PathBuf;
@@ -467,69 +467,63 @@ impl TrainingRun<'_> {
         };
         outcome.metrics.extend(self.prepared.baselines.iter().cloned());
         outcome.forces = self.prepared.forces.clone();
-        let (encoder, parameters) = self.predict(&mut outcome)?;
+        let (network, parameters) = self.predict(&mut outcome)?;
         outcome.parameters = parameters.values().map(|var| var.elem_count()).sum();
         if self.spec.tasks.contains(&Task::Reconstruction) {
-            self.reconstruct(&*encoder, &mut outcome)?;
+            self.reconstruct(&*network, &mut outcome)?;
         }
         Ok(outcome)
     }
 
-    /// Trains and evaluates the encoder and the decoder.
-    fn predict(&self, outcome: &mut Outcome) -> Result<(Box<dyn Encoder>, Parameters), ExperimentError> {
+    /// Trains and evaluates the network that predicts.
+    fn predict(&self, outcome: &mut Outcome) -> Result<(Box<dyn Network>, Parameters), ExperimentError> {
         let (spec, data) = (self.spec, &self.prepared.data);
         let begin = Instant::now();
         let task = Task::Prediction;
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
         let architecture = architecture(spec, data.samples.layout(), task);
+        let network = architecture.network(&mut parameters, &mut random, &data.device);
         let objective = Prediction {
             data,
-            encoder: architecture
-                .encoder(&mut parameters, &mut random, &data.device)
-                .map_err(LearningError::from)?,
-            decoder: architecture
-                .decoder(&mut parameters, &mut random, &data.device)
-                .map_err(LearningError::from)?,
+            network: network.map_err(LearningError::from)?,
+            window: Window::TRANSITION,
             input: &spec.input,
             output: &spec.output,
             kl_weight: spec.training.kl_weight,
             losses: &spec.training.losses,
             loss_weights: &spec.training.loss_weights,
-            dropout: spec.training.dropout,
         };
         self.train(task, &architecture, &objective, &parameters, outcome)?;
         outcome.timings.prediction = begin.elapsed().as_secs_f64();
-        let begin = Instant::now();
-        let latent = Latent::Encoded(&*objective.encoder, &spec.input);
-        self.judge(task, &*objective.decoder, &spec.output, latent, outcome)?;
-        outcome.timings.evaluation += begin.elapsed().as_secs_f64();
-        Ok((objective.encoder, parameters))
+        let Prediction { network, window, input, output, .. } = objective;
+        let trained = TrainedNetwork { data, network: network.detached(), input, output, window };
+        self.judge(task, &trained, outcome)?;
+        Ok((network, parameters))
     }
 
-    /// Trains and evaluates a new decoder on the latent states of the frozen encoder.
-    fn reconstruct(&self, encoder: &dyn Encoder, outcome: &mut Outcome) -> Result<(), ExperimentError> {
+    /// Trains and evaluates a new decoder on the latent states of the frozen network.
+    fn reconstruct(&self, network: &dyn Network, outcome: &mut Outcome) -> Result<(), ExperimentError> {
         let (spec, data) = (self.spec, &self.prepared.data);
         let begin = Instant::now();
         let task = Task::Reconstruction;
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
-        let everything: Vec<Sample> = (0..data.samples.len()).map(Sample::at).collect();
-        let latent = predict::encode(data, encoder, &spec.input, &everything).map_err(LearningError::from)?;
+        let latents =
+            Latents::of(network, data, &spec.input, Window::TRANSITION).map_err(LearningError::from)?;
         let architecture = architecture(spec, data.samples.layout(), task);
         let decoder = architecture.decoder(&mut parameters, &mut random, &data.device);
         let objective = Reconstruction {
             data,
-            latent: &latent,
+            latents: &latents,
             decoder: decoder.map_err(LearningError::from)?,
             input: &spec.input,
         };
         self.train(task, &architecture, &objective, &parameters, outcome)?;
         outcome.timings.reconstruction = Some(begin.elapsed().as_secs_f64());
-        let begin = Instant::now();
-        self.judge(task, &*objective.decoder, &spec.input, Latent::Known(&latent), outcome)?;
-        outcome.timings.evaluation += begin.elapsed().as_secs_f64();
-        Ok(())
+        let decoder = objective.decoder.detached();
+        let trained = TrainedDecoder { data, latents: &latents, decoder, output: &spec.input };
+        self.judge(task, &trained, outcome)
     }
 
     /// Trains `parameters` on an objective and saves them. Adds the losses to the outcome.
@@ -559,22 +553,21 @@ impl TrainingRun<'_> {
         Ok(())
     }
 
-    /// Judges a trained network on the test windows. Adds the results to the outcome.
+    /// Judges a predictor on the test windows. Adds the results to the outcome.
     fn judge(
         &self,
         task: Task,
-        decoder: &dyn Decoder,
-        output: &[Modality],
-        latent: Latent,
+        predictor: &dyn Predictor,
         outcome: &mut Outcome,
     ) -> Result<(), ExperimentError> {
+        let begin = Instant::now();
         let PreparedData { data, partition, sampled, .. } = self.prepared;
-        let network = TrainedNetwork { data, latent, decoder: decoder.detached(), output };
         let test = Test { samples: &data.samples, task, windows: &partition.test, sampled: Some(sampled) };
-        let judged = judge(&network, &test)?;
+        let judged = judge(predictor, &test)?;
         outcome.metrics.extend(judged.metrics);
         outcome.predictions.extend(judged.predictions);
         outcome.frames.extend(judged.frames);
+        outcome.timings.evaluation += begin.elapsed().as_secs_f64();
         Ok(())
     }
 }

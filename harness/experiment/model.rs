@@ -1,8 +1,10 @@
 //! A trained network, applied to observations from any source, in physical units.
 
 use candle_core::{Device, Tensor};
-use harness_learning::frames::{DenseFrames, Frames};
-use harness_learning::network::{Architecture, Decoder, Encoder, Observation, Parameters, architecture};
+use harness_learning::frames::DenseFrames;
+use harness_learning::network::{
+    Architecture, Decoder, Encoder, Observation, Parameters, Value, architecture,
+};
 use harness_learning::ops::arithmetic;
 use harness_learning::random::{Random, Stream};
 use harness_learning::{LearningError, checkpoint, predict};
@@ -147,7 +149,7 @@ impl Model {
             let latent = self.encoder.encode(&observation)?.mean()?;
             let action = Tensor::from_vec(action, (batch, elements), &Device::Cpu)?;
             let decoded = self.decoder.decode(&latent, Some(&action))?;
-            predict::denormalized(&self.normalizers, &self.record.layout, &self.record.spec.output, decoded)
+            predict::denormalized(&self.normalizers, &self.record.spec.output, &decoded)
         };
         Ok(predicted().map_err(LearningError::from)?.into_iter().collect())
     }
@@ -168,18 +170,15 @@ impl Model {
         let reconstructed = || -> candle_core::Result<_> {
             let latent = Tensor::from_vec(latent, (batch, spec.latent), &Device::Cpu)?;
             let decoded = decoder.decode(&latent, None)?;
-            predict::denormalized(&self.normalizers, &self.record.layout, &spec.input, decoded)
+            predict::denormalized(&self.normalizers, &spec.input, &decoded)
         };
         Ok(reconstructed().map_err(LearningError::from)?.into_iter().collect())
     }
 
-    /// Returns the encoder's input, normalized, with vectors side by side and frames stacked by channel.
+    /// Returns the encoder's input, normalized.
     fn observation(&self, batch: usize, values: &Values) -> Result<Observation, ModelError> {
         let input = &self.record.spec.input;
-        let mut vectors = Vec::new();
-        let mut frames = Vec::new();
-        let mut size = [0, 0];
-        for &modality in input {
+        let normalized = |&modality: &Modality| {
             let values = values.get(&modality).ok_or_else(|| ModelError::Lacks {
                 run: self.record.run.clone(),
                 modality,
@@ -189,21 +188,16 @@ impl Model {
             check(modality.name(), batch, definition.width(), values)?;
             let mut values = values.clone();
             self.normalizers.modalities[&modality].normalize(&mut values);
-            let list = if definition.is_image() { &mut frames } else { &mut vectors };
-            list.push((definition.width(), values));
-            size = definition.size().unwrap_or(size);
-        }
-        let joined = || -> candle_core::Result<_> {
-            let vector = side_by_side(batch, &vectors)?;
-            let frames = side_by_side(batch, &frames)?.map(|frames| {
-                let channels =
-                    IMAGE_CHANNELS * input.iter().filter(|m| self.record.layout[**m].is_image()).count();
-                DenseFrames::new(&frames.reshape((batch, channels, size[0], size[1]))?)
-            });
-            let frames = frames.transpose()?.map(|frames| Arc::new(frames) as Arc<dyn Frames>);
-            Ok(Observation { vector, frames })
+            let value = match definition.size() {
+                Some(size) => Value::Frames(Arc::new(DenseFrames::from_values(values, IMAGE_CHANNELS, size))),
+                None => {
+                    let vector = Tensor::from_vec(values, (batch, definition.width()), &Device::Cpu);
+                    Value::Vector(vector.map_err(LearningError::from)?)
+                }
+            };
+            Ok((modality, value))
         };
-        Ok(joined().map_err(LearningError::from)?)
+        input.iter().map(normalized).collect()
     }
 }
 
@@ -258,13 +252,4 @@ fn check(name: &'static str, batch: usize, width: usize, values: &[f32]) -> Resu
         return Ok(());
     }
     Err(ModelError::Shape { name, batch, width, found: values.len() })
-}
-
-/// Joins several `[batch, width]` into one `[batch, all widths]`; `None` without parts.
-fn side_by_side(batch: usize, parts: &[(usize, Vec<f32>)]) -> candle_core::Result<Option<Tensor>> {
-    if parts.is_empty() {
-        return Ok(None);
-    }
-    let parts = parts.iter().map(|(width, values)| Tensor::from_slice(values, (batch, *width), &Device::Cpu));
-    Tensor::cat(&parts.collect::<candle_core::Result<Vec<_>>>()?, 1).map(Some)
 }

@@ -4,7 +4,7 @@
 //! cache, and no batch has to be assembled before.
 
 use candle_core::{Device, Result, Tensor};
-use harness_samples::{Normalizer, Normalizers, Sample, Samples};
+use harness_samples::{Normalizers, Sample, Samples};
 use harness_spec::{IMAGE_CHANNELS, Modality};
 use std::sync::Arc;
 
@@ -45,9 +45,17 @@ pub struct DenseFrames {
 
 impl DenseFrames {
     /// Copies the values of a tensor `[batch, channels, rows, columns]`.
+    ///
+    /// # Errors
+    /// When the tensor has another number of dimensions.
     pub fn new(frames: &Tensor) -> Result<Self> {
         let (_, channels, rows, columns) = frames.dims4()?;
-        Ok(Self { values: frames.flatten_all()?.to_vec1()?, channels, size: [rows, columns] })
+        Ok(Self::from_values(frames.flatten_all()?.to_vec1()?, channels, [rows, columns]))
+    }
+
+    /// Takes values `[batch, channels, rows, columns]`. The size is that of a frame, its rows and columns.
+    pub fn from_values(values: Vec<f32>, channels: usize, size: [usize; 2]) -> Self {
+        Self { values, channels, size }
     }
 }
 
@@ -108,33 +116,58 @@ impl Frames for Averaged {
     }
 }
 
-/// Normalized frames of chosen samples, computed one at a time. Several images are stacked by channel and have the same
-/// size.
+/// Several images of the same size, stacked by channel.
+struct Stacked(Vec<Arc<dyn Frames>>);
+
+/// Stacks images of the same size by channel. A single image is returned as it is.
+///
+/// # Panics
+/// When there are none.
+pub fn stacked(mut images: Vec<Arc<dyn Frames>>) -> Arc<dyn Frames> {
+    if images.len() == 1 { images.remove(0) } else { Arc::new(Stacked(images)) }
+}
+
+impl Frames for Stacked {
+    fn batch(&self) -> usize {
+        self.0[0].batch()
+    }
+    fn channels(&self) -> usize {
+        self.0.iter().map(|image| image.channels()).sum()
+    }
+    fn size(&self) -> [usize; 2] {
+        self.0[0].size()
+    }
+    fn write(&self, index: usize, frame: &mut [f32]) {
+        let mut rest = frame;
+        for image in &self.0 {
+            let (own, others) = rest.split_at_mut(image.frame_len());
+            image.write(index, own);
+            rest = others;
+        }
+    }
+}
+
+/// Normalized frames of chosen samples, computed one at a time.
 pub struct SampleFrames {
     samples: Arc<Samples>,
-    at: Vec<Sample>,
+    normalizers: Arc<Normalizers>,
+    modality: Modality,
     size: [usize; 2],
-    normalizers: Vec<(Modality, Normalizer)>,
+    at: Vec<Sample>,
 }
 
 impl SampleFrames {
-    /// Returns the frames of the images among `modalities` at the samples `at`; `None` without an image.
-    #[expect(clippy::new_ret_no_self, reason = "callers treat all frames alike, and there may be none")]
+    /// Returns the frames of an image at the samples `at`; `None` for a vector.
     pub fn new(
         samples: &Arc<Samples>,
-        normalizers: &Normalizers,
+        normalizers: &Arc<Normalizers>,
         at: &[Sample],
-        modalities: &[Modality],
-    ) -> Option<Arc<dyn Frames>> {
-        let normalizers: Vec<(Modality, Normalizer)> = modalities
-            .iter()
-            .filter(|modality| samples.layout()[**modality].is_image())
-            .map(|modality| (*modality, normalizers.modalities[modality].clone()))
-            .collect();
-        let (first, _) = normalizers.first()?;
-        let size = samples.layout()[*first].size()?;
-        normalizers.iter().for_each(|(modality, _)| samples.prefetch(*modality, at));
-        Some(Arc::new(Self { samples: samples.clone(), at: at.to_vec(), size, normalizers }))
+        modality: Modality,
+    ) -> Option<Self> {
+        let size = samples.layout()[modality].size()?;
+        samples.prefetch(modality, at);
+        let (samples, normalizers) = (samples.clone(), normalizers.clone());
+        Some(Self { samples, normalizers, modality, size, at: at.to_vec() })
     }
 }
 
@@ -144,7 +177,7 @@ impl Frames for SampleFrames {
     }
 
     fn channels(&self) -> usize {
-        self.normalizers.len() * IMAGE_CHANNELS
+        IMAGE_CHANNELS
     }
 
     fn size(&self) -> [usize; 2] {
@@ -152,21 +185,18 @@ impl Frames for SampleFrames {
     }
 
     fn write(&self, index: usize, frame: &mut [f32]) {
-        let sample = self.at[index];
-        let len = IMAGE_CHANNELS * self.size[0] * self.size[1];
-        for ((modality, scale), frame) in self.normalizers.iter().zip(frame.chunks_exact_mut(len)) {
-            let now = self.samples.frame_bytes(*modality, sample);
-            let factor = 1.0 / scale.std[0];
-            let bytes = 1.0 / 255.0;
-            if self.samples.layout()[*modality].difference_of.is_none() {
-                for ((value, now), mean) in frame.iter_mut().zip(now).zip(&scale.mean) {
-                    *value = (f32::from(*now) * bytes - mean) * factor;
-                }
-            } else {
-                let before = self.samples.previous_frame_bytes(*modality, sample);
-                for (((value, now), before), mean) in frame.iter_mut().zip(now).zip(before).zip(&scale.mean) {
-                    *value = ((f32::from(*now) - f32::from(*before)) * bytes - mean) * factor;
-                }
+        let (sample, scale) = (self.at[index], &self.normalizers.modalities[&self.modality]);
+        let now = self.samples.frame_bytes(self.modality, sample);
+        let factor = 1.0 / scale.std[0];
+        let bytes = 1.0 / 255.0;
+        if self.samples.layout()[self.modality].difference_of.is_none() {
+            for ((value, now), mean) in frame.iter_mut().zip(now).zip(&scale.mean) {
+                *value = (f32::from(*now) * bytes - mean) * factor;
+            }
+        } else {
+            let before = self.samples.previous_frame_bytes(self.modality, sample);
+            for (((value, now), before), mean) in frame.iter_mut().zip(now).zip(before).zip(&scale.mean) {
+                *value = ((f32::from(*now) - f32::from(*before)) * bytes - mean) * factor;
             }
         }
     }

@@ -5,6 +5,7 @@ pub mod frames;
 pub mod memory;
 pub mod network;
 pub mod objective;
+mod observation;
 pub mod onnx;
 pub mod ops;
 pub mod predict;

@@ -1,12 +1,11 @@
-//! Training objectives: the loss terms of a batch of transitions.
+//! Training objectives: the loss terms of a batch of windows.
 
-use super::frames::{Frames, SampleFrames};
-use super::network::{Decoder, Encoder, Observation, Targets};
-use super::ops::Dropout;
-use super::random::Random;
+use super::frames::SampleFrames;
+use super::network::{Decoder, Draw, Network, Observation, State, Targets, Term, Value};
+use super::predict::Latents;
 use candle_core::{Device, Result, Tensor};
 use harness_samples::{Normalizers, Sample, Samples};
-use harness_spec::{Action, Loss, Modality};
+use harness_spec::{Action, Loss, Modality, Window};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -27,16 +26,22 @@ pub struct NormalizedData {
 }
 
 impl NormalizedData {
-    /// Returns the normalized observation of `modalities` at the samples `at`.
+    /// Returns the normalized values of `modalities` at the samples `at`.
+    ///
+    /// # Errors
+    /// When a tensor can't be created on the device.
     pub fn observation(&self, at: &[Sample], modalities: &[Modality]) -> Result<Observation> {
-        let values = self.normalizers.vectors(&self.samples, at, modalities);
-        let vector = (!values.is_empty()).then(|| self.table(values, at.len())).transpose()?;
-        Ok(Observation { vector, frames: self.frames(at, modalities) })
-    }
-
-    /// Returns the normalized images among `modalities` at the samples `at`, stacked by channel.
-    fn frames(&self, at: &[Sample], modalities: &[Modality]) -> Option<Arc<dyn Frames>> {
-        SampleFrames::new(&self.samples, &self.normalizers, at, modalities)
+        let value = |&modality: &Modality| {
+            let value = match SampleFrames::new(&self.samples, &self.normalizers, at, modality) {
+                Some(frames) => Value::Frames(Arc::new(frames)),
+                None => {
+                    let values = self.normalizers.vectors(&self.samples, at, &[modality]);
+                    Value::Vector(self.table(values, at.len())?)
+                }
+            };
+            Ok((modality, value))
+        };
+        modalities.iter().map(value).collect()
     }
 
     /// Returns `values` as a matrix of `rows` rows.
@@ -45,17 +50,10 @@ impl NormalizedData {
         Tensor::from_vec(values, (rows, columns), &Device::Cpu)?.to_device(&self.device)
     }
 
-    /// Returns the same values as a decoder's targets: the vectors side by side, and the frames of each modality
-    /// separately.
-    fn targets(&self, at: &[Sample], modalities: &[Modality]) -> Result<Targets> {
-        let frames = modalities
-            .iter()
-            .filter_map(|modality| Some((*modality, self.frames(at, std::slice::from_ref(modality))?)));
-        let vector = self.observation(at, modalities)?.vector;
-        Ok(Targets { vector, losses: BTreeMap::new(), frames: frames.collect() })
-    }
-
     /// Returns the normalized actions, `[batch, elements]`, between each sample in `at` and the next one.
+    ///
+    /// # Errors
+    /// When a tensor can't be created on the device.
     pub fn actions(&self, at: &[Sample]) -> Result<Tensor> {
         self.table(self.normalizers.actions(&self.samples, at, self.action), at.len())
     }
@@ -71,35 +69,32 @@ pub struct Weighted {
     pub value: Tensor,
 }
 
-/// How latent states are drawn.
-pub enum Draw<'a> {
-    /// From the posterior, for training. The generator supplies the noise and the seed of the dropout.
-    Sample(&'a mut Random),
-    /// The posterior's mean, for validation and test.
-    Mean,
-}
-
-/// A loss over transitions, which training minimizes.
+/// A loss over windows, which training minimizes.
 pub trait Objective {
-    /// Returns the terms of the loss over the transitions that start at the samples `at`.
+    /// Returns the terms of the loss over the windows whose present samples are `at`.
+    ///
+    /// # Errors
+    /// When a tensor operation fails.
     fn terms(&self, at: &[Sample], draw: Draw) -> Result<Vec<Weighted>>;
 
     /// Returns the same objective over detached parameters, so that no gradients are computed.
     fn detached(&self) -> Box<dyn Objective + '_>;
 }
 
-/// Predicts the next observation from the present one and the action. The terms are the loss of each output modality
-/// and the weighted KL divergence.
+/// Predicts the sample after each that the network has seen, and the window's samples after the present one. The terms
+/// are the mean loss of each output modality and the weighted KL divergence.
+///
+/// A network without memory sees only the present sample, however long the context is.
 pub struct Prediction<'a> {
     /// The dataset.
     pub data: &'a NormalizedData,
-    /// Maps an observation to a posterior.
-    pub encoder: Box<dyn Encoder>,
-    /// Maps a latent state and an action to the next observation.
-    pub decoder: Box<dyn Decoder>,
-    /// Modalities of the encoder's input.
+    /// What is trained.
+    pub network: Box<dyn Network>,
+    /// How many samples the network sees and predicts.
+    pub window: Window,
+    /// Modalities that the network sees.
     pub input: &'a [Modality],
-    /// Modalities that the decoder predicts.
+    /// Modalities that the network predicts.
     pub output: &'a [Modality],
     /// Weight of the KL divergence.
     pub kl_weight: f64,
@@ -107,37 +102,63 @@ pub struct Prediction<'a> {
     pub losses: &'a BTreeMap<Modality, Loss>,
     /// Weight of each modality's loss; 1 for modalities that are not listed.
     pub loss_weights: &'a BTreeMap<Modality, f64>,
-    /// Probability with which a training step sets a value of the last convolution's output to zero.
-    pub dropout: f64,
+}
+
+impl Prediction<'_> {
+    /// Returns the state that predicts the samples after `now`, and the losses of its prediction.
+    fn step(&self, state: &State, now: &[Sample]) -> Result<(State, Vec<Term>)> {
+        let next: Vec<Sample> = now.iter().map(|sample| sample.after(1)).collect();
+        let values = self.data.observation(&next, self.output)?;
+        let state = self.network.act(state, &self.data.actions(now)?)?;
+        let terms = self.network.losses(&state, Targets { values: &values, losses: self.losses })?;
+        Ok((state, terms))
+    }
 }
 
 impl Objective for Prediction<'_> {
     fn terms(&self, at: &[Sample], mut draw: Draw) -> Result<Vec<Weighted>> {
-        let dropout = match &mut draw {
-            Draw::Sample(random) if self.dropout > 0.0 => Some(Dropout::new(self.dropout, random.seed())),
-            _ => None,
-        };
-        let observation = self.data.observation(at, self.input)?;
-        let posterior = self.encoder.encode_with_dropout(&observation, dropout)?;
-        let latent = match draw {
-            Draw::Sample(random) => {
-                let shape = (at.len(), posterior.latent()?);
-                let noise = Tensor::from_vec(random.normal(shape.0 * shape.1), shape, &Device::Cpu)?;
-                posterior.sample(&noise.to_device(&self.data.device)?)?
-            }
-            Draw::Mean => posterior.mean()?,
-        };
-        let next: Vec<Sample> = at.iter().map(|sample| sample.after(1)).collect();
-        let targets = Targets { losses: self.losses.clone(), ..self.data.targets(&next, self.output)? };
-        let action = self.data.actions(at)?;
-        let mut terms = weighted(self.decoder.losses(&latent, Some(&action), &targets)?, self.loss_weights);
-        terms.push(Weighted { name: KL.into(), weight: self.kl_weight, value: posterior.kl_divergence()? });
+        let (mut divergences, mut losses) = (Vec::new(), Vec::new());
+        let mut state = self.network.start(at.len(), &self.data.device)?;
+        let context = if state.is_some() { self.window.context } else { 1 };
+        for distance in (0..context).rev() {
+            let now: Vec<Sample> = at.iter().map(|sample| sample.before(distance)).collect();
+            let observation = self.data.observation(&now, self.input)?;
+            let seen = self.network.observe(state.as_ref(), &observation, &mut draw)?;
+            let (next, terms) = self.step(&seen.state, &now)?;
+            divergences.push(seen.divergence);
+            losses.push(terms);
+            state = Some(next);
+        }
+        for distance in 1..self.window.horizon {
+            let now: Vec<Sample> = at.iter().map(|sample| sample.after(distance)).collect();
+            let Some(before) = &state else { break };
+            let (next, terms) = self.step(before, &now)?;
+            losses.push(terms);
+            state = Some(next);
+        }
+        let mut terms = weighted(means(losses)?, self.loss_weights);
+        terms.push(Weighted { name: KL.into(), weight: self.kl_weight, value: mean(divergences)? });
         Ok(terms)
     }
 
     fn detached(&self) -> Box<dyn Objective + '_> {
-        Box::new(Prediction { encoder: self.encoder.detached(), decoder: self.decoder.detached(), ..*self })
+        Box::new(Prediction { network: self.network.detached(), ..*self })
     }
+}
+
+/// Returns the mean of scalars.
+fn mean(mut values: Vec<Tensor>) -> Result<Tensor> {
+    if values.len() == 1 { Ok(values.remove(0)) } else { Tensor::stack(&values, 0)?.mean_all() }
+}
+
+/// Returns the mean loss of each modality over several predicted samples.
+fn means(mut losses: Vec<Vec<Term>>) -> Result<Vec<Term>> {
+    let Some(first) = losses.pop() else { return Ok(Vec::new()) };
+    let mean = |(index, Term { modality, value }): (usize, Term)| {
+        let others = losses.iter().map(|terms| terms[index].value.clone());
+        Ok(Term { modality, value: mean(others.chain([value]).collect())? })
+    };
+    first.into_iter().enumerate().map(mean).collect()
 }
 
 /// Reconstructs the present observation from the latent state of a frozen encoder. The terms are the squared error of
@@ -145,8 +166,8 @@ impl Objective for Prediction<'_> {
 pub struct Reconstruction<'a> {
     /// The dataset.
     pub data: &'a NormalizedData,
-    /// The posterior's mean of every sample, `[samples, latent]`. It is computed once, because the encoder is frozen.
-    pub latent: &'a Tensor,
+    /// The latent states of the frozen network, which are computed once.
+    pub latents: &'a Latents,
     /// Maps a latent state to the present observation.
     pub decoder: Box<dyn Decoder>,
     /// Modalities of the encoder's input, which are reconstructed.
@@ -155,9 +176,10 @@ pub struct Reconstruction<'a> {
 
 impl Objective for Reconstruction<'_> {
     fn terms(&self, at: &[Sample], _draw: Draw) -> Result<Vec<Weighted>> {
-        let targets = self.data.targets(at, self.input)?;
-        let latent = rows(self.latent, at)?;
-        Ok(weighted(self.decoder.losses(&latent, None, &targets)?, &BTreeMap::new()))
+        let values = self.data.observation(at, self.input)?;
+        let targets = Targets { values: &values, losses: &BTreeMap::new() };
+        let terms = self.decoder.losses(&self.latents.rows(at)?, None, targets)?;
+        Ok(weighted(terms, &BTreeMap::new()))
     }
 
     fn detached(&self) -> Box<dyn Objective + '_> {
@@ -165,13 +187,7 @@ impl Objective for Reconstruction<'_> {
     }
 }
 
-/// Returns the rows of a matrix that belong to the samples `at`.
-pub fn rows(matrix: &Tensor, at: &[Sample]) -> Result<Tensor> {
-    let at = at.iter().map(|sample| sample.index() as u32).collect::<Vec<_>>();
-    matrix.index_select(&Tensor::new(at, matrix.device())?, 0)
-}
-
-fn weighted(terms: Vec<super::network::Term>, weights: &BTreeMap<Modality, f64>) -> Vec<Weighted> {
+fn weighted(terms: Vec<Term>, weights: &BTreeMap<Modality, f64>) -> Vec<Weighted> {
     let terms = terms.into_iter().map(|term| Weighted {
         name: term.modality.name().into(),
         weight: weights.get(&term.modality).copied().unwrap_or(1.0),

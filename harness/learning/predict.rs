@@ -1,61 +1,96 @@
 //! Applies trained networks to the samples of a dataset, with results in physical units.
 
 use super::LearningError;
-use super::network::{Decoded, Decoder, Encoder};
-use super::objective::{NormalizedData, rows};
+use super::network::{Decoded, Decoder, Draw, Network, State};
+use super::objective::NormalizedData;
 use candle_core::{Result, Tensor};
 use harness_judge::{BATCH, JudgeError, Predicted, Predictor, Receive, models};
 use harness_samples::{Normalizers, Sample};
-use harness_spec::{IMAGE_CHANNELS, Layout, Modality};
+use harness_spec::{Modality, Window};
 
-/// Returns the posterior's mean at every sample in `at`, `[at, latent]`.
-pub fn encode(
+/// Returns the state of a network that has seen the windows until the present samples `at`.
+///
+/// # Errors
+/// Those of the network.
+fn present(
+    network: &dyn Network,
     data: &NormalizedData,
-    encoder: &dyn Encoder,
     input: &[Modality],
+    window: Window,
     at: &[Sample],
-) -> Result<Tensor> {
-    let encoder = encoder.detached();
-    let means = at.chunks(BATCH).map(|at| encoder.encode(&data.observation(at, input)?)?.mean());
-    Tensor::cat(&means.collect::<Result<Vec<_>>>()?, 0)?.contiguous()
+) -> Result<State> {
+    let mut state = network.start(at.len(), &data.device)?;
+    let context = if state.is_some() { window.context } else { 1 };
+    let mut distance = context - 1;
+    loop {
+        let now: Vec<Sample> = at.iter().map(|sample| sample.before(distance)).collect();
+        let observation = data.observation(&now, input)?;
+        let seen = network.observe(state.as_ref(), &observation, &mut Draw::Mean)?.state;
+        if distance == 0 {
+            return Ok(seen);
+        }
+        state = Some(network.act(&seen, &data.actions(&now)?)?);
+        distance -= 1;
+    }
 }
 
-/// The latent states from which a network decodes.
-pub enum Latent<'a> {
-    /// Those of an encoder with these modalities as input. The decoder gets the action and predicts the next sample.
-    Encoded(&'a dyn Encoder, &'a [Modality]),
-    /// One for each sample of the dataset, `[samples, latent]`. The decoder reconstructs the present sample.
-    Known(&'a Tensor),
+/// The latent states of a network at all samples that have a whole context before them.
+pub struct Latents {
+    /// The samples, in their order.
+    at: Vec<Sample>,
+    /// The latent state of each, `[samples, latent]`.
+    values: Tensor,
 }
 
-/// A trained network.
+impl Latents {
+    /// Computes the latent states, which are means of posteriors.
+    ///
+    /// # Errors
+    /// Those of the network.
+    pub fn of(
+        network: &dyn Network,
+        data: &NormalizedData,
+        input: &[Modality],
+        window: Window,
+    ) -> Result<Self> {
+        let network = network.detached();
+        let at = data.samples.windows(Window { horizon: 0, ..window });
+        let latents = at.chunks(BATCH).map(|at| Ok(present(&*network, data, input, window, at)?.latent));
+        let values = Tensor::cat(&latents.collect::<Result<Vec<_>>>()?, 0)?.contiguous()?;
+        Ok(Self { at, values })
+    }
+
+    /// Returns the latent states at these samples, `[at, latent]`.
+    ///
+    /// # Errors
+    /// When a sample has no whole context before it.
+    pub fn rows(&self, at: &[Sample]) -> Result<Tensor> {
+        let row = |sample: &Sample| match self.at.binary_search(sample) {
+            Ok(row) => Ok(row as u32),
+            Err(_) => candle_core::bail!("sample {} has no latent state", sample.index()),
+        };
+        let rows = at.iter().map(row).collect::<Result<Vec<_>>>()?;
+        self.values.index_select(&Tensor::new(rows, self.values.device())?, 0)
+    }
+}
+
+/// Turns an error of a network into one of a predictor.
+fn failed(error: candle_core::Error) -> JudgeError {
+    JudgeError::Predictor(Box::new(LearningError::from(error)))
+}
+
+/// A trained network, which predicts the window's samples after the present one.
 pub struct TrainedNetwork<'a> {
     /// The dataset.
     pub data: &'a NormalizedData,
-    /// The latent states.
-    pub latent: Latent<'a>,
-    /// Maps latent states to samples.
-    pub decoder: Box<dyn Decoder>,
-    /// The modalities that it decodes.
+    /// The network, without gradients.
+    pub network: Box<dyn Network>,
+    /// The modalities that it sees.
+    pub input: &'a [Modality],
+    /// The modalities that it predicts.
     pub output: &'a [Modality],
-}
-
-/// A modality and its values at some windows.
-type ValuesOf = (Modality, Vec<f32>);
-
-impl TrainedNetwork<'_> {
-    /// Returns the output at the windows `at`, and its distance from the present.
-    fn decoded(&self, at: &[Sample]) -> Result<(usize, Vec<ValuesOf>)> {
-        let data = self.data;
-        let (horizon, decoded) = match self.latent {
-            Latent::Encoded(encoder, input) => {
-                let latent = encode(data, encoder, input, at)?;
-                (1, self.decoder.decode(&latent, Some(&data.actions(at)?))?)
-            }
-            Latent::Known(latent) => (0, self.decoder.decode(&rows(latent, at)?, None)?),
-        };
-        Ok((horizon, denormalized(&data.normalizers, data.samples.layout(), self.output, decoded)?))
-    }
+    /// How many samples it sees and predicts.
+    pub window: Window,
 }
 
 impl Predictor for TrainedNetwork<'_> {
@@ -64,45 +99,70 @@ impl Predictor for TrainedNetwork<'_> {
     }
 
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> std::result::Result<(), JudgeError> {
-        let failed = |error| JudgeError::Predictor(Box::new(LearningError::from(error)));
-        let (horizon, decoded) = self.decoded(at).map_err(failed)?;
-        decoded
-            .into_iter()
-            .try_for_each(|(modality, values)| receive(Predicted { modality, horizon, values }))
+        let Self { data, network, input, window, .. } = self;
+        let mut state = present(&**network, data, input, *window, at).map_err(failed)?;
+        for horizon in 1..=window.horizon {
+            let now: Vec<Sample> = at.iter().map(|sample| sample.after(horizon - 1)).collect();
+            let next = || network.act(&state, &data.actions(&now)?);
+            state = next().map_err(failed)?;
+            let decoded = network.decode(&state).map_err(failed)?;
+            pass_on(&data.normalizers, self.output, decoded, horizon, receive)?;
+        }
+        Ok(())
     }
 }
 
-/// Converts a decoder's output to physical units. Returns the values of each modality in `output`, `[batch, width]`;
-/// frames channel by channel.
+/// A decoder that reconstructs the present sample from the latent state of a frozen network.
+pub struct TrainedDecoder<'a> {
+    /// The dataset.
+    pub data: &'a NormalizedData,
+    /// The latent states.
+    pub latents: &'a Latents,
+    /// The decoder, without gradients.
+    pub decoder: Box<dyn Decoder>,
+    /// The modalities that it reconstructs.
+    pub output: &'a [Modality],
+}
+
+impl Predictor for TrainedDecoder<'_> {
+    fn name(&self) -> &str {
+        models::NETWORK
+    }
+
+    fn predict(&self, at: &[Sample], receive: &mut Receive) -> std::result::Result<(), JudgeError> {
+        let decoded = self.latents.rows(at).and_then(|latent| self.decoder.decode(&latent, None));
+        pass_on(&self.data.normalizers, self.output, decoded.map_err(failed)?, 0, receive)
+    }
+}
+
+/// Passes each decoded modality to `receive`, in physical units.
+fn pass_on(
+    normalizers: &Normalizers,
+    output: &[Modality],
+    decoded: Decoded,
+    horizon: usize,
+    receive: &mut Receive,
+) -> std::result::Result<(), JudgeError> {
+    let decoded = denormalized(normalizers, output, &decoded).map_err(failed)?;
+    decoded.into_iter().try_for_each(|(modality, values)| receive(Predicted { modality, horizon, values }))
+}
+
+/// Returns the values of each modality in `output` in physical units, `[batch, width]`; images channel by channel.
+///
+/// # Errors
+/// When the decoder has no such output.
 pub fn denormalized(
     normalizers: &Normalizers,
-    layout: &Layout,
     output: &[Modality],
-    Decoded { vector, frames }: Decoded,
+    decoded: &Decoded,
 ) -> Result<Vec<(Modality, Vec<f32>)>> {
-    let (mut column, mut channel) = (0, 0);
-    let mut denormalized = Vec::with_capacity(output.len());
-    for modality in output.iter().copied() {
-        let definition = &layout[modality];
-        let values = if definition.is_image() {
-            channel += IMAGE_CHANNELS;
-            part(&frames, channel - IMAGE_CHANNELS, IMAGE_CHANNELS)?
-        } else {
-            let width = definition.width();
-            column += width;
-            part(&vector, column - width, width)?
+    let physical = |modality: &Modality| {
+        let Some(values) = decoded.get(modality) else {
+            candle_core::bail!("the decoder has no output for '{modality}'");
         };
         let mut values = values.flatten_all()?.to_vec1()?;
-        normalizers.modalities[&modality].denormalize(&mut values);
-        denormalized.push((modality, values));
-    }
-    Ok(denormalized)
-}
-
-/// Returns `len` columns or channels of a decoder's output, starting at `start`.
-fn part(output: &Option<Tensor>, start: usize, len: usize) -> Result<Tensor> {
-    match output {
-        Some(output) => output.narrow(1, start, len)?.contiguous(),
-        None => candle_core::bail!("the decoder has no output for a modality of its experiment's output"),
-    }
+        normalizers.modalities[modality].denormalize(&mut values);
+        Ok((*modality, values))
+    };
+    output.iter().map(physical).collect()
 }

@@ -1,8 +1,8 @@
 //! The training loop: epochs of Adam steps, validation, early stopping, and saved states.
 
 use super::LearningError;
-use super::network::{Parameters, scalar};
-use super::objective::{Draw, Objective, Weighted};
+use super::network::{Draw, Parameters, scalar};
+use super::objective::{Objective, Weighted};
 use super::ops::Adam;
 use super::random::{Random, Stream};
 use super::state::{State, StateFile};
@@ -123,7 +123,8 @@ impl Fit<'_> {
             if self.progress.cancelled() {
                 return Err(LearningError::Cancelled);
             }
-            let terms = objective.terms(at, Draw::Sample(&mut random))?;
+            let draw = Draw::Sample { random: &mut random, dropout: self.training.dropout };
+            let terms = objective.terms(at, draw)?;
             let total = total(&terms)?;
             train.add(&terms, &total, at.len())?;
             adam.set_learning_rate(learning_rate(self.training, epoch_steps, adam.steps()));

@@ -58,6 +58,11 @@ pub struct Partition {
 }
 
 impl Samples {
+    /// Returns the present samples of all windows, in their order. A window never leaves its episode.
+    pub fn windows(&self, window: Window) -> Vec<Sample> {
+        self.episodes().iter().flat_map(|range| within(window, range)).collect()
+    }
+
     /// Divides the windows into training, validation and test; `None` if one of them would be empty. A window never
     /// leaves its episode. If episodes or times are split, it never leaves its part.
     pub fn partition(&self, split: &Split, window: Window) -> Option<Partition> {
@@ -100,7 +105,7 @@ impl Samples {
     /// Windows are drawn at random. The seed is that of the dataset, so all runs on the dataset have the same split.
     /// Windows of different parts share samples.
     fn partition_by_sample(&self, split: &Split, window: Window) -> Option<Partition> {
-        let mut drawn: Vec<Sample> = self.episodes().iter().flat_map(|range| within(window, range)).collect();
+        let mut drawn = self.windows(window);
         let counts = split.counts(drawn.len())?;
         let identity = format!("harness split by sample: seed {}", self.recording().seed);
         drawn.shuffle(&mut ChaCha8Rng::from_seed(Sha256::digest(identity).into()));

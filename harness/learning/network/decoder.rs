@@ -5,12 +5,13 @@ use super::layers::{Builder, FrameOutput, Perceptron};
 use super::{Architecture, Decoded, Decoder, Targets, Term};
 use crate::ops::{Quantity, Stack, frame_decoder, frame_loss, vector_losses};
 use candle_core::{Result, Tensor};
-use harness_spec::{Fusion, Modality};
+use harness_spec::{Fusion, IMAGE_CHANNELS, Modality};
 
 /// Builds the decoder that an architecture describes.
 pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Result<Box<dyn Decoder>> {
-    let vector = architecture.vector_width(&architecture.output);
-    let (channels, size) = architecture.images(&architecture.output);
+    let [vectors_of, images_of] = architecture.parts(&architecture.output);
+    let (vector, size) = (architecture.width(&vectors_of), architecture.size(&images_of));
+    let channels = images_of.len() * IMAGE_CHANNELS;
     let hidden =
         [&[architecture.latent + architecture.action], architecture.network.hidden.as_slice()].concat();
     let width = hidden[hidden.len() - 1];
@@ -38,7 +39,8 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
     let (frame_hidden, frames) = frames.map_or((None, None), |(own, output)| (own, Some(output)));
     Ok(Box::new(PerceptronDecoder {
         condition: [architecture.latent, architecture.action],
-        vectors_of: vectors_of(architecture),
+        vectors_of: with_widths(architecture, vectors_of),
+        images_of,
         shared,
         vectors,
         frame_hidden,
@@ -46,10 +48,9 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
     }))
 }
 
-/// Returns the vectors that are predicted, side by side, with their widths.
-fn vectors_of(architecture: &Architecture) -> Vec<(Modality, usize)> {
-    let vectors = architecture.output.iter().filter(|modality| !architecture.is_image(**modality));
-    vectors.map(|modality| (*modality, architecture.layout[*modality].width())).collect()
+/// Returns vectors with their widths.
+fn with_widths(architecture: &Architecture, vectors: Vec<Modality>) -> Vec<(Modality, usize)> {
+    vectors.into_iter().map(|modality| (modality, architecture.layout[modality].width())).collect()
 }
 
 /// Hidden layers, which vectors and frames share or have separately, and the output layers of both.
@@ -58,6 +59,8 @@ struct PerceptronDecoder {
     condition: [usize; 2],
     /// The predicted vectors with their widths. They lie side by side.
     vectors_of: Vec<(Modality, usize)>,
+    /// The predicted images. They are stacked by channel.
+    images_of: Vec<Modality>,
     /// Hidden layers that vectors and frames share.
     shared: Option<Perceptron>,
     /// Layers that predict the vectors from the shared layers' output, or from the latent state and the action.
@@ -100,36 +103,45 @@ impl PerceptronDecoder {
 impl Decoder for PerceptronDecoder {
     fn decode(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Decoded> {
         let hidden = self.hidden(latent, action)?;
-        let frames = self.frames.as_ref().map(|output| {
-            let channels = output.stack.layers()[0].fine_channels;
-            frame_decoder(&hidden.frames, &output.decoder(0, channels)?)
-        });
-        Ok(Decoded { vector: self.vectors(&hidden)?, frames: frames.transpose()? })
+        let mut decoded = Decoded::new();
+        if let Some(vectors) = self.vectors(&hidden)? {
+            let mut first = 0;
+            for (modality, width) in &self.vectors_of {
+                decoded.insert(*modality, vectors.narrow(1, first, *width)?.contiguous()?);
+                first += width;
+            }
+        }
+        if let Some(output) = &self.frames {
+            let channels = self.images_of.len() * IMAGE_CHANNELS;
+            let frames = frame_decoder(&hidden.frames, &output.decoder(0, channels)?)?;
+            for (index, modality) in self.images_of.iter().enumerate() {
+                let image = frames.narrow(1, index * IMAGE_CHANNELS, IMAGE_CHANNELS)?;
+                decoded.insert(*modality, image.contiguous()?);
+            }
+        }
+        Ok(decoded)
     }
 
-    fn losses(&self, latent: &Tensor, action: Option<&Tensor>, targets: &Targets) -> Result<Vec<Term>> {
+    fn losses(&self, latent: &Tensor, action: Option<&Tensor>, targets: Targets) -> Result<Vec<Term>> {
         let hidden = self.hidden(latent, action)?;
         let mut terms = Vec::new();
-        if let (Some(predicted), Some(target)) = (self.vectors(&hidden)?, &targets.vector) {
+        if let Some(predicted) = self.vectors(&hidden)? {
             let loss = |modality: &Modality| targets.losses.get(modality).copied().unwrap_or_default();
             let quantity =
                 |(modality, width): &(Modality, usize)| Quantity { width: *width, loss: loss(modality) };
             let quantities: Vec<Quantity> = self.vectors_of.iter().map(quantity).collect();
-            let losses = vector_losses(&predicted, target, &quantities)?;
-            for (index, (modality, _)) in self.vectors_of.iter().enumerate() {
-                terms.push(Term { modality: *modality, value: losses.get(index)? });
+            let vectors: Vec<Modality> = self.vectors_of.iter().map(|(modality, _)| *modality).collect();
+            let losses = vector_losses(&predicted, &targets.values.vectors(&vectors)?, &quantities)?;
+            for (index, modality) in vectors.into_iter().enumerate() {
+                terms.push(Term { modality, value: losses.get(index)? });
             }
         }
-        let mut first = 0;
-        for (modality, target) in &targets.frames {
-            if let Some(output) = &self.frames {
-                let decoder = output.decoder(first, target.channels())?;
-                terms.push(Term {
-                    modality: *modality,
-                    value: frame_loss(&hidden.frames, decoder, target.clone())?,
-                });
+        if let Some(output) = &self.frames {
+            for (index, &modality) in self.images_of.iter().enumerate() {
+                let decoder = output.decoder(index * IMAGE_CHANNELS, IMAGE_CHANNELS)?;
+                let target = targets.values.frames(&[modality])?;
+                terms.push(Term { modality, value: frame_loss(&hidden.frames, decoder, target)? });
             }
-            first += target.channels();
         }
         Ok(terms)
     }
@@ -139,6 +151,7 @@ impl Decoder for PerceptronDecoder {
         Box::new(Self {
             condition: self.condition,
             vectors_of: self.vectors_of.clone(),
+            images_of: self.images_of.clone(),
             shared: detached(&self.shared),
             vectors: detached(&self.vectors),
             frame_hidden: detached(&self.frame_hidden),

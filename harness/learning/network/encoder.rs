@@ -6,31 +6,30 @@ use super::{Architecture, Encoder, Observation, Posterior};
 use crate::frames::Frames;
 use crate::ops::{Arithmetic, Dropout, Stack};
 use candle_core::{Result, Tensor};
-use harness_spec::Fusion;
+use harness_spec::{Fusion, IMAGE_CHANNELS, Modality};
 use std::sync::Arc;
 
 /// Builds the encoder that an architecture describes.
 pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Result<Box<dyn Encoder>> {
-    let vector = architecture.vector_width(&architecture.input);
-    let (channels, _) = architecture.images(&architecture.input);
+    let [vectors, images] = architecture.parts(&architecture.input);
     Ok(match architecture.network.fusion {
-        Fusion::Early if channels == 0 => Box::new(VectorEncoder::new(architecture, vector, builder)?),
-        Fusion::Early => Box::new(EarlyEncoder::new(architecture, vector, channels, builder)?),
-        Fusion::Late => Box::new(LateEncoder::new(architecture, vector, channels, builder)?),
+        Fusion::Early if images.is_empty() => Box::new(VectorEncoder::new(architecture, vectors, builder)?),
+        Fusion::Early => Box::new(EarlyEncoder::new(architecture, vectors, images, builder)?),
+        Fusion::Late => Box::new(LateEncoder::new(architecture, vectors, images, builder)?),
     })
 }
 
-/// Builds the convolutions for frames with `channels` channels, and the weight of the fully connected layer after them.
+/// Builds the convolutions for images, and the weight of the fully connected layer after them.
 fn frame_input(
     architecture: &Architecture,
-    channels: usize,
+    images: &[Modality],
     weight: &str,
     outputs: usize,
     builder: &mut Builder,
 ) -> Result<FrameInput> {
     let average = architecture.network.average;
-    let (_, size) = architecture.images(&architecture.input);
-    let stack = Stack::new(channels, size.map(|side| side / average), architecture.network.channels());
+    let size = architecture.size(images).map(|side| side / average);
+    let stack = Stack::new(images.len() * IMAGE_CHANNELS, size, architecture.network.channels());
     let convolutions = builder.convolutions(&stack)?;
     let len = stack.coarse_len();
     let weight = builder.uniform(weight, &[outputs, len], len)?;
@@ -53,14 +52,6 @@ fn to_posterior(
     Ok(layers.then(POSTERIOR, last))
 }
 
-/// Returns the part of an observation. Fails if the caller did not supply it.
-fn given<T>(part: &Option<T>) -> Result<&T> {
-    match part {
-        Some(part) => Ok(part),
-        None => candle_core::bail!("the observation lacks a part that the encoder needs"),
-    }
-}
-
 /// Describes the first fully connected layer of an encoder that joins frames and vectors in it.
 fn first_layer(weights: &[&str]) -> Operation {
     Operation::Dense {
@@ -71,10 +62,14 @@ fn first_layer(weights: &[&str]) -> Operation {
 }
 
 /// Fully connected layers on vectors alone.
-struct VectorEncoder(Perceptron);
+struct VectorEncoder {
+    vectors: Vec<Modality>,
+    layers: Perceptron,
+}
 
 impl VectorEncoder {
-    fn new(architecture: &Architecture, vector: usize, builder: &mut Builder) -> Result<Self> {
+    fn new(architecture: &Architecture, vectors: Vec<Modality>, builder: &mut Builder) -> Result<Self> {
+        let vector = architecture.width(&vectors);
         let hidden = &architecture.network.hidden;
         // The parameters have the same names as those of the first layer in an encoder with frames.
         let first = Dense {
@@ -82,21 +77,21 @@ impl VectorEncoder {
             bias: builder.uniform("hidden.bias", &[hidden[0]], vector)?,
         };
         let layers = Perceptron::empty(builder.arithmetic).then("hidden", first);
-        Ok(Self(to_posterior(layers, architecture, builder)?))
+        Ok(Self { vectors, layers: to_posterior(layers, architecture, builder)? })
     }
 }
 
 impl Encoder for VectorEncoder {
     fn encode_with_dropout(&self, observation: &Observation, _dropout: Option<Dropout>) -> Result<Posterior> {
-        Ok(Posterior(self.0.forward(given(&observation.vector)?, false)?))
+        Ok(Posterior(self.layers.forward(&observation.vectors(&self.vectors)?, false)?))
     }
 
     fn detached(&self) -> Box<dyn Encoder> {
-        Box::new(Self(self.0.detached()))
+        Box::new(Self { vectors: self.vectors.clone(), layers: self.layers.detached() })
     }
 
     fn layers(&self) -> Result<Vec<Layer>> {
-        let mut layers = self.0.layers(VECTORS, false)?;
+        let mut layers = self.layers.layers(VECTORS, false)?;
         // Its weight has the same name as in an encoder with frames.
         layers[0].operation = first_layer(&["hidden_vector.weight"]);
         Ok(layers)
@@ -105,11 +100,13 @@ impl Encoder for VectorEncoder {
 
 /// Joins frames and vectors in the first fully connected layer.
 struct EarlyEncoder {
+    vectors: Vec<Modality>,
+    images: Vec<Modality>,
     frames: FrameInput,
     /// Weight of the first layer for the vectors, if there are any. Frames and vectors are two blocks of one layer, and
     /// each is initialized by its own fan-in. With a joint fan-in, a few joint angles would initially have little
     /// weight next to thousands of image values.
-    vector: Option<Tensor>,
+    weight: Option<Tensor>,
     bias: Tensor,
     /// The other hidden layers and the layer of the posterior.
     rest: Perceptron,
@@ -118,29 +115,31 @@ struct EarlyEncoder {
 impl EarlyEncoder {
     fn new(
         architecture: &Architecture,
-        vector: usize,
-        channels: usize,
+        vectors: Vec<Modality>,
+        images: Vec<Modality>,
         builder: &mut Builder,
     ) -> Result<Self> {
         let hidden = &architecture.network.hidden;
-        let frames = frame_input(architecture, channels, "hidden_frame.weight", hidden[0], builder)?;
+        let vector = architecture.width(&vectors);
+        let frames = frame_input(architecture, &images, "hidden_frame.weight", hidden[0], builder)?;
         let fan_in = vector + frames.stack.coarse_len();
-        let vector = (vector > 0)
+        let weight = (vector > 0)
             .then(|| builder.uniform("hidden_vector.weight", &[hidden[0], vector], vector))
             .transpose()?;
         let bias = builder.uniform("hidden.bias", &[hidden[0]], fan_in)?;
         let rest = to_posterior(Perceptron::empty(builder.arithmetic), architecture, builder)?;
-        Ok(Self { frames, vector, bias, rest })
+        Ok(Self { vectors, images, frames, weight, bias, rest })
     }
 }
 
 impl Encoder for EarlyEncoder {
     fn encode_with_dropout(&self, observation: &Observation, dropout: Option<Dropout>) -> Result<Posterior> {
-        let seen = self.frames.forward(given(&observation.frames)?, dropout)?;
-        let hidden = match &self.vector {
+        let seen = self.frames.forward(&observation.frames(&self.images)?, dropout)?;
+        let hidden = match &self.weight {
             Some(weight) => {
                 let layer = Dense { weight: weight.clone(), bias: self.bias.clone() };
-                (seen + layer.forward(given(&observation.vector)?, false, self.frames.arithmetic)?)?
+                (seen
+                    + layer.forward(&observation.vectors(&self.vectors)?, false, self.frames.arithmetic)?)?
             }
             None => seen.broadcast_add(&self.bias)?,
         };
@@ -149,8 +148,10 @@ impl Encoder for EarlyEncoder {
 
     fn detached(&self) -> Box<dyn Encoder> {
         Box::new(Self {
+            vectors: self.vectors.clone(),
+            images: self.images.clone(),
             frames: self.frames.detached(),
-            vector: self.vector.as_ref().map(Tensor::detach),
+            weight: self.weight.as_ref().map(Tensor::detach),
             bias: self.bias.detach(),
             rest: self.rest.detached(),
         })
@@ -159,7 +160,7 @@ impl Encoder for EarlyEncoder {
     fn layers(&self) -> Result<Vec<Layer>> {
         let parts = [(FLAT, "hidden_frame.weight"), (VECTORS, "hidden_vector.weight")];
         let (inputs, weights): (Vec<_>, Vec<_>) =
-            parts.into_iter().take(1 + usize::from(self.vector.is_some())).unzip();
+            parts.into_iter().take(1 + usize::from(self.weight.is_some())).unzip();
         let mut layers = self.frames.layers();
         layers.push(Layer {
             name: "hidden".into(),
@@ -167,7 +168,7 @@ impl Encoder for EarlyEncoder {
             inputs: inputs.into_iter().map(String::from).collect(),
             output: vec![self.bias.dim(0)?],
             parameters: self.frames.weight.elem_count()
-                + self.vector.as_ref().map_or(0, Tensor::elem_count)
+                + self.weight.as_ref().map_or(0, Tensor::elem_count)
                 + self.bias.elem_count(),
         });
         layers.extend(self.rest.layers("hidden", false)?);
@@ -177,6 +178,8 @@ impl Encoder for EarlyEncoder {
 
 /// Encodes frames and vectors separately, normalizes both results, and joins them in one more layer.
 struct LateEncoder {
+    vectors: Vec<Modality>,
+    images: Vec<Modality>,
     vector: Option<(Perceptron, Norm)>,
     frames: Option<LateFrames>,
     joint: Dense,
@@ -201,15 +204,16 @@ impl LateFrames {
 impl LateEncoder {
     fn new(
         architecture: &Architecture,
-        vector: usize,
-        channels: usize,
+        vectors: Vec<Modality>,
+        images: Vec<Modality>,
         builder: &mut Builder,
     ) -> Result<Self> {
         let hidden = &architecture.network.hidden;
         let width = hidden[hidden.len() - 1];
-        let frames = (channels > 0)
+        let vector = architecture.width(&vectors);
+        let frames = (!images.is_empty())
             .then(|| {
-                let input = frame_input(architecture, channels, "frame.weight", width, builder)?;
+                let input = frame_input(architecture, &images, "frame.weight", width, builder)?;
                 let bias = builder.uniform("frame.bias", &[width], input.stack.coarse_len())?;
                 Ok::<_, candle_core::Error>(LateFrames {
                     input,
@@ -230,7 +234,7 @@ impl LateEncoder {
         let inputs = (usize::from(frames.is_some()) + usize::from(vector.is_some())) * width;
         let joint = builder.dense("joint", inputs, width)?;
         let posterior = builder.dense(POSTERIOR, width, 2 * architecture.latent)?;
-        Ok(Self { vector, frames, joint, posterior, arithmetic: architecture.arithmetic })
+        Ok(Self { vectors, images, vector, frames, joint, posterior, arithmetic: architecture.arithmetic })
     }
 }
 
@@ -238,10 +242,10 @@ impl Encoder for LateEncoder {
     fn encode_with_dropout(&self, observation: &Observation, dropout: Option<Dropout>) -> Result<Posterior> {
         let mut parts = Vec::new();
         if let Some((perceptron, norm)) = &self.vector {
-            parts.push(norm.forward(&perceptron.forward(given(&observation.vector)?, true)?)?);
+            parts.push(norm.forward(&perceptron.forward(&observation.vectors(&self.vectors)?, true)?)?);
         }
         if let Some(frames) = &self.frames {
-            parts.push(frames.forward(given(&observation.frames)?, dropout)?);
+            parts.push(frames.forward(&observation.frames(&self.images)?, dropout)?);
         }
         let joint = self.joint.forward(&Tensor::cat(&parts, 1)?, true, self.arithmetic)?;
         Ok(Posterior(self.posterior.forward(&joint, false, self.arithmetic)?))
@@ -249,6 +253,8 @@ impl Encoder for LateEncoder {
 
     fn detached(&self) -> Box<dyn Encoder> {
         Box::new(Self {
+            vectors: self.vectors.clone(),
+            images: self.images.clone(),
             vector: self.vector.as_ref().map(|(perceptron, norm)| (perceptron.detached(), norm.detached())),
             frames: self.frames.as_ref().map(|frames| LateFrames {
                 input: frames.input.detached(),

@@ -1,20 +1,23 @@
-//! The conditional variational auto-encoder: encoder, posterior, decoder.
+//! Networks that see samples and predict later ones, and the conditional variational auto-encoder.
 //!
-//! Source: sections II and IV-A of the paper. The encoder maps an observation to a diagonal Gaussian distribution over
-//! the latent state. The decoder maps a latent state and an action to the next observation. [`Architecture`] describes
-//! their layers. Training and prediction use only the traits [`Encoder`] and [`Decoder`].
+//! Training and prediction use only the trait [`Network`]. [`Architecture`] describes the layers of the auto-encoder, and
+//! builds it. Source: sections II and IV-A of the paper. Its encoder maps an observation to a diagonal Gaussian
+//! distribution over the latent state. Its decoder maps a latent state and an action to the next observation.
 
+mod cvae;
 mod decoder;
 pub mod description;
 mod encoder;
 mod layers;
 
+pub use super::observation::{Observation, Value};
+pub use cvae::Cvae;
+
 use super::ops::{self, Arithmetic, Dropout};
 use super::random::Random;
-use crate::frames::Frames;
 use candle_core::{DType, Device, Result, Tensor, Var};
 use description::Layer;
-use harness_spec::{IMAGE_CHANNELS, Layout, Loss, Modality, Network, RunSpec, Task};
+use harness_spec::{Layout, Loss, Modality, RunSpec, Task};
 use layers::{Builder, Made};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -36,7 +39,7 @@ pub struct Architecture {
     /// Width of the action that the decoder gets; 0 for a decoder without an action.
     pub action: usize,
     /// The kinds of layers and their widths.
-    pub network: Network,
+    pub network: harness_spec::Network,
     /// How matrix products are computed.
     pub arithmetic: Arithmetic,
 }
@@ -59,6 +62,21 @@ pub fn architecture(spec: &RunSpec, layout: &Arc<Layout>, task: Task) -> Archite
 }
 
 impl Architecture {
+    /// Creates the network that predicts. Its parameters are added to `parameters`, those of the encoder first.
+    ///
+    /// # Errors
+    /// When a tensor can't be created on the device.
+    pub fn network(
+        &self,
+        parameters: &mut Parameters,
+        random: &mut Random,
+        device: &Device,
+    ) -> Result<Box<dyn Network>> {
+        let encoder = self.encoder(parameters, random, device)?;
+        let decoder = self.decoder(parameters, random, device)?;
+        Ok(Box::new(Cvae { encoder, decoder, input: self.input.clone() }))
+    }
+
     /// Creates an encoder. Its parameters are added to `parameters`, under names that begin with `encoder.`.
     pub fn encoder(
         &self,
@@ -111,22 +129,110 @@ impl Architecture {
         Builder { made, prefix, arithmetic: self.arithmetic }
     }
 
-    fn is_image(&self, modality: Modality) -> bool {
-        self.layout[modality].is_image()
+    /// Returns the vectors and the images among `modalities`.
+    fn parts(&self, modalities: &[Modality]) -> [Vec<Modality>; 2] {
+        let (images, vectors) = modalities.iter().partition(|modality| self.layout[**modality].is_image());
+        [vectors, images]
     }
 
-    /// Returns the total width of all vectors among `modalities`.
-    fn vector_width(&self, modalities: &[Modality]) -> usize {
-        let vectors = modalities.iter().filter(|modality| !self.is_image(**modality));
-        vectors.map(|modality| self.layout[*modality].width()).sum()
+    /// Returns the total width of these vectors.
+    fn width(&self, vectors: &[Modality]) -> usize {
+        vectors.iter().map(|modality| self.layout[*modality].width()).sum()
     }
 
-    /// Returns the number of channels of all images among `modalities`, and their common rows and columns in pixels. All are 0 if
-    /// there are no images.
-    fn images(&self, modalities: &[Modality]) -> (usize, [usize; 2]) {
-        let images = modalities.iter().filter_map(|modality| self.layout[*modality].size());
-        images.fold((0, [0, 0]), |(channels, _), size| (channels + IMAGE_CHANNELS, size))
+    /// Returns the common rows and columns of these images in pixels; 0 without images.
+    fn size(&self, images: &[Modality]) -> [usize; 2] {
+        images.first().and_then(|image| self.layout[*image].size()).unwrap_or_default()
     }
+}
+
+/// What a network knows of a batch of episodes at one sample.
+#[derive(Clone)]
+pub struct State {
+    /// The latent state, `[batch, latent]`, from which the sample is predicted.
+    pub latent: Tensor,
+    /// The action since the last sample, `[batch, elements]`, if the network's decoder takes it. `None` for a sample
+    /// that the network has seen.
+    pub action: Option<Tensor>,
+    /// What the network has stored of earlier samples, `[batch, width]`; `None` without memory.
+    pub memory: Option<Tensor>,
+}
+
+/// A state after an observation.
+pub struct Seen {
+    /// The state.
+    pub state: State,
+    /// The divergence of the latent state's distribution from what was expected before the observation, in nats,
+    /// averaged over the batch; a scalar.
+    pub divergence: Tensor,
+}
+
+/// How latent states are drawn.
+pub enum Draw<'a> {
+    /// From the posterior, for training.
+    Sample {
+        /// Supplies the noise and the seeds of the dropout.
+        random: &'a mut Random,
+        /// Probability with which a training step sets a value of the last convolution's output to zero.
+        dropout: f64,
+    },
+    /// The posterior's mean, for validation and test.
+    Mean,
+}
+
+impl Draw<'_> {
+    /// Returns latent states of a posterior, `[batch, latent]`.
+    ///
+    /// # Errors
+    /// When the noise can't be copied to the posterior's device.
+    pub fn latent(&mut self, posterior: &Posterior) -> Result<Tensor> {
+        match self {
+            Self::Sample { random, .. } => {
+                let shape = (posterior.0.dim(0)?, posterior.latent()?);
+                let noise = Tensor::from_vec(random.normal(shape.0 * shape.1), shape, &Device::Cpu)?;
+                posterior.sample(&noise.to_device(posterior.0.device())?)
+            }
+            Self::Mean => posterior.mean(),
+        }
+    }
+}
+
+/// A network that sees the samples of an episode one after the other, and predicts later ones. All its values are
+/// normalized.
+pub trait Network: Send + Sync {
+    /// Returns the state before an episode's first sample; `None` if the network has no memory.
+    ///
+    /// # Errors
+    /// When a tensor can't be created on the device.
+    fn start(&self, batch: usize, device: &Device) -> Result<Option<State>>;
+
+    /// Returns the state of a sample that is seen. `state` is the one that predicts this sample, or the one before the
+    /// first sample.
+    ///
+    /// # Errors
+    /// When the observation lacks a modality that the network needs.
+    fn observe(&self, state: Option<&State>, seen: &Observation, draw: &mut Draw) -> Result<Seen>;
+
+    /// Returns the state that predicts the next sample, after an action `[batch, elements]`.
+    ///
+    /// # Errors
+    /// When the network can't predict as far.
+    fn act(&self, state: &State, action: &Tensor) -> Result<State>;
+
+    /// Returns the predicted sample. On the CPU its images have no gradient.
+    ///
+    /// # Errors
+    /// When a tensor operation fails.
+    fn decode(&self, state: &State) -> Result<Decoded>;
+
+    /// Returns the mean loss of each output modality of the predicted sample.
+    ///
+    /// # Errors
+    /// When a target is missing.
+    fn losses(&self, state: &State, targets: Targets) -> Result<Vec<Term>>;
+
+    /// Returns the same network over the same parameters, for which no gradients are computed.
+    fn detached(&self) -> Box<dyn Network>;
 }
 
 /// Maps an observation to a posterior over the latent state.
@@ -152,7 +258,7 @@ pub trait Decoder: Send + Sync {
     fn decode(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Decoded>;
 
     /// Returns the mean loss of every output modality against `targets`, on normalized values.
-    fn losses(&self, latent: &Tensor, action: Option<&Tensor>, targets: &Targets) -> Result<Vec<Term>>;
+    fn losses(&self, latent: &Tensor, action: Option<&Tensor>, targets: Targets) -> Result<Vec<Term>>;
 
     /// Returns the same decoder over the same parameters, for which no gradients are computed.
     fn detached(&self) -> Box<dyn Decoder>;
@@ -188,13 +294,8 @@ impl Summary {
     }
 }
 
-/// A decoder's output for a batch, normalized.
-pub struct Decoded {
-    /// Vectors side by side, `[batch, width]`.
-    pub vector: Option<Tensor>,
-    /// Frames stacked by channel, `[batch, channels, rows, columns]`.
-    pub frames: Option<Tensor>,
-}
+/// A decoder's output for a batch, normalized: vectors `[batch, width]`, and images `[batch, channels, rows, columns]`.
+pub type Decoded = BTreeMap<Modality, Tensor>;
 
 /// The loss of one output modality.
 pub struct Term {
@@ -204,23 +305,13 @@ pub struct Term {
     pub value: Tensor,
 }
 
-/// The normalized observation that a decoder should predict. All modalities have the order of the output.
-pub struct Targets {
-    /// Vectors side by side, `[batch, width]`.
-    pub vector: Option<Tensor>,
-    /// Loss of each vector modality. Modalities that are not listed, and all frames, use the squared error.
-    pub losses: BTreeMap<Modality, Loss>,
-    /// The frames of each image modality.
-    pub frames: Vec<(Modality, Arc<dyn Frames>)>,
-}
-
-/// A normalized observation of a batch.
-#[derive(Clone)]
-pub struct Observation {
-    /// Vectors side by side, `[batch, width]`; `None` if there are none.
-    pub vector: Option<Tensor>,
-    /// Frames stacked by channel; `None` if there are none.
-    pub frames: Option<Arc<dyn Frames>>,
+/// What a decoder should predict.
+#[derive(Clone, Copy)]
+pub struct Targets<'a> {
+    /// The values.
+    pub values: &'a Observation,
+    /// Loss of each vector. Vectors that are not listed, and all images, use the squared error.
+    pub losses: &'a BTreeMap<Modality, Loss>,
 }
 
 /// A diagonal Gaussian distribution over the latent state: the means followed by the log-variances,

@@ -1,0 +1,58 @@
+//! What a network sees of a batch of samples, and what it should predict: normalized values by modality.
+
+use super::frames::{Frames, stacked};
+use candle_core::{Result, Tensor};
+use harness_spec::Modality;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// The normalized values of one modality for a batch.
+#[derive(Clone)]
+pub enum Value {
+    /// A vector, `[batch, width]`.
+    Vector(Tensor),
+    /// An image, with three channels.
+    Frames(Arc<dyn Frames>),
+}
+
+/// The normalized values of a batch by modality. A modality without values was not given.
+#[derive(Clone, Default)]
+pub struct Observation(BTreeMap<Modality, Value>);
+
+impl FromIterator<(Modality, Value)> for Observation {
+    fn from_iter<I: IntoIterator<Item = (Modality, Value)>>(values: I) -> Self {
+        Self(values.into_iter().collect())
+    }
+}
+
+impl Observation {
+    /// Returns the values of a modality; `None` if it was not given.
+    pub fn get(&self, modality: Modality) -> Option<&Value> {
+        self.0.get(&modality)
+    }
+
+    /// Returns these vectors side by side, `[batch, width]`.
+    ///
+    /// # Errors
+    /// When one of them was not given, or is an image.
+    pub fn vectors(&self, modalities: &[Modality]) -> Result<Tensor> {
+        let vector = |modality: &Modality| match self.get(*modality) {
+            Some(Value::Vector(vector)) => Ok(vector.clone()),
+            _ => candle_core::bail!("the observation lacks the vector '{modality}'"),
+        };
+        let mut vectors = modalities.iter().map(vector).collect::<Result<Vec<_>>>()?;
+        if vectors.len() == 1 { Ok(vectors.remove(0)) } else { Tensor::cat(&vectors, 1) }
+    }
+
+    /// Returns these images stacked by channel.
+    ///
+    /// # Errors
+    /// When one of them was not given, or is a vector.
+    pub fn frames(&self, modalities: &[Modality]) -> Result<Arc<dyn Frames>> {
+        let frames = |modality: &Modality| match self.get(*modality) {
+            Some(Value::Frames(frames)) => Ok(frames.clone()),
+            _ => candle_core::bail!("the observation lacks the image '{modality}'"),
+        };
+        Ok(stacked(modalities.iter().map(frames).collect::<Result<_>>()?))
+    }
+}
