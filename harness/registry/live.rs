@@ -78,5 +78,5 @@ pub fn live_epochs(folder: &Path) -> Vec<(Task, Epoch)> {
 
 /// The rows of the table `epochs` of a running run.
 pub(super) fn table(folder: &Path, record: &RunRecord) -> PolarsResult<DataFrame> {
-    record.with_key(epochs_columns(&live_epochs(folder)), &harness_tables::schema::Table::Epochs.columns())
+    record.with_key(epochs_columns(&live_epochs(folder)))
 }

@@ -8,7 +8,7 @@ use harness_metrics::epoch::Epoch;
 use harness_shared::seal::{self, SealError, hex};
 use harness_spec::{Layout, Modality, RunSpec, Task, World};
 use harness_tables::schema::Table;
-use harness_tables::{Stamp, TableError, data_type, read_footer, write_table};
+use harness_tables::{Stamp, TableError, column_of, read_footer, write_table};
 use jiff::Timestamp;
 use polars::prelude::*;
 use rayon::prelude::*;
@@ -411,122 +411,86 @@ impl RunRecord {
         ])
     }
 
-    /// The values of the columns that identify the run. They are the first columns of every table of runs.
-    fn key(&self) -> Vec<AnyValue<'static>> {
-        let spec = &self.spec;
-        vec![
-            text(&self.experiment),
-            text(&self.run),
-            text(spec.scenario.name()),
-            text(joined(&spec.input)),
-            text(joined(&spec.output)),
-            text(spec.network.preset.name()),
-            count(spec.latent as u64),
-            text(&spec.variant),
-            count(spec.seed),
-        ]
-    }
-
-    /// A table of the run: the columns that identify it, and then `columns`. `all` describes both.
-    pub(super) fn with_key(
-        &self,
-        columns: Vec<Column>,
-        all: &[harness_tables::schema::Column],
-    ) -> PolarsResult<DataFrame> {
+    /// A table of the run: the columns that identify it, and then `columns`.
+    pub(super) fn with_key(&self, columns: Vec<Column>) -> PolarsResult<DataFrame> {
         let rows = columns.first().map_or(0, Column::len);
-        let key = all.iter().zip(self.key()).map(|(column, value)| {
-            Column::new_scalar(column.name.as_str().into(), Scalar::new(data_type(column.kind), value), rows)
-        });
-        DataFrame::new(rows, key.chain(columns).collect())
+        let key = key_columns(std::slice::from_ref(self)).into_iter();
+        DataFrame::new(rows, key.map(|column| column.new_from_index(0, rows)).chain(columns).collect())
     }
-
-    /// The run's row in the `runs` table, in the order of its columns.
-    fn row(&self) -> Vec<AnyValue<'static>> {
-        let by = &self.provenance;
-        let seconds = |of: fn(&Timings) -> Option<f64>| {
-            self.timings.as_ref().and_then(of).map_or(AnyValue::Null, AnyValue::Float64)
-        };
-        let mut row = self.key();
-        row.extend([
-            text(self.status.name()),
-            optional(self.reason.as_deref()),
-            text(&self.spec_hash),
-            text(self.group_hash()),
-            text(&self.dataset),
-            self.spec.simulation.as_ref().map_or(AnyValue::Null, |simulation| count(simulation.seed)),
-            optional(self.spec.reading()),
-            optional(self.spec.role()),
-            text(self.spec.split.by.name()),
-            text(&self.started),
-            seconds(|timings| Some(timings.collect)),
-            seconds(|timings| Some(timings.prediction)),
-            seconds(|timings| timings.reconstruction),
-            seconds(|timings| Some(timings.evaluation)),
-            self.peak_memory_bytes.map_or(AnyValue::Null, count),
-            self.parameters.map_or(AnyValue::Null, |parameters| count(parameters as u64)),
-            optional(by.git_commit.as_deref()),
-            by.git_dirty.map_or(AnyValue::Null, AnyValue::Boolean),
-            text(&by.harness_version),
-            text(&by.mujoco_version),
-            text(&by.candle_version),
-            text(&by.host),
-            text(&by.processor),
-            count(by.threads as u64),
-            text(&by.command),
-        ]);
-        row
-    }
-}
-
-fn text(value: impl AsRef<str>) -> AnyValue<'static> {
-    AnyValue::StringOwned(value.as_ref().into())
-}
-
-fn optional(value: Option<&str>) -> AnyValue<'static> {
-    value.map_or(AnyValue::Null, text)
-}
-
-fn count(value: u64) -> AnyValue<'static> {
-    AnyValue::Int64(value as i64)
 }
 
 fn joined(modalities: &[Modality]) -> String {
     modalities.iter().map(|modality| modality.name()).collect::<Vec<_>>().join("+")
 }
 
+/// The columns that identify each run. They are the first columns of every table of runs.
+fn key_columns(records: &[RunRecord]) -> Vec<Column> {
+    vec![
+        column_of(records, "experiment", |run| run.experiment.as_str()),
+        column_of(records, "run", |run| run.run.as_str()),
+        column_of(records, "scenario", |run| run.spec.scenario.name()),
+        column_of(records, "input", |run| joined(&run.spec.input)),
+        column_of(records, "output", |run| joined(&run.spec.output)),
+        column_of(records, "architecture", |run| run.spec.network.preset.name()),
+        column_of(records, "latent", |run| run.spec.latent as i64),
+        column_of(records, "variant", |run| run.spec.variant.as_str()),
+        column_of(records, "seed", |run| run.spec.seed as i64),
+    ]
+}
+
 /// The `runs` table, with a row for each record.
 pub(super) fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
-    let rows: Vec<Vec<AnyValue>> = records.par_iter().map(RunRecord::row).collect();
-    let columns = Table::Runs.columns().into_iter().enumerate().map(|(index, column)| {
-        let values: Vec<AnyValue> = rows.iter().map(|row| row[index].clone()).collect();
-        let series =
-            Series::from_any_values_and_dtype(column.name.into(), &values, &data_type(column.kind), true)?;
-        Ok(series.into())
-    });
-    DataFrame::new(rows.len(), columns.collect::<PolarsResult<Vec<Column>>>()?)
+    let group_hashes: Vec<String> = records.par_iter().map(RunRecord::group_hash).collect();
+    let seconds = |name: &str, of: fn(&Timings) -> Option<f64>| {
+        column_of(records, name, |run| run.timings.as_ref().and_then(of))
+    };
+    let mut columns = key_columns(records);
+    columns.extend([
+        column_of(records, "status", |run| run.status.name()),
+        column_of(records, "reason", |run| run.reason.as_deref()),
+        column_of(records, "spec_hash", |run| run.spec_hash.as_str()),
+        Column::new("group_hash".into(), group_hashes),
+        column_of(records, "dataset", |run| run.dataset.as_str()),
+        column_of(records, "dataset_seed", |run| run.spec.simulation.as_ref().map(|of| of.seed as i64)),
+        column_of(records, "reading", |run| run.spec.reading()),
+        column_of(records, "role", |run| run.spec.role()),
+        column_of(records, "split", |run| run.spec.split.by.name()),
+        column_of(records, "started", |run| run.started.as_str()),
+        seconds("collect_seconds", |timings| Some(timings.collect)),
+        seconds("prediction_seconds", |timings| Some(timings.prediction)),
+        seconds("reconstruction_seconds", |timings| timings.reconstruction),
+        seconds("evaluation_seconds", |timings| Some(timings.evaluation)),
+        column_of(records, "peak_memory_bytes", |run| run.peak_memory_bytes.map(|bytes| bytes as i64)),
+        column_of(records, "parameters", |run| run.parameters.map(|parameters| parameters as i64)),
+        column_of(records, "git_commit", |run| run.provenance.git_commit.as_deref()),
+        column_of(records, "git_dirty", |run| run.provenance.git_dirty),
+        column_of(records, "harness_version", |run| run.provenance.harness_version.as_str()),
+        column_of(records, "mujoco_version", |run| run.provenance.mujoco_version.as_str()),
+        column_of(records, "candle_version", |run| run.provenance.candle_version.as_str()),
+        column_of(records, "host", |run| run.provenance.host.as_str()),
+        column_of(records, "processor", |run| run.provenance.processor.as_str()),
+        column_of(records, "threads", |run| run.provenance.threads as i64),
+        column_of(records, "command", |run| run.provenance.command.as_str()),
+    ]);
+    DataFrame::new(records.len(), columns)?
+        .select(Table::Runs.columns().into_iter().map(|column| column.name))
 }
 
 /// The columns of the table `epochs` without those of the run.
 pub(super) fn epochs_columns(epochs: &[(Task, Epoch)]) -> Vec<Column> {
-    let rows: Vec<(Task, usize, &str, &str, f64, f64)> = epochs
-        .iter()
-        .flat_map(|(task, epoch)| {
-            [("train", &epoch.train), ("validation", &epoch.validation)].into_iter().flat_map(
-                move |(split, losses)| {
-                    losses.iter().map(move |(term, value)| {
-                        (*task, epoch.epoch, split, term.as_str(), *value, epoch.seconds)
-                    })
-                },
-            )
-        })
-        .collect();
+    let mut rows = Vec::new();
+    for (task, epoch) in epochs {
+        for (split, losses) in [("train", &epoch.train), ("validation", &epoch.validation)] {
+            rows.extend(losses.iter().map(|loss| (*task, epoch, split, loss)));
+        }
+    }
     vec![
-        Column::new("task".into(), rows.iter().map(|row| row.0.name()).collect::<Vec<_>>()),
-        Column::new("epoch".into(), rows.iter().map(|row| row.1 as i64).collect::<Vec<_>>()),
-        Column::new("split".into(), rows.iter().map(|row| row.2).collect::<Vec<_>>()),
-        Column::new("term".into(), rows.iter().map(|row| row.3).collect::<Vec<_>>()),
-        Column::new("value".into(), rows.iter().map(|row| row.4).collect::<Vec<_>>()),
-        Column::new("seconds".into(), rows.iter().map(|row| row.5).collect::<Vec<_>>()),
+        column_of(&rows, "task", |(task, ..)| task.name()),
+        column_of(&rows, "epoch", |(_, epoch, ..)| epoch.epoch as i64),
+        column_of(&rows, "split", |(_, _, split, _)| *split),
+        column_of(&rows, "term", |(.., (term, _))| term.as_str()),
+        column_of(&rows, "value", |(.., (_, value))| **value),
+        column_of(&rows, "seconds", |(_, epoch, ..)| epoch.seconds),
     ]
 }
 
@@ -541,7 +505,7 @@ impl Outcome {
             self.frames_columns(),
         ];
         for (table, columns) in TABLES.into_iter().zip(columns) {
-            let frame = record.with_key(columns, &table.columns()).map_err(TableError::from)?;
+            let frame = record.with_key(columns).map_err(TableError::from)?;
             let path = folder.path.join(table.file_name());
             write_table(&path, frame, &table.columns(), &record.stamp())?;
         }
@@ -551,80 +515,61 @@ impl Outcome {
     fn metrics_columns(&self) -> Vec<Column> {
         let rows = &self.metrics;
         vec![
-            Column::new("task".into(), rows.iter().map(|row| row.task.name()).collect::<Vec<_>>()),
-            Column::new("model".into(), rows.iter().map(|row| row.model.as_str()).collect::<Vec<_>>()),
-            Column::new(
-                "modality".into(),
-                rows.iter().map(|row| row.row.modality.name()).collect::<Vec<_>>(),
-            ),
-            Column::new(
-                "direction".into(),
-                rows.iter()
-                    .map(|row| row.row.direction.map(|direction| direction.name()))
-                    .collect::<Vec<_>>(),
-            ),
-            Column::new(
-                "index".into(),
-                rows.iter().map(|row| row.row.index.map(i64::from)).collect::<Vec<_>>(),
-            ),
-            Column::new("metric".into(), rows.iter().map(|row| row.row.metric.name()).collect::<Vec<_>>()),
-            Column::new("value".into(), rows.iter().map(|row| row.row.value).collect::<Vec<_>>()),
-            Column::new("unit".into(), rows.iter().map(|row| row.row.unit.as_str()).collect::<Vec<_>>()),
+            column_of(rows, "task", |row| row.task.name()),
+            column_of(rows, "model", |row| row.model.as_str()),
+            column_of(rows, "modality", |row| row.row.modality.name()),
+            column_of(rows, "direction", |row| row.row.direction.map(|direction| direction.name())),
+            column_of(rows, "index", |row| row.row.index.map(i64::from)),
+            column_of(rows, "metric", |row| row.row.metric.name()),
+            column_of(rows, "value", |row| row.row.value),
+            column_of(rows, "unit", |row| row.row.unit.as_str()),
         ]
     }
 
     fn predictions_columns(&self) -> Vec<Column> {
         let rows = &self.predictions;
         vec![
-            Column::new("task".into(), rows.iter().map(|row| row.task.name()).collect::<Vec<_>>()),
-            Column::new("modality".into(), rows.iter().map(|row| row.modality.name()).collect::<Vec<_>>()),
-            Column::new("episode".into(), rows.iter().map(|row| i64::from(row.episode)).collect::<Vec<_>>()),
-            Column::new("sample".into(), rows.iter().map(|row| i64::from(row.sample)).collect::<Vec<_>>()),
-            Column::new("index".into(), rows.iter().map(|row| i64::from(row.index)).collect::<Vec<_>>()),
-            Column::new("reference".into(), rows.iter().map(|row| row.reference).collect::<Vec<_>>()),
-            Column::new("predicted".into(), rows.iter().map(|row| row.predicted).collect::<Vec<_>>()),
+            column_of(rows, "task", |row| row.task.name()),
+            column_of(rows, "modality", |row| row.modality.name()),
+            column_of(rows, "episode", |row| i64::from(row.episode)),
+            column_of(rows, "sample", |row| i64::from(row.sample)),
+            column_of(rows, "index", |row| i64::from(row.index)),
+            column_of(rows, "reference", |row| row.reference),
+            column_of(rows, "predicted", |row| row.predicted),
         ]
     }
 
     fn forces_columns(&self) -> Vec<Column> {
-        let rows: Vec<(&ForceRows, usize, &Contact)> = self
-            .forces
-            .iter()
-            .flat_map(|rows| rows.links.iter().enumerate().map(move |(link, contact)| (rows, link, contact)))
-            .collect();
+        let mut rows = Vec::new();
+        for of_vector in &self.forces {
+            let links = of_vector.links.iter().enumerate();
+            rows.extend(links.map(|(link, contact)| (of_vector, link as i64, contact)));
+        }
         let mut columns = vec![
-            Column::new("modality".into(), rows.iter().map(|row| row.0.modality.name()).collect::<Vec<_>>()),
-            Column::new(
-                "episode".into(),
-                rows.iter().map(|row| row.0.episode.map(i64::from)).collect::<Vec<_>>(),
-            ),
-            Column::new("index".into(), rows.iter().map(|row| row.1 as i64).collect::<Vec<_>>()),
-            Column::new("samples".into(), rows.iter().map(|row| row.2.samples as i64).collect::<Vec<_>>()),
-            Column::new("contacts".into(), rows.iter().map(|row| row.2.contacts as i64).collect::<Vec<_>>()),
-            Column::new("mean".into(), rows.iter().map(|row| row.2.mean).collect::<Vec<_>>()),
+            column_of(&rows, "modality", |(vector, ..)| vector.modality.name()),
+            column_of(&rows, "episode", |(vector, ..)| vector.episode.map(i64::from)),
+            column_of(&rows, "index", |(_, link, _)| *link),
+            column_of(&rows, "samples", |(.., contact)| contact.samples as i64),
+            column_of(&rows, "contacts", |(.., contact)| contact.contacts as i64),
+            column_of(&rows, "mean", |(.., contact)| contact.mean),
         ];
         columns.extend(QUANTILES.iter().enumerate().map(|(place, (name, _))| {
-            let values = rows.iter().map(|row| row.2.quantiles.map(|quantiles| quantiles[place]));
-            Column::new((*name).into(), values.collect::<Vec<_>>())
+            column_of(&rows, name, |(.., contact)| contact.quantiles.map(|quantiles| quantiles[place]))
         }));
-        columns.push(Column::new("max".into(), rows.iter().map(|row| row.2.max).collect::<Vec<_>>()));
+        columns.push(column_of(&rows, "max", |(.., contact)| contact.max));
         columns
     }
 
     fn frames_columns(&self) -> Vec<Column> {
         let rows = &self.frames;
-        let pictures = |name: &str, of: fn(&FrameRow) -> &[u8]| {
-            let column: BinaryChunked = rows.iter().map(|row| Some(of(row))).collect();
-            column.with_name(name.into()).into_series().into()
-        };
         vec![
-            Column::new("task".into(), rows.iter().map(|row| row.task.name()).collect::<Vec<_>>()),
-            Column::new("modality".into(), rows.iter().map(|row| row.modality.name()).collect::<Vec<_>>()),
-            Column::new("episode".into(), rows.iter().map(|row| i64::from(row.episode)).collect::<Vec<_>>()),
-            Column::new("sample".into(), rows.iter().map(|row| i64::from(row.sample)).collect::<Vec<_>>()),
-            Column::new("motion".into(), rows.iter().map(|row| row.motion).collect::<Vec<_>>()),
-            pictures("reference", |row| &row.reference),
-            pictures("predicted", |row| &row.predicted),
+            column_of(rows, "task", |row| row.task.name()),
+            column_of(rows, "modality", |row| row.modality.name()),
+            column_of(rows, "episode", |row| i64::from(row.episode)),
+            column_of(rows, "sample", |row| i64::from(row.sample)),
+            column_of(rows, "motion", |row| row.motion),
+            column_of(rows, "reference", |row| row.reference.as_slice()),
+            column_of(rows, "predicted", |row| row.predicted.as_slice()),
         ]
     }
 }

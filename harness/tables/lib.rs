@@ -49,6 +49,18 @@ pub fn data_type(kind: Kind) -> DataType {
     }
 }
 
+/// Returns a column with the value that `of` takes from each row.
+pub fn column_of<'a, R, V, P: ?Sized>(
+    rows: &'a [R],
+    name: &str,
+    of: impl Fn(&'a R) -> V,
+) -> polars::prelude::Column
+where
+    Series: NamedFrom<Vec<V>, P>,
+{
+    polars::prelude::Column::new(name.into(), rows.iter().map(of).collect::<Vec<_>>())
+}
+
 /// Writes a table to a sealed file. The table must have the columns `columns`, in this order.
 pub fn write_table(
     path: &Path,
