@@ -1,7 +1,10 @@
 //! The runs that an experiment expands to. A [`RunSpec`] holds everything that a run's result depends on.
 
+use super::error::Origin as Place;
 use super::modality::{Layout, Modality, Scale};
 use super::origin::Origin;
+use super::overrides;
+use super::parse::{Entry, Node};
 use super::scaling::{GivenScaling, Scaling, Scalings};
 use super::search::Trial;
 use super::simulation::Simulation;
@@ -9,10 +12,10 @@ use super::types::{Action, Experiment, Loss, Network, Reading, Settings, Split, 
 use super::validate::{Images, check_images};
 use super::world::{Known, World};
 use serde::{Deserialize, Serialize};
-use serde_json::json;
+use serde_json::{Value as Json, json};
 use sha2::{Digest, Sha256};
 use std::borrow::Cow;
-use std::collections::hash_map::Entry;
+use std::collections::hash_map;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
@@ -84,8 +87,8 @@ impl Experiment {
         for run in &runs {
             let unnamed = RunSpec { variant: String::new(), ..run.clone() };
             match first.entry(unnamed.hash()) {
-                Entry::Vacant(place) => drop(place.insert(run)),
-                Entry::Occupied(place) => repeated.push((run.label(), place.get().label())),
+                hash_map::Entry::Vacant(place) => drop(place.insert(run)),
+                hash_map::Entry::Occupied(place) => repeated.push((run.label(), place.get().label())),
             }
         }
         let (run, other) = repeated.first()?;
@@ -126,7 +129,7 @@ impl Experiment {
     }
 
     /// Returns the value that a run has of each setting under `vary` with several values, without the dataset's seed.
-    pub fn varied(&self, run: &RunSpec) -> Vec<(&str, &serde_json::Value)> {
+    pub fn varied(&self, run: &RunSpec) -> Vec<(&str, &Json)> {
         let names: Vec<&str> = run.variant_parts().0.split(',').collect();
         let several = self.vary.iter().filter(|(key, values)| *key != DATASET_SEED && values.len() > 1);
         let own = several.filter_map(|(key, values)| {
@@ -139,12 +142,9 @@ impl Experiment {
     /// Returns one experiment for each combination of the varied settings, with the name of the combination.
     fn variants(&self) -> Vec<(String, Experiment)> {
         let tree = serde_json::to_value(self.alone()).expect("an experiment is plain data");
+        let tree = Node::of_json(&tree, &Place::START);
         let variants = self.combinations().into_iter().map(|combination| {
-            let mut tree = tree.clone();
-            for (key, value) in &combination.settings {
-                *key.split('.').fold(&mut tree, |section, key| &mut section[key]) =
-                    value.clone().into_owned();
-            }
+            let tree = combination.applied_to(&tree, &[]).to_json();
             let mut experiment: Experiment =
                 serde_json::from_value(tree).expect("every combination is checked when the spec is read");
             experiment.worlds = self.worlds.clone();
@@ -254,7 +254,7 @@ pub(super) struct Combination<'a> {
     /// Parts of the name: `reading=base`, `kl_weight=0.001`.
     names: Vec<String>,
     /// Settings by dotted key. If a key occurs twice, the later value is used.
-    pub settings: Vec<(&'a str, Cow<'a, serde_json::Value>)>,
+    settings: Vec<(&'a str, Cow<'a, Json>)>,
 }
 
 static NO_SETTINGS: Settings = Settings::new();
@@ -274,8 +274,8 @@ impl<'a> Combination<'a> {
     }
 
     /// Returns this combination extended by each value of a setting.
-    fn each_value(&self, key: &'a str, values: &'a [serde_json::Value]) -> Vec<Self> {
-        let with = |value: &'a serde_json::Value| {
+    fn each_value(&self, key: &'a str, values: &'a [Json]) -> Vec<Self> {
+        let with = |value: &'a Json| {
             let mut combination = self.clone();
             // Runs on several datasets belong to the same variant, as do runs with several seeds.
             if key != DATASET_SEED {
@@ -301,8 +301,26 @@ impl<'a> Combination<'a> {
         trials.iter().enumerate().map(with).collect()
     }
 
+    /// Returns the tree of a spec with these settings. Each is `written` in the spec, or else drawn by its search.
+    pub fn applied_to(&self, tree: &Node, written: &[Entry]) -> Node {
+        let entry = |(key, value): &(&str, Cow<Json>)| {
+            let written = written.iter().find(|entry| entry.key == *key && entry.node.to_json() == **value);
+            written.cloned().unwrap_or_else(|| {
+                let origin = tree.origin_of(&format!("search.space.{key}"));
+                Entry {
+                    key: (*key).to_owned(),
+                    key_origin: origin.clone(),
+                    node: Node::of_json(value, origin),
+                }
+            })
+        };
+        let mut combined = tree.clone();
+        overrides::apply(&mut combined, &self.settings.iter().map(entry).collect::<Vec<_>>());
+        combined
+    }
+
     /// Whether the combination has this value of a varied setting. Values are told apart by their place in the spec.
-    pub fn has(&self, key: &str, value: &serde_json::Value) -> bool {
+    pub fn has(&self, key: &str, value: &Json) -> bool {
         let is = |given: &Cow<_>| matches!(given, Cow::Borrowed(given) if std::ptr::eq(*given, value));
         self.settings.iter().any(|(own, given)| *own == key && is(given))
     }
@@ -314,7 +332,7 @@ impl<'a> Combination<'a> {
 }
 
 /// Returns the name of a setting with a value: `kl_weight=0.001`.
-pub(super) fn named(key: &str, value: &serde_json::Value) -> String {
+pub(super) fn named(key: &str, value: &Json) -> String {
     let key = key.split_once('.').map_or(key, |(_section, key)| key);
     let value: String = value.to_string().chars().filter(|c| !"\"[]{} ".contains(*c)).collect();
     format!("{key}={}", value.replace([',', '/'], "+"))
@@ -379,7 +397,7 @@ impl RunSpec {
 
     /// Returns the run's spec with the defaults that are not stored, so that older runs keep their names. `layout` is that
     /// of the dataset.
-    pub fn complete(&self, layout: &Layout) -> serde_json::Value {
+    pub fn complete(&self, layout: &Layout) -> Json {
         let Self { split, network, training, simulation, .. } = self;
         let losses: BTreeMap<Modality, Loss> = self
             .output
@@ -495,9 +513,9 @@ impl RunSpec {
 }
 
 /// Adds the values of `more` to a tree, section by section.
-fn add(tree: &mut serde_json::Value, more: serde_json::Value) {
+fn add(tree: &mut Json, more: Json) {
     match more {
-        serde_json::Value::Object(entries) => {
+        Json::Object(entries) => {
             entries.into_iter().for_each(|(key, value)| add(&mut tree[key], value));
         }
         value => *tree = value,

@@ -49,8 +49,8 @@ use cells::Combination;
 use error::Problem;
 use overrides::VARY;
 use parse::{Entry, Node, Value};
-use std::collections::BTreeSet;
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Reads and resolves a spec: a file, or one of [`SPECS`] by its name, as [`find`] does. It applies the spec's `quick`
@@ -89,8 +89,9 @@ fn parse_in(
     overrides: &[String],
     quick: bool,
 ) -> Result<Experiment, SpecError> {
+    let mut worlds = WorldFiles { folder, read: BTreeMap::new() };
     let mut experiment =
-        load_text(folder, text, overrides, quick).map_err(|problem| problem.in_file(label))?;
+        load_text(&mut worlds, text, overrides, quick).map_err(|problem| problem.in_file(label))?;
     if quick {
         experiment.name.push_str(QUICK);
     }
@@ -103,7 +104,12 @@ pub const QUICK: &str = "-quick";
 const NOT_QUICK: &str = "there is no 'quick' section, so a quick run would be the full one under another name; add the \
                          section, or leave out --quick";
 
-fn load_text(folder: &Path, text: &str, overrides: &[String], quick: bool) -> Result<Experiment, Problem> {
+fn load_text(
+    worlds: &mut WorldFiles,
+    text: &str,
+    overrides: &[String],
+    quick: bool,
+) -> Result<Experiment, Problem> {
     let mut tree = parse::parse(text)?;
     if matches!(tree.value, Value::Null) {
         return Err(Problem::new(
@@ -115,12 +121,12 @@ fn load_text(folder: &Path, text: &str, overrides: &[String], quick: bool) -> Re
         return Err(Problem::new(&tree.origin, message));
     }
     schema::list_single_values(&mut tree);
-    resolve(folder, &tree)?;
+    resolve(worlds, &tree)?;
     let mut quick_tree = tree.clone();
     match tree.get("quick") {
         Some(Node { value: Value::Section(settings), .. }) if !settings.is_empty() => {
             overrides::apply(&mut quick_tree, settings);
-            resolve(folder, &quick_tree).map_err(|problem| problem.after("applying 'quick'"))?;
+            resolve(worlds, &quick_tree).map_err(|problem| problem.after("applying 'quick'"))?;
         }
         _ if quick => return Err(Problem::new(&tree.origin, NOT_QUICK)),
         _ => {}
@@ -131,8 +137,8 @@ fn load_text(folder: &Path, text: &str, overrides: &[String], quick: bool) -> Re
     let overrides = overrides.iter().map(|text| overrides::read(text)).collect::<Result<Vec<_>, _>>()?;
     overrides::apply(&mut tree, &overrides);
     schema::list_single_values(&mut tree);
-    let experiment = resolve(folder, &tree).map_err(|problem| problem.after("applying the overrides"))?;
-    check_variants(folder, &tree, &experiment)?;
+    let experiment = resolve(worlds, &tree).map_err(|problem| problem.after("applying the overrides"))?;
+    check_variants(worlds, &tree, &experiment)?;
     Ok(experiment)
 }
 
@@ -162,21 +168,16 @@ fn other_file(tree: &Node) -> Option<&'static str> {
 }
 
 /// Checks the experiment with each combination of a reading, a role, the settings under `vary` and a trial.
-fn check_variants(folder: &Path, tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
-    let given = varied_settings(tree);
-    let outputs = outputs(tree, &given);
+fn check_variants(worlds: &mut WorldFiles, tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
+    let written = varied_settings(tree);
+    let outputs = outputs(tree, &written);
     let mut variants = Vec::new();
     for combination in experiment.combinations() {
-        let settings = combination.settings.iter().filter_map(|(key, value)| {
-            let written = given.iter().find(|entry| entry.key == *key && entry.node.to_json() == **value);
-            written.cloned().or_else(|| drawn(tree, key, value))
-        });
-        let mut tree = tree.clone();
-        overrides::apply(&mut tree, &settings.collect::<Vec<_>>());
+        let mut tree = combination.applied_to(tree, &written);
         leave_out_losses_of(&mut tree, &outputs);
         let name = combination.name();
         let what = if name.is_empty() { "'vary'" } else { &name };
-        let variant = resolve(folder, &tree).map_err(|problem| problem.after(&format!("applying {what}")))?;
+        let variant = resolve(worlds, &tree).map_err(|problem| problem.after(&format!("applying {what}")))?;
         if !experiment.vary.is_empty() {
             variants.push((combination, variant.alone().canonical()));
         }
@@ -236,12 +237,6 @@ fn check_different(
     Ok(())
 }
 
-/// Returns a setting that a search draws, at the place of its distribution.
-fn drawn(tree: &Node, key: &str, value: &serde_json::Value) -> Option<Entry> {
-    let origin = &tree.get("search")?.get("space")?.get(key)?.origin;
-    Some(Entry { key: key.to_owned(), key_origin: origin.clone(), node: Node::of_json(value, origin) })
-}
-
 /// Returns the settings that a tree varies: one entry for each value, as written in the spec.
 fn varied_settings(tree: &Node) -> Vec<Entry> {
     let section = |node: Option<&Node>| match node.map(|node| &node.value) {
@@ -261,13 +256,12 @@ fn varied_settings(tree: &Node) -> Vec<Entry> {
     of_readings.chain(of_roles).chain(varied).collect()
 }
 
-/// Returns the experiment that a tree describes, checked and with every default explicit. Paths of world files are
-/// relative to `folder`.
-fn resolve(folder: &Path, tree: &Node) -> Result<Experiment, Problem> {
+/// Returns the experiment that a tree describes, checked and with every default explicit.
+fn resolve(worlds: &mut WorldFiles, tree: &Node) -> Result<Experiment, Problem> {
     schema::check(tree)?;
     let mut experiment: Experiment = serde_json::from_value(tree.to_json())
         .map_err(|error| Problem::new(&tree.origin, error.to_string()))?;
-    experiment.worlds = worlds(folder, tree, &experiment.scenarios)?;
+    experiment.worlds = worlds.of(tree, &experiment.scenarios)?;
     let at = |fault: validate::Fault| Problem::new(tree.origin_of(&fault.path), fault.message);
     experiment.take_defaults_of_worlds(tree).map_err(at)?;
     check_rates(tree, &experiment)?;
@@ -305,22 +299,41 @@ fn check_rates(tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
     })
 }
 
-/// Loads the worlds of the world files among `scenarios`.
-fn worlds(folder: &Path, tree: &Node, scenarios: &[Origin]) -> Result<Vec<Arc<World>>, Problem> {
-    let mut worlds: Vec<Arc<World>> = Vec::new();
-    for (index, origin) in scenarios.iter().enumerate() {
-        let Origin::File(path) = origin else { continue };
-        let at = |message: String| Problem::new(tree.origin_of(&format!("scenarios.{index}")), message);
-        let world = World::load(&folder.join(path)).map_err(|error| at(error.to_string()))?;
-        if worlds.iter().any(|other| other.scenario() == world.scenario()) {
-            return Err(at(format!(
-                "two world files are called '{}'; give one another name",
-                world.scenario()
-            )));
+/// The world files of a spec. Each is read once, however many combinations of settings use it.
+struct WorldFiles<'a> {
+    /// The folder to which their paths are relative.
+    folder: &'a Path,
+    /// The worlds by the paths of their files.
+    read: BTreeMap<PathBuf, Arc<World>>,
+}
+
+impl WorldFiles<'_> {
+    /// Returns the worlds of the world files among `scenarios`.
+    fn of(&mut self, tree: &Node, scenarios: &[Origin]) -> Result<Vec<Arc<World>>, Problem> {
+        let mut worlds: Vec<Arc<World>> = Vec::new();
+        for (index, origin) in scenarios.iter().enumerate() {
+            let Origin::File(path) = origin else { continue };
+            let at = |message: String| Problem::new(tree.origin_of(&format!("scenarios.{index}")), message);
+            let world = self.world(self.folder.join(path)).map_err(|error| at(error.to_string()))?;
+            if worlds.iter().any(|other| other.scenario() == world.scenario()) {
+                return Err(at(format!(
+                    "two world files are called '{}'; give one another name",
+                    world.scenario()
+                )));
+            }
+            worlds.push(world);
         }
-        worlds.push(world);
+        Ok(worlds)
     }
-    Ok(worlds)
+
+    fn world(&mut self, path: PathBuf) -> Result<Arc<World>, SpecError> {
+        if let Some(world) = self.read.get(&path) {
+            return Ok(world.clone());
+        }
+        let world = World::load(&path)?;
+        self.read.insert(path, world.clone());
+        Ok(world)
+    }
 }
 
 impl Experiment {
