@@ -497,14 +497,14 @@ pub(super) fn epochs_columns(epochs: &[(Task, Epoch)]) -> Vec<Column> {
 impl Outcome {
     /// Writes all tables of the run to its folder.
     pub(super) fn write_tables(&self, folder: &RunFolder, record: &RunRecord) -> Result<(), RegistryError> {
-        let columns = [
-            epochs_columns(&self.epochs),
-            self.metrics_columns(),
-            self.predictions_columns(),
-            self.forces_columns(),
-            self.frames_columns(),
+        let tables = [
+            (Table::Epochs, epochs_columns(&self.epochs)),
+            (Table::Metrics, self.metrics_columns()),
+            (Table::Predictions, self.predictions_columns()),
+            (Table::Forces, self.forces_columns()),
+            (Table::Frames, self.frames_columns()),
         ];
-        for (table, columns) in TABLES.into_iter().zip(columns) {
+        for (table, columns) in tables {
             let frame = record.with_key(columns).map_err(TableError::from)?;
             let path = folder.path.join(table.file_name());
             write_table(&path, frame, &table.columns(), &record.stamp())?;

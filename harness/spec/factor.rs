@@ -207,18 +207,17 @@ impl Factor {
 
     fn properties(&self) -> impl Iterator<Item = (Property, &[String])> {
         let patterns = [
-            &self.joint_stiffness,
-            &self.joint_damping,
-            &self.body_mass,
-            &self.geom_friction,
-            &self.geom_size,
-            &self.geom_colour,
-            &self.light_brightness,
-            &self.camera_position,
-            &self.camera_rotation,
+            (Property::JointStiffness, &self.joint_stiffness),
+            (Property::JointDamping, &self.joint_damping),
+            (Property::BodyMass, &self.body_mass),
+            (Property::GeomFriction, &self.geom_friction),
+            (Property::GeomSize, &self.geom_size),
+            (Property::GeomColour, &self.geom_colour),
+            (Property::LightBrightness, &self.light_brightness),
+            (Property::CameraPosition, &self.camera_position),
+            (Property::CameraRotation, &self.camera_rotation),
         ];
-        let given = Property::ALL.iter().zip(patterns);
-        given.filter_map(|(property, patterns)| Some((*property, patterns.as_deref()?)))
+        patterns.into_iter().filter_map(|(property, patterns)| Some((property, patterns.as_deref()?)))
     }
 
     /// Returns the distribution of the values. The factor must have passed the checks of a world file.

@@ -69,21 +69,24 @@ impl JsonSchema for Modality {
     }
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        const MEANINGS: [&str; Modality::BUILT_IN.len()] = [
-            "The angles of the finger's joints, rad.",
-            "The arm's rotation (rad), lift (m) and extension (m).",
-            "The normal contact force on each link at the sample, N.",
-            "The normal contact force on each link, averaged over the time since the previous sample, N.",
-            "The image of the external camera.",
-            "The change of the image since the previous sample.",
+        const CHOICES: [(Modality, &str); Modality::BUILT_IN.len()] = [
+            (Modality::PROPRIOCEPTION, "The angles of the finger's joints, rad."),
+            (Modality::ARM, "The arm's rotation (rad), lift (m) and extension (m)."),
+            (Modality::CONTACT_FORCE, "The normal contact force on each link at the sample, N."),
+            (
+                Modality::CONTACT_FORCE_MEAN,
+                "The normal contact force on each link, averaged over the time since the previous sample, N.",
+            ),
+            (Modality::VISION, "The image of the external camera."),
+            (Modality::FRAME_DIFFERENCE, "The change of the image since the previous sample."),
         ];
-        let choices = Modality::BUILT_IN.iter().zip(MEANINGS).map(|(modality, meaning)| {
+        let choices = CHOICES.map(|(modality, meaning)| {
             serde_json::json!({ "description": meaning, "type": "string", "const": modality.name() })
         });
         let other = serde_json::json!({
             "description": "A modality of another world, or of an imported dataset.", "type": "string", "pattern": NAME,
         });
-        let choices: Vec<_> = choices.chain([other]).collect();
+        let choices: Vec<_> = choices.into_iter().chain([other]).collect();
         json_schema!({ "description": "A modality, which is recorded at each sample.", "oneOf": choices })
     }
 }
