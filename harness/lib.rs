@@ -26,5 +26,6 @@ pub use harness_serve as serve;
 pub use harness_shared::{files, memory, numbers, progress, seal, shard};
 pub use harness_simulation as simulation;
 pub use harness_spec as spec;
+pub use harness_sql as sql;
 pub use harness_tables as tables;
 pub use harness_tables::schema;

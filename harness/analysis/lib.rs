@@ -28,10 +28,11 @@ pub use settings::{Difference, Setting, all_settings, differing, has_settings};
 pub use subset::Subset;
 
 use harness_registry::{
-    Condition, QueryError, Recorded, Registry, RunRecord, RunTable, Status, answer, conditions, forces_of,
-    implies, quoted, table,
+    QueryError, Recorded, Registry, RunRecord, RunTable, Status, answer, conditions, forces_of, quoted, table,
 };
-use harness_spec::{Origin, QUICK, nearest};
+use harness_shared::nearest;
+use harness_spec::{Origin, QUICK};
+use harness_sql::{Condition, Query, implies};
 use harness_tables::lazily;
 use harness_tables::schema::Table;
 use polars::prelude::*;
@@ -179,20 +180,22 @@ pub struct Analysis {
     /// The rows that the expected queries see, by table and experiment.
     tables: Mutex<BTreeMap<(Table, String), Seen>>,
     expected: Expected,
+    /// The queries that were parsed so far, by their text.
+    parsed: Mutex<BTreeMap<String, Arc<Query>>>,
 }
 
 /// The expected queries, and the rows that they see.
 #[derive(Default)]
 struct Expected {
-    queries: BTreeSet<String>,
+    queries: Vec<Arc<Query>>,
     rows: BTreeMap<Table, BTreeSet<Condition>>,
 }
 
 impl Expected {
-    /// Whether the expected queries see all rows of a table that the query `sql` sees.
-    fn sees(&self, sql: &str, table: Table) -> bool {
+    /// Whether the expected queries see all rows of a table that `query` sees.
+    fn sees(&self, query: &Query, table: Table) -> bool {
         let Some(rows) = self.rows.get(&table) else { return false };
-        let seen = conditions(sql, table);
+        let seen = conditions(query, table);
         !seen.is_empty() && seen.iter().all(|condition| rows.iter().any(|wide| implies(condition, wide)))
     }
 }
@@ -242,6 +245,7 @@ impl Analysis {
             notes,
             tables: Mutex::default(),
             expected: Expected::default(),
+            parsed: Mutex::default(),
         })
     }
 
@@ -376,14 +380,31 @@ impl Analysis {
     /// Announces queries, so that each table is read once for all of them, and only the rows that they see are kept in
     /// memory. Other queries that see only these rows are answered from memory too.
     pub fn expect<'a>(mut self, queries: impl IntoIterator<Item = &'a str>) -> Self {
-        let expected = &mut self.expected;
         for sql in queries {
-            for table in tables_of(sql) {
-                expected.rows.entry(table).or_default().extend(conditions(sql, table));
+            // A wrong query is refused when it is asked.
+            let Ok(query) = self.parsed(sql) else { continue };
+            for table in tables_of(&query) {
+                self.expected.rows.entry(table).or_default().extend(conditions(&query, table));
             }
-            expected.queries.insert(sql.to_owned());
+            self.expected.queries.push(query);
         }
         self
+    }
+
+    /// Whether a query contains this name.
+    pub fn contains(&self, sql: &str, name: &str) -> bool {
+        self.parsed(sql).is_ok_and(|query| query.names().contains(name))
+    }
+
+    /// The parsed query. Each text is parsed once.
+    fn parsed(&self, sql: &str) -> Result<Arc<Query>, QueryError> {
+        let mut parsed = self.parsed.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(query) = parsed.get(sql) {
+            return Ok(query.clone());
+        }
+        let query = Arc::new(Query::parse(sql)?);
+        parsed.insert(sql.to_owned(), query.clone());
+        Ok(query)
     }
 
     /// Answers a query over the runs of these experiments that count.
@@ -392,7 +413,8 @@ impl Analysis {
     /// Like [`query`](harness_registry::query).
     pub fn query(&self, experiments: &[&str], sql: &str) -> Result<DataFrame, QueryError> {
         let own = || experiments.iter().copied().filter(|name| self.experiments.contains_key(*name));
-        let rows = |of| own().filter_map(|name| self.table(of, name, sql).transpose()).collect();
+        let rows =
+            |of, query: &Query| own().filter_map(|name| self.table(of, name, query).transpose()).collect();
         let recorded = || own().flat_map(|name| self.runs(name)).map(Run::recorded).collect();
         self.answer(sql, rows, recorded)
     }
@@ -402,19 +424,19 @@ impl Analysis {
     fn answer(
         &self,
         sql: &str,
-        rows: impl Fn(Table) -> Result<Vec<LazyFrame>, QueryError> + Sync,
+        rows: impl Fn(Table, &Query) -> PolarsResult<Vec<LazyFrame>> + Sync,
         recorded: impl Fn() -> Vec<(PathBuf, RunRecord)> + Sync,
     ) -> Result<DataFrame, QueryError> {
-        answer(sql, &|of| match of {
+        answer(&*self.parsed(sql)?, &|of, query| match of {
             Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
-                let mut parts = rows(of)?;
+                let mut parts = rows(of, query)?;
                 match parts.len() {
-                    0 => table(&self.registry, of, &[], sql),
+                    0 => table(&self.registry, of, &[], query),
                     1 => Ok(parts.remove(0)),
-                    _ => Ok(concat(parts, UnionArgs::default())?),
+                    _ => concat(parts, UnionArgs::default()),
                 }
             }
-            Table::Runs | Table::Episodes => table(&self.registry, of, &recorded(), sql),
+            Table::Runs | Table::Episodes => table(&self.registry, of, &recorded(), query),
         })
     }
 
@@ -428,32 +450,32 @@ impl Analysis {
         sql: &str,
     ) -> Result<DataFrame, QueryError> {
         let recorded: Vec<_> = runs.into_iter().map(Run::recorded).collect();
-        answer(sql, &|of| table(&self.registry, of, &recorded, sql))
+        answer(&*self.parsed(sql)?, &|of, query| table(&self.registry, of, &recorded, query))
     }
 
     /// A table of an experiment's runs; `None` if none of them has it. It is taken from memory if the expected queries see
-    /// all rows that `sql` sees.
-    fn table(&self, table: Table, experiment: &str, sql: &str) -> Result<Option<LazyFrame>, QueryError> {
-        if self.expected.sees(sql, table) {
-            let seen = self.seen(table, experiment)?.only(conditions(sql, table));
+    /// all rows that `query` sees.
+    fn table(&self, table: Table, experiment: &str, query: &Query) -> PolarsResult<Option<LazyFrame>> {
+        if self.expected.sees(query, table) {
+            let seen = self.seen(table, experiment)?.only(conditions(query, table));
             if seen.schema.is_empty() {
                 return Ok(None);
             }
-            seen.read(sql, &[])?;
+            seen.read(query, &[])?;
             let schema = seen.schema.clone();
-            return Ok(Some(lazily(seen, schema)?));
+            return lazily(seen, schema).map(Some);
         }
         let rows = self.run_table(table, experiment)?;
         let schema = rows.schema()?;
         if schema.is_empty() {
             return Ok(None);
         }
-        Ok(Some(lazily(rows.only(conditions(sql, table)), schema)?))
+        lazily(rows.only(conditions(query, table)), schema).map(Some)
     }
 
     /// A table of an experiment's runs. Forces describe a dataset and are the same in all of its runs, so they are read from
     /// one run of each dataset, as in published results.
-    fn run_table(&self, table: Table, experiment: &str) -> Result<RunTable, QueryError> {
+    fn run_table(&self, table: Table, experiment: &str) -> PolarsResult<RunTable> {
         let mut runs: Vec<&RunRecord> = self.runs(experiment).iter().map(|run| &run.record).collect();
         if table == Table::Forces {
             let mut known = BTreeSet::new();
@@ -467,7 +489,7 @@ impl Analysis {
     }
 
     /// The rows that the expected queries see of a table of an experiment's runs.
-    fn seen(&self, table: Table, experiment: &str) -> Result<Seen, QueryError> {
+    fn seen(&self, table: Table, experiment: &str) -> PolarsResult<Seen> {
         let mut tables = self.tables.lock().unwrap_or_else(PoisonError::into_inner);
         let key = (table, experiment.to_owned());
         if let Some(seen) = tables.get(&key) {
@@ -600,12 +622,7 @@ fn newest(runs: Vec<Run>) -> (Vec<Run>, Vec<String>) {
     (counted.into_values().collect(), notes.into_iter().flatten().collect())
 }
 
-/// The tables that a query may read: those whose names occur in it.
-fn tables_of(sql: &str) -> impl Iterator<Item = Table> {
-    let words: BTreeSet<String> = words(sql).map(str::to_lowercase).collect();
-    Table::ALL.into_iter().filter(move |table| words.contains(table.name()))
-}
-
-fn words(sql: &str) -> impl Iterator<Item = &str> {
-    sql.split(|c: char| !c.is_alphanumeric() && c != '_')
+/// The tables that a query reads.
+fn tables_of(query: &Query) -> impl Iterator<Item = Table> {
+    Table::ALL.into_iter().filter(|table| query.conditions(table.name()).is_some())
 }

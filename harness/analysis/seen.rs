@@ -1,7 +1,8 @@
 //! Tables in memory, with the rows and columns that expected queries see.
 
-use super::{Expected, tables_of, words};
-use harness_registry::{Condition, RunTable, Terms};
+use super::Expected;
+use harness_registry::RunTable;
+use harness_sql::{Condition, Query, Terms};
 use harness_tables::schema::Table;
 use harness_tables::{asked_columns, asked_rows, stacked};
 use polars::prelude::*;
@@ -31,10 +32,9 @@ pub(super) struct Seen {
 impl Seen {
     /// A table with the rows of `rows`. Its columns are those that `expected` queries name.
     pub fn new(table: Table, rows: RunTable, schema: SchemaRef, expected: &Expected) -> Self {
-        let queries = expected.queries.iter().filter(|sql| tables_of(sql).any(|of| of == table));
-        let words: BTreeSet<&str> = queries.flat_map(|sql| words(sql)).collect();
-        let named = schema.iter_names().map(PlSmallStr::to_string).filter(|name| words.contains(&**name));
-        let columns = Arc::new(named.collect());
+        let readers = || expected.queries.iter().filter(|query| query.conditions(table.name()).is_some());
+        let is_named = |name: &String| readers().any(|query| query.names().contains(name));
+        let columns = Arc::new(schema.iter_names().map(PlSmallStr::to_string).filter(is_named).collect());
         Self {
             rows: Arc::new(rows),
             schema,
@@ -46,7 +46,7 @@ impl Seen {
         }
     }
 
-    /// Reads the columns that `sql` and the expected queries name, and `columns`, unless they were read before.
+    /// Reads the columns that `query` and the expected queries name, and `columns`, unless they were read before.
     ///
     /// This must be called before a scan. [`Seen::scan`] would read the columns in one of Polars' threads. While such a
     /// thread waits for files, it may start another scan of the same table, which would then wait for the first one
@@ -54,9 +54,10 @@ impl Seen {
     ///
     /// # Errors
     /// When a file can't be read.
-    pub fn read(&self, sql: &str, columns: &[&str]) -> PolarsResult<()> {
-        let asked = words(sql).chain(columns.iter().copied()).filter(|name| self.schema.contains(name));
-        let asked: Vec<String> = asked.map(str::to_owned).chain(self.columns.iter().cloned()).collect();
+    pub fn read(&self, query: &Query, columns: &[&str]) -> PolarsResult<()> {
+        let asked = query.names().iter().map(String::as_str).chain(columns.iter().copied());
+        let asked = asked.filter(|name| self.schema.contains(name)).map(str::to_owned);
+        let asked: Vec<String> = asked.chain(self.columns.iter().cloned()).collect();
         self.with(&asked).map(drop)
     }
 

@@ -3,6 +3,7 @@
 use super::seen::Seen;
 use super::{Analysis, Run};
 use harness_registry::{QueryError, RunRecord};
+use harness_sql::Query;
 use harness_tables::schema::Table;
 use harness_tables::{asked_columns, asked_rows, lazily};
 use polars::prelude::*;
@@ -45,7 +46,7 @@ impl Subset<'_> {
             };
             self.runs.iter().flat_map(named).collect()
         };
-        self.analysis.answer(sql, |of| self.rows(of, sql), recorded)
+        self.analysis.answer(sql, |of, query| self.rows(of, query), recorded)
     }
 
     /// Whether the subset has all runs of its experiments, under their own names.
@@ -57,7 +58,7 @@ impl Subset<'_> {
     }
 
     /// The runs' rows of a table, a frame for each name and experiment.
-    fn rows(&self, of: Table, sql: &str) -> Result<Vec<LazyFrame>, QueryError> {
+    fn rows(&self, of: Table, query: &Query) -> PolarsResult<Vec<LazyFrame>> {
         let mut parts = Vec::new();
         for (name, runs) in &self.runs {
             for runs in runs.chunk_by(|a, b| a.record.experiment == b.record.experiment) {
@@ -65,7 +66,7 @@ impl Subset<'_> {
                 if seen.schema.is_empty() {
                     continue;
                 }
-                seen.read(sql, &["run"])?;
+                seen.read(query, &["run"])?;
                 let schema = seen.schema.clone();
                 let runs = runs.iter().map(|run| run.record.run.clone()).collect();
                 parts.push(lazily(RunRows { seen, runs, name: name.clone() }, schema)?);

@@ -18,7 +18,8 @@ use harness_analysis::{
     replicates, unpaired_replicates,
 };
 use harness_registry::{QueryError, Registry, rows};
-use harness_spec::{Origin, QUICK, Scenario, SpecError, nearest};
+use harness_shared::nearest;
+use harness_spec::{Origin, QUICK, Scenario, SpecError};
 use metric::ClaimMetric;
 use polars::prelude::DataFrame;
 use serde::de::Error;
@@ -542,7 +543,8 @@ pub fn judge<'a>(
     quick: bool,
 ) -> Result<Vec<Judgment<'a>>, ClaimsError> {
     // A query that names the column `variant` distinguishes the settings that variants name.
-    let by_variant = claim.queries().all(|query| query.value.contains("variant"));
+    let completed = |query: &Spanned<String>| claim.complete(&query.value, &claim.latent, quick);
+    let by_variant = claim.queries().all(|query| analysis.contains(&completed(query), "variant"));
     let experiments = claim.experiments(quick).into_iter().map(|name| {
         let checked = analysis.check_uniform(&name, by_variant);
         let runs = analysis.runs(&name).iter().collect();

@@ -97,7 +97,7 @@ impl List {
         let sql = format!(
             "select experiment, run, status, started, {seconds} as seconds, reason from runs where {chosen} {order}"
         );
-        let mut runs = registry::answer(&sql, &|of| registry::table(registry, of, &recorded, &sql))?;
+        let mut runs = registry::query_recorded(registry, &recorded, &sql)?;
         match (form, width()) {
             (Form::Data(data), _) => return data.write(&mut runs, "run"),
             (Form::Page(Style::Text), Some(limit)) => print_listed(runs, limit)?,

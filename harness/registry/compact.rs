@@ -13,10 +13,10 @@
 use super::folders::sorted;
 use super::mark::Mark;
 use super::record::{FileRecord, RunRecord};
-use super::rows::{Condition, Terms};
 use super::{Registry, RegistryError};
 use harness_shared::files::FolderLock;
 use harness_shared::seal::hex;
+use harness_sql::{Condition, Terms};
 use harness_tables::schema::{Column, Table};
 use harness_tables::{Stamp, TableFile, asked_columns, read_footer, stacked, write_table};
 use polars::prelude::*;
@@ -174,7 +174,7 @@ impl RunTable {
             if own.is_empty() {
                 return Ok(Vec::new());
             }
-            let rows = part.file.read_serially(&needed).map_err(|error| failed(error.into()))?;
+            let rows = part.file.read_serially(&needed).map_err(RegistryError::from)?;
             drop(part);
             let wanted = wanted(&rows)?;
             own.into_iter()
@@ -327,18 +327,18 @@ impl RunTable {
         let path = self.parts.join(name);
         let rows = stacked(rows)?.unwrap_or_default();
         let stamp = Stamp::from([(RUNS_KEY.to_owned(), entries)]);
-        write_table(&path, rows, &columns, &stamp).map_err(|error| failed(error.into()))?;
+        write_table(&path, rows, &columns, &stamp).map_err(RegistryError::from)?;
         Ok(path)
     }
 
     /// Reads these columns of a run's own file, which is compared with its record.
     fn read_file(&self, file: &RunFile, columns: &[String]) -> PolarsResult<DataFrame> {
         let path = self.path(&file.run);
-        let bytes = file.listed.read(&path).map_err(failed)?;
+        let bytes = file.listed.read(&path)?;
         let reader = ParquetReader::new(Cursor::new(bytes)).with_columns(Some(columns.to_vec()));
         // Several tables are read at the same time, so more threads for each would not help.
         let rows = reader.read_parallel(ParallelStrategy::None).finish();
-        let rows = rows.map_err(|error| failed(RegistryError::File { path, reason: error.to_string() }))?;
+        let rows = rows.map_err(|error| RegistryError::File { path, reason: error.to_string() })?;
         rows.select(columns)
     }
 
@@ -395,9 +395,4 @@ impl Part {
 /// The columns as in a file's metadata.
 fn described(columns: &[Column]) -> String {
     serde_json::to_string(columns).unwrap_or_default()
-}
-
-/// Wraps a registry error in a Polars error, so that it can pass through a query. `QueryError` unwraps it.
-fn failed(error: RegistryError) -> PolarsError {
-    PolarsError::IO { error: Arc::new(std::io::Error::other(error)), msg: None }
 }

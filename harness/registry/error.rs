@@ -3,6 +3,7 @@
 use super::DEFAULT_ROOT;
 use super::command_line::command_in;
 use harness_shared::files::{LockError, WriteError};
+use harness_sql::SqlError;
 use harness_tables::TableError;
 use polars::prelude::PolarsError;
 use std::path::{Path, PathBuf};
@@ -141,6 +142,22 @@ impl QueryError {
     pub(super) fn is_of_removed_run(&self) -> bool {
         let Self::Registry(RegistryError::File { path, .. }) = self else { return false };
         path.parent().is_some_and(|folder| !folder.exists())
+    }
+}
+
+impl From<RegistryError> for PolarsError {
+    /// Wraps a registry error, so that it can pass through a query. [`QueryError`] unwraps it.
+    fn from(error: RegistryError) -> Self {
+        Self::IO { error: Arc::new(std::io::Error::other(error)), msg: None }
+    }
+}
+
+impl From<SqlError> for QueryError {
+    fn from(error: SqlError) -> Self {
+        match error {
+            SqlError::Refused(reason) => Self::Refused(reason),
+            SqlError::Polars(error) => error.into(),
+        }
     }
 }
 

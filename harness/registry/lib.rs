@@ -28,8 +28,6 @@ mod publish;
 mod query;
 mod record;
 mod removal;
-mod rows;
-mod sql;
 mod verify;
 
 pub use command_line::quoted;
@@ -41,17 +39,18 @@ pub use pack::{PackError, Packed, Unpacked};
 pub use provenance::{Provenance, Versions, peak_memory_bytes};
 pub use publish::{ForcesOf, Published, forces_of};
 pub use query::{
-    OVERALL, TableFormat, answer, episode_columns, query, query_of, query_recorded, rows, save, table,
+    OVERALL, TableFormat, answer, conditions, episode_columns, query, query_of, query_recorded, rows, save,
+    table,
 };
 pub use record::{FileRecord, ForceRows, Outcome, RunRecord, Status, Timings};
 pub use removal::{Garbage, Removable, Usage};
-pub use rows::{Condition, Terms, conditions, implies};
 pub use verify::{Finding, Report};
 
 use checks::Checks;
 use folders::folders;
 use harness_shared::files::{FolderLock, WriteError, real, write_bytes, write_whole};
-use harness_spec::{Layout, RunSpec, Task, nearest};
+use harness_shared::nearest;
+use harness_spec::{Layout, RunSpec, Task};
 use record::IN_ITS_PLACE;
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, HashMap};

@@ -3,25 +3,21 @@
 use super::compact::RunTable;
 use super::folders::{Recorded, folders};
 use super::record::{RunRecord, runs_table};
-use super::rows::conditions;
-use super::{QueryError, Registry, RegistryError, Status, live, sql};
+use super::{QueryError, Registry, Status, live};
 use harness_dataset::layout_of;
 use harness_shared::files::write_whole;
 use harness_shared::numbers::counted;
 use harness_spec::Layout;
-use harness_tables::schema::{Column, Table, sample_columns};
-use harness_tables::{TableError, data_type, lazily, scan};
+use harness_sql::{Condition, Query, Tables};
+use harness_tables::schema::{Column, Kind, Table, sample_columns};
+use harness_tables::{data_type, lazily, scan};
 use polars::prelude::*;
 use serde::de::DeserializeOwned;
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// Address space for the stack on which a query is parsed and planned: `1+1+1…` nests as deep as it is long, and
-/// the parser and Polars walk what nests by recursion. Only what is used takes memory.
-const QUERY_STACK_BYTES: usize = 1 << 30;
 
 /// The SQL condition for the rows of `metrics` that judge a whole modality: those of all its elements, or those of all
 /// elements with the same unit if their units differ.
@@ -47,9 +43,10 @@ pub fn query_of(
     is_wanted: impl Fn(&RunRecord) -> bool,
     sql: &str,
 ) -> Result<DataFrame, QueryError> {
+    let query = Query::parse(sql)?;
     loop {
         let runs = registry.recorded().into_iter().filter(|(_, record)| is_wanted(record));
-        match query_recorded(registry, &runs.collect::<Vec<_>>(), sql) {
+        match answer_of(registry, &runs.collect::<Vec<_>>(), &query) {
             // Another process has removed a run since its record was read.
             Err(error) if error.is_of_removed_run() => {}
             answered => return answered,
@@ -62,63 +59,90 @@ pub fn query_of(
 /// # Errors
 /// Like [`query`].
 pub fn query_recorded(registry: &Registry, runs: &[Recorded], sql: &str) -> Result<DataFrame, QueryError> {
-    answered(sql, &|of| table(registry, of, runs, sql), &|of| columns(registry, of, runs))
+    answer_of(registry, runs, &Query::parse(sql)?)
 }
 
-/// A function that returns the rows of a table.
-pub type TableOf<'a> = dyn Fn(Table) -> Result<LazyFrame, QueryError> + Sync + 'a;
+fn answer_of(registry: &Registry, runs: &[Recorded], query: &Query) -> Result<DataFrame, QueryError> {
+    let rows = |of, query: &Query| table(registry, of, runs, query);
+    Ok(query.answer(&Source { rows: &rows, columns: &|of| columns(registry, of, runs) })?)
+}
 
-/// Answers one statement of SQL. `table_of` is called for each table that the statement names.
+/// A function that returns the rows of a table that a query can see.
+pub type TableOf<'a> = dyn Fn(Table, &Query) -> PolarsResult<LazyFrame> + Sync + 'a;
+
+/// Answers a query. `rows` is called for each table that the query reads.
 ///
 /// # Errors
-/// When the SQL is invalid or not supported, or when `table_of` fails.
-pub fn answer(question: &str, table_of: &TableOf) -> Result<DataFrame, QueryError> {
-    answered(question, table_of, &|table| Ok(table.columns()))
+/// When the query is not supported, or when `rows` fails.
+pub fn answer(query: &Query, rows: &TableOf) -> Result<DataFrame, QueryError> {
+    Ok(query.answer(&Source { rows, columns: &|table| Ok(table.columns()) })?)
 }
 
-/// A function that returns the columns of a table.
-type ColumnsOf<'a> = dyn Fn(Table) -> Result<Vec<Column>, QueryError> + Sync + 'a;
-
-/// Like [`answer`]. DESCRIBE lists the columns that `columns_of` returns.
-fn answered(question: &str, table_of: &TableOf, columns_of: &ColumnsOf) -> Result<DataFrame, QueryError> {
-    std::thread::scope(|scope| {
-        let thread = std::thread::Builder::new().stack_size(QUERY_STACK_BYTES);
-        let thread = thread.spawn_scoped(scope, || sql::answer(question, table_of, columns_of));
-        let thread = thread.map_err(|error| QueryError::Refused(error.to_string()))?;
-        // Polars may panic at what it does not support.
-        thread.join().unwrap_or_else(|panic| {
-            let said = panic.downcast_ref::<String>().map(String::as_str);
-            let said = said.or(panic.downcast_ref::<&str>().copied()).unwrap_or("it panicked");
-            Err(QueryError::Refused(format!("Polars does not support it: {said}")))
-        })
-    })
+/// The tables of [`Table::ALL`], with their rows and columns from functions.
+struct Source<'a> {
+    rows: &'a TableOf<'a>,
+    columns: &'a (dyn Fn(Table) -> PolarsResult<Vec<Column>> + Sync),
 }
 
-/// A table over `runs` or, for `episodes`, over all datasets. It has at least those rows that the query `sql` can see.
+impl Tables for Source<'_> {
+    fn list(&self) -> Vec<(&'static str, &'static str)> {
+        Table::ALL.map(|table| (table.name(), table.meaning())).to_vec()
+    }
+
+    fn columns(&self, table: &str) -> PolarsResult<DataFrame> {
+        let columns = (self.columns)(named(table))?;
+        let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
+        let types: Vec<String> =
+            columns.iter().map(|column| format!("{:?}", column.kind).to_lowercase()).collect();
+        let units: Vec<&str> = columns.iter().map(|column| &*column.unit).collect();
+        let meanings: Vec<&str> = columns.iter().map(|column| column.meaning.as_str()).collect();
+        df!("column" => names, "type" => types, "unit" => units, "meaning" => meanings)
+    }
+
+    fn rows(&self, table: &str, query: &Query) -> PolarsResult<LazyFrame> {
+        (self.rows)(named(table), query)
+    }
+}
+
+/// The table of this name, which is one of the list.
+fn named(name: &str) -> Table {
+    Table::ALL.into_iter().find(|table| table.name() == name).expect("only tables of the list are asked for")
+}
+
+/// The conditions that a query puts on the text columns of a table, and on which of its columns are null. Empty if the
+/// query does not read the table.
+pub fn conditions(query: &Query, table: Table) -> BTreeSet<Condition> {
+    let columns = table.columns();
+    let has = |name: &String, texts: &BTreeSet<String>| {
+        columns.iter().any(|own| own.name == *name && (own.kind == Kind::Text || texts.is_empty()))
+    };
+    let of_table = |condition: &Condition| {
+        let mut condition = condition.clone();
+        condition.retain(|name, texts| has(name, texts));
+        condition
+    };
+    query.conditions(table.name()).into_iter().flatten().map(of_table).collect()
+}
+
+/// A table over `runs` or, for `episodes`, over all datasets. It has at least those rows that the query can see.
 ///
 /// # Errors
 /// When a file of the table is damaged or missing.
-pub fn table(
-    registry: &Registry,
-    table: Table,
-    runs: &[Recorded],
-    sql: &str,
-) -> Result<LazyFrame, QueryError> {
-    let columns = table.columns();
+pub fn table(registry: &Registry, table: Table, runs: &[Recorded], query: &Query) -> PolarsResult<LazyFrame> {
     let found = match table {
         Table::Runs => {
             if runs.is_empty() {
                 None
             } else {
                 let records: Vec<RunRecord> = runs.iter().map(|(_, record)| record.clone()).collect();
-                Some(runs_table(&records).map_err(TableError::from).map_err(RegistryError::from)?.lazy())
+                Some(runs_table(&records)?.lazy())
             }
         }
         Table::Episodes => episodes(&registry.episode_files(runs)?)?,
         Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
             // A run's tables count once its record says that it is done, and as its record lists them.
             let done = runs.iter().map(|(_, run)| run).filter(|run| run.status == Status::Done);
-            let done = run_table(registry, table, &done.collect::<Vec<_>>(), sql)?;
+            let done = run_table(registry, table, &done.collect::<Vec<_>>(), query)?;
             match table {
                 Table::Epochs => with_live_epochs(done, runs)?,
                 _ => done,
@@ -127,13 +151,13 @@ pub fn table(
     };
     match found {
         Some(found) => Ok(found),
-        None => empty(&columns).map_err(QueryError::Sql),
+        None => empty(&table.columns()),
     }
 }
 
 /// The columns of a table. Those of `episodes` depend on the datasets: each column that one of them has. Without
 /// datasets, they are those of the built-in finger.
-fn columns(registry: &Registry, table: Table, runs: &[Recorded]) -> Result<Vec<Column>, QueryError> {
+fn columns(registry: &Registry, table: Table, runs: &[Recorded]) -> PolarsResult<Vec<Column>> {
     let groups = match table {
         Table::Episodes => by_layout(&registry.episode_files(runs)?)?,
         _ => Vec::new(),
@@ -162,8 +186,8 @@ fn run_table(
     registry: &Registry,
     table: Table,
     runs: &[&RunRecord],
-    sql: &str,
-) -> Result<Option<LazyFrame>, QueryError> {
+    query: &Query,
+) -> PolarsResult<Option<LazyFrame>> {
     let mut frames = Vec::new();
     for runs in runs.chunk_by(|a, b| a.experiment == b.experiment) {
         let rows = RunTable::new(registry, table, &runs[0].experiment, runs.iter().copied())?;
@@ -171,37 +195,38 @@ fn run_table(
         if schema.is_empty() {
             continue;
         }
-        frames.push(lazily(rows.only(conditions(sql, table)), schema)?);
+        frames.push(lazily(rows.only(conditions(query, table)), schema)?);
     }
     if frames.len() < 2 {
         return Ok(frames.pop());
     }
-    Ok(Some(concat(frames, UnionArgs::default())?))
+    concat(frames, UnionArgs::default()).map(Some)
 }
 
 /// The epochs of finished runs, and then those of running ones.
-fn with_live_epochs(done: Option<LazyFrame>, runs: &[Recorded]) -> Result<Option<LazyFrame>, QueryError> {
+fn with_live_epochs(done: Option<LazyFrame>, runs: &[Recorded]) -> PolarsResult<Option<LazyFrame>> {
     let mut frames: Vec<LazyFrame> = done.into_iter().collect();
     for (folder, run) in runs.iter().filter(|(_, run)| run.status == Status::Running) {
-        let epochs = live::table(folder, run).map_err(QueryError::Sql)?;
+        let epochs = live::table(folder, run)?;
         if epochs.height() > 0 {
             frames.push(epochs.lazy());
         }
     }
     match frames.len() {
         0 | 1 => Ok(frames.pop()),
-        _ => concat(frames, UnionArgs::default()).map(Some).map_err(QueryError::Sql),
+        _ => concat(frames, UnionArgs::default()).map(Some),
     }
 }
 
 /// The files of datasets with the same layout, for each layout.
 type ByLayout = Vec<(Arc<Layout>, Vec<PathBuf>)>;
 
-fn by_layout(files: &[PathBuf]) -> Result<ByLayout, QueryError> {
+fn by_layout(files: &[PathBuf]) -> PolarsResult<ByLayout> {
     let mut groups = ByLayout::new();
     for of_dataset in files.chunk_by(|a, b| a.parent() == b.parent()) {
         let folder = of_dataset[0].parent().unwrap_or(Path::new(""));
-        let layout = layout_of(folder).map_err(|error| QueryError::Refused(error.to_string()))?;
+        let layout =
+            layout_of(folder).map_err(|error| PolarsError::ComputeError(error.to_string().into()))?;
         match groups.iter_mut().find(|(other, _)| *other == layout) {
             Some((_, files)) => files.extend_from_slice(of_dataset),
             None => groups.push((layout, of_dataset.to_vec())),
@@ -212,13 +237,16 @@ fn by_layout(files: &[PathBuf]) -> Result<ByLayout, QueryError> {
 
 /// The episodes' files one after the other, those of a dataset together, with each column that a dataset has. What a
 /// dataset lacks is null.
-fn episodes(files: &[PathBuf]) -> Result<Option<LazyFrame>, QueryError> {
+fn episodes(files: &[PathBuf]) -> PolarsResult<Option<LazyFrame>> {
     let groups = by_layout(files)?;
     let held: Vec<Vec<Column>> = groups.iter().map(|(layout, _)| sample_columns(layout)).collect();
-    let all = each_once(held.iter().flatten().cloned());
+    let mut all = each_once(held.iter().flatten().cloned());
+    let known = Table::Episodes.columns();
+    // The columns of the built-in finger come first.
+    all.sort_by_key(|column| known.iter().position(|other| other.name == column.name).unwrap_or(known.len()));
     let mut frames = Vec::new();
     for ((_, files), held) in groups.iter().zip(&held) {
-        let Some(frame) = scan(files, held).map_err(QueryError::Sql)? else { continue };
+        let Some(frame) = scan(files, held)? else { continue };
         let value = |Column { name, .. }: &Column| match held.iter().any(|column| column.name == *name) {
             true => col(name.as_str()),
             // Only elements of vectors can lack.
@@ -228,7 +256,7 @@ fn episodes(files: &[PathBuf]) -> Result<Option<LazyFrame>, QueryError> {
     }
     match frames.len() {
         0 | 1 => Ok(frames.pop()),
-        _ => concat(frames, UnionArgs::default()).map(Some).map_err(QueryError::Sql),
+        _ => concat(frames, UnionArgs::default()).map(Some),
     }
 }
 

@@ -20,6 +20,7 @@ const SOURCES: &[&str] = &[
     "../shared",
     "../simulation",
     "../spec",
+    "../sql",
     "../tables",
     ".",
     "../../models",

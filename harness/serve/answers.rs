@@ -4,7 +4,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use harness_analysis::{Analysis, AnalysisError, all_settings};
 use harness_claims::{Claim, ClaimsError, Judgment, judge};
-use harness_registry::{QueryError, Recorded, Registry, answer, query_recorded, table};
+use harness_registry::{QueryError, Recorded, Registry, query_recorded};
 use harness_tables::schema::{Column, Table};
 use polars::prelude::{AnyValue, DataFrame, PolarsError};
 use serde_json::{Value, json};
@@ -135,7 +135,7 @@ fn losses_of(registry: &Registry, recorded: &Recorded) -> Result<Vec<Value>, Fai
 
 /// The answer to a query over the tables of one run.
 fn of_run(registry: &Registry, recorded: &Recorded, sql: &str) -> Result<DataFrame, QueryError> {
-    answer(sql, &|of| table(registry, of, std::slice::from_ref(recorded), sql))
+    query_recorded(registry, std::slice::from_ref(recorded), sql)
 }
 
 /// The verdicts on the paper's statements by these runs.

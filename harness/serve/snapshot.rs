@@ -1,7 +1,7 @@
 //! The runs as they were read last, and the answer of `/api/runs`.
 
 use super::answers::{Answer, Failure, columns, number};
-use harness_registry::{Recorded, Registry, Remembered, answer, table};
+use harness_registry::{Recorded, Registry, Remembered, query_recorded};
 use polars::prelude::{DataFrame, PolarsResult};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashMap};
@@ -93,7 +93,7 @@ impl Snapshot {
     /// The answer for this version, and whether it has the metrics.
     fn answer(&self) -> Result<(String, bool), Failure> {
         let all = self.memory.recorded();
-        let ask = |sql: &str| answer(sql, &|of| table(&self.registry, of, all, sql));
+        let ask = |sql: &str| query_recorded(&self.registry, all, sql);
         let runs = ask(RUNS)?;
         let mut left_out = self.left_out.clone();
         let metrics = match ask(METRICS) {

@@ -1,10 +1,13 @@
 //! Basics for all other crates: complete files and locked folders, seals, available memory, progress, turns of
-//! processes, and numbers as text.
+//! processes, numbers as text, and the name that was probably meant.
 
 pub mod files;
 pub mod memory;
+mod nearest;
 pub mod numbers;
 pub mod progress;
 pub mod seal;
 pub mod shard;
 pub mod turns;
+
+pub use nearest::nearest;

@@ -2,9 +2,10 @@
 
 use super::error::Problem;
 use super::modality::Modality;
-use super::name::{is_name, nearest};
+use super::name::is_name;
 use super::origin::Origin;
 use super::parse::{Entry, Node, Value, shorten};
+use harness_shared::nearest;
 use serde_json::{Value as Json, json};
 use std::collections::HashSet;
 

@@ -33,7 +33,7 @@ pub use episode::{Episode, Pose};
 pub use error::SpecError;
 pub use factor::{Distribution, Drawing, Factor, Normal, Property};
 pub use modality::*;
-pub use name::{intern, is_name, nearest};
+pub use name::{intern, is_name};
 pub use origin::{Origin, Scenario};
 pub use parse::read as read_text;
 pub use scaling::{GivenScaling, GivenScalings, Scaling, Scalings};

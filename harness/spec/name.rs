@@ -1,4 +1,4 @@
-//! Names: the rule that they follow, the one that was meant, interned names, and enums whose values have names.
+//! Names: the rule that they follow, interned names, and enums whose values have names.
 
 use std::collections::BTreeSet;
 use std::sync::Mutex;
@@ -12,24 +12,6 @@ pub fn is_name(text: &str) -> bool {
     (1..=64).contains(&text.len())
         && text.starts_with(|c: char| c.is_ascii_lowercase())
         && text.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
-}
-
-/// Returns the name that differs from `found` by the fewest typing errors, or else the dotted name whose last part does.
-/// `None` if more than a third of the letters differ.
-pub fn nearest<'a>(found: &str, names: &[&'a str]) -> Option<&'a str> {
-    // Comparing takes time and memory for each pair of letters; what is this long is no typing error.
-    if found.len() > 100 {
-        return None;
-    }
-    let found = found.to_lowercase();
-    let tolerated = (found.chars().count() / 3).max(1);
-    let nearest_by = |part: fn(&str) -> &str| {
-        let errors = |name: &str| strsim::damerau_levenshtein(&found, &part(name).to_lowercase());
-        let (errors, name) =
-            names.iter().copied().map(|name| (errors(name), name)).min_by_key(|(errors, _)| *errors)?;
-        (errors <= tolerated).then_some(name)
-    };
-    nearest_by(|name| name).or_else(|| nearest_by(|name| name.rsplit('.').next().unwrap_or(name)))
 }
 
 /// Returns the single copy of a name. The copy is never freed, because names are few and short.

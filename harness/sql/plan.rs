@@ -4,8 +4,7 @@ use super::expression::{Binder, Groups, Key, Needed, Value, can_fail, has_aggreg
 use super::join::{split_and, within_rows};
 use super::scope::{Column, Relation, Type, resolve, same};
 use super::window::Window;
-use super::{Answer, refuse, shown};
-use harness_tables::schema::Table;
+use super::{Answer, Query, Tables, refuse, shown};
 use polars::prelude::*;
 use sqlparser::ast::{self, SetExpr, SetOperator, SetQuantifier};
 use std::cell::{Cell, RefCell};
@@ -23,10 +22,12 @@ pub type Ctes = BTreeMap<String, Relation>;
 
 /// Plans one statement.
 pub struct Planner<'a> {
-    /// Returns the rows of a table.
-    pub source: &'a dyn Fn(Table) -> Answer<LazyFrame>,
-    /// The tables that have been read so far.
-    pub read: RefCell<BTreeMap<Table, LazyFrame>>,
+    /// The query that contains everything that is planned.
+    pub asked: &'a Query,
+    /// The tables that it can read.
+    pub tables: &'a dyn Tables,
+    /// The tables that have been read so far, by name.
+    pub read: RefCell<BTreeMap<String, LazyFrame>>,
     /// Number of ids given so far.
     names: Cell<usize>,
     /// Number of parts of the conditions of CASE that were copied so far.
@@ -42,10 +43,11 @@ enum Item<'a> {
 }
 
 impl<'a> Planner<'a> {
-    /// A planner that reads tables from `source`.
-    pub fn new(source: &'a dyn Fn(Table) -> Answer<LazyFrame>) -> Self {
+    /// A planner of the query `asked` over these tables.
+    pub fn new(asked: &'a Query, tables: &'a dyn Tables) -> Self {
         Self {
-            source,
+            asked,
+            tables,
             read: RefCell::default(),
             names: Cell::new(0),
             condition_parts: Cell::new(0),

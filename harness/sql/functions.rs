@@ -3,7 +3,7 @@
 use super::expression::Value;
 use super::scope::Type;
 use super::{Answer, refuse, shown};
-use harness_spec::nearest;
+use harness_shared::nearest;
 use polars::prelude::*;
 use sqlparser::ast;
 

@@ -1,7 +1,6 @@
 //! Types, columns and relations of a query, and how names are resolved to columns.
 
-use harness_spec::nearest;
-use harness_tables::schema::Kind;
+use harness_shared::nearest;
 use polars::prelude::*;
 use sqlparser::ast::Ident;
 
@@ -25,15 +24,15 @@ pub enum Type {
 }
 
 impl Type {
-    /// The type of a table's column, from its kind in the schema and its type in the frame.
-    pub fn of(kind: Kind, held: Option<&DataType>) -> Self {
-        match kind {
-            Kind::Text => Type::Text,
-            Kind::Integer => Type::Integer,
-            Kind::Real if held == Some(&DataType::Float32) => Type::Single,
-            Kind::Real => Type::Real,
-            Kind::Flag => Type::Flag,
-            Kind::Bytes => Type::Bytes,
+    /// The type of a table's column.
+    pub fn of(data_type: &DataType) -> Self {
+        match data_type {
+            DataType::String => Type::Text,
+            DataType::Float32 => Type::Single,
+            DataType::Boolean => Type::Flag,
+            DataType::Binary => Type::Bytes,
+            other if other.is_integer() => Type::Integer,
+            _ => Type::Real,
         }
     }
 

@@ -4,7 +4,7 @@ use super::functions::{self, Aggregate};
 use super::plan::{Ctes, Planner};
 use super::scope::{Column, Type, Unresolved, resolve, same};
 use super::window::Window;
-use super::{Answer, QueryError, refuse, shown};
+use super::{Answer, SqlError, refuse, shown};
 use polars::prelude::*;
 use sqlparser::ast::{self, BinaryOperator, UnaryOperator, Visit, Visitor};
 use std::cell::RefCell;
@@ -448,8 +448,8 @@ impl<'a> Binder<'a> {
             is_unknown && name.quote_style.is_none() && !self.planner.around(path)
         };
         self.bind(expr).map_err(|error| match (expr, error) {
-            (ast::Expr::Identifier(name), QueryError::Refused(message)) if is_text(name) => {
-                QueryError::Refused(format!("{message}. Write text in single quotes: '{}'", name.value))
+            (ast::Expr::Identifier(name), SqlError::Refused(message)) if is_text(name) => {
+                SqlError::Refused(format!("{message}. Write text in single quotes: '{}'", name.value))
             }
             (_, error) => error,
         })

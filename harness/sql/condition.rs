@@ -1,12 +1,10 @@
 //! Conditions from the WHERE clauses of a query, so that rows which the query can't see need not be read.
 
-use harness_tables::schema::{Column, Kind, Table};
 use polars::prelude::*;
 use sqlparser::ast::{
-    BinaryOperator, Expr as Sql, JoinOperator, Query, Select, SetExpr, TableFactor, Value, Visit, Visitor,
+    BinaryOperator, Expr as Sql, JoinOperator, Query, Select, SetExpr, Statement, TableFactor, Value, Visit,
+    Visitor,
 };
-use sqlparser::dialect::GenericDialect;
-use sqlparser::parser::Parser;
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
@@ -15,38 +13,38 @@ use std::ops::ControlFlow;
 /// satisfy a condition without columns.
 pub type Condition = BTreeMap<String, BTreeSet<String>>;
 
-/// The conditions that a query puts on the rows of `table`, one for each part of the query that reads the table. The
-/// query can only see rows that satisfy at least one of them. Empty if the query does not read the table.
-pub fn conditions(sql: &str, table: Table) -> BTreeSet<Condition> {
-    let everything = BTreeSet::from([Condition::new()]);
-    let Ok(statements) = Parser::parse_sql(&GenericDialect, sql) else { return everything };
-    let mut readers = Readers { table, found: 0, conditions: Vec::new() };
-    let _ = statements.visit(&mut readers);
-    // `add_select` misses some places of a table, such as nested joins. These may read any row.
-    if readers.conditions.len() == readers.found {
-        readers.conditions.into_iter().collect()
-    } else {
-        everything
-    }
+/// The conditions that a query puts on the rows of each table that it reads, by the table's name in lower case.
+pub fn of_tables(statement: &Statement) -> BTreeMap<String, BTreeSet<Condition>> {
+    let mut readers = Readers::default();
+    let _ = statement.visit(&mut readers);
+    let of_table = |(table, conditions): (String, Vec<Condition>)| {
+        // `add_select` misses some places of a table, such as nested joins. These may read any row.
+        let conditions = match readers.found.get(&table) {
+            Some(found) if *found == conditions.len() => conditions.into_iter().collect(),
+            _ => BTreeSet::from([Condition::new()]),
+        };
+        (table, conditions)
+    };
+    readers.conditions.into_iter().map(of_table).collect()
 }
 
-/// Finds the parts of a query that read a table, and their conditions.
+/// Finds the parts of a query that read tables, and their conditions.
+#[derive(Default)]
 struct Readers {
-    table: Table,
-    /// How many times the query names the table.
-    found: usize,
-    conditions: Vec<Condition>,
+    /// How many times the query names each table.
+    found: BTreeMap<String, usize>,
+    conditions: BTreeMap<String, Vec<Condition>>,
+}
+
+/// The name of a table in lower case, and its alias or name in its part of the query. `None` for other factors.
+fn named(factor: &TableFactor) -> Option<(String, String)> {
+    let TableFactor::Table { name, alias, args: None, .. } = factor else { return None };
+    let table = name.to_string().trim_matches('"').to_ascii_lowercase();
+    let name = alias.as_ref().map_or_else(|| table.clone(), |alias| alias.name.value.clone());
+    Some((table, name))
 }
 
 impl Readers {
-    /// The alias or name of `factor` in its part of the query, or `None` if it is not the table.
-    fn name(&self, factor: &TableFactor) -> Option<String> {
-        let TableFactor::Table { name, alias, args: None, .. } = factor else { return None };
-        let is_table = name.to_string().trim_matches('"').eq_ignore_ascii_case(self.table.name());
-        let alias = alias.as_ref().map(|alias| alias.name.value.clone());
-        is_table.then(|| alias.unwrap_or_else(|| self.table.name().to_owned()))
-    }
-
     fn add_select(&mut self, select: &Select) {
         for from in &select.from {
             let is_inner =
@@ -54,47 +52,43 @@ impl Readers {
             let can_filter =
                 select.from.len() == 1 && from.joins.iter().all(|join| is_inner(&join.join_operator));
             let factors = std::iter::once(&from.relation).chain(from.joins.iter().map(|join| &join.relation));
-            let found: Vec<_> = factors.filter_map(|factor| Some((factor, self.name(factor)?))).collect();
-            for (factor, name) in found {
+            for (factor, (table, name)) in factors.filter_map(|factor| Some((factor, named(factor)?))) {
                 let mut condition = Condition::new();
                 let can_filter = can_filter && !has_own_columns(factor);
                 if let Some(filter) = select.selection.as_ref().filter(|_| can_filter) {
-                    self.add_terms(filter, &name, &mut condition);
+                    add_terms(filter, &name, &mut condition);
                 }
-                self.conditions.push(condition);
+                self.conditions.entry(table).or_default().push(condition);
             }
         }
     }
+}
 
-    /// Adds those terms of a conjunction that compare a column of the table called `name` with texts or null.
-    fn add_terms(&self, filter: &Sql, name: &str, condition: &mut Condition) {
-        let (column, texts) = match filter {
-            Sql::Nested(inner) => return self.add_terms(inner, name, condition),
-            Sql::BinaryOp { left, op: BinaryOperator::And, right } => {
-                self.add_terms(left, name, condition);
-                return self.add_terms(right, name, condition);
-            }
-            Sql::BinaryOp { left, op: BinaryOperator::Eq, right } => (left.as_ref(), vec![text(right)]),
-            Sql::InList { expr, list, negated: false } if !list.is_empty() => {
-                (expr.as_ref(), list.iter().map(text).collect())
-            }
-            Sql::IsNull(expr) => (expr.as_ref(), Vec::new()),
-            _ => return,
-        };
-        let column = match column {
-            Sql::Identifier(column) => &column.value,
-            Sql::CompoundIdentifier(parts) => match parts.as_slice() {
-                [table, column] if table.value == name => &column.value,
-                _ => return,
-            },
-            _ => return,
-        };
-        let Some(texts) = texts.into_iter().collect::<Option<BTreeSet<String>>>() else { return };
-        let has_texts = |own: &Column| own.kind == Kind::Text || texts.is_empty();
-        if self.table.columns().iter().any(|own| own.name == *column && has_texts(own)) {
-            condition.entry(column.clone()).or_insert(texts);
+/// Adds those terms of a conjunction that compare a column of the table called `name` with texts or null.
+fn add_terms(filter: &Sql, name: &str, condition: &mut Condition) {
+    let (column, texts) = match filter {
+        Sql::Nested(inner) => return add_terms(inner, name, condition),
+        Sql::BinaryOp { left, op: BinaryOperator::And, right } => {
+            add_terms(left, name, condition);
+            return add_terms(right, name, condition);
         }
-    }
+        Sql::BinaryOp { left, op: BinaryOperator::Eq, right } => (left.as_ref(), vec![text(right)]),
+        Sql::InList { expr, list, negated: false } if !list.is_empty() => {
+            (expr.as_ref(), list.iter().map(text).collect())
+        }
+        Sql::IsNull(expr) => (expr.as_ref(), Vec::new()),
+        _ => return,
+    };
+    let column = match column {
+        Sql::Identifier(column) => &column.value,
+        Sql::CompoundIdentifier(parts) => match parts.as_slice() {
+            [table, column] if table.value == name => &column.value,
+            _ => return,
+        },
+        _ => return,
+    };
+    let Some(texts) = texts.into_iter().collect::<Option<BTreeSet<String>>>() else { return };
+    condition.entry(column.clone()).or_insert(texts);
 }
 
 /// Whether an alias gives the columns of a table other names: `FROM epochs AS e(a, b)`.
@@ -130,7 +124,10 @@ impl Visitor for Readers {
     }
 
     fn pre_visit_table_factor(&mut self, factor: &TableFactor) -> ControlFlow<()> {
-        self.found += usize::from(self.name(factor).is_some());
+        if let Some((table, _)) = named(factor) {
+            *self.found.entry(table.clone()).or_default() += 1;
+            self.conditions.entry(table).or_default();
+        }
         ControlFlow::Continue(())
     }
 }

@@ -4,7 +4,6 @@ use super::expression::{Value, is_plain, one_row};
 use super::plan::{Ctes, Planner, none_of};
 use super::scope::{Column, Relation, Type, choice, resolve, same};
 use super::{Answer, refuse, shown};
-use harness_tables::schema::{Kind, Table};
 use polars::prelude::*;
 use sqlparser::ast::{self, JoinConstraint, JoinOperator, TableFactor};
 use std::collections::BTreeSet;
@@ -157,7 +156,7 @@ impl Planner<'_> {
                 if args.is_some() {
                     return refuse(format!(
                         "'{written}' is not a table, and other files can't be read; {}",
-                        there_are(ctes)
+                        self.there_are(ctes)
                     ));
                 }
                 none_of(&[
@@ -174,7 +173,7 @@ impl Planner<'_> {
                     (sample.is_some(), "TABLESAMPLE", "use LIMIT"),
                 ])?;
                 let [ast::ObjectNamePart::Identifier(name)] = name.0.as_slice() else {
-                    return refuse(format!("there is no table '{written}'; {}", there_are(ctes)));
+                    return refuse(format!("there is no table '{written}'; {}", self.there_are(ctes)));
                 };
                 let relation = self.table(&name.value, ctes)?;
                 self.named(relation, alias.as_ref(), &name.value)
@@ -193,7 +192,7 @@ impl Planner<'_> {
             TableFactor::NestedJoin { table_with_joins, alias: None } => {
                 self.from(std::slice::from_ref(table_with_joins), &mut Vec::new(), ctes)
             }
-            other => refuse(format!("'{}' is not supported in FROM; {}", shown(other), there_are(ctes))),
+            other => refuse(format!("'{}' is not supported in FROM; {}", shown(other), self.there_are(ctes))),
         }
     }
 
@@ -201,35 +200,38 @@ impl Planner<'_> {
         if let Some(relation) = ctes.get(&name.to_lowercase()) {
             return Ok(relation.clone());
         }
-        let Some(table) = Table::ALL.into_iter().find(|table| same(table.name(), name)) else {
-            let names: Vec<&str> =
-                ctes.keys().map(String::as_str).chain(Table::ALL.map(Table::name)).collect();
+        let names = self.table_names(ctes);
+        let Some(table) = names.iter().find(|known| same(known, name)) else {
             return refuse(format!("there is no table '{name}'{}", choice(name, &names)));
         };
-        let known = self.read.borrow().get(&table).cloned();
+        let known = self.read.borrow().get(*table).cloned();
         let frame = match known {
             Some(frame) => frame,
             None => {
-                let frame = (self.source)(table)?;
-                self.read.borrow_mut().insert(table, frame.clone());
+                let frame = self.tables.rows(table, self.asked)?;
+                self.read.borrow_mut().insert((*table).to_owned(), frame.clone());
                 frame
             }
         };
-        let held = frame.clone().collect_schema()?;
-        // The columns of vectors follow the datasets: some lack those of the built-in finger, and some have others.
-        let mut known = table.columns();
-        known.retain(|column| held.contains(&column.name));
-        let more = held.iter_names().filter(|name| !known.iter().any(|column| column.name == ***name));
-        let more: Vec<(Kind, String)> = more.map(|name| (Kind::Real, name.to_string())).collect();
-        let known = known.into_iter().map(|column| (column.kind, column.name));
-        let columns = known.chain(more).map(|(kind, name)| Column {
+        let schema = frame.clone().collect_schema()?;
+        let columns = schema.iter().map(|(name, data_type)| Column {
             table: None,
-            kind: Type::of(kind, held.get(&name)),
-            id: name.clone(),
-            name,
+            name: name.to_string(),
+            id: name.to_string(),
+            kind: Type::of(data_type),
             merged: false,
         });
         Ok(Relation { frame, columns: columns.collect(), rows: None, reads: 1 })
+    }
+
+    /// The names that FROM can use: those of the queries of WITH, and those of the tables.
+    fn table_names<'n>(&self, ctes: &'n Ctes) -> Vec<&'n str> {
+        let tables = self.tables.list().into_iter().map(|(name, _)| name);
+        ctes.keys().map(String::as_str).chain(tables).collect()
+    }
+
+    fn there_are(&self, ctes: &Ctes) -> String {
+        format!("the tables are {}", self.table_names(ctes).join(", "))
     }
 
     /// Renames a relation to its alias or `name`. Its columns get new ids, because a query may read a table twice.
@@ -525,9 +527,4 @@ pub fn split_and<'s>(condition: Option<&'s ast::Expr>, conditions: &mut Vec<&'s 
         }
         Some(condition) => conditions.push(condition),
     }
-}
-
-fn there_are(ctes: &Ctes) -> String {
-    let names: Vec<&str> = ctes.keys().map(String::as_str).chain(Table::ALL.map(Table::name)).collect();
-    format!("the tables are {}", names.join(", "))
 }
