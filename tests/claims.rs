@@ -252,12 +252,13 @@ fn write(registry: &Registry, name: &str, seeds: &[u64], says: impl Fn(u64) -> S
 /// Writes one run.
 fn finish_run(registry: &Registry, experiment: &str, spec: &RunSpec, says: Says) {
     let folder = registry.run(experiment, spec, &format!("{}-made-up", spec.scenario));
-    let record = registry.begin(&folder, spec, &Layout::finger(), &Provenance::default()).unwrap();
+    let run = registry.claim(&folder).unwrap().unwrap();
+    let record = run.begin(spec, &Layout::finger(), &Provenance::default()).unwrap();
     // Claims read only tables, but the record must also list the networks.
     for task in &spec.tasks {
         std::fs::write(folder.checkpoint(*task), "made up").unwrap();
     }
-    registry.finish(&folder, record, &outcome(says, spec)).unwrap();
+    run.finish(record, &outcome(says, spec)).unwrap();
 }
 
 /// A results folder with runs of all experiments that claims use.
@@ -1226,12 +1227,13 @@ fn own_runs() -> TempDir {
                 };
                 made.metrics.push(MetricRow { task: Task::Prediction, model: model.to_owned(), row });
             }
-            let run = registry.run("my_robot", &spec, &format!("{scenario}-made-up"));
-            let record = registry.begin(&run, &spec, &Layout::finger(), &Provenance::default()).unwrap();
+            let folder = registry.run("my_robot", &spec, &format!("{scenario}-made-up"));
+            let run = registry.claim(&folder).unwrap().unwrap();
+            let record = run.begin(&spec, &Layout::finger(), &Provenance::default()).unwrap();
             for task in &spec.tasks {
-                std::fs::write(run.checkpoint(*task), "made up").unwrap();
+                std::fs::write(folder.checkpoint(*task), "made up").unwrap();
             }
-            registry.finish(&run, record, &made).unwrap();
+            run.finish(record, &made).unwrap();
         }
     }
     std::fs::write(folder.path().join("own.yaml"), OWN).unwrap();

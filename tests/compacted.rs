@@ -46,10 +46,10 @@ fn write_runs(results: &Path, experiment: &str, seeds: Range<u64>, scale: f32) {
     let by = provenance(1, "harness run".into());
     made.runs().par_iter().for_each(|spec| {
         let folder = registry.run(experiment, spec, "empty-00000000");
-        let _lock = registry.claim(&folder).unwrap().unwrap();
-        let record = registry.begin(&folder, spec, &Layout::finger(), &by).unwrap();
+        let run = registry.claim(&folder).unwrap().unwrap();
+        let record = run.begin(spec, &Layout::finger(), &by).unwrap();
         std::fs::write(folder.checkpoint(Task::Prediction), "made up").unwrap();
-        registry.finish(&folder, record, &outcome(spec.seed, scale)).unwrap();
+        run.finish(record, &outcome(spec.seed, scale)).unwrap();
     });
 }
 

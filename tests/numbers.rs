@@ -114,15 +114,16 @@ fn write(registry: &Registry, experiment: &Experiment, name: &str, random: &mut 
         }
         let episodes = spec.simulation.as_ref().unwrap().episodes;
         let folder = registry.run(name, &spec, &format!("{}-{model}{episodes}", spec.scenario));
-        let record = registry.begin(&folder, &spec, &Layout::finger(), &Provenance::default()).unwrap();
+        let run = registry.claim(&folder).unwrap().unwrap();
+        let record = run.begin(&spec, &Layout::finger(), &Provenance::default()).unwrap();
         match random.random_range(0..40) {
             0 => {}
-            1 => registry.fail(&folder, record, "the disk is full").unwrap(),
+            1 => run.fail(record, "the disk is full").unwrap(),
             _ => {
                 for task in &spec.tasks {
                     fs::write(folder.checkpoint(*task), "made up").unwrap();
                 }
-                registry.finish(&folder, record, &outcome(&spec, random)).unwrap();
+                run.finish(record, &outcome(&spec, random)).unwrap();
             }
         }
     }

@@ -85,12 +85,12 @@ fn write(
     by: &Provenance,
 ) -> Result<(), Box<dyn Error>> {
     let folder = registry.run(experiment, spec, dataset);
-    let _lock = registry.claim(&folder)?.ok_or("another process is working on it")?;
-    let record = registry.begin(&folder, spec, &Layout::finger(), by)?;
+    let run = registry.claim(&folder)?.ok_or("another process is working on it")?;
+    let record = run.begin(spec, &Layout::finger(), by)?;
     for task in &spec.tasks {
         std::fs::write(folder.checkpoint(*task), "made up")?;
     }
-    Ok(registry.finish(&folder, record, &outcome(spec)?)?)
+    Ok(run.finish(record, &outcome(spec)?)?)
 }
 
 fn outcome(spec: &RunSpec) -> Result<Outcome, Box<dyn Error>> {

@@ -23,8 +23,8 @@ use harness_learning::state::StateFile;
 use harness_learning::training::Fit;
 use harness_learning::{self as learning, LearningError, checkpoint, open_device};
 use harness_registry::{
-    Decision, ForceRows, LiveEpochs, Outcome, Provenance, Registry, RegistryError, RunFolder, RunRecord,
-    Timings, Versions,
+    Claimed, Decision, ForceRows, LiveEpochs, Outcome, Provenance, Registry, RegistryError, RunFolder,
+    RunRecord, Timings, Versions,
 };
 use harness_samples::{FramePlace, Normalizers, Partition, Samples, frame_bytes};
 use harness_shared::files::free_bytes;
@@ -452,11 +452,11 @@ struct PreparedData {
 /// One run that is being trained.
 struct TrainingRun<'a> {
     spec: &'a RunSpec,
-    folder: &'a RunFolder,
+    claimed: &'a Claimed<'a>,
     prepared: &'a PreparedData,
     progress: &'a dyn Progress,
     /// Shows the epochs to other processes while the run is trained.
-    epochs: LiveEpochs,
+    epochs: LiveEpochs<'a>,
 }
 
 impl TrainingRun<'_> {
@@ -540,7 +540,7 @@ impl TrainingRun<'_> {
             training: &self.spec.training,
             seed: self.spec.seed,
             partition: &self.prepared.partition,
-            state: &StateFile::at(self.folder.state(task)),
+            state: &StateFile::at(self.claimed.state(task)),
             progress: self.progress,
             log: &|epochs| self.epochs.set(task, epochs),
         };
@@ -548,7 +548,7 @@ impl TrainingRun<'_> {
         let NormalizedData { normalizers, action, .. } = &self.prepared.data;
         let network = Description::new(architecture, task, *action, &self.spec.training.losses, normalizers)
             .map_err(LearningError::from)?;
-        checkpoint::save(&self.folder.checkpoint(task), parameters, normalizers, &network)?;
+        checkpoint::save(&self.claimed.folder().checkpoint(task), parameters, normalizers, &network)?;
         outcome.epochs.extend(epochs.into_iter().map(|epoch| (task, epoch)));
         Ok(())
     }

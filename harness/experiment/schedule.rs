@@ -4,7 +4,7 @@
 use super::{ExperimentError, Planned, PreparedData, Runner, Source, TrainingRun, describe, training_bytes};
 use harness_collection::check_rendering;
 use harness_dataset::AnyDataset;
-use harness_registry::{Decision, LiveEpochs, Outcome, Provenance, RunRecord, Status};
+use harness_registry::{Claimed, Decision, LiveEpochs, Outcome, Provenance, RunRecord, Status};
 use harness_shared::memory;
 use harness_shared::turns::{Turn, Turns};
 use harness_spec::{Division, Experiment, RunSpec, Task};
@@ -112,7 +112,7 @@ impl Runner<'_> {
             planned.earlier().for_each(|folder| self.registry.supersede(folder));
         }
         if planned.standing.is_last && planned.is_settled() {
-            planned.folder.remove_states();
+            self.registry.remove_states(&planned.folder);
         }
     }
 
@@ -126,7 +126,7 @@ impl Runner<'_> {
         (summary.skipped, summary.diverged) = (skipped.len(), diverged.len());
         // The process that finished them may have been killed before it removed their states.
         let unneeded = skipped.iter().filter(|planned| !planned.spec.may_continue());
-        unneeded.for_each(|planned| planned.folder.remove_states());
+        unneeded.for_each(|planned| self.registry.remove_states(&planned.folder));
         if pending.iter().any(|planned| planned.spec.split.by == Division::Sample) {
             self.progress.say(
                 "split.by is sample: test samples have neighbors in the training data, so the errors are smaller \
@@ -327,10 +327,9 @@ impl WorkerPool<'_> {
     fn attempt(&self, planned: &Planned) -> Result<End, ExperimentError> {
         let Planned { spec, folder, .. } = planned;
         let registry = self.runner.registry;
-        let Some(lock) = registry.claim(folder)? else { return Ok(End::Held) };
+        let Some(claimed) = registry.claim(folder)? else { return Ok(End::Held) };
         if planned.is_outdated() {
-            drop(lock);
-            registry.supersede(folder);
+            claimed.supersede();
             return Ok(End::Skipped);
         }
         // Another process may have worked on the run since the plan was made.
@@ -353,14 +352,15 @@ impl WorkerPool<'_> {
             _ => {}
         }
         let provenance = Provenance { world_file: planned.source.world_file(), ..self.provenance.clone() };
-        let record = registry.begin(folder, spec, planned.layout(), &provenance)?;
-        planned.earlier().any(|earlier| folder.take_state(earlier, Task::Prediction));
-        let end =
-            self.train(planned).and_then(|outcome| Ok(registry.finish(folder, record.clone(), &outcome)?));
+        let record = claimed.begin(spec, planned.layout(), &provenance)?;
+        planned.earlier().any(|earlier| claimed.take_state(earlier, Task::Prediction));
+        let end = self
+            .train(planned, &claimed)
+            .and_then(|outcome| Ok(claimed.finish(record.clone(), &outcome)?));
         let diverged = spec.trial().is_some() && end.as_ref().is_err_and(ExperimentError::is_divergence);
         if let Err(error) = &end
             && !error.is_cancelled()
-            && let Err(second) = registry.fail(folder, RunRecord { diverged, ..record }, &describe(error))
+            && let Err(second) = claimed.fail(RunRecord { diverged, ..record }, &describe(error))
         {
             self.say_failed(planned, &format!("its record can't be written: {}", describe(&second)));
         }
@@ -373,14 +373,14 @@ impl WorkerPool<'_> {
         Ok(End::Done)
     }
 
-    fn train(&self, planned: &Planned) -> Result<Outcome, ExperimentError> {
+    fn train(&self, planned: &Planned, claimed: &Claimed) -> Result<Outcome, ExperimentError> {
         let prepared = self.prepared(planned)?;
         let _memory = self.promise(&planned.spec, &prepared)?;
         let everyone = self.runner.progress;
-        let own = everyone.job(&planned.spec.label());
+        let spec = &planned.spec;
+        let own = everyone.job(&spec.label());
         let progress = own.as_deref().unwrap_or(everyone);
-        let Planned { spec, folder, .. } = planned;
-        TrainingRun { spec, folder, prepared: &prepared, progress, epochs: LiveEpochs::of(folder) }.run()
+        TrainingRun { spec, claimed, prepared: &prepared, progress, epochs: LiveEpochs::of(claimed) }.run()
     }
 
     /// Reserves memory to train a run. Waits while other jobs' trainings use it. Without this check, the system would

@@ -13,6 +13,7 @@
 //! ```
 
 mod checks;
+mod claimed;
 mod command_line;
 mod commands;
 mod compact;
@@ -30,6 +31,7 @@ mod record;
 mod removal;
 mod verify;
 
+pub use claimed::Claimed;
 pub use command_line::quoted;
 pub use compact::RunTable;
 pub use error::{QueryError, RegistryError};
@@ -48,10 +50,9 @@ pub use verify::{Finding, Report};
 
 use checks::Checks;
 use folders::folders;
-use harness_shared::files::{FolderLock, WriteError, real, write_bytes, write_whole};
+use harness_shared::files::{FolderLock, WriteError, real};
 use harness_shared::nearest;
-use harness_spec::{Layout, RunSpec, Task};
-use record::IN_ITS_PLACE;
+use harness_spec::{RunSpec, Task};
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, HashMap};
 use std::io::{self, ErrorKind};
@@ -211,11 +212,9 @@ impl Registry {
             Ok(None) => known.why_new(folder, spec),
             Err(error) => error.to_string(),
         };
-        let resumable =
-            [Task::Prediction, Task::Reconstruction].iter().any(|task| folder.state(*task).exists());
         let decision = match FolderLock::holder(&folder.path) {
             Some(holder) => Decision::Running { holder },
-            None if resumable => {
+            None if folder.has_state() => {
                 Decision::Resume { reason: format!("{reason}; a saved state of its training is there") }
             }
             None => Decision::Run { reason },
@@ -288,76 +287,9 @@ impl Registry {
         below.filter(|name| !name.is_empty()).unwrap_or(wanted).to_owned()
     }
 
-    /// Locks a run's folder, so that only the holder of the lock works on the run. Returns `None` if another process or
-    /// thread holds the lock.
-    ///
-    /// # Errors
-    /// When the lock file can't be created or locked.
-    pub fn claim(&self, folder: &RunFolder) -> Result<Option<FolderLock>, RegistryError> {
-        Ok(FolderLock::attempt(&folder.path)?)
-    }
-
     /// The process that holds the lock of a run's folder, such as `process 4711 on host`, or `None`.
     pub fn holder(&self, folder: &RunFolder) -> Option<String> {
         FolderLock::holder(&folder.path)
-    }
-
-    /// Writes the files of a run that starts: its resolved spec, the uncommitted changes of the source tree, and a
-    /// record with the status `running`. Returns the record.
-    ///
-    /// # Errors
-    /// When a file can't be written or removed, or a folder is in the place of one that the run would write at its end.
-    pub fn begin(
-        &self,
-        folder: &RunFolder,
-        spec: &RunSpec,
-        layout: &Arc<Layout>,
-        by: &Provenance,
-    ) -> Result<RunRecord, RegistryError> {
-        let record = RunRecord::new(folder, spec, layout, by);
-        let mut results = record.expected_files().into_iter().map(|name| folder.path.join(name));
-        if let Some(path) = results.find(|path| path.is_dir()) {
-            return Err(RegistryError::File { path, reason: IN_ITS_PLACE.into() });
-        }
-        write_bytes(&folder.path.join(SPEC), spec.to_yaml().as_bytes())?;
-        let patch = folder.path.join(UNCOMMITTED);
-        match &by.uncommitted {
-            Some(diff) => write_bytes(&patch, diff)?,
-            // The run may have been started before, with other changes.
-            None => removed(&patch, std::fs::remove_file(&patch))?,
-        }
-        record.write(&folder.path.join(RECORD))?;
-        Ok(record)
-    }
-
-    /// Writes the record of a failed run, with the reason.
-    ///
-    /// # Errors
-    /// When the record can't be written.
-    pub fn fail(&self, folder: &RunFolder, record: RunRecord, reason: &str) -> Result<(), RegistryError> {
-        record.failed(reason).write(&folder.path.join(RECORD))
-    }
-
-    /// Writes a run's tables, then its record with the status `done`, and removes the saved states of its training, unless
-    /// successive halving may continue it.
-    ///
-    /// # Errors
-    /// When a file can't be written, or a file that the record lists can't be read.
-    pub fn finish(
-        &self,
-        folder: &RunFolder,
-        record: RunRecord,
-        outcome: &Outcome,
-    ) -> Result<(), RegistryError> {
-        let record = record.done(outcome);
-        outcome.write_tables(folder, &record)?;
-        let files = record.expected_files();
-        let may_continue = record.spec.may_continue();
-        record.with_files(folder, files)?.write(&folder.path.join(RECORD))?;
-        if !may_continue {
-            folder.remove_states();
-        }
-        Ok(())
     }
 }
 
@@ -404,23 +336,14 @@ impl RunFolder {
         self.path.join(format!("{}.safetensors", task.name()))
     }
 
-    /// Path of the file with the saved state of an unfinished training.
-    pub fn state(&self, task: Task) -> PathBuf {
+    /// Path of the file with the saved state of an unfinished training. Only a [`Claimed`] run writes it.
+    fn state(&self, task: Task) -> PathBuf {
         self.path.join(format!("{}.state.safetensors", task.name()))
     }
 
-    /// Copies the saved state of a shorter training to this run, if it has one and this run has none. Returns whether this
-    /// run has a state. Without one its training starts from the beginning, with the same result.
-    pub fn take_state(&self, shorter: &RunFolder, task: Task) -> bool {
-        let (from, to) = (shorter.state(task), self.state(task));
-        to.exists() || from.exists() && write_whole(&to, |file| std::fs::copy(&from, file).map(drop)).is_ok()
-    }
-
-    /// Removes the saved states of a finished run. Errors are ignored, because a remaining file only costs space.
-    pub fn remove_states(&self) {
-        for task in [Task::Prediction, Task::Reconstruction] {
-            let _ = std::fs::remove_file(self.state(task));
-        }
+    /// Whether a state of the run's training is saved.
+    fn has_state(&self) -> bool {
+        [Task::Prediction, Task::Reconstruction].iter().any(|task| self.state(*task).exists())
     }
 
     /// The run's record, or `None` if the run has not started.

@@ -5,7 +5,7 @@
 //! file, so that it is also removed when a process takes the place of one that was killed. Only the rows of runs with the
 //! status `running` are read from it.
 
-use super::RunFolder;
+use super::Claimed;
 use super::record::{RunRecord, epochs_columns};
 use harness_metrics::epoch::Epoch;
 use harness_shared::files::UNFINISHED;
@@ -24,16 +24,16 @@ const INTERVAL: Duration = Duration::from_secs(1);
 const EPOCHS: &str = "epochs";
 
 /// Publishes the epochs of one running training until it is dropped.
-pub struct LiveEpochs {
-    path: PathBuf,
+pub struct LiveEpochs<'a> {
+    run: &'a Claimed<'a>,
     epochs: RefCell<BTreeMap<Task, Vec<Epoch>>>,
     written: Cell<Option<Instant>>,
 }
 
-impl LiveEpochs {
-    /// The epochs of the run in a folder. The caller must hold the folder's lock.
-    pub fn of(folder: &RunFolder) -> Self {
-        Self { path: path(folder.path()), epochs: RefCell::default(), written: Cell::default() }
+impl<'a> LiveEpochs<'a> {
+    /// The epochs of a run.
+    pub fn of(run: &'a Claimed) -> Self {
+        Self { run, epochs: RefCell::default(), written: Cell::default() }
     }
 
     /// Sets the epochs of a task so far, which begin with those of the last call for the task.
@@ -45,15 +45,15 @@ impl LiveEpochs {
         if begins || self.written.get().is_none_or(|written| written.elapsed() >= INTERVAL) {
             let text = json!({ (EPOCHS): rows(&all), (seal::KEY): seal::BLANK }).to_string();
             // Without the file, the epochs appear at the end of the run. That is no reason to stop the training.
-            let _ = seal::write(&self.path, text.into_bytes());
+            let _ = seal::write(&path(self.run.folder().path()), text.into_bytes());
             self.written.set(Some(Instant::now()));
         }
     }
 }
 
-impl Drop for LiveEpochs {
+impl Drop for LiveEpochs<'_> {
     fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.path);
+        let _ = std::fs::remove_file(path(self.run.folder().path()));
     }
 }
 

@@ -3,7 +3,7 @@
 use super::compact;
 use super::folders::{Recorded, folders, sorted};
 use super::record::{RunRecord, WorldOf};
-use super::{Registry, RegistryError, RunFolder, Status, removed};
+use super::{Registry, RegistryError, Status, removed};
 use harness_dataset::Dataset;
 use harness_shared::files::{ANOTHER, FolderLock, UNFINISHED, WriteError, abandoned, remove_abandoned};
 use harness_spec::QUICK;
@@ -215,20 +215,9 @@ impl Registry {
         }
     }
 
-    /// Removes the folder of a run that a longer training replaces, unless a process works there. Errors are ignored,
-    /// because the next command on the experiment tries it again.
-    pub fn supersede(&self, folder: &RunFolder) {
-        if !folder.path.exists() {
-            return;
-        }
-        if let Ok(Some(lock)) = FolderLock::attempt(&folder.path) {
-            let _ = self.discard(&folder.path, lock);
-        }
-    }
-
     /// Removes a folder that the caller has locked. It is renamed first, so that an interruption leaves no part of it
     /// under its name.
-    fn discard(&self, folder: &Path, lock: FolderLock) -> Result<(), WriteError> {
+    pub(super) fn discard(&self, folder: &Path, lock: FolderLock) -> Result<(), WriteError> {
         let aside = tempfile::Builder::new().prefix(&set_aside_prefix()).tempdir_in(&self.root);
         let aside = aside.map_err(|source| WriteError { path: folder.to_owned(), source })?.keep();
         // An empty folder is replaced.
