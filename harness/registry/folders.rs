@@ -2,7 +2,7 @@
 
 use super::mark::Mark;
 use super::record::RunRecord;
-use super::{RECORD, Registry, RegistryError, Status};
+use super::{RECORD, Registry, RegistryError, RunFolder, Status};
 use harness_shared::files::FolderLock;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -132,7 +132,7 @@ impl Registry {
                 false => Ok(None),
             };
         };
-        if self.own_folder(&record) != folder {
+        if self.folder_of(&record).path != folder {
             return Err(RegistryError::Misplaced { path, of: record.name() });
         }
         if record.status == Status::Running && FolderLock::holder(folder).is_none() {
@@ -142,8 +142,13 @@ impl Registry {
     }
 
     /// The folder in which a run's record belongs.
-    pub(super) fn own_folder(&self, record: &RunRecord) -> PathBuf {
-        self.runs().join(&record.experiment).join(&record.run)
+    pub(super) fn folder_of(&self, record: &RunRecord) -> RunFolder {
+        RunFolder {
+            path: self.runs().join(&record.experiment).join(&record.run),
+            experiment: record.experiment.clone(),
+            id: record.run.clone(),
+            dataset: record.dataset.clone(),
+        }
     }
 }
 

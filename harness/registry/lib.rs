@@ -23,6 +23,7 @@ mod folders;
 mod live;
 mod losses;
 mod mark;
+mod names;
 mod pack;
 mod provenance;
 mod publish;
@@ -50,8 +51,7 @@ pub use verify::{Finding, Report};
 
 use checks::Checks;
 use folders::folders;
-use harness_shared::files::{FolderLock, WriteError, real};
-use harness_shared::nearest;
+use harness_shared::files::{FolderLock, WriteError};
 use harness_spec::{RunSpec, Task};
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, HashMap};
@@ -233,60 +233,6 @@ impl Registry {
         Known { registry: self.clone(), folders: by_label, checks: Checks::of(self, experiment) }
     }
 
-    /// The only run whose id, or `experiment/id`, begins with `wanted`. The path of a run's folder is allowed, too.
-    ///
-    /// # Errors
-    /// When no run matches, or several do.
-    pub fn find(&self, wanted: &str) -> Result<(RunFolder, RunRecord), RegistryError> {
-        let wanted = &*self.run_name(wanted);
-        let records = self.records();
-        let name = |record: &RunRecord| format!("{}/{}", record.experiment, record.run);
-        let matches: Vec<&RunRecord> = records
-            .iter()
-            .filter(|record| record.run.starts_with(wanted) || name(record).starts_with(wanted))
-            .collect();
-        match matches.as_slice() {
-            [record] => {
-                let folder = RunFolder {
-                    path: self.runs().join(&record.experiment).join(&record.run),
-                    experiment: record.experiment.clone(),
-                    id: record.run.clone(),
-                    dataset: record.dataset.clone(),
-                };
-                Ok((folder, (*record).clone()))
-            }
-            [] => Err(self.unknown(wanted)),
-            several => Err(RegistryError::Ambiguous {
-                wanted: wanted.to_owned(),
-                matches: several.iter().map(|record| name(record)).collect(),
-            }),
-        }
-    }
-
-    /// The error that no run matches `wanted`. It names the nearest run.
-    fn unknown(&self, wanted: &str) -> RegistryError {
-        let names = self.records().into_iter().flat_map(|record| {
-            let name = format!("{}/{}", record.experiment, record.run);
-            [record.run, name]
-        });
-        let nearest = beginning_nearest(wanted, &names.collect::<Vec<_>>());
-        RegistryError::Unknown { wanted: wanted.to_owned(), nearest, list: self.command("ls") }
-    }
-
-    /// The name of a run or an experiment, without the path of the folder of all runs and without the slash that a shell
-    /// adds to a folder.
-    fn run_name(&self, wanted: &str) -> String {
-        let wanted = wanted.strip_suffix('/').filter(|name| name.contains('/')).unwrap_or(wanted);
-        let path = std::path::absolute(wanted).unwrap_or_default();
-        // The folder of a run may be a link to another disk.
-        let path = match (path.parent(), path.file_name()) {
-            (Some(folder), Some(name)) => real(folder).join(name),
-            _ => real(&path),
-        };
-        let below = path.strip_prefix(real(&self.runs())).ok().and_then(Path::to_str);
-        below.filter(|name| !name.is_empty()).unwrap_or(wanted).to_owned()
-    }
-
     /// The process that holds the lock of a run's folder, such as `process 4711 on host`, or `None`.
     pub fn holder(&self, folder: &RunFolder) -> Option<String> {
         FolderLock::holder(&folder.path)
@@ -301,17 +247,6 @@ fn removed(path: &Path, result: io::Result<()>) -> Result<(), WriteError> {
         }
         _ => Ok(()),
     }
-}
-
-/// The first of `names` whose beginning is the nearest to `wanted`, if one is near enough.
-fn beginning_nearest(wanted: &str, names: &[String]) -> Option<String> {
-    if wanted.is_empty() {
-        return None;
-    }
-    let beginning = |name: &String| name.chars().take(wanted.chars().count()).collect::<String>();
-    let beginnings: Vec<String> = names.iter().map(beginning).collect();
-    let nearest = nearest(wanted, &beginnings.iter().map(String::as_str).collect::<Vec<_>>())?;
-    names.iter().find(|name| name.starts_with(nearest)).cloned()
 }
 
 /// The end of a run's id: the first eight digits of a hash of everything that determines the run's result.

@@ -1,8 +1,8 @@
 //! Small copies of finished runs: what figures, claims and comparisons need, fit for version control.
 
 use super::record::{RunRecord, TABLES, WorldOf};
-use super::{RECORD, Registry, RegistryError, RunFolder, SPEC, removed};
-use harness_shared::files::{real, write_bytes};
+use super::{RECORD, Registry, RegistryError, SPEC, removed};
+use harness_shared::files::write_bytes;
 use harness_shared::progress::Progress;
 use harness_tables::schema::Table;
 use harness_tables::{TableError, TableFile, write_table};
@@ -43,7 +43,7 @@ impl Registry {
         }
         let chosen: Vec<_> = chosen.into_iter().collect();
         let shown = Shown::of(chosen.iter().map(|(_, record)| *record));
-        let targets: BTreeSet<PathBuf> = chosen.iter().map(|(_, record)| to.own_folder(record)).collect();
+        let targets: BTreeSet<PathBuf> = chosen.iter().map(|(_, record)| to.folder_of(record).path).collect();
         let mut published_before = to.recorded();
         let is_replaced = |other: &RunRecord| chosen.iter().any(|(_, record)| is_same(other, record));
         // Other runs have networks and rows that a copy would remove, or a process works on them.
@@ -56,12 +56,7 @@ impl Registry {
         let mut published = Published::default();
         progress.begin("publishing", chosen.len() as u64, "runs");
         for (folder, record) in chosen {
-            let copy = RunFolder {
-                path: to.own_folder(record),
-                experiment: record.experiment.clone(),
-                id: record.run.clone(),
-                dataset: record.dataset.clone(),
-            };
+            let copy = to.folder_of(record);
             // All files are read before the first one is written, because one of them may be damaged.
             let spec = record.read_file(folder, SPEC)?;
             let tables = shown.tables(folder, record)?;
@@ -88,15 +83,6 @@ impl Registry {
         }
         progress.end();
         Ok(published)
-    }
-}
-
-impl Registry {
-    /// Whether a folder is this results folder, or in one of its folders.
-    fn contains(&self, folder: &Path) -> bool {
-        let (folder, root) = (real(folder), real(&self.root));
-        let own = ["runs", "datasets", "compacted", "specs", "jobs"];
-        folder == root || own.iter().any(|part| folder.starts_with(root.join(part)))
     }
 }
 

@@ -1,7 +1,7 @@
 //! The space that results take, and the removal of runs and datasets.
 
 use super::compact;
-use super::folders::{Recorded, folders, sorted};
+use super::folders::{folders, sorted};
 use super::record::{RunRecord, WorldOf};
 use super::{Registry, RegistryError, Status, removed};
 use harness_dataset::Dataset;
@@ -149,27 +149,6 @@ impl Registry {
             |folder: &PathBuf| name(folder).starts_with(UNFINISHED) && FolderLock::in_use(folder).is_none();
         let folders = folders(&self.root).into_iter().filter(is_left);
         folders.chain(abandoned(&self.root)).collect()
-    }
-
-    /// Returns the runs of the experiment `wanted`. If there is no such experiment, returns the runs whose id, or
-    /// `experiment/id` if `wanted` has a slash, begins with it. The path of a folder of runs is allowed, too.
-    ///
-    /// # Errors
-    /// When there is none.
-    pub fn matching(&self, wanted: &str) -> Result<Vec<Recorded>, RegistryError> {
-        let wanted = &*self.run_name(wanted);
-        let mut recorded = self.recorded();
-        let is_experiment = recorded.iter().any(|(_, record)| record.experiment == wanted);
-        let is_match = |record: &RunRecord| match is_experiment {
-            true => record.experiment == wanted,
-            false if wanted.contains('/') => record.name().starts_with(wanted),
-            false => !wanted.is_empty() && record.run.starts_with(wanted),
-        };
-        recorded.retain(|(_, record)| is_match(record));
-        if recorded.is_empty() {
-            return Err(self.unknown(wanted));
-        }
-        Ok(recorded)
     }
 
     /// Removes the folder of a run or a dataset, or what is unfinished. If a process works there, nothing changes, and the

@@ -273,7 +273,7 @@ impl Verification<'_> {
     fn misplaced_run(&self, folder: &Path, report: &mut Report) {
         let path = folder.join(RECORD);
         let Ok(Some(record)) = RunRecord::read(&path) else { return };
-        let own = self.registry.own_folder(&record);
+        let own = self.registry.folder_of(&record).path;
         let problem = format!("it is the record of {}", record.name());
         let mend = match self.commands.run(folder, None) {
             Again::Command(run) => run,

@@ -113,6 +113,16 @@ pub fn real(path: &Path) -> PathBuf {
     })
 }
 
+/// Returns the path of a file or folder relative to the folder that contains it; `None` if it is not in that folder. The
+/// file or folder may itself be a link to elsewhere.
+pub fn within(folder: &Path, path: &Path) -> Option<PathBuf> {
+    let path = std::path::absolute(path).ok()?;
+    let of_link = path.parent().zip(path.file_name()).map(|(parent, name)| real(parent).join(name));
+    let folder = real(folder);
+    let mut places = of_link.into_iter().chain([real(&path)]);
+    places.find_map(|place| place.strip_prefix(&folder).ok().map(Path::to_owned))
+}
+
 /// Writes `bytes` to a file, completely or not at all.
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), WriteError> {
     write_whole(path, |file| std::fs::write(file, bytes))
