@@ -181,7 +181,7 @@ fn outcome(says: Says, spec: &RunSpec) -> Outcome {
     let mut push = |model, of: Of, metric, value| {
         let Of { task, modality, direction, index } = of;
         let row = Row { modality, direction, index, metric, value: Some(value), unit: String::new() };
-        metrics.push(MetricRow { task, model: String::from(model), row });
+        metrics.push(MetricRow { task, model: String::from(model), horizon: 1, given: None, row });
     };
     for (task, modalities) in [(Task::Prediction, &spec.output), (Task::Reconstruction, &spec.input)] {
         for &modality in modalities {
@@ -1225,7 +1225,13 @@ fn own_runs() -> TempDir {
                     value: Some(value),
                     unit: String::new(),
                 };
-                made.metrics.push(MetricRow { task: Task::Prediction, model: model.to_owned(), row });
+                made.metrics.push(MetricRow {
+                    task: Task::Prediction,
+                    model: model.to_owned(),
+                    horizon: 1,
+                    given: None,
+                    row,
+                });
             }
             let folder = registry.run("my_robot", &spec, &format!("{scenario}-made-up"));
             let run = registry.claim(&folder).unwrap().unwrap();

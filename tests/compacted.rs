@@ -62,12 +62,16 @@ fn outcome(seed: u64, scale: f32) -> Outcome {
     let epoch = |epoch| Epoch { epoch, train: losses(epoch), validation: losses(epoch + 1), seconds: 0.5 };
     let of_models = ["network", "ridge"].into_iter().flat_map(|model| {
         rows.iter().map(move |row| MetricRow {
+            horizon: 1,
+            given: None,
             task: Task::Prediction,
             model: String::from(model),
             row: row.clone(),
         })
     });
     let prediction = |(place, (reference, predicted)): (usize, (f32, f32))| PredictionRow {
+        horizon: 1,
+        given: None,
         task: Task::Prediction,
         modality: Modality::PROPRIOCEPTION,
         episode: 3,

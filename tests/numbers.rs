@@ -151,6 +151,8 @@ fn outcome(spec: &RunSpec, random: &mut ChaCha8Rng) -> Outcome {
     for modality in [Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE] {
         let places = (0..12).flat_map(|sample| [18, 19].map(|index| (sample, index)));
         outcome.predictions.extend(places.map(|(sample, index)| PredictionRow {
+            horizon: 1,
+            given: None,
             task: Task::Prediction,
             modality,
             episode: 3 + sample / 6,
@@ -207,6 +209,8 @@ fn metrics(task: Task, modality: Modality, model: &'static str, random: &mut Cha
             // Some metrics are undefined.
             let value = (index.is_none() || !chance(random, 0.05)).then_some(value);
             rows.push(MetricRow {
+                horizon: 1,
+                given: None,
                 task,
                 model: model.to_owned(),
                 row: Row { modality, direction, index, metric, value, unit: unit.into() },

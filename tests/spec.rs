@@ -3,7 +3,7 @@
 use harness_spec::{
     self as spec, Action, Candidates, Division, Experiment, Fusion, GivenScaling, Layout, Loss, Method,
     Modality, Network, Origin, Preset, Scale, Scaling, Scalings, Scenario, Schedule, Search, Setting,
-    Simulation, Split, SplitCounts, Stop, Task, Training, World,
+    Simulation, Split, SplitCounts, Stop, Task, Training, Window, World,
 };
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
@@ -75,6 +75,7 @@ fn what_is_left_out_gets_its_default() {
         seeds: vec![0],
         tasks: vec![Task::Prediction, Task::Reconstruction],
         action: Action::Increment,
+        window: Window::TRANSITION,
         network: Network {
             preset: Preset::SingleToMulti,
             hidden: vec![256],
@@ -187,8 +188,8 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         (
             "seed: 1\n",
             "spec.yaml:7:1: unknown key 'seed'; did you mean 'seeds'? Allowed: name, description, scenarios, \
-             input, output, latent, seeds, tasks, action, network, simulation, split, scaling, training, vary, search, roles, \
-             readings, quick",
+             input, output, latent, seeds, tasks, action, window, network, simulation, split, scaling, training, vary, search, \
+             roles, readings, quick",
         ),
     ]);
 }
@@ -492,8 +493,18 @@ fn rules_that_tie_settings_together_are_checked() {
              use smaller shares or more episodes",
         ),
         (
+            "window: {context: 150, horizon: 60}\n",
+            "spec.yaml:7:19: a window of 150 and 60 samples does not fit into an episode of 200; use a shorter window or \
+             more actuations_per_episode",
+        ),
+        (
+            "window: {horizon: 2}\n",
+            "spec.yaml:7:19: a network without memory predicts further than one sample from its own predictions, and these \
+             lack its input 'arm'; add it to the output, or use horizon: 1",
+        ),
+        (
             "split: {by: sample, validation: 0.6, test: 0.4}\n",
-            "spec.yaml:7:8: validation 0.6 and test 0.4 of 39800 transitions leave none for training; \
+            "spec.yaml:7:8: validation 0.6 and test 0.4 of 39800 windows leave none for training; \
              use smaller shares or more samples",
         ),
         (
@@ -1334,6 +1345,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
         seeds: some(&[0, 1, spec::MAX_SEED], random),
         tasks: if random.random() { vec![Task::Prediction] } else { Task::ALL.to_vec() },
         action: *Action::ALL.choose(random).unwrap(),
+        window: Window::TRANSITION,
         network,
         simulation: Simulation {
             seed: random.random_range(0..=spec::MAX_SEED),

@@ -436,7 +436,9 @@ impl Analysis {
                     _ => concat(parts, UnionArgs::default()),
                 }
             }
-            Table::Runs | Table::Episodes => table(&self.registry, of, &recorded(), query),
+            Table::Runs | Table::Episodes | Table::AllMetrics | Table::AllPredictions => {
+                table(&self.registry, of, &recorded(), query)
+            }
         })
     }
 

@@ -159,6 +159,8 @@ fn judge(
             ..row.clone()
         };
         outcome.metrics.extend(rows.iter().map(|row| MetricRow {
+            horizon: 1,
+            given: None,
             task,
             model: String::from(model),
             row: worse(row),
@@ -177,6 +179,8 @@ fn judge(
     } else {
         let values = reference.into_iter().zip(predicted).enumerate();
         outcome.predictions.extend(values.map(|(place, (reference, predicted))| PredictionRow {
+            horizon: 1,
+            given: None,
             task,
             modality,
             episode: 36 + (place / width) as u32 % EPISODES,

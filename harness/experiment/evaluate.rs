@@ -5,19 +5,21 @@ use harness_learning::objective::NormalizedData;
 use harness_metrics::contact;
 use harness_registry::ForceRows;
 use harness_samples::{Partition, Samples};
-use harness_spec::{Definition, Modality, Task};
+use harness_spec::{Definition, RunSpec, Task};
 use std::ops::Range;
 
 /// Judges all baselines on the test windows: persistence, the training mean and, for vectors, ridge regression on the
-/// encoder's input and the action.
+/// network's input and the actions.
 ///
 /// A reconstruction has only the training mean, because persistence would be its target.
+///
+/// # Errors
+/// When a value of the dataset is not finite.
 pub fn baselines(
     data: &NormalizedData,
     partition: &Partition,
     task: Task,
-    input: &[Modality],
-    output: &[Modality],
+    spec: &RunSpec,
 ) -> Result<Vec<MetricRow>, JudgeError> {
     let samples = &*data.samples;
     let test = Test { samples, task, windows: &partition.test, sampled: None };
@@ -26,18 +28,26 @@ pub fn baselines(
         rows.extend(judge(predictor, &test)?.metrics);
         Ok::<_, JudgeError>(())
     };
-    let predicts = task == Task::Prediction;
+    let (output, horizons) = match task {
+        Task::Prediction => (&spec.output, spec.window.horizons()),
+        Task::Reconstruction => (&spec.input, vec![0]),
+    };
     // Each modality has its own predictor, so that the means of few images are in memory.
     for modality in output.iter().copied() {
-        add(&TrainingMean::fit(samples, &partition.training, modality, usize::from(predicts))?)?;
-        if predicts {
-            add(&Persistence { samples, modality })?;
+        for &horizon in &horizons {
+            add(&TrainingMean::fit(samples, &partition.training, modality, horizon)?)?;
+        }
+        if task == Task::Prediction {
+            add(&Persistence { samples, modality, horizons: &horizons })?;
         }
     }
-    if predicts {
-        let given = Given { samples, normalizers: &data.normalizers, action: data.action, input };
-        if let Some(ridge) = Ridge::fit(given, &partition.training, output)? {
-            add(&ridge)?;
+    if task == Task::Prediction {
+        let given =
+            Given { samples, normalizers: &data.normalizers, action: data.action, input: &spec.input };
+        for &horizon in &horizons {
+            if let Some(ridge) = Ridge::fit(given, &partition.training, output, horizon)? {
+                add(&ridge)?;
+            }
         }
     }
     Ok(rows)

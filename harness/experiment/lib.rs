@@ -32,7 +32,7 @@ use harness_shared::memory;
 use harness_shared::progress::Progress;
 use harness_shared::shard::Shard;
 use harness_simulation::{Scene, SimulationError, mujoco_version};
-use harness_spec::{Experiment, Layout, Origin, RunSpec, Simulation, Task, Window, World};
+use harness_spec::{Experiment, Layout, Origin, RunSpec, Simulation, Task, World};
 use rayon::prelude::*;
 use search::{Rungs, Standing};
 use std::path::PathBuf;
@@ -70,7 +70,7 @@ pub enum ExperimentError {
     },
     /// The split leaves no training samples.
     #[error(
-        "the split leaves no samples for training; lower split.validation, split.test or, in a split by time, \
+        "the split leaves no samples for training; lower split.validation, split.test, the window or, in a split by time, \
          split.gap_seconds, or use a larger dataset (if it is simulated, raise simulation.episodes or \
          simulation.actuations_per_episode)"
     )]
@@ -222,7 +222,7 @@ impl Planned {
     fn shares_data(&self, other: &Planned) -> bool {
         fn key(planned: &Planned) -> impl PartialEq {
             let spec = &planned.spec;
-            let data = (&spec.scenario, &spec.simulation, &spec.split);
+            let data = (&spec.scenario, &spec.simulation, &spec.split, spec.window);
             let form = (&spec.input, &spec.output, &spec.tasks, spec.action, &spec.scaling);
             (data, form, spec.training.device)
         }
@@ -365,8 +365,7 @@ impl<'a> Runner<'a> {
         let Planned { spec, source, .. } = planned;
         let frames = self.frame_place(planned);
         let samples = self.samples(source, frames)?;
-        let partition =
-            samples.partition(&spec.split, Window::TRANSITION).ok_or(ExperimentError::NoTraining)?;
+        let partition = samples.partition(&spec.split, spec.window).ok_or(ExperimentError::NoTraining)?;
         let normalizers =
             Normalizers::fit(&samples, &partition.training, &spec.scalings(samples.layout()), spec.action);
         let data = NormalizedData {
@@ -377,8 +376,7 @@ impl<'a> Runner<'a> {
         };
         let mut baselines = Vec::new();
         for task in &spec.tasks {
-            let output = if *task == Task::Prediction { &spec.output } else { &spec.input };
-            baselines.extend(evaluate::baselines(&data, &partition, *task, &spec.input, output)?);
+            baselines.extend(evaluate::baselines(&data, &partition, *task, spec)?);
         }
         let forces = evaluate::forces(&data.samples);
         let sampled = sample_windows(&data.samples, &partition.test);
@@ -487,7 +485,7 @@ impl TrainingRun<'_> {
         let objective = Prediction {
             data,
             network: network.map_err(LearningError::from)?,
-            window: Window::TRANSITION,
+            window: spec.window,
             input: &spec.input,
             output: &spec.output,
             kl_weight: spec.training.kl_weight,
@@ -509,8 +507,7 @@ impl TrainingRun<'_> {
         let task = Task::Reconstruction;
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
-        let latents =
-            Latents::of(network, data, &spec.input, Window::TRANSITION).map_err(LearningError::from)?;
+        let latents = Latents::of(network, data, &spec.input, spec.window).map_err(LearningError::from)?;
         let architecture = architecture(spec, data.samples.layout(), task);
         let decoder = architecture.decoder(&mut parameters, &mut random, &data.device);
         let objective = Reconstruction {

@@ -354,9 +354,8 @@ impl WorkerPool<'_> {
         let provenance = Provenance { world_file: planned.source.world_file(), ..self.provenance.clone() };
         let record = claimed.begin(spec, planned.layout(), &provenance)?;
         planned.earlier().any(|earlier| claimed.take_state(earlier, Task::Prediction));
-        let end = self
-            .train(planned, &claimed)
-            .and_then(|outcome| Ok(claimed.finish(record.clone(), &outcome)?));
+        let end =
+            self.train(planned, &claimed).and_then(|outcome| Ok(claimed.finish(record.clone(), &outcome)?));
         let diverged = spec.trial().is_some() && end.as_ref().is_err_and(ExperimentError::is_divergence);
         if let Err(error) = &end
             && !error.is_cancelled()

@@ -3,14 +3,16 @@
 
 mod frames;
 mod persistence;
+mod recorded;
 mod ridge;
 mod rows;
 mod training_mean;
 
 pub use frames::{SampledWindow, sample_windows};
 pub use persistence::Persistence;
+pub use recorded::{Recorded, RecordedError, RecordedValue};
 pub use ridge::{Given, Ridge};
-pub use rows::{FrameRow, MetricRow, PredictionRow};
+pub use rows::{FrameRow, MetricRow, PredictionRow, is_usual};
 pub use training_mean::TrainingMean;
 
 use harness_metrics::{Evaluation, MetricsError, parts};
@@ -58,12 +60,17 @@ pub struct Predicted {
 }
 
 /// Receives the predictions of a batch.
-pub type Receive<'a> = dyn FnMut(Predicted) -> Result<(), JudgeError> + 'a;
+pub type Receive<'a> = dyn FnMut(&Predicted) -> Result<(), JudgeError> + 'a;
 
 /// Anything that predicts samples from what came before them.
 pub trait Predictor {
     /// Returns the name in the column `model`.
     fn name(&self) -> &str;
+
+    /// Returns the modalities that it got; `None` if these are all that its run lists as input.
+    fn given(&self) -> Option<&[Modality]> {
+        None
+    }
 
     /// Predicts each modality of the windows at these present samples, and passes it to `receive`.
     ///
@@ -104,9 +111,10 @@ pub fn judge(predictor: &dyn Predictor, test: &Test) -> Result<Judged, JudgeErro
     let layout = test.samples.layout();
     let mut evaluations = BTreeMap::<(Modality, usize), Evaluation>::new();
     let mut judged = Judged::default();
+    let given = predictor.given().map(rows::given);
     for at in test.windows.chunks(BATCH) {
         predictor.predict(at, &mut |predicted| {
-            let Predicted { modality, horizon, values } = &predicted;
+            let Predicted { modality, horizon, values } = predicted;
             let definition = &layout[*modality];
             let ahead: Vec<Sample> = at.iter().map(|sample| sample.after(*horizon)).collect();
             let reference = physical(test.samples, *modality, &ahead);
@@ -114,14 +122,20 @@ pub fn judge(predictor: &dyn Predictor, test: &Test) -> Result<Judged, JudgeErro
             let evaluation = evaluations.entry((*modality, *horizon)).or_insert_with(new);
             add(evaluation, test.samples, *modality, &ahead, &reference, values)?;
             if let Some(sampled) = test.sampled {
-                judged.frames.extend(frames::rows(test, sampled, at, &reference, &predicted));
-                judged.predictions.extend(rows::predictions(test, &ahead, &reference, &predicted));
+                if is_usual(*horizon, given) {
+                    judged.frames.extend(frames::rows(test, sampled, at, &reference, predicted));
+                }
+                judged.predictions.extend(rows::predictions(test, given, &ahead, &reference, predicted));
             }
             Ok(())
         })?;
     }
-    let named = |row| MetricRow { task: test.task, model: predictor.name().to_owned(), row };
-    judged.metrics = evaluations.values().flat_map(Evaluation::rows).map(named).collect();
+    let rows = evaluations.iter().flat_map(|((_, horizon), evaluation)| {
+        let (task, model) = (test.task, predictor.name());
+        let named = move |row| MetricRow { task, model: model.to_owned(), horizon: *horizon, given, row };
+        evaluation.rows().into_iter().map(named)
+    });
+    judged.metrics = rows.collect();
     Ok(judged)
 }
 

@@ -5,12 +5,14 @@ use harness_metrics::baselines::persistence;
 use harness_samples::{Sample, Samples, physical};
 use harness_spec::Modality;
 
-/// Predicts that the next sample equals the present one, and that no image changes.
+/// Predicts that later samples equal the present one, and that no image changes.
 pub struct Persistence<'a> {
     /// The dataset.
     pub samples: &'a Samples,
     /// The predicted modality.
     pub modality: Modality,
+    /// Numbers of samples after the present one that are predicted.
+    pub horizons: &'a [usize],
 }
 
 impl Predictor for Persistence<'_> {
@@ -21,6 +23,10 @@ impl Predictor for Persistence<'_> {
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> Result<(), JudgeError> {
         let now = physical(self.samples, self.modality, at);
         let values = persistence(&self.samples.layout()[self.modality], &now).into_owned();
-        receive(Predicted { modality: self.modality, horizon: 1, values })
+        let mut predicted = Predicted { modality: self.modality, horizon: 0, values };
+        self.horizons.iter().try_for_each(|&horizon| {
+            predicted.horizon = horizon;
+            receive(&predicted)
+        })
     }
 }

@@ -1,4 +1,4 @@
-//! The baseline that predicts vectors by a linear regression of a model's input and the action.
+//! The baseline that predicts vectors by a linear regression of a model's input and the actions.
 
 use super::{BATCH, JudgeError, Predicted, Predictor, Receive, models};
 use harness_metrics::MetricsError;
@@ -10,8 +10,8 @@ use rayon::prelude::*;
 /// Factor of the ridge regression's penalty, for normalized inputs and thousands of samples.
 const ALPHA: f64 = 1.0;
 
-/// What the regression gets: the action, and the input's vectors and images, normalized. Images are reduced to small gray
-/// ones.
+/// What the regression gets: the actions until the predicted sample, and the input's vectors and images at the present
+/// one, normalized. Images are reduced to small gray ones.
 #[derive(Clone, Copy)]
 pub struct Given<'a> {
     /// The dataset.
@@ -24,16 +24,17 @@ pub struct Given<'a> {
     pub input: &'a [Modality],
 }
 
-/// A ridge regression of the next sample's vectors.
+/// A ridge regression of a later sample's vectors.
 pub struct Ridge<'a> {
     given: Given<'a>,
+    horizon: usize,
     output: Vec<Modality>,
     regression: baselines::Ridge,
 }
 
 impl<'a> Ridge<'a> {
-    /// Fits a regression to the transitions that start at the samples `training`. It predicts the vectors in `output`.
-    /// Returns `None` if all of them are images.
+    /// Fits a regression to the windows with the present samples `training`. It predicts the vectors in `output`,
+    /// `horizon` samples after the present one. Returns `None` if all of them are images.
     ///
     /// # Errors
     /// When a value is not finite.
@@ -41,6 +42,7 @@ impl<'a> Ridge<'a> {
         given: Given<'a>,
         training: &[Sample],
         output: &[Modality],
+        horizon: usize,
     ) -> Result<Option<Self>, JudgeError> {
         let layout = given.samples.layout();
         let output: Vec<Modality> =
@@ -49,12 +51,12 @@ impl<'a> Ridge<'a> {
             return Ok(None);
         }
         let widths = output.iter().map(|modality| layout[*modality].width()).sum();
-        let inputs = given.values(&training[..1])?.len();
+        let inputs = given.values(&training[..1], horizon)?.len();
         let mut sums = RidgeSums::new(inputs, widths);
         for at in training.chunks(BATCH) {
-            sums.add(&given.values(at)?, &side_by_side(given.samples, &output, at))?;
+            sums.add(&given.values(at, horizon)?, &side_by_side(given.samples, &output, at, horizon))?;
         }
-        Ok(Some(Self { given, output, regression: sums.solve(ALPHA)? }))
+        Ok(Some(Self { given, horizon, output, regression: sums.solve(ALPHA)? }))
     }
 }
 
@@ -64,14 +66,14 @@ impl Predictor for Ridge<'_> {
     }
 
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> Result<(), JudgeError> {
-        let predicted = self.regression.predict(&self.given.values(at)?)?;
+        let predicted = self.regression.predict(&self.given.values(at, self.horizon)?)?;
         let layout = self.given.samples.layout();
         let mut first = 0;
         for &modality in &self.output {
             let width = layout[modality].width();
             let rows = predicted.chunks_exact(predicted.len() / at.len());
             let values = rows.flat_map(|row| &row[first..first + width]).copied().collect();
-            receive(Predicted { modality, horizon: 1, values })?;
+            receive(&Predicted { modality, horizon: self.horizon, values })?;
             first += width;
         }
         Ok(())
@@ -79,12 +81,14 @@ impl Predictor for Ridge<'_> {
 }
 
 impl Given<'_> {
-    /// Returns the normalized inputs at the samples `at`, `[at, inputs]`: the action, the vectors, and the images reduced
-    /// to small gray ones.
-    fn values(&self, at: &[Sample]) -> Result<Vec<f32>, MetricsError> {
+    /// Returns the normalized inputs at the samples `at`, `[at, inputs]`: the next `horizon` actions, the vectors, and the
+    /// images reduced to small gray ones.
+    fn values(&self, at: &[Sample], horizon: usize) -> Result<Vec<f32>, MetricsError> {
         let Given { samples, normalizers, action, input } = *self;
         let vectors = normalizers.vectors(samples, at, input);
-        let actions = normalizers.actions(samples, at, action);
+        let steps = |sample: &Sample| (0..horizon).map(|step| sample.after(step)).collect::<Vec<_>>();
+        let steps: Vec<Sample> = at.iter().flat_map(steps).collect();
+        let actions = normalizers.actions(samples, &steps, action);
         let layout = samples.layout();
         let images: Vec<(Modality, [usize; 2])> =
             input.iter().filter_map(|modality| Some((*modality, layout[*modality].size()?))).collect();
@@ -109,11 +113,11 @@ fn row_of(values: &[f32], row: usize, rows: usize) -> &[f32] {
     &values[row * width..][..width]
 }
 
-/// Returns the vectors of the samples after those in `at`, side by side.
-fn side_by_side(samples: &Samples, vectors: &[Modality], at: &[Sample]) -> Vec<f32> {
-    let next = |sample: &Sample| {
-        let next = sample.after(1);
-        vectors.iter().flat_map(move |modality| samples.vector(*modality, next).iter().copied())
+/// Returns the vectors `horizon` samples after those in `at`, side by side.
+fn side_by_side(samples: &Samples, vectors: &[Modality], at: &[Sample], horizon: usize) -> Vec<f32> {
+    let later = |sample: &Sample| {
+        let later = sample.after(horizon);
+        vectors.iter().flat_map(move |modality| samples.vector(*modality, later).iter().copied())
     };
-    at.iter().flat_map(next).collect()
+    at.iter().flat_map(later).collect()
 }

@@ -3,7 +3,7 @@
 use super::{Predicted, Test};
 use harness_metrics::Row;
 use harness_samples::Sample;
-use harness_spec::{Modality, Task};
+use harness_spec::{Modality, Task, intern};
 
 /// A row of the metrics table, without the columns that identify the run.
 #[derive(Debug, Clone)]
@@ -12,6 +12,10 @@ pub struct MetricRow {
     pub task: Task,
     /// The predictor's name, such as `network` or that of a baseline.
     pub model: String,
+    /// Number of samples from the present to the predicted one; 0 for a reconstruction.
+    pub horizon: usize,
+    /// The modalities that the predictor got, as `arm,proprioception`; `None` if it got all of its run's input.
+    pub given: Option<&'static str>,
     /// The metric, its value, and what it is computed over.
     pub row: Row,
 }
@@ -21,6 +25,10 @@ pub struct MetricRow {
 pub struct PredictionRow {
     /// The task that is evaluated.
     pub task: Task,
+    /// Number of samples from the present to the predicted one; 0 for a reconstruction.
+    pub horizon: u32,
+    /// The modalities that the predictor got, as `arm,proprioception`; `None` if it got all of its run's input.
+    pub given: Option<&'static str>,
     /// The vector that contains the element.
     pub modality: Modality,
     /// The episode of the dataset.
@@ -54,10 +62,24 @@ pub struct FrameRow {
     pub predicted: Vec<u8>,
 }
 
+/// Returns the names of modalities as the tables list them: `arm,proprioception`, or nothing.
+pub(super) fn given(modalities: &[Modality]) -> &'static str {
+    let mut names: Vec<&str> = modalities.iter().map(|modality| modality.name()).collect();
+    names.sort_unstable();
+    intern(&names.join(","))
+}
+
+/// Whether a row is of the nearest sample that its task predicts, by a predictor that got all inputs. The tables
+/// `metrics` and `predictions` have only such rows.
+pub fn is_usual(horizon: usize, given: Option<&str>) -> bool {
+    horizon <= 1 && given.is_none()
+}
+
 /// Returns a row for each element of the predicted samples `ahead`. There are none for images, which would take too much
 /// space, and for values of different units, which can't share a column.
 pub(super) fn predictions(
     test: &Test,
+    given: Option<&'static str>,
     ahead: &[Sample],
     reference: &[f32],
     predicted: &Predicted,
@@ -72,6 +94,8 @@ pub(super) fn predictions(
         let (episode, sample) = test.samples.place(*sample);
         rows.extend((0..width).map(|index| PredictionRow {
             task: test.task,
+            horizon: predicted.horizon as u32,
+            given,
             modality: predicted.modality,
             episode: episode as u32,
             sample: sample as u32,

@@ -101,10 +101,14 @@ impl Predictor for TrainedNetwork<'_> {
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> std::result::Result<(), JudgeError> {
         let Self { data, network, input, window, .. } = self;
         let mut state = present(&**network, data, input, *window, at).map_err(failed)?;
+        let horizons = window.horizons();
         for horizon in 1..=window.horizon {
             let now: Vec<Sample> = at.iter().map(|sample| sample.after(horizon - 1)).collect();
             let next = || network.act(&state, &data.actions(&now)?);
             state = next().map_err(failed)?;
+            if !horizons.contains(&horizon) {
+                continue;
+            }
             let decoded = network.decode(&state).map_err(failed)?;
             pass_on(&data.normalizers, self.output, decoded, horizon, receive)?;
         }
@@ -144,7 +148,7 @@ fn pass_on(
     receive: &mut Receive,
 ) -> std::result::Result<(), JudgeError> {
     let decoded = denormalized(normalizers, output, &decoded).map_err(failed)?;
-    decoded.into_iter().try_for_each(|(modality, values)| receive(Predicted { modality, horizon, values }))
+    decoded.into_iter().try_for_each(|(modality, values)| receive(&Predicted { modality, horizon, values }))
 }
 
 /// Returns the values of each modality in `output` in physical units, `[batch, width]`; images channel by channel.

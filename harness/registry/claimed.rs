@@ -110,8 +110,8 @@ impl Claimed<'_> {
     /// When a file can't be written, or a file that the record lists can't be read.
     pub fn finish(&self, record: RunRecord, outcome: &Outcome) -> Result<(), RegistryError> {
         let record = record.done(outcome);
-        outcome.write_tables(self.folder, &record)?;
-        let files = record.expected_files();
+        let mut files = record.expected_files();
+        files.extend(outcome.write_tables(self.folder, &record)?);
         let may_continue = record.spec.may_continue();
         record.with_files(self.folder, files)?.write(&self.folder.path.join(RECORD))?;
         if !may_continue {

@@ -1,6 +1,6 @@
 //! Small copies of finished runs: what figures, claims and comparisons need, fit for version control.
 
-use super::record::{RunRecord, TABLES, WorldOf};
+use super::record::{RunRecord, WorldOf};
 use super::{RECORD, Registry, RegistryError, SPEC, removed};
 use harness_shared::files::write_bytes;
 use harness_shared::progress::Progress;
@@ -117,18 +117,18 @@ impl Shown {
 
     /// The rows of each of a run's tables that are kept. Compares each file with the record.
     fn tables(&self, folder: &Path, record: &RunRecord) -> Result<Vec<(Table, DataFrame)>, RegistryError> {
-        let kept = TABLES.map(|table| {
+        let kept = record.tables().map(|table| {
             let rows = TableFile::open(&record.check_file(folder, &table.file_name())?)?.table(None)?;
             Ok((table, self.keep(table, record, rows).map_err(TableError::from)?))
         });
-        kept.into_iter().collect()
+        kept.collect()
     }
 
     /// The rows of a run's table that are kept.
     fn keep(&self, table: Table, record: &RunRecord, rows: DataFrame) -> PolarsResult<DataFrame> {
         let is_lowest_seed = self.seeds.get(&cell(record)) == Some(&record.spec.seed);
         match table {
-            Table::Predictions if is_lowest_seed => {
+            Table::Predictions | Table::AllPredictions if is_lowest_seed => {
                 let is_last = record.layout.modalities.iter().map(|definition| {
                     let last = definition.last_elements().into_iter().map(|index| index as i64);
                     let index = last.map(|index| col("index").eq(lit(index))).reduce(Expr::or);
@@ -138,7 +138,7 @@ impl Shown {
             }
             Table::Frames if is_lowest_seed => Ok(rows),
             Table::Forces if self.forces.get(&forces_of(record)) == Some(&record.run) => Ok(rows),
-            Table::Predictions | Table::Frames | Table::Forces => Ok(rows.clear()),
+            Table::Predictions | Table::AllPredictions | Table::Frames | Table::Forces => Ok(rows.clear()),
             _ => Ok(rows),
         }
     }

@@ -7,9 +7,9 @@ use super::{QueryError, Registry, Status, live};
 use harness_dataset::layout_of;
 use harness_shared::files::write_whole;
 use harness_shared::numbers::counted;
-use harness_spec::Layout;
+use harness_spec::{Layout, Task};
 use harness_sql::{Condition, Query, Tables};
-use harness_tables::schema::{Column, Kind, Table, sample_columns};
+use harness_tables::schema::{Column, GIVEN, HORIZON, Kind, Table, sample_columns};
 use harness_tables::{data_type, lazily, scan};
 use polars::prelude::*;
 use serde::de::DeserializeOwned;
@@ -112,7 +112,11 @@ fn named(name: &str) -> Table {
 /// The conditions that a query puts on the text columns of a table, and on which of its columns are null. Empty if the
 /// query does not read the table.
 pub fn conditions(query: &Query, table: Table) -> BTreeSet<Condition> {
-    let columns = table.columns();
+    conditions_on(query, table, &table.columns())
+}
+
+/// Like [`conditions`], but only on those of the table's columns that are listed.
+fn conditions_on(query: &Query, table: Table, columns: &[Column]) -> BTreeSet<Condition> {
     let has = |name: &String, texts: &BTreeSet<String>| {
         columns.iter().any(|own| own.name == *name && (own.kind == Kind::Text || texts.is_empty()))
     };
@@ -142,11 +146,19 @@ pub fn table(registry: &Registry, table: Table, runs: &[Recorded], query: &Query
         Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
             // A run's tables count once its record says that it is done, and as its record lists them.
             let done = runs.iter().map(|(_, run)| run).filter(|run| run.status == Status::Done);
-            let done = run_table(registry, table, &done.collect::<Vec<_>>(), query)?;
+            let done = run_table(registry, table, table, &done.collect::<Vec<_>>(), query)?;
             match table {
                 Table::Epochs => with_live_epochs(done, runs)?,
                 _ => done,
             }
+        }
+        Table::AllMetrics | Table::AllPredictions => {
+            let done = runs.iter().map(|(_, run)| run).filter(|run| run.status == Status::Done);
+            let done: Vec<&RunRecord> = done.collect();
+            let usual = table.usual().map(|usual| run_table(registry, usual, table, &done, query));
+            let usual = usual.transpose()?.flatten().map(|rows| with_distance(rows, table));
+            let further = run_table(registry, table, table, &done, query)?;
+            joined(usual.into_iter().chain(further).collect())?
         }
     };
     match found {
@@ -181,10 +193,28 @@ fn each_once(columns: impl Iterator<Item = Column>) -> Vec<Column> {
     columns.filter(|column| names.insert(column.name.clone())).collect()
 }
 
-/// One of the tables that each run writes; `None` without runs.
+/// The rows of a usual table in the form of the table `of`, which has all rows: with their horizons.
+fn with_distance(rows: LazyFrame, of: Table) -> LazyFrame {
+    let is_reconstruction = col("task").eq(lit(Task::Reconstruction.name()));
+    let horizon = when(is_reconstruction).then(lit(0i64)).otherwise(lit(1i64)).alias(HORIZON);
+    let given = lit(NULL).cast(DataType::String).alias(GIVEN);
+    let columns = of.columns().into_iter().map(|column| col(column.name)).collect::<Vec<_>>();
+    rows.with_columns([horizon, given]).select(columns)
+}
+
+/// Several parts of a table as one; `None` without parts.
+fn joined(mut parts: Vec<LazyFrame>) -> PolarsResult<Option<LazyFrame>> {
+    if parts.len() < 2 {
+        return Ok(parts.pop());
+    }
+    concat(parts, UnionArgs::default()).map(Some)
+}
+
+/// A table that runs write, as far as a query of the table `asked` can see it; `None` if no run has written it.
 fn run_table(
     registry: &Registry,
     table: Table,
+    asked: Table,
     runs: &[&RunRecord],
     query: &Query,
 ) -> PolarsResult<Option<LazyFrame>> {
@@ -195,12 +225,9 @@ fn run_table(
         if schema.is_empty() {
             continue;
         }
-        frames.push(lazily(rows.only(conditions(query, table)), schema)?);
+        frames.push(lazily(rows.only(conditions_on(query, asked, &table.columns())), schema)?);
     }
-    if frames.len() < 2 {
-        return Ok(frames.pop());
-    }
-    concat(frames, UnionArgs::default()).map(Some)
+    joined(frames)
 }
 
 /// The epochs of finished runs, and then those of running ones.
@@ -212,10 +239,7 @@ fn with_live_epochs(done: Option<LazyFrame>, runs: &[Recorded]) -> PolarsResult<
             frames.push(epochs.lazy());
         }
     }
-    match frames.len() {
-        0 | 1 => Ok(frames.pop()),
-        _ => concat(frames, UnionArgs::default()).map(Some),
-    }
+    joined(frames)
 }
 
 /// The files of datasets with the same layout, for each layout.
@@ -254,10 +278,7 @@ fn episodes(files: &[PathBuf]) -> PolarsResult<Option<LazyFrame>> {
         };
         frames.push(frame.select(all.iter().map(value).collect::<Vec<_>>()));
     }
-    match frames.len() {
-        0 | 1 => Ok(frames.pop()),
-        _ => concat(frames, UnionArgs::default()).map(Some),
-    }
+    joined(frames)
 }
 
 /// A table without rows, so that a query of an empty results folder has an empty answer.

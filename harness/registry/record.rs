@@ -2,12 +2,12 @@
 
 use super::command_line::command_of;
 use super::{Provenance, REVISION, RegistryError, RunFolder, SPEC, identity, peak_memory_bytes};
-use harness_judge::{FrameRow, MetricRow, PredictionRow};
+use harness_judge::{FrameRow, MetricRow, PredictionRow, is_usual};
 use harness_metrics::contact::{Contact, QUANTILES};
 use harness_metrics::epoch::Epoch;
 use harness_shared::seal::{self, SealError, hex};
 use harness_spec::{Layout, Modality, RunSpec, Task, World};
-use harness_tables::schema::Table;
+use harness_tables::schema::{GIVEN, HORIZON, Table};
 use harness_tables::{Stamp, TableError, column_of, read_footer, write_table};
 use jiff::Timestamp;
 use polars::prelude::*;
@@ -20,8 +20,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// The tables that each run writes.
-pub(super) const TABLES: [Table; 5] =
-    [Table::Epochs, Table::Metrics, Table::Predictions, Table::Forces, Table::Frames];
+const TABLES: [Table; 5] = [Table::Epochs, Table::Metrics, Table::Predictions, Table::Forces, Table::Frames];
+/// The tables that a run writes if it has rows of them.
+const FURTHER_TABLES: [Table; 2] = [Table::AllMetrics, Table::AllPredictions];
 
 /// What is wrong with a file that is a folder.
 pub(super) const IN_ITS_PLACE: &str = "a folder is in its place";
@@ -306,7 +307,8 @@ impl RunRecord {
     /// Whether an unfinished run may have a file of this name: a result, or the saved state of its training.
     pub(super) fn expects(&self, name: &str) -> bool {
         let is_state = name.contains(".state.") && name.contains(".safetensors");
-        is_state || self.expected_files().iter().any(|expected| expected == name)
+        let mut expected = self.expected_files().into_iter().chain(FURTHER_TABLES.map(Table::file_name));
+        is_state || expected.any(|expected| expected == name)
     }
 
     /// Compares a whole file with its entry in the record, and returns its path.
@@ -327,7 +329,12 @@ impl RunRecord {
 
     /// Whether the finished run has a file of this table. Published runs have none of tables without rows.
     pub fn has(&self, table: Table) -> bool {
-        self.files.contains_key(&table.file_name()) || !self.is_published()
+        self.files.contains_key(&table.file_name()) || TABLES.contains(&table) && !self.is_published()
+    }
+
+    /// The tables of which the finished run has a file.
+    pub(super) fn tables(&self) -> impl Iterator<Item = Table> {
+        TABLES.into_iter().chain(FURTHER_TABLES).filter(|table| self.has(*table))
     }
 
     /// The record's entry for a file.
@@ -495,48 +502,36 @@ pub(super) fn epochs_columns(epochs: &[(Task, Epoch)]) -> Vec<Column> {
 }
 
 impl Outcome {
-    /// Writes all tables of the run to its folder.
-    pub(super) fn write_tables(&self, folder: &RunFolder, record: &RunRecord) -> Result<(), RegistryError> {
-        let tables = [
+    /// Writes all tables of the run to its folder, and returns the names of their files.
+    pub(super) fn write_tables(
+        &self,
+        folder: &RunFolder,
+        record: &RunRecord,
+    ) -> Result<Vec<String>, RegistryError> {
+        let (metrics, further_metrics): (Vec<&MetricRow>, _) =
+            self.metrics.iter().partition(|row| is_usual(row.horizon, row.given));
+        let (predictions, further_predictions): (Vec<&PredictionRow>, _) =
+            self.predictions.iter().partition(|row| is_usual(row.horizon as usize, row.given));
+        let mut tables = vec![
             (Table::Epochs, epochs_columns(&self.epochs)),
-            (Table::Metrics, self.metrics_columns()),
-            (Table::Predictions, self.predictions_columns()),
+            (Table::Metrics, metrics_columns(&metrics)),
+            (Table::Predictions, predictions_columns(&predictions)),
             (Table::Forces, self.forces_columns()),
             (Table::Frames, self.frames_columns()),
         ];
-        for (table, columns) in tables {
-            let frame = record.with_key(columns).map_err(TableError::from)?;
-            let path = folder.path.join(table.file_name());
-            write_table(&path, frame, &table.columns(), &record.stamp())?;
+        if !further_metrics.is_empty() {
+            tables.push((Table::AllMetrics, all_metrics_columns(&further_metrics)));
         }
-        Ok(())
-    }
-
-    fn metrics_columns(&self) -> Vec<Column> {
-        let rows = &self.metrics;
-        vec![
-            column_of(rows, "task", |row| row.task.name()),
-            column_of(rows, "model", |row| row.model.as_str()),
-            column_of(rows, "modality", |row| row.row.modality.name()),
-            column_of(rows, "direction", |row| row.row.direction.map(|direction| direction.name())),
-            column_of(rows, "index", |row| row.row.index.map(i64::from)),
-            column_of(rows, "metric", |row| row.row.metric.name()),
-            column_of(rows, "value", |row| row.row.value),
-            column_of(rows, "unit", |row| row.row.unit.as_str()),
-        ]
-    }
-
-    fn predictions_columns(&self) -> Vec<Column> {
-        let rows = &self.predictions;
-        vec![
-            column_of(rows, "task", |row| row.task.name()),
-            column_of(rows, "modality", |row| row.modality.name()),
-            column_of(rows, "episode", |row| i64::from(row.episode)),
-            column_of(rows, "sample", |row| i64::from(row.sample)),
-            column_of(rows, "index", |row| i64::from(row.index)),
-            column_of(rows, "reference", |row| row.reference),
-            column_of(rows, "predicted", |row| row.predicted),
-        ]
+        if !further_predictions.is_empty() {
+            tables.push((Table::AllPredictions, all_predictions_columns(&further_predictions)));
+        }
+        let written = tables.into_iter().map(|(table, columns)| {
+            let frame = record.with_key(columns).map_err(TableError::from)?;
+            let name = table.file_name();
+            write_table(&folder.path.join(&name), frame, &table.columns(), &record.stamp())?;
+            Ok(name)
+        });
+        written.collect()
     }
 
     fn forces_columns(&self) -> Vec<Column> {
@@ -572,4 +567,47 @@ impl Outcome {
             column_of(rows, "predicted", |row| row.predicted.as_slice()),
         ]
     }
+}
+
+/// The columns of the table `metrics` without those of the run.
+fn metrics_columns(rows: &[&MetricRow]) -> Vec<Column> {
+    vec![
+        column_of(rows, "task", |row| row.task.name()),
+        column_of(rows, "model", |row| row.model.as_str()),
+        column_of(rows, "modality", |row| row.row.modality.name()),
+        column_of(rows, "direction", |row| row.row.direction.map(|direction| direction.name())),
+        column_of(rows, "index", |row| row.row.index.map(i64::from)),
+        column_of(rows, "metric", |row| row.row.metric.name()),
+        column_of(rows, "value", |row| row.row.value),
+        column_of(rows, "unit", |row| row.row.unit.as_str()),
+    ]
+}
+
+/// The columns of the table `all_metrics` without those of the run.
+fn all_metrics_columns(rows: &[&MetricRow]) -> Vec<Column> {
+    let mut columns = metrics_columns(rows);
+    columns.push(column_of(rows, HORIZON, |row| row.horizon as i64));
+    columns.push(column_of(rows, GIVEN, |row| row.given));
+    columns
+}
+
+/// The columns of the table `predictions` without those of the run.
+fn predictions_columns(rows: &[&PredictionRow]) -> Vec<Column> {
+    vec![
+        column_of(rows, "task", |row| row.task.name()),
+        column_of(rows, "modality", |row| row.modality.name()),
+        column_of(rows, "episode", |row| i64::from(row.episode)),
+        column_of(rows, "sample", |row| i64::from(row.sample)),
+        column_of(rows, "index", |row| i64::from(row.index)),
+        column_of(rows, "reference", |row| row.reference),
+        column_of(rows, "predicted", |row| row.predicted),
+    ]
+}
+
+/// The columns of the table `all_predictions` without those of the run.
+fn all_predictions_columns(rows: &[&PredictionRow]) -> Vec<Column> {
+    let mut columns = predictions_columns(rows);
+    columns.push(column_of(rows, HORIZON, |row| i64::from(row.horizon)));
+    columns.push(column_of(rows, GIVEN, |row| row.given));
+    columns
 }

@@ -8,7 +8,7 @@ use super::parse::{Entry, Node};
 use super::scaling::{GivenScaling, Scaling, Scalings};
 use super::search::Trial;
 use super::simulation::Simulation;
-use super::types::{Action, Experiment, Loss, Network, Reading, Settings, Split, Task, Training};
+use super::types::{Action, Experiment, Loss, Network, Reading, Settings, Split, Task, Training, Window};
 use super::validate::{Images, check_images};
 use super::world::{Known, World};
 use serde::{Deserialize, Serialize};
@@ -46,6 +46,9 @@ pub struct RunSpec {
     pub tasks: Vec<Task>,
     /// Condition of the decoder.
     pub action: Action,
+    /// How many samples the network sees and predicts.
+    #[serde(default, skip_serializing_if = "Window::is_transition")]
+    pub window: Window,
     /// Layers of the networks.
     pub network: Network,
     /// Settings of the simulation; `None` if the dataset is imported.
@@ -198,6 +201,7 @@ impl Experiment {
             seed,
             tasks: self.tasks.clone(),
             action: self.action,
+            window: self.window,
             network: self.network.clone(),
             simulation: self.world(scenario).map(|world| world.complete(&self.simulation)),
             split: self.split.clone(),
@@ -407,6 +411,7 @@ impl RunSpec {
             .collect();
         let unsaid = json!({
             "variant": self.variant,
+            "window": { "context": self.window.context, "horizon": self.window.horizon },
             "network": { "average": network.average, "fusion": network.fusion },
             "split": { "by": split.by, "gap_seconds": split.gap_seconds },
             "scaling": self.scalings(layout),

@@ -177,6 +177,9 @@ pub struct Experiment {
     /// The action that the decoder gets.
     #[serde(default = "default_action")]
     pub action: Action,
+    /// How many samples the network sees and predicts.
+    #[serde(default, skip_serializing_if = "Window::is_transition")]
+    pub window: Window,
     /// Layers of the network.
     pub network: Network,
     /// Settings of the simulation, which determine the dataset.
@@ -406,21 +409,49 @@ impl Split {
 
 /// Consecutive samples of an episode: what a model has seen, and what it predicts. A window is named by its present
 /// sample, the last one that the model has seen.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
 pub struct Window {
-    /// Number of samples that the model has seen, with the present one; at least 1.
+    /// Number of samples that the model sees, with the present one. A network without memory sees only the present one,
+    /// whatever the number; it is then judged on the same samples as one with memory.
+    #[schemars(range(min = 1, max = MAX_WINDOW))]
     pub context: usize,
-    /// Number of samples after the present one.
+    /// Number of samples after the present one that the model predicts, one from the other. The tables `metrics` and
+    /// `predictions` contain those of the first one, and `all_metrics` and `all_predictions` also those at 2, 5, 10, 20,
+    /// 50, 100, 200 and 500 samples, as far as the horizon goes, and at the horizon.
+    #[schemars(range(min = 1, max = MAX_WINDOW))]
     pub horizon: usize,
+}
+
+/// Largest context and horizon.
+pub const MAX_WINDOW: usize = 1000;
+/// Numbers of samples after the present one at which predictions are judged.
+const HORIZONS: [usize; 9] = [1, 2, 5, 10, 20, 50, 100, 200, 500];
+
+impl Default for Window {
+    fn default() -> Self {
+        Self::TRANSITION
+    }
 }
 
 impl Window {
     /// A transition: the present sample and the next one.
     pub const TRANSITION: Self = Self { context: 1, horizon: 1 };
 
+    /// Whether this is [`Window::TRANSITION`], which specs do not store.
+    pub fn is_transition(&self) -> bool {
+        *self == Self::TRANSITION
+    }
+
     /// Returns the number of samples in a window.
     pub fn samples(self) -> usize {
         self.context + self.horizon
+    }
+
+    /// Returns the numbers of samples after the present one at which predictions are judged, in ascending order.
+    pub fn horizons(self) -> Vec<usize> {
+        let shorter = HORIZONS.into_iter().filter(|horizon| *horizon < self.horizon);
+        shorter.chain([self.horizon]).collect()
     }
 }
 

@@ -8,7 +8,6 @@ use super::search::{Halving, Objective, Search};
 use super::simulation::{Setting, Simulation};
 use super::types::{
     Device, Division, Experiment, Network, Precision, Preset, Reading, Settings, Split, Task, Training,
-    Window,
 };
 use super::world::World;
 
@@ -59,6 +58,7 @@ pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     settings(experiment)?;
     samples(&experiment.simulation)?;
     scaling(experiment)?;
+    window(experiment)?;
     split(experiment)?;
     search(experiment)
 }
@@ -472,8 +472,36 @@ fn scaling(experiment: &Experiment) -> Result<(), Fault> {
     Ok(())
 }
 
+/// Refuses a window that does not fit into an episode, or that the network can't predict.
+fn window(experiment: &Experiment) -> Result<(), Fault> {
+    let Experiment { window, simulation, input, output, scenarios, .. } = experiment;
+    let samples = simulation.samples_per_episode();
+    let is_simulated = scenarios.iter().any(|origin| experiment.world(origin).is_some());
+    if is_simulated && window.samples() > samples {
+        let longer = if window.context > window.horizon { "window.context" } else { "window.horizon" };
+        return fault(
+            longer,
+            format!(
+                "a window of {} and {} samples does not fit into an episode of {samples}; use a shorter window or more \
+                 actuations_per_episode",
+                window.context, window.horizon
+            ),
+        );
+    }
+    match input.iter().find(|modality| !output.contains(modality)) {
+        Some(missing) if window.horizon > 1 => fault(
+            "window.horizon",
+            format!(
+                "a network without memory predicts further than one sample from its own predictions, and these lack its \
+                 input '{missing}'; add it to the output, or use horizon: 1"
+            ),
+        ),
+        _ => Ok(()),
+    }
+}
+
 fn split(experiment: &Experiment) -> Result<(), Fault> {
-    let Experiment { split, simulation, .. } = experiment;
+    let Experiment { split, simulation, window, .. } = experiment;
     let (by, validation, test) = (split.by, split.validation, split.test);
     if split.gap_seconds.is_some() && by != Division::Time {
         return fault(
@@ -497,9 +525,7 @@ fn split(experiment: &Experiment) -> Result<(), Fault> {
                  use smaller shares or more episodes"
             ),
         ),
-        Division::Time
-            if split.times(samples, Window::TRANSITION.samples(), simulation.sample_rate_hz).is_none() =>
-        {
+        Division::Time if split.times(samples, window.samples(), simulation.sample_rate_hz).is_none() => {
             fault(
                 "split",
                 format!(
@@ -510,12 +536,12 @@ fn split(experiment: &Experiment) -> Result<(), Fault> {
                 ),
             )
         }
-        Division::Sample if split.counts(episodes * (samples - 1)).is_none() => fault(
+        Division::Sample if split.counts(episodes * (samples + 1 - window.samples())).is_none() => fault(
             "split",
             format!(
-                "validation {validation} and test {test} of {} transitions leave none for training; use smaller \
-                 shares or more samples",
-                episodes * (samples - 1)
+                "validation {validation} and test {test} of {} windows leave none for training; use smaller shares or \
+                 more samples",
+                episodes * (samples + 1 - window.samples())
             ),
         ),
         _ => Ok(()),

@@ -42,8 +42,12 @@ pub enum Table {
     Epochs,
     /// One row for each metric.
     Metrics,
+    /// Like [`Table::Metrics`], and also for later samples and for models that got only some inputs.
+    AllMetrics,
     /// One row for each test sample and joint or link.
     Predictions,
+    /// Like [`Table::Predictions`], and also for later samples and for models that got only some inputs.
+    AllPredictions,
     /// One row for each link and force, over the whole dataset or one episode.
     Forces,
     /// One row for each image of a few test samples.
@@ -54,11 +58,13 @@ pub enum Table {
 
 impl Table {
     /// All tables.
-    pub const ALL: [Table; 7] = [
+    pub const ALL: [Table; 9] = [
         Table::Runs,
         Table::Epochs,
         Table::Metrics,
+        Table::AllMetrics,
         Table::Predictions,
+        Table::AllPredictions,
         Table::Forces,
         Table::Frames,
         Table::Episodes,
@@ -70,16 +76,34 @@ impl Table {
             Table::Runs => "runs",
             Table::Epochs => "epochs",
             Table::Metrics => "metrics",
+            Table::AllMetrics => "all_metrics",
             Table::Predictions => "predictions",
+            Table::AllPredictions => "all_predictions",
             Table::Forces => "forces",
             Table::Frames => "frames",
             Table::Episodes => "episodes",
         }
     }
 
-    /// Returns the name of the file that holds a run's rows.
+    /// Returns the name of the file that holds a run's rows. For [`Table::AllMetrics`] and [`Table::AllPredictions`], the
+    /// file holds the rows that the table [`Table::usual`] has not.
     pub fn file_name(self) -> String {
-        format!("{}.parquet", self.name())
+        let name = match self {
+            Table::AllMetrics => "further_metrics",
+            Table::AllPredictions => "further_predictions",
+            _ => self.name(),
+        };
+        format!("{name}.parquet")
+    }
+
+    /// Returns the table whose rows are a part of this table's rows: those of the nearest sample that a task predicts, by
+    /// models that got all inputs. It lacks the columns [`HORIZON`] and [`GIVEN`].
+    pub fn usual(self) -> Option<Table> {
+        match self {
+            Table::AllMetrics => Some(Table::Metrics),
+            Table::AllPredictions => Some(Table::Predictions),
+            _ => None,
+        }
     }
 
     /// Returns a description of the rows.
@@ -88,7 +112,13 @@ impl Table {
             Table::Runs => "one row for each run, whether it succeeded or not",
             Table::Epochs => "one row for each epoch, split and loss term",
             Table::Metrics => "one row for each metric of a run, or of a baseline on the same test samples",
+            Table::AllMetrics => {
+                "the rows of metrics, those of samples further ahead, and those of models that got only some inputs"
+            }
             Table::Predictions => "one row for each test sample and joint or link",
+            Table::AllPredictions => {
+                "the rows of predictions, those of samples further ahead, and those of models that got only some inputs"
+            }
             Table::Forces => {
                 "one row for each link and force: its distribution over the run's dataset, or over one of its episodes"
             }
@@ -103,7 +133,9 @@ impl Table {
             Table::Runs => [run_key(), run_details()].concat(),
             Table::Epochs => [run_key(), epoch_values()].concat(),
             Table::Metrics => [run_key(), metric_values()].concat(),
+            Table::AllMetrics => [run_key(), metric_values(), distance()].concat(),
             Table::Predictions => [run_key(), prediction_values()].concat(),
+            Table::AllPredictions => [run_key(), prediction_values(), distance()].concat(),
             Table::Forces => [run_key(), force_values()].concat(),
             Table::Frames => [run_key(), frame_values()].concat(),
             Table::Episodes => sample_columns(&Layout::finger()),
@@ -205,6 +237,21 @@ fn epoch_values() -> Vec<Column> {
         text("term", "total, kl, or the modality whose loss it is"),
         real("value", "1", "mean of the term over the split, on normalized values, before weighting"),
         real("seconds", "s", "wall time of the epoch"),
+    ]
+}
+
+/// Name of the column with the number of samples from the present to the predicted one.
+pub const HORIZON: &str = "horizon";
+/// Name of the column with the modalities that a model got.
+pub const GIVEN: &str = "given";
+
+fn distance() -> Vec<Column> {
+    vec![
+        integer(HORIZON, "number of samples from the present to the predicted one; 0 for a reconstruction"),
+        text(
+            GIVEN,
+            "the modalities that the model got, joined by a comma; null if it got all of the run's input",
+        ),
     ]
 }
 
