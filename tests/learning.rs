@@ -8,7 +8,9 @@ use harness_kernels::convolution::LANES;
 use harness_kernels::product::{Arithmetic, Unit};
 use harness_learning::frames::{Averaged, DenseFrames, Frames};
 use harness_learning::network::description::Description;
-use harness_learning::network::{Architecture, Draw, Observation, Parameters, Targets, Value, scalar};
+use harness_learning::network::{
+    Architecture, Draw, Encoder, Observation, Parameters, Targets, Value, scalar,
+};
 use harness_learning::objective::{NormalizedData, Objective, Prediction, Weighted};
 use harness_learning::ops::{
     Adam, Dropout, FrameDecoder, Quantity, Stack, TwoLayers, composed, frame_decoder, frame_encoder,
@@ -33,6 +35,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
+#[path = "learning/additions.rs"]
+mod additions;
 #[path = "common/finger.rs"]
 mod finger;
 

@@ -319,6 +319,14 @@ pub struct Targets<'a> {
 pub struct Posterior(Tensor);
 
 impl Posterior {
+    /// Returns the distribution with these means and log-variances, `[batch, latent]` each.
+    ///
+    /// # Errors
+    /// When the shapes differ.
+    pub fn new(mean: &Tensor, log_variance: &Tensor) -> Result<Self> {
+        Tensor::cat(&[mean, log_variance], 1).map(Self)
+    }
+
     /// Returns the size of the latent state.
     pub fn latent(&self) -> Result<usize> {
         Ok(self.0.dim(1)? / 2)

@@ -1,0 +1,274 @@
+//! What others may add: a network with a state, a fusion of encoders, a baseline, and recorded predictions. Each is one
+//! file and one registration, and is then trained or judged like what the harness has.
+
+mod toy_baseline;
+mod toy_fusion;
+mod toy_network;
+
+use super::*;
+use harness_judge::{
+    Judged, Persistence, PredictionRow, Predictor, Recorded, RecordedError, RecordedValue, Test, judge,
+};
+use harness_learning::network::{Cvae, Network as Predicting};
+use harness_learning::predict::{Latents, TrainedNetwork};
+use harness_metrics::Metric;
+
+/// The window of these tests.
+const WINDOW: Window = Window { context: 3, horizon: 5 };
+
+/// The registration of what these tests add.
+struct Added {
+    network: Box<dyn Predicting>,
+    fusion: Box<dyn Encoder>,
+    baseline: Box<dyn Predictor>,
+}
+
+impl Added {
+    /// Returns it with the parameters of the network and of the encoders.
+    fn new(bench: &Bench) -> (Self, [Parameters; 2]) {
+        let mut parameters = [Parameters::new(), Parameters::new()];
+        let network = toy_network::Integrator::new(ARM_JOINTS, &mut parameters[0]).unwrap();
+        let mut encoder = |input: Modality| {
+            let architecture = Architecture { input: vec![input], ..bench.architecture() };
+            let mut own = Parameters::new();
+            let encoder = architecture.encoder(&mut own, &mut random(1), &Device::Cpu).unwrap();
+            parameters[1].extend(own.into_iter().map(|(name, var)| (format!("{input}.{name}"), var)));
+            encoder
+        };
+        let added = Self {
+            network: Box::new(network),
+            fusion: Box::new(toy_fusion::Product(encoder(INPUT[0]), encoder(INPUT[1]))),
+            baseline: Box::new(toy_baseline::Zero(Modality::ARM, ARM_JOINTS, WINDOW.horizons())),
+        };
+        (added, parameters)
+    }
+}
+
+/// Trains a network on windows, and returns the total loss of each epoch.
+fn fitted(
+    bench: &Bench,
+    network: Box<dyn Predicting>,
+    parameters: &Parameters,
+    window: Window,
+    [input, output]: [&[Modality]; 2],
+    epochs: usize,
+) -> Vec<f64> {
+    let training =
+        Training { epochs, learning_rate: 0.02, patience: None, batch_size: 8, ..Training::default() };
+    let objective = Prediction {
+        data: &bench.data,
+        network,
+        window,
+        input,
+        output,
+        kl_weight: 0.0001,
+        losses: &training.losses,
+        loss_weights: &BTreeMap::new(),
+    };
+    let partition = &bench.data.samples.partition(&Split::default(), window).unwrap();
+    let (state, progress) = (&StateFile::none(), &harness_shared::progress::Silent);
+    let fit = Fit {
+        task: Task::Prediction,
+        training: &training,
+        seed: 0,
+        partition,
+        state,
+        progress,
+        log: &|_| (),
+    };
+    let epochs = fit.run(&objective, parameters).unwrap();
+    epochs.iter().map(|epoch| epoch.train[TOTAL]).collect()
+}
+
+fn judged(bench: &Bench, predictor: &dyn Predictor, window: Window) -> Judged {
+    let partition = bench.data.samples.partition(&Split::default(), window).unwrap();
+    let (samples, task) = (&*bench.data.samples, Task::Prediction);
+    judge(predictor, &Test { samples, task, windows: &partition.test, sampled: Some(&[]) }).unwrap()
+}
+
+/// R2 of a modality at a horizon: the mean over its units.
+fn r2(judged: &Judged, horizon: usize) -> f64 {
+    let is_of_unit = |direction: harness_metrics::Direction| direction.name().starts_with("in ");
+    let rows = judged.metrics.iter().filter(|row| (row.horizon, row.row.metric) == (horizon, Metric::R2));
+    let rows: Vec<_> =
+        rows.filter(|row| row.row.index.is_none() && row.row.direction.is_none_or(is_of_unit)).collect();
+    let units: Vec<f64> = rows.iter().filter_map(|row| row.row.value).collect();
+    assert!(!units.is_empty(), "R2 at {horizon}");
+    units.iter().sum::<f64>() / units.len() as f64
+}
+
+#[test]
+fn an_added_network_with_a_state_is_trained_and_judged() {
+    let bench = Bench::new();
+    let (Added { network, baseline, .. }, [parameters, _]) = Added::new(&bench);
+    let arm: &[Modality] = &[Modality::ARM];
+    let losses = fitted(&bench, network, &parameters, WINDOW, [arm, arm], 150);
+    assert!(losses[149] < 1e-3 * losses[0], "{losses:?}");
+    // The parameters are those that were trained.
+    let (added, [own, _]) = Added::new(&bench);
+    own.iter().for_each(|(name, var)| var.set(&parameters[name]).unwrap());
+    let trained = TrainedNetwork {
+        data: &bench.data,
+        network: added.network.detached(),
+        input: arm,
+        output: arm,
+        window: WINDOW,
+    };
+    let judged_of = |predictor: &dyn Predictor| judged(&bench, predictor, WINDOW);
+    let (network, zero) = (judged_of(&trained), judged_of(&*baseline));
+    let horizons = WINDOW.horizons();
+    assert_eq!(horizons, [1, 2, 5]);
+    let samples = &*bench.data.samples;
+    let persistence = judged_of(&Persistence { samples, modality: Modality::ARM, horizons: &horizons });
+    // The arm moves by the actions alone, so their sum tells its position at any horizon.
+    for &horizon in &horizons {
+        assert!(r2(&network, horizon) > 0.999, "{horizon}: {}", r2(&network, horizon));
+        assert!(r2(&zero, horizon) <= 0.0, "{horizon}: {}", r2(&zero, horizon));
+    }
+    assert!(r2(&persistence, 5) < r2(&persistence, 1) && r2(&persistence, 1) < 0.999);
+    // The latent state of a sample needs its whole context.
+    let latents = Latents::of(&*added.network, &bench.data, arm, WINDOW).unwrap();
+    assert!(latents.rows(&[Sample::at(2)]).is_ok() && latents.rows(&[Sample::at(1)]).is_err());
+}
+
+#[test]
+fn a_rollout_of_some_steps_equals_single_steps() {
+    let mut bench = Bench::new();
+    bench.training.epochs = 1;
+    // All inputs are among the outputs, so this network can predict from its own predictions.
+    let both: &[Modality] = &[Modality::PROPRIOCEPTION];
+    let architecture = Architecture { input: both.to_vec(), output: both.to_vec(), ..bench.architecture() };
+    let network = architecture.network(&mut Parameters::new(), &mut random(3), &Device::Cpu).unwrap();
+    let window = Window { context: 1, horizon: 3 };
+    let at = [Sample::at(1), Sample::at(14)];
+    let seen = bench.data.observation(&at, both).unwrap();
+    let mut state = network.observe(None, &seen, &mut Draw::Mean).unwrap().state;
+    for step in 0..3 {
+        let now: Vec<Sample> = at.iter().map(|sample| sample.after(step)).collect();
+        let acted = network.act(&state, &bench.data.actions(&now).unwrap()).unwrap();
+        let next = network.decode(&acted).unwrap();
+        // One step at a time: the prediction is seen like an observation.
+        let again =
+            next.iter().map(|(modality, values)| (*modality, Value::Vector(values.clone()))).collect();
+        state = network.observe(None, &again, &mut Draw::Mean).unwrap().state;
+        if step == 2 {
+            let trained = TrainedNetwork {
+                data: &bench.data,
+                network: network.detached(),
+                input: both,
+                output: both,
+                window,
+            };
+            let mut found = Vec::new();
+            let mut keep = |predicted: &harness_judge::Predicted| {
+                found.push((predicted.horizon, predicted.values.clone()));
+                Ok(())
+            };
+            trained.predict(&at, &mut keep).unwrap();
+            assert_eq!(found.iter().map(|(horizon, _)| *horizon).collect::<Vec<_>>(), [1, 2, 3]);
+            let mut values = next[&both[0]].flatten_all().unwrap().to_vec1::<f32>().unwrap();
+            bench.data.normalizers.modalities[&both[0]].denormalize(&mut values);
+            assert_eq!(found[2].1, values);
+        }
+    }
+}
+
+#[test]
+fn an_added_fusion_of_two_encoders_is_trained() {
+    let bench = Bench::new();
+    let (Added { fusion, .. }, [_, mut parameters]) = Added::new(&bench);
+    let decoder = bench.architecture().decoder(&mut parameters, &mut random(2), &Device::Cpu).unwrap();
+    let network = Box::new(Cvae { encoder: fusion, decoder, input: INPUT.to_vec() });
+    let before = bits(&parameters);
+    let losses = fitted(&bench, network, &parameters, Window::TRANSITION, [&INPUT, &OUTPUT], 12);
+    assert!(losses[11] < 0.9 * losses[0], "{losses:?}");
+    let after = bits(&parameters);
+    let changed = before.iter().zip(&after).filter(|(before, after)| before != after).count();
+    assert!(changed > before.len() / 2, "{changed} of {} parameters changed", before.len());
+}
+
+#[test]
+fn recorded_predictions_get_the_metrics_of_their_network() {
+    let bench = Bench::new();
+    let (_, parameters) = bench.train_undisturbed(0);
+    let mut own = Parameters::new();
+    let network = bench.architecture().network(&mut own, &mut random(0), &Device::Cpu).unwrap();
+    own.iter().for_each(|(name, var)| var.set(&parameters[name]).unwrap());
+    let output = &OUTPUT[..2];
+    let (data, window) = (&bench.data, Window::TRANSITION);
+    let trained = TrainedNetwork { data, network: network.detached(), input: &INPUT, output, window };
+    let expected = judged(&bench, &trained, window);
+    let value = |row: &PredictionRow| RecordedValue {
+        modality: row.modality,
+        episode: row.episode as usize,
+        sample: row.sample as usize,
+        horizon: row.horizon as usize,
+        index: row.index as usize,
+        value: row.predicted,
+    };
+    let mut values: Vec<RecordedValue> = expected.predictions.iter().map(value).collect();
+    values.reverse();
+    let (samples, windows) = (&*bench.data.samples, &bench.partition.test);
+    let recorded = Recorded::new("mine", samples, windows, values.iter().copied()).unwrap();
+    let found = judged(&bench, &recorded, window);
+    assert!(found.metrics.iter().all(|row| row.model == "mine"));
+    let numbers = |judged: &Judged| judged.metrics.iter().map(|row| row.row.clone()).collect::<Vec<_>>();
+    assert_eq!(numbers(&found), numbers(&expected));
+
+    let refused = |change: &dyn Fn(&mut Vec<RecordedValue>)| {
+        let mut values = values.clone();
+        change(&mut values);
+        Recorded::new("mine", samples, windows, values).map(|_| ()).unwrap_err().to_string()
+    };
+    let first = values[0];
+    assert!(refused(&|values| values.truncate(values.len() - 1)).ends_with("is missing"));
+    assert!(refused(&|values| values.push(first)).contains("it occurs twice"));
+    assert!(refused(&|values| values[0].value = f32::NAN).contains("the value is not finite"));
+    assert!(refused(&|values| values[0].index = 20).contains("no such element"));
+    assert!(refused(&|values| values[0].episode = 0).contains("no test window predicts it"));
+    assert!(refused(&|values| values[0].sample = 100).contains("no test window predicts it"));
+    assert_eq!(Recorded::new("mine", samples, windows, []).map(|_| ()), Err(RecordedError::Empty));
+}
+
+/// The files of Rust below a folder that contain a word.
+fn files_with(folder: &Path, word: &str) -> Vec<String> {
+    fn add(folder: &Path, word: &str, found: &mut Vec<std::path::PathBuf>) {
+        for path in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+            let is_letter = |letter: char| letter.is_alphanumeric() || letter == '_';
+            let has = |text: String| text.split(|letter| !is_letter(letter)).any(|part| part == word);
+            if path.is_dir() {
+                add(&path, word, found);
+            } else if path.extension().is_some_and(|ending| ending == "rs")
+                && has(std::fs::read_to_string(&path).unwrap())
+            {
+                found.push(path);
+            }
+        }
+    }
+    let mut found = Vec::new();
+    add(folder, word, &mut found);
+    found.sort();
+    found.iter().map(|file| file.strip_prefix(folder).unwrap().display().to_string()).collect()
+}
+
+#[test]
+fn an_addition_takes_one_file_and_one_registration() {
+    let tests = Path::new(ROOT).join("tests/learning");
+    for (name, file) in
+        [("Integrator", "toy_network.rs"), ("Product", "toy_fusion.rs"), ("Zero", "toy_baseline.rs")]
+    {
+        assert_eq!(files_with(&tests, name), ["additions.rs", file], "{name}");
+        let registrations = include_str!("additions.rs").matches(&format!("::{name}")).count();
+        assert_eq!(registrations, 1, "{name}");
+    }
+    // What the harness itself has is in its own file, in the list of its folder, and where it is chosen.
+    let harness = Path::new(ROOT).join("harness");
+    for (name, files) in [
+        ("Cvae", &["learning/network/cvae.rs", "learning/network/mod.rs"][..]),
+        ("LateEncoder", &["learning/network/encoder.rs"]),
+        ("Persistence", &["experiment/evaluate.rs", "judge/lib.rs", "judge/persistence.rs"]),
+        ("Ridge", &["experiment/evaluate.rs", "judge/lib.rs", "judge/ridge.rs", "metrics/baselines.rs"]),
+    ] {
+        assert_eq!(files_with(&harness, name), files, "{name}");
+    }
+}
