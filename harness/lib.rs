@@ -11,6 +11,7 @@ extern crate self as harness;
 pub mod cli;
 
 pub use harness_analysis as analysis;
+pub use harness_catalog as catalog;
 pub use harness_claims as claims;
 pub use harness_collection as collection;
 pub use harness_dataset as dataset;

@@ -2,12 +2,13 @@
 
 use crate::common::{SMOKE, finish, fresh, harness, set_in_record, succeed};
 use harness::analysis::compare;
+use harness::catalog::{QueryError, query, query_of};
 use harness::experiment::provenance;
 use harness::judge::{MetricRow, PredictionRow};
 use harness::learning::training::{Epoch, Losses, TOTAL};
 use harness::metrics::evaluate;
 use harness::progress::Silent;
-use harness::registry::{Decision, Outcome, QueryError, Registry, RunRecord, query, query_of};
+use harness::registry::{Decision, Outcome, Registry, RunRecord};
 use harness::seal;
 use harness::spec::{self, Layout, Modality, Task};
 use polars::prelude::DataFrame;

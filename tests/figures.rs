@@ -3,11 +3,12 @@
 use crate::common::finger::FRAME_LEN;
 use crate::common::{MULTI, SINGLE, TINY, finish, fresh, harness, succeed};
 use harness::analysis::{LEVEL, mean_interval};
+use harness::catalog::query;
 use harness::collection::dataset_of;
 use harness::figures::Figure;
 use harness::figures::page::{Anchor, Page, Stroke, Type};
 use harness::figures::source::{integers, texts};
-use harness::registry::{Registry, query};
+use harness::registry::Registry;
 use harness::simulation::Scene;
 use harness::spec::{Modality, Scenario, Simulation};
 use harness::tables::read_table;

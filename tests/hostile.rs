@@ -5,9 +5,10 @@
 //! (default: 600) per reader, or only for the reader `SOAK_READER`. The fuzz targets in `fuzz/` test the same readers.
 
 use crate::common::{SMOKE, finish, harness};
+use harness::catalog::query;
 use harness::learning::tensors::TensorFile;
 use harness::progress::Silent;
-use harness::registry::{Registry, query};
+use harness::registry::Registry;
 use harness::schema::Table;
 use harness::seal;
 use harness::spec::{Experiment, SpecError, parse_spec};

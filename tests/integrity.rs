@@ -1,13 +1,14 @@
 //! Damaged results: every damage is detected, no damaged data are read, and the commands of `harness verify` repair it.
 
 use crate::common::{Answer, SMOKE, finish, harness, smoke_run, succeed};
+use harness::catalog::{QueryError, query};
 use harness::collection::{collect, dataset_of};
 use harness::dataset::DatasetError;
 use harness::files::{FolderLock, LOCK, UNFINISHED};
 use harness::learning::LearningError;
 use harness::learning::tensors::TensorFile;
 use harness::progress::Silent;
-use harness::registry::{QueryError, Registry, RegistryError, query};
+use harness::registry::{Registry, RegistryError};
 use harness::schema::Table;
 use harness::simulation::Scene;
 use harness::spec::{Scenario, Simulation};

@@ -2,9 +2,10 @@
 
 use crate::common::{MULTI, SINGLE, SMOKE, TINY, finish, fresh, harness, in_chromium, smoke_run, succeed};
 use harness::analysis::{LEVEL, mean_interval};
+use harness::catalog::query;
 use harness::figures::Figure;
 use harness::numbers::duration;
-use harness::registry::{Registry, query};
+use harness::registry::Registry;
 use harness::seal::{self, hex};
 use harness::tables::{read_table, write_table};
 use polars::prelude::{Column, CsvReader, DataType, IntoColumn, SerReader};

@@ -4,8 +4,9 @@
 //! After other results were published, `UPDATE=1 cargo test --test all reproduction` updates the numbers.
 
 use harness::analysis::Interval;
+use harness::catalog::query;
 use harness::claims::{self, Claim, Judgment, Matrix, MatrixRow, Readings, Verdict};
-use harness::registry::{Registry, query};
+use harness::registry::Registry;
 use harness::spec::{self, Experiment, Scenario};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};

@@ -1,7 +1,8 @@
 //! SQL queries are answered as the standard says, or refused with a message that says what to write instead.
 
 use crate::common::{finish, harness, succeed};
-use harness::registry::{Recorded, Registry, query, query_recorded, save};
+use harness::catalog::{query, query_recorded, save};
+use harness::registry::{Recorded, Registry};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;

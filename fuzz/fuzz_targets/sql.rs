@@ -1,7 +1,8 @@
 //! Any text as a query over empty tables.
 #![no_main]
 
-use harness_registry::{Registry, query};
+use harness_catalog::query;
+use harness_registry::Registry;
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|sql: &str| {

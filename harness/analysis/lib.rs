@@ -27,9 +27,8 @@ pub use means::{Mean, Of, compare, replicates_of};
 pub use settings::{Difference, Setting, all_settings, differing, has_settings};
 pub use subset::Subset;
 
-use harness_registry::{
-    QueryError, Recorded, Registry, RunRecord, RunTable, Status, answer, conditions, forces_of, quoted, table,
-};
+use harness_catalog::{QueryError, RunTable, answer, conditions, table};
+use harness_registry::{Recorded, Registry, RunRecord, Status, forces_of, quoted};
 use harness_shared::nearest;
 use harness_spec::{Origin, QUICK};
 use harness_sql::{Condition, Query, implies};
@@ -410,7 +409,7 @@ impl Analysis {
     /// Answers a query over the runs of these experiments that count.
     ///
     /// # Errors
-    /// Like [`query`](harness_registry::query).
+    /// Like [`query`](harness_catalog::query).
     pub fn query(&self, experiments: &[&str], sql: &str) -> Result<DataFrame, QueryError> {
         let own = || experiments.iter().copied().filter(|name| self.experiments.contains_key(*name));
         let rows =
@@ -445,7 +444,7 @@ impl Analysis {
     /// Answers a query over only these runs. Their tables are read for this query alone.
     ///
     /// # Errors
-    /// Like [`query`](harness_registry::query).
+    /// Like [`query`](harness_catalog::query).
     pub fn query_runs<'a>(
         &self,
         runs: impl IntoIterator<Item = &'a Run>,

@@ -1,8 +1,9 @@
 //! Means of metrics over datasets and seeds.
 
 use super::{Analysis, AnalysisError, Interval, Run, Setting, interval};
+use harness_catalog::{OVERALL, QueryError, rows};
 use harness_judge::models::NETWORK;
-use harness_registry::{OVERALL, QueryError, Registry, rows};
+use harness_registry::Registry;
 use harness_spec::{Modality, Origin, Task};
 use polars::prelude::{Column, DataFrame, PolarsResult};
 use serde::Deserialize;

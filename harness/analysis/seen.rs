@@ -1,7 +1,7 @@
 //! Tables in memory, with the rows and columns that expected queries see.
 
 use super::Expected;
-use harness_registry::RunTable;
+use harness_catalog::RunTable;
 use harness_sql::{Condition, Query, Terms};
 use harness_tables::schema::Table;
 use harness_tables::{asked_columns, asked_rows, stacked};

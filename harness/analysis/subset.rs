@@ -2,7 +2,8 @@
 
 use super::seen::Seen;
 use super::{Analysis, Run};
-use harness_registry::{QueryError, RunRecord};
+use harness_catalog::QueryError;
+use harness_registry::RunRecord;
 use harness_sql::Query;
 use harness_tables::schema::Table;
 use harness_tables::{asked_columns, asked_rows, lazily};
@@ -31,7 +32,7 @@ impl Subset<'_> {
     /// Answers a query over these runs.
     ///
     /// # Errors
-    /// Like [`query`](harness_registry::query).
+    /// Like [`query`](harness_catalog::query).
     pub fn query(&self, sql: &str) -> Result<DataFrame, QueryError> {
         if self.is_whole() {
             let names: Vec<&str> = self.runs.iter().map(|(name, _)| name.as_str()).collect();

@@ -17,7 +17,8 @@ use harness_analysis::{
     Analysis, AnalysisError, Estimate, Interval, LEVEL, Mixed, Run, Selection, Setting, Subset, holm,
     replicates, unpaired_replicates,
 };
-use harness_registry::{QueryError, Registry, rows};
+use harness_catalog::{QueryError, rows};
+use harness_registry::Registry;
 use harness_shared::nearest;
 use harness_spec::{Origin, QUICK, Scenario, SpecError};
 use metric::ClaimMetric;

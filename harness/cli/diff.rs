@@ -6,7 +6,8 @@ use super::table::{print_text, print_texts, width};
 use anyhow::Result;
 use clap::Args;
 use harness::analysis::differing;
-use harness::registry::{Registry, RunRecord, query_of, rows};
+use harness::catalog::{query_of, rows};
+use harness::registry::{Registry, RunRecord};
 use serde::Deserialize;
 use std::process::ExitCode;
 

@@ -8,8 +8,9 @@ use super::table::{Grid, print, print_beside, print_command, print_text, shown, 
 use super::{DONE, submit};
 use anyhow::Result;
 use clap::Args;
+use harness::catalog;
 use harness::numbers::{Natural, duration};
-use harness::registry::{self, Registry, RunFolder, RunRecord, quoted};
+use harness::registry::{Registry, RunFolder, RunRecord, quoted};
 use harness::schema::{Column, Table, sample_columns};
 use harness::simulation::Scene;
 use harness::spec::{Scenario, World};
@@ -33,7 +34,7 @@ impl Query {
         // A panic in Polars is reported as an error of the query, so nothing must be printed about it here.
         let hook = std::panic::take_hook();
         std::panic::set_hook(Box::new(|_| {}));
-        let answer = registry::query(registry, &self.sql);
+        let answer = catalog::query(registry, &self.sql);
         std::panic::set_hook(hook);
         let mut answer = answer?;
         match form {
@@ -97,7 +98,7 @@ impl List {
         let sql = format!(
             "select experiment, run, status, started, {seconds} as seconds, reason from runs where {chosen} {order}"
         );
-        let mut runs = registry::query_recorded(registry, &recorded, &sql)?;
+        let mut runs = catalog::query_recorded(registry, &recorded, &sql)?;
         match (form, width()) {
             (Form::Data(data), _) => return data.write(&mut runs, "run"),
             (Form::Page(Style::Text), Some(limit)) => print_listed(runs, limit)?,
@@ -144,7 +145,7 @@ pub fn check_started<'a>(
 
 /// Prints a table of runs or, if it is too wide, one for each experiment. Reasons stand below the table.
 fn print_listed(mut runs: DataFrame, limit: u16) -> Result<()> {
-    let runs: Vec<Listed> = registry::rows(&mut runs)?;
+    let runs: Vec<Listed> = catalog::rows(&mut runs)?;
     let all = listed(&runs, true, true);
     let parts: Vec<(Grid, &[Listed])> = if runs.is_empty() {
         println!("no runs");
@@ -273,7 +274,7 @@ fn is_run(record: &RunRecord) -> String {
 
 /// The columns of `runs` with their values for a run. A missing value is empty.
 fn row(registry: &Registry, record: &RunRecord) -> Result<Vec<(String, String)>> {
-    let runs = registry::query(registry, &format!("select * from runs where {}", is_run(record)))?;
+    let runs = catalog::query(registry, &format!("select * from runs where {}", is_run(record)))?;
     let value =
         |value: AnyValue| if value.is_null() { String::new() } else { value.str_value().into_owned() };
     let columns = runs.columns().iter();
@@ -318,7 +319,7 @@ impl Schema {
                 let columns = sample_columns(Scene::new(World::find(world)?)?.layout());
                 (columns, format!("these are those of {world}"))
             }
-            None => match registry::episode_columns(registry) {
+            None => match catalog::episode_columns(registry) {
                 (columns, true) => {
                     (columns, format!("these are those of the datasets in {}", shown(registry.root())))
                 }

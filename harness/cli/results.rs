@@ -3,11 +3,12 @@
 
 use super::sheet::{MISSING, Sheet, Style, best, rounded};
 use anyhow::Result;
+use harness::catalog::{OVERALL, query_of, rows};
 use harness::judge::models;
 use harness::learning::objective::KL;
 use harness::learning::training::TOTAL;
 use harness::numbers::Natural;
-use harness::registry::{OVERALL, Registry, RunRecord, query_of, rows};
+use harness::registry::{Registry, RunRecord};
 use serde::Deserialize;
 use std::cmp::Reverse;
 

@@ -25,8 +25,8 @@ mod text;
 
 pub use forces_dataset::SQL as FORCES_SQL;
 use harness_analysis::Mixed;
+use harness_catalog::{QueryError, save};
 use harness_learning::LearningError;
-use harness_registry::{QueryError, save};
 use harness_shared::files::{WriteError, write_bytes};
 use harness_simulation::SimulationError;
 use page::Page;

@@ -8,7 +8,6 @@
 //! changed since. Published runs are always read, because their results folder is meant for version control. The file can
 //! be deleted at any time.
 
-use super::compact::{FEWEST_RUNS, FOLDER};
 use super::mark::Mark;
 use super::{Registry, RunFolder, RunRecord};
 use harness_shared::files::FolderLock;
@@ -19,6 +18,8 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
+/// The fewest new checks that are written: fewer are as quickly done again.
+const FEWEST: usize = 64;
 /// The file of an experiment's checks.
 const FILE: &str = "checks.json";
 
@@ -42,8 +43,7 @@ struct Remembered {
 impl Checks {
     /// Reads the checks of an experiment. There are none if the file is missing or damaged.
     pub fn of(registry: &Registry, experiment: &str) -> Self {
-        let (runs, folder) =
-            (registry.runs().join(experiment), registry.root().join(FOLDER).join(experiment));
+        let (runs, folder) = (registry.runs().join(experiment), registry.compacted(experiment));
         let bytes = seal::read(&folder.join(FILE)).unwrap_or_default();
         Self {
             runs,
@@ -75,7 +75,7 @@ impl Checks {
     /// lost without harm if another process is writing, or the file can't be written.
     pub fn save(self) {
         let new = self.now.into_inner().unwrap_or_else(PoisonError::into_inner);
-        if new.len() < FEWEST_RUNS {
+        if new.len() < FEWEST {
             return;
         }
         let before = self.before.runs.into_iter().filter(|(run, _)| self.runs.join(run).is_dir());

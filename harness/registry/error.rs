@@ -3,7 +3,6 @@
 use super::DEFAULT_ROOT;
 use super::command_line::command_in;
 use harness_shared::files::{LockError, WriteError};
-use harness_sql::SqlError;
 use harness_tables::TableError;
 use polars::prelude::PolarsError;
 use std::path::{Path, PathBuf};
@@ -102,74 +101,10 @@ fn verify_command(path: &Path) -> String {
     command_in(root.unwrap_or(Path::new(DEFAULT_ROOT)), "verify")
 }
 
-/// An error in answering a query, or in reading or writing its answer.
-#[derive(Debug, thiserror::Error)]
-pub enum QueryError {
-    /// A table's file is damaged or missing.
-    #[error(transparent)]
-    Registry(#[from] RegistryError),
-    /// Polars failed to compute the answer.
-    // Polars adds a plan of many lines.
-    #[error("the query can't be answered: {}", .0.to_string().lines().next().unwrap_or_default())]
-    Sql(#[source] PolarsError),
-    /// The query is wrong or not supported. The message says what to write instead.
-    #[error("the query can't be answered: {0}")]
-    Refused(String),
-    /// The answer's rows can't be converted to the wanted type.
-    #[error("the rows of the answer have unexpected types: {0}")]
-    Rows(serde_json::Error),
-    /// The output file's name has none of the supported endings.
-    #[error("can't write to '{}': its name must end in .parquet, .csv or .json", .0.display())]
-    Format(PathBuf),
-    /// CSV and JSON have no bytes.
-    #[error(
-        "can't write to '{}': the column '{column}' holds bytes; choose a name that ends in .parquet, or leave the column out",
-        path.display()
-    )]
-    Bytes {
-        /// The output file.
-        path: PathBuf,
-        /// The first column that holds bytes.
-        column: String,
-    },
-    /// The output file can't be written.
-    #[error(transparent)]
-    Write(#[from] WriteError),
-}
-
-impl QueryError {
-    /// Whether a file is missing because its run was removed.
-    pub(super) fn is_of_removed_run(&self) -> bool {
-        let Self::Registry(RegistryError::File { path, .. }) = self else { return false };
-        path.parent().is_some_and(|folder| !folder.exists())
-    }
-}
-
 impl From<RegistryError> for PolarsError {
-    /// Wraps a registry error, so that it can pass through a query. [`QueryError`] unwraps it.
+    /// Wraps a registry error, so that it can pass through a query. The crate `catalog` unwraps it.
     fn from(error: RegistryError) -> Self {
         Self::IO { error: Arc::new(std::io::Error::other(error)), msg: None }
-    }
-}
-
-impl From<SqlError> for QueryError {
-    fn from(error: SqlError) -> Self {
-        match error {
-            SqlError::Refused(reason) => Self::Refused(reason),
-            SqlError::Polars(error) => error.into(),
-        }
-    }
-}
-
-impl From<PolarsError> for QueryError {
-    /// Unwraps a registry error that a lazily read table wrapped in a Polars error.
-    fn from(error: PolarsError) -> Self {
-        let PolarsError::IO { error, msg } = error else { return Self::Sql(error) };
-        match Arc::try_unwrap(error).map(std::io::Error::downcast::<RegistryError>) {
-            Ok(Ok(error)) => Self::Registry(error),
-            Ok(Err(error)) => Self::Sql(PolarsError::IO { error: Arc::new(error), msg }),
-            Err(error) => Self::Sql(PolarsError::IO { error, msg }),
-        }
     }
 }
 

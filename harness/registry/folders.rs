@@ -3,10 +3,9 @@
 use super::mark::Mark;
 use super::record::RunRecord;
 use super::{RECORD, Registry, RegistryError, RunFolder, Status};
-use harness_shared::files::FolderLock;
+use harness_shared::files::{FolderLock, folders, sorted};
 use rayon::prelude::*;
 use std::collections::HashMap;
-use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError};
 
@@ -91,7 +90,7 @@ impl Registry {
     }
 
     /// Remembers that the run or dataset in a folder is left out. `why` is the whole message.
-    pub(super) fn leave_out(&self, path: &Path, why: String) {
+    pub fn leave_out(&self, path: &Path, why: String) {
         let mut left_out = self.left_out.lock().unwrap_or_else(PoisonError::into_inner);
         left_out.insert(path.to_owned(), why);
     }
@@ -158,25 +157,4 @@ fn holds_results(folder: &Path) -> bool {
         path.is_dir() || path.extension().is_some_and(|ending| ending == "parquet" || ending == "safetensors")
     };
     sorted(folder).iter().any(is_result)
-}
-
-/// The entries of a folder, sorted. Empty if the folder can't be read.
-pub(super) fn sorted(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
-    paths.sort();
-    paths
-}
-
-/// The folders in a folder, sorted.
-pub(super) fn folders(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    // The kind of an entry is known without a look at it, unless it is a link.
-    let is_folder = |entry: &DirEntry| match entry.file_type() {
-        Ok(kind) if !kind.is_symlink() => kind.is_dir(),
-        _ => entry.path().is_dir(),
-    };
-    let mut paths: Vec<PathBuf> = entries.filter(is_folder).map(|entry| entry.path()).collect();
-    paths.sort();
-    paths
 }

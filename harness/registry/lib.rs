@@ -7,7 +7,7 @@
 //! results/runs/<experiment>/<run id>/spec.yaml, run.json, uncommitted.diff,
 //!     epochs.parquet, metrics.parquet, predictions.parquet, forces.parquet, frames.parquet,
 //!     prediction.safetensors, reconstruction.safetensors
-//! results/compacted/<experiment>/<table>-<hash>.parquet      copies of the runs' rows, see `compact`
+//! results/compacted/<experiment>/<table>-<hash>.parquet      copies of the runs' rows, see the crate `catalog`
 //! results/compacted/<experiment>/checks.json                 which runs had intact files, see `checks`
 //! results/specs/<dataset>.yaml        collects a dataset that unpacked runs used and that was not packed
 //! ```
@@ -16,8 +16,6 @@ mod checks;
 mod claimed;
 mod command_line;
 mod commands;
-mod compact;
-mod episodes;
 mod error;
 mod folders;
 mod live;
@@ -27,31 +25,25 @@ mod names;
 mod pack;
 mod provenance;
 mod publish;
-mod query;
 mod record;
 mod removal;
 mod verify;
 
 pub use claimed::Claimed;
 pub use command_line::quoted;
-pub use compact::RunTable;
-pub use error::{QueryError, RegistryError};
+pub use error::RegistryError;
 pub use folders::{Recorded, Remembered};
-pub use live::{LiveEpochs, live_epochs};
+pub use live::{LiveEpochs, live_epochs, live_table};
+pub use mark::Mark;
 pub use pack::{PackError, Packed, Unpacked};
 pub use provenance::{Provenance, Versions, peak_memory_bytes};
 pub use publish::{ForcesOf, Published, forces_of};
-pub use query::{
-    OVERALL, TableFormat, answer, conditions, episode_columns, query, query_of, query_recorded, rows, save,
-    table,
-};
-pub use record::{FileRecord, ForceRows, Outcome, RunRecord, Status, Timings};
+pub use record::{FileRecord, ForceRows, Outcome, RunRecord, Status, Timings, episodes_used, runs_table};
 pub use removal::{Garbage, Removable, Usage};
 pub use verify::{Finding, Report};
 
 use checks::Checks;
-use folders::folders;
-use harness_shared::files::{FolderLock, WriteError};
+use harness_shared::files::{FolderLock, WriteError, folders};
 use harness_spec::{RunSpec, Task};
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, HashMap};
@@ -148,8 +140,15 @@ impl Registry {
         self.root.join("specs").join(format!("{dataset}.yaml"))
     }
 
-    fn runs(&self) -> PathBuf {
+    /// The folder that contains all runs.
+    pub fn runs(&self) -> PathBuf {
         self.root.join("runs")
+    }
+
+    /// The folder with the copies of an experiment's tables, and what was checked of its runs. It can be deleted at any
+    /// time.
+    pub fn compacted(&self, experiment: &str) -> PathBuf {
+        self.root.join("compacted").join(experiment)
     }
 
     /// The folder of the run with this spec on this dataset. Two runs have the same folder only if they have the same

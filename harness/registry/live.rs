@@ -77,6 +77,9 @@ pub fn live_epochs(folder: &Path) -> Vec<(Task, Epoch)> {
 }
 
 /// The rows of the table `epochs` of a running run.
-pub(super) fn table(folder: &Path, record: &RunRecord) -> PolarsResult<DataFrame> {
+///
+/// # Errors
+/// When Polars fails.
+pub fn live_table(folder: &Path, record: &RunRecord) -> PolarsResult<DataFrame> {
     record.with_key(epochs_columns(&live_epochs(folder)))
 }

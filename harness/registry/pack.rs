@@ -9,12 +9,13 @@
 //! runs/<experiment>/<run id>/     run.json, spec.yaml, tables, networks
 //! ```
 
-use super::folders::{Recorded, sorted};
+use super::folders::Recorded;
 use super::record::{FileRecord, RunRecord};
 use super::{RECORD, Registry, RegistryError, Status, UNCOMMITTED, Versions};
 use harness_dataset::{Dataset, inspect, is_lock};
 use harness_shared::files::{
-    FolderLock, LockError, UNFINISHED, WriteError, abandoned, free_bytes, remove_abandoned, write_whole,
+    FolderLock, LockError, UNFINISHED, WriteError, abandoned, free_bytes, remove_abandoned, sorted,
+    write_whole,
 };
 use harness_shared::numbers::bytes as size;
 use harness_shared::progress::Progress;

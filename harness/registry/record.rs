@@ -118,7 +118,7 @@ impl FileRecord {
     ///
     /// # Errors
     /// When the file can't be read, or its size or checksum is not this one.
-    pub(super) fn read(&self, path: &Path) -> Result<Vec<u8>, RegistryError> {
+    pub fn read(&self, path: &Path) -> Result<Vec<u8>, RegistryError> {
         let damaged = |reason: String| Err(RegistryError::File { path: path.to_owned(), reason });
         let bytes = match std::fs::read(path) {
             Ok(bytes) => bytes,
@@ -272,12 +272,12 @@ impl RunRecord {
     }
 
     /// Number of episodes of a simulated dataset that the run used; 0 for an imported dataset.
-    pub(super) fn episodes(&self) -> u32 {
+    pub fn episodes(&self) -> u32 {
         self.spec.simulation.as_ref().map_or(0, |simulation| simulation.episodes)
     }
 
     /// Whether this is the record of a published run, which is published without its networks and dataset.
-    pub(super) fn is_published(&self) -> bool {
+    pub fn is_published(&self) -> bool {
         self.status == Status::Done && self.expected_files().iter().any(|name| !self.files.contains_key(name))
     }
 
@@ -341,7 +341,7 @@ impl RunRecord {
     ///
     /// # Errors
     /// When the record does not list the file.
-    pub(super) fn listed(&self, folder: &Path, name: &str) -> Result<&FileRecord, RegistryError> {
+    pub fn listed(&self, folder: &Path, name: &str) -> Result<&FileRecord, RegistryError> {
         self.files.get(name).ok_or_else(|| RegistryError::File {
             path: folder.join(name),
             reason: "the run's record does not list it".into(),
@@ -446,7 +446,10 @@ fn key_columns(records: &[RunRecord]) -> Vec<Column> {
 }
 
 /// The `runs` table, with a row for each record.
-pub(super) fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
+///
+/// # Errors
+/// When Polars fails.
+pub fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
     let group_hashes: Vec<String> = records.par_iter().map(RunRecord::group_hash).collect();
     let seconds = |name: &str, of: fn(&Timings) -> Option<f64>| {
         column_of(records, name, |run| run.timings.as_ref().and_then(of))
@@ -481,6 +484,17 @@ pub(super) fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
     ]);
     DataFrame::new(records.len(), columns)?
         .select(Table::Runs.columns().into_iter().map(|column| column.name))
+}
+
+/// The number of episodes of each simulated dataset that finished runs used. Published runs are not counted, because
+/// they are published without their datasets.
+pub fn episodes_used<'a>(records: impl Iterator<Item = &'a RunRecord>) -> BTreeMap<&'a str, u32> {
+    let mut used = BTreeMap::new();
+    for record in records.filter(|record| record.status == Status::Done && !record.is_published()) {
+        let most = used.entry(record.dataset.as_str()).or_default();
+        *most = record.episodes().max(*most);
+    }
+    used
 }
 
 /// The columns of the table `epochs` without those of the run.

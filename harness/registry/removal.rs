@@ -1,11 +1,11 @@
 //! The space that results take, and the removal of runs and datasets.
 
-use super::compact;
-use super::folders::{folders, sorted};
 use super::record::{RunRecord, WorldOf};
 use super::{Registry, RegistryError, Status, removed};
 use harness_dataset::Dataset;
-use harness_shared::files::{ANOTHER, FolderLock, UNFINISHED, WriteError, abandoned, remove_abandoned};
+use harness_shared::files::{
+    ANOTHER, FolderLock, UNFINISHED, WriteError, abandoned, folders, remove_abandoned, sorted,
+};
 use harness_spec::QUICK;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -184,7 +184,7 @@ impl Registry {
     /// there is none. Errors are ignored, because an empty folder and the copies only take space.
     fn remove_empty(&self, folder: &Path) {
         let is_removed = std::fs::remove_dir(folder).is_ok();
-        let copies = self.root.join(compact::FOLDER).join(name(folder));
+        let copies = self.compacted(&name(folder));
         if is_removed
             && folder.parent() == Some(&self.runs())
             && copies.exists()

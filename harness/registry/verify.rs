@@ -2,12 +2,11 @@
 
 use super::command_line::quoted;
 use super::commands::{Again, Commands};
-use super::episodes::episodes_used;
-use super::folders::{Recorded, folders, sorted};
-use super::record::RunRecord;
+use super::folders::Recorded;
+use super::record::{RunRecord, episodes_used};
 use super::{RECORD, Registry, RegistryError, Status, UNCOMMITTED};
 use harness_dataset::{Inspection, inspect, is_lock};
-use harness_shared::files::{FolderLock, UNFINISHED};
+use harness_shared::files::{FolderLock, UNFINISHED, folders, sorted};
 use harness_shared::progress::Progress;
 use harness_shared::seal;
 use harness_tables::read_footer;

@@ -7,6 +7,7 @@ use std::path::Path;
 /// that it uses, the models, and the versions of all dependencies.
 const SOURCES: &[&str] = &[
     "../analysis",
+    "../catalog",
     "../charts",
     "../claims",
     "../dataset",

@@ -1,7 +1,8 @@
 //! Collects the losses of trainings by epoch.
 
 use super::{Asked, short};
-use harness_registry::{QueryError, Registry, RunRecord, RunTable, Status};
+use harness_catalog::{QueryError, RunTable};
+use harness_registry::{Registry, RunRecord, Status};
 use harness_tables::schema::Table;
 use polars::prelude::{DataFrame, PolarsResult};
 use serde::Serialize;

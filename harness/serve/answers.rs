@@ -3,8 +3,9 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use harness_analysis::{Analysis, AnalysisError, all_settings};
+use harness_catalog::{QueryError, query_recorded};
 use harness_claims::{Claim, ClaimsError, Judgment, judge};
-use harness_registry::{QueryError, Recorded, Registry, query_recorded};
+use harness_registry::{Recorded, Registry};
 use harness_tables::schema::{Column, Table};
 use polars::prelude::{AnyValue, DataFrame, PolarsError};
 use serde_json::{Value, json};

@@ -1,7 +1,8 @@
 //! The runs as they were read last, and the answer of `/api/runs`.
 
 use super::answers::{Answer, Failure, columns, number};
-use harness_registry::{Recorded, Registry, Remembered, query_recorded};
+use harness_catalog::query_recorded;
+use harness_registry::{Recorded, Registry, Remembered};
 use polars::prelude::{DataFrame, PolarsResult};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashMap};

@@ -1,7 +1,7 @@
 //! Files that are written completely or not at all, and folders in which one process writes at a time.
 
 use std::ffi::CString;
-use std::fs::{File, Metadata, OpenOptions, Permissions, TryLockError};
+use std::fs::{DirEntry, File, Metadata, OpenOptions, Permissions, TryLockError};
 use std::io::{self, ErrorKind, Write};
 use std::mem::MaybeUninit;
 use std::os::unix::ffi::OsStrExt;
@@ -121,6 +121,27 @@ pub fn within(folder: &Path, path: &Path) -> Option<PathBuf> {
     let folder = real(folder);
     let mut places = of_link.into_iter().chain([real(&path)]);
     places.find_map(|place| place.strip_prefix(&folder).ok().map(Path::to_owned))
+}
+
+/// The entries of a folder, sorted. Empty if the folder can't be read.
+pub fn sorted(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
+    paths.sort();
+    paths
+}
+
+/// The folders in a folder, sorted.
+pub fn folders(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    // The kind of an entry is known without a look at it, unless it is a link.
+    let is_folder = |entry: &DirEntry| match entry.file_type() {
+        Ok(kind) if !kind.is_symlink() => kind.is_dir(),
+        _ => entry.path().is_dir(),
+    };
+    let mut paths: Vec<PathBuf> = entries.filter(is_folder).map(|entry| entry.path()).collect();
+    paths.sort();
+    paths
 }
 
 /// Writes `bytes` to a file, completely or not at all.

@@ -1,11 +1,12 @@
 //! Converts errors of the library to Python exceptions, whose messages name all causes in one line.
 
 use harness::analysis::AnalysisError;
+use harness::catalog::QueryError;
 use harness::dataset::DatasetError;
 use harness::experiment::{ExperimentError, ModelError, describe};
 use harness::figures::FigureError;
 use harness::learning::LearningError;
-use harness::registry::{QueryError, RegistryError};
+use harness::registry::RegistryError;
 use harness::simulation::SimulationError;
 use harness::spec::SpecError;
 use pyo3::PyErr;

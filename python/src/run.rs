@@ -3,10 +3,11 @@
 use crate::errors::Raise;
 use crate::work::interruptible;
 use harness::analysis::{self, Setting};
+use harness::catalog;
 use harness::cli::progress::Bars;
 use harness::experiment::{ExperimentError, Runner, provenance};
 use harness::progress::{Progress, Silent};
-use harness::registry::{self, Registry, quoted};
+use harness::registry::{Registry, quoted};
 use harness::spec::{self, Experiment};
 use polars::prelude::{CompatLevel, DataFrame, SchemaExt};
 use polars_arrow::array::StructArray;
@@ -134,7 +135,7 @@ impl Progress for Listener<'_> {
 pub fn query(py: Python, sql: &str, results: PathBuf) -> PyResult<Table> {
     let registry = Registry::new(results);
     registry.check_there().map_err(Raise::raise)?;
-    let answer = interruptible(py, || registry::query(&registry, sql), || ())?;
+    let answer = interruptible(py, || catalog::query(&registry, sql), || ())?;
     let answer = answer.map_err(Raise::raise)?;
     warn(py, &registry)?;
     Ok(Table(answer))

@@ -10,11 +10,8 @@
 //! tables are read, as soon as enough runs are in no part. A damaged part is written again. The folder can be deleted
 //! at any time.
 
-use super::folders::sorted;
-use super::mark::Mark;
-use super::record::{FileRecord, RunRecord};
-use super::{Registry, RegistryError};
-use harness_shared::files::FolderLock;
+use harness_registry::{FileRecord, Mark, Registry, RegistryError, RunRecord};
+use harness_shared::files::{FolderLock, sorted};
 use harness_shared::seal::hex;
 use harness_sql::{Condition, Terms};
 use harness_tables::schema::{Column, Table};
@@ -28,10 +25,8 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::io::Cursor;
 use std::path::PathBuf;
 
-/// The folder of all parts.
-pub(super) const FOLDER: &str = "compacted";
 /// The fewest runs of a part: fewer files are as quickly read one by one.
-pub(super) const FEWEST_RUNS: usize = 64;
+const FEWEST_RUNS: usize = 64;
 /// The most runs of a part. A part with half as many is no longer combined with others.
 const MOST_RUNS: usize = 256;
 /// The largest file whose rows are copied to a part. Opening a larger file takes little time compared with reading it.
@@ -113,7 +108,7 @@ impl RunTable {
             Ok(RunFile { run: record.run.clone(), listed, is_small })
         };
         let files = runs.map(file).collect::<Result<_, RegistryError>>()?;
-        let parts = registry.root().join(FOLDER).join(experiment);
+        let parts = registry.compacted(experiment);
         Ok(Self { table, runs: folder, parts, files, conditions: Arc::default() })
     }
 

@@ -1,21 +1,24 @@
-//! SQL over the tables of a results folder.
+//! The tables of many runs: which rows they have, where these are read from, and SQL over them.
 
-use super::compact::RunTable;
-use super::folders::{Recorded, folders};
-use super::record::{RunRecord, runs_table};
-use super::{QueryError, Registry, Status, live};
+mod compact;
+mod episodes;
+mod error;
+mod format;
+
+pub use compact::RunTable;
+pub use error::QueryError;
+pub use format::{TableFormat, rows, save};
+
+use episodes::episode_files;
 use harness_dataset::layout_of;
-use harness_shared::files::write_whole;
-use harness_shared::numbers::counted;
+use harness_registry::{Recorded, Registry, RunRecord, Status, live_table, runs_table};
+use harness_shared::files::folders;
 use harness_spec::{Layout, Task};
 use harness_sql::{Condition, Query, Tables};
 use harness_tables::schema::{Column, GIVEN, HORIZON, Kind, Table, sample_columns};
 use harness_tables::{data_type, lazily, scan};
 use polars::prelude::*;
-use serde::de::DeserializeOwned;
 use std::collections::{BTreeSet, HashSet};
-use std::fs::File;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -142,7 +145,7 @@ pub fn table(registry: &Registry, table: Table, runs: &[Recorded], query: &Query
                 Some(runs_table(&records)?.lazy())
             }
         }
-        Table::Episodes => episodes(&registry.episode_files(runs)?)?,
+        Table::Episodes => episodes(&episode_files(registry, runs)?)?,
         Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
             // A run's tables count once its record says that it is done, and as its record lists them.
             let done = runs.iter().map(|(_, run)| run).filter(|run| run.status == Status::Done);
@@ -171,7 +174,7 @@ pub fn table(registry: &Registry, table: Table, runs: &[Recorded], query: &Query
 /// datasets, they are those of the built-in finger.
 fn columns(registry: &Registry, table: Table, runs: &[Recorded]) -> PolarsResult<Vec<Column>> {
     let groups = match table {
-        Table::Episodes => by_layout(&registry.episode_files(runs)?)?,
+        Table::Episodes => by_layout(&episode_files(registry, runs)?)?,
         _ => Vec::new(),
     };
     let columns = each_once(groups.iter().flat_map(|(layout, _)| sample_columns(layout)));
@@ -234,7 +237,7 @@ fn run_table(
 fn with_live_epochs(done: Option<LazyFrame>, runs: &[Recorded]) -> PolarsResult<Option<LazyFrame>> {
     let mut frames: Vec<LazyFrame> = done.into_iter().collect();
     for (folder, run) in runs.iter().filter(|(_, run)| run.status == Status::Running) {
-        let epochs = live::table(folder, run)?;
+        let epochs = live_table(folder, run)?;
         if epochs.height() > 0 {
             frames.push(epochs.lazy());
         }
@@ -287,93 +290,4 @@ fn empty(columns: &[Column]) -> PolarsResult<LazyFrame> {
         polars::prelude::Column::new_empty(column.name.as_str().into(), &data_type(column.kind))
     });
     Ok(DataFrame::new(0, columns.collect())?.lazy())
-}
-
-/// The rows of an answer as values of `T`. The fields of `T` are named after the columns.
-///
-/// # Errors
-/// When a column is missing or has another type.
-pub fn rows<T: DeserializeOwned>(answer: &mut DataFrame) -> Result<Vec<T>, QueryError> {
-    let mut json = Vec::new();
-    JsonWriter::new(&mut json).with_json_format(JsonFormat::Json).finish(answer).map_err(QueryError::Sql)?;
-    serde_json::from_slice(&json).map_err(QueryError::Rows)
-}
-
-/// A format of tables for other programs. Numbers have all their digits.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum TableFormat {
-    /// Parquet, with the types of the columns.
-    Parquet,
-    /// Comma-separated values with a line of names. A null is empty, and an empty text is `""`.
-    Csv,
-    /// An array of objects.
-    Json,
-}
-
-impl TableFormat {
-    /// The format that the ending of a file's name stands for.
-    ///
-    /// # Errors
-    /// When the name has another ending.
-    pub fn of(path: &Path) -> Result<Self, QueryError> {
-        let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_lowercase();
-        match ending.as_str() {
-            "parquet" => Ok(Self::Parquet),
-            "csv" => Ok(Self::Csv),
-            "json" => Ok(Self::Json),
-            _ => Err(QueryError::Format(path.to_owned())),
-        }
-    }
-
-    /// Writes an answer in this format.
-    ///
-    /// # Errors
-    /// When a column of bytes is written as CSV or JSON, or the answer can't be written.
-    pub fn write(self, answer: &mut DataFrame, to: impl Write) -> PolarsResult<()> {
-        match self {
-            Self::Parquet => ParquetWriter::new(to).finish(answer).map(|_| ()),
-            Self::Csv => CsvWriter::new(to).finish(answer),
-            Self::Json => JsonWriter::new(to).with_json_format(JsonFormat::Json).finish(answer),
-        }
-    }
-
-    /// The column of bytes that this format can't hold, if there is one.
-    pub fn column_of_bytes(self, answer: &DataFrame) -> Option<String> {
-        let column = answer.columns().iter().find(|column| *column.dtype() == DataType::Binary)?;
-        (self != Self::Parquet).then(|| column.name().to_string())
-    }
-
-    /// What this format loses of an answer, in a sentence: JSON has no NaN and no infinity.
-    ///
-    /// # Errors
-    /// When Polars fails.
-    pub fn loss(self, answer: &DataFrame) -> PolarsResult<Option<String>> {
-        if self != Self::Json {
-            return Ok(None);
-        }
-        let mut lost = Vec::new();
-        for column in answer.columns().iter().filter(|column| column.dtype().is_float()) {
-            let finite = column.as_materialized_series().is_finite()?;
-            let count = finite.len() - finite.null_count() - finite.sum().unwrap_or(0) as usize;
-            if count > 0 {
-                lost.push(format!("{} of '{}'", counted(count, "value"), column.name()));
-            }
-        }
-        let sentence =
-            format!("NaN and infinity are null in JSON: {}; CSV and Parquet keep them", lost.join(", "));
-        Ok((!lost.is_empty()).then_some(sentence))
-    }
-}
-
-/// Writes an answer as Parquet, CSV or JSON, depending on the ending of the file's name.
-///
-/// # Errors
-/// When the file's name has another ending, a column of bytes is written as CSV or JSON, or the file can't be written.
-pub fn save(answer: &mut DataFrame, path: &Path) -> Result<(), QueryError> {
-    let format = TableFormat::of(path)?;
-    if let Some(column) = format.column_of_bytes(answer) {
-        return Err(QueryError::Bytes { path: path.to_owned(), column });
-    }
-    write_whole(path, |file| format.write(answer, File::create(file)?).map_err(std::io::Error::other))?;
-    Ok(())
 }
