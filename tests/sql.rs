@@ -3,6 +3,7 @@
 use crate::common::{finish, harness, succeed};
 use harness::catalog::{query, query_recorded, save};
 use harness::registry::{Recorded, Registry};
+use harness::sql::{Condition, implies};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
@@ -238,5 +239,30 @@ fn bytes_are_shown_as_their_number_and_saved_only_as_parquet() {
         );
         assert_eq!(save(&mut answer, &path).unwrap_err().to_string(), expected);
         assert!(!path.exists());
+    }
+}
+
+fn condition(terms: &[(&str, &[&str])]) -> Condition {
+    let set = |texts: &[&str]| texts.iter().map(|text| (*text).to_owned()).collect();
+    terms.iter().map(|(column, texts)| ((*column).to_owned(), set(texts))).collect()
+}
+
+#[test]
+fn a_condition_implies_those_that_ask_for_less() {
+    let narrow = condition(&[("metric", &["r2"]), ("model", &["network"]), ("index", &[])]);
+    for wide in [
+        condition(&[]),
+        condition(&[("metric", &["r2", "nmse"])]),
+        condition(&[("model", &["network"]), ("index", &[])]),
+    ] {
+        assert!(implies(&narrow, &wide), "{wide:?}");
+    }
+    for other in [
+        condition(&[("metric", &["nmse"])]),
+        condition(&[("metric", &[])]),
+        condition(&[("index", &["1"])]),
+        condition(&[("task", &["prediction"])]),
+    ] {
+        assert!(!implies(&narrow, &other), "{other:?}");
     }
 }

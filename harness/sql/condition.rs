@@ -2,8 +2,8 @@
 
 use polars::prelude::*;
 use sqlparser::ast::{
-    BinaryOperator, Expr as Sql, JoinOperator, Query, Select, SetExpr, Statement, TableFactor, Value, Visit,
-    Visitor,
+    BinaryOperator, Expr as Sql, JoinOperator, Query, Select, SetExpr, Statement, TableFactor, Value,
+    ValueWithSpan, Visit, Visitor,
 };
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
@@ -99,10 +99,7 @@ fn has_own_columns(factor: &TableFactor) -> bool {
 /// The text of a literal in single quotes; `None` for other expressions.
 fn text(expr: &Sql) -> Option<String> {
     match expr {
-        Sql::Value(value) => match &value.value {
-            Value::SingleQuotedString(text) => Some(text.clone()),
-            _ => None,
-        },
+        Sql::Value(ValueWithSpan { value: Value::SingleQuotedString(text), .. }) => Some(text.clone()),
         _ => None,
     }
 }
@@ -184,34 +181,4 @@ fn holds(column: &polars::prelude::Column, texts: &BTreeSet<String>) -> PolarsRe
     let column = column.str()?;
     let none = BooleanChunked::full("wanted".into(), false, column.len());
     Ok(texts.iter().fold(none, |any, text| any | column.equal(text.as_str())))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn condition(terms: &[(&str, &[&str])]) -> Condition {
-        let set = |texts: &[&str]| texts.iter().map(|text| (*text).to_owned()).collect();
-        terms.iter().map(|(column, texts)| ((*column).to_owned(), set(texts))).collect()
-    }
-
-    #[test]
-    fn a_condition_implies_those_that_ask_for_less() {
-        let narrow = condition(&[("metric", &["r2"]), ("model", &["network"]), ("index", &[])]);
-        for wide in [
-            condition(&[]),
-            condition(&[("metric", &["r2", "nmse"])]),
-            condition(&[("model", &["network"]), ("index", &[])]),
-        ] {
-            assert!(implies(&narrow, &wide), "{wide:?}");
-        }
-        for other in [
-            condition(&[("metric", &["nmse"])]),
-            condition(&[("metric", &[])]),
-            condition(&[("index", &["1"])]),
-            condition(&[("task", &["prediction"])]),
-        ] {
-            assert!(!implies(&narrow, &other), "{other:?}");
-        }
-    }
 }

@@ -4,7 +4,7 @@ use super::functions::{self, Aggregate};
 use super::plan::{Ctes, Planner};
 use super::scope::{Column, Type, Unresolved, resolve, same};
 use super::window::Window;
-use super::{Answer, SqlError, refuse, shown};
+use super::{Answer, SqlError, shown};
 use polars::prelude::*;
 use sqlparser::ast::{self, BinaryOperator, UnaryOperator, Visit, Visitor};
 use std::cell::RefCell;
@@ -148,7 +148,7 @@ impl<'a> Binder<'a> {
         let value = self.bind(expr)?;
         match value.kind {
             Type::Flag | Type::Null => Ok(value.to(Type::Flag)),
-            other => refuse(format!("'{}' is {}, not a condition", shown(expr), other.name())),
+            other => refuse!("'{}' is {}, not a condition", shown(expr), other.name()),
         }
     }
 
@@ -228,7 +228,7 @@ impl<'a> Binder<'a> {
             E::IsDistinctFrom(left, right) | E::IsNotDistinctFrom(left, right) => {
                 // The parser reads `a IS DISTINCT FROM b AND c` as `a IS DISTINCT FROM (b AND c)`.
                 if !is_operand(right) {
-                    return refuse(format!("'{}' is ambiguous; add parentheses", shown(expr)));
+                    return refuse!("'{}' is ambiguous; add parentheses", shown(expr));
                 }
                 let (left, right) = self.pair(left, right, expr)?;
                 let is_distinct = left.neq_missing(right);
@@ -260,9 +260,9 @@ impl<'a> Binder<'a> {
             E::ILike { negated, any: false, expr: value, pattern, escape_char: None } => {
                 flag(negate(self.like(value, pattern, "(?is)")?, *negated))
             }
-            E::Like { .. } | E::ILike { .. } => refuse("LIKE with ESCAPE or ANY is not supported".into()),
+            E::Like { .. } | E::ILike { .. } => refuse!("LIKE with ESCAPE or ANY is not supported"),
             E::SimilarTo { .. } | E::RLike { .. } => {
-                refuse(format!("'{}' is not supported; use LIKE, with % for any text", shown(expr)))
+                refuse!("'{}' is not supported; use LIKE, with % for any text", shown(expr))
             }
             E::Case { operand, conditions, else_result, .. } => {
                 self.case(operand.as_deref(), conditions, else_result.as_deref(), expr)
@@ -301,28 +301,26 @@ impl<'a> Binder<'a> {
                 }
                 functions::call(name, arguments, true)
             }
-            E::Tuple(_) => refuse(format!(
-                "'{}' compares several columns at once; compare each with AND, or join",
-                shown(expr)
-            )),
+            E::Tuple(_) => {
+                refuse!("'{}' compares several columns at once; compare each with AND, or join", shown(expr))
+            }
             E::AnyOp { .. } | E::AllOp { .. } => {
-                refuse(format!("'{}' is not supported; use IN, or compare with max or min", shown(expr)))
+                refuse!("'{}' is not supported; use IN, or compare with max or min", shown(expr))
             }
             E::Interval(_) | E::Extract { .. } | E::TypedString(_) | E::AtTimeZone { .. } => {
                 functions::no_dates(&shown(expr))
             }
-            E::GroupingSets(_) | E::Cube(_) | E::Rollup(_) => refuse(
+            E::GroupingSets(_) | E::Cube(_) | E::Rollup(_) => refuse!(
                 "ROLLUP, CUBE and GROUPING SETS are not supported; combine several queries with UNION ALL"
-                    .into(),
             ),
-            other => refuse(format!("'{}' is not supported", shown(other))),
+            other => refuse!("'{}' is not supported", shown(other)),
         }
     }
 
     fn column(&self, path: &[ast::Ident]) -> Answer<Value> {
         let found = match resolve(self.columns, path) {
             Ok(column) => column,
-            Err(Unresolved::Ambiguous(message)) => return refuse(message),
+            Err(Unresolved::Ambiguous(message)) => return Err(SqlError::Refused(message)),
             Err(Unresolved::Unknown(message)) => {
                 if let [name] = path
                     && let Some((_, written)) =
@@ -330,14 +328,14 @@ impl<'a> Binder<'a> {
                 {
                     return Self { aliases: &[], ..*self }.bind(written);
                 }
-                return refuse(self.unknown(path, message));
+                return Err(SqlError::Refused(self.unknown(path, message)));
             }
         };
         if self.groups.is_some() {
-            return refuse(format!(
+            return refuse!(
                 "'{name}' must be in GROUP BY or in an aggregate, such as max({name})",
                 name = found.name
-            ));
+            );
         }
         Ok(Value::column(&found.id, found.kind))
     }
@@ -364,7 +362,7 @@ impl<'a> Binder<'a> {
             UnaryOperator::Plus | UnaryOperator::Minus => {
                 let value = self.bind(expr)?.for_computing();
                 if !value.kind.is_number() {
-                    return refuse(format!("'{}' is {}, not a number", shown(expr), value.kind.name()));
+                    return refuse!("'{}' is {}, not a number", shown(expr), value.kind.name());
                 }
                 if op == UnaryOperator::Plus {
                     return Ok(value);
@@ -376,7 +374,7 @@ impl<'a> Binder<'a> {
                 };
                 self.fallible(value, |value, strict| functions::arithmetic(zero.clone(), '-', value, strict))
             }
-            other => refuse(format!("the operator {other} is not supported")),
+            other => refuse!("the operator {other} is not supported"),
         }
     }
 
@@ -406,12 +404,12 @@ impl<'a> Binder<'a> {
                 let (left_value, right_value) = (self.bind(left)?, self.bind(right)?);
                 for (value, expr) in [(&left_value, left), (&right_value, right)] {
                     if !value.kind.is_number() {
-                        return refuse(format!(
+                        return refuse!(
                             "'{}' can't be computed: '{}' is {}",
                             shown(whole),
                             shown(expr),
                             value.kind.name()
-                        ));
+                        );
                     }
                 }
                 self.fallible(left_value, |left, strict| {
@@ -423,15 +421,15 @@ impl<'a> Binder<'a> {
                 let [left, right] = parts.map(functions::text);
                 Ok(Value::new(left?.expr + right?.expr, Type::Text))
             }
-            B::DuckIntegerDivide => refuse("the operator // is not supported; use floor(a / b)".into()),
-            other => refuse(format!("the operator {other} is not supported")),
+            B::DuckIntegerDivide => refuse!("the operator // is not supported; use floor(a / b)"),
+            other => refuse!("the operator {other} is not supported"),
         }
     }
 
     /// Binds two expressions to compare, and converts them to their common type.
     fn pair(&self, left: &ast::Expr, right: &ast::Expr, whole: &ast::Expr) -> Answer<(Expr, Expr)> {
         let (left, right) = (self.side(left)?, self.side(right)?);
-        let kind = match common(&[&left, &right], whole)? {
+        let kind = match common_in([&left, &right], whole)? {
             // Polars can't compare nulls without a type.
             Type::Null => Type::Flag,
             kind => kind,
@@ -458,14 +456,14 @@ impl<'a> Binder<'a> {
     fn like(&self, value: &ast::Expr, pattern: &ast::Expr, flags: &str) -> Answer<Expr> {
         let (text, pattern) = (self.bind(value)?, self.bind(pattern)?);
         if !matches!(text.kind, Type::Text | Type::Null) {
-            return refuse(format!("LIKE takes text, but '{}' is {}", shown(value), text.kind.name()));
+            return refuse!("LIKE takes text, but '{}' is {}", shown(value), text.kind.name());
         }
         match pattern.constant() {
             Some(AnyValue::Null) => Ok(Value::null(Type::Flag).expr),
             Some(AnyValue::StringOwned(pattern)) => {
                 Ok(text.to(Type::Text).str().contains(lit(regex(&pattern, flags)), true))
             }
-            _ => refuse("LIKE takes a text in quotes as its pattern".into()),
+            _ => refuse!("LIKE takes a text in quotes as its pattern"),
         }
     }
 
@@ -499,8 +497,8 @@ impl<'a> Binder<'a> {
         }
         let last = if is_guarded { self.only(&reached) } else { *self };
         let otherwise = otherwise.map_or(Ok(Value::null(Type::Null)), |expr| last.bind(expr))?;
-        let results: Vec<&Value> = branches.iter().map(|(_, result)| result).chain([&otherwise]).collect();
-        let kind = common(&results, whole)?;
+        let results = branches.iter().map(|(_, result)| result).chain([&otherwise]);
+        let kind = common_in(results, whole)?;
         let branches = branches.into_iter().rev();
         let chosen = branches.fold(otherwise.to(kind), |rest, (condition, result)| {
             when(condition).then(result.to(kind)).otherwise(rest)
@@ -526,14 +524,14 @@ impl<'a> Binder<'a> {
             D::Boolean | D::Bool => match value.kind {
                 Type::Flag | Type::Null => Ok(Value::new(value.to(Type::Flag), Type::Flag)),
                 Type::Integer => Ok(Value::new(value.expr.neq(lit(0)), Type::Flag)),
-                other => refuse(format!("{} can't be cast to boolean; compare it instead", other.name())),
+                other => refuse!("{} can't be cast to boolean; compare it instead", other.name()),
             },
             D::Date | D::Time(..) | D::Timestamp(..) | D::Datetime(_) => {
                 functions::no_dates(&data_type.to_string())
             }
-            other => refuse(format!(
-                "the type {other} is not supported; use INTEGER, BIGINT, DOUBLE, VARCHAR or BOOLEAN"
-            )),
+            other => {
+                refuse!("the type {other} is not supported; use INTEGER, BIGINT, DOUBLE, VARCHAR or BOOLEAN")
+            }
         }
     }
 
@@ -553,19 +551,19 @@ impl<'a> Binder<'a> {
             && null_treatment.is_none()
             && within_group.is_empty();
         let ast::FunctionArguments::List(list) = args else {
-            return refuse(format!("'{}' is not supported", shown(function)));
+            return refuse!("'{}' is not supported", shown(function));
         };
         if !plain || !list.clauses.is_empty() {
-            return refuse(format!(
+            return refuse!(
                 "'{}' is not supported: a function takes only arguments, DISTINCT, FILTER and OVER",
                 shown(function)
-            ));
+            );
         }
         let distinct = matches!(list.duplicate_treatment, Some(ast::DuplicateTreatment::Distinct));
         let arguments = list.args.iter().map(|argument| match argument {
             ast::FunctionArg::Unnamed(ast::FunctionArgExpr::Expr(expr)) => Ok(Some(expr)),
             ast::FunctionArg::Unnamed(ast::FunctionArgExpr::Wildcard) if name == "count" => Ok(None),
-            other => refuse(format!("'{other}' can't be an argument of {name}")),
+            other => refuse!("'{other}' can't be an argument of {name}"),
         });
         // `*` counts as no argument.
         let arguments: Vec<&ast::Expr> =
@@ -583,10 +581,10 @@ impl<'a> Binder<'a> {
             return self.aggregate(&name, &arguments, distinct, filter.as_deref(), function);
         }
         if distinct || filter.is_some() {
-            return refuse(format!("DISTINCT and FILTER are only for aggregates, and {name} is not one"));
+            return refuse!("DISTINCT and FILTER are only for aggregates, and {name} is not one");
         }
         if super::window::is_name(&name) {
-            return refuse(format!("{name} needs OVER (ORDER BY …)"));
+            return refuse!("{name} needs OVER (ORDER BY …)");
         }
         if matches!(&*name, "coalesce" | "ifnull") {
             return functions::call(&name, self.alternatives(&arguments)?, true);
@@ -625,13 +623,13 @@ impl<'a> Binder<'a> {
         written: &ast::Function,
     ) -> Answer<Value> {
         let Some(groups) = self.groups else {
-            return refuse(match self.clause {
+            return Err(SqlError::Refused(match self.clause {
                 "WHERE" => format!("'{}' can't be in WHERE; use HAVING", shown(written)),
                 clause => format!(
                     "'{}' can't be in {clause}; compute it in a query of its own, with WITH",
                     shown(written)
                 ),
-            });
+            }));
         };
         let inside = Self { clause: "an aggregate", ..self.rows() };
         let (aggregate, argument) = inside.argument(name, arguments, filter)?;
@@ -673,29 +671,25 @@ impl<'a> Binder<'a> {
     }
 }
 
+/// The common type of all values, or two types that have none.
+pub fn common<'a>(values: impl IntoIterator<Item = &'a Value>) -> Result<Type, [Type; 2]> {
+    let mut values = values.into_iter();
+    values.try_fold(Type::Null, |kind, value| kind.common(value.kind).ok_or([kind, value.kind]))
+}
+
 /// The common type of `values`. `whole` is the expression that a message names if there is none.
-fn common(values: &[&Value], whole: &ast::Expr) -> Answer<Type> {
-    let mut kind = Type::Null;
-    for value in values {
-        match kind.common(value.kind) {
-            Some(common) => kind = common,
-            None => {
-                let hint = match (kind, value.kind) {
-                    (Type::Text, Type::Integer | Type::Real) | (Type::Integer | Type::Real, Type::Text) => {
-                        "; write text in quotes, and numbers without"
-                    }
-                    _ => "",
-                };
-                return refuse(format!(
-                    "'{}' mixes {} with {}{hint}",
-                    shown(whole),
-                    kind.name(),
-                    value.kind.name()
-                ));
-            }
+fn common_in<'a>(values: impl IntoIterator<Item = &'a Value>, whole: &ast::Expr) -> Answer<Type> {
+    let [one, other] = match common(values) {
+        Ok(kind) => return Ok(kind),
+        Err(kinds) => kinds,
+    };
+    let hint = match (one, other) {
+        (Type::Text, Type::Integer | Type::Real) | (Type::Integer | Type::Real, Type::Text) => {
+            "; write text in quotes, and numbers without"
         }
-    }
-    Ok(kind)
+        _ => "",
+    };
+    refuse!("'{}' mixes {} with {}{hint}", shown(whole), one.name(), other.name())
 }
 
 /// The condition `value IN list`. It is null if `value` is not in the list and the list contains a null.
@@ -703,7 +697,7 @@ fn membership(value: &Value, list: Vec<Value>, whole: &ast::Expr) -> Answer<Expr
     if list.is_empty() {
         return Ok(lit(false));
     }
-    let kind = common(&list.iter().chain([value]).collect::<Vec<_>>(), whole)?;
+    let kind = common_in(list.iter().chain([value]), whole)?;
     let wanted = value.clone().to(kind);
     let mut constants = Vec::new();
     let mut found = lit(false);
@@ -727,18 +721,18 @@ fn literal(value: &ast::Value) -> Answer<Value> {
     match value {
         ast::Value::Number(digits, false) if digits.contains(['.', 'e', 'E']) => match digits.parse() {
             Ok(real) => Ok(Value::literal(AnyValue::Float64(real), Type::Real)),
-            Err(_) => refuse(format!("'{digits}' is not a number")),
+            Err(_) => refuse!("'{digits}' is not a number"),
         },
         ast::Value::Number(digits, false) => match digits.parse() {
             Ok(integer) => Ok(Value::literal(AnyValue::Int64(integer), Type::Integer)),
-            Err(_) => refuse(format!("'{digits}' is too large for an integer; write {digits}.0")),
+            Err(_) => refuse!("'{digits}' is too large for an integer; write {digits}.0"),
         },
         ast::Value::SingleQuotedString(text) => {
             Ok(Value::literal(AnyValue::StringOwned(text.as_str().into()), Type::Text))
         }
         ast::Value::Boolean(flag) => Ok(Value::literal(AnyValue::Boolean(*flag), Type::Flag)),
         ast::Value::Null => Ok(Value::null(Type::Null)),
-        other => refuse(format!("'{other}' is not supported")),
+        other => refuse!("'{other}' is not supported"),
     }
 }
 
@@ -807,28 +801,21 @@ pub fn is_plain(expr: &ast::Expr) -> bool {
 
 /// Whether an operation in an expression fails for some values.
 pub fn can_fail(expr: &ast::Expr) -> bool {
-    struct Fails;
-    impl Visitor for Fails {
-        type Break = ();
-        fn pre_visit_expr(&mut self, expr: &ast::Expr) -> ControlFlow<()> {
-            use BinaryOperator as B;
-            let fails = match expr {
-                ast::Expr::BinaryOp { op, .. } => {
-                    matches!(op, B::Plus | B::Minus | B::Multiply | B::Modulo)
-                }
-                ast::Expr::UnaryOp { op, expr } => {
-                    *op == UnaryOperator::Minus && !matches!(**expr, ast::Expr::Value(_))
-                }
-                ast::Expr::Cast { .. } => true,
-                ast::Expr::Function(function) => {
-                    functions::FALLIBLE.contains(&&*function.name.to_string().to_lowercase())
-                }
-                _ => false,
-            };
-            if fails { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    use BinaryOperator as B;
+    let fails = |expr: &ast::Expr| match expr {
+        ast::Expr::BinaryOp { op, .. } => matches!(op, B::Plus | B::Minus | B::Multiply | B::Modulo),
+        ast::Expr::UnaryOp { op, expr } => {
+            *op == UnaryOperator::Minus && !matches!(**expr, ast::Expr::Value(_))
         }
-    }
-    expr.visit(&mut Fails).is_break()
+        ast::Expr::Cast { .. } => true,
+        ast::Expr::Function(function) => {
+            functions::FALLIBLE.contains(&&*function.name.to_string().to_lowercase())
+        }
+        _ => false,
+    };
+    let stop =
+        |expr: &ast::Expr| if fails(expr) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+    ast::visit_expressions(expr, stop).is_break()
 }
 
 /// Whether an expression is a call of an aggregate or window function.

@@ -1,8 +1,8 @@
 //! The supported functions and aggregates, with the types of their arguments and results.
 
-use super::expression::Value;
+use super::expression::{Value, common};
 use super::scope::Type;
-use super::{Answer, refuse, shown};
+use super::{Answer, shown};
 use harness_shared::nearest;
 use polars::prelude::*;
 use sqlparser::ast;
@@ -33,91 +33,33 @@ const REAL: [(&str, RealFunction); 19] = [
 ];
 
 /// The names of all other functions of one row.
-const OTHER: [&str; 33] = [
-    "abs",
-    "sign",
-    "round",
-    "power",
-    "pow",
-    "mod",
-    "atan2",
-    "pi",
-    "isnan",
-    "isinf",
-    "isfinite",
-    "greatest",
-    "least",
-    "coalesce",
-    "ifnull",
-    "nullif",
-    "upper",
-    "lower",
-    "length",
-    "char_length",
-    "substr",
-    "substring",
-    "left",
-    "right",
-    "trim",
-    "ltrim",
-    "rtrim",
-    "replace",
-    "concat",
-    "starts_with",
-    "ends_with",
-    "contains",
-    "split_part",
-];
+const OTHER: &str = "abs sign round power pow mod atan2 pi isnan isinf isfinite greatest least coalesce ifnull nullif \
+    upper lower length char_length substr substring left right trim ltrim rtrim replace concat \
+    starts_with ends_with contains split_part";
 
 /// The names of the aggregates.
-const AGGREGATES: [&str; 17] = [
-    "count",
-    "count_if",
-    "sum",
-    "avg",
-    "mean",
-    "min",
-    "max",
-    "stddev",
-    "stddev_samp",
-    "stddev_pop",
-    "variance",
-    "var_samp",
-    "var_pop",
-    "median",
-    "quantile_cont",
-    "bool_and",
-    "bool_or",
-];
+const AGGREGATES: &str = "count count_if sum avg mean min max stddev stddev_samp stddev_pop variance var_samp var_pop \
+    median quantile_cont bool_and bool_or";
 
 /// The functions that fail for some values.
 pub const FALLIBLE: [&str; 2] = ["abs", "mod"];
 
 /// Refuses a part of the query about dates.
 pub fn no_dates<T>(part: &str) -> Answer<T> {
-    refuse(format!(
+    refuse!(
         "'{part}' is about dates, and no table has any: 'started' is text such as 2026-01-31T12:00:00Z; compare it with \
          text, or use substr"
-    ))
+    )
+}
+
+/// Whether a list of words has this word.
+fn has(words: &str, word: &str) -> bool {
+    words.split(' ').any(|other| other == word)
 }
 
 /// Functions of dates in other databases.
-const OF_DATES: [&str; 14] = [
-    "date_trunc",
-    "date_part",
-    "date_diff",
-    "datediff",
-    "strftime",
-    "strptime",
-    "now",
-    "age",
-    "year",
-    "month",
-    "day",
-    "hour",
-    "to_timestamp",
-    "current_timestamp",
-];
+const OF_DATES: &str = "date_trunc date_part date_diff datediff strftime strptime now age year month day hour \
+    to_timestamp current_timestamp";
 
 /// Calls the function `name`, which computes a value from values of one row. Where one of [`FALLIBLE`] fails, it is an
 /// error if `strict`, and null otherwise.
@@ -159,15 +101,10 @@ pub fn call(name: &str, arguments: Vec<Value>, strict: bool) -> Answer<Value> {
             Ok(Value::new(above.cast(DataType::Int64) - below.cast(DataType::Int64), Type::Integer))
         }
         "round" => round(arguments),
-        "power" | "pow" => {
-            let [base, exponent] = take(name, arguments)?;
-            numbers(&[base.clone(), exponent.clone()])?;
-            Ok(of_two_reals(base, exponent, f64::powf))
-        }
-        "atan2" => {
-            let [y, x] = take(name, arguments)?;
-            numbers(&[y.clone(), x.clone()])?;
-            Ok(of_two_reals(y, x, f64::atan2))
+        "power" | "pow" | "atan2" => {
+            let [a, b] = take(name, arguments)?;
+            numbers(&[a.clone(), b.clone()])?;
+            Ok(of_two_reals(a, b, if name == "atan2" { f64::atan2 } else { f64::powf }))
         }
         "mod" => {
             let [value, divisor] = take(name, arguments)?;
@@ -193,10 +130,7 @@ pub fn call(name: &str, arguments: Vec<Value>, strict: bool) -> Answer<Value> {
         }
         "coalesce" | "ifnull" => {
             if arguments.is_empty() || name == "ifnull" && arguments.len() != 2 {
-                return refuse(format!(
-                    "{name} takes {} values",
-                    if name == "ifnull" { "two" } else { "several" }
-                ));
+                return refuse!("{name} takes {} values", if name == "ifnull" { "two" } else { "several" });
             }
             let kind = one_type(name, &arguments)?;
             let values: Vec<Expr> = arguments.into_iter().map(|value| value.to(kind)).collect();
@@ -211,7 +145,7 @@ pub fn call(name: &str, arguments: Vec<Value>, strict: bool) -> Answer<Value> {
         }
         "concat" => {
             if arguments.is_empty() {
-                return refuse("concat takes several values".into());
+                return refuse!("concat takes several values");
             }
             let parts =
                 arguments.into_iter().map(|value| Ok(text(value)?.expr)).collect::<Answer<Vec<_>>>()?;
@@ -221,13 +155,17 @@ pub fn call(name: &str, arguments: Vec<Value>, strict: bool) -> Answer<Value> {
         | "ltrim" | "rtrim" | "replace" | "starts_with" | "ends_with" | "contains" | "split_part" => {
             of_text(name, arguments)
         }
-        _ if OF_DATES.contains(&name) => no_dates(name),
+        _ if has(OF_DATES, name) => no_dates(name),
         _ => {
             let real = REAL.iter().map(|(name, _)| *name);
-            let names: Vec<&str> = real.chain(OTHER).chain(AGGREGATES).chain(super::window::NAMES).collect();
+            let names: Vec<&str> = real
+                .chain(OTHER.split(' '))
+                .chain(AGGREGATES.split(' '))
+                .chain(super::window::NAMES)
+                .collect();
             match nearest(name, &names) {
-                Some(known) => refuse(format!("there is no function '{name}'; did you mean '{known}'?")),
-                None => refuse(format!("there is no function '{name}'; there are {}", names.join(", "))),
+                Some(known) => refuse!("there is no function '{name}'; did you mean '{known}'?"),
+                None => refuse!("there is no function '{name}'; there are {}", names.join(", ")),
             }
         }
     }
@@ -238,7 +176,7 @@ fn take<const N: usize>(name: &str, arguments: Vec<Value>) -> Answer<[Value; N]>
     let found = arguments.len();
     match arguments.try_into() {
         Ok(arguments) => Ok(arguments),
-        Err(_) => refuse(format!("{name} takes {N} value(s), not {found}")),
+        Err(_) => refuse!("{name} takes {N} value(s), not {found}"),
     }
 }
 
@@ -246,7 +184,7 @@ fn number(name: &str, value: &Value) -> Answer<()> {
     if value.kind.is_number() {
         return Ok(());
     }
-    refuse(format!("{name} takes a number, not {}", value.kind.name()))
+    refuse!("{name} takes a number, not {}", value.kind.name())
 }
 
 /// The only argument, which must be a number.
@@ -261,16 +199,10 @@ fn one_number(name: &str, arguments: Vec<Value>) -> Answer<Value> {
 
 /// The common type of all values.
 fn one_type(name: &str, values: &[Value]) -> Answer<Type> {
-    let mut kind = Type::Null;
-    for value in values {
-        match kind.common(value.kind) {
-            Some(common) => kind = common,
-            None => {
-                return refuse(format!("{name} mixes {} with {}", kind.name(), value.kind.name()));
-            }
-        }
+    match common(values) {
+        Ok(kind) => Ok(kind),
+        Err([one, other]) => refuse!("{name} mixes {} with {}", one.name(), other.name()),
     }
-    Ok(kind)
 }
 
 /// The field of a column of type `kind` that a function of columns returns.
@@ -278,15 +210,9 @@ pub fn field(kind: Type) -> impl Fn(&Schema, &[Field]) -> PolarsResult<Field> + 
     move |_, fields| Ok(Field::new(fields[0].name().clone(), kind.data_type()))
 }
 
-fn of_reals(value: Expr, function: fn(f64) -> f64) -> Expr {
-    value.map_many(
-        move |columns| {
-            let values = columns[0].f64()?;
-            Ok(values.apply_values(function).into_column())
-        },
-        &[],
-        field(Type::Real),
-    )
+fn of_reals(value: Expr, function: impl Fn(f64) -> f64 + Copy + Send + Sync + 'static) -> Expr {
+    let of_column = move |columns: &mut [Column]| Ok(columns[0].f64()?.apply_values(function).into_column());
+    value.map_many(of_column, &[], field(Type::Real))
 }
 
 /// Applies a function to columns. If it fails for some values, Polars must not apply it to rows that an earlier condition
@@ -304,7 +230,33 @@ fn mapped(
     }
 }
 
-/// Applies a function row by row to two columns of the same type, either of which may be a constant.
+/// Applies a function row by row to columns of the same type, any of which may be a constant.
+fn of_rows<T: PolarsNumericType>(
+    first: Expr,
+    rest: &[Expr],
+    kind: Type,
+    can_fail: bool,
+    function: impl Fn(&[Option<T::Native>]) -> PolarsResult<Option<T::Native>> + Send + Sync + 'static,
+) -> Expr {
+    mapped(first, rest, kind, can_fail, move |columns| {
+        let columns: Vec<Series> =
+            columns.iter().map(|column| column.as_materialized_series().rechunk()).collect();
+        let columns = columns.iter().map(|column| column.unpack());
+        let columns = columns.collect::<PolarsResult<Vec<&ChunkedArray<T>>>>()?;
+        let length = columns.iter().map(|values| values.len()).find(|length| *length != 1).unwrap_or(1);
+        let mut values = vec![None; columns.len()];
+        let of_row = |row: usize| {
+            for (value, column) in values.iter_mut().zip(&columns) {
+                *value = column.get(if column.len() == 1 { 0 } else { row });
+            }
+            function(&values)
+        };
+        let results = (0..length).map(of_row).collect::<PolarsResult<Vec<Option<T::Native>>>>()?;
+        Ok(ChunkedArray::<T>::from_slice_options(columns[0].name().clone(), &results).into_column())
+    })
+}
+
+/// Applies a function to two columns of the same type in the rows in which neither is null.
 fn of_two<T: PolarsNumericType>(
     left: Expr,
     right: Expr,
@@ -312,19 +264,9 @@ fn of_two<T: PolarsNumericType>(
     can_fail: bool,
     function: impl Fn(T::Native, T::Native) -> PolarsResult<Option<T::Native>> + Send + Sync + 'static,
 ) -> Expr {
-    mapped(left, &[right], kind, can_fail, move |columns| {
-        let columns: Vec<Series> =
-            columns.iter().map(|column| column.as_materialized_series().rechunk()).collect();
-        let (left, right): (&ChunkedArray<T>, &ChunkedArray<T>) =
-            (columns[0].unpack()?, columns[1].unpack()?);
-        let length = if left.len() == 1 { right.len() } else { left.len() };
-        let at = |values: &ChunkedArray<T>, row: usize| values.get(if values.len() == 1 { 0 } else { row });
-        let results = (0..length).map(|row| match (at(left, row), at(right, row)) {
-            (Some(left), Some(right)) => function(left, right),
-            _ => Ok(None),
-        });
-        let results = results.collect::<PolarsResult<Vec<Option<T::Native>>>>()?;
-        Ok(ChunkedArray::<T>::from_slice_options(left.name().clone(), &results).into_column())
+    of_rows::<T>(left, &[right], kind, can_fail, move |values| match values {
+        [Some(left), Some(right)] => function(*left, *right),
+        _ => Ok(None),
     })
 }
 
@@ -403,9 +345,9 @@ fn round(arguments: Vec<Value>) -> Answer<Value> {
         [_] => 0,
         [_, decimals] => match decimals.constant() {
             Some(AnyValue::Int64(decimals @ 0..=15)) => decimals as i32,
-            _ => return refuse("round takes a number, and a number of decimals from 0 to 15".into()),
+            _ => return refuse!("round takes a number, and a number of decimals from 0 to 15"),
         },
-        _ => return refuse("round takes a number, and a number of decimals".into()),
+        _ => return refuse!("round takes a number, and a number of decimals"),
     };
     let value = arguments.into_iter().next().expect("there are one or two");
     number("round", &value)?;
@@ -418,12 +360,7 @@ fn round(arguments: Vec<Value>) -> Answer<Value> {
         let scaled = (number * scale).round() / scale;
         if scaled.is_finite() { scaled } else { number }
     };
-    let expr = value.to(Type::Real).map_many(
-        move |columns| Ok(columns[0].f64()?.apply_values(rounded).into_column()),
-        &[],
-        field(Type::Real),
-    );
-    Ok(Value::new(expr, Type::Real))
+    Ok(Value::new(of_reals(value.to(Type::Real), rounded), Type::Real))
 }
 
 /// The greatest or least of several values. Nulls are ignored, and NaN is greater than any number.
@@ -434,7 +371,7 @@ fn extreme(name: &str, arguments: Vec<Value>) -> Answer<Value> {
     };
     let mut values = arguments.into_iter().map(|value| value.to(kind));
     let Some(first) = values.next() else {
-        return refuse(format!("{name} takes several values"));
+        return refuse!("{name} takes several values");
     };
     let rest: Vec<Expr> = values.collect();
     let is_greatest = name == "greatest";
@@ -452,30 +389,17 @@ fn best<T: PolarsNumericType>(
     is_greatest: bool,
     greater: fn(T::Native, T::Native) -> bool,
 ) -> Expr {
-    let of_row = move |columns: &mut [Column]| {
-        let columns: Vec<Series> =
-            columns.iter().map(|column| column.as_materialized_series().rechunk()).collect();
-        let values =
-            columns.iter().map(|column| column.unpack()).collect::<PolarsResult<Vec<&ChunkedArray<T>>>>()?;
-        let length = values.iter().map(|values| values.len()).find(|length| *length != 1).unwrap_or(1);
-        let row = |row: usize| {
-            let of_row =
-                values.iter().filter_map(|values| values.get(if values.len() == 1 { 0 } else { row }));
-            of_row.reduce(|best, value| if greater(value, best) == is_greatest { value } else { best })
-        };
-        let results: Vec<Option<T::Native>> = (0..length).map(row).collect();
-        Ok(ChunkedArray::<T>::from_slice_options(values[0].name().clone(), &results).into_column())
-    };
-    first.map_many(of_row, rest, field(kind))
+    let better = move |best, value| if greater(value, best) == is_greatest { value } else { best };
+    of_rows::<T>(first, rest, kind, false, move |values| Ok(values.iter().flatten().copied().reduce(better)))
 }
 
 fn of_text(name: &str, arguments: Vec<Value>) -> Answer<Value> {
     let mut arguments = arguments.into_iter();
     let Some(value) = arguments.next() else {
-        return refuse(format!("{name} takes a text"));
+        return refuse!("{name} takes a text");
     };
     if !matches!(value.kind, Type::Text | Type::Null) {
-        return refuse(format!("{name} takes text, not {}", value.kind.name()));
+        return refuse!("{name} takes text, not {}", value.kind.name());
     }
     let value = value.to(Type::Text);
     let rest: Vec<Value> = arguments.collect();
@@ -539,7 +463,7 @@ fn of_text(name: &str, arguments: Vec<Value>) -> Answer<Value> {
                 "trim" | "ltrim" | "rtrim" => "a text, and the characters to remove in quotes",
                 _ => "a text",
             };
-            return refuse(format!("{name} takes {takes}"));
+            return refuse!("{name} takes {takes}");
         }
     };
     Ok(Value::new(expr, kind))
@@ -568,11 +492,10 @@ pub fn text(value: Value) -> Answer<Value> {
         Type::Integer | Type::Flag | Type::Null => {
             Ok(Value::new(value.expr.cast(DataType::String), Type::Text))
         }
-        Type::Single | Type::Real => refuse(
+        Type::Single | Type::Real => refuse!(
             "a real number can't be cast to text; cast it to an integer first: cast(round(x) as integer)"
-                .into(),
         ),
-        Type::Bytes => refuse("bytes can't be cast to text".into()),
+        Type::Bytes => refuse!("bytes can't be cast to text"),
     }
 }
 
@@ -633,16 +556,16 @@ pub fn to_integer(value: Value, written: &ast::Expr, strict: bool, least: i64, m
         Type::Null => return Ok(Value::null(Type::Integer)),
         Type::Flag => value.expr.cast(DataType::Int64),
         Type::Bytes | Type::Single => {
-            return refuse(format!("{} can't be cast to an integer", value.kind.name()));
+            return refuse!("{} can't be cast to an integer", value.kind.name());
         }
         Type::Text => {
             of_each_text(value.expr, Type::Integer, strict, move |text| checked(nearest_integer(text), &text))
         }
         Type::Real if !is_whole(written) => {
-            return refuse(format!(
+            return refuse!(
                 "'{}' is a real number; choose how to round it: cast(round(…) as integer), or floor, ceil or trunc",
                 shown(written)
-            ));
+            );
         }
         Type::Integer | Type::Real => {
             let kind = value.kind;
@@ -676,7 +599,7 @@ pub fn to_integer(value: Value, written: &ast::Expr, strict: bool, least: i64, m
 pub fn to_real(value: Value, strict: bool) -> Answer<Value> {
     let expr = match value.kind {
         Type::Null => return Ok(Value::null(Type::Real)),
-        Type::Bytes => return refuse("bytes can't be cast to a real number".into()),
+        Type::Bytes => return refuse!("bytes can't be cast to a real number"),
         Type::Flag => value.expr.cast(DataType::Float64),
         Type::Integer | Type::Single | Type::Real => value.to(Type::Real),
         Type::Text => of_each_text(value.expr, Type::Real, strict, move |text| {
@@ -722,64 +645,52 @@ pub enum Aggregate {
 impl Aggregate {
     /// Whether an aggregate has this name, in lower case.
     pub fn is_name(name: &str) -> bool {
-        AGGREGATES.contains(&name)
+        has(AGGREGATES, name)
     }
 
     /// The aggregate of this name, and the value that it aggregates.
     pub fn named(name: &str, arguments: Vec<Value>) -> Answer<(Self, Value)> {
-        let share = match (name, arguments.as_slice()) {
-            ("quantile_cont", [_, share]) => match share.constant() {
-                Some(AnyValue::Float64(share)) if (0.0..=1.0).contains(&share) => Some(share),
-                Some(AnyValue::Int64(share @ 0..=1)) => Some(share as f64),
-                _ => return refuse(format!("{name} takes a column and a number from 0 to 1")),
-            },
-            _ => None,
-        };
-        let argument = match (name, share) {
-            ("count", None) if arguments.is_empty() => {
+        let (mut argument, share) = match (name, arguments.as_slice()) {
+            ("count", []) => {
                 return Ok((Self::Rows, Value::literal(AnyValue::Boolean(true), Type::Flag)));
             }
-            (_, Some(_)) => arguments.into_iter().next().expect("there are two"),
-            ("quantile_cont", None) => {
-                return refuse(format!("{name} takes a column and a number from 0 to 1"));
-            }
-            ("count_if", None) => {
-                let [condition] = take(name, arguments)?;
-                if !matches!(condition.kind, Type::Flag | Type::Null) {
-                    return refuse(format!("{name} takes a condition, not {}", condition.kind.name()));
-                }
-                // Like a sum, it is null if no condition is true or false.
-                Value::new(condition.to(Type::Flag).cast(DataType::Int64), Type::Integer)
-            }
+            ("quantile_cont", [argument, share]) => (argument.clone(), share.constant()),
+            ("quantile_cont", _) => (Value::null(Type::Null), None),
             _ => {
                 let [argument] = take(name, arguments)?;
-                argument
+                (argument, None)
             }
         };
-        let aggregate = match name {
-            "count" => Self::Count,
-            "sum" | "count_if" => Self::Sum,
-            "avg" | "mean" => Self::Mean,
-            "min" => Self::Min,
-            "max" => Self::Max,
-            "stddev" | "stddev_samp" => Self::Deviation(1),
-            "stddev_pop" => Self::Deviation(0),
-            "variance" | "var_samp" => Self::Variance(1),
-            "var_pop" => Self::Variance(0),
-            "median" => Self::Quantile(0.5),
-            "quantile_cont" => Self::Quantile(share.expect("was looked for above")),
-            "bool_and" => Self::All,
-            "bool_or" => Self::Any,
-            other => return refuse(format!("the aggregate {other} is not supported")),
+        let aggregate = match (name, share) {
+            ("count", _) => Self::Count,
+            ("sum" | "count_if", _) => Self::Sum,
+            ("avg" | "mean", _) => Self::Mean,
+            ("min", _) => Self::Min,
+            ("max", _) => Self::Max,
+            ("stddev" | "stddev_samp", _) => Self::Deviation(1),
+            ("stddev_pop", _) => Self::Deviation(0),
+            ("variance" | "var_samp", _) => Self::Variance(1),
+            ("var_pop", _) => Self::Variance(0),
+            ("median", _) => Self::Quantile(0.5),
+            ("quantile_cont", Some(AnyValue::Float64(share))) if (0.0..=1.0).contains(&share) => {
+                Self::Quantile(share)
+            }
+            ("quantile_cont", Some(AnyValue::Int64(share @ 0..=1))) => Self::Quantile(share as f64),
+            ("quantile_cont", _) => return refuse!("{name} takes a column and a number from 0 to 1"),
+            ("bool_and", _) => Self::All,
+            ("bool_or", _) => Self::Any,
+            (other, _) => return refuse!("the aggregate {other} is not supported"),
         };
+        let is_of_flags = matches!(name, "count_if" | "bool_and" | "bool_or");
         match aggregate {
             Self::Rows | Self::Count | Self::Min | Self::Max => {}
-            Self::All | Self::Any => {
-                if !matches!(argument.kind, Type::Flag | Type::Null) {
-                    return refuse(format!("{name} takes a condition, not {}", argument.kind.name()));
-                }
-            }
-            _ => number(name, &argument)?,
+            _ if !is_of_flags => number(name, &argument)?,
+            _ if matches!(argument.kind, Type::Flag | Type::Null) => {}
+            _ => return refuse!("{name} takes a condition, not {}", argument.kind.name()),
+        }
+        if name == "count_if" {
+            // Like a sum, it is null if no condition is true or false.
+            argument = Value::new(argument.to(Type::Flag).cast(DataType::Int64), Type::Integer);
         }
         Ok((aggregate, argument))
     }
@@ -824,7 +735,7 @@ impl Aggregate {
             (_, kind) => kind,
         };
         if kind == Type::Bytes && self != Self::Count && self != Self::Rows {
-            return refuse("bytes can only be counted".into());
+            return refuse!("bytes can only be counted");
         }
         let all = if self == Self::Rows { col(id) } else { col(id).cast(kind.data_type()) };
         let values = if distinct { all.clone().drop_nulls().unique_stable() } else { all.clone() };
@@ -832,7 +743,7 @@ impl Aggregate {
         let counted = || all.clone().count().gt(lit(0));
         Ok(match self {
             Self::Rows if distinct => {
-                return refuse("count(DISTINCT *) is not supported; count a column".into());
+                return refuse!("count(DISTINCT *) is not supported; count a column");
             }
             // FILTER sets the argument to null in the rows that do not count.
             Self::Rows | Self::Count => (values.count().cast(DataType::Int64), Type::Integer),

@@ -3,7 +3,7 @@
 use super::expression::{Value, is_plain, one_row};
 use super::plan::{Ctes, Planner, none_of};
 use super::scope::{Column, Relation, Type, choice, resolve, same};
-use super::{Answer, refuse, shown};
+use super::{Answer, shown};
 use polars::prelude::*;
 use sqlparser::ast::{self, JoinConstraint, JoinOperator, TableFactor};
 use std::collections::BTreeSet;
@@ -73,7 +73,6 @@ impl Planner<'_> {
             let Ok(bound) = self.binder(&all, "WHERE", ctes).condition(condition) else {
                 return true;
             };
-            let names = names_of(&bound);
             for joined in tables.iter_mut() {
                 let keeps_left = |(_, operator): &(Relation, Option<&JoinOperator>)| {
                     !matches!(side(operator), Some(Side::Right | Side::Full))
@@ -82,7 +81,7 @@ impl Planner<'_> {
                     continue;
                 }
                 for (relation, operator) in joined.iter_mut() {
-                    if side(operator) != Some(Side::Left) && names.are_of(&relation.columns) {
+                    if side(operator) != Some(Side::Left) && is_of(&bound, &relation.columns) {
                         relation.frame = relation.frame.clone().filter(bound);
                         return false;
                     }
@@ -127,10 +126,9 @@ impl Planner<'_> {
         };
         let right: Vec<Column> =
             both.iter().filter(|column| left.iter().all(|other| other.id != column.id)).cloned().collect();
-        let (a_names, b_names) = (names_of(&a.expr), names_of(&b.expr));
-        Ok(if a_names.are_of(left) && b_names.are_of(&right) {
+        Ok(if is_of(&a.expr, left) && is_of(&b.expr, &right) {
             Some((a.to(kind), b.to(kind)))
-        } else if a_names.are_of(&right) && b_names.are_of(left) {
+        } else if is_of(&a.expr, &right) && is_of(&b.expr, left) {
             Some((b.to(kind), a.to(kind)))
         } else {
             None
@@ -154,10 +152,10 @@ impl Planner<'_> {
             } => {
                 let written = name.to_string();
                 if args.is_some() {
-                    return refuse(format!(
+                    return refuse!(
                         "'{written}' is not a table, and other files can't be read; {}",
                         self.there_are(ctes)
-                    ));
+                    );
                 }
                 none_of(&[
                     (
@@ -173,7 +171,7 @@ impl Planner<'_> {
                     (sample.is_some(), "TABLESAMPLE", "use LIMIT"),
                 ])?;
                 let [ast::ObjectNamePart::Identifier(name)] = name.0.as_slice() else {
-                    return refuse(format!("there is no table '{written}'; {}", self.there_are(ctes)));
+                    return refuse!("there is no table '{written}'; {}", self.there_are(ctes));
                 };
                 let relation = self.table(&name.value, ctes)?;
                 self.named(relation, alias.as_ref(), &name.value)
@@ -192,7 +190,7 @@ impl Planner<'_> {
             TableFactor::NestedJoin { table_with_joins, alias: None } => {
                 self.from(std::slice::from_ref(table_with_joins), &mut Vec::new(), ctes)
             }
-            other => refuse(format!("'{}' is not supported in FROM; {}", shown(other), self.there_are(ctes))),
+            other => refuse!("'{}' is not supported in FROM; {}", shown(other), self.there_are(ctes)),
         }
     }
 
@@ -202,7 +200,7 @@ impl Planner<'_> {
         }
         let names = self.table_names(ctes);
         let Some(table) = names.iter().find(|known| same(known, name)) else {
-            return refuse(format!("there is no table '{name}'{}", choice(name, &names)));
+            return refuse!("there is no table '{name}'{}", choice(name, &names));
         };
         let known = self.read.borrow().get(*table).cloned();
         let frame = match known {
@@ -244,11 +242,11 @@ impl Planner<'_> {
         };
         let name = alias.map_or(name, |alias| &alias.name.value);
         if given.len() > relation.columns.len() {
-            return refuse(format!(
+            return refuse!(
                 "'{name}' names {} columns, but there are {}",
                 given.len(),
                 relation.columns.len()
-            ));
+            );
         }
         let mut given = given.into_iter();
         let (mut columns, mut kept) = (Vec::new(), Vec::new());
@@ -269,14 +267,14 @@ impl Planner<'_> {
         ctes: &Ctes,
     ) -> Answer<Relation> {
         let Some((side, constraint)) = Side::of(operator) else {
-            return refuse("use JOIN, LEFT JOIN, RIGHT JOIN, FULL JOIN or CROSS JOIN".into());
+            return refuse!("use JOIN, LEFT JOIN, RIGHT JOIN, FULL JOIN or CROSS JOIN");
         };
         if let Some(name) =
             left.tables().iter().find(|name| right.tables().iter().any(|other| same(other, name)))
         {
-            return refuse(format!(
+            return refuse!(
                 "'{name}' is in FROM twice; give it two names: FROM {name} AS a JOIN {name} AS b"
-            ));
+            );
         }
         match constraint {
             JoinConstraint::On(on) => {
@@ -289,10 +287,10 @@ impl Planner<'_> {
             }
             JoinConstraint::Using(names) => self.join_using(left, right, side, names),
             JoinConstraint::Natural => {
-                refuse("NATURAL JOIN is not supported; name the columns: JOIN … USING (…)".into())
+                refuse!("NATURAL JOIN is not supported; name the columns: JOIN … USING (…)")
             }
             JoinConstraint::None => {
-                refuse("JOIN needs a condition: ON a.column = b.column; or write CROSS JOIN".into())
+                refuse!("JOIN needs a condition: ON a.column = b.column; or write CROSS JOIN")
             }
         }
     }
@@ -309,24 +307,23 @@ impl Planner<'_> {
         let (mut keys, mut merged) = (Vec::new(), Vec::new());
         for name in names {
             let [ast::ObjectNamePart::Identifier(name)] = name.0.as_slice() else {
-                return refuse(format!("USING takes names of columns, not '{name}'"));
+                return refuse!("USING takes names of columns, not '{name}'");
             };
             let path = std::slice::from_ref(name);
             let find = |relation: &Relation| match resolve(&relation.columns, path) {
                 Ok(column) => Ok(column.clone()),
-                Err(_) => refuse(format!(
-                    "USING takes columns that each side has exactly once, not '{}'",
-                    name.value
-                )),
+                Err(_) => {
+                    refuse!("USING takes columns that each side has exactly once, not '{}'", name.value)
+                }
             };
             let (a, b) = (find(&left)?, find(&right)?);
             let Some(kind) = a.kind.common(b.kind) else {
-                return refuse(format!(
+                return refuse!(
                     "'{}' is {} on one side and {} on the other",
                     a.name,
                     a.kind.name(),
                     b.kind.name()
-                ));
+                );
             };
             let (left, right) =
                 (Value::column(&a.id, a.kind).to(kind), Value::column(&b.id, b.kind).to(kind));
@@ -368,10 +365,9 @@ impl Planner<'_> {
             let other = self.binder(&both, "ON", ctes).condition(condition)?;
             // A condition on one table can be applied before the join, unless the join keeps that table's rows without
             // a partner.
-            let names = names_of(&other);
-            if names.are_of(&left.columns) && matches!(side, Side::Inner | Side::Right) {
+            if is_of(&other, &left.columns) && matches!(side, Side::Inner | Side::Right) {
                 left.frame = left.frame.filter(other);
-            } else if names.are_of(&right.columns) && matches!(side, Side::Inner | Side::Left) {
+            } else if is_of(&other, &right.columns) && matches!(side, Side::Inner | Side::Left) {
                 right.frame = right.frame.filter(other);
             } else {
                 others.push(other);
@@ -459,22 +455,14 @@ impl Side {
     }
 }
 
-/// The ids of the columns that an expression uses.
-struct Names(BTreeSet<String>);
-
-fn names_of(expr: &Expr) -> Names {
-    let columns = expr.into_iter().filter_map(|part| match part {
-        Expr::Column(name) => Some(name.to_string()),
+/// Whether an expression uses columns, all of which are among `columns`.
+fn is_of(expr: &Expr, columns: &[Column]) -> bool {
+    let names = expr.into_iter().filter_map(|part| match part {
+        Expr::Column(name) => Some(name),
         _ => None,
     });
-    Names(columns.collect())
-}
-
-impl Names {
-    /// Whether there is at least one id, and all are among `columns`.
-    fn are_of(&self, columns: &[Column]) -> bool {
-        !self.0.is_empty() && self.0.iter().all(|name| columns.iter().any(|column| column.id == *name))
-    }
+    let mut names = names.peekable();
+    names.peek().is_some() && names.all(|name| columns.iter().any(|column| column.id == **name))
 }
 
 /// The number of rows of a join by these keys, before other conditions, plus the number of rows of the larger table,
@@ -510,10 +498,10 @@ pub fn within_rows(rows: u64, larger: u64) -> Answer<()> {
     if rows <= MAX_JOIN_ROWS.max(larger) {
         return Ok(());
     }
-    refuse(format!(
+    refuse!(
         "a join in it has {rows} rows, but at most {MAX_JOIN_ROWS} are allowed; join by more columns with \
          ON a.column = b.column, or select from each table first"
-    ))
+    )
 }
 
 /// Splits a condition at its ANDs, and appends the parts to `conditions`.

@@ -4,6 +4,13 @@
 //! standard SQL for names, types, groups, joins and windows. It reads the tables through the trait [`Tables`]. A query
 //! that might be answered differently from the standard is refused. The tests in `tests/sql` compare answers with DuckDB.
 
+/// Refuses a query with a message, which is written as for `format!`.
+macro_rules! refuse {
+    ($($message:tt)*) => {
+        Err($crate::SqlError::Refused(format!($($message)*)))
+    };
+}
+
 mod condition;
 mod expression;
 mod functions;
@@ -107,7 +114,7 @@ impl Query {
                     let plan = planned(&planner, query)?.describe_optimized_plan()?;
                     Ok(df!("plan" => plan.lines().collect::<Vec<_>>())?)
                 }
-                _ => refuse(NO_QUESTION.into()),
+                _ => refuse!("{NO_QUESTION}"),
             },
             Statement::ShowTables { .. } => {
                 let (names, rows): (Vec<_>, Vec<_>) = tables.list().into_iter().unzip();
@@ -117,19 +124,15 @@ impl Query {
             Statement::ShowColumns { show_options, .. } => {
                 match show_options.show_in.as_ref().and_then(|show_in| show_in.parent_name.as_ref()) {
                     Some(table) => described(table, tables),
-                    None => refuse("SHOW COLUMNS needs a table: SHOW COLUMNS FROM runs".into()),
+                    None => refuse!("SHOW COLUMNS needs a table: SHOW COLUMNS FROM runs"),
                 }
             }
-            _ => refuse(NO_QUESTION.into()),
+            _ => refuse!("{NO_QUESTION}"),
         }
     }
 }
 
 type Answer<T> = Result<T, SqlError>;
-
-fn refuse<T>(reason: String) -> Answer<T> {
-    Err(SqlError::Refused(reason))
-}
 
 /// A part of the query for a message, shortened to [`MAX_SHOWN`] characters.
 fn shown(part: &impl std::fmt::Display) -> String {
@@ -148,7 +151,7 @@ fn on_large_stack<T: Send>(function: impl FnOnce() -> Answer<T> + Send) -> Answe
         thread.join().unwrap_or_else(|panic| {
             let said = panic.downcast_ref::<String>().map(String::as_str);
             let said = said.or(panic.downcast_ref::<&str>().copied()).unwrap_or("it panicked");
-            refuse(format!("Polars does not support it: {said}"))
+            refuse!("Polars does not support it: {said}")
         })
     })
 }
@@ -172,7 +175,7 @@ fn described(name: &ObjectName, tables: &dyn Tables) -> Answer<DataFrame> {
     let known: Vec<&str> = tables.list().into_iter().map(|(known, _)| known).collect();
     match known.iter().find(|known| same(known, &name)) {
         Some(table) => Ok(tables.columns(table)?),
-        None => refuse(format!("there is no table '{name}'{}", choice(&name, &known))),
+        None => refuse!("there is no table '{name}'{}", choice(&name, &known)),
     }
 }
 

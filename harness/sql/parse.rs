@@ -1,6 +1,6 @@
 //! Parses queries, and bounds their length and nesting.
 
-use super::{Answer, SqlError, refuse};
+use super::{Answer, SqlError};
 use sqlparser::ast::{Expr, Statement, Visit, Visitor};
 use sqlparser::dialect::GenericDialect;
 use sqlparser::parser::{Parser, ParserError, ParserOptions};
@@ -24,10 +24,10 @@ const MAX_QUERY_COPIES: usize = 256;
 /// returns all words of the query outside of texts.
 pub fn parsed(sql: &str) -> Answer<(Statement, BTreeSet<String>)> {
     if sql.len() > MAX_QUERY_BYTES {
-        return refuse(format!("it has {} bytes, but at most {MAX_QUERY_BYTES} are allowed", sql.len()));
+        return refuse!("it has {} bytes, but at most {MAX_QUERY_BYTES} are allowed", sql.len());
     }
     if sql.contains('\0') {
-        return refuse("it has a null character".into());
+        return refuse!("it has a null character");
     }
     let syntax = |error: ParserError| match error {
         ParserError::RecursionLimitExceeded => SqlError::Refused(
@@ -39,7 +39,7 @@ pub fn parsed(sql: &str) -> Answer<(Statement, BTreeSet<String>)> {
     let tokens = Tokenizer::new(&GenericDialect, sql).tokenize_with_location();
     let tokens = tokens.map_err(|error| syntax(error.into()))?;
     if tokens.len() > MAX_QUERY_TOKENS {
-        return refuse(format!("it has {} tokens, but at most {MAX_QUERY_TOKENS} are allowed", tokens.len()));
+        return refuse!("it has {} tokens, but at most {MAX_QUERY_TOKENS} are allowed", tokens.len());
     }
     let words = tokens.iter().filter_map(|token| match &token.token {
         Token::Word(word) => Some(word.value.clone()),
@@ -50,10 +50,10 @@ pub fn parsed(sql: &str) -> Answer<(Statement, BTreeSet<String>)> {
     let mut statements = parser.with_tokens_with_locations(tokens).parse_statements().map_err(syntax)?;
     let found = statements.len();
     let Some(statement) = statements.pop().filter(|_| found == 1) else {
-        return refuse(format!("it has {found} statements instead of one"));
+        return refuse!("it has {found} statements instead of one");
     };
-    match statement.visit(&mut Bounds::default()) {
-        ControlFlow::Break(reason) => refuse(reason),
+    match statement.visit(&mut Bounds { depth: 0, copies: 1 }) {
+        ControlFlow::Break(reason) => Err(SqlError::Refused(reason)),
         ControlFlow::Continue(()) => Ok((statement, words)),
     }
 }
@@ -63,12 +63,6 @@ struct Bounds {
     depth: usize,
     /// Number of copies of the expression that is being visited.
     copies: usize,
-}
-
-impl Default for Bounds {
-    fn default() -> Self {
-        Self { depth: 0, copies: 1 }
-    }
 }
 
 /// The number of times that the plan copies a part of an expression: `x between a and b` becomes `x >= a and x <= b`.

@@ -4,7 +4,7 @@ use super::expression::{Binder, Groups, Key, Needed, Value, can_fail, has_aggreg
 use super::join::{split_and, within_rows};
 use super::scope::{Column, Relation, Type, resolve, same};
 use super::window::Window;
-use super::{Answer, Query, Tables, refuse, shown};
+use super::{Answer, Query, Tables, shown};
 use polars::prelude::*;
 use sqlparser::ast::{self, SetExpr, SetOperator, SetQuantifier};
 use std::cell::{Cell, RefCell};
@@ -117,10 +117,10 @@ impl<'a> Planner<'a> {
                 self.combined(*op, *set_quantifier, self.body(left, ctes)?, self.body(right, ctes)?)
             }
             SetExpr::Values(_) => {
-                refuse("VALUES is not supported; write SELECT 1 AS a UNION ALL SELECT 2".into())
+                refuse!("VALUES is not supported; write SELECT 1 AS a UNION ALL SELECT 2")
             }
-            SetExpr::Table(_) => refuse("TABLE is not supported; write SELECT * FROM".into()),
-            _ => refuse("it is not a query; use SELECT".into()),
+            SetExpr::Table(_) => refuse!("TABLE is not supported; write SELECT * FROM"),
+            _ => refuse!("it is not a query; use SELECT"),
         }
     }
 
@@ -135,23 +135,23 @@ impl<'a> Planner<'a> {
         let all = match (op, quantifier) {
             (_, SetQuantifier::None | SetQuantifier::Distinct) => false,
             (SetOperator::Union, SetQuantifier::All) => true,
-            _ => return refuse(format!("'{op} {quantifier}' is not supported; use {op}")),
+            _ => return refuse!("'{op} {quantifier}' is not supported; use {op}"),
         };
         if left.columns.len() != right.columns.len() {
             let (left, right) = (left.columns.len(), right.columns.len());
-            return refuse(format!(
+            return refuse!(
                 "{op} needs queries with the same number of columns; they have {left} and {right}"
-            ));
+            );
         }
         let (mut lefts, mut rights, mut columns) = (Vec::new(), Vec::new(), Vec::new());
         for (number, (left, right)) in left.columns.iter().zip(&right.columns).enumerate() {
             let Some(kind) = left.kind.common(right.kind) else {
-                return refuse(format!(
+                return refuse!(
                     "{op} of {} with {} in column {}",
                     left.kind.name(),
                     right.kind.name(),
                     number + 1
-                ));
+                );
             };
             let id = self.fresh();
             for (column, sides) in [(left, &mut lefts), (right, &mut rights)] {
@@ -166,7 +166,7 @@ impl<'a> Planner<'a> {
         within_rows(rows.unwrap_or(0), 0)?;
         let reads = left.reads + right.reads;
         if reads > MAX_READS {
-            return refuse(format!("it reads tables {reads} times, but at most {MAX_READS} are allowed"));
+            return refuse!("it reads tables {reads} times, but at most {MAX_READS} are allowed");
         }
         let (left, right) = (left.frame.select(lefts), right.frame.select(rights));
         let unique = |frame: LazyFrame| frame.unique_stable(None, UniqueKeepStrategy::First);
@@ -180,7 +180,7 @@ impl<'a> Planner<'a> {
                 let how = if op == SetOperator::Except { JoinType::Anti } else { JoinType::Semi };
                 unique(left).join_builder().with(right).on(on).how(how).join_nulls(true).finish()
             }
-            SetOperator::Minus => return refuse("MINUS is not supported; use EXCEPT".into()),
+            SetOperator::Minus => return refuse!("MINUS is not supported; use EXCEPT"),
         };
         Ok(Relation { frame, columns, rows, reads })
     }
@@ -292,10 +292,10 @@ impl<'a> Planner<'a> {
                     let value = windowed("ORDER BY").bind(&expr)?;
                     let place = values.iter().position(|other| other.expr == value.expr);
                     if place.is_none() && is_distinct {
-                        return refuse(format!(
+                        return refuse!(
                             "with DISTINCT, ORDER BY can only use columns of SELECT; add '{}' to SELECT",
                             shown(&expr)
-                        ));
+                        );
                     }
                     if place.is_none() {
                         let id = self.fresh();
@@ -360,7 +360,7 @@ impl<'a> Planner<'a> {
             if *options == ast::WildcardAdditionalOptions::default() {
                 return Ok(());
             }
-            refuse("* with EXCLUDE, REPLACE or RENAME is not supported; name the columns".into())
+            refuse!("* with EXCLUDE, REPLACE or RENAME is not supported; name the columns")
         };
         for item in &select.projection {
             match item {
@@ -381,7 +381,7 @@ impl<'a> Planner<'a> {
                 ast::SelectItem::Wildcard(options) => {
                     no_options(options)?;
                     if columns.is_empty() {
-                        return refuse("* needs a FROM".into());
+                        return refuse!("* needs a FROM");
                     }
                     for column in columns.iter().filter(|column| !column.merged) {
                         names.push(column.name.clone());
@@ -398,14 +398,14 @@ impl<'a> Planner<'a> {
                         |column: &&Column| column.table.as_deref().is_some_and(|found| same(found, &table));
                     let found: Vec<&Column> = columns.iter().filter(is_of).collect();
                     if found.is_empty() {
-                        return refuse(format!("there is no table '{table}' in its FROM"));
+                        return refuse!("there is no table '{table}' in its FROM");
                     }
                     for column in found {
                         names.push(column.name.clone());
                         items.push(Item::Column(column.clone()));
                     }
                 }
-                other => return refuse(format!("'{other}' is not supported")),
+                other => return refuse!("'{other}' is not supported"),
             }
         }
         Ok((items, names))
@@ -424,9 +424,8 @@ impl<'a> Planner<'a> {
                 items.iter().map(Item::expr).filter(|expr| !has_aggregate(expr)).collect()
             }
             _ => {
-                return refuse(
+                return refuse!(
                     "ROLLUP, CUBE and TOTALS are not supported; combine several queries with UNION ALL"
-                        .into(),
                 );
             }
         };
@@ -465,11 +464,9 @@ impl<'a> Planner<'a> {
         let relation = self.subquery(query, ctes, around)?;
         match relation.columns.as_slice() {
             [column] => Ok((relation.frame.select([col(&*column.id).alias("value")]), column.kind)),
-            columns => refuse(format!(
-                "the subquery '{}' gives {} columns instead of one",
-                shown(query),
-                columns.len()
-            )),
+            columns => {
+                refuse!("the subquery '{}' gives {} columns instead of one", shown(query), columns.len())
+            }
         }
     }
 
@@ -481,10 +478,10 @@ impl<'a> Planner<'a> {
         match values.len() {
             0 => Ok(Value::null(kind)),
             1 => Ok(Value::literal(values.get(0)?, kind)),
-            _ => refuse(format!(
+            _ => refuse!(
                 "the subquery '{}' gives several rows instead of one value; use IN, or an aggregate such as max",
                 shown(query)
-            )),
+            ),
         }
     }
 
@@ -567,7 +564,7 @@ fn placed(key: OrderKey, items: &[Item], names: &[String]) -> Answer<OrderKey> {
         ast::Expr::Value(ast::ValueWithSpan { value: ast::Value::Number(digits, _), .. }) => {
             match digits.parse::<usize>() {
                 Ok(number) if (1..=items.len()).contains(&number) => Ok(OrderKey::Place(number - 1)),
-                _ => refuse(format!("SELECT has no column {digits}; its columns are 1 to {}", items.len())),
+                _ => refuse!("SELECT has no column {digits}; its columns are 1 to {}", items.len()),
             }
         }
         ast::Expr::Identifier(name) => {
@@ -580,10 +577,7 @@ fn placed(key: OrderKey, items: &[Item], names: &[String]) -> Answer<OrderKey> {
                 {
                     Ok(OrderKey::Place(*first))
                 }
-                _ => refuse(format!(
-                    "several columns of SELECT are named '{}'; order by their number",
-                    name.value
-                )),
+                _ => refuse!("several columns of SELECT are named '{}'; order by their number", name.value),
             }
         }
         _ => Ok(OrderKey::Written(written)),
@@ -592,20 +586,22 @@ fn placed(key: OrderKey, items: &[Item], names: &[String]) -> Answer<OrderKey> {
 
 /// The keys that rows are sorted by, and their options.
 #[derive(Default)]
-struct Sorting {
+pub struct Sorting {
     by: Vec<Expr>,
     descending: Vec<bool>,
     nulls_last: Vec<bool>,
 }
 
 impl Sorting {
-    fn add(&mut self, by: Expr, (descending, nulls_last): (bool, bool)) {
+    /// Adds a key, and whether it is descending, and whether nulls come last.
+    pub fn add(&mut self, by: Expr, (descending, nulls_last): (bool, bool)) {
         self.by.push(by);
         self.descending.push(descending);
         self.nulls_last.push(nulls_last);
     }
 
-    fn of(self, frame: LazyFrame) -> LazyFrame {
+    /// The sorted rows. Rows with equal keys keep their order.
+    pub fn of(self, frame: LazyFrame) -> LazyFrame {
         if self.by.is_empty() {
             return frame;
         }
@@ -642,7 +638,7 @@ fn limited(relation: Relation, limit: Option<&ast::LimitClause>) -> Answer<Relat
     };
     let count = |expr: &ast::Expr| match expr.to_string().parse::<u32>() {
         Ok(count) => Ok(count),
-        Err(_) => refuse(format!("LIMIT and OFFSET take whole numbers, not '{}'", shown(expr))),
+        Err(_) => refuse!("LIMIT and OFFSET take whole numbers, not '{}'", shown(expr)),
     };
     let offset = offset.map_or(Ok(0), count)?;
     let limit = limit.map_or(Ok(IdxSize::MAX), count)?;
@@ -654,7 +650,7 @@ fn limited(relation: Relation, limit: Option<&ast::LimitClause>) -> Answer<Relat
 pub fn none_of(parts: &[(bool, &str, &str)]) -> Answer<()> {
     match parts.iter().find(|(is_there, _, _)| *is_there) {
         None => Ok(()),
-        Some((_, name, instead)) => refuse(format!("{name} is not supported; {instead}")),
+        Some((_, name, instead)) => refuse!("{name} is not supported; {instead}"),
     }
 }
 

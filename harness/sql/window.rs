@@ -2,8 +2,9 @@
 
 use super::expression::{Binder, Needed, Value};
 use super::functions::{Aggregate, field, sum_within_integers};
+use super::plan::{Sorting, direction};
 use super::scope::{Type, same};
-use super::{Answer, refuse, shown};
+use super::{Answer, shown};
 use polars::prelude::*;
 use sqlparser::ast::{self, WindowFrameBound, WindowFrameUnits};
 
@@ -38,17 +39,12 @@ pub struct Window {
     inputs: Vec<Expr>,
     /// The ids of the columns of PARTITION BY.
     partition: Vec<String>,
-    order: Vec<Order>,
+    /// The ids of the columns of ORDER BY, and their options.
+    order: Vec<(String, (bool, bool))>,
     /// The id of a column with a row's position in the order.
     place: String,
     /// Each step may use the columns of the steps before it.
     steps: Vec<Expr>,
-}
-
-struct Order {
-    id: String,
-    descending: bool,
-    nulls_last: bool,
 }
 
 impl Window {
@@ -69,9 +65,9 @@ impl Window {
             window.partition.push(all);
         }
         for by in &spec.order_by {
-            let (descending, nulls_last) = super::plan::direction(by)?;
+            let options = direction(by)?;
             let id = window.input(binder, binder.bind(&by.expr)?);
-            window.order.push(Order { id, descending, nulls_last });
+            window.order.push((id, options));
         }
         Ok(window)
     }
@@ -90,7 +86,7 @@ impl Window {
 
     /// The columns in which peers are equal: rows of a partition with the same position in the order.
     fn peers(&self) -> Vec<Expr> {
-        let order = self.order.iter().map(|order| &order.id);
+        let order = self.order.iter().map(|(id, _)| id);
         self.partition.iter().chain(order).map(|id| col(&**id)).collect()
     }
 
@@ -123,12 +119,9 @@ impl Window {
     /// Adds the column `place`: each row's position in the order, counted from 0. Peers have different positions.
     fn placed(&self, frame: LazyFrame) -> LazyFrame {
         let before = format!("{}before", self.place);
-        let by: Vec<Expr> = self.order.iter().map(|order| col(&*order.id)).collect();
-        let options = SortMultipleOptions::default()
-            .with_order_descending_multi(self.order.iter().map(|order| order.descending))
-            .with_nulls_last_multi(self.order.iter().map(|order| order.nulls_last))
-            .with_maintain_order(true);
-        let sorted = frame.with_row_index(&*before, None).sort_by_exprs(by, options);
+        let mut sorting = Sorting::default();
+        self.order.iter().for_each(|(id, options)| sorting.add(col(&**id), *options));
+        let sorted = sorting.of(frame.with_row_index(&*before, None));
         sorted.with_row_index(&*self.place, None).sort([before], SortMultipleOptions::default())
     }
 }
@@ -175,12 +168,12 @@ impl Frame {
                     _ if first.zip(last).is_some_and(|(first, last)| first > last) => {}
                     _ => return Ok(Self::Rows { first, last }),
                 }
-                refuse(format!("the frame 'ROWS BETWEEN {start} AND {end}' ends before it begins"))
+                refuse!("the frame 'ROWS BETWEEN {start} AND {end}' ends before it begins")
             }
-            (units, start, end) => refuse(format!(
+            (units, start, end) => refuse!(
                 "the frame '{units} BETWEEN {start} AND {end}' is not supported; use ORDER BY with ROWS, or RANGE \
                  BETWEEN UNBOUNDED PRECEDING AND CURRENT ROW, or leave both out for the whole partition",
-            )),
+            ),
         }
     }
 }
@@ -195,7 +188,7 @@ fn offset(bound: &WindowFrameBound) -> Answer<Option<i64>> {
     };
     match rows.to_string().parse::<u32>() {
         Ok(rows) => Ok(Some(sign * i64::from(rows))),
-        Err(_) => refuse(format!("a frame takes a whole number of rows, not '{}'", shown(rows))),
+        Err(_) => refuse!("a frame takes a whole number of rows, not '{}'", shown(rows)),
     }
 }
 
@@ -205,30 +198,28 @@ fn named<'a>(binder: &Binder<'a>, name: &ast::Ident) -> Answer<&'a ast::WindowSp
     match found.map(|window| &window.1) {
         Some(ast::NamedWindowExpr::WindowSpec(spec)) => Ok(spec),
         Some(ast::NamedWindowExpr::NamedWindow(other)) => named(binder, other),
-        None => refuse(format!("there is no window '{name}'; define it with WINDOW {name} AS (…)")),
+        None => refuse!("there is no window '{name}'; define it with WINDOW {name} AS (…)"),
     }
 }
 
 /// Binds a call with OVER, and adds its columns to the binder's windows.
 pub fn bind(binder: &Binder, call: &Call, over: &ast::WindowType, written: &ast::Function) -> Answer<Value> {
     let Some(windows) = binder.windows else {
-        return refuse(format!(
+        return refuse!(
             "'{}' can't be in {}; compute it in a query of its own, with WITH",
             shown(written),
             binder.clause
-        ));
+        );
     };
     let spec = match over {
         ast::WindowType::WindowSpec(spec) => spec,
         ast::WindowType::NamedWindow(name) => named(binder, name)?,
     };
     if let Some(name) = &spec.window_name {
-        return refuse(format!(
-            "a window can't add to the window {name}; write OVER {name}, or all of its parts"
-        ));
+        return refuse!("a window can't add to the window {name}; write OVER {name}, or all of its parts");
     }
     if call.distinct {
-        return refuse("DISTINCT is not supported with OVER".into());
+        return refuse!("DISTINCT is not supported with OVER");
     }
     let binder = Binder {
         windows: None,
@@ -243,22 +234,18 @@ pub fn bind(binder: &Binder, call: &Call, over: &ast::WindowType, written: &ast:
         aggregate(&binder, &mut window, call, frame)?
     } else if is_name(call.name) {
         if window.order.is_empty() {
-            return refuse(format!("{} needs an order: OVER (ORDER BY …)", call.name));
+            return refuse!("{} needs an order: OVER (ORDER BY …)", call.name);
         }
         if call.filter.is_some() {
-            return refuse(format!("FILTER is only for aggregates, and {} is not one", call.name));
+            return refuse!("FILTER is only for aggregates, and {} is not one", call.name);
         }
         if spec.window_frame.is_some() && !matches!(call.name, "first_value" | "last_value") {
-            return refuse(format!("{} takes no frame; leave ROWS or RANGE out", call.name));
+            return refuse!("{} takes no frame; leave ROWS or RANGE out", call.name);
         }
         let values = call.arguments.iter().map(|expr| Ok(binder.bind(expr)?.for_computing()));
         of_rows(&binder, &mut window, call.name, values.collect::<Answer<_>>()?, frame)?
     } else {
-        return refuse(format!(
-            "{} can't have OVER; only aggregates and {} can",
-            call.name,
-            NAMES.join(", ")
-        ));
+        return refuse!("{} can't have OVER; only aggregates and {} can", call.name, NAMES.join(", "));
     };
     let expr = window.step(&binder, value.expr);
     windows.borrow_mut().push(window);
@@ -319,10 +306,10 @@ fn moving(
         Aggregate::Sum | Aggregate::Min | Aggregate::Max if kind == Type::Integer => Type::Integer,
         _ if is_count => Type::Integer,
         Aggregate::All | Aggregate::Any => {
-            return refuse(format!("a moving {name} is not supported; count the rows with count_if"));
+            return refuse!("a moving {name} is not supported; count the rows with count_if");
         }
         _ if kind.is_number() => Type::Real,
-        _ => return refuse(format!("a moving {name} of {} is not supported", kind.name())),
+        _ => return refuse!("a moving {name} of {} is not supported", kind.name()),
     };
     let name = name.to_owned();
     let of_partition = move |columns: &mut [Column]| {
@@ -378,10 +365,10 @@ fn of_rows(
             Some(AnyValue::Int64(distance @ 0..=1_000_000_000)) => {
                 neighbor(binder, window, name, number, value, distance, values.get(2))
             }
-            _ => refuse(format!("{name} takes a column, and a number of rows")),
+            _ => refuse!("{name} takes a column, and a number of rows"),
         },
         ("first_value", [_]) if matches!(frame, Frame::Rows { first: Some(_), .. }) => {
-            refuse(NO_VALUE_OF_ROWS.into())
+            refuse!("{NO_VALUE_OF_ROWS}")
         }
         ("first_value", [value]) => {
             let id = window.input(binder, value.clone());
@@ -393,11 +380,11 @@ fn of_rows(
                 Frame::All => window.ordered(last.last())?,
                 Frame::ToRow => last,
                 Frame::ToPeers => window.last_of_peers(last)?,
-                Frame::Rows { .. } => return refuse(NO_VALUE_OF_ROWS.into()),
+                Frame::Rows { .. } => return refuse!("{NO_VALUE_OF_ROWS}"),
             };
             Ok(Value::new(expr, value.kind))
         }
-        _ => refuse(format!("{name} does not take {} value(s)", values.len())),
+        _ => refuse!("{name} does not take {} value(s)", values.len()),
     }
 }
 
@@ -414,7 +401,7 @@ fn neighbor(
 ) -> Answer<Value> {
     let kind = otherwise.map_or(Some(value.kind), |otherwise| value.kind.common(otherwise.kind));
     let Some(kind) = kind else {
-        return refuse(format!("{name} mixes {} with another type", value.kind.name()));
+        return refuse!("{name} mixes {} with another type", value.kind.name());
     };
     let id = window.input(binder, Value::new(value.clone().to(kind), kind));
     let is_lag = name == "lag";
