@@ -135,7 +135,7 @@ fn publishing_again_keeps_all_chosen_runs_and_the_copy_of_a_damaged_one() {
     }
     let registry = Registry::new(&results);
     let records = registry.records();
-    assert!(records.len() == 2 && records[0].label() == records[1].label());
+    assert!(records.len() == 2 && records[0].spec.label() == records[1].spec.label());
     let folders: Vec<PathBuf> =
         records.iter().map(|record| results.join("runs/smoke").join(&record.run)).collect();
     let publish = || {

@@ -84,7 +84,7 @@ fn published_runs_are_made_of_the_data_that_their_experiments_name() {
                     run.scalings(&harness::spec::Layout::finger()),
                 )
             };
-            let label = record.label();
+            let label = record.spec.label();
             let now = runs.iter().find(|run| run.label() == label).expect("the experiment has the run");
             assert_eq!(data(&record.spec), data(now), "{name}/{}", record.run);
             found += 1;

@@ -27,7 +27,7 @@ pub use means::{Mean, Of, compare, replicates_of};
 pub use settings::{Difference, Setting, all_settings, differing, has_settings};
 pub use subset::Subset;
 
-use harness_catalog::{QueryError, RunTable, answer, conditions, table};
+use harness_catalog::{QueryError, RunTable, answer, conditions, one_after_the_other, table};
 use harness_registry::{Recorded, Registry, RunRecord, Status, forces_of, quoted};
 use harness_shared::nearest;
 use harness_spec::{Origin, QUICK};
@@ -428,12 +428,8 @@ impl Analysis {
     ) -> Result<DataFrame, QueryError> {
         answer(&*self.parsed(sql)?, &|of, query| match of {
             Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
-                let mut parts = rows(of, query)?;
-                match parts.len() {
-                    0 => table(&self.registry, of, &[], query),
-                    1 => Ok(parts.remove(0)),
-                    _ => concat(parts, UnionArgs::default()),
-                }
+                let found = one_after_the_other(rows(of, query)?)?;
+                found.map_or_else(|| table(&self.registry, of, &[], query), Ok)
             }
             Table::Runs | Table::Episodes | Table::AllMetrics | Table::AllPredictions => {
                 table(&self.registry, of, &recorded(), query)

@@ -1,6 +1,6 @@
 //! The settings of runs, the settings in which runs differ, and the settings that a selection requests.
 
-use harness_registry::{RunRecord, quoted};
+use harness_registry::{RunRecord, leaves, quoted};
 use harness_spec::setting_value;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -32,14 +32,14 @@ pub(super) fn of(record: &RunRecord) -> Settings {
     if let Some(revision) = record.revision() {
         settings.insert(REVISION.to_owned(), revision.to_string());
     }
-    collect("", &record.spec.complete(&record.layout), &mut settings);
+    settings.extend(texts(&record.spec.complete(&record.layout)));
     settings
 }
 
 /// Everything that describes how a run was made, as texts by dotted keys: settings, dataset, code, versions and machine.
 pub fn all_settings(record: &RunRecord) -> BTreeMap<String, String> {
     let mut all = of(record);
-    collect("", &serde_json::to_value(&record.provenance).unwrap_or_default(), &mut all);
+    all.extend(texts(&serde_json::to_value(&record.provenance).unwrap_or_default()));
     all.remove("command");
     all
 }
@@ -53,18 +53,11 @@ pub fn differing(a: &RunRecord, b: &RunRecord) -> Vec<(String, String, String)> 
     values.filter(|(_, a, b)| a != b).collect()
 }
 
-/// Collects all values of a tree, except objects, by their dotted keys.
-fn collect(key: &str, value: &Value, settings: &mut Settings) {
-    match value {
-        Value::Object(entries) => {
-            for (name, value) in entries {
-                let key = if key.is_empty() { name.clone() } else { format!("{key}.{name}") };
-                collect(&key, value, settings);
-            }
-        }
-        Value::String(text) => drop(settings.insert(key.to_owned(), text.clone())),
-        other => drop(settings.insert(key.to_owned(), other.to_string())),
-    }
+/// All values of a tree, except objects, as texts by their dotted keys.
+fn texts(tree: &Value) -> impl Iterator<Item = (String, String)> {
+    leaves(tree)
+        .into_iter()
+        .map(|(key, value)| (key, value.as_str().map_or_else(|| value.to_string(), str::to_owned)))
 }
 
 /// A setting in which runs of one experiment differ.

@@ -137,23 +137,17 @@ fn conditions_on(query: &Query, table: Table, columns: &[Column]) -> BTreeSet<Co
 /// When a file of the table is damaged or missing.
 pub fn table(registry: &Registry, table: Table, runs: &[Recorded], query: &Query) -> PolarsResult<LazyFrame> {
     let found = match table {
+        Table::Runs if runs.is_empty() => None,
         Table::Runs => {
-            if runs.is_empty() {
-                None
-            } else {
-                let records: Vec<RunRecord> = runs.iter().map(|(_, record)| record.clone()).collect();
-                Some(runs_table(&records)?.lazy())
-            }
+            let records: Vec<RunRecord> = runs.iter().map(|(_, record)| record.clone()).collect();
+            Some(runs_table(&records)?.lazy())
         }
         Table::Episodes => episodes(&episode_files(registry, runs)?)?,
         Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
             // A run's tables count once its record says that it is done, and as its record lists them.
             let done = runs.iter().map(|(_, run)| run).filter(|run| run.status == Status::Done);
             let done = run_table(registry, table, table, &done.collect::<Vec<_>>(), query)?;
-            match table {
-                Table::Epochs => with_live_epochs(done, runs)?,
-                _ => done,
-            }
+            if table == Table::Epochs { with_live_epochs(done, runs)? } else { done }
         }
         Table::AllMetrics | Table::AllPredictions => {
             let done = runs.iter().map(|(_, run)| run).filter(|run| run.status == Status::Done);
@@ -161,13 +155,10 @@ pub fn table(registry: &Registry, table: Table, runs: &[Recorded], query: &Query
             let usual = table.usual().map(|usual| run_table(registry, usual, table, &done, query));
             let usual = usual.transpose()?.flatten().map(|rows| with_distance(rows, table));
             let further = run_table(registry, table, table, &done, query)?;
-            joined(usual.into_iter().chain(further).collect())?
+            one_after_the_other(usual.into_iter().chain(further).collect())?
         }
     };
-    match found {
-        Some(found) => Ok(found),
-        None => empty(&table.columns()),
-    }
+    Ok(found.unwrap_or_else(|| empty(&table.columns())))
 }
 
 /// The columns of a table. Those of `episodes` depend on the datasets: each column that one of them has. Without
@@ -205,14 +196,6 @@ fn with_distance(rows: LazyFrame, of: Table) -> LazyFrame {
     rows.with_columns([horizon, given]).select(columns)
 }
 
-/// Several parts of a table as one; `None` without parts.
-fn joined(mut parts: Vec<LazyFrame>) -> PolarsResult<Option<LazyFrame>> {
-    if parts.len() < 2 {
-        return Ok(parts.pop());
-    }
-    concat(parts, UnionArgs::default()).map(Some)
-}
-
 /// A table that runs write, as far as a query of the table `asked` can see it; `None` if no run has written it.
 fn run_table(
     registry: &Registry,
@@ -230,7 +213,15 @@ fn run_table(
         }
         frames.push(lazily(rows.only(conditions_on(query, asked, &table.columns())), schema)?);
     }
-    joined(frames)
+    one_after_the_other(frames)
+}
+
+/// The rows of all frames; `None` without frames.
+pub fn one_after_the_other(mut frames: Vec<LazyFrame>) -> PolarsResult<Option<LazyFrame>> {
+    match frames.len() {
+        0 | 1 => Ok(frames.pop()),
+        _ => concat(frames, UnionArgs::default()).map(Some),
+    }
 }
 
 /// The epochs of finished runs, and then those of running ones.
@@ -242,7 +233,7 @@ fn with_live_epochs(done: Option<LazyFrame>, runs: &[Recorded]) -> PolarsResult<
             frames.push(epochs.lazy());
         }
     }
-    joined(frames)
+    one_after_the_other(frames)
 }
 
 /// The files of datasets with the same layout, for each layout.
@@ -281,13 +272,11 @@ fn episodes(files: &[PathBuf]) -> PolarsResult<Option<LazyFrame>> {
         };
         frames.push(frame.select(all.iter().map(value).collect::<Vec<_>>()));
     }
-    joined(frames)
+    one_after_the_other(frames)
 }
 
 /// A table without rows, so that a query of an empty results folder has an empty answer.
-fn empty(columns: &[Column]) -> PolarsResult<LazyFrame> {
-    let columns = columns.iter().map(|column| {
-        polars::prelude::Column::new_empty(column.name.as_str().into(), &data_type(column.kind))
-    });
-    Ok(DataFrame::new(0, columns.collect())?.lazy())
+fn empty(columns: &[Column]) -> LazyFrame {
+    let field = |column: &Column| Field::new(column.name.as_str().into(), data_type(column.kind));
+    DataFrame::empty_with_schema(&columns.iter().map(field).collect()).lazy()
 }

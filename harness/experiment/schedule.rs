@@ -5,6 +5,7 @@ use super::{ExperimentError, Planned, PreparedData, Runner, Source, TrainingRun,
 use harness_collection::check_rendering;
 use harness_dataset::AnyDataset;
 use harness_registry::{Claimed, Decision, LiveEpochs, Outcome, Provenance, RunRecord, Status};
+use harness_shared::files::FolderLock;
 use harness_shared::memory;
 use harness_shared::turns::{Turn, Turns};
 use harness_spec::{Division, Experiment, RunSpec, Task};
@@ -226,7 +227,7 @@ impl Runner<'_> {
 
     /// Waits until another process has released one of the runs.
     fn wait(&self, held: &[&Planned]) -> Result<(), ExperimentError> {
-        let holder = |planned: &&Planned| self.registry.holder(&planned.folder);
+        let holder = |planned: &&Planned| FolderLock::holder(planned.folder.path());
         for (planned, holder) in held.iter().filter_map(|planned| Some((planned, holder(planned)?))) {
             self.progress.say(&format!("waiting for {}, which {holder} is working on", planned.folder.id()));
         }
@@ -334,7 +335,7 @@ impl WorkerPool<'_> {
         }
         // Another process may have worked on the run since the plan was made.
         match folder.record() {
-            Ok(Some(record)) if record.status == Status::Done => match folder.damage(&record) {
+            Ok(Some(record)) if record.status == Status::Done => match record.damage(folder.path()) {
                 None => return Ok(End::Skipped),
                 Some(damage) => {
                     self.runner.progress.say(&format!("{}: {damage}; the run starts again", folder.id()));

@@ -53,17 +53,17 @@ impl Checks {
         }
     }
 
-    /// Describes the first file of a run that is damaged, like [`RunFolder::damage`]. The files are not read if they were
+    /// Describes the first file of a run that is damaged, like [`RunRecord::damage`]. The files are not read if they were
     /// intact before and have not changed since.
     pub fn damage(&self, folder: &RunFolder, record: &RunRecord) -> Option<String> {
         if record.is_published() {
-            return folder.damage(record);
+            return record.damage(&folder.path);
         }
         let fingerprint = fingerprint(folder, record);
         if fingerprint.is_some() && fingerprint.as_ref() == self.before.runs.get(&record.run) {
             return None;
         }
-        let damage = folder.damage(record);
+        let damage = record.damage(&folder.path);
         if let Some(fingerprint) = fingerprint.filter(|_| damage.is_none()) {
             let mut now = self.now.lock().unwrap_or_else(PoisonError::into_inner);
             now.insert(record.run.clone(), fingerprint);

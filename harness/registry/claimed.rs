@@ -2,7 +2,8 @@
 
 use super::record::IN_ITS_PLACE;
 use super::{
-    Outcome, Provenance, RECORD, Registry, RegistryError, RunFolder, RunRecord, SPEC, UNCOMMITTED, removed,
+    Outcome, Provenance, RECORD, Registry, RegistryError, RunFolder, RunRecord, SPEC, Status, UNCOMMITTED,
+    peak_memory_bytes, removed,
 };
 use harness_shared::files::{FolderLock, write_bytes, write_whole};
 use harness_spec::{Layout, RunSpec, Task};
@@ -100,7 +101,9 @@ impl Claimed<'_> {
     /// # Errors
     /// When the record can't be written.
     pub fn fail(&self, record: RunRecord, reason: &str) -> Result<(), RegistryError> {
-        record.failed(reason).write(&self.folder.path.join(RECORD))
+        let (reason, peak_memory_bytes) = (Some(reason.to_owned()), peak_memory_bytes());
+        let record = RunRecord { status: Status::Failed, reason, peak_memory_bytes, ..record };
+        record.write(&self.folder.path.join(RECORD))
     }
 
     /// Writes a run's tables, then its record with the status `done`, and removes the saved states of its training, unless
@@ -109,7 +112,13 @@ impl Claimed<'_> {
     /// # Errors
     /// When a file can't be written, or a file that the record lists can't be read.
     pub fn finish(&self, record: RunRecord, outcome: &Outcome) -> Result<(), RegistryError> {
-        let record = record.done(outcome);
+        let record = RunRecord {
+            status: Status::Done,
+            timings: Some(outcome.timings),
+            parameters: Some(outcome.parameters),
+            peak_memory_bytes: peak_memory_bytes(),
+            ..record
+        };
         let mut files = record.expected_files();
         files.extend(outcome.write_tables(self.folder, &record)?);
         let may_continue = record.spec.may_continue();

@@ -45,8 +45,9 @@ pub use verify::{Finding, Report};
 use checks::Checks;
 use harness_shared::files::{FolderLock, WriteError, folders};
 use harness_spec::{RunSpec, Task};
+use serde_json::Value;
 use sha2::{Digest, Sha256};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
@@ -105,7 +106,7 @@ pub struct Registry {
 /// The runs of an experiment that have a folder, for [`Registry::decide`].
 pub struct Known {
     registry: Registry,
-    /// The runs' folders, by [`RunRecord::label`]. Their records are read when they are needed.
+    /// The runs' folders, by [`RunSpec::label`]. Their records are read when they are needed.
     folders: HashMap<String, Vec<PathBuf>>,
     checks: Checks,
 }
@@ -231,11 +232,6 @@ impl Registry {
         }
         Known { registry: self.clone(), folders: by_label, checks: Checks::of(self, experiment) }
     }
-
-    /// The process that holds the lock of a run's folder, such as `process 4711 on host`, or `None`.
-    pub fn holder(&self, folder: &RunFolder) -> Option<String> {
-        FolderLock::holder(&folder.path)
-    }
 }
 
 /// Passes on how the removal of a file or folder ended. That it is gone, or never was there, is not an error.
@@ -293,11 +289,6 @@ impl RunFolder {
             record => Ok(record),
         }
     }
-
-    /// Describes the first file that differs from what `record` lists, or returns `None` if all files are intact.
-    pub fn damage(&self, record: &RunRecord) -> Option<String> {
-        record.damage(&self.path)
-    }
 }
 
 impl Known {
@@ -326,31 +317,21 @@ impl Known {
 
 /// The settings in which two specs differ, such as `training.epochs (5, now 200)`.
 fn differences(before: &RunSpec, now: &RunSpec) -> Vec<String> {
-    let leaves = |spec: &RunSpec| {
-        let mut leaves = BTreeMap::new();
-        collect_leaves("", &serde_json::to_value(spec).unwrap_or_default(), &mut leaves);
-        leaves
-    };
-    let (before, now) = (leaves(before), leaves(now));
-    let keys: std::collections::BTreeSet<&String> = before.keys().chain(now.keys()).collect();
-    let shown = |value: Option<&String>| value.cloned().unwrap_or_else(|| "unset".into());
+    let [before, now] = [before, now].map(|spec| leaves(&serde_json::to_value(spec).unwrap_or_default()));
+    let keys: BTreeSet<&String> = before.keys().chain(now.keys()).collect();
+    let shown = |value: Option<&Value>| value.map_or("unset".into(), Value::to_string);
     keys.into_iter()
         .filter(|key| before.get(*key) != now.get(*key))
         .map(|key| format!("{key} ({}, now {})", shown(before.get(key)), shown(now.get(key))))
         .collect()
 }
 
-/// Collects all values of a tree, except objects, by their dotted keys.
-fn collect_leaves(key: &str, value: &serde_json::Value, leaves: &mut BTreeMap<String, String>) {
-    match value {
-        serde_json::Value::Object(entries) => {
-            for (name, value) in entries {
-                let key = if key.is_empty() { name.clone() } else { format!("{key}.{name}") };
-                collect_leaves(&key, value, leaves);
-            }
-        }
-        other => {
-            leaves.insert(key.to_owned(), other.to_string());
-        }
-    }
+/// All values of a tree, except objects, by their dotted keys.
+pub fn leaves(tree: &Value) -> BTreeMap<String, Value> {
+    let Value::Object(entries) = tree else { return BTreeMap::from([(String::new(), tree.clone())]) };
+    let below = |(name, value): (&String, &Value)| {
+        let key = |below: String| if below.is_empty() { name.clone() } else { format!("{name}.{below}") };
+        leaves(value).into_iter().map(|(below, value)| (key(below), value)).collect::<Vec<_>>()
+    };
+    entries.iter().flat_map(below).collect()
 }

@@ -6,9 +6,6 @@ use harness_shared::files::{real, within};
 use harness_shared::nearest;
 use std::path::Path;
 
-/// The folders of a results folder.
-const FOLDERS: [&str; 5] = ["runs", "datasets", "compacted", "specs", "jobs"];
-
 impl Registry {
     /// The only run whose id, or `experiment/id`, begins with `wanted`. The path of a run's folder is allowed, too.
     ///
@@ -51,8 +48,9 @@ impl Registry {
 
     /// Whether a folder is this results folder, or in one of its folders.
     pub(super) fn contains(&self, folder: &Path) -> bool {
-        let is_in = |part: &&str| within(&self.root.join(part), folder).is_some();
-        real(folder) == real(&self.root) || FOLDERS.iter().any(is_in)
+        let own = ["runs", "datasets", "compacted", "specs", "jobs"];
+        let is_in = |part: &str| within(&self.root.join(part), folder).is_some();
+        real(folder) == real(&self.root) || own.into_iter().any(is_in)
     }
 
     /// The name of a run or an experiment, without the path of the folder of all runs and without the slash that a shell
@@ -66,10 +64,7 @@ impl Registry {
 
     /// The error that no run matches `wanted`. It names the nearest run.
     fn unknown(&self, wanted: &str) -> RegistryError {
-        let names = self.records().into_iter().flat_map(|record| {
-            let name = record.name();
-            [record.run, name]
-        });
+        let names = self.records().into_iter().flat_map(|record| [record.run.clone(), record.name()]);
         let nearest = beginning_nearest(wanted, &names.collect::<Vec<_>>());
         RegistryError::Unknown { wanted: wanted.to_owned(), nearest, list: self.command("ls") }
     }

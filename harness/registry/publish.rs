@@ -88,7 +88,7 @@ impl Registry {
 
 /// Whether two runs are of the same cell and seed.
 fn is_same(a: &RunRecord, b: &RunRecord) -> bool {
-    (&a.experiment, a.label(), a.world()) == (&b.experiment, b.label(), b.world())
+    (&a.experiment, a.spec.label(), a.world()) == (&b.experiment, b.spec.label(), b.world())
 }
 
 /// Of which runs single samples are kept.

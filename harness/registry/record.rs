@@ -1,7 +1,7 @@
 //! The record of a run (`run.json`), and the tables that a run writes.
 
 use super::command_line::command_of;
-use super::{Provenance, REVISION, RegistryError, RunFolder, SPEC, identity, peak_memory_bytes};
+use super::{Provenance, REVISION, RegistryError, RunFolder, SPEC, identity};
 use harness_judge::{FrameRow, MetricRow, PredictionRow, is_usual};
 use harness_metrics::contact::{Contact, QUANTILES};
 use harness_metrics::epoch::Epoch;
@@ -246,26 +246,6 @@ impl RunRecord {
         }
     }
 
-    pub(super) fn failed(self, reason: &str) -> Self {
-        let peak_memory_bytes = peak_memory_bytes();
-        Self { status: Status::Failed, reason: Some(reason.to_owned()), peak_memory_bytes, ..self }
-    }
-
-    pub(super) fn done(self, outcome: &Outcome) -> Self {
-        Self {
-            status: Status::Done,
-            timings: Some(outcome.timings),
-            parameters: Some(outcome.parameters),
-            peak_memory_bytes: peak_memory_bytes(),
-            ..self
-        }
-    }
-
-    /// The run's id without its hash, such as `cluttered-z64-seed0`.
-    pub fn label(&self) -> String {
-        self.spec.label()
-    }
-
     /// The run's full name, `experiment/run`.
     pub fn name(&self) -> String {
         format!("{}/{}", self.experiment, self.run)
@@ -363,7 +343,7 @@ impl RunRecord {
     }
 
     /// Describes the first listed file that is damaged or missing, or returns `None` if all files are intact.
-    pub(super) fn damage(&self, folder: &Path) -> Option<String> {
+    pub fn damage(&self, folder: &Path) -> Option<String> {
         self.files.par_iter().find_map_first(|(name, _)| {
             let RegistryError::File { reason, .. } = self.check_file(folder, name).err()? else {
                 return None;
