@@ -13,6 +13,7 @@ mod cycles;
 mod figures;
 mod foreign;
 mod formats;
+mod horizons;
 mod hostile;
 mod integrity;
 mod interruption;

@@ -6,12 +6,13 @@ use candle_nn::{AdamW, Optimizer, ParamsAdamW};
 use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness_kernels::convolution::LANES;
 use harness_kernels::product::{Arithmetic, Unit};
+use harness_learning::data::NormalizedData;
 use harness_learning::frames::{Averaged, DenseFrames, Frames};
 use harness_learning::network::description::Description;
 use harness_learning::network::{
     Architecture, Draw, Encoder, Observation, Parameters, Targets, Value, scalar,
 };
-use harness_learning::objective::{NormalizedData, Objective, Prediction, Weighted};
+use harness_learning::objective::{Objective, Prediction, Weighted};
 use harness_learning::ops::{
     Adam, Dropout, FrameDecoder, Quantity, Stack, TwoLayers, composed, frame_decoder, frame_encoder,
     frame_loss, kl_divergence, linear, sample, two_layers, vector_losses,

@@ -190,7 +190,7 @@ fn each_once(columns: impl Iterator<Item = Column>) -> Vec<Column> {
 /// The rows of a usual table in the form of the table `of`, which has all rows: with their horizons.
 fn with_distance(rows: LazyFrame, of: Table) -> LazyFrame {
     let is_reconstruction = col("task").eq(lit(Task::Reconstruction.name()));
-    let horizon = when(is_reconstruction).then(lit(0i64)).otherwise(lit(1i64)).alias(HORIZON);
+    let horizon = when(is_reconstruction).then(lit(0)).otherwise(lit(1)).cast(DataType::Int64).alias(HORIZON);
     let given = lit(NULL).cast(DataType::String).alias(GIVEN);
     let columns = of.columns().into_iter().map(|column| col(column.name)).collect::<Vec<_>>();
     rows.with_columns([horizon, given]).select(columns)

@@ -1,7 +1,7 @@
 //! Judges the baselines of a run, and summarizes the forces of its dataset.
 
 use harness_judge::{Given, JudgeError, MetricRow, Persistence, Predictor, Ridge, Test, TrainingMean, judge};
-use harness_learning::objective::NormalizedData;
+use harness_learning::data::NormalizedData;
 use harness_metrics::contact;
 use harness_registry::ForceRows;
 use harness_samples::{Partition, Samples};

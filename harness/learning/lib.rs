@@ -1,6 +1,7 @@
 //! Networks, their custom candle ops, and their training. This crate knows tensors and datasets, but not MuJoCo.
 
 pub mod checkpoint;
+pub mod data;
 pub mod frames;
 pub mod memory;
 pub mod network;

@@ -1,8 +1,8 @@
 //! Applies trained networks to the samples of a dataset, with results in physical units.
 
 use super::LearningError;
+use super::data::NormalizedData;
 use super::network::{Decoded, Decoder, Draw, Network, State};
-use super::objective::NormalizedData;
 use candle_core::{Result, Tensor};
 use harness_judge::{BATCH, JudgeError, Predicted, Predictor, Receive, models};
 use harness_samples::{Normalizers, Sample};
