@@ -88,35 +88,46 @@ fn panels_name_the_inputs_of_the_runs_that_they_show() {
 }
 
 #[test]
-fn a_diagram_of_a_network_that_it_can_not_show_is_refused() {
+fn diagrams_show_all_layers_of_deep_networks() {
     let results = fresh("figures_network");
     let settings =
         ["network.hidden=[8,8]", "network.channels=[2,3]", "network.fusion=late", "network.average=2"];
     run(&results, MULTI, &[&["latent=[4]", "scenarios=[empty]", "seeds=[0]"][..], &settings].concat());
     let out = results.join("figures");
-    let figures = |more: &[&str]| {
-        let arguments = [&["figures", "--output", out.to_str().unwrap()], more].concat();
-        finish(&mut harness(&results, &arguments))
-    };
-    let named = figures(&["predictive_arch", "information_loss_arch"]);
-    assert_eq!(named.code, 1);
-    let lines: Vec<&str> = named.stderr.lines().collect();
-    assert_eq!(lines.len(), 2, "{}", named.stderr);
-    for (line, name) in lines.iter().zip(["predictive_arch", "information_loss_arch"]) {
-        let expected = "not drawn: the diagram shows networks with one hidden layer, one convolution and early fusion, \
-                        and those of multi_to_multi have 2 hidden layers, 2 convolutions, averaged images, late fusion; \
-                        `harness --results ";
-        assert!(line.starts_with(name) && line.contains(expected), "{line}");
-        // The command lists the layers.
-        let command = line.split('`').nth(1).unwrap().split(" show ").nth(1).unwrap();
-        let shown = succeed(&results, &[&["show"][..], &command.split(' ').collect::<Vec<_>>()].concat());
-        assert!(shown.contains("vector_norm"), "{shown}");
+    let figures = [Figure::PredictiveArch, Figure::InformationLossArch];
+    let names = figures.map(Figure::name);
+    succeed(&results, &[&["figures", "--output", out.to_str().unwrap()][..], &names].concat());
+    for (figure, action) in figures.into_iter().zip([1, 0]) {
+        let svg = String::from_utf8(read(&out, figure, "svg")).unwrap();
+        assert_whole(&svg, figure.name());
+        let count = |words: &str| svg.matches(&format!("aria-label=\"{words}")).count();
+        assert_eq!([count("convolution"), count("transposed conv."), count("layer norm.")], [2, 2, 2]);
+        // The encoder has 2 fully connected layers for vectors, and one for images, for both and for the latent state. The
+        // decoder has 2 hidden layers and the last one, for vectors and for images.
+        assert_eq!(count("fully conn"), 5 + 6);
+        // 2 convolutions, 2 layers for vectors in each part, and the transposed convolution before the last.
+        assert_eq!(count("ReLU\""), 2 + 4 + 1);
+        // The encoder averages images of 64 x 64, and the decoder does not.
+        assert_eq!([count("mean of 2 × 2 pixels"), count("8 × 8 × 3\""), count("16 × 16 × 3\"")], [1; 3]);
+        // The latent state of 4 and the action of 3 go to two layers.
+        assert_eq!([count("side by side"), count("7\"")], [action; 2]);
     }
-    assert!(!out.exists());
-    // Without names, such a diagram is no failure.
-    let all = figures(&["--single", "multi_to_multi", "--format", "svg"]);
-    assert_eq!(all.code, 0, "{}", all.stderr);
-    assert!(all.stderr.contains("late fusion") && out.join("forces_dataset.svg").exists(), "{}", all.stderr);
+}
+
+#[test]
+fn diagrams_of_networks_without_a_camera_have_one_column() {
+    let out = fresh("figures_vectors");
+    let figures = [Figure::PredictiveArch, Figure::InformationLossArch];
+    let more = ["--multi", "single_to_multi", "--format", "svg", "--output", out.to_str().unwrap()];
+    succeed(&RESULTS, &[&["figures"][..], &figures.map(Figure::name), &more].concat());
+    for figure in figures {
+        let svg = String::from_utf8(read(&out, figure, "svg")).unwrap();
+        assert_whole(&svg, figure.name());
+        let count = |words: &str| svg.matches(&format!("aria-label=\"{words}")).count();
+        assert_eq!([count("fully connected, ReLU\""), count("fully connected\"")], [2, 2]);
+        assert_eq!([count("convolution"), count("fully conn.")], [0, 0]);
+        assert_eq!(count("2 or 4\""), 1);
+    }
 }
 
 #[test]
@@ -155,22 +166,24 @@ fn all_nine_are_drawn_from_tables_alone() {
 #[test]
 fn every_svg_is_whole_self_contained_and_within_its_page() {
     for figure in Figure::OF_THE_PAPER {
-        let svg = svg(figure);
-        let document = roxmltree::Document::parse(&svg).unwrap();
-        // The SVG must need no font and no other file.
-        assert!(!document.descendants().any(|node| node.has_tag_name("text")));
-        let ids: BTreeSet<&str> = document.descendants().filter_map(|node| node.attribute("id")).collect();
-        for reference in document.descendants().filter_map(|node| node.attribute("href")) {
-            let found = reference.strip_prefix('#').map(|id| ids.contains(id));
-            assert!(found.unwrap_or_else(|| reference.starts_with("data:image/png;base64,")), "{reference}");
-        }
-        let tree = usvg::Tree::from_str(&svg, &usvg::Options::default()).unwrap();
-        let (size, drawn) = (tree.size(), tree.root().abs_stroke_bounding_box());
-        let name = figure.name();
-        assert!(drawn.left() >= -0.1 && drawn.top() >= -0.1, "{name}: {drawn:?}");
-        assert!(drawn.right() <= size.width() + 0.1, "{name}: {drawn:?} of {size:?}");
-        assert!(drawn.bottom() <= size.height() + 0.1, "{name}: {drawn:?} of {size:?}");
+        assert_whole(&svg(figure), figure.name());
     }
+}
+
+fn assert_whole(svg: &str, name: &str) {
+    let document = roxmltree::Document::parse(svg).unwrap();
+    // The SVG must need no font and no other file.
+    assert!(!document.descendants().any(|node| node.has_tag_name("text")));
+    let ids: BTreeSet<&str> = document.descendants().filter_map(|node| node.attribute("id")).collect();
+    for reference in document.descendants().filter_map(|node| node.attribute("href")) {
+        let found = reference.strip_prefix('#').map(|id| ids.contains(id));
+        assert!(found.unwrap_or_else(|| reference.starts_with("data:image/png;base64,")), "{reference}");
+    }
+    let tree = usvg::Tree::from_str(svg, &usvg::Options::default()).unwrap();
+    let (size, drawn) = (tree.size(), tree.root().abs_stroke_bounding_box());
+    assert!(drawn.left() >= -0.1 && drawn.top() >= -0.1, "{name}: {drawn:?}");
+    assert!(drawn.right() <= size.width() + 0.1, "{name}: {drawn:?} of {size:?}");
+    assert!(drawn.bottom() <= size.height() + 0.1, "{name}: {drawn:?} of {size:?}");
 }
 
 #[test]

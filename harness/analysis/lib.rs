@@ -281,12 +281,6 @@ impl Analysis {
         (made.name == experiment).then(|| self.registry.command(&command))
     }
 
-    /// The command that shows a run with the layers of its networks.
-    pub fn show_command(&self, run: &Run) -> String {
-        let name = format!("{}/{}", run.record.experiment, run.record.run);
-        self.registry.command(&format!("show {} --all", quoted([name.as_str()])))
-    }
-
     /// The names of the experiments that have runs which count, in alphabetical order.
     pub fn experiments(&self) -> impl Iterator<Item = &str> {
         self.experiments.keys().map(String::as_str)

@@ -5,6 +5,7 @@
 //! from [`source::Source`], which uses the runs that [`analysis`](harness_analysis) selects. The same tables give the
 //! same bytes of SVG.
 
+mod anatomy;
 mod axes;
 mod curves;
 mod diagram;
@@ -106,20 +107,6 @@ pub enum FigureError {
         /// The command that makes the experiment's runs. `None` if there is no spec of the experiment's name.
         command: Option<String>,
     },
-    /// A diagram can't show the networks of the runs.
-    #[error(
-        "the diagram shows networks with one hidden layer, one convolution and early fusion, and those of {experiment} \
-         have {}; `{command}` lists their layers",
-        has.join(", ")
-    )]
-    OtherNetwork {
-        /// The experiment's name.
-        experiment: String,
-        /// What the diagram can't show, such as `2 hidden layers`.
-        has: Vec<String>,
-        /// The command that lists the layers.
-        command: String,
-    },
     /// The runs differ in their settings and can't be shown in one figure.
     #[error(transparent)]
     Mixed(#[from] Mixed),
@@ -152,10 +139,9 @@ fn finished(experiments: &[String]) -> String {
 }
 
 impl FigureError {
-    /// Whether nothing failed, but there is nothing to draw: runs or rows of their tables are missing, or a diagram can't
-    /// show their networks.
+    /// Whether nothing failed, but there is nothing to draw: runs or rows of their tables are missing.
     pub fn has_nothing_to_draw(&self) -> bool {
-        matches!(self, Self::NoRuns { .. } | Self::NoRows { .. } | Self::OtherNetwork { .. })
+        matches!(self, Self::NoRuns { .. } | Self::NoRows { .. })
     }
 }
 

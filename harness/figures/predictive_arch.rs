@@ -1,8 +1,8 @@
 //! Diagram of the network that predicts the next observation: the idea, and the layers.
 
-use super::axes::remark;
-use super::diagram::{ACTION, Anatomy, INPUT, LATENT, LINE, block, network};
-use super::page::{COLUMN, Page, Type, WHITE};
+use super::anatomy::Anatomy;
+use super::diagram::{ACTION, INPUT, LATENT, LINE, block, network};
+use super::page::{Page, Type, WHITE};
 use super::source::Source;
 use super::{Drawing, FigureError};
 use harness_spec::Task;
@@ -10,18 +10,14 @@ use harness_spec::Task;
 /// Draws the figure.
 pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let anatomy = Anatomy::of(source, Task::Prediction)?;
-    let mut page = Page::new(COLUMN, 294.0, "The network that predicts the next observation");
-    idea(&mut page, 28.0);
-    page.text("a", [2.0, 9.0], Type::BOLD);
-    page.text("the idea: fuse, compress, predict", [10.0, 9.0], Type::LABEL.start());
-    page.text("b", [2.0, 82.0], Type::BOLD);
-    page.text("as a conditional variational auto-encoder", [10.0, 82.0], Type::LABEL.start());
-    let height = network(&mut page, COLUMN, 88.0, &anatomy);
-    remark(
-        &mut page,
-        &format!("{}; numbers: values that a layer gives", anatomy.parameter_words()),
-        [COLUMN / 2.0, 88.0 + height + 9.0],
-    );
+    let remark = format!("{}; numbers: values that a layer gives", anatomy.parameter_words());
+    let page = network("The network that predicts the next observation", 88.0, &anatomy, &remark, |page| {
+        page.text("a", [2.0, 9.0], Type::BOLD);
+        page.text("the idea: fuse, compress, predict", [10.0, 9.0], Type::LABEL.start());
+        idea(page, 28.0);
+        page.text("b", [2.0, 82.0], Type::BOLD);
+        page.text("as a conditional variational auto-encoder", [10.0, 82.0], Type::LABEL.start());
+    });
     Ok(Drawing { page, data: anatomy.data()? })
 }
 

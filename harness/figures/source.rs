@@ -197,14 +197,14 @@ impl<'a> Runs<'a> {
 
     fn answered(&self, answer: DataFrame) -> Result<DataFrame, FigureError> {
         match answer.height() {
-            0 => Err(no_rows(self.analysis, &self.experiment)),
+            0 => Err(self.no_rows()),
             _ => Ok(answer),
         }
     }
 
-    /// The command that shows one of the runs with the layers of its networks.
-    pub fn show_command(&self) -> String {
-        self.analysis.show_command(&self.all[0])
+    /// The error that the runs have nothing for a figure.
+    pub fn no_rows(&self) -> FigureError {
+        no_rows(self.analysis, &self.experiment)
     }
 
     /// The inputs of the runs' networks, as [`input_words`].

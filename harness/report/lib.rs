@@ -84,8 +84,7 @@ enum Part<T> {
 }
 
 /// Converts the result of making a part. If the part failed because runs are missing, because runs differ in their
-/// settings, because a diagram can't show their networks, or because there is no OpenGL driver, it becomes
-/// [`Part::Absent`]. If the runs of an asked experiment do not have the part, there is no command, because the
+/// settings, or because there is no OpenGL driver, it becomes [`Part::Absent`]. If the runs of an asked experiment do not have the part, there is no command, because the
 /// experiment's spec may not ask for it and may be in any file.
 ///
 /// # Errors
@@ -101,7 +100,6 @@ fn part<T>(outcome: Result<T, FigureError>, asked: &Asked) -> Result<Part<T>, Fi
             (reason, command.filter(|_| asked.experiments.is_empty()))
         }
         Err(FigureError::Mixed(error)) => (sentence(&error.to_string()), None),
-        Err(error @ FigureError::OtherNetwork { .. }) => (sentence(&error.to_string()), None),
         Err(FigureError::Simulation(error @ SimulationError::NoRenderer { .. })) => {
             (format!("It could not be rendered: {error}."), None)
         }

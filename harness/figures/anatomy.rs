@@ -1,0 +1,333 @@
+//! What a diagram shows of a network: the layers that the network lists, and their order.
+
+use super::FigureError;
+use super::source::{Source, Study};
+use candle_core::Device;
+use harness_learning::LearningError;
+use harness_learning::network::description::{
+    Activation, Convolution, IMAGES, LATENT, Layer, Operation, POSTERIOR, VECTORS,
+};
+use harness_learning::network::{Parameters, architecture};
+use harness_learning::random::{Random, Stream};
+use harness_spec::{Definition, Layout, Modality, RunSpec, Task};
+use polars::prelude::*;
+use std::sync::Arc;
+
+/// The inputs, outputs and layers of a task's networks.
+pub struct Anatomy {
+    /// The networks' task.
+    pub task: Task,
+    /// The modalities that the encoder is given.
+    pub input: Vec<Definition>,
+    /// The modalities that the decoder gives.
+    pub output: Vec<Definition>,
+    /// The latent sizes of the runs, ascending.
+    latents: Vec<usize>,
+    /// The width of the decoder's action; 0 without an action.
+    pub action: usize,
+    /// The networks, one for each of the latent sizes.
+    networks: Vec<Layers>,
+}
+
+/// The layers and parameters of a network.
+struct Layers {
+    encoder: Vec<Layer>,
+    decoder: Vec<Layer>,
+    /// The parameters' names and shapes.
+    parameters: Vec<(String, Vec<usize>)>,
+}
+
+impl Layers {
+    /// Builds a run's network for a task as training builds it.
+    fn of(spec: &RunSpec, layout: &Arc<Layout>, task: Task) -> candle_core::Result<Self> {
+        let architecture = architecture(spec, layout, task);
+        let (mut parameters, mut random) =
+            (Parameters::new(), Random::new(spec.seed, Stream::Parameters(task)));
+        let encoder = architecture.encoder(&mut parameters, &mut random, &Device::Cpu)?.layers()?;
+        let decoder = architecture.decoder(&mut parameters, &mut random, &Device::Cpu)?.layers()?;
+        let parameters = parameters.iter().map(|(name, var)| (name.clone(), var.dims().to_vec()));
+        Ok(Self { encoder, decoder, parameters: parameters.collect() })
+    }
+}
+
+impl Anatomy {
+    /// Builds the networks of the multi-to-multi runs as training builds them, one for each latent size.
+    ///
+    /// # Errors
+    /// When the runs are missing, they have no such task, or a network can't be built.
+    pub fn of(source: &Source, task: Task) -> Result<Self, FigureError> {
+        let runs = source.runs(Study::MultiToMulti)?;
+        let latents = runs.latents();
+        let spec = &runs.all[0].record.spec;
+        if !spec.tasks.contains(&task) {
+            return Err(runs.no_rows());
+        }
+        let architecture = architecture(spec, runs.layout(), task);
+        let definitions = |names: &[Modality]| {
+            names.iter().map(|name| (**runs.layout())[*name].clone()).collect::<Vec<Definition>>()
+        };
+        let (input, output) = (definitions(&architecture.input), definitions(&architecture.output));
+        let build =
+            |latent: &usize| Layers::of(&RunSpec { latent: *latent, ..spec.clone() }, runs.layout(), task);
+        let networks = latents.iter().map(build).collect::<Result<_, _>>().map_err(LearningError::from)?;
+        Ok(Self { task, input, output, latents, action: architecture.action, networks })
+    }
+
+    /// The latent sizes in words, for example "16, 64 or 128".
+    pub fn latent_words(&self) -> String {
+        any_of(self.latents.iter().copied())
+    }
+
+    /// The smallest and the largest number of parameters of the networks, in words.
+    pub fn parameter_words(&self) -> String {
+        let count = |network: &Layers| -> usize {
+            network.parameters.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum()
+        };
+        let millions = |count: usize| {
+            if count < 1_000_000 {
+                format!("{:.1} thousand", count as f64 / 1e3)
+            } else {
+                format!("{:.2} million", count as f64 / 1e6)
+            }
+        };
+        let mut counts: Vec<usize> = self.networks.iter().map(count).collect();
+        counts.sort_unstable();
+        let (first, last) = (millions(counts[0]), millions(counts[counts.len() - 1]));
+        if first == last { format!("{first} parameters") } else { format!("{first} to {last} parameters") }
+    }
+
+    /// The figure's CSV rows: every parameter with its shape, at every latent size.
+    ///
+    /// # Errors
+    /// When Polars can't build the table.
+    pub fn data(&self) -> Result<DataFrame, FigureError> {
+        let rows: Vec<(usize, &str, &[usize])> = self
+            .latents
+            .iter()
+            .zip(&self.networks)
+            .flat_map(|(latent, network)| {
+                network.parameters.iter().map(|(name, shape)| (*latent, name.as_str(), shape.as_slice()))
+            })
+            .collect();
+        let shape = |shape: &[usize]| shape.iter().map(usize::to_string).collect::<Vec<_>>().join(" x ");
+        Ok(df!(
+            "task" => vec![self.task.name(); rows.len()],
+            "latent" => rows.iter().map(|(latent, ..)| *latent as u32).collect::<Vec<_>>(),
+            "parameter" => rows.iter().map(|(_, parameter, _)| *parameter).collect::<Vec<_>>(),
+            "shape" => rows.iter().map(|(.., dims)| shape(dims)).collect::<Vec<_>>(),
+            "values" => rows.iter().map(|(.., dims)| dims.iter().product::<usize>() as u64).collect::<Vec<_>>(),
+        )?)
+    }
+}
+
+/// Different numbers in words, for example "16, 64 or 128".
+fn any_of(numbers: impl Iterator<Item = usize>) -> String {
+    let mut words: Vec<String> = numbers.map(|number| number.to_string()).collect();
+    words.dedup();
+    match words.as_slice() {
+        [first @ .., before, last] => {
+            let first: String = first.iter().map(|word| format!("{word}, ")).collect();
+            format!("{first}{before} or {last}")
+        }
+        _ => words.concat(),
+    }
+}
+
+/// The column of a block: that of images, that of vectors, or both.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Lane {
+    /// Values that come from images alone, or lead to images alone.
+    Images,
+    /// Values that come from vectors alone, or lead to vectors alone.
+    Vectors,
+    /// All others.
+    Both,
+}
+
+/// A layer in the diagram.
+pub struct Block<'a> {
+    /// The name of the layer and of the value that it gives.
+    pub name: &'a str,
+    /// The block's column.
+    pub lane: Lane,
+    /// Number of arrows on the longest way from the latent state.
+    pub depth: usize,
+    /// What the layer computes, and the values that it gives.
+    pub lines: Vec<String>,
+    /// Whether a ReLU follows, for which the lines have no room.
+    pub relu_beside: bool,
+}
+
+/// An encoder or a decoder in the diagram. Its arrows connect the latent state and the action with [`IMAGES`] and
+/// [`VECTORS`], which it is given or gives.
+pub struct Part<'a> {
+    /// First part of the parameters' names.
+    prefix: &'static str,
+    /// The layers at each latent size.
+    layers: Vec<&'a [Layer]>,
+    /// The parameters' names and shapes at the smallest latent size.
+    parameters: &'a [(String, Vec<usize>)],
+    /// Pairs of connected values, of which the first is nearer to the latent state.
+    pub pairs: Vec<(&'a str, &'a str)>,
+    /// The modalities at its other end.
+    pub modalities: &'a [Definition],
+}
+
+impl<'a> Part<'a> {
+    /// The encoder of the networks.
+    pub fn encoder(anatomy: &'a Anatomy) -> Self {
+        let layers = anatomy.networks.iter().map(|network| network.encoder.as_slice()).collect();
+        let mut part = Self::new("encoder", layers, anatomy, &anatomy.input);
+        part.pairs.iter_mut().for_each(|(input, layer)| std::mem::swap(input, layer));
+        part.pairs.push((LATENT, POSTERIOR));
+        part
+    }
+
+    /// The decoder of the networks.
+    pub fn decoder(anatomy: &'a Anatomy) -> Self {
+        let layers = anatomy.networks.iter().map(|network| network.decoder.as_slice()).collect();
+        let mut part = Self::new("decoder", layers, anatomy, &anatomy.output);
+        let ends = part.layers[0].iter().filter(|layer| consumers(part.layers[0], &layer.name) == 0);
+        let end =
+            |layer: &'a Layer| (layer.name.as_str(), if layer.output.len() > 1 { IMAGES } else { VECTORS });
+        part.pairs.extend(ends.map(end).collect::<Vec<_>>());
+        part
+    }
+
+    /// A part whose pairs are those of a layer's input and the layer.
+    fn new(
+        prefix: &'static str,
+        layers: Vec<&'a [Layer]>,
+        anatomy: &'a Anatomy,
+        modalities: &'a [Definition],
+    ) -> Self {
+        let all = layers[0];
+        let drawn = all.iter().filter(|layer| is_drawn(all, layer));
+        let pairs =
+            drawn.flat_map(|layer| inputs(all, layer).into_iter().map(|input| (input, layer.name.as_str())));
+        let (pairs, parameters) = (pairs.collect(), anatomy.networks[0].parameters.as_slice());
+        Self { prefix, layers, parameters, pairs, modalities }
+    }
+
+    /// The values next to this one, on the side of the latent state.
+    fn nearer(&self, name: &str) -> impl Iterator<Item = &'a str> {
+        self.pairs.iter().filter(move |(_, far)| *far == name).map(|(near, _)| *near)
+    }
+
+    /// The values next to this one, on the other side.
+    fn farther(&self, name: &str) -> impl Iterator<Item = &'a str> {
+        self.pairs.iter().filter(move |(near, _)| *near == name).map(|(_, far)| *far)
+    }
+
+    /// Number of arrows on the longest way from the latent state to a value.
+    fn depth(&self, name: &str) -> usize {
+        self.nearer(name).map(|near| 1 + self.depth(near)).max().unwrap_or(0)
+    }
+
+    /// Whether data flow towards the latent state.
+    pub fn is_encoder(&self) -> bool {
+        self.prefix == "encoder"
+    }
+
+    /// The layers that have blocks.
+    pub fn blocks(&self) -> Vec<Block<'a>> {
+        let layers = self.layers[0];
+        let block = |(index, layer): (usize, &'a Layer)| {
+            let lane = self.lane(&layer.name);
+            Block {
+                name: &layer.name,
+                lane,
+                depth: self.depth(&layer.name),
+                lines: self.lines(index, lane),
+                relu_beside: has_relu_beside(layer, lane),
+            }
+        };
+        layers.iter().enumerate().filter(|(_, layer)| is_drawn(layers, layer)).map(block).collect()
+    }
+
+    fn reaches(&self, name: &str, end: &str) -> bool {
+        name == end || self.farther(name).any(|far| self.reaches(far, end))
+    }
+
+    /// The column of a value. A part with vectors or images alone has a single wide column.
+    pub fn lane(&self, name: &str) -> Lane {
+        let images = self.modalities.iter().filter(|modality| modality.is_image()).count();
+        if images == 0 || images == self.modalities.len() {
+            return Lane::Both;
+        }
+        match (self.reaches(name, IMAGES), self.reaches(name, VECTORS)) {
+            (true, false) => Lane::Images,
+            (false, true) => Lane::Vectors,
+            _ => Lane::Both,
+        }
+    }
+
+    /// What a block says about a layer: what it computes, and the values that it gives.
+    fn lines(&self, index: usize, lane: Lane) -> Vec<String> {
+        let layer = &self.layers[0][index];
+        let short = |whole: &str, short: &str| if lane == Lane::Both { whole } else { short }.to_owned();
+        let reshaped = self.layers[0].iter().find(|other| {
+            other.operation == Operation::Reshape && other.inputs.iter().any(|input| *input == layer.name)
+        });
+        let given = match reshaped.unwrap_or(layer).output.as_slice() {
+            [channels, rows, columns] => format!("{rows} × {columns} × {channels}"),
+            _ => any_of(self.layers.iter().map(|layers| layers[index].output.iter().product())),
+        };
+        let kernel = |Convolution { weight, stride, .. }: &Convolution| {
+            let name = format!("{}.{weight}", self.prefix);
+            let found = self.parameters.iter().find(|(parameter, _)| *parameter == name);
+            let sides = found.map_or_else(String::new, |(_, dims)| format!("{} × {}", dims[2], dims[3]));
+            format!("{sides}, stride {stride}")
+        };
+        match &layer.operation {
+            Operation::Dense { activation, .. } => {
+                let name = short("fully connected", "fully conn.");
+                let relu = *activation == Activation::Relu && lane != Lane::Vectors;
+                let means = if layer.name == POSTERIOR { "*μ*, log *σ*²: " } else { "" };
+                vec![if relu { name + ", ReLU" } else { name }, format!("{means}{given}")]
+            }
+            Operation::Convolution(convolution) => vec!["convolution".into(), kernel(convolution), given],
+            Operation::TransposedConvolution(convolution) => {
+                vec![short("transposed convolution", "transposed conv."), kernel(convolution), given]
+            }
+            Operation::LayerNormalization { .. } => vec![short("layer normalization", "layer norm."), given],
+            Operation::Average { size } => vec![format!("mean of {size} × {size} pixels"), given],
+            Operation::Concatenate | Operation::Flatten | Operation::Reshape => {
+                vec!["side by side".into(), given]
+            }
+        }
+    }
+}
+
+/// Whether a ReLU follows a layer whose block has no room to say so.
+fn has_relu_beside(layer: &Layer, lane: Lane) -> bool {
+    let activation = match &layer.operation {
+        Operation::Dense { activation, .. } if lane == Lane::Vectors => *activation,
+        Operation::Convolution(of) | Operation::TransposedConvolution(of) => of.activation,
+        _ => Activation::None,
+    };
+    activation == Activation::Relu
+}
+
+/// Number of layers that take a layer's output.
+fn consumers(layers: &[Layer], name: &str) -> usize {
+    layers.iter().filter(|layer| layer.inputs.iter().any(|input| input == name)).count()
+}
+
+/// Whether a layer has a block. A layer that only arranges values for the next layer has none.
+fn is_drawn(layers: &[Layer], layer: &Layer) -> bool {
+    match layer.operation {
+        Operation::Flatten | Operation::Reshape => false,
+        Operation::Concatenate => consumers(layers, &layer.name) > 1,
+        _ => true,
+    }
+}
+
+/// The drawn layers, or values given to the encoder or decoder, that a layer takes.
+fn inputs<'a>(layers: &'a [Layer], layer: &'a Layer) -> Vec<&'a str> {
+    let drawn = |input: &'a String| match layers.iter().find(|other| other.name == *input) {
+        Some(other) if !is_drawn(layers, other) => inputs(layers, other),
+        _ => vec![input.as_str()],
+    };
+    layer.inputs.iter().flat_map(drawn).collect()
+}
