@@ -5,6 +5,9 @@ use harness_analysis::Interval;
 use polars::prelude::{Column, DataFrame, PolarsResult};
 
 /// Converts judgments to a table with one row for each.
+///
+/// # Errors
+/// When Polars can't build the table.
 pub fn table(judgments: &[&Judgment]) -> PolarsResult<DataFrame> {
     let text = |name: &str, of: &dyn Fn(&Judgment) -> Option<String>| {
         Column::new(name.into(), judgments.iter().map(|judgment| of(judgment)).collect::<Vec<_>>())

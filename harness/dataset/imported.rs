@@ -60,7 +60,10 @@ impl Imported {
         &self.layout
     }
 
-    /// Returns an error if the dataset lacks a modality that the run uses.
+    /// Checks that the dataset has the modalities that a run uses.
+    ///
+    /// # Errors
+    /// When it lacks one.
     pub fn check(&self, spec: &RunSpec) -> Result<(), DatasetError> {
         let missing = spec.modalities().into_iter().find(|modality| self.layout.get(*modality).is_none());
         let Some(modality) = missing else { return Ok(()) };

@@ -171,12 +171,18 @@ impl Dataset {
     }
 
     /// Writes the dataset's description to its folder.
+    ///
+    /// # Errors
+    /// When the file can't be written.
     pub fn describe(&self) -> Result<(), DatasetError> {
         let text = format!("{:#}\n", self.description);
         Ok(write_bytes(&self.folder.join(Description::FILE), text.as_bytes())?)
     }
 
     /// Writes one episode to its file.
+    ///
+    /// # Errors
+    /// When the table can't be made, or the file can't be written.
     pub fn save(&self, episode: &Episode) -> Result<(), DatasetError> {
         let stamp = Stamp::from([
             ("dataset".into(), self.name.clone()),
@@ -236,6 +242,9 @@ impl Dataset {
     }
 
     /// Reads one episode, with or without its frames. The whole file is compared with its seal in both cases.
+    ///
+    /// # Errors
+    /// When the file is missing, damaged, or not this episode.
     pub fn read(&self, index: u32, frames: bool) -> Result<Episode, DatasetError> {
         let (path, samples) = (self.episode_path(index), self.spec.samples_per_episode());
         read_episode(&path, &self.name, index, samples, frames, &self.layout)

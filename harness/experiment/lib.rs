@@ -253,6 +253,9 @@ impl<'a> Runner<'a> {
     }
 
     /// Returns each run of the experiment, with a decision whether to run, resume or skip it.
+    ///
+    /// # Errors
+    /// When the device or a dataset can't be opened, or a run does not suit its dataset.
     pub fn plan(&self, experiment: &Experiment) -> Result<Vec<Planned>, ExperimentError> {
         open_device(experiment.training.device)?;
         if let Some(repetitions) = experiment.repetitions() {

@@ -267,7 +267,7 @@ impl<'a> Part<'a> {
         let layer = &self.layers[0][index];
         let short = |whole: &str, short: &str| if lane == Lane::Both { whole } else { short }.to_owned();
         let reshaped = self.layers[0].iter().find(|other| {
-            other.operation == Operation::Reshape && other.inputs.iter().any(|input| *input == layer.name)
+            other.operation == Operation::Reshape && other.inputs.contains(&layer.name)
         });
         let given = match reshaped.unwrap_or(layer).output.as_slice() {
             [channels, rows, columns] => format!("{rows} × {columns} × {channels}"),

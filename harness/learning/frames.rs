@@ -26,6 +26,9 @@ pub trait Frames: Send + Sync {
     }
 
     /// Returns the whole batch as a tensor `[batch, channels, rows, columns]`.
+    ///
+    /// # Errors
+    /// When the tensor can't be created on the device.
     fn tensor(&self, device: &Device) -> Result<Tensor> {
         let mut values = vec![0.0; self.batch() * self.frame_len()];
         for (index, frame) in values.chunks_exact_mut(self.frame_len()).enumerate() {

@@ -25,6 +25,9 @@ pub struct TensorFile {
 
 impl TensorFile {
     /// Writes the file with a seal. A failed write leaves no partial file.
+    ///
+    /// # Errors
+    /// When the file can't be written.
     pub fn write(&self, path: &Path) -> Result<(), LearningError> {
         let mut note = self.note.clone();
         note.insert(seal::KEY.into(), seal::BLANK.into());
@@ -45,6 +48,9 @@ impl TensorFile {
     }
 
     /// Parses the bytes of a file from any writer, without checking a seal.
+    ///
+    /// # Errors
+    /// When the bytes are no such file. Returns the reason.
     pub fn parse(bytes: &[u8]) -> Result<Self, String> {
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(|error| error.to_string())?;
         let note =
@@ -63,6 +69,9 @@ impl TensorFile {
     }
 
     /// Returns the tensor `name` on the device of `like`. It must have the shape and type of `like`.
+    ///
+    /// # Errors
+    /// When there is no such tensor, or it has another shape or type. Returns the reason.
     pub fn like(&self, name: &str, like: &Tensor) -> Result<Tensor, String> {
         let tensor = self.tensors.get(name).ok_or_else(|| format!("it has no tensor '{name}'"))?;
         if tensor.shape() != like.shape() || tensor.dtype() != like.dtype() {

@@ -403,6 +403,9 @@ struct Group {
 }
 
 /// Returns the metrics of one modality over samples in memory. [`Evaluation`] describes shapes, units and errors.
+///
+/// # Errors
+/// When a value is not finite, or the numbers of values do not match.
 pub fn evaluate(
     definition: &Definition,
     reference: &[f32],

@@ -25,6 +25,9 @@ pub fn asked_rows(rows: DataFrame, asked: &AnonymousScanArgs) -> DataFrame {
 }
 
 /// A lazy frame that scans `table`, whose columns are those of `schema`, when it is collected.
+///
+/// # Errors
+/// When Polars refuses the scan.
 pub fn lazily(table: impl AnonymousScan + 'static, schema: SchemaRef) -> PolarsResult<LazyFrame> {
     LazyFrame::anonymous_scan(
         Arc::new(table),
@@ -35,6 +38,9 @@ pub fn lazily(table: impl AnonymousScan + 'static, schema: SchemaRef) -> PolarsR
 /// The tables at `paths` one after the other, lazily and cut down to `columns`; `None` if there are none.
 ///
 /// Polars reads the files later and does not check seals, so the caller must have checked them.
+///
+/// # Errors
+/// When the first file can't be read or lacks a column.
 pub fn scan(paths: &[PathBuf], columns: &[Column]) -> PolarsResult<Option<LazyFrame>> {
     let Some(first) = paths.first() else { return Ok(None) };
     let names: Vec<String> = columns.iter().map(|column| column.name.clone()).collect();

@@ -62,6 +62,9 @@ where
 }
 
 /// Writes a table to a sealed file. The table must have the columns `columns`, in this order.
+///
+/// # Errors
+/// When the table has other columns, or the file can't be written.
 pub fn write_table(
     path: &Path,
     mut table: DataFrame,
@@ -115,12 +118,18 @@ impl TableFile {
     }
 
     /// Checks the seal of `bytes`, which were read from `path`.
+    ///
+    /// # Errors
+    /// When the seal is missing or wrong.
     pub fn new(path: &Path, bytes: Vec<u8>) -> Result<Self, TableError> {
         seal::check(&bytes).map_err(|error| unreadable(path, error))?;
         Ok(Self { path: path.to_owned(), bytes })
     }
 
     /// Returns the number of rows, the columns and the provenance.
+    ///
+    /// # Errors
+    /// When the metadata can't be decoded.
     pub fn footer(&self) -> Result<Footer, TableError> {
         let mut reader = ParquetReader::new(Cursor::new(&self.bytes));
         let metadata = reader.get_metadata().map_err(|error| unreadable(&self.path, error))?;
@@ -134,12 +143,18 @@ impl TableFile {
     }
 
     /// Decodes the given columns, or all columns.
+    ///
+    /// # Errors
+    /// When a column is missing, or the file can't be decoded.
     pub fn table(&self, columns: Option<Vec<String>>) -> Result<DataFrame, TableError> {
         let reader = ParquetReader::new(Cursor::new(&self.bytes)).with_columns(columns);
         reader.finish().map_err(|error| unreadable(&self.path, error))
     }
 
     /// Decodes the given columns in this order, using only the calling thread.
+    ///
+    /// # Errors
+    /// When a column is missing, or the file can't be decoded.
     pub fn read_serially(&self, columns: &[String]) -> Result<DataFrame, TableError> {
         let reader = ParquetReader::new(Cursor::new(&self.bytes)).with_columns(Some(columns.to_vec()));
         let rows = reader.read_parallel(ParallelStrategy::None).finish();
@@ -148,6 +163,9 @@ impl TableFile {
 }
 
 /// Concatenates the parts of a table; `None` without parts.
+///
+/// # Errors
+/// When the parts have different columns.
 pub fn stacked(parts: Vec<DataFrame>) -> PolarsResult<Option<DataFrame>> {
     let mut parts = parts.into_iter();
     let Some(mut whole) = parts.next() else { return Ok(None) };
@@ -158,11 +176,17 @@ pub fn stacked(parts: Vec<DataFrame>) -> PolarsResult<Option<DataFrame>> {
 }
 
 /// Reads the footer of a file.
+///
+/// # Errors
+/// When the file can't be read or is damaged.
 pub fn read_footer(path: &Path) -> Result<Footer, TableError> {
     TableFile::open(path)?.footer()
 }
 
 /// Reads the given columns of a table, or all columns.
+///
+/// # Errors
+/// When the file can't be read or is damaged, or a column is missing.
 pub fn read_table(path: &Path, columns: Option<Vec<String>>) -> Result<DataFrame, TableError> {
     TableFile::open(path)?.table(columns)
 }

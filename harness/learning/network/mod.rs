@@ -78,6 +78,9 @@ impl Architecture {
     }
 
     /// Creates an encoder. Its parameters are added to `parameters`, under names that begin with `encoder.`.
+    ///
+    /// # Errors
+    /// When a tensor can't be created on the device.
     pub fn encoder(
         &self,
         parameters: &mut Parameters,
@@ -88,6 +91,9 @@ impl Architecture {
     }
 
     /// Creates a decoder. Its parameters are added to `parameters`, under names that begin with `decoder.`.
+    ///
+    /// # Errors
+    /// When a tensor can't be created on the device.
     pub fn decoder(
         &self,
         parameters: &mut Parameters,
@@ -98,6 +104,9 @@ impl Architecture {
     }
 
     /// Lists all layers with parameters of the encoder and the decoder in the order in which they are applied. Creates no parameters.
+    ///
+    /// # Errors
+    /// When a layer can't be described.
     pub fn summary(&self) -> Result<Summary> {
         let trained = |mut layers: Vec<Layer>| {
             layers.retain(|layer| layer.parameters > 0);
@@ -238,9 +247,15 @@ pub trait Network: Send + Sync {
 /// Maps an observation to a posterior over the latent state.
 pub trait Encoder: Send + Sync {
     /// Returns the posterior of a batch. `dropout` is applied to the output of the convolutions.
+    ///
+    /// # Errors
+    /// When a part of the observation is missing or has another shape.
     fn encode_with_dropout(&self, observation: &Observation, dropout: Option<Dropout>) -> Result<Posterior>;
 
     /// Returns the posterior of a batch, without dropout.
+    ///
+    /// # Errors
+    /// Like [`encode_with_dropout`](Self::encode_with_dropout).
     fn encode(&self, observation: &Observation) -> Result<Posterior> {
         self.encode_with_dropout(observation, None)
     }
@@ -249,21 +264,33 @@ pub trait Encoder: Send + Sync {
     fn detached(&self) -> Box<dyn Encoder>;
 
     /// Describes the layers in the order in which they are applied.
+    ///
+    /// # Errors
+    /// When the shape of a parameter is not that of its layer.
     fn layers(&self) -> Result<Vec<Layer>>;
 }
 
 /// Maps a latent state, and an action if the decoder has one, to an observation.
 pub trait Decoder: Send + Sync {
     /// Returns the normalized observation. On the CPU its frames have no gradient.
+    ///
+    /// # Errors
+    /// When a tensor has another shape.
     fn decode(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Decoded>;
 
     /// Returns the mean loss of every output modality against `targets`, on normalized values.
+    ///
+    /// # Errors
+    /// When a tensor has another shape.
     fn losses(&self, latent: &Tensor, action: Option<&Tensor>, targets: Targets) -> Result<Vec<Term>>;
 
     /// Returns the same decoder over the same parameters, for which no gradients are computed.
     fn detached(&self) -> Box<dyn Decoder>;
 
     /// Describes the layers in the order in which they are applied.
+    ///
+    /// # Errors
+    /// When the shape of a parameter is not that of its layer.
     fn layers(&self) -> Result<Vec<Layer>>;
 }
 
@@ -328,34 +355,52 @@ impl Posterior {
     }
 
     /// Returns the size of the latent state.
+    ///
+    /// # Errors
+    /// When the tensor has no columns.
     pub fn latent(&self) -> Result<usize> {
         Ok(self.0.dim(1)? / 2)
     }
 
     /// Returns the means, `[batch, latent]`.
+    ///
+    /// # Errors
+    /// When the tensor has no columns.
     pub fn mean(&self) -> Result<Tensor> {
         let latent = self.latent()?;
         self.0.narrow(1, 0, latent)?.contiguous()
     }
 
     /// Returns the log-variances, `[batch, latent]`.
+    ///
+    /// # Errors
+    /// When the tensor has no columns.
     pub fn log_variance(&self) -> Result<Tensor> {
         let latent = self.latent()?;
         self.0.narrow(1, latent, latent)?.contiguous()
     }
 
     /// Draws latent states, `[batch, latent]`. `noise` is standard normal and has the same shape.
+    ///
+    /// # Errors
+    /// When the noise has another shape.
     pub fn sample(&self, noise: &Tensor) -> Result<Tensor> {
         ops::sample(&self.0, noise)
     }
 
     /// Returns the divergence from the standard normal distribution in nats, averaged over the batch; a scalar.
+    ///
+    /// # Errors
+    /// When the tensor has no columns.
     pub fn kl_divergence(&self) -> Result<Tensor> {
         ops::kl_divergence(&self.0)
     }
 }
 
 /// Returns the value of a scalar tensor.
+///
+/// # Errors
+/// When the tensor has more than one value.
 pub fn scalar(tensor: &Tensor) -> Result<f64> {
     tensor.to_dtype(DType::F64)?.to_scalar()
 }

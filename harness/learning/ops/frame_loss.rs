@@ -67,6 +67,9 @@ impl FrameDecoder {
 
 /// Decodes frames from `hidden` `[batch, hidden]`, and returns their mean squared error against `target` over all
 /// values of the batch, a scalar.
+///
+/// # Errors
+/// When a tensor has another shape.
 pub fn frame_loss(hidden: &Tensor, decoder: FrameDecoder, target: Arc<dyn Frames>) -> Result<Tensor> {
     if !hidden.device().is_cpu() {
         let predicted = decoder.compose(hidden)?;
@@ -80,6 +83,9 @@ pub fn frame_loss(hidden: &Tensor, decoder: FrameDecoder, target: Arc<dyn Frames
 
 /// Decodes frames from `hidden` `[batch, hidden]`, and returns `[batch, frame channels, rows, columns]`. On the CPU the
 /// result has no gradient.
+///
+/// # Errors
+/// When a tensor has another shape.
 pub fn frame_decoder(hidden: &Tensor, decoder: &FrameDecoder) -> Result<Tensor> {
     if !hidden.device().is_cpu() {
         return decoder.compose(hidden);

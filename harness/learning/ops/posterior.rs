@@ -8,6 +8,9 @@ use harness_kernels::{self as kernels, exp, simd};
 ///
 /// `posterior` is `[batch, 2 * latent]`, the means followed by the log-variances. `noise` and the result are
 /// `[batch, latent]`.
+///
+/// # Errors
+/// When the noise has another shape.
 pub fn sample(posterior: &Tensor, noise: &Tensor) -> Result<Tensor> {
     if posterior.device().is_cpu() {
         return posterior.contiguous()?.apply_op1(Sample { noise: noise.contiguous()? });
@@ -19,6 +22,9 @@ pub fn sample(posterior: &Tensor, noise: &Tensor) -> Result<Tensor> {
 /// Returns the Kullback-Leibler divergence from the standard normal distribution (Kingma & Welling, 2014, appendix B).
 /// It is summed over the latent state and averaged over the batch. The result is a scalar, in nats. `posterior` is as
 /// in [`sample`].
+///
+/// # Errors
+/// When the tensor has no columns.
 pub fn kl_divergence(posterior: &Tensor) -> Result<Tensor> {
     let batch = posterior.dim(0)? as f64;
     if posterior.device().is_cpu() {

@@ -16,6 +16,9 @@ pub struct Quantity {
 
 /// Returns the mean loss of each quantity over its columns and the batch, `[quantities]`. The `quantities` divide the
 /// columns of `predicted` and `target`, both `[batch, width]`, from left to right.
+///
+/// # Errors
+/// When the shapes do not match.
 pub fn vector_losses(predicted: &Tensor, target: &Tensor, quantities: &[Quantity]) -> Result<Tensor> {
     if predicted.device().is_cpu() {
         let op = VectorLosses { target: target.contiguous()?, quantities: quantities.to_vec() };
@@ -31,6 +34,9 @@ pub fn vector_losses(predicted: &Tensor, target: &Tensor, quantities: &[Quantity
 }
 
 /// Computes the loss of each error with candle's operations.
+///
+/// # Errors
+/// When candle can't compute an operation.
 pub fn composed(loss: Loss, errors: &Tensor) -> Result<Tensor> {
     match loss {
         Loss::Squared => errors.sqr(),
