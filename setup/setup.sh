@@ -112,7 +112,8 @@ check_egl() {
     egl_works && return
     # shellcheck disable=SC2086 # a list of packages
     if can_install; then apt_install $packages || true; fi
-    egl_works || fail "no EGL driver answers, so frames can't be rendered; install one as root: apt-get install $packages"
+    egl_works ||
+    fail "no EGL driver answers, so frames can't be rendered; install one as root: apt-get install $packages"
 }
 
 # Tests read the report's page in a browser. Without one they are skipped.

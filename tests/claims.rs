@@ -861,7 +861,8 @@ fn measured(values: &[f64]) -> Measured {
 
 #[test]
 fn a_verdict_needs_the_whole_interval() {
-    let text = "- {id: a, paper: p, section: s, measured: m, experiments: [single_to_multi], query: q, condition: above 1}";
+    let text = "- {id: a, paper: p, section: s, measured: m, experiments: [single_to_multi], query: q, condition: \
+                above 1}";
     let claims = load_text(text).unwrap();
     let verdict = |values: &[f64]| judgment(&claims[0], measured(values)).verdict();
     // Two values at a distance of d have the interval mean ± 12.71 d / 2, from a table of Student's t.
@@ -875,8 +876,8 @@ fn a_verdict_needs_the_whole_interval() {
 
 #[test]
 fn a_claim_of_no_advantage_is_judged_by_its_margin() {
-    let text = "- {id: a, paper: p, section: s, measured: m, experiments: [single_to_multi], query: q, condition: below \
-                margin 1}";
+    let text = "- {id: a, paper: p, section: s, measured: m, experiments: [single_to_multi], query: q, condition: \
+                below margin 1}";
     let claims = load_text(text).unwrap();
     assert_eq!(claims[0].condition, Condition::Margin(1.0));
     let verdict = |values: &[f64]| judgment(&claims[0], measured(values)).verdict();
@@ -890,8 +891,8 @@ fn a_claim_of_no_advantage_is_judged_by_its_margin() {
 
 #[test]
 fn a_difference_between_scenarios_is_not_paired() {
-    let text = "- {id: a, paper: p, section: s, measured: m, experiments: [single_to_multi], query: q, condition: above 0, \
-                difference: [cluttered, empty]}";
+    let text = "- {id: a, paper: p, section: s, measured: m, experiments: [single_to_multi], query: q, condition: \
+                above 0, difference: [cluttered, empty]}";
     let claims = load_text(text).unwrap();
     let of = |values: &[(u64, i64, f64)]| {
         values.iter().map(|(dataset, n, value)| ((*dataset, *n), *value)).collect()
@@ -919,7 +920,9 @@ fn a_difference_between_scenarios_is_not_paired() {
 
 #[test]
 fn a_claim_is_testable_where_what_it_requires_holds() {
-    let text = "- {id: a, paper: p, section: s, measured: m, experiments: [single_to_multi], query: q, condition: above 1,
+    let text =
+        "- {id: a, paper: p, section: s, measured: m, experiments: [single_to_multi], query: q, condition: \
+                above 1,
    requires: {measured: R2, query: r, condition: above 0.5}}";
     let claims = load_text(text).unwrap();
     let of = measured;
@@ -967,12 +970,12 @@ fn networks_that_a_simple_prediction_beats_in_the_metric_of_a_claim_do_not_decid
     // With vision, the least WMAPE of the force is 20 % or 30 %. That of persistence is 65 %.
     let text = |metric: &str, beaten: &str| {
         format!(
-            "- {{id: a, paper: p, section: s, measured: m, experiments: [multi_to_multi], metric: {metric}, query: \"select \
-             seed, 1 as value from runs where latent = 64 and scenario = 'empty'\", condition: above 0, requires: \
-             {{measured: m, condition: below 0.95, query: \"select seed, min(case when model = 'network' then {{error}} \
-             end) / least(min(case when model = 'persistence' then {{error}} end), {{zero}}, {beaten}) as value from \
-             metrics where metric = '{{metric}}' and modality = 'contact_force' and index is null and direction is null \
-             and task = 'prediction' and scenario = 'empty' group by seed\"}}}}"
+            "- {{id: a, paper: p, section: s, measured: m, experiments: [multi_to_multi], metric: {metric}, query: \
+             \"select seed, 1 as value from runs where latent = 64 and scenario = 'empty'\", condition: above 0, \
+             requires: {{measured: m, condition: below 0.95, query: \"select seed, min(case when model = 'network' \
+             then {{error}} end) / least(min(case when model = 'persistence' then {{error}} end), {{zero}}, {beaten}) \
+             as value from metrics where metric = '{{metric}}' and modality = 'contact_force' and index is null and \
+             direction is null and task = 'prediction' and scenario = 'empty' group by seed\"}}}}"
         )
     };
     for (metric, other, expected) in [
@@ -1059,8 +1062,8 @@ fn faults_of_a_file_are_named_with_their_place() {
         (
             edited(
                 "  query: |\n    select scenario, seed, avg(value)",
-                "  metric: wmape\n  requires: {measured: m, query: q, condition: above 0}\n  query: |\n    select scenario, \
-                 seed, avg(case when metric = '{metric}' then value end)",
+                "  metric: wmape\n  requires: {measured: m, query: q, condition: above 0}\n  query: |\n    select \
+                 scenario, seed, avg(case when metric = '{metric}' then value end)",
             ),
             "8:34: the claim 'force' has a metric, so its requirement must be in it; write metric = '{metric}'",
         ),
@@ -1331,8 +1334,8 @@ fn the_command_says_why_a_claim_is_not_testable() {
         succeed(folder.path(), &["claims", "finger_motion_is_hardly_predicted", "arm_motion_is_predicted"]);
     let summary = "0 hold, 0 do not hold, 0 undecided, 2 not testable; ";
     assert!(printed.contains(summary), "{printed}");
-    let reason = "not testable, cluttered   squared error of the frame difference relative to \"no change\", best latent \
-                  size: 1.000 [";
+    let reason = "not testable, cluttered   squared error of the frame difference relative to \"no change\", best \
+                  latent size: 1.000 [";
     let line = printed.lines().find(|line| line.starts_with(reason)).unwrap_or_else(|| panic!("{printed}"));
     assert!(
         line.ends_with(", not below 0.95: arm_motion_is_predicted, finger_motion_is_hardly_predicted"),

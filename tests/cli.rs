@@ -304,7 +304,8 @@ fn a_killed_run_is_listed_as_interrupted_and_planned_again() {
 #[test]
 fn queries_print_or_write_their_answer() {
     let folder = Folder::new();
-    let query = "select scenario, count(*) as samples, max(time) as last from episodes group by scenario order by scenario";
+    let query = "select scenario, count(*) as samples, max(time) as last from episodes group by scenario order by \
+                 scenario";
     let printed = succeed(&RESULTS, &["query", query]);
     assert!(printed.contains("cluttered      120  2.900"), "{printed}");
     for ending in ["parquet", "csv", "json", "JSON"] {
@@ -562,7 +563,8 @@ fn shells_complete_every_command() {
     let complete = |words: &str, current: usize| {
         let script = format!(
             "source <({} completions bash); COMP_WORDS=({words}); COMP_CWORD={current}; \
-             _harness harness \"${{COMP_WORDS[{current}]}}\" \"${{COMP_WORDS[{current} - 1]}}\"; echo ${{COMPREPLY[*]}}",
+             _harness harness \"${{COMP_WORDS[{current}]}}\" \"${{COMP_WORDS[{current} - 1]}}\"; echo \
+             ${{COMPREPLY[*]}}",
             env!("CARGO_BIN_EXE_harness")
         );
         // Bash warns of a locale that is not installed.

@@ -1,5 +1,5 @@
-//! Work that several processes divide, and its submission to Slurm, for which scripts stand in here. `make cluster` uses a
-//! real one.
+//! Work that several processes divide, and its submission to Slurm, for which scripts stand in here. `make cluster`
+//! uses a real one.
 
 use crate::common::{Answer, Disk, FAILING, SMOKE, finish, fresh, harness, succeed, write_script};
 use crate::interruption::{signal, start_command};

@@ -107,8 +107,8 @@ fn every_cell_is_the_mean_and_interval_of_the_tables_and_the_best_is_bold() {
 #[test]
 fn a_setting_is_compared_with_the_whole_spec_of_a_run() {
     let all = succeed(&RESULTS, &["compare", "smoke", "--format", "markdown"]);
-    // Defaults that a record does not store, and values in every way in which a spec can give them. The smoke experiment
-    // has hidden: [16], and the networks see joint angles and images.
+    // Defaults that a record does not store, and values in every way in which a spec can give them. The smoke
+    // experiment has hidden: [16], and the networks see joint angles and images.
     for setting in [
         "split.by=episode",
         "split.gap_seconds=null",
@@ -207,8 +207,8 @@ fn runs_that_differ_in_more_than_their_seed_are_never_averaged() {
         let rows = query(
             &results,
             &format!(
-                "select modality, value from metrics where run in ({runs}) and task = 'prediction' and model = 'network' and metric = 'r2' and index is null \
-                 and direction is null order by modality, seed"
+                "select modality, value from metrics where run in ({runs}) and task = 'prediction' and model = \
+                 'network' and metric = 'r2' and index is null and direction is null order by modality, seed"
             ),
         );
         let values = |modality: &str| -> Vec<f64> {

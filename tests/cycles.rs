@@ -1,8 +1,8 @@
 //! Import cycles between the files of a crate.
 //!
 //! A file imports another if a path that begins with `crate::` or `super::` leads to it. A name that a file re-exports
-//! leads to the file that it comes from. Imports between a file and the modules that contain it do not count: a module's
-//! own file declares the modules in it, and they use what it defines for all of them.
+//! leads to the file that it comes from. Imports between a file and the modules that contain it do not count: a
+//! module's own file declares the modules in it, and they use what it defines for all of them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

@@ -102,8 +102,8 @@ fn diagrams_show_all_layers_of_deep_networks() {
         assert_whole(&svg, figure.name());
         let count = |words: &str| svg.matches(&format!("aria-label=\"{words}")).count();
         assert_eq!([count("convolution"), count("transposed conv."), count("layer norm.")], [2, 2, 2]);
-        // The encoder has 2 fully connected layers for vectors, and one for images, for both and for the latent state. The
-        // decoder has 2 hidden layers and the last one, for vectors and for images.
+        // The encoder has 2 fully connected layers for vectors, and one for images, for both and for the latent state.
+        // The decoder has 2 hidden layers and the last one, for vectors and for images.
         assert_eq!(count("fully conn"), 5 + 6);
         // 2 convolutions, 2 layers for vectors in each part, and the transposed convolution before the last.
         assert_eq!(count("ReLU\""), 2 + 4 + 1);
@@ -617,7 +617,8 @@ fn one_seed_has_no_bars_and_other_settings_are_refused() {
     assert_eq!((answer.code, drawn.as_str()), (1, ""));
     let choice = "single_to_multi:training.learning_rate=0.001";
     let expected = format!(
-        "the runs of single_to_multi differ in training.learning_rate (0.001, 0.01); select some, for example with `--where '{choice}'`\n"
+        "the runs of single_to_multi differ in training.learning_rate (0.001, 0.01); select some, for example with \
+         `--where '{choice}'`\n"
     );
     assert!(answer.stderr.ends_with(&expected), "{}", answer.stderr);
     let (answer, drawn) = draw("chosen", &["--where", choice]);

@@ -1,5 +1,5 @@
-//! Robot models that nobody here wrote, from packages of dm_control and MuJoCo. Each goes through the commands that a new
-//! user calls. What was recorded is compared with what Python's `mujoco` computes at the recorded states.
+//! Robot models that nobody here wrote, from packages of dm_control and MuJoCo. Each goes through the commands that a
+//! new user calls. What was recorded is compared with what Python's `mujoco` computes at the recorded states.
 
 use crate::common::{fresh, succeed};
 use harness::dataset::Dataset;
@@ -35,8 +35,8 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Adds to a world file that `world new` wrote: the entries that it leaves out, the poses of all bodies and sites with a
-/// name, and mean forces.
+/// Adds to a world file that `world new` wrote: the entries that it leaves out, the poses of all bodies and sites with
+/// a name, and mean forces.
 fn add_poses(path: &Path) {
     // Entries that the file leaves out, and advises to uncomment.
     let text = fs::read_to_string(path).unwrap();

@@ -6,8 +6,8 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 
 /// A query whose answer has nulls, integers, texts with commas and quotes, and real numbers of 17 digits.
-const SQL: &str = "select experiment, run, 'a, \"b\" | c' as text, latent, prediction_seconds / 3 as third, reason from runs \
-                   order by experiment, run limit 300";
+const SQL: &str = "select experiment, run, 'a, \"b\" | c' as text, latent, prediction_seconds / 3 as third, reason \
+                   from runs order by experiment, run limit 300";
 
 /// The commands, and the noun for their rows.
 const COMMANDS: [(&[&str], &str); 4] = [
@@ -140,8 +140,8 @@ fn a_format_and_a_file_are_refused_together() {
             let arguments = [command, &["--format", format, "--output", "x.csv"]].concat();
             let answer = finish(&mut harness(&reference(), &arguments));
             assert_eq!(answer.code, 2);
-            let expected = "--format is the format of the standard output, and the ending of 'x.csv' that of the file; leave out \
-                            --format or --output";
+            let expected = "--format is the format of the standard output, and the ending of 'x.csv' that of the file; \
+                            leave out --format or --output";
             assert!(answer.stderr.contains(expected), "{}", answer.stderr);
         }
     }
@@ -180,8 +180,8 @@ fn bytes_are_refused_in_formats_that_can_not_hold_them() {
         let arguments = ["query", "select run, reference from frames limit 1", "--format", format];
         let answer = finish(&mut harness(&reference(), &arguments));
         assert_eq!((answer.code, &*answer.stdout), (2, ""));
-        let expected = "the column 'reference' holds bytes, which CSV and JSON can't hold; leave it out, or write Parquet with \
-                        --output FILE.parquet";
+        let expected = "the column 'reference' holds bytes, which CSV and JSON can't hold; leave it out, or write \
+                        Parquet with --output FILE.parquet";
         assert!(answer.stderr.contains(expected), "{}", answer.stderr);
     }
 }

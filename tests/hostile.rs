@@ -316,7 +316,8 @@ fn readers() -> Vec<Reader> {
                 "select case when seed % 2 = 0 then 'even' else upper(run) end as kind, \
                  row_number() over (partition by scenario order by seed) from runs union all select run, 1 from runs",
                 "select cast(round(reference) as int), round(predicted, 2), substr(run, 1, 3) || 'x', \
-                 sum(predicted) over (partition by run order by sample) from predictions where modality like 'contact%' or episode in (1, 2, 3)",
+                 sum(predicted) over (partition by run order by sample) from predictions where modality like \
+                 'contact%' or episode in (1, 2, 3)",
             ]
             .map(|text| text.as_bytes().to_vec())
             .to_vec(),

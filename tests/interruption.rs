@@ -64,7 +64,8 @@ fn numbers(results: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
             .contains(&name.as_str())
             || name.starts_with("episode_")
     };
-    // A process that is killed while it removes a superseded run leaves the folder that it has set aside for `harness gc`.
+    // A process that is killed while it removes a superseded run leaves the folder that it has set aside for `harness
+    // gc`.
     let is_set_aside = |path: &PathBuf| {
         let first = path.strip_prefix(results).unwrap().components().next().unwrap();
         first.as_os_str().to_string_lossy().starts_with(".unfinished-removal-")
@@ -179,8 +180,8 @@ fn comes_to(child: &mut Child, what: &str, so: impl Fn() -> bool) -> bool {
     true
 }
 
-/// Sends a signal to a command as soon as `so` returns true for its results folder. A command that ends before it notices
-/// the signal starts again in another folder. Returns the folder and the answer.
+/// Sends a signal to a command as soon as `so` returns true for its results folder. A command that ends before it
+/// notices the signal starts again in another folder. Returns the folder and the answer.
 #[track_caller]
 fn stopped(arguments: &[&str], number: libc::c_int, so: impl Fn(&Path) -> bool) -> (Results, Answer) {
     for _ in 0..20 {
@@ -453,8 +454,8 @@ fn hold_dataset(results: &Path, collection: &[&str]) -> FolderLock {
 fn a_second_interrupt_ends_the_process_at_once() {
     let results = Results::new();
     let _held = hold_dataset(results.path(), &COLLECTION);
-    // While it waits, it checks every 100 ms whether it should stop. A busy machine takes both signals for one if they come
-    // too soon after each other.
+    // While it waits, it checks every 100 ms whether it should stop. A busy machine takes both signals for one if they
+    // come too soon after each other.
     let at_once = (0..100).any(|attempt| {
         let mut child = start(results.path(), &COLLECTION);
         let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();

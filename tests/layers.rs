@@ -1,4 +1,4 @@
-//! The table of layers in ARCHITECTURE.md, compared with cargo's dependencies of the crates.
+//! The table of layers in ARCHITECTURE.md, compared with cargo's dependencies of the crates. The length of lines.
 
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -33,8 +33,8 @@ static LAYERS: LazyLock<Vec<Layer>> = LazyLock::new(|| {
     rows.map(layer).collect()
 });
 
-/// Cargo's metadata of the workspace and all its dependencies on this platform. Cargo downloads no others when it compiles,
-/// so this needs no network.
+/// Cargo's metadata of the workspace and all its dependencies on this platform. Cargo downloads no others when it
+/// compiles, so this needs no network.
 static METADATA: LazyLock<Value> = LazyLock::new(|| {
     let platform = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
     let output = Command::new(env!("CARGO"))
@@ -161,5 +161,23 @@ fn pictures_of_the_report_are_rendered_again_when_any_of_its_crates_changes() {
     let script = std::fs::read_to_string(script).unwrap();
     for name in own(&contents(package("report"))) {
         assert!(script.contains(&format!("\"../{name}\"")), "harness/report/build.rs lacks {name}");
+    }
+}
+
+/// Tables, code, links and generated text of Markdown, and URLs can't be wrapped.
+#[test]
+fn no_line_of_rust_or_markdown_is_too_long() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let files = Command::new("git").args(["ls-files", "*.rs", "*.md"]).current_dir(root).output().unwrap();
+    for file in String::from_utf8(files.stdout).unwrap().lines().filter(|file| root.join(file).exists()) {
+        let text = std::fs::read_to_string(root.join(file)).unwrap();
+        let mut is_code = false;
+        for (index, line) in text.lines().enumerate() {
+            is_code ^= file.ends_with(".md") && line.trim_start().starts_with("```");
+            let whole =
+                ["|", "    ", "!["].iter().any(|start| line.starts_with(start)) || line.contains("<!--");
+            let is_exempt = file.ends_with(".md") && (is_code || whole) || line.contains("://");
+            assert!(is_exempt || line.chars().count() <= 120, "{file}:{}: {line}", index + 1);
+        }
     }
 }

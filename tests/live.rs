@@ -122,7 +122,8 @@ fn a_trial_is_watched_up_to_the_epoch_where_halving_compares_it() {
     let results = fresh("live-halving");
     let spec = results.with_extension("yaml");
     // Each epoch has many small steps, so that the first trial lasts long enough to be seen.
-    let text = "name: tiny\nscenarios: [empty]\ninput: [proprioception]\noutput: [proprioception, contact_force]\nlatent: [2]\n\
+    let text = "name: tiny\nscenarios: [empty]\ninput: [proprioception]\noutput: [proprioception, \
+                contact_force]\nlatent: [2]\n\
         network: {preset: single_to_multi, hidden: [8]}\nsimulation: {episodes: 4, actuations_per_episode: 2}\n\
         training: {epochs: 90000, batch_size: 2, patience: null}\n\
         search:\n  method: sobol\n  trials: 2\n  space:\n    training.batch_size: {choice: [1, 2]}\n  \

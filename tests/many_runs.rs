@@ -10,8 +10,8 @@ use std::process::Stdio;
 /// Numbers of runs in two folders.
 const FEW: u64 = 300;
 const MANY: u64 = 3000;
-/// How many times the processor time a command may take at most with ten times as many runs. With a time that grows with
-/// their square, it would be up to 100 times as much.
+/// How many times the processor time a command may take at most with ten times as many runs. With a time that grows
+/// with their square, it would be up to 100 times as much.
 const MOST_TIMES: f64 = 20.0;
 
 /// Writes records of finished runs with different seeds.

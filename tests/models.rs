@@ -14,8 +14,8 @@ fn the_script_still_produces_what_is_checked_in() {
     assert!(output.status.success(), "run `.venv/bin/python models/compose.py`:\n{said}");
 }
 
-/// Datasets and runs from before layouts have this layout, so the two worlds must resolve to it, apart from the kinds of
-/// contacts, which came later.
+/// Datasets and runs from before layouts have this layout, so the two worlds must resolve to it, apart from the kinds
+/// of contacts, which came later.
 #[test]
 fn the_fingers_layout_is_that_of_the_papers_worlds() {
     for scenario in Scenario::PAPER {

@@ -296,8 +296,8 @@ fn ask(results: &Path, answers: &Path) {
     let metrics =
         "select experiment, run, task, model, modality, direction, index, metric, unit, value from metrics";
     ask("query_metrics", &["query", metrics, "-o", &file("metrics.parquet")]);
-    let means = "select experiment, scenario, latent, variant, metric, avg(value) as mean, count(value) as n from metrics \
-                 where model = 'network' and index is null and value is not null \
+    let means = "select experiment, scenario, latent, variant, metric, avg(value) as mean, count(value) as n from \
+                 metrics where model = 'network' and index is null and value is not null \
                  group by experiment, scenario, latent, variant, metric";
     ask("query_means", &["query", means, "-o", &file("means.parquet")]);
     ask("compare_rows", &["compare", "-o", &file("compare.csv")]);

@@ -102,8 +102,10 @@ fn names_and_files_that_do_not_exist_are_refused_with_what_there_is() {
     };
     let unknown = refused("multi_to_mutli");
     assert!(
-        unknown.starts_with("error: unknown experiment 'multi_to_mutli'; did you mean 'multi_to_multi'? Allowed: arm_and_vision, ")
-            && unknown.ends_with(", vision_assumptions, or the path of a file\n"),
+        unknown.starts_with(
+            "error: unknown experiment 'multi_to_mutli'; did you mean 'multi_to_multi'? Allowed: \
+                             arm_and_vision, "
+        ) && unknown.ends_with(", vision_assumptions, or the path of a file\n"),
         "{unknown}"
     );
     let missing =

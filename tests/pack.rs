@@ -1,5 +1,5 @@
-//! `harness pack` and `harness unpack`: a file with runs, from which any folder predicts the same, bit for bit. What can't
-//! be packed or unpacked is refused in one line, and leaves everything as it was.
+//! `harness pack` and `harness unpack`: a file with runs, from which any folder predicts the same, bit for bit. What
+//! can't be packed or unpacked is refused in one line, and leaves everything as it was.
 
 use crate::common::{Answer, Disk, FAILING, SMOKE, finish, fresh, harness, smoke_run, succeed};
 use harness::dataset::Dataset;
@@ -74,7 +74,8 @@ fn csv(results: &Path, sql: &str) -> String {
     fs::read_to_string(path).unwrap()
 }
 
-/// The bits of everything that a run's network computes from samples of a dataset: posterior, prediction, reconstruction.
+/// The bits of everything that a run's network computes from samples of a dataset: posterior, prediction,
+/// reconstruction.
 fn computed(results: &Path, scenario: &str, datasets: &Path) -> Vec<u32> {
     let samples = Dataset::at(&child(datasets.join("datasets"), scenario)).unwrap();
     let samples = samples.load(FramePlace::Memory, &Silent).unwrap();
@@ -578,8 +579,8 @@ fn a_disk_that_gets_full_leaves_the_results_as_they_were() {
     assert_refused(&unpack(disk.path(), &WHOLE), 1, "Read-only file system");
 }
 
-/// Runs a command under a limit of the size of the files that it writes, in kilobytes. The system kills it when it writes
-/// a larger one.
+/// Runs a command under a limit of the size of the files that it writes, in kilobytes. The system kills it when it
+/// writes a larger one.
 fn killed_at(kilobytes: usize, results: &Path, arguments: &[&str]) {
     let limited = format!("ulimit -c 0; ulimit -f {kilobytes}; exec \"$@\"");
     let mut command = Command::new("bash");

@@ -72,8 +72,8 @@ fn a_published_registry_answers_as_the_whole_one_but_for_single_samples() {
     let pictures =
         "select distinct experiment, scenario, seed from frames order by experiment, scenario, seed";
     assert!(!csv(&copy, pictures).contains(",5\n"), "{}", csv(&copy, pictures));
-    let forces = "select distinct scenario, modality, index, mean from forces where experiment = 'smoke' and episode is null \
-                  order by scenario, modality, index";
+    let forces = "select distinct scenario, modality, index, mean from forces where experiment = 'smoke' and episode \
+                  is null order by scenario, modality, index";
     assert_eq!(csv(&copy, forces), csv(&RESULTS, forces));
 
     assert!(succeed(&copy, &["verify"]).contains("6 runs, 0 datasets, 30 files: all files are intact"));
@@ -105,8 +105,8 @@ fn a_single_run_of_a_sweep_can_be_queried() {
 #[test]
 fn each_reading_and_role_keeps_the_forces_of_one_run_a_dataset() {
     let (results, copy) = (fresh("published-readings-from"), fresh("published-readings"));
-    let readings = "\nroles:\n  smoke: {}\nreadings:\n  - {name: narrow, choice: the width, base: wide, instead: narrow, \
-                    paper: none, settings: {network.hidden: [8]}}\n";
+    let readings = "\nroles:\n  smoke: {}\nreadings:\n  - {name: narrow, choice: the width, base: wide, instead: \
+                    narrow, paper: none, settings: {network.hidden: [8]}}\n";
     let folder = tempfile::tempdir().unwrap();
     let spec = folder.path().join("readings.yaml");
     std::fs::write(&spec, std::fs::read_to_string(SMOKE).unwrap() + readings).unwrap();

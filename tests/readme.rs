@@ -53,8 +53,8 @@ fn steps(page: &str, heading: &str) -> Vec<Step> {
     steps
 }
 
-/// A text in which numbers with decimals, times and the folder are replaced, because they depend on the machine. Several
-/// spaces are one, because the width of a column depends on its numbers.
+/// A text in which numbers with decimals, times and the folder are replaced, because they depend on the machine.
+/// Several spaces are one, because the width of a column depends on its numbers.
 fn stable(text: &str, folder: &Path) -> Vec<String> {
     let text = text.replace(&*folder.to_string_lossy(), "/path/to/harness");
     let word = |word: &str| {

@@ -25,8 +25,8 @@ fn published_results_are_whole_and_small() {
     assert!(bytes(&reference()) < 60_000_000);
 }
 
-/// Every figure of the paper is there as a PNG, as `results/README.md` says how to draw it; those of tables are the same
-/// bytes as drawn anew. What a driver renders may differ by machine.
+/// Every figure of the paper is there as a PNG, as `results/README.md` says how to draw it; those of tables are the
+/// same bytes as drawn anew. What a driver renders may differ by machine.
 #[test]
 fn published_figures_are_those_of_the_published_tables() {
     let folder = tempfile::tempdir().unwrap();

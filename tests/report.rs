@@ -575,8 +575,8 @@ fn runs_of_several_settings_are_put_together_nowhere_on_the_page() {
         let settings = ["latent=[2]", "scenarios=[cluttered]", "seeds=[0]", batch];
         succeed(&results, &[&["run", SINGLE][..], &TINY, &settings].concat());
     }
-    let mixed = "The runs of single_to_multi differ in training.batch_size (16, 32); select some, for example with `--where \
-                 'single_to_multi:training.batch_size=";
+    let mixed = "The runs of single_to_multi differ in training.batch_size (16, 32); select some, for example with \
+                 `--where 'single_to_multi:training.batch_size=";
     let page = page_without_pictures(&results, "report.html", &[]);
     for section in ["joints", "regression", "figures"] {
         let part = between(&page, &format!("<section id=\"{section}\">"), "</section>");
@@ -723,7 +723,8 @@ fn serve_styles() -> String {
             // A browser may open a connection on which it asks for nothing.
             std::thread::spawn(move || {
                 let _ = asked.read(&mut [0; 4096]);
-                let head = "HTTP/1.1 200 OK\r\nContent-Type: text/css\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
+                let head = "HTTP/1.1 200 OK\r\nContent-Type: text/css\r\nContent-Length: 0\r\nConnection: \
+                            close\r\n\r\n";
                 let _ = asked.write_all(head.as_bytes());
             });
         }

@@ -64,8 +64,8 @@ impl Source<'_> {
         let untestable = count(&|verdict| verdict == Verdict::NotTestable);
         let all = self.judgments.len();
         format!(
-            "Of {all} verdicts, {hold} say that a statement of the paper holds here, {fail} that it does not, and {} that \
-             these runs do not decide it; {untestable} are not testable.",
+            "Of {all} verdicts, {hold} say that a statement of the paper holds here, {fail} that it does not, and {} \
+             that these runs do not decide it; {untestable} are not testable.",
             all - hold - fail - untestable
         )
     }
@@ -82,8 +82,8 @@ impl Source<'_> {
         let decided = self.judgments.iter().filter(is_decided).count();
         let unsure = self.stands().into_iter().filter(|stands| !stands).count();
         format!(
-            "Holm's correction for {tests} tests makes {unsure} of the {decided} verdicts \"holds\" and \"does not hold\" \
-             undecided."
+            "Holm's correction for {tests} tests makes {unsure} of the {decided} verdicts \"holds\" and \"does not \
+             hold\" undecided."
         )
     }
 

@@ -644,8 +644,10 @@ fn models_that_do_not_compile_are_refused_with_mujocos_message() {
     assert!(message.contains(path.to_str().unwrap()), "{message}");
     assert!(message.contains("tpye") && message.contains("line 2"), "{message}");
     // MuJoCo's advice begins after more than 99 characters.
-    let unlimited = "<mujoco><compiler autolimits='false'/><worldbody><body><joint name='a' range='-1 1'/></body></worldbody></mujoco>";
-    let advice = "specify `limited` explicitly (\"true\" or \"false\"), or remove the `range` attribute.; Element name 'a', id 0, line 1";
+    let unlimited = "<mujoco><compiler autolimits='false'/><worldbody><body><joint name='a' range='-1 \
+                     1'/></body></worldbody></mujoco>";
+    let advice = "specify `limited` explicitly (\"true\" or \"false\"), or remove the `range` attribute.; Element name \
+                  'a', id 0, line 1";
     std::fs::write(&path, unlimited).unwrap();
     for message in [load(), load_error(unlimited)] {
         assert!(message.ends_with(advice), "{message}");

@@ -170,8 +170,8 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         (
             "training:\n  bacth_size: 5\n",
             "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
-             learning_rate, schedule, warmup_epochs, weight_decay, clip_norm, batch_size, epochs, last_epoch, patience, stop, \
-             kl_weight, losses, loss_weights, dropout, precision, tiles, device",
+             learning_rate, schedule, warmup_epochs, weight_decay, clip_norm, batch_size, epochs, last_epoch, \
+             patience, stop, kl_weight, losses, loss_weights, dropout, precision, tiles, device",
         ),
         (
             "split: {holdout: 0.1}\n",
@@ -390,8 +390,8 @@ fn frames_need_convolutions_that_fit_them() {
     let without = base_with("network: {preset: multi_to_multi, channels: []}");
     assert_eq!(
         refusal(without.replace("input: [proprioception, arm]", "input: [vision]")),
-        "spec.yaml:3:9: 'vision' is an image, and a network without channels takes vectors alone; leave it out, or give \
-         it convolutions by network.channels"
+        "spec.yaml:3:9: 'vision' is an image, and a network without channels takes vectors alone; leave it out, or \
+         give it convolutions by network.channels"
     );
     let seeing = |network: &str| {
         let text = base_with(&format!("network: {network}"));
@@ -475,8 +475,8 @@ fn rules_that_tie_settings_together_are_checked() {
         ),
         (
             "simulation: {seed: 1, sample_rate_hz: 2.5}\n",
-            "spec.yaml:7:39: simulation.actuation_seconds: 1 s is not a whole number of samples at 2.5 Hz; use a multiple \
-             of 0.4 s",
+            "spec.yaml:7:39: simulation.actuation_seconds: 1 s is not a whole number of samples at 2.5 Hz; use a \
+             multiple of 0.4 s",
         ),
         (
             "simulation: {actuation_seconds: 0.1, actuations_per_episode: 1}\n",
@@ -921,8 +921,8 @@ fn each_combination_of_what_varies_must_be_possible() {
         ),
         (
             "vary:\n  seeds: [0, 1]\n",
-            "spec.yaml:8:3: 'seeds' is a list already; leave it out of 'vary', and write seeds: [0,1] at the top level of \
-             the spec",
+            "spec.yaml:8:3: 'seeds' is a list already; leave it out of 'vary', and write seeds: [0,1] at the top level \
+             of the spec",
         ),
         (
             "vary:\n  training.epochs: [5, 0]\n",
@@ -931,7 +931,8 @@ fn each_combination_of_what_varies_must_be_possible() {
         (
             "vary:\n  input: [[arm], [vision]]\n",
             "spec.yaml:8:19: 'vision' is an image, and a single_to_multi network takes vectors alone; leave it out, \
-             use network.preset: multi_to_multi, or give it convolutions by network.channels (after applying input=vision)",
+             use network.preset: multi_to_multi, or give it convolutions by network.channels (after applying \
+             input=vision)",
         ),
         (
             "vary:\n  training.kl_weight: [0, 1, 0]\n",
@@ -1133,7 +1134,8 @@ fn readings_that_cannot_be_told_apart_or_run_are_refused() {
         ),
         (
             &reading("a=b", "action: target"),
-            "spec.yaml:7:19: 'a=b' can't name a reading; use 1 to 64 lower-case letters, digits and '_', a letter first",
+            "spec.yaml:7:19: 'a=b' can't name a reading; use 1 to 64 lower-case letters, digits and '_', a letter \
+             first",
         ),
         (
             &reading("many", "simulation.episodes: 2"),

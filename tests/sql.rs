@@ -233,8 +233,8 @@ fn bytes_are_shown_as_their_number_and_saved_only_as_parquet() {
     for name in ["answer.csv", "answer.json"] {
         let path = folder.path().join(name);
         let expected = format!(
-            "can't write to '{}': the column 'reference' holds bytes; choose a name that ends in .parquet, or leave the column \
-             out",
+            "can't write to '{}': the column 'reference' holds bytes; choose a name that ends in .parquet, or leave \
+             the column out",
             path.display()
         );
         assert_eq!(save(&mut answer, &path).unwrap_err().to_string(), expected);

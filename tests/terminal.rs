@@ -45,8 +45,8 @@ pub fn raw_while(command: &mut Command, width: u16, heard: impl Fn(&str)) -> Str
     })
 }
 
-/// Everything that a command writes to a terminal, on which what `typed` returns is typed. `typed` is called with what was
-/// written so far.
+/// Everything that a command writes to a terminal, on which what `typed` returns is typed. `typed` is called with what
+/// was written so far.
 pub fn raw_typed(command: &mut Command, width: u16, typed: impl Fn(&str) -> Option<&'static str>) -> String {
     let size = libc::winsize { ws_row: 50, ws_col: width, ws_xpixel: 0, ws_ypixel: 0 };
     let (mut ours, mut its) = (0, 0);
@@ -92,8 +92,8 @@ pub fn plain(text: &str) -> String {
     plain.replace("\r\n", "\n")
 }
 
-/// The lines of a text that are wider than a terminal. A long word after a heading, such as a path, can't be broken, and
-/// clap prints the usage of a command on one line. A carriage return begins a line anew.
+/// The lines of a text that are wider than a terminal. A long word after a heading, such as a path, can't be broken,
+/// and clap prints the usage of a command on one line. A carriage return begins a line anew.
 pub fn too_wide(text: &str, width: u16) -> Vec<&str> {
     let is_breakable = |line: &&str| {
         let words = line.split_whitespace();

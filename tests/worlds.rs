@@ -91,7 +91,8 @@ fn every_mistake_of_a_world_file_is_one_line_with_its_place_and_what_exists() {
             "  contact_force:\n",
             "  contact-force:\n",
             place("  contact_force:\n"),
-            "'contact-force' in 'modalities' can't be a name; use 1 to 64 lower-case letters, digits and '_', a letter first",
+            "'contact-force' in 'modalities' can't be a name; use 1 to 64 lower-case letters, digits and '_', a letter \
+             first",
         ),
         (
             "size: [64, 64]",
@@ -318,7 +319,8 @@ fn what_would_be_recorded_under_a_wrong_name_is_refused() {
             "a: {joint_positions: [x0]}",
             m,
             "",
-            "joint 'x0' is a ball joint; only hinges and slides have one position; body_orientations records its body 'thumb'",
+            "joint 'x0' is a ball joint; only hinges and slides have one position; body_orientations records its body \
+             'thumb'",
         ),
         (
             "a: {sensor: [u]}",
@@ -329,7 +331,8 @@ fn what_would_be_recorded_under_a_wrong_name_is_refused() {
         (
             "a: {sensor: [u]}",
             m,
-            "p: {bodies: [b1], clearance_m: 0, rectangle: [[1, 2], [1, 2]]}, q: {bodies: ['b1', b2], clearance_m: 0, rectangle: [[2, 3], [2, 3]]}",
+            "p: {bodies: [b1], clearance_m: 0, rectangle: [[1, 2], [1, 2]]}, q: {bodies: ['b1', b2], clearance_m: 0, \
+             rectangle: [[2, 3], [2, 3]]}",
             "a body of this placement belongs to another one as well; leave it out of one of them",
         ),
     ] {
@@ -341,7 +344,8 @@ fn what_would_be_recorded_under_a_wrong_name_is_refused() {
 #[test]
 fn two_modalities_cannot_have_the_same_column() {
     let folder = tempfile::tempdir().unwrap();
-    let model = r#"<mujoco><worldbody><body name="a"><joint name="x"/><geom size="0.1"/><site name="s"/></body></worldbody>
+    let model = r#"<mujoco><worldbody>
+        <body name="a"><joint name="x"/><geom size="0.1"/><site name="s"/></body></worldbody>
         <actuator><motor name="m" joint="x"/></actuator>
         <sensor><force name="u" site="s"/><touch name="0" site="s"/><touch name="t" site="s"/></sensor></mujoco>"#;
     fs::write(folder.path().join("own.xml"), model).unwrap();
@@ -378,7 +382,8 @@ fn a_flex_is_felt_by_the_geoms_that_touch_it() {
         Scene::new(World::load(&path).unwrap())
     };
     let said = scene("jelly_0").unwrap_err().to_string();
-    let expected = "body 'jelly_0' is a part of a flex, and the forces on a flex can't be sensed; list the geoms that touch it";
+    let expected = "body 'jelly_0' is a part of a flex, and the forces on a flex can't be sensed; list the geoms that \
+                    touch it";
     assert!(said.ends_with(expected), "{said}");
     let ground = scene("ground").unwrap();
     let spec = spec::Simulation { actuations_per_episode: 1, ..ground.world().simulation() };
@@ -390,7 +395,8 @@ fn a_flex_is_felt_by_the_geoms_that_touch_it() {
 #[test]
 fn the_values_of_a_sensor_are_named_after_it() {
     let folder = tempfile::tempdir().unwrap();
-    let model = r#"<mujoco><worldbody><body name="a"><joint name="x"/><geom size="0.1"/><site name="s"/></body></worldbody>
+    let model = r#"<mujoco><worldbody>
+        <body name="a"><joint name="x"/><geom size="0.1"/><site name="s"/></body></worldbody>
         <actuator><motor name="m" joint="x"/></actuator>
         <sensor><accelerometer name="acc" site="s"/><gyro name="imu_gyro" site="s"/><touch name="imu_touch" site="s"/>
         <touch name="acc_0" site="s"/></sensor></mujoco>"#;
@@ -483,13 +489,14 @@ fn a_first_world_file_says_what_it_leaves_out_and_guesses() {
     }
     let check = || succeed(folder.path(), &["world", "check", &path("hand.yaml")]);
     let unrecorded = [
-        "note: no modality of poses records the ball joint of body 'thumb', the free joint of body 'b1', the free joint \
-         of body 'b2'; body_positions and body_orientations can",
+        "note: no modality of poses records the ball joint of body 'thumb', the free joint of body 'b1', the free \
+         joint of body 'b2'; body_positions and body_orientations can",
         "note: no modality records the forces on the geoms 'g3', 'b1', 'b2'",
     ];
     let said = check();
     assert!(unrecorded.iter().all(|note| said.contains(note)), "{said}");
-    let guess = "note: the model sets no ctrlrange for the actuator of 'actuator_2', so only the world file limits it: [-1, 1]";
+    let guess = "note: the model sets no ctrlrange for the actuator of 'actuator_2', so only the world file limits it: \
+                 [-1, 1]";
     assert!(said.contains(guess) && !said.contains("the actuator of 'm'"), "{said}");
     let used = |line: &str| match line.strip_prefix("  #") {
         Some(entry) if !entry.starts_with(' ') => format!("  {entry}\n"),
@@ -623,7 +630,8 @@ fn names_of_worlds_are_those_of_files_and_no_others() {
     assert!(said("My Robot.yaml").contains("lower-case letters"), "{}", said("My Robot.yaml"));
     let spec = |scenarios: &str| {
         let text = format!(
-            "name: a\nscenarios: {scenarios}\ninput: arm\noutput: arm\nlatent: 1\nnetwork: {{preset: single_to_multi}}\n"
+            "name: a\nscenarios: {scenarios}\ninput: arm\noutput: arm\nlatent: 1\nnetwork: {{preset: \
+             single_to_multi}}\n"
         );
         spec::parse_spec(folder.path().join("spec.yaml").to_str().unwrap(), &text, &[], false)
     };
@@ -868,7 +876,8 @@ fn dm_controls_own_finger_goes_through_every_command() {
 fn a_modality_is_added_without_compiling_anything() {
     let (folder, results) = (tempfile::tempdir().unwrap(), fresh("worlds_modality"));
     fs::write(folder.path().join("own.xml"), EMPTY_XML).unwrap();
-    let more = "modalities:\n  finger_speed:\n    joint_velocities: finger_joint_0[0-4]\n  bend:\n    difference_of: proprioception\n";
+    let more = "modalities:\n  finger_speed:\n    joint_velocities: finger_joint_0[0-4]\n  bend:\n    difference_of: \
+                proprioception\n";
     let text = EMPTY.replace("model: empty.xml", "model: own.xml").replacen("modalities:\n", more, 1);
     // A modality that is the difference of another must come after it.
     let text = text.replacen("  bend:\n    difference_of: proprioception\n", "", 1).replacen(
@@ -1008,7 +1017,8 @@ fn regions_and_motion_are_found_in_the_images_of_cameras() {
             succeed(&results, &["query", sql, "--output", answer.to_str().unwrap()]);
             fs::read_to_string(answer).unwrap()
         };
-        let regions = sql("select metric, value from metrics where modality = 'flow_change' and metric like 'relative_error_%'");
+        let regions = sql("select metric, value from metrics where modality = 'flow_change' and metric like \
+                           'relative_error_%'");
         assert_eq!(regions.trim(), "[]");
         [
             sql("select metric, value from metrics where modality = 'frame_difference' order by metric, model"),
@@ -1211,12 +1221,15 @@ fn factors_cannot_share_a_column_with_factors_or_modalities() {
 
 /// A gantry: two slides and a hinge.
 const GANTRY: &str = r#"<mujoco><option timestep="0.01"/><worldbody>
-  <body name="beam"><joint name="beam" type="slide" axis="1 0 0" damping="5"/><geom type="box" size="0.1 1 0.1" mass="1"/>
-  <body name="cart"><joint name="cart" type="slide" axis="0 1 0" damping="5"/><geom type="box" size="0.1 0.1 0.1" mass="1"/>
+  <body name="beam"><joint name="beam" type="slide" axis="1 0 0" damping="5"/>
+    <geom type="box" size="0.1 1 0.1" mass="1"/>
+  <body name="cart"><joint name="cart" type="slide" axis="0 1 0" damping="5"/>
+    <geom type="box" size="0.1 0.1 0.1" mass="1"/>
   <body name="gripper"><joint name="gripper" type="hinge" axis="0 0 1" damping="1"/>
     <geom type="box" size="0.2 0.05 0.05" mass="0.5"/></body></body></body>
 </worldbody><actuator>
-  <position name="beam" joint="beam" kp="50" ctrlrange="-1 1"/><position name="cart" joint="cart" kp="50" ctrlrange="-1 1"/>
+  <position name="beam" joint="beam" kp="50" ctrlrange="-1 1"/>
+  <position name="cart" joint="cart" kp="50" ctrlrange="-1 1"/>
   <position name="gripper" joint="gripper" kp="10" ctrlrange="-2 2"/>
 </actuator></mujoco>"#;
 

@@ -80,8 +80,8 @@ impl Estimate {
         Some(Self { mean, spread, count: values.len() })
     }
 
-    /// The mean of `values` minus the mean of `others`, which are independent of `values`, by the method of Welch (1947):
-    /// the variances of both add up, and may differ. `None` if there are no values or no others.
+    /// The mean of `values` minus the mean of `others`, which are independent of `values`, by the method of Welch
+    /// (1947): the variances of both add up, and may differ. `None` if there are no values or no others.
     pub fn difference(values: &[f64], others: &[f64]) -> Option<Self> {
         let (a, b) = (Self::of(values)?, Self::of(others)?);
         let spread = a.spread.zip(b.spread).map(|(a, b)| a.and(b));
@@ -103,18 +103,18 @@ impl Estimate {
         Interval { mean: self.mean, bounds: half.map(|half| (self.mean - half, self.mean + half)) }
     }
 
-    /// The two-sided p-value of Student's t-test: the probability of an estimate at least as far from `bound`, if the true
-    /// value were `bound`. `None` for fewer than two values, and for equal values, such as numbers of parameters: they are
-    /// not a sample, so nothing is tested.
+    /// The two-sided p-value of Student's t-test: the probability of an estimate at least as far from `bound`, if the
+    /// true value were `bound`. `None` for fewer than two values, and for equal values, such as numbers of parameters:
+    /// they are not a sample, so nothing is tested.
     pub fn p_value(&self, bound: f64) -> Option<f64> {
         let Spread { error, freedom } = self.spread.filter(|spread| spread.error > 0.0)?;
         let student = StudentsT::new(0.0, 1.0, freedom).ok()?;
         Some(2.0 * student.cdf(-(self.mean - bound).abs() / error))
     }
 
-    /// The number of values that the interval at `level` needs to exclude `bound`, if the mean and the standard deviation
-    /// stay the same. A difference needs as many of both. `None` if it is more than `most`, or if there are fewer than two
-    /// values.
+    /// The number of values that the interval at `level` needs to exclude `bound`, if the mean and the standard
+    /// deviation stay the same. A difference needs as many of both. `None` if it is more than `most`, or if there are
+    /// fewer than two values.
     pub fn needed(&self, bound: f64, level: f64, most: usize) -> Option<usize> {
         let spread = self.spread?;
         let excludes = |count: &usize| {
@@ -172,8 +172,8 @@ pub fn replicates(values: impl IntoIterator<Item = (u64, f64)>) -> Vec<f64> {
     means(&datasets)
 }
 
-/// The values that the interval of an unpaired difference is computed from, of both groups. They are the datasets' means
-/// if one of the groups has several datasets, and the groups' values otherwise.
+/// The values that the interval of an unpaired difference is computed from, of both groups. They are the datasets'
+/// means if one of the groups has several datasets, and the groups' values otherwise.
 pub fn unpaired_replicates(groups: [impl IntoIterator<Item = (u64, f64)>; 2]) -> [Vec<f64>; 2] {
     let groups = groups.map(by_dataset);
     if groups.iter().all(|datasets| datasets.len() <= 1) {

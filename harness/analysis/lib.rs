@@ -444,8 +444,8 @@ impl Analysis {
         answer(&*self.parsed(sql)?, &|of, query| table(&self.registry, of, &recorded, query))
     }
 
-    /// A table of an experiment's runs; `None` if none of them has it. It is taken from memory if the expected queries see
-    /// all rows that `query` sees.
+    /// A table of an experiment's runs; `None` if none of them has it. It is taken from memory if the expected queries
+    /// see all rows that `query` sees.
     fn table(&self, table: Table, experiment: &str, query: &Query) -> PolarsResult<Option<LazyFrame>> {
         if self.expected.sees(query, table) {
             let seen = self.seen(table, experiment)?.only(conditions(query, table));
@@ -464,8 +464,8 @@ impl Analysis {
         lazily(rows.only(conditions(query, table)), schema).map(Some)
     }
 
-    /// A table of an experiment's runs. Forces describe a dataset and are the same in all of its runs, so they are read from
-    /// one run of each dataset, as in published results.
+    /// A table of an experiment's runs. Forces describe a dataset and are the same in all of its runs, so they are read
+    /// from one run of each dataset, as in published results.
     fn run_table(&self, table: Table, experiment: &str) -> PolarsResult<RunTable> {
         let mut runs: Vec<&RunRecord> = self.runs(experiment).iter().map(|run| &run.record).collect();
         if table == Table::Forces {

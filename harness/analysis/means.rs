@@ -9,8 +9,8 @@ use polars::prelude::{Column, DataFrame, PolarsResult};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-/// The mean of a metric for the networks of a group of runs, or for a baseline. The metric is computed over all joints, links
-/// or pixels, or over those with the same unit if their units differ.
+/// The mean of a metric for the networks of a group of runs, or for a baseline. The metric is computed over all joints,
+/// links or pixels, or over those with the same unit if their units differ.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mean {
     /// The group, the model and the metric.

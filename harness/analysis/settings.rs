@@ -36,7 +36,8 @@ pub(super) fn of(record: &RunRecord) -> Settings {
     settings
 }
 
-/// Everything that describes how a run was made, as texts by dotted keys: settings, dataset, code, versions and machine.
+/// Everything that describes how a run was made, as texts by dotted keys: settings, dataset, code, versions and
+/// machine.
 pub fn all_settings(record: &RunRecord) -> BTreeMap<String, String> {
     let mut all = of(record);
     all.extend(texts(&serde_json::to_value(&record.provenance).unwrap_or_default()));
@@ -95,9 +96,9 @@ impl fmt::Display for Difference {
 /// The settings in which the runs of one experiment differ, without scenario, latent size and seeds.
 ///
 /// Some settings are compared only between runs that have them: those of the simulation, which runs on imported data
-/// lack, and the scaling, losses and loss weights of modalities, which runs that do not use the modality lack. Datasets of different
-/// scenarios or simulation settings are no difference. Two datasets with the same scenario and simulation settings are
-/// one, because then the world, its model or MuJoCo differs.
+/// lack, and the scaling, losses and loss weights of modalities, which runs that do not use the modality lack. Datasets
+/// of different scenarios or simulation settings are no difference. Two datasets with the same scenario and simulation
+/// settings are one, because then the world, its model or MuJoCo differs.
 pub(super) fn differences(runs: &[&Settings]) -> Vec<Difference> {
     let mut values: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
     let keys: BTreeSet<&str> = runs.iter().flat_map(|run| run.keys()).map(String::as_str).collect();
@@ -218,8 +219,8 @@ impl Setting {
         self.experiment.as_ref().is_none_or(|name| name == experiment)
     }
 
-    /// Whether a run has the setting. The value is written as in a spec, and compared by what it means: 0.5 is 5e-1, and
-    /// a list with one item is the item.
+    /// Whether a run has the setting. The value is written as in a spec, and compared by what it means: 0.5 is 5e-1,
+    /// and a list with one item is the item.
     pub(super) fn is_met_by(&self, run: &Settings) -> bool {
         let found = value(run, &self.key);
         let meaning = |text: &str| setting_value(text).map(|value| plain(value, &self.key));
@@ -227,8 +228,8 @@ impl Setting {
     }
 }
 
-/// A value in the form in which it equals all values with the same meaning: numbers are floats, a list of one item is the
-/// item, and lists without an order are sorted.
+/// A value in the form in which it equals all values with the same meaning: numbers are floats, a list of one item is
+/// the item, and lists without an order are sorted.
 fn plain(value: Value, key: &str) -> Value {
     match value {
         Value::Number(number) => number.as_f64().into(),

@@ -1,8 +1,8 @@
 //! Times one training step of a network on random data. training_step.py does the same in PyTorch.
 //!
 //!     cargo run --release --example training_step -- --channels 16 --latent 64 --steps 20  # the paper's network
-//!     cargo run --release --example training_step -- --channels 8 16 32 32 --fusion late --hidden 256  # a deep network
-//!     cargo run --release --example training_step -- --latent 4  # a network for vectors
+//!     cargo run --release --example training_step -- --channels 8 16 32 32 --fusion late --hidden 256  # a deep
+//!     network cargo run --release --example training_step -- --latent 4  # a network for vectors
 //!
 //! Prints one line of JSON with the median, the least and the greatest number of seconds per step.
 

@@ -127,8 +127,8 @@ impl RunTable {
         Ok(self.read_file(first, &columns)?.schema().clone())
     }
 
-    /// Reads these columns of all rows that satisfy the conditions. With a limit, only the first `limit` rows are compared
-    /// with the conditions.
+    /// Reads these columns of all rows that satisfy the conditions. With a limit, only the first `limit` rows are
+    /// compared with the conditions.
     ///
     /// # Errors
     /// When a file is damaged. The error wraps a [`RegistryError`], which [`QueryError`](super::QueryError) unwraps.
@@ -155,8 +155,8 @@ impl RunTable {
             let (offset, length) = (segment.offset as i64, segment.rows);
             let piece = rows.slice(offset, length).select(columns)?;
             of(match wanted {
-                // Polars' threads read the files. While such a thread waits for a parallel filter, it begins with the next
-                // file, until all of them are in memory.
+                // Polars' threads read the files. While such a thread waits for a parallel filter, it begins with the
+                // next file, until all of them are in memory.
                 Some(wanted) => piece.filter_seq(&wanted.slice(offset, length))?,
                 None => piece,
             })

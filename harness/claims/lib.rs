@@ -42,12 +42,12 @@ pub struct Claim {
     pub section: String,
     /// A description of the query's value, with its unit.
     pub measured: String,
-    /// The scenarios that are judged one by one: names of worlds, the built-in ones or others. Empty if the claim has one
-    /// judgment over all of them.
+    /// The scenarios that are judged one by one: names of worlds, the built-in ones or others. Empty if the claim has
+    /// one judgment over all of them.
     #[serde(default)]
     pub scenarios: Vec<Scenario>,
-    /// The two scenarios whose difference is judged: the value in the first minus that in the second. Their datasets have
-    /// different motions, so the difference is not paired.
+    /// The two scenarios whose difference is judged: the value in the first minus that in the second. Their datasets
+    /// have different motions, so the difference is not paired.
     #[serde(default, deserialize_with = "two_scenarios")]
     pub difference: Option<[Scenario; 2]>,
     /// The experiments whose tables the queries read.
@@ -242,8 +242,8 @@ impl TryFrom<String> for Condition {
     fn try_from(text: String) -> Result<Self, String> {
         let refused = || {
             format!(
-                "'{text}' is not a condition; write 'above NUMBER', 'below NUMBER' or 'below margin NUMBER' with a margin \
-                 above 0"
+                "'{text}' is not a condition; write 'above NUMBER', 'below NUMBER' or 'below margin NUMBER' with a \
+                 margin above 0"
             )
         };
         let (words, bound) = text.trim().rsplit_once(' ').ok_or_else(refused)?;
@@ -306,8 +306,8 @@ pub struct Measured {
 }
 
 impl Measured {
-    /// The mean over datasets, and over the seeds or episodes of each, or the difference between two such means. If there
-    /// are several datasets, it is computed from their means. `None` without values.
+    /// The mean over datasets, and over the seeds or episodes of each, or the difference between two such means. If
+    /// there are several datasets, it is computed from their means. `None` without values.
     pub fn estimate(&self) -> Option<Estimate> {
         let of = |values: &Values| {
             values.iter().map(|((dataset, _), value)| (*dataset, *value)).collect::<Vec<_>>()

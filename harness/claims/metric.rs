@@ -13,7 +13,8 @@ impl ClaimMetric {
     pub(crate) const NAME: &str = "{metric}";
     /// Where the error stands in queries: an expression of the column `value` that is smaller for better predictions.
     const ERROR: &str = "{error}";
-    /// Where the error of predicting zero stands in queries. It is null if it does not follow from the metric's formula.
+    /// Where the error of predicting zero stands in queries. It is null if it does not follow from the metric's
+    /// formula.
     const ZERO: &str = "{zero}";
 
     /// The name in tables.

@@ -140,8 +140,8 @@ fn trial(variant: &str) -> Option<(String, String)> {
     Some((names.join(","), settings.replace(',', ", ")))
 }
 
-/// Settings in which runs differ, with words for how far successive halving has trained them. It sets two settings of the
-/// trials that it does not train to the end.
+/// Settings in which runs differ, with words for how far successive halving has trained them. It sets two settings of
+/// the trials that it does not train to the end.
 fn with_training(settings: &str) -> String {
     const LAST: &str = "training.last_epoch=";
     if !settings.contains(LAST) {

@@ -36,8 +36,8 @@ fn format(name: &str) -> Result<Format, String> {
     match name {
         "onnx" => Ok(Format::Onnx),
         other => Err(format!(
-            "this program exports networks as onnx; the Python package (pip install .) also exports datasets, and {other} \
-             may be one of its formats"
+            "this program exports networks as onnx; the Python package (pip install .) also exports datasets, and \
+             {other} may be one of its formats"
         )),
     }
 }

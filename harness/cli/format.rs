@@ -90,8 +90,8 @@ impl Destination {
 }
 
 impl Data {
-    /// Prints the table, or writes it to the file and prints the number of its rows, which are called `noun`. Tells what
-    /// the format loses.
+    /// Prints the table, or writes it to the file and prints the number of its rows, which are called `noun`. Tells
+    /// what the format loses.
     pub fn write(self, table: &mut DataFrame, noun: &str) -> Result<ExitCode> {
         let format = match &self {
             Self::Printed(format) => *format,

@@ -170,8 +170,8 @@ fn print_listed(mut runs: DataFrame, limit: u16) -> Result<()> {
     Ok(())
 }
 
-/// A table of runs. Without a column of experiments, the header has the name of the first. A short time of the start has
-/// no year and no seconds.
+/// A table of runs. Without a column of experiments, the header has the name of the first. A short time of the start
+/// has no year and no seconds.
 fn listed(runs: &[Listed], has_experiments: bool, is_long: bool) -> Grid {
     let row = |run: &Listed| {
         let started = run.started.replace('T', " ").replace('Z', "");
@@ -285,7 +285,8 @@ fn row(registry: &Registry, record: &RunRecord) -> Result<Vec<(String, String)>>
 
 #[derive(Args)]
 pub struct Schema {
-    /// Print the columns of the tables instead. Those of `episodes` are the columns of the datasets in the results folder
+    /// Print the columns of the tables instead. Those of `episodes` are the columns of the datasets in the results
+    /// folder
     #[arg(long)]
     tables: bool,
     /// With --tables: print the columns that `episodes` has in this world, a world file or a built-in world

@@ -75,10 +75,12 @@ An experiment is a YAML file, called a spec. Its results are Parquet tables, whi
 struct Arguments {
     /// Folder of datasets and runs
     // Parsed as text, because Polars only supports paths in UTF-8.
-    #[arg(long, global = true, value_name = "DIR", default_value = "results", value_parser = text_path, display_order = 100)]
+    #[arg(long, global = true, value_name = "DIR", default_value = "results", value_parser = text_path)]
+    #[arg(display_order = 100)]
     results: PathBuf,
     /// Threads for simulation and training [default: all processors]
-    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), display_order = 100)]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(display_order = 100)]
     threads: Option<u16>,
     #[command(subcommand)]
     command: Command,
@@ -86,6 +88,11 @@ struct Arguments {
 
 fn text_path(path: &str) -> Result<PathBuf, std::convert::Infallible> {
     Ok(path.into())
+}
+
+/// A parser for names of shells, whose error lists all names.
+fn shell() -> impl TypedValueParser<Value = Shell> {
+    PossibleValuesParser::new(["bash", "zsh", "fish"]).try_map(|name| name.parse::<Shell>())
 }
 
 #[derive(Subcommand)]
@@ -97,9 +104,9 @@ enum Command {
   harness run multi_to_multi --quick --dry-run    only print what would be done
 
 An experiment has a run for each scenario, latent size and seed. A run trains a network on simulated episodes, \
-compares its predictions on test episodes with those of baselines, and writes tables to the results folder. The command \
-ends with the best run of each scenario, which has the lowest mean error of its outputs on the validation samples. You \
-can interrupt the command at any time: the same command continues.")]
+compares its predictions on test episodes with those of baselines, and writes tables to the results folder. The \
+command ends with the best run of each scenario, which has the lowest mean error of its outputs on the validation \
+samples. You can interrupt the command at any time: the same command continues.")]
     Run(run::Run),
     /// Simulate the missing episodes of an experiment's datasets
     #[command(after_help = "Example:\n  harness collect smoke 'scenarios=[cluttered]'")]
@@ -203,9 +210,9 @@ Datasets are not removed. `harness gc` removes those that no run uses.")]
   harness gc --only quick --only failed --yes
 
 The command first lists what it would remove, with the size and one of these reasons. superseded: a later run has the \
-same settings and the same world, but another dataset or another revision of the method. failed: the run failed. quick: the run was made \
-with --quick. unused: no remaining run uses the simulated dataset. unfinished: a killed process left it. Imported \
-datasets are never removed.")]
+same settings and the same world, but another dataset or another revision of the method. failed: the run failed. \
+quick: the run was made with --quick. unused: no remaining run uses the simulated dataset. unfinished: a killed \
+process left it. Imported datasets are never removed.")]
     Gc(removal::Gc),
     /// Show the disk space of each experiment and each dataset
     Du,
@@ -302,7 +309,7 @@ files are intact, and 1 otherwise.")]
   harness completions fish > ~/.config/fish/completions/harness.fish")]
     Completions {
         /// The shell that reads the script
-        #[arg(value_name = "SHELL", value_parser = PossibleValuesParser::new(["bash", "zsh", "fish"]).try_map(|name| name.parse::<Shell>()))]
+        #[arg(value_name = "SHELL", value_parser = shell())]
         shell: Shell,
     },
 }

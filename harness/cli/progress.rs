@@ -67,8 +67,8 @@ impl Stage {
         sentence(&self.parts().map(|(part, _)| part))
     }
 
-    /// What is known about the running stage, in the order in which it is shown. The number is the part's rank: if there
-    /// is not enough room, those with the highest ranks are left out.
+    /// What is known about the running stage, in the order in which it is shown. The number is the part's rank: if
+    /// there is not enough room, those with the highest ranks are left out.
     fn parts(&self) -> [(String, u8); 5] {
         let (done, total) = (self.bar.position(), self.bar.length().unwrap_or_default());
         let (rate, left) = pace(done - self.resumed, total.saturating_sub(done), self.bar.elapsed());

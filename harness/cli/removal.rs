@@ -63,8 +63,8 @@ impl Gc {
         if let Some(code) = refusal(&chosen, self.yes)? {
             return Ok(code);
         }
-        // Runs may have ended and others begun since the list was made. A dataset is unused only after the removal of the
-        // runs that use it.
+        // Runs may have ended and others begun since the list was made. A dataset is unused only after the removal of
+        // the runs that use it.
         let (datasets, runs): (Vec<_>, Vec<_>) =
             found.into_iter().partition(|(reason, _)| *reason == Garbage::Unused);
         let runs = remove(registry, &still(registry, runs));

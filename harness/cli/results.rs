@@ -100,8 +100,8 @@ impl Best {
         let sql = format!(
             "with kept as (select run, epoch, row_number() over (partition by run order by value, epoch) as place \
              {losses} and term = '{TOTAL}') \
-             select run, avg(value) as error from (select run, epoch, value {losses} and term not in ('{TOTAL}', '{KL}')) \
-             join kept using (run, epoch) where place = 1 group by run order by error, run limit 1"
+             select run, avg(value) as error from (select run, epoch, value {losses} and term not in ('{TOTAL}', \
+             '{KL}')) join kept using (run, epoch) where place = 1 group by run order by error, run limit 1"
         );
         Ok(rows(&mut query_of(registry, is_wanted, &sql)?)?.into_iter().next())
     }

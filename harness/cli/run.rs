@@ -95,7 +95,8 @@ struct Gone {
 }
 
 fn no_models(_: &str) -> Result<String, String> {
-    Err("this option is gone: name a world file in the spec's scenarios; `harness world new MODEL.xml` writes one".into())
+    Err("this option is gone: name a world file in the spec's scenarios; `harness world new MODEL.xml` writes \
+         one".into())
 }
 
 /// Parses a number of gigabytes, and returns bytes.

@@ -28,7 +28,8 @@ pub fn print_rungs(experiment: &Experiment) {
     print_text(&format!("\nsuccessive halving trains trials: {rungs}"));
 }
 
-/// Lines about the best trial of each scenario, latent size and combination of varied settings: its loss and its settings.
+/// Lines about the best trial of each scenario, latent size and combination of varied settings: its loss and its
+/// settings.
 pub fn best_trials(experiment: &Experiment, best: &[Best]) -> Vec<(String, String)> {
     let Some(search) = &experiment.search else { return Vec::new() };
     let term = &search.objective.term;

@@ -187,7 +187,8 @@ echo "task ${{SLURM_ARRAY_TASK_ID:-1}} begins on $(hostname), start $((${{SLURM_
     {command} {words}{options} &
 harness=$!
 
-# Slurm sends SIGTERM two minutes before the time limit. The harness then saves the training's state and ends with code 143.
+# Slurm sends SIGTERM two minutes before the time limit. The harness then saves the training's state and ends with code
+# 143.
 trap 'kill -TERM "$harness" 2>/dev/null' TERM
 wait "$harness"; code=$?
 while kill -0 "$harness" 2>/dev/null; do wait "$harness"; code=$?; done
@@ -209,7 +210,8 @@ exit "$code"
     }
 }
 
-/// Submits a script. Its job begins when the job `after` has ended, whether that succeeded or not. Returns the job's number.
+/// Submits a script. Its job begins when the job `after` has ended, whether that succeeded or not. Returns the job's
+/// number.
 pub fn submit(script: &Path, after: Option<u64>) -> Result<u64, SlurmError> {
     let mut arguments = vec!["--parsable".to_owned()];
     arguments.extend(after.map(|job| format!("--dependency=afterany:{job}")));

@@ -112,7 +112,8 @@ impl View {
             let mut table = Grid::of_texts(header, self.runs.clone());
             table.right = vec![false, false, true, true, true, true, true];
             parts.push(table.text(limit));
-            let meaning = "loss: validation, weighted sum of all terms; each: time of an epoch; left: at most, in this task";
+            let meaning = "loss: validation, weighted sum of all terms; each: time of an epoch; left: at most, in this \
+                           task";
             parts.push(fitted(meaning, limit));
         }
         if !self.datasets.is_empty() {

@@ -48,8 +48,8 @@ pub enum WorldError {
     Exists(PathBuf),
     /// The file's name can't be that of a world.
     #[error(
-        "a world is named after its file, and can't be named '{0}'; write it to a file with another name, of lower-case \
-         letters, digits and '_', a letter first: --output my_robot.yaml"
+        "a world is named after its file, and can't be named '{0}'; write it to a file with another name, of \
+         lower-case letters, digits and '_', a letter first: --output my_robot.yaml"
     )]
     Name(String),
 }

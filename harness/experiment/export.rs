@@ -32,8 +32,8 @@ pub fn network_files(registry: &Registry, wanted: &str) -> Result<Vec<NetworkFil
     record.spec.tasks.iter().map(file).collect()
 }
 
-/// Returns the bytes of an ONNX model of the finished run whose id, or `experiment/id`, begins with `wanted`. It predicts
-/// the next observation, or reconstructs the present one, as `task` says.
+/// Returns the bytes of an ONNX model of the finished run whose id, or `experiment/id`, begins with `wanted`. It
+/// predicts the next observation, or reconstructs the present one, as `task` says.
 ///
 /// # Errors
 /// Those of [`network_files`], and when the run did not train `task`.

@@ -66,12 +66,13 @@ enum End {
 
 impl Runner<'_> {
     /// Performs every run of a plan that isn't done yet; a shard performs its share of them. A run that fails leaves a
-    /// record with the reason, and the others continue, unless the runner fails fast. Runs that other processes are working
-    /// on come last: if the runner waits, this call waits for them, and performs them if the other process dies.
+    /// record with the reason, and the others continue, unless the runner fails fast. Runs that other processes are
+    /// working on come last: if the runner waits, this call waits for them, and performs them if the other process
+    /// dies.
     ///
-    /// With successive halving, the runs up to a rung are compared when all of them are done, and the best are trained on.
-    /// A process that has done its own share performs the runs that no other process works on, or ends if the runner does
-    /// not wait. Returns the plan as it is at the end.
+    /// With successive halving, the runs up to a rung are compared when all of them are done, and the best are trained
+    /// on. A process that has done its own share performs the runs that no other process works on, or ends if the
+    /// runner does not wait. Returns the plan as it is at the end.
     ///
     /// # Errors
     /// When the caller cancels, no threads can be started, or images have to be rendered and can't be.
@@ -209,7 +210,8 @@ impl Runner<'_> {
             promised: Mutex::new(0),
             failed: AtomicBool::new(false),
         };
-        // A job runs in its own pool. From outside of a pool, each parallel operation would wait for a change of threads.
+        // A job runs in its own pool. From outside of a pool, each parallel operation would wait for a change of
+        // threads.
         let pools = (0..jobs)
             .map(|_| rayon::ThreadPoolBuilder::new().num_threads(threads).build())
             .collect::<Result<Vec<_>, _>>()?;
@@ -311,8 +313,8 @@ impl WorkerPool<'_> {
         }
     }
 
-    /// Waits for a turn at training, if this process is one of several that divide the runs. More of them than fit on the
-    /// cores take longer at the same time than one after the other.
+    /// Waits for a turn at training, if this process is one of several that divide the runs. More of them than fit on
+    /// the cores take longer at the same time than one after the other.
     fn turn(&self) -> Result<Option<Turn>, ExperimentError> {
         let Some(turns) = &self.turns else { return Ok(None) };
         let progress = self.runner.progress;

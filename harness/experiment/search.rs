@@ -50,8 +50,8 @@ impl Record {
                 Some(record) if record.status == Status::Done => {
                     match folder.validation_losses(&record, Task::Prediction) {
                         Ok(losses) => return Self { reached: Some(index), diverged, losses },
-                        // Another process has trained the run further and removed this training since the longer ones were
-                        // looked for.
+                        // Another process has trained the run further and removed this training since the longer ones
+                        // were looked for.
                         Err(_) if !folder.path().exists() => return Self::read(rungs),
                         Err(_) => {}
                     }
@@ -72,8 +72,8 @@ impl Record {
         self.diverged.is_some_and(|diverged| diverged <= rung)
     }
 
-    /// The objective after the training up to a rung: the validation loss of the network that such a training keeps. It is
-    /// infinite if the training diverged.
+    /// The objective after the training up to a rung: the validation loss of the network that such a training keeps. It
+    /// is infinite if the training diverged.
     fn loss(&self, term: &str, rung: usize, spec: &RunSpec) -> f64 {
         if self.has_diverged(rung) {
             return f64::INFINITY;
@@ -142,7 +142,8 @@ impl<'a> Standings<'a> {
         ranking
     }
 
-    /// The trials that get as far as each rung, as far as it is decided. Only the last of these rungs may be incomplete.
+    /// The trials that get as far as each rung, as far as it is decided. Only the last of these rungs may be
+    /// incomplete.
     fn rungs(&self, trials: &Trials) -> Vec<Trials> {
         let Some(first) = trials.values().flatten().next() else { return Vec::new() };
         let last = self.runs[*first].len() - 1;

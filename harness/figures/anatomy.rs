@@ -266,9 +266,9 @@ impl<'a> Part<'a> {
     fn lines(&self, index: usize, lane: Lane) -> Vec<String> {
         let layer = &self.layers[0][index];
         let short = |whole: &str, short: &str| if lane == Lane::Both { whole } else { short }.to_owned();
-        let reshaped = self.layers[0].iter().find(|other| {
-            other.operation == Operation::Reshape && other.inputs.contains(&layer.name)
-        });
+        let reshaped = self.layers[0]
+            .iter()
+            .find(|other| other.operation == Operation::Reshape && other.inputs.contains(&layer.name));
         let given = match reshaped.unwrap_or(layer).output.as_slice() {
             [channels, rows, columns] => format!("{rows} × {columns} × {channels}"),
             _ => any_of(self.layers.iter().map(|layers| layers[index].output.iter().product())),

@@ -273,7 +273,8 @@ impl Figure {
     /// Draws the figure.
     ///
     /// # Errors
-    /// When there is nothing to draw ([`FigureError::has_nothing_to_draw`]), or when a table can't be read or a picture made.
+    /// When there is nothing to draw ([`FigureError::has_nothing_to_draw`]), or when a table can't be read or a picture
+    /// made.
     pub fn render(self, source: &Source) -> Result<Drawing, FigureError> {
         match self {
             Figure::Task => task::render(),

@@ -1,4 +1,5 @@
-//! A plot of a metric over a setting, for any runs: one series for each value of other settings, in one or several panels.
+//! A plot of a metric over a setting, for any runs: one series for each value of other settings, in one or several
+//! panels.
 
 use super::axes::{Look, Panel, Scale, legend, remarks};
 use super::page::{BLACK, BLUE, COLUMN, GRAY, GREEN, Mark, PALE, Page, Stroke, Type, VERMILION, WINE};
@@ -424,8 +425,8 @@ fn range(means: &[Mean]) -> [f64; 2] {
     [all.iter().copied().fold(low, f64::min), all.into_iter().fold(high, f64::max)]
 }
 
-/// The lowest and the highest value without outliers, which would leave a small part of the axis to all others. Outliers
-/// are fewer than half of the values.
+/// The lowest and the highest value without outliers, which would leave a small part of the axis to all others.
+/// Outliers are fewer than half of the values.
 fn without_outliers(mut values: Vec<f64>) -> [f64; 2] {
     values.sort_by(f64::total_cmp);
     let count = values.len();

@@ -104,8 +104,8 @@ impl<'a> Source<'a> {
     /// The runs of a study.
     ///
     /// # Errors
-    /// When the study has no runs; the message names the command that makes them, if there is one. Also when the runs can't be shown in
-    /// one figure; the message names the settings in which they differ.
+    /// When the study has no runs; the message names the command that makes them, if there is one. Also when the runs
+    /// can't be shown in one figure; the message names the settings in which they differ.
     pub fn runs(&self, study: Study) -> Result<Runs<'a>, FigureError> {
         self.runs_of(self.experiments.of(study))
     }

@@ -1,5 +1,5 @@
-//! What a prediction is worth. Anything that predicts is a [`Predictor`], and [`judge`] turns its predictions into rows of
-//! the tables. This crate knows no networks: those that were trained are predictors of the crate `learning`.
+//! What a prediction is worth. Anything that predicts is a [`Predictor`], and [`judge`] turns its predictions into rows
+//! of the tables. This crate knows no networks: those that were trained are predictors of the crate `learning`.
 
 mod frames;
 mod persistence;

@@ -30,10 +30,10 @@ const MAX_IDLE: usize = 256;
 
 /// Sizes of a convolution.
 ///
-/// The fine image has `fine_channels` channels of `size`, and the coarse image `coarse_channels` channels of half as many
-/// rows and columns. The convolution computes the coarse image from the fine one, and its transpose computes the fine image
-/// from the coarse one. The kernel is `[coarse, fine, 4, 4]`. This is the layout of PyTorch's `Conv2d`, and that of its
-/// `ConvTranspose2d` for the opposite direction.
+/// The fine image has `fine_channels` channels of `size`, and the coarse image `coarse_channels` channels of half as
+/// many rows and columns. The convolution computes the coarse image from the fine one, and its transpose computes the
+/// fine image from the coarse one. The kernel is `[coarse, fine, 4, 4]`. This is the layout of PyTorch's `Conv2d`, and
+/// that of its `ConvTranspose2d` for the opposite direction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Convolution {
     /// Channels of the fine image.

@@ -14,8 +14,8 @@ use std::path::Path;
 /// Key of the network's description in a file's note.
 const NETWORK: &str = "network";
 
-/// Writes `parameters`, `normalizers` and the `network`'s description to a sealed file. A failed write leaves no partial
-/// file.
+/// Writes `parameters`, `normalizers` and the `network`'s description to a sealed file. A failed write leaves no
+/// partial file.
 ///
 /// # Errors
 /// When the file can't be written.

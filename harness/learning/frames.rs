@@ -85,8 +85,8 @@ pub struct Averaged {
 }
 
 impl Averaged {
-    /// Averages `frames` over squares with a side of `by` pixels, which must divide the frames' rows and columns. Returns `frames`
-    /// if `by` is 1.
+    /// Averages `frames` over squares with a side of `by` pixels, which must divide the frames' rows and columns.
+    /// Returns `frames` if `by` is 1.
     pub fn over(frames: Arc<dyn Frames>, by: usize) -> Arc<dyn Frames> {
         if by == 1 { frames } else { Arc::new(Self { frames, by }) }
     }

@@ -4,9 +4,9 @@
 //! results/compacted/<experiment>/checks.json
 //! ```
 //!
-//! A run's files are read again if its record lists other files, or if the size, the times or the inode of one of them has
-//! changed since. Published runs are always read, because their results folder is meant for version control. The file can
-//! be deleted at any time.
+//! A run's files are read again if its record lists other files, or if the size, the times or the inode of one of them
+//! has changed since. Published runs are always read, because their results folder is meant for version control. The
+//! file can be deleted at any time.
 
 use super::mark::Mark;
 use super::{Registry, RunFolder, RunRecord};
@@ -71,8 +71,8 @@ impl Checks {
         damage
     }
 
-    /// Writes the checks to their file if there are many new ones. Those of runs that were removed are dropped. Checks are
-    /// lost without harm if another process is writing, or the file can't be written.
+    /// Writes the checks to their file if there are many new ones. Those of runs that were removed are dropped. Checks
+    /// are lost without harm if another process is writing, or the file can't be written.
     pub fn save(self) {
         let new = self.now.into_inner().unwrap_or_else(PoisonError::into_inner);
         if new.len() < FEWEST {
@@ -89,8 +89,8 @@ impl Checks {
     }
 }
 
-/// A hash of the files that a record lists, and of what the file system says of them. `None` if a file is missing, or was
-/// written so recently that another write might not be noticed.
+/// A hash of the files that a record lists, and of what the file system says of them. `None` if a file is missing, or
+/// was written so recently that another write might not be noticed.
 fn fingerprint(folder: &RunFolder, record: &RunRecord) -> Option<String> {
     let mut digest = Sha256::new();
     for (name, listed) in &record.files {

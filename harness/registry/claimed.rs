@@ -10,8 +10,8 @@ use harness_spec::{Layout, RunSpec, Task};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// A run whose folder this value has locked. Everything that a run writes is written by this value, or to the paths that
-/// it names. No other process or thread works on the run until the value is dropped.
+/// A run whose folder this value has locked. Everything that a run writes is written by this value, or to the paths
+/// that it names. No other process or thread works on the run until the value is dropped.
 #[derive(Debug)]
 pub struct Claimed<'a> {
     registry: &'a Registry,
@@ -39,8 +39,8 @@ impl Registry {
         }
     }
 
-    /// Removes the saved states of a run that is not trained on, unless a process works on it. Errors are ignored, because
-    /// a remaining file only costs space.
+    /// Removes the saved states of a run that is not trained on, unless a process works on it. Errors are ignored,
+    /// because a remaining file only costs space.
     pub fn remove_states(&self, folder: &RunFolder) {
         if folder.has_state()
             && let Ok(Some(run)) = self.claim(folder)
@@ -89,8 +89,8 @@ impl Claimed<'_> {
         Ok(record)
     }
 
-    /// Copies the saved state of a shorter training to this run, if it has one and this run has none. Returns whether this
-    /// run has a state. Without one its training starts from the beginning, with the same result.
+    /// Copies the saved state of a shorter training to this run, if it has one and this run has none. Returns whether
+    /// this run has a state. Without one its training starts from the beginning, with the same result.
     pub fn take_state(&self, shorter: &RunFolder, task: Task) -> bool {
         let (from, to) = (shorter.state(task), self.state(task));
         to.exists() || from.exists() && write_whole(&to, |file| std::fs::copy(&from, file).map(drop)).is_ok()
@@ -106,8 +106,8 @@ impl Claimed<'_> {
         record.write(&self.folder.path.join(RECORD))
     }
 
-    /// Writes a run's tables, then its record with the status `done`, and removes the saved states of its training, unless
-    /// successive halving may continue it.
+    /// Writes a run's tables, then its record with the status `done`, and removes the saved states of its training,
+    /// unless successive halving may continue it.
     ///
     /// # Errors
     /// When a file can't be written, or a file that the record lists can't be read.

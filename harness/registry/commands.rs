@@ -51,8 +51,8 @@ impl Again {
     }
 }
 
-/// The runs that a command makes: their experiment, and the hashes of their specs with the paths of their world files. An
-/// error if its spec can't be used.
+/// The runs that a command makes: their experiment, and the hashes of their specs with the paths of their world files.
+/// An error if its spec can't be used.
 type Made = Result<(String, BTreeSet<(String, Option<PathBuf>)>), String>;
 
 impl<'a> Commands<'a> {
@@ -105,8 +105,8 @@ impl<'a> Commands<'a> {
         used.chain(there).collect()
     }
 
-    /// `command` with the subcommand `verb` (`run` or `collect`), if it makes the run of `spec`, in the world of the file
-    /// `world` if the file is known.
+    /// `command` with the subcommand `verb` (`run` or `collect`), if it makes the run of `spec`, in the world of the
+    /// file `world` if the file is known.
     fn again(
         &self,
         verb: &str,
@@ -132,8 +132,8 @@ impl<'a> Commands<'a> {
                 Again::Command(self.registry.command(&words))
             }
             Ok(_) => Again::Changed(format!(
-                "`{}` made it, but {} or the harness has changed since, so it makes other runs now; undo the change and \
-                 verify again, or remove the folder",
+                "`{}` made it, but {} or the harness has changed since, so it makes other runs now; undo the change \
+                 and verify again, or remove the folder",
                 self.registry.command(&words),
                 asked.spec.display()
             )),

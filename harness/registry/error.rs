@@ -21,7 +21,8 @@ pub enum RegistryError {
     #[error(transparent)]
     Table(#[from] TableError),
     /// The results folder does not exist, or contains no results.
-    #[error("there are no results in {}: {problem}; --results names the folder that runs were written to", root.display())]
+    #[error("there are no results in {}: {problem}; --results names the folder that runs were written \
+             to", root.display())]
     NoResults {
         /// The results folder.
         root: PathBuf,
@@ -29,7 +30,8 @@ pub enum RegistryError {
         problem: &'static str,
     },
     /// A run's record is damaged or missing.
-    #[error("{} is not the record of a run ({reason}); `{}` says how to repair it", path.display(), verify_command(path))]
+    #[error("{} is not the record of a run ({reason}); `{}` says how to repair \
+             it", path.display(), verify_command(path))]
     Record {
         /// The record's path.
         path: PathBuf,
@@ -37,7 +39,8 @@ pub enum RegistryError {
         reason: String,
     },
     /// A folder contains the record of another run.
-    #[error("{} is the record of {of}, which belongs in another folder; `{}` says what to do", path.display(), verify_command(path))]
+    #[error("{} is the record of {of}, which belongs in another folder; `{}` says what to \
+             do", path.display(), verify_command(path))]
     Misplaced {
         /// The record's path.
         path: PathBuf,
@@ -53,7 +56,8 @@ pub enum RegistryError {
         reason: String,
     },
     /// A dataset has fewer episodes than its description or a finished run names.
-    #[error("{} lacks {missing} of its {episodes} episodes; `{}` says how to repair it", path.display(), verify_command(path))]
+    #[error("{} lacks {missing} of its {episodes} episodes; `{}` says how to repair \
+             it", path.display(), verify_command(path))]
     Incomplete {
         /// The dataset's folder.
         path: PathBuf,
@@ -63,7 +67,8 @@ pub enum RegistryError {
         episodes: u32,
     },
     /// No run has a name that begins with the wanted text.
-    #[error("no run matches '{wanted}'{}; `{list}` lists them", nearest.as_ref().map(|n| format!(", the nearest is '{n}'")).unwrap_or_default())]
+    #[error("no run matches '{wanted}'{}; `{list}` lists them", nearest.as_ref().map(|n| format!(", the nearest is \
+        '{n}'")).unwrap_or_default())]
     Unknown {
         /// The wanted text.
         wanted: String,

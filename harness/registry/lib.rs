@@ -85,8 +85,8 @@ pub enum Decision {
         holder: String,
     },
     /// The run is done, and all of its files are as they were written: they were compared with the record now or by an
-    /// earlier plan, and their sizes, times and inodes have not changed since. Later damage that changes none of these, such
-    /// as that of a failing disk, is found only by [`Registry::verify`].
+    /// earlier plan, and their sizes, times and inodes have not changed since. Later damage that changes none of these,
+    /// such as that of a failing disk, is found only by [`Registry::verify`].
     Skip,
     /// The run is a trial of a search, and its loss was no longer finite. Another attempt would end in the same way.
     Diverged {

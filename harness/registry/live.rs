@@ -1,9 +1,9 @@
 //! The epochs of trainings that are running, so that queries and `harness watch` show them before the run is done.
 //!
-//! While a run is trained, its folder holds a file with all epochs so far. It is written at the first epoch of each task
-//! and then about once a second, and removed at the end of the training for any reason. Its name is that of an unfinished
-//! file, so that it is also removed when a process takes the place of one that was killed. Only the rows of runs with the
-//! status `running` are read from it.
+//! While a run is trained, its folder holds a file with all epochs so far. It is written at the first epoch of each
+//! task and then about once a second, and removed at the end of the training for any reason. Its name is that of an
+//! unfinished file, so that it is also removed when a process takes the place of one that was killed. Only the rows of
+//! runs with the status `running` are read from it.
 
 use super::Claimed;
 use super::record::{RunRecord, epochs_columns};
@@ -65,8 +65,8 @@ fn rows(epochs: &BTreeMap<Task, Vec<Epoch>>) -> Vec<(Task, &Epoch)> {
     epochs.iter().flat_map(|(task, epochs)| epochs.iter().map(|epoch| (*task, epoch))).collect()
 }
 
-/// The epochs of the run that is being trained in a folder. Empty before the first epoch, and if the training ends while
-/// this function reads.
+/// The epochs of the run that is being trained in a folder. Empty before the first epoch, and if the training ends
+/// while this function reads.
 pub fn live_epochs(folder: &Path) -> Vec<(Task, Epoch)> {
     let read = || {
         let bytes = seal::read(&path(folder)).ok()?;

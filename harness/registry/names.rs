@@ -53,8 +53,8 @@ impl Registry {
         real(folder) == real(&self.root) || own.into_iter().any(is_in)
     }
 
-    /// The name of a run or an experiment, without the path of the folder of all runs and without the slash that a shell
-    /// adds to a folder.
+    /// The name of a run or an experiment, without the path of the folder of all runs and without the slash that a
+    /// shell adds to a folder.
     fn name_of(&self, wanted: &str) -> String {
         let wanted = wanted.strip_suffix('/').filter(|name| name.contains('/')).unwrap_or(wanted);
         let name = within(&self.runs(), Path::new(wanted));

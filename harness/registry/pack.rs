@@ -98,7 +98,8 @@ pub enum PackError {
         reason: String,
     },
     /// A folder of the pack can't be read by this version.
-    #[error("{} can't be used: {folder}: {reason}; nothing was unpacked. It was packed by harness {made_by}", path.display())]
+    #[error("{} can't be used: {folder}: {reason}; nothing was unpacked. It was packed by harness \
+             {made_by}", path.display())]
     Unusable {
         /// The pack.
         path: PathBuf,

@@ -154,8 +154,8 @@ fn cell(record: &RunRecord) -> Cell {
 /// An experiment, a dataset, and the reading and the role of the runs on it.
 pub type ForcesOf = (String, String, Option<String>, Option<String>);
 
-/// What the rows of a run's table `forces` are about. They describe the dataset, so runs with the same value have the same
-/// rows, and those of one run are enough.
+/// What the rows of a run's table `forces` are about. They describe the dataset, so runs with the same value have the
+/// same rows, and those of one run are enough.
 pub fn forces_of(record: &RunRecord) -> ForcesOf {
     let [reading, role] = [record.spec.reading(), record.spec.role()].map(|name| name.map(str::to_owned));
     (record.experiment.clone(), record.dataset.clone(), reading, role)

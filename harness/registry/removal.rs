@@ -142,8 +142,8 @@ impl Registry {
         found
     }
 
-    /// The unfinished files and folders in the results folder that no process works on. Those in the folders of runs and
-    /// datasets are removed by the next process that works there.
+    /// The unfinished files and folders in the results folder that no process works on. Those in the folders of runs
+    /// and datasets are removed by the next process that works there.
     fn unfinished(&self) -> Vec<PathBuf> {
         let is_left =
             |folder: &PathBuf| name(folder).starts_with(UNFINISHED) && FolderLock::in_use(folder).is_none();
@@ -151,8 +151,8 @@ impl Registry {
         folders.chain(abandoned(&self.root)).collect()
     }
 
-    /// Removes the folder of a run or a dataset, or what is unfinished. If a process works there, nothing changes, and the
-    /// process is returned.
+    /// Removes the folder of a run or a dataset, or what is unfinished. If a process works there, nothing changes, and
+    /// the process is returned.
     ///
     /// The folder is renamed first, so that an interruption leaves no part of it under its name. The next call removes
     /// what an interruption left.
@@ -180,8 +180,8 @@ impl Registry {
         Ok(None)
     }
 
-    /// Removes the folder of an experiment without runs, with the copies of its tables, or the folder of all datasets if
-    /// there is none. Errors are ignored, because an empty folder and the copies only take space.
+    /// Removes the folder of an experiment without runs, with the copies of its tables, or the folder of all datasets
+    /// if there is none. Errors are ignored, because an empty folder and the copies only take space.
     fn remove_empty(&self, folder: &Path) {
         let is_removed = std::fs::remove_dir(folder).is_ok();
         let copies = self.compacted(&name(folder));

@@ -15,7 +15,8 @@ use serde::{Deserialize, Serialize};
 const SIZE: [u32; 2] = [640, 400];
 /// JPEG quality, %. A lower quality blurs the checks of the ground.
 const QUALITY: u8 = 72;
-/// Side of a block, pixels. It is a multiple of the side of a JPEG file's units, so a block looks the same in every file.
+/// Side of a block, pixels. It is a multiple of the side of a JPEG file's units, so a block looks the same in every
+/// file.
 const BLOCK: u32 = 16;
 /// Number of samples in a clip. They are five actuations.
 const SAMPLES: usize = 50;

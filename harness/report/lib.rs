@@ -84,8 +84,8 @@ enum Part<T> {
 }
 
 /// Converts the result of making a part. If the part failed because runs are missing, because runs differ in their
-/// settings, or because there is no OpenGL driver, it becomes [`Part::Absent`]. If the runs of an asked experiment do not have the part, there is no command, because the
-/// experiment's spec may not ask for it and may be in any file.
+/// settings, or because there is no OpenGL driver, it becomes [`Part::Absent`]. If the runs of an asked experiment do
+/// not have the part, there is no command, because the experiment's spec may not ask for it and may be in any file.
 ///
 /// # Errors
 /// When the part failed for any other reason.

@@ -77,8 +77,8 @@ pub fn direction_of(definition: &Definition, element: usize) -> Option<Direction
     Direction::FINGER.into_iter().find(|direction| direction.elements(definition).contains(&element))
 }
 
-/// Whether the runs of an experiment sense a finger: the world groups its joints, and the links whose contact forces are
-/// sensed, by the paper's two directions.
+/// Whether the runs of an experiment sense a finger: the world groups its joints, and the links whose contact forces
+/// are sensed, by the paper's two directions.
 fn has_finger(analysis: &Analysis, experiment: &str) -> bool {
     let is_grouped = |definition: &Definition| {
         let directions = (0..definition.width()).map(|element| direction_of(definition, element));

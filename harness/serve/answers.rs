@@ -89,7 +89,8 @@ pub fn run(registry: &Registry, recorded: &Recorded) -> Result<Answer, Failure> 
     let frames = of_run(
         registry,
         recorded,
-        "select task, modality, episode, sample, reference, predicted from frames order by task, modality, episode, sample",
+        "select task, modality, episode, sample, reference, predicted from frames order by task, modality, episode, \
+         sample",
     )?;
     let sizes: serde_json::Map<String, Value> = record
         .layout

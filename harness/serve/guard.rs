@@ -11,8 +11,8 @@ use super::http::Request;
 /// The names of this machine in a `Host` header, without the port.
 const NAMES: [&str; 3] = ["127.0.0.1", "localhost", "[::1]"];
 
-/// Checks that a request comes from a page of this server, or from a program of this machine. A link from another site to
-/// the page may be followed.
+/// Checks that a request comes from a page of this server, or from a program of this machine. A link from another site
+/// to the page may be followed.
 ///
 /// # Errors
 /// When the request's `Host` is not this machine, or it comes from another site.

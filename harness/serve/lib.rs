@@ -106,8 +106,8 @@ pub fn serve(
                     continue;
                 };
                 let site = site.clone();
-                // The connections that are open when the server ends are not waited for. If there can be no more threads,
-                // the connection is closed.
+                // The connections that are open when the server ends are not waited for. If there can be no more
+                // threads, the connection is closed.
                 let answer = move || http::answer(stream, |request| site.respond(request));
                 let _ = std::thread::Builder::new().spawn(answer);
             }

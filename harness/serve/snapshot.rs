@@ -13,8 +13,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 const FRESH: Duration = Duration::from_secs(1);
 
 /// The columns of a run in the page's table.
-const RUNS: &str = "select experiment, run, status, scenario, input, output, architecture, latent, variant, seed, started, \
-     prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds as seconds, \
+const RUNS: &str = "select experiment, run, status, scenario, input, output, architecture, latent, variant, seed, \
+     started, prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds as seconds, \
      parameters, reading, reason, host, dataset, group_hash from runs order by experiment, run";
 /// The overall metrics of the networks that predict.
 const METRICS: &str = "select experiment, run, modality, metric, value from metrics where task = 'prediction' and \
@@ -27,8 +27,8 @@ pub struct Snapshot {
     /// The runs that the last look left out, with the reasons.
     left_out: Vec<String>,
     looked: Option<Instant>,
-    /// Raised with every change. Begins with the time, in microseconds since 1970, so that a page that stays open does not
-    /// take the answers of the next server for its own.
+    /// Raised with every change. Begins with the time, in microseconds since 1970, so that a page that stays open does
+    /// not take the answers of the next server for its own.
     version: u128,
     /// The answer for this version, once it was asked for and had all metrics.
     answer: Option<String>,
@@ -73,8 +73,8 @@ impl Snapshot {
         found.cloned().ok_or_else(|| Failure::Unknown(format!("run {name}")))
     }
 
-    /// All runs with their overall metrics, unless they are those of `version`, which the page has already. If the metrics
-    /// can't be read, all runs without them, and the reason.
+    /// All runs with their overall metrics, unless they are those of `version`, which the page has already. If the
+    /// metrics can't be read, all runs without them, and the reason.
     ///
     /// # Errors
     /// When the query of the runs fails.

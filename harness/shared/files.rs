@@ -18,8 +18,8 @@ const RANDOM: usize = 6;
 /// process.
 pub const LOCK: &str = ".unfinished-lock";
 
-/// How often a lock is tried before it counts as held, and the time between two attempts. [`FolderLock::holder`] takes a
-/// lock for a moment.
+/// How often a lock is tried before it counts as held, and the time between two attempts. [`FolderLock::holder`] takes
+/// a lock for a moment.
 const ATTEMPTS: usize = 10;
 const PAUSE: Duration = Duration::from_millis(10);
 
@@ -36,8 +36,8 @@ pub struct WriteError {
 
 /// Calls `write` with a temporary file next to `path`, flushes it to disk and renames it to `path`.
 ///
-/// A reader of `path` sees the old file, the new file or no file, but never an incomplete file. If `path` is a device or a
-/// pipe, `write` is called with it.
+/// A reader of `path` sees the old file, the new file or no file, but never an incomplete file. If `path` is a device
+/// or a pipe, `write` is called with it.
 ///
 /// # Errors
 /// When the file can't be written or renamed, or `write` fails.
@@ -116,8 +116,8 @@ pub fn real(path: &Path) -> PathBuf {
     })
 }
 
-/// Returns the path of a file or folder relative to the folder that contains it; `None` if it is not in that folder. The
-/// file or folder may itself be a link to elsewhere.
+/// Returns the path of a file or folder relative to the folder that contains it; `None` if it is not in that folder.
+/// The file or folder may itself be a link to elsewhere.
 pub fn within(folder: &Path, path: &Path) -> Option<PathBuf> {
     let path = std::path::absolute(path).ok()?;
     let of_link = path.parent().zip(path.file_name()).map(|(parent, name)| real(parent).join(name));
@@ -208,8 +208,8 @@ impl FolderLock {
         Self::lock(folder, File::try_lock_shared)
     }
 
-    /// Returns the process that has locked a folder alone, such as `process 4711 on host`; `None` if there is none. Writes
-    /// nothing.
+    /// Returns the process that has locked a folder alone, such as `process 4711 on host`; `None` if there is none.
+    /// Writes nothing.
     pub fn holder(folder: &Path) -> Option<String> {
         let path = folder.join(LOCK);
         match File::open(&path).ok()?.try_lock_shared() {
@@ -227,8 +227,8 @@ impl FolderLock {
         Self::holder(folder).unwrap_or_else(|| ANOTHER.into())
     }
 
-    /// Returns the process that has locked a folder, like [`holder`](Self::holder), or `another process` if processes share
-    /// it; `None` if the folder is not locked. Writes nothing.
+    /// Returns the process that has locked a folder, like [`holder`](Self::holder), or `another process` if processes
+    /// share it; `None` if the folder is not locked. Writes nothing.
     pub fn in_use(folder: &Path) -> Option<String> {
         Self::holder(folder).or_else(|| {
             let path = folder.join(LOCK);
@@ -243,8 +243,8 @@ impl FolderLock {
         let path = folder.join(LOCK);
         let locked = || {
             std::fs::create_dir_all(folder)?;
-            // NFS locks a file for one process only if it was opened for writing, and for several only if it was opened for
-            // reading.
+            // NFS locks a file for one process only if it was opened for writing, and for several only if it was opened
+            // for reading.
             let file = OpenOptions::new().create(true).read(true).write(true).truncate(false).open(&path)?;
             Ok::<_, io::Error>(is_locked(&file, attempt)?.then_some(file))
         };

@@ -1,7 +1,7 @@
 //! The name that was probably meant.
 
-/// Returns the name that differs from `found` by the fewest typing errors, or else the dotted name whose last part does.
-/// `None` if more than a third of the letters differ.
+/// Returns the name that differs from `found` by the fewest typing errors, or else the dotted name whose last part
+/// does. `None` if more than a third of the letters differ.
 pub fn nearest<'a>(found: &str, names: &[&'a str]) -> Option<&'a str> {
     // Comparing takes time and memory for each pair of letters; what is this long is no typing error.
     if found.len() > 100 {

@@ -11,11 +11,11 @@ const INTERVAL: Duration = Duration::from_millis(20);
 /// How long a process waits for its place in line. A process that is stopped there must not hold up the others forever.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Turns at computing, as many as computations fit on the cores that this process may use. Processes of the same user that
-/// may use the same cores share them.
+/// Turns at computing, as many as computations fit on the cores that this process may use. Processes of the same user
+/// that may use the same cores share them.
 ///
-/// Processes that compute at the same time on one core displace each other's data from its caches. They take less time in
-/// all if one computes after the other.
+/// Processes that compute at the same time on one core displace each other's data from its caches. They take less time
+/// in all if one computes after the other.
 #[derive(Debug)]
 pub struct Turns {
     folder: PathBuf,
@@ -39,9 +39,9 @@ impl Drop for Turn {
 }
 
 impl Turns {
-    /// Turns of computations with `threads` threads each, with lock files in a subfolder of `folder`. `None` if the system
-    /// does not say which cores this process may use, or there can be no subfolder that only this user may write to: then
-    /// nobody has to wait.
+    /// Turns of computations with `threads` threads each, with lock files in a subfolder of `folder`. `None` if the
+    /// system does not say which cores this process may use, or there can be no subfolder that only this user may write
+    /// to: then nobody has to wait.
     pub fn new(folder: &Path, threads: usize) -> Option<Self> {
         let status = std::fs::read_to_string("/proc/self/status").ok()?;
         let cores = status.lines().find_map(|line| line.strip_prefix("Cpus_allowed_list:"))?.trim();

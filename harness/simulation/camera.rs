@@ -16,8 +16,8 @@ use std::time::Instant;
 /// Longest side of a picture, pixels. A buffer larger than the driver's limit would end the process.
 const MAX_PICTURE_SIDE: u32 = 4096;
 
-/// Largest number of things in an image that are not geoms, such as sites and the segments of tendons. MuJoCo leaves out
-/// further ones without a warning. The limit of Python's `mujoco.Renderer` is also 10,000.
+/// Largest number of things in an image that are not geoms, such as sites and the segments of tendons. MuJoCo leaves
+/// out further ones without a warning. The limit of Python's `mujoco.Renderer` is also 10,000.
 const DECORATIONS: u32 = 10_000;
 
 /// Limits software rendering to the calling threads, because the simulators already use all cores.

@@ -38,13 +38,15 @@ pub fn draft_world(model: &Path, called: &str) -> Result<String, SimulationError
         return Err(SimulationError::Unsuitable { scene: shown, problem });
     }
     let step_rate_hz = 1.0 / model.opt().timestep;
-    // Ten samples in a second, or the rate that is nearest to it among those with a whole number of steps for each sample.
+    // Ten samples in a second, or the rate that is nearest to it among those with a whole number of steps for each
+    // sample.
     let steps = (step_rate_hz / SAMPLE_RATE_HZ).round().max(1.0);
     let is_whole = (step_rate_hz / SAMPLE_RATE_HZ - steps).abs() < 1e-9 * steps;
     let sample_rate_hz = if is_whole { SAMPLE_RATE_HZ } else { step_rate_hz / steps };
     let seconds = if is_whole { 1.0 } else { sample_rate_hz.round().max(1.0) * steps * model.opt().timestep };
     let mut text = format!(
-        "# Written by `harness world new`. Remove what is not sensed; `harness world check` lists what each name matches.\n\
+        "# Written by `harness world new`. Remove what is not sensed; `harness world check` lists what each name \
+         matches.\n\
          description: {}\nmodel: {}\nstep_rate_hz: {step_rate_hz}\nsample_rate_hz: {sample_rate_hz}\n\n\
          modalities:\n",
         quoted(&format!("The robot of {file}")),
@@ -136,8 +138,8 @@ fn joints(text: &mut String, model: &MjModel) {
     }
 }
 
-/// Writes the forces on the geoms that hinges and slides move or, if none of them has a name, on their bodies. Those that
-/// ball and free joints move are in a comment.
+/// Writes the forces on the geoms that hinges and slides move or, if none of them has a name, on their bodies. Those
+/// that ball and free joints move are in a comment.
 fn contact_forces(text: &mut String, model: &MjModel) {
     let geoms = named(model, MjtObjBase::mjOBJ_GEOM);
     let is_moved = |is_wanted: &dyn Fn(usize) -> bool| -> Vec<&str> {

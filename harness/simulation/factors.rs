@@ -258,7 +258,8 @@ mod tests {
         // (b - a) / ln(b / a)
         near(mean_of(Drawing::LogUniform([0.5, 2.0]), [0.5, 2.0]), 1.5 / 4f64.ln());
         near(mean_of(Drawing::Choice(vec![1.0, 4.0]), [1.0, 4.0]), 2.5);
-        // A half-normal distribution has the mean sqrt(2 / pi) of its deviation; in a narrow range it is nearly uniform.
+        // A half-normal distribution has the mean sqrt(2 / pi) of its deviation; in a narrow range it is nearly
+        // uniform.
         let half = Normal { mean: 1.0, deviation: 1.0, range: [1.0, 50.0] };
         near(mean_of(Drawing::Normal(half), [1.0, 50.0]), 1.0 + (2.0 / std::f64::consts::PI).sqrt());
         let narrow = Normal { mean: 0.0, deviation: 10.0, range: [-1.0, 1.0] };

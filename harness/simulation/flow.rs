@@ -178,7 +178,8 @@ impl View {
         found
     }
 
-    /// Whether a point that a ray from the camera hits is on a face that looks to the camera and is behind the near plane.
+    /// Whether a point that a ray from the camera hits is on a face that looks to the camera and is behind the near
+    /// plane.
     fn renders(&self, ray: [f64; 3], hit: &Hit) -> bool {
         dot(hit.normal, ray) <= 0.0 && hit.distance * self.depth(ray) >= self.near
     }

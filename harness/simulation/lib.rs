@@ -122,8 +122,8 @@ pub enum SimulationError {
 
     /// A placed body overlaps something at an episode's start.
     #[error(
-        "episode {episode} would start with an overlap of {what}; move the area of placement '{placement}' away from what \
-         stands there, or raise the body in the model above the surface that it is to stand on"
+        "episode {episode} would start with an overlap of {what}; move the area of placement '{placement}' away from \
+         what stands there, or raise the body in the model above the surface that it is to stand on"
     )]
     Overlap {
         /// Index of the episode.
@@ -181,7 +181,8 @@ pub enum SimulationError {
 
     /// A setpoint has the wrong number of values, or a value that is not finite.
     #[error(
-        "the setpoint {setpoint:?} of simulation {index} must be {expected} finite numbers, one an element of the action"
+        "the setpoint {setpoint:?} of simulation {index} must be {expected} finite numbers, one an element of the \
+         action"
     )]
     Setpoint {
         /// Index of the simulation in its batch.

@@ -54,8 +54,8 @@ pub fn notes(scene: &Scene) -> Result<Notes, SimulationError> {
 }
 
 fn integrator(scene: &Scene) -> Option<String> {
-    let note = "the model's integrator is RK4, so each sample takes one more evaluation of the dynamics, at the sample's \
-                instant; a step of RK4 leaves poses, forces and images of a later instant";
+    let note = "the model's integrator is RK4, so each sample takes one more evaluation of the dynamics, at the \
+                sample's instant; a step of RK4 leaves poses, forces and images of a later instant";
     (scene.model.opt().integrator == MjtIntegrator::mjINT_RK4 as i32).then(|| note.to_owned())
 }
 

@@ -645,7 +645,8 @@ impl<'a> Resolver<'a> {
         let of_flexes = self.model.flex_vertbodyid().iter().chain(self.model.flex_nodebodyid());
         if of_flexes.into_iter().any(|other| *other as usize == body) {
             return format!(
-                "body '{name}' is a part of a flex, and the forces on a flex can't be sensed; list the geoms that touch it"
+                "body '{name}' is a part of a flex, and the forces on a flex can't be sensed; list the geoms that \
+                 touch it"
             );
         }
         format!("body '{name}' has no geom, so nothing can touch it")
@@ -895,8 +896,8 @@ pub(super) fn within([low, high]: [f64; 2], [min, max]: [f64; 2]) -> bool {
     low <= high && low >= min - slack && high <= max + slack
 }
 
-/// Names of elements for columns: what follows the pattern's fixed beginning, or else the whole names; in lower case, with
-/// `_` for what no column's name has.
+/// Names of elements for columns: what follows the pattern's fixed beginning, or else the whole names; in lower case,
+/// with `_` for what no column's name has.
 fn short_names(patterns: &[String], names: &[&str]) -> Vec<String> {
     let prefix = match patterns {
         [pattern] if !names.contains(&pattern.as_str()) => {

@@ -93,8 +93,8 @@ impl FreeBody {
         span
     }
 
-    /// Returns the height of the body's origin if it stands on the ground at this place, m. With no fixed surface there,
-    /// it is the body's height in the model. `scale` is that of [`FreeBody::radius`].
+    /// Returns the height of the body's origin if it stands on the ground at this place, m. With no fixed surface
+    /// there, it is the body's height in the model. `scale` is that of [`FreeBody::radius`].
     pub fn stand(&self, ground: &mut Ground, place: [f64; 2], scale: impl Fn(usize) -> f64) -> f64 {
         let [low, high] = self.span(|_| 1.0);
         let middle = self.height + 0.5 * (low + high);

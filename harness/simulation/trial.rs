@@ -167,8 +167,8 @@ impl Scene {
         Ok(false)
     }
 
-    /// Returns how a factor of friction changes contacts besides scaling their friction: without it, MuJoCo combines the
-    /// properties of both geoms.
+    /// Returns how a factor of friction changes contacts besides scaling their friction: without it, MuJoCo combines
+    /// the properties of both geoms.
     fn overruled(&self, factor: &SceneFactor) -> Option<String> {
         if factor.property != Property::GeomFriction {
             return None;
@@ -192,8 +192,9 @@ impl Scene {
             };
             let [own, touched] = names;
             Some(format!(
-                "also changes the contacts of {own} and {touched}: while it is on, they have the {what} of {own} alone, \
-                 not those that MuJoCo combines from both; set the same {what} for both in the model, or a priority"
+                "also changes the contacts of {own} and {touched}: while it is on, they have the {what} of {own} \
+                 alone, not those that MuJoCo combines from both; set the same {what} for both in the model, or a \
+                 priority"
             ))
         })
     }

@@ -36,8 +36,8 @@ pub struct RunSpec {
     /// Size of the latent state.
     pub latent: usize,
     /// The reading, the role, the varied settings and the trial with its settings: `reading=base,role=single_to_multi`,
-    /// `kl_weight=0.001,hidden=64` or `trial=0017,learning_rate=0.00127`. It is empty if the experiment varies nothing. The
-    /// seed of the dataset is left out.
+    /// `kl_weight=0.001,hidden=64` or `trial=0017,learning_rate=0.00127`. It is empty if the experiment varies nothing.
+    /// The seed of the dataset is left out.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub variant: String,
     /// Seed of the initial weights, the sampling and the order of batches.
@@ -81,8 +81,8 @@ impl Experiment {
         runs
     }
 
-    /// Returns a sentence about the runs that only repeat another one of the experiment under another variant, such as those
-    /// with several numbers of channels and without an image. `None` if there are none.
+    /// Returns a sentence about the runs that only repeat another one of the experiment under another variant, such as
+    /// those with several numbers of channels and without an image. `None` if there are none.
     pub fn repetitions(&self) -> Option<String> {
         let runs = if self.has_variants() { self.runs() } else { Vec::new() };
         let mut first: HashMap<String, &RunSpec> = HashMap::new();
@@ -97,12 +97,13 @@ impl Experiment {
         let (run, other) = repeated.first()?;
         let (some, all) = (repeated.len(), runs.len());
         Some(format!(
-            "{some} of {all} runs only repeat another one, because their settings have the same effect: {run} repeats {other}"
+            "{some} of {all} runs only repeat another one, because their settings have the same effect: {run} repeats \
+             {other}"
         ))
     }
 
-    /// Returns the runs of which successive halving makes one: its trainings up to each rung, and last the run itself. They
-    /// only train the prediction, by which trials are compared. Without halving, there is only the run itself.
+    /// Returns the runs of which successive halving makes one: its trainings up to each rung, and last the run itself.
+    /// They only train the prediction, by which trials are compared. Without halving, there is only the run itself.
     pub fn rungs(&self, run: &RunSpec) -> Vec<RunSpec> {
         let Some(halving) = self.search.as_ref().and_then(|search| search.halving.as_ref()) else {
             return vec![run.clone()];
@@ -167,8 +168,8 @@ impl Experiment {
         !(self.readings.is_empty() && self.roles.is_empty() && self.vary.is_empty() && self.search.is_none())
     }
 
-    /// Returns every combination of a reading, a role, the settings under `vary` and a trial; a single empty combination if
-    /// the experiment has none of them.
+    /// Returns every combination of a reading, a role, the settings under `vary` and a trial; a single empty
+    /// combination if the experiment has none of them.
     pub(super) fn combinations(&self) -> Vec<Combination<'_>> {
         let mut combinations = vec![Combination::default()];
         if !self.readings.is_empty() {
@@ -295,7 +296,8 @@ impl<'a> Combination<'a> {
     fn each_trial(&self, keys: &[&'a str], trials: &[Trial]) -> Vec<Self> {
         let with = |(number, trial): (usize, &Trial)| {
             let mut combination = self.clone();
-            // An experiment has at most 10,000 runs. All numbers have the same length, so that they are sorted as texts.
+            // An experiment has at most 10,000 runs. All numbers have the same length, so that they are sorted as
+            // texts.
             combination.names.push(format!("trial={number:04}"));
             combination.names.extend(trial.iter().map(|(key, value)| named(key, value)));
             let settings = keys.iter().zip(trial.values());
@@ -351,8 +353,8 @@ impl RunSpec {
         used
     }
 
-    /// Returns the scaling of each modality that is used, given the dataset's layout. A modality that the layout lacks is
-    /// left out.
+    /// Returns the scaling of each modality that is used, given the dataset's layout. A modality that the layout lacks
+    /// is left out.
     pub fn scalings(&self, layout: &Layout) -> Scalings {
         let of = |modality: Modality| {
             let definition = layout.get(modality)?;
@@ -399,8 +401,8 @@ impl RunSpec {
         digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
     }
 
-    /// Returns the run's spec with the defaults that are not stored, so that older runs keep their names. `layout` is that
-    /// of the dataset.
+    /// Returns the run's spec with the defaults that are not stored, so that older runs keep their names. `layout` is
+    /// that of the dataset.
     pub fn complete(&self, layout: &Layout) -> Json {
         let Self { split, network, training, simulation, .. } = self;
         let losses: BTreeMap<Modality, Loss> = self
@@ -496,8 +498,8 @@ impl RunSpec {
     }
 
     /// Returns the name of the cell, which is unique within an experiment: `cluttered-z64`,
-    /// `cluttered-z64-kl_weight=0.001` or `cluttered-z64-trial=0017`. A trial's settings are left out, because a folder's
-    /// name must be short.
+    /// `cluttered-z64-kl_weight=0.001` or `cluttered-z64-trial=0017`. A trial's settings are left out, because a
+    /// folder's name must be short.
     pub fn cell(&self) -> String {
         let (varied, trial, _) = self.variant_parts();
         let trial = trial.map(|number| format!("trial={number}")).unwrap_or_default();
@@ -527,8 +529,8 @@ fn add(tree: &mut Json, more: Json) {
     }
 }
 
-/// Divides a variant into the part before the trial, the trial's number, and the trial's settings. Without a trial, all of
-/// it is the first part.
+/// Divides a variant into the part before the trial, the trial's number, and the trial's settings. Without a trial, all
+/// of it is the first part.
 pub fn variant_parts(variant: &str) -> (&str, Option<&str>, &str) {
     let varied = variant.strip_prefix("trial=").map(|trial| ("", trial));
     let Some((varied, trial)) = varied.or_else(|| variant.split_once(",trial=")) else {

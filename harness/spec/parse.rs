@@ -160,7 +160,8 @@ impl fmt::Display for Value {
     }
 }
 
-/// Shortens a text to 60 characters on one line, to quote it in a message. Characters that can't be printed are escaped.
+/// Shortens a text to 60 characters on one line, to quote it in a message. Characters that can't be printed are
+/// escaped.
 pub(super) fn shorten(text: &str) -> String {
     const LONGEST: usize = 60;
     let mut shown = String::new();

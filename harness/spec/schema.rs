@@ -64,7 +64,11 @@ fn build() -> Json {
 
 /// Adds the settings of the built-in worlds, and what those of other worlds may be.
 fn add_settings_of_worlds(simulation: &mut Json) {
-    let range = |description: &str| json!({ "description": description, "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2 });
+    let range = |description: &str| {
+        json!({
+            "description": description, "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2,
+        })
+    };
     let number = |description: &str| json!({ "description": description, "type": "number", "minimum": 0.0, "maximum": 1000.0 });
     for world in World::built_in() {
         for (name, setting) in world.settings() {
@@ -162,8 +166,8 @@ pub(super) fn is_list(setting: &str) -> bool {
     setting_schema(setting).is_some_and(takes_one_item)
 }
 
-/// Whether there is a setting of that dotted key: one of [`setting_names`], or one that a world or a modality of another
-/// name makes.
+/// Whether there is a setting of that dotted key: one of [`setting_names`], or one that a world or a modality of
+/// another name makes.
 pub(super) fn is_setting(key: &str) -> bool {
     setting_schema(key).is_some_and(|schema| schema.get("properties").is_none())
 }

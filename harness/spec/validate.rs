@@ -28,8 +28,8 @@ pub(super) struct Fault {
 }
 
 impl Fault {
-    /// Creates the fault of a setting that the spec leaves out, and for which two worlds have different defaults. The other
-    /// world is the scenario with this index.
+    /// Creates the fault of a setting that the spec leaves out, and for which two worlds have different defaults. The
+    /// other world is the scenario with this index.
     pub fn between_worlds(key: &str, one: &World, other: &World, index: usize) -> Self {
         let (one, other) = (one.scenario(), other.scenario());
         let message = format!(
@@ -285,8 +285,8 @@ fn convolutions(
         return fault(
             modality.name(),
             format!(
-                "'{modality}' has a side of {side} pixels{words}, which is odd; a convolution halves it, so use an even \
-                 number"
+                "'{modality}' has a side of {side} pixels{words}, which is odd; a convolution halves it, so use an \
+                 even number"
             ),
         );
     }

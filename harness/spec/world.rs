@@ -591,7 +591,8 @@ impl World {
         let text = parse::read(path)?;
         if !is_name(name) {
             return Err(unreadable(format!(
-                "a world is named after its file, and can't be named '{}'; use lower-case letters, digits and '_', a letter first",
+                "a world is named after its file, and can't be named '{}'; use lower-case letters, digits and '_', a \
+                 letter first",
                 shorten(name)
             )));
         }

@@ -481,7 +481,8 @@ impl<'a> Binder<'a> {
                 Ok(operand.eq(wanted))
             }
         };
-        // A part is only computed where the conditions before it are not true, and a result only where its condition is.
+        // A part is only computed where the conditions before it are not true, and a result only where its condition
+        // is.
         let is_guarded = !matches!(self.needed, Needed::Lenient) && can_fail(whole);
         let mut reached = self.where_needed();
         let mut branches = Vec::with_capacity(conditions.len());

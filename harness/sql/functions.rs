@@ -215,8 +215,8 @@ fn of_reals(value: Expr, function: impl Fn(f64) -> f64 + Copy + Send + Sync + 's
     value.map_many(of_column, &[], field(Type::Real))
 }
 
-/// Applies a function to columns. If it fails for some values, Polars must not apply it to rows that an earlier condition
-/// excludes. Polars moves functions of rows before conditions, but not those of groups.
+/// Applies a function to columns. If it fails for some values, Polars must not apply it to rows that an earlier
+/// condition excludes. Polars moves functions of rows before conditions, but not those of groups.
 fn mapped(
     first: Expr,
     rest: &[Expr],

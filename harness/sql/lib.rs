@@ -2,7 +2,8 @@
 //!
 //! `sqlparser` parses a query once, into a [`Query`]. Polars computes the answer. This crate applies the rules of
 //! standard SQL for names, types, groups, joins and windows. It reads the tables through the trait [`Tables`]. A query
-//! that might be answered differently from the standard is refused. The tests in `tests/sql` compare answers with DuckDB.
+//! that might be answered differently from the standard is refused. The tests in `tests/sql` compare answers with
+//! DuckDB.
 
 /// Refuses a query with a message, which is written as for `format!`.
 macro_rules! refuse {
@@ -91,8 +92,8 @@ impl Query {
     }
 
     /// The conditions that the query puts on the rows of a table, one for each part of the query that reads the table.
-    /// The query can only see rows that satisfy at least one of them. They may name columns that the table does not have.
-    /// `None` if the query does not read the table.
+    /// The query can only see rows that satisfy at least one of them. They may name columns that the table does not
+    /// have. `None` if the query does not read the table.
     pub fn conditions(&self, table: &str) -> Option<&BTreeSet<Condition>> {
         self.conditions.get(table)
     }

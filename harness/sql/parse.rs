@@ -20,8 +20,8 @@ const MAX_QUERY_DEPTH: usize = 200;
 /// The maximum number of copies of a part of an expression. Each BETWEEN inside a BETWEEN doubles their number.
 const MAX_QUERY_COPIES: usize = 256;
 
-/// Parses a query of one statement, and checks its length and nesting, because the parser and Polars are recursive. Also
-/// returns all words of the query outside of texts.
+/// Parses a query of one statement, and checks its length and nesting, because the parser and Polars are recursive.
+/// Also returns all words of the query outside of texts.
 pub fn parsed(sql: &str) -> Answer<(Statement, BTreeSet<String>)> {
     if sql.len() > MAX_QUERY_BYTES {
         return refuse!("it has {} bytes, but at most {MAX_QUERY_BYTES} are allowed", sql.len());

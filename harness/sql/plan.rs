@@ -13,8 +13,8 @@ use std::collections::BTreeMap;
 /// The maximum number of times that a query may read tables. Each UNION of a subquery with itself doubles the number.
 const MAX_READS: usize = 200;
 
-/// The maximum number of parts of all copies of the conditions of CASE. Beyond it, an operation that fails in a row that
-/// CASE excludes is an error: Polars takes seconds for more.
+/// The maximum number of parts of all copies of the conditions of CASE. Beyond it, an operation that fails in a row
+/// that CASE excludes is an error: Polars takes seconds for more.
 const MAX_CONDITION_PARTS: usize = 100_000;
 
 /// The queries of WITH (common table expressions), by name in lower case.

@@ -262,15 +262,15 @@ fn metric_values() -> Vec<Column> {
         text("modality", "what is predicted"),
         text(
             "direction",
-            "group of elements, such as the finger's fe (flexion/extension) and aa (adduction/abduction); 'in rad', 'in m' \
-             and so on for the elements with a unit, if a modality has several; null if none or all",
+            "group of elements, such as the finger's fe (flexion/extension) and aa (adduction/abduction); 'in rad', \
+             'in m' and so on for the elements with a unit, if a modality has several; null if none or all",
         ),
         integer("index", "element: joint or link, 0 at the base; null for an aggregate"),
         text(
             "metric",
             "smape, wmape, r2, rmse, mae, relative_error; relative_error_arm, relative_error_finger and those of other \
-             regions: over the pixels that show the region before or after the change; r2_ground, mae_none and those of \
-             other kinds of contact: over the links with such a contact",
+             regions: over the pixels that show the region before or after the change; r2_ground, mae_none and those \
+             of other kinds of contact: over the links with such a contact",
         ),
         real("value", "", "the metric; null if it is not defined"),
         text("unit", "unit of the value"),

@@ -1,5 +1,5 @@
-//! The rates of wrong verdicts on simulated values whose truth is known: with effects of the dataset and of the seed, and
-//! rounded values, so that some are equal.
+//! The rates of wrong verdicts on simulated values whose truth is known: with effects of the dataset and of the seed,
+//! and rounded values, so that some are equal.
 
 use super::{file, load};
 use harness::claims::{Claim, Each, Judgment, Measured, Values, Verdict};
@@ -19,7 +19,8 @@ const KINDS: &str = "
 - {id: comparison, statement: s, measured: m, experiments: [e], query: q, condition: above 0}
 - {id: threshold, statement: s, measured: m, experiments: [e], query: q, condition: below 0.5}
 - {id: margin, statement: s, measured: m, experiments: [e], query: q, condition: below margin 0.1}
-- {id: difference, statement: s, measured: m, experiments: [e], query: q, condition: above 0, difference: [cluttered, empty]}
+- {id: difference, statement: s, measured: m, experiments: [e], query: q, condition: above 0, difference: [cluttered, \
+empty]}
 - {id: required, statement: s, measured: m, experiments: [e], query: q, condition: above 0,
    requires: {measured: m, query: q, condition: below 0.95}}
 ";

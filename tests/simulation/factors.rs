@@ -134,7 +134,8 @@ fn box_in(episode: &Episode) -> (usize, [f64; 2], [f64; 3]) {
     (red.len(), middle, [0, 1, 2].map(|channel| mean(&|_, pixel| f64::from(pixel[channel]))))
 }
 
-/// Where a camera with these axes (right, up, backwards, in its own frame) sees a place that lies so from it: column, row.
+/// Where a camera with these axes (right, up, backwards, in its own frame) sees a place that lies so from it: column,
+/// row.
 fn seen([right, up, back]: [f64; 3]) -> [f64; 2] {
     let focal = 0.5 * SIDE as f64 / 22.5f64.to_radians().tan();
     [0.5 * SIDE as f64 + focal * right / -back, 0.5 * SIDE as f64 - focal * up / -back]
@@ -303,7 +304,8 @@ fn a_picture_of_an_episode_shows_its_factors() {
     assert_eq!(renderer.render(scene.rest()).unwrap(), plain);
 }
 
-/// A sled of 1 kg that a force pushes over a plate of the same friction, and a second sled, on a plate that counts more.
+/// A sled of 1 kg that a force pushes over a plate of the same friction, and a second sled, on a plate that counts
+/// more.
 const SLEDS: &str = r#"<mujoco><option timestep="0.001" cone="elliptic"/><worldbody>
   <geom name="ground" type="plane" size="20 20 1" friction="0.5"/>
   <geom name="plate" type="plane" size="20 20 1" pos="0 0 -1" friction="0.5" priority="1" contype="2" conaffinity="2"/>
@@ -363,7 +365,8 @@ fn of_two_scaled_frictions_in_a_contact_the_larger_counts() {
 
 #[test]
 fn the_friction_of_a_contact_pair_is_scaled_with_its_geoms() {
-    let pair = r#"<contact><pair geom1="sled" geom2="ground" condim="3" friction="0.6 0.6 0.005 0.0001 0.0001"/></contact>"#;
+    let pair = r#"<contact>
+        <pair geom1="sled" geom2="ground" condim="3" friction="0.6 0.6 0.005 0.0001 0.0001"/></contact>"#;
     let model = SLEDS.replace("<actuator>", &format!("{pair}<actuator>"));
     for scale in [0.5, 1.0, 1.5] {
         let factor = format!("f: {{geom_friction: sled, scale_by: {{choice: {scale}}}}}");

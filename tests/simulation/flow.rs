@@ -195,7 +195,8 @@ fn a_turning_camera_makes_all_it_sees_flow_the_other_way() {
     assert!(inside > 50_000 && outside > 1000, "{inside} {outside}");
 }
 
-/// The flow is computed with rays, the frames are rendered: what was seen before has the color that it had where it was.
+/// The flow is computed with rays, the frames are rendered: what was seen before has the color that it had where it
+/// was.
 fn assert_colors_flow(episode: &Episode) {
     let (mut alike, mut all) = (0u32, 0u32);
     for sample in 1..episode.samples {
@@ -224,7 +225,8 @@ fn the_flow_looks_through_what_rendering_looks_through() {
     let plain = STAGE.replace("<default>", "<statistic extent=\"4\"/><default>");
     let with = |parent: &str, geom: &str| {
         let mesh = "<asset><mesh name=\"tent\" vertex=\"-1 -1 -1 1 -1 -1 0 1 -1 0 0 1\"/></asset>";
-        let hill = "<asset><hfield name=\"hill\" nrow=\"2\" ncol=\"2\" size=\"1 1 1 1\" elevation=\"1 0 0 1\"/></asset>";
+        let hill = "<asset><hfield name=\"hill\" nrow=\"2\" ncol=\"2\" size=\"1 1 1 1\" elevation=\"1 0 0 \
+                    1\"/></asset>";
         let body = format!("<body name=\"{parent}\"");
         let geom = format!("<geom rgba=\"0.9 0.9 0.2 1\" mass=\"0\" {geom}/>");
         let place = plain.find(&body).unwrap() + plain[plain.find(&body).unwrap()..].find('>').unwrap() + 1;

@@ -29,7 +29,8 @@ fn spec() -> Simulation {
     Simulation { actuations_per_episode: 1, ..Simulation::default() }
 }
 
-/// MuJoCo's distance of each placed body from the floor and from the other placed bodies, at the start of an episode, m.
+/// MuJoCo's distance of each placed body from the floor and from the other placed bodies, at the start of an episode,
+/// m.
 fn distances(scene: &Scene, episode: u32) -> (Vec<f64>, Vec<f64>) {
     let plan = EpisodePlan::draw(scene, &spec(), episode).unwrap();
     let model = scene.model();
@@ -109,7 +110,8 @@ fn bodies_of_any_shape_stand_on_the_floor_and_apart() {
 #[test]
 fn a_body_below_a_raised_floor_starts_on_it_at_rest() {
     let floor = FLOOR.replace("size=", "pos=\"0 0 0.6\" size=");
-    let body = r#"<body name="p" pos="1 0 0.1"><freejoint/><geom name="p" type="box" size="0.1 0.1 0.1" mass="1"/></body>"#;
+    let body = r#"<body name="p" pos="1 0 0.1"><freejoint/>
+        <geom name="p" type="box" size="0.1 0.1 0.1" mass="1"/></body>"#;
     let scene = stage(&floor, body, "");
     let episode = simulate(&scene, &spec(), 0);
     assert!((episode.boxes[0][2] - 0.7).abs() < 1e-9, "{:?}", episode.boxes);

@@ -271,7 +271,8 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
         (
             "method: random\n",
             "methods: random\n",
-            "spec.yaml:8:3: unknown key 'methods' in 'search'; did you mean 'method'? Allowed: method, trials, seed, space, objective, halving",
+            "spec.yaml:8:3: unknown key 'methods' in 'search'; did you mean 'method'? Allowed: method, trials, seed, \
+             space, objective, halving",
         ),
         ("  method: random\n", "", "spec.yaml:8:3: missing 'search.method'"),
         (
@@ -292,32 +293,38 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
         (
             "learning_rate: {log_uniform",
             "learning_rate: {log_unifrom",
-            "spec.yaml:13:30: unknown key 'log_unifrom' in 'search.space.training.learning_rate'; did you mean 'log_uniform'? Allowed: uniform, log_uniform, choice",
+            "spec.yaml:13:30: unknown key 'log_unifrom' in 'search.space.training.learning_rate'; did you mean \
+             'log_uniform'? Allowed: uniform, log_uniform, choice",
         ),
         (
             "learning_rate: {log_uniform",
             "learning_rat: {log_uniform",
-            "spec.yaml:13:5: unknown key 'training.learning_rat' in 'search.space'; did you mean 'training.learning_rate'? Allowed: training.learning_rate,",
+            "spec.yaml:13:5: unknown key 'training.learning_rat' in 'search.space'; did you mean \
+             'training.learning_rate'? Allowed: training.learning_rate,",
         ),
         (
             rate,
             "simulation.episodes: {integer: [4, 8]}",
-            "spec.yaml:13:5: unknown key 'simulation.episodes' in 'search.space'. Allowed: input, action, network.preset,",
+            "spec.yaml:13:5: unknown key 'simulation.episodes' in 'search.space'. Allowed: input, action, \
+             network.preset,",
         ),
         (
             rate,
             "training.learning_rate: 0.001",
-            "spec.yaml:13:29: 'search.space.training.learning_rate': expected a section with exactly one of uniform, log_uniform, choice, found 0.001",
+            "spec.yaml:13:29: 'search.space.training.learning_rate': expected a section with exactly one of uniform, \
+             log_uniform, choice, found 0.001",
         ),
         (
             rate,
             "training.learning_rate: {}",
-            "spec.yaml:13:29: 'search.space.training.learning_rate': expected a section with exactly one of uniform, log_uniform, choice, found a section of keys",
+            "spec.yaml:13:29: 'search.space.training.learning_rate': expected a section with exactly one of uniform, \
+             log_uniform, choice, found a section of keys",
         ),
         (
             rate,
             "training.learning_rate: {uniform: [0.1, 0.2], choice: [0.1]}",
-            "spec.yaml:13:29: 'search.space.training.learning_rate': expected a section with exactly one of uniform, log_uniform, choice, found a section of keys",
+            "spec.yaml:13:29: 'search.space.training.learning_rate': expected a section with exactly one of uniform, \
+             log_uniform, choice, found a section of keys",
         ),
         (
             "[0.0001, 0.01]",
@@ -327,7 +334,8 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
         (
             "[0.0001, 0.01]",
             "[0.01]",
-            "spec.yaml:13:43: 'search.space.training.learning_rate.log_uniform': expected a list of 2 items, each a finite number above 0 and at most 1, found a list of 1",
+            "spec.yaml:13:43: 'search.space.training.learning_rate.log_uniform': expected a list of 2 items, each a \
+             finite number above 0 and at most 1, found a list of 1",
         ),
         (
             "{uniform: [0, 0.5]}",
@@ -337,7 +345,8 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
         (
             "[0.0001, 0.01]",
             "[0.0001, 2]",
-            "spec.yaml:13:52: 'search.space.training.learning_rate.log_uniform': expected a finite number above 0 and at most 1, found 2",
+            "spec.yaml:13:52: 'search.space.training.learning_rate.log_uniform': expected a finite number above 0 and \
+             at most 1, found 2",
         ),
         (
             "{integer: [16, 64]}",
@@ -347,7 +356,8 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
         (
             "{integer: [16, 64]}",
             "{integer: [16, 64.5]}",
-            "spec.yaml:12:41: 'search.space.training.batch_size.integer': expected an integer of at least 1 and at most 65536, found 64.5",
+            "spec.yaml:12:41: 'search.space.training.batch_size.integer': expected an integer of at least 1 and at \
+             most 65536, found 64.5",
         ),
         (
             "{integer: [16, 64]}",
@@ -357,7 +367,8 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
         (
             "{choice: [16, [32, 32]]}",
             "{choice: []}",
-            "spec.yaml:11:30: 'search.space.network.hidden.choice': expected a list of at least one item, each a list of one to 16 items, each an integer of at least 1 and at most 16384, found an empty list",
+            "spec.yaml:11:30: 'search.space.network.hidden.choice': expected a list of at least one item, each a list \
+             of one to 16 items, each an integer of at least 1 and at most 16384, found an empty list",
         ),
         (
             "{choice: [16, [32, 32]]}",
@@ -367,17 +378,20 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
         (
             "{choice: [16, [32, 32]]}",
             "{choice: [0]}",
-            "spec.yaml:11:31: 'search.space.network.hidden.choice': expected an integer of at least 1 and at most 16384, found 0",
+            "spec.yaml:11:31: 'search.space.network.hidden.choice': expected an integer of at least 1 and at most \
+             16384, found 0",
         ),
         (
             "term: contact_force",
             "term: contact_froce",
-            "spec.yaml:15:21: unknown term 'contact_froce' in 'search.objective.term'; did you mean 'contact_force'? Allowed: proprioception, contact_force, total",
+            "spec.yaml:15:21: unknown term 'contact_froce' in 'search.objective.term'; did you mean 'contact_force'? \
+             Allowed: proprioception, contact_force, total",
         ),
         (
             "{term: contact_force}",
             "{term: contact_force, split: test}",
-            "spec.yaml:15:43: unknown samples 'test' in 'search.objective.split'. Allowed: validation; a choice by the test samples would make their errors too small",
+            "spec.yaml:15:43: unknown samples 'test' in 'search.objective.split'. Allowed: validation; a choice by the \
+             test samples would make their errors too small",
         ),
         (
             "{term: contact_force}",
@@ -387,12 +401,15 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
         (
             "  objective: {term: contact_force}\n",
             "    training.kl_weight: {uniform: [0, 1]}\n",
-            "spec.yaml:15:25: the objective 'total' depends on 'training.kl_weight', so trials can't be compared by it; leave 'training.kl_weight' out, or set search.objective.term to proprioception or contact_force",
+            "spec.yaml:15:25: the objective 'total' depends on 'training.kl_weight', so trials can't be compared by \
+             it; leave 'training.kl_weight' out, or set search.objective.term to proprioception or contact_force",
         ),
         (
             rate,
             "training.losses.contact_force: {choice: [squared, huber]}",
-            "spec.yaml:13:36: the objective 'contact_force' depends on 'training.losses.contact_force', so trials can't be compared by it; leave 'training.losses.contact_force' out, or set search.objective.term to proprioception",
+            "spec.yaml:13:36: the objective 'contact_force' depends on 'training.losses.contact_force', so trials \
+             can't be compared by it; leave 'training.losses.contact_force' out, or set search.objective.term to \
+             proprioception",
         ),
         (
             "search:\n",
@@ -412,7 +429,8 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
         (
             "{term: contact_force}\n",
             "{term: contact_force}\n  halving: {min_epochs: 200}\n",
-            "spec.yaml:16:25: 200 epochs are not less than training.epochs, 200, so no trial would be stopped; use fewer",
+            "spec.yaml:16:25: 200 epochs are not less than training.epochs, 200, so no trial would be stopped; use \
+             fewer",
         ),
         (
             "{term: contact_force}\n",
@@ -421,18 +439,22 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
         ),
         (
             "  objective: {term: contact_force}\n",
-            "    training.epochs: {integer: [10, 20]}\n  objective: {term: contact_force}\n  halving: {min_epochs: 2}\n",
+            "    training.epochs: {integer: [10, 20]}\n  objective: {term: contact_force}\n  halving: {min_epochs: \
+             2}\n",
             "spec.yaml:15:22: halving compares trials after the same epochs; leave 'training.epochs' out",
         ),
         (
             "{uniform: [0, 0.5]}",
             "{uniform: [1000, 1000000]}",
-            "spec.yaml:14:28: a step takes learning_rate times weight_decay of each weight away, here more than all of it; use 5901.271724056534 at most (after applying trial=0000,hidden=32+32,batch_size=37,learning_rate=0.000169455,weight_decay=836864.0)",
+            "spec.yaml:14:28: a step takes learning_rate times weight_decay of each weight away, here more than all of \
+             it; use 5901.271724056534 at most (after applying \
+             trial=0000,hidden=32+32,batch_size=37,learning_rate=0.000169455,weight_decay=836864.0)",
         ),
         (
             "search:\n",
             "training: {last_epoch: 200}\nsearch:\n",
-            "spec.yaml:7:24: the training ends after epoch 200 (training.epochs) anyway; use less than 200, or leave it out",
+            "spec.yaml:7:24: the training ends after epoch 200 (training.epochs) anyway; use less than 200, or leave \
+             it out",
         ),
     ];
     for (old, new, expected) in cases {
@@ -471,8 +493,8 @@ fn an_override_of_a_search_is_refused_by_its_name() {
         (
             &search,
             "search.objective.split=test",
-            "unknown samples 'test' in 'search.objective.split'. Allowed: validation; a choice by the test samples would \
-             make their errors too small",
+            "unknown samples 'test' in 'search.objective.split'. Allowed: validation; a choice by the test samples \
+             would make their errors too small",
         ),
         (BASE, "search.trials=3", "missing 'search.method', 'search.space'"),
     ] {
@@ -486,7 +508,7 @@ fn more_runs_than_an_experiment_may_have_are_refused_before_they_are_drawn() {
         .replace("name: base", "name: base\nseeds: [0, 1]");
     assert_eq!(
         refusal(text),
-        "spec.yaml:10:11: 1 scenarios, 1 latent sizes, 10000 combinations of settings and 2 seeds make 20000 runs, more \
-         than the 10000 that are allowed; divide them over several experiments"
+        "spec.yaml:10:11: 1 scenarios, 1 latent sizes, 10000 combinations of settings and 2 seeds make 20000 runs, \
+         more than the 10000 that are allowed; divide them over several experiments"
     );
 }

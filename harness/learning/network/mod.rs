@@ -1,7 +1,7 @@
 //! Networks that see samples and predict later ones, and the conditional variational auto-encoder.
 //!
-//! Training and prediction use only the trait [`Network`]. [`Architecture`] describes the layers of the auto-encoder, and
-//! builds it. Source: sections II and IV-A of the paper. Its encoder maps an observation to a diagonal Gaussian
+//! Training and prediction use only the trait [`Network`]. [`Architecture`] describes the layers of the auto-encoder,
+//! and builds it. Source: sections II and IV-A of the paper. Its encoder maps an observation to a diagonal Gaussian
 //! distribution over the latent state. Its decoder maps a latent state and an action to the next observation.
 
 mod cvae;
@@ -103,7 +103,8 @@ impl Architecture {
         decoder::build(self, &mut self.builder("decoder", Made::Variables { parameters, random, device }))
     }
 
-    /// Lists all layers with parameters of the encoder and the decoder in the order in which they are applied. Creates no parameters.
+    /// Lists all layers with parameters of the encoder and the decoder in the order in which they are applied. Creates
+    /// no parameters.
     ///
     /// # Errors
     /// When a layer can't be described.
