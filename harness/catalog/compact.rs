@@ -104,7 +104,7 @@ impl RunTable {
         let file = |record: &RunRecord| {
             let listed = record.listed(&folder.join(&record.run), &name)?.clone();
             // Published runs are few, and are meant for version control.
-            let is_small = listed.bytes <= LARGEST_BYTES && !record.is_published();
+            let is_small = listed.bytes <= LARGEST_BYTES && !record.published;
             Ok(RunFile { run: record.run.clone(), listed, is_small })
         };
         let files = runs.map(file).collect::<Result<_, RegistryError>>()?;

@@ -545,7 +545,7 @@ impl Registry {
                 users.insert(record.dataset.clone(), record);
             }
         }
-        users.into_values().filter(|record| !record.is_published() && self.lacks_dataset_of(record)).collect()
+        users.into_values().filter(|record| !record.published && self.lacks_dataset_of(record)).collect()
     }
 
     fn lacks_dataset_of(&self, record: &RunRecord) -> bool {

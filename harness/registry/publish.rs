@@ -48,7 +48,7 @@ impl Registry {
         let is_replaced = |other: &RunRecord| chosen.iter().any(|(_, record)| is_same(other, record));
         // Other runs have networks and rows that a copy would remove, or a process works on them.
         if let Some((folder, _)) =
-            published_before.iter().find(|(_, other)| !other.is_published() && is_replaced(other))
+            published_before.iter().find(|(_, other)| !other.published && is_replaced(other))
         {
             return Err(RegistryError::NotPublished(folder.clone()));
         }
@@ -72,7 +72,7 @@ impl Registry {
                 write_table(&path, rows, &table.columns(), &record.stamp())?;
                 names.push(table.file_name());
             }
-            let record = record.clone().with_files(&copy, names)?;
+            let record = RunRecord { published: true, ..record.clone() }.with_files(&copy, names)?;
             published.bytes += record.files.values().map(|file| file.bytes).sum::<u64>();
             published.runs += 1;
             record.write(&copy.path.join(RECORD))?;

@@ -160,6 +160,9 @@ pub struct RunRecord {
     /// Whether a trial of a search failed because its loss was no longer finite.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub diverged: bool,
+    /// Whether this is the record of a published copy, which has neither networks nor a dataset.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub published: bool,
     /// Hash of the spec.
     pub spec_hash: String,
     /// Name of the dataset's folder.
@@ -233,6 +236,7 @@ impl RunRecord {
             status: Status::Running,
             reason: None,
             diverged: false,
+            published: false,
             spec_hash: spec.hash(),
             dataset: folder.dataset.clone(),
             started: Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
@@ -256,8 +260,9 @@ impl RunRecord {
         self.spec.simulation.as_ref().map_or(0, |simulation| simulation.episodes)
     }
 
-    /// Whether this is the record of a published run, which is published without its networks and dataset.
-    pub fn is_published(&self) -> bool {
+    /// Whether a finished run lacks a file that its spec asks for. Before records stored whether they are published copies,
+    /// these were recognized by that.
+    fn lacks_files(&self) -> bool {
         self.status == Status::Done && self.expected_files().iter().any(|name| !self.files.contains_key(name))
     }
 
@@ -309,7 +314,7 @@ impl RunRecord {
 
     /// Whether the finished run has a file of this table. Published runs have none of tables without rows.
     pub fn has(&self, table: Table) -> bool {
-        self.files.contains_key(&table.file_name()) || TABLES.contains(&table) && !self.is_published()
+        self.files.contains_key(&table.file_name()) || TABLES.contains(&table) && !self.published
     }
 
     /// The tables of which the finished run has a file.
@@ -365,7 +370,11 @@ impl RunRecord {
                 Ok(None)
             }
             Err(error) => Err(damaged(error.to_string())),
-            Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|error| damaged(error.to_string())),
+            Ok(bytes) => {
+                let record: Self =
+                    serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
+                Ok(Some(Self { published: record.published || record.lacks_files(), ..record }))
+            }
         }
     }
 
@@ -470,7 +479,7 @@ pub fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
 /// they are published without their datasets.
 pub fn episodes_used<'a>(records: impl Iterator<Item = &'a RunRecord>) -> BTreeMap<&'a str, u32> {
     let mut used = BTreeMap::new();
-    for record in records.filter(|record| record.status == Status::Done && !record.is_published()) {
+    for record in records.filter(|record| record.status == Status::Done && !record.published) {
         let most = used.entry(record.dataset.as_str()).or_default();
         *most = record.episodes().max(*most);
     }

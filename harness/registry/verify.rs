@@ -193,7 +193,7 @@ impl Verification<'_> {
                 }
             }
         }
-        let published: Vec<_> = records().filter(|record| is_gone(record) && record.is_published()).collect();
+        let published: Vec<_> = records().filter(|record| is_gone(record) && record.published).collect();
         if !published.is_empty() {
             let datasets: BTreeSet<_> = published.iter().map(|record| &record.dataset).collect();
             let problem = format!(
