@@ -20,7 +20,6 @@ mod interruption;
 mod layers;
 mod live;
 mod locks;
-mod make;
 mod many_runs;
 mod models;
 mod numbers;
