@@ -69,7 +69,11 @@ fn add_settings_of_worlds(simulation: &mut Json) {
             "description": description, "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2,
         })
     };
-    let number = |description: &str| json!({ "description": description, "type": "number", "minimum": 0.0, "maximum": 1000.0 });
+    let number = |description: &str| {
+        json!({
+            "description": description, "type": "number", "minimum": 0.0, "maximum": 1000.0,
+        })
+    };
     for world in World::built_in() {
         for (name, setting) in world.settings() {
             simulation["properties"][name] = match setting {
