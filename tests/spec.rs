@@ -188,8 +188,8 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         (
             "seed: 1\n",
             "spec.yaml:7:1: unknown key 'seed'; did you mean 'seeds'? Allowed: name, description, scenarios, \
-             input, output, latent, seeds, tasks, action, window, network, simulation, split, scaling, training, vary, search, \
-             roles, readings, quick",
+             input, output, latent, seeds, tasks, action, window, network, simulation, split, scaling, training, vary, \
+             search, roles, readings, quick",
         ),
     ]);
 }
@@ -494,13 +494,13 @@ fn rules_that_tie_settings_together_are_checked() {
         ),
         (
             "window: {context: 150, horizon: 60}\n",
-            "spec.yaml:7:19: a window of 150 and 60 samples does not fit into an episode of 200; use a shorter window or \
-             more actuations_per_episode",
+            "spec.yaml:7:19: a window of 150 and 60 samples does not fit into an episode of 200; use a shorter window \
+             or more actuations_per_episode",
         ),
         (
             "window: {horizon: 2}\n",
-            "spec.yaml:7:19: a network without memory predicts further than one sample from its own predictions, and these \
-             lack its input 'arm'; add it to the output, or use horizon: 1",
+            "spec.yaml:7:19: a network without memory predicts further than one sample from its own predictions, and \
+             these lack its input 'arm'; add it to the output, or use horizon: 1",
         ),
         (
             "split: {by: sample, validation: 0.6, test: 0.4}\n",

@@ -28,7 +28,8 @@ pub enum QueryError {
     Format(PathBuf),
     /// CSV and JSON have no bytes.
     #[error(
-        "can't write to '{}': the column '{column}' holds bytes; choose a name that ends in .parquet, or leave the column out",
+        "can't write to '{}': the column '{column}' holds bytes; choose a name that ends in .parquet, or leave the \
+         column out",
         path.display()
     )]
     Bytes {

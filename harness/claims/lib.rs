@@ -2,12 +2,14 @@
 //!
 //! A claim is a statement with a query and a condition on the query's result.
 
+mod contacts;
 mod file;
 mod metric;
 mod plan;
 mod readings;
 mod table;
 
+pub use contacts::{Contacts, contacts};
 pub use file::load;
 pub use plan::{More, Plan, Step, plan};
 pub use readings::{Matrix, Readings, Row as MatrixRow};

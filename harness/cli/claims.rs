@@ -74,6 +74,9 @@ impl Claims {
             print_details(&judgments, self.quick);
         }
         print_summary(&runs, &judgments);
+        let experiments: BTreeSet<String> =
+            judgments.iter().flat_map(|judgment| judgment.claim.experiments(self.quick)).collect();
+        print_contacts(&runs, &experiments.iter().map(String::as_str).collect::<Vec<_>>())?;
         print_missing(&runs, &judgments, self.quick)?;
         Ok(ExitCode::from(DONE))
     }
@@ -89,7 +92,8 @@ impl Claims {
         if spec.readings.is_empty() {
             bail!("{} has no readings; name a spec with readings, such as `readings`", shown(path));
         }
-        let matrix = Readings::new(registry, &spec, chosen, &self.settings)?.judge(chosen)?;
+        let readings = Readings::new(registry, &spec, chosen, &self.settings)?;
+        let matrix = readings.judge(chosen)?;
         if matrix.rows.is_empty() {
             let quick = if self.quick { " --quick" } else { "" };
             let path = quoted([&*path.to_string_lossy()]);
@@ -110,6 +114,7 @@ impl Claims {
             return write(table, form);
         }
         print_matrix(&spec, &matrix);
+        print_contacts(readings.analysis(), &[&spec.name])?;
         Ok(ExitCode::from(DONE))
     }
 }
@@ -415,6 +420,14 @@ fn print_missing(runs: &Analysis, judgments: &[Judgment], quick: bool) -> Result
             Some(command) => print_command("for claims without data   ", &command),
             None => print_text(&format!("for claims without data   there is no spec called {experiment}")),
         }
+    }
+    Ok(())
+}
+
+/// Prints how often links are touched in the datasets of these experiments.
+fn print_contacts(runs: &Analysis, experiments: &[&str]) -> Result<()> {
+    for contacts in claims::contacts(runs, experiments)? {
+        print_text(&contacts.to_string());
     }
     Ok(())
 }

@@ -71,8 +71,8 @@ pub enum ExperimentError {
     },
     /// The split leaves no training samples.
     #[error(
-        "the split leaves no samples for training; lower split.validation, split.test, the window or, in a split by time, \
-         split.gap_seconds, or use a larger dataset (if it is simulated, raise simulation.episodes or \
+        "the split leaves no samples for training; lower split.validation, split.test, the window or, in a split by \
+         time, split.gap_seconds, or use a larger dataset (if it is simulated, raise simulation.episodes or \
          simulation.actuations_per_episode)"
     )]
     NoTraining,

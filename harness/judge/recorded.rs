@@ -67,8 +67,8 @@ pub struct Recorded<'a> {
 }
 
 impl<'a> Recorded<'a> {
-    /// Sorts the values of a model by window. Each modality and horizon that occurs must have a value for each element of
-    /// each window. `windows` are the present samples of the test's windows, in ascending order.
+    /// Sorts the values of a model by window. Each modality and horizon that occurs must have a value for each element
+    /// of each window. `windows` are the present samples of the test's windows, in ascending order.
     ///
     /// # Errors
     /// When a value is of no window of the test, is not finite, occurs twice, or is missing.

@@ -81,8 +81,8 @@ impl Predictor for Ridge<'_> {
 }
 
 impl Given<'_> {
-    /// Returns the normalized inputs at the samples `at`, `[at, inputs]`: the next `horizon` actions, the vectors, and the
-    /// images reduced to small gray ones.
+    /// Returns the normalized inputs at the samples `at`, `[at, inputs]`: the next `horizon` actions, the vectors, and
+    /// the images reduced to small gray ones.
     fn values(&self, at: &[Sample], horizon: usize) -> Result<Vec<f32>, MetricsError> {
         let Given { samples, normalizers, action, input } = *self;
         let vectors = normalizers.vectors(samples, at, input);

@@ -75,8 +75,8 @@ pub fn is_usual(horizon: usize, given: Option<&str>) -> bool {
     horizon <= 1 && given.is_none()
 }
 
-/// Returns a row for each element of the predicted samples `ahead`. There are none for images, which would take too much
-/// space, and for values of different units, which can't share a column.
+/// Returns a row for each element of the predicted samples `ahead`. There are none for images, which would take too
+/// much space, and for values of different units, which can't share a column.
 pub(super) fn predictions(
     test: &Test,
     given: Option<&'static str>,

@@ -53,8 +53,8 @@ impl Checks {
         }
     }
 
-    /// Describes the first file of a run that is damaged, like [`RunRecord::damage`]. The files are not read if they were
-    /// intact before and have not changed since.
+    /// Describes the first file of a run that is damaged, like [`RunRecord::damage`]. The files are not read if they
+    /// were intact before and have not changed since.
     pub fn damage(&self, folder: &RunFolder, record: &RunRecord) -> Option<String> {
         if record.published {
             return record.damage(&folder.path);

@@ -260,8 +260,8 @@ impl RunRecord {
         self.spec.simulation.as_ref().map_or(0, |simulation| simulation.episodes)
     }
 
-    /// Whether a finished run lacks a file that its spec asks for. Before records stored whether they are published copies,
-    /// these were recognized by that.
+    /// Whether a finished run lacks a file that its spec asks for. Before records stored whether they are published
+    /// copies, these were recognized by that.
     fn lacks_files(&self) -> bool {
         self.status == Status::Done && self.expected_files().iter().any(|name| !self.files.contains_key(name))
     }

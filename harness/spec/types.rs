@@ -417,8 +417,8 @@ pub struct Window {
     #[schemars(range(min = 1, max = MAX_WINDOW))]
     pub context: usize,
     /// Number of samples after the present one that the model predicts, one from the other. The tables `metrics` and
-    /// `predictions` contain those of the first one, and `all_metrics` and `all_predictions` also those at 2, 5, 10, 20,
-    /// 50, 100, 200 and 500 samples, as far as the horizon goes, and at the horizon.
+    /// `predictions` contain those of the first one, and `all_metrics` and `all_predictions` also those at 2, 5, 10,
+    /// 20, 50, 100, 200 and 500 samples, as far as the horizon goes, and at the horizon.
     #[schemars(range(min = 1, max = MAX_WINDOW))]
     pub horizon: usize,
 }

@@ -492,8 +492,8 @@ fn window(experiment: &Experiment) -> Result<(), Fault> {
         Some(missing) if window.horizon > 1 => fault(
             "window.horizon",
             format!(
-                "a network without memory predicts further than one sample from its own predictions, and these lack its \
-                 input '{missing}'; add it to the output, or use horizon: 1"
+                "a network without memory predicts further than one sample from its own predictions, and these lack \
+                 its input '{missing}'; add it to the output, or use horizon: 1"
             ),
         ),
         _ => Ok(()),

@@ -47,8 +47,8 @@ pub const FALLIBLE: [&str; 2] = ["abs", "mod"];
 /// Refuses a part of the query about dates.
 pub fn no_dates<T>(part: &str) -> Answer<T> {
     refuse!(
-        "'{part}' is about dates, and no table has any: 'started' is text such as 2026-01-31T12:00:00Z; compare it with \
-         text, or use substr"
+        "'{part}' is about dates, and no table has any: 'started' is text such as 2026-01-31T12:00:00Z; compare it \
+         with text, or use substr"
     )
 }
 

@@ -85,8 +85,8 @@ impl Table {
         }
     }
 
-    /// Returns the name of the file that holds a run's rows. For [`Table::AllMetrics`] and [`Table::AllPredictions`], the
-    /// file holds the rows that the table [`Table::usual`] has not.
+    /// Returns the name of the file that holds a run's rows. For [`Table::AllMetrics`] and [`Table::AllPredictions`],
+    /// the file holds the rows that the table [`Table::usual`] has not.
     pub fn file_name(self) -> String {
         let name = match self {
             Table::AllMetrics => "further_metrics",
@@ -96,8 +96,8 @@ impl Table {
         format!("{name}.parquet")
     }
 
-    /// Returns the table whose rows are a part of this table's rows: those of the nearest sample that a task predicts, by
-    /// models that got all inputs. It lacks the columns [`HORIZON`] and [`GIVEN`].
+    /// Returns the table whose rows are a part of this table's rows: those of the nearest sample that a task predicts,
+    /// by models that got all inputs. It lacks the columns [`HORIZON`] and [`GIVEN`].
     pub fn usual(self) -> Option<Table> {
         match self {
             Table::AllMetrics => Some(Table::Metrics),

@@ -720,3 +720,17 @@ def test_what_is_returned_has_the_types_of_the_stubs(
             value = calls.pop(name)()
         assert stub.returns is not None and has_type(value, stub.returns), f"{name} returned {value!r}"
     assert not calls
+
+
+def test_further_horizons_change_no_other_table(tmp_path: Path) -> None:
+    vectors = {"input": "proprioception", "output": ["proprioception", "contact_force"], "scenarios": "empty"}
+    near, far = tmp_path / "near", tmp_path / "far"
+    harness.run(SMOKE, vectors, results=near, progress=False)
+    harness.run(SMOKE, vectors | {"window.horizon": 3}, results=far, progress=False)
+    count = "select task, model, metric, count(*) as rows from metrics group by all order by all"
+    assert harness.query(count, near).equals(harness.query(count, far))
+    assert harness.compare(results=near).shape == harness.compare(results=far).shape
+    both = "select horizon, count(*) as rows from all_metrics where task = 'prediction' group by horizon order by horizon"
+    rows = harness.query(both, far)
+    assert rows["horizon"].to_list() == [1, 2, 3]
+    assert rows["rows"].to_list() == harness.query(both, near)["rows"].to_list() * 3
