@@ -24,7 +24,20 @@ const COMMANDS: [&[&str]; 17] = [
     &["query", "select model, metric, avg(value), count(*) from metrics group by all order by all"],
     &["query", "select task, modality, avg(predicted), count(*) from predictions group by all order by all"],
     &["query", "select count(*) from frames"],
-    &["plot", "multi_to_multi", "--x", "latent", "--y", "r2", "--by", "modality", "-o", "{}/plot.svg"],
+    &[
+        "plot",
+        "multi_to_multi",
+        "--x",
+        "latent",
+        "--y",
+        "r2",
+        "--by",
+        "modality",
+        "--facet",
+        "scenario",
+        "-o",
+        "{}/plot.svg",
+    ],
     &["figures", "--output", "{}/figures", "--format", "svg"],
     &["figures", "readings", "--output", "{}/figures", "--format", "svg"],
     &["report", "--output", "{}/report.html"],
@@ -166,7 +179,7 @@ fn a_run_with_a_horizon_is_judged_at_each_distance() {
     assert!(succeed(&results, &["verify"]).contains("all files are intact"));
     assert!(succeed(&results, &[&run[..], &["--dry-run"]].concat()).contains("done"));
     let published = fresh("horizons_published");
-    succeed(&results, &["publish", "--output", published.to_str().unwrap()]);
+    succeed(&results, &["publish", "smoke", "--output", published.to_str().unwrap()]);
     let count = "select count(*) from all_metrics where horizon = 4";
     assert_eq!(succeed(&results, &["query", count]), succeed(&published, &["query", count]));
     let refused = finish(&mut harness(&results, &["run", SMOKE, "window.horizon=2"]));

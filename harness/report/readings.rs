@@ -3,7 +3,7 @@
 use super::verdicts::class_of;
 use super::{Absent, Asked, Part, ReportError, part, sentence};
 use harness_analysis::Analysis;
-use harness_claims::{self as claims, Claim, Judgment, MatrixRow, Verdict};
+use harness_claims::{self as claims, Claim, Contacts, Judgment, MatrixRow, Verdict};
 use harness_figures::Figure;
 use harness_figures::source::{Experiments, Source};
 use harness_registry::Registry;
@@ -21,6 +21,8 @@ pub struct Readings {
     /// The number of claims that need runs that no reading has.
     left_out: usize,
     notes: Vec<String>,
+    /// How often links are touched in the datasets of each reading.
+    contacts: Vec<String>,
     /// The figure of the gain by vision under each reading, as an SVG element.
     figure: Part<String>,
 }
@@ -83,6 +85,7 @@ pub fn of(
     }
     let readings = claims::Readings::new(registry, spec, claims, &asked.settings)?;
     let matrix = readings.judge(claims)?;
+    let contacts = claims::contacts(readings.analysis(), &[&spec.name])?;
     let rows: Vec<Row> = matrix.rows.iter().map(|row| Row::new(row, &matrix.readings)).collect();
     let drawn = Experiments { readings: spec.name.clone(), ..Experiments::of_the_paper(false) };
     let figure =
@@ -93,6 +96,7 @@ pub fn of(
         rows,
         left_out: matrix.left_out.len(),
         notes: matrix.notes.iter().map(|note| sentence(note)).collect(),
+        contacts: contacts.iter().map(Contacts::to_string).collect(),
         figure: part(figure, asked)?,
     }))
 }

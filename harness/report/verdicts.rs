@@ -1,7 +1,8 @@
 //! Judges the claims and puts the verdicts into words.
 
+use super::ReportError;
 use harness_analysis::{Analysis, Mixed};
-use harness_claims::{Claim, ClaimsError, Condition, Each, Judgment, Verdict, corrected, judge};
+use harness_claims::{Claim, Condition, Contacts, Each, Judgment, Verdict, contacts, corrected, judge};
 use harness_shared::numbers::{counted, rounded};
 use harness_spec::Scenario;
 use serde::Serialize;
@@ -14,6 +15,8 @@ pub struct Verdicts {
     counts: Counts,
     /// The number of verdicts that Holm's correction makes undecided.
     unsure: usize,
+    /// How often links are touched in the datasets that the claims are judged on.
+    contacts: Vec<String>,
     /// The commands that make the runs of claims without data.
     #[serde(skip)]
     pub commands: BTreeSet<String>,
@@ -94,16 +97,21 @@ impl Verdicts {
     ///
     /// # Errors
     /// When a claim's query is wrong, or a table is damaged.
-    pub fn of(analysis: &Analysis, claims: &[&Claim], quick: bool) -> Result<Self, ClaimsError> {
+    pub fn of(analysis: &Analysis, claims: &[&Claim], quick: bool) -> Result<Self, ReportError> {
         let mut verdicts = Self {
             claims: Vec::new(),
             counts: Counts::default(),
             unsure: 0,
+            contacts: Vec::new(),
             commands: BTreeSet::new(),
             mixed: BTreeSet::new(),
         };
         let judged: Vec<Vec<Judgment>> =
             claims.iter().map(|claim| judge(analysis, claim, quick)).collect::<Result<_, _>>()?;
+        let experiments: BTreeSet<String> =
+            claims.iter().flat_map(|claim| claim.experiments(quick)).collect();
+        let experiments: Vec<&str> = experiments.iter().map(String::as_str).collect();
+        verdicts.contacts = contacts(analysis, &experiments)?.iter().map(Contacts::to_string).collect();
         let mut p_values = corrected(judged.iter().flatten()).into_iter();
         let mut lacking: BTreeSet<&String> = BTreeSet::new();
         for (claim, judgments) in claims.iter().zip(&judged) {
