@@ -118,7 +118,7 @@ fn intervals_over_the_seeds_of_one_dataset_keep_their_level() {
 }
 
 #[test]
-fn intervals_over_datasets_and_seeds_keep_their_level_whatever_the_variances_are() {
+fn intervals_over_datasets_and_seeds_keep_level_at_any_variance() {
     // In the last table, a run is missing.
     for seeds in [&[2, 2][..], &[3, 3], &[2, 2, 2], &[3; 5], &[3, 3, 2]] {
         for ratio in [0.0, 0.5, 1.0, 3.0] {
@@ -158,7 +158,7 @@ fn several_datasets_count_by_their_means_and_one_by_its_seeds() {
 }
 
 #[test]
-fn a_p_value_is_below_5_percent_where_the_interval_excludes_the_bound() {
+fn p_is_below_5_percent_where_the_interval_excludes_the_bound() {
     let mut random = ChaCha8Rng::seed_from_u64(3);
     for _ in 0..1000 {
         let values: Vec<f64> = (0..3).map(|_| 1.0 + normal(&mut random)).collect();
@@ -182,7 +182,7 @@ fn corrected_p_values_are_holm_s() {
 }
 
 #[test]
-fn as_many_values_as_are_planned_exclude_the_bound_if_their_spread_stays() {
+fn the_planned_number_excludes_the_bound_if_the_spread_stays() {
     let values = [0.5, 1.5, 1.0];
     let count = needed(&values, 0.5).unwrap();
     // Deviation and distance are 0.5, so t(n - 1) must be less than the root of n. This holds from n = 7 on (2.447 and

@@ -466,7 +466,7 @@ fn compacted(root: &Path) -> Vec<(PathBuf, Vec<u8>)> {
 }
 
 #[test]
-fn values_are_the_same_from_compacted_tables_and_after_damage_to_them() {
+fn values_are_the_same_from_compacted_tables_even_damaged_ones() {
     // Enough runs of each experiment to be compacted.
     let seeds: Vec<u64> = (0..12).collect();
     let (folder, registry) = results(&seeds, |seed| if seed % 3 == 0 { Opposite } else { Same });
@@ -685,7 +685,7 @@ fn the_plan_says_how_many_more_seeds_would_decide() {
 }
 
 #[test]
-fn a_correction_for_the_number_of_claims_stands_beside_the_verdicts() {
+fn a_correction_for_many_claims_stands_beside_the_verdicts() {
     // Each of these claims holds at 5 %, with an uncorrected p-value of about 0.01.
     let seeds: Vec<u64> = (0..5).collect();
     let (folder, registry) = results(&seeds, |seed| if seed == 4 { Nothing } else { Same });
@@ -965,7 +965,7 @@ fn a_requirement_is_in_the_metric_of_the_claim_that_uses_it() {
 }
 
 #[test]
-fn networks_that_a_simple_prediction_beats_in_the_metric_of_a_claim_do_not_decide_it() {
+fn networks_that_a_simple_prediction_beats_decide_no_claim() {
     let (_folder, registry) = results(&[0, 1, 2], |_| Same);
     // With vision, the least WMAPE of the force is 20 % or 30 %. That of persistence is 65 %.
     let text = |metric: &str, beaten: &str| {
@@ -1085,7 +1085,7 @@ fn faults_of_a_file_are_named_with_their_place() {
 }
 
 #[test]
-fn the_message_about_other_files_names_the_keys_that_each_claim_needs() {
+fn the_message_about_other_files_names_each_claims_keys() {
     let message = load_text("name: smoke").unwrap_err();
     let named = message.rsplit_once("the keys ").unwrap().1.replace(" and ", ", ");
     let value = |key: &str| match key {
@@ -1151,7 +1151,7 @@ fn a_query_that_is_no_claims_query_is_refused_even_without_data() {
 }
 
 #[test]
-fn the_checked_in_claims_name_experiments_that_exist_and_are_chosen_by_name() {
+fn the_claims_name_known_experiments_and_are_chosen_by_name() {
     for claim in CLAIMS.iter() {
         for name in &claim.experiments {
             assert!(claim.sql(false).contains(&format!("'{name}'")), "{}", claim.id());
@@ -1165,7 +1165,7 @@ fn the_checked_in_claims_name_experiments_that_exist_and_are_chosen_by_name() {
 }
 
 #[test]
-fn every_statement_of_the_paper_has_an_entry_or_a_reason_why_not() {
+fn every_statement_of_the_paper_has_an_entry_or_a_reason() {
     let text = std::fs::read_to_string(root().join(FILE)).unwrap();
     let number = |line: &str| line.strip_prefix("# ")?.split_once('.')?.0.parse::<usize>().ok();
     let lines: Vec<&str> = text.lines().collect();

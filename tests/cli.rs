@@ -85,7 +85,7 @@ fn refusal(arguments: &[&str], code: i32) -> String {
 // --- an experiment ---
 
 #[test]
-fn an_experiment_writes_everything_and_a_second_run_does_nothing() {
+fn an_experiment_writes_everything_and_its_second_run_nothing() {
     let runs = std::fs::read_dir(RESULTS.join("runs/smoke")).unwrap();
     let runs: Vec<PathBuf> = runs.map(|entry| entry.unwrap().path()).collect();
     assert_eq!(runs.len(), 2);
@@ -237,7 +237,7 @@ fn spawnable(results: &Path, arguments: &[&str]) -> std::process::Command {
 }
 
 #[test]
-fn a_killed_collection_leaves_whole_episodes_and_goes_on_from_them() {
+fn a_killed_collection_goes_on_from_the_whole_episodes_it_left() {
     let folder = Folder::new();
     let results = folder.path("results");
     let collect = ["collect", SMOKE, "scenarios=[empty]", "simulation.episodes=40", "--threads", "1"];
@@ -523,7 +523,7 @@ fn the_doctor_names_what_is_there_and_what_is_not() {
 }
 
 #[test]
-fn every_command_names_the_file_or_folder_that_it_writes_by_the_same_option() {
+fn one_option_of_all_commands_names_the_file_or_folder_to_write() {
     for command in
         ["query", "ls", "claims", "compare", "figures", "plot", "render", "report", "publish", "pack"]
     {
@@ -645,7 +645,7 @@ fn arguments_that_are_no_unicode_are_paths_or_refused() {
 // --- bad input ---
 
 #[test]
-fn bad_specs_are_refused_with_file_line_and_reason_and_nothing_is_written() {
+fn bad_specs_are_refused_at_their_line_and_nothing_is_written() {
     let (folder, results) = (Folder::new(), Folder::new().path("results"));
     let smoke = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(SMOKE)).unwrap();
     let edited = |name: &str, old: &str, new: &str| {
@@ -782,7 +782,7 @@ fn models_that_cannot_be_used_are_named() {
 }
 
 #[test]
-fn importing_is_left_to_the_python_package_with_the_words_to_type() {
+fn importing_is_left_to_python_with_the_words_to_type() {
     let install = ".venv/bin/pip install '.[import]'";
     let message = error(&finish(&mut harness(Path::new("results"), &["import", "my lab.yaml"])), 2);
     assert!(message.contains(&format!("`{install}`")), "{message}");
@@ -822,7 +822,7 @@ fn results_that_cannot_be_written_are_named() {
 const DRIVERS: &str = "__EGL_VENDOR_LIBRARY_FILENAMES";
 
 #[test]
-fn a_missing_renderer_is_reported_once_before_any_work_that_needs_it() {
+fn a_missing_renderer_is_reported_once_before_it_is_needed() {
     let folder = Folder::new();
     let results = folder.path("results");
     let without = |arguments: &[&str]| finish(harness(&results, arguments).env(DRIVERS, "/nonexistent.json"));

@@ -284,7 +284,7 @@ fn a_script_does_its_task_and_says_how_it_ended() {
 }
 
 #[test]
-fn what_cannot_be_submitted_is_refused_in_one_line_and_leaves_nothing() {
+fn a_refused_submission_is_one_line_and_leaves_nothing() {
     let results = fresh("unsubmitted");
     let missing = finish(harness(&results, &["submit", SMOKE]).env("PATH", "/nowhere"));
     assert_eq!(missing.code, 2);

@@ -189,7 +189,7 @@ fn answers_are_the_same_with_and_without_compacted_tables() {
 }
 
 #[test]
-fn runs_that_changed_since_are_not_answered_from_compacted_tables() {
+fn runs_changed_since_are_not_answered_from_compacted_tables() {
     let results = fresh("compacted-changed");
     write_runs(&results, "many", 0..70, 0.1);
     std::thread::sleep(SETTLED);
@@ -284,7 +284,7 @@ fn intact(results: &Path, experiment: &str) -> Vec<bool> {
 }
 
 #[test]
-fn a_plan_remembers_intact_runs_until_one_of_their_files_is_touched() {
+fn a_plan_remembers_intact_runs_until_a_file_is_touched() {
     let results = fresh("compacted-checks");
     write_runs(&results, "many", 0..70, 0.1);
     let checks = results.join("compacted/many/checks.json");
@@ -341,7 +341,7 @@ fn removed_runs_are_forgotten() {
 }
 
 #[test]
-fn the_compacted_tables_of_an_experiment_without_runs_are_removed() {
+fn compacted_tables_of_experiments_without_runs_are_removed() {
     let results = fresh("compacted-removed");
     write_runs(&results, "many", 0..70, 0.1);
     write_runs(&results, "other", 0..1, 0.1);
@@ -368,7 +368,7 @@ fn a_query_is_repeated_without_a_run_that_is_removed_meanwhile() {
 }
 
 #[test]
-fn a_limit_counts_the_rows_of_records_that_do_not_list_their_number() {
+fn a_limit_counts_rows_of_records_without_their_number() {
     let results = fresh("compacted-unlisted");
     write_runs(&results, "few", 0..3, 0.1);
     let rows = |limit: usize| {

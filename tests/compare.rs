@@ -65,7 +65,7 @@ fn markdown(text: &str) -> (Vec<&str>, Vec<Vec<&str>>) {
 }
 
 #[test]
-fn every_cell_is_the_mean_and_interval_of_the_tables_and_the_best_is_bold() {
+fn cells_are_means_and_intervals_of_tables_with_the_best_bold() {
     let printed = succeed(&RESULTS, &["compare", "smoke", "--format", "markdown"]);
     let (header, rows) = markdown(&printed);
     assert_eq!(header, ["", "", "", "", "latent 2", "latent 4", "persistence", "ridge", "training mean"]);
@@ -287,7 +287,7 @@ fn runs_that_differ_in_more_than_their_seed_are_never_averaged() {
 }
 
 #[test]
-fn baselines_are_in_the_rows_of_all_networks_that_they_are_compared_with() {
+fn baselines_are_in_the_rows_of_all_networks_compared_with_them() {
     // Without the latent size in the columns, the rows have it, but baselines have no latent size.
     let printed =
         succeed(&RESULTS, &["compare", "--by", "scenario", "--metrics", "r2", "--format", "markdown"]);
@@ -312,7 +312,7 @@ fn baselines_are_in_the_rows_of_all_networks_that_they_are_compared_with() {
 }
 
 #[test]
-fn no_number_and_no_arrow_of_a_comparison_is_broken_at_any_width() {
+fn no_number_or_arrow_of_a_comparison_is_broken_at_any_width() {
     for width in [60, 80, 120] {
         let mut compare = std::process::Command::new(env!("CARGO_BIN_EXE_harness"));
         compare.arg("--results").arg(&*RESULTS).args(["compare", "smoke"]);

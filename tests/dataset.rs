@@ -117,7 +117,7 @@ fn episodes_that_lack_a_column_are_collected_again() {
 }
 
 #[test]
-fn drawn_factors_are_recorded_and_the_same_bytes_whatever_the_threads_and_interruptions() {
+fn factors_are_the_same_bytes_for_any_threads_and_interruptions() {
     let scene = scene(Scenario::CLUTTERED);
     let on = |names: &[&str]| Simulation {
         factors: names.iter().map(|name| (*name).to_owned()).collect(),
@@ -221,7 +221,7 @@ fn what_decides_the_content_decides_the_folder() {
 }
 
 #[test]
-fn a_truncated_episode_is_noticed_and_only_that_one_is_made_again() {
+fn a_truncated_episode_is_noticed_and_alone_made_again() {
     let collected = Collected::new(Scenario::EMPTY, 2);
     let before = contents(collected.dataset.folder());
     let untouched = modified(&collected.episode(0));
@@ -296,7 +296,7 @@ impl Progress for Impatient {
 }
 
 #[test]
-fn a_cancelled_collection_keeps_whole_episodes_and_goes_on_from_them() {
+fn a_cancelled_collection_goes_on_from_the_whole_episodes() {
     let (root, scene) = (tempfile::tempdir().unwrap(), scene(Scenario::EMPTY));
     let dataset = dataset_of(root.path(), &scene, &short());
     // This is in the middle of the second episode.
@@ -438,7 +438,7 @@ fn frames_on_disk_are_those_in_memory_and_leave_no_file() {
 }
 
 #[test]
-fn frames_that_can_not_be_written_are_an_error_that_names_the_folder() {
+fn frames_that_cannot_be_written_are_an_error_with_the_folder() {
     let recording = Recording { sample_rate_hz: 10.0, seed: 0 };
     let file = tempfile::NamedTempFile::new().unwrap();
     let error =
@@ -500,7 +500,7 @@ fn split(by: Division) -> Split {
 }
 
 #[test]
-fn a_split_by_time_trains_on_the_first_part_of_each_episode_and_leaves_a_gap() {
+fn a_split_by_time_trains_on_each_episodes_start_before_a_gap() {
     // Of 200 samples at 10 Hz, 20 are for validation and 20 for test, and each gap has 50 by default.
     let samples = ramps(0, &[200, 200]);
     let Partition { training, validation, test } =
@@ -518,7 +518,7 @@ fn a_split_by_time_trains_on_the_first_part_of_each_episode_and_leaves_a_gap() {
 }
 
 #[test]
-fn one_continuous_run_is_split_by_time_or_sample_but_not_by_episode() {
+fn one_continuous_run_is_split_by_time_or_sample_not_by_episode() {
     let samples = ramps(0, &[1000]);
     assert_eq!(samples.partition(&split(Division::Episode), Window::TRANSITION), None);
     let Partition { training, validation, test } =
@@ -530,7 +530,7 @@ fn one_continuous_run_is_split_by_time_or_sample_but_not_by_episode() {
 }
 
 #[test]
-fn a_split_by_sample_draws_every_transition_once_and_depends_on_the_datasets_seed_alone() {
+fn a_split_by_sample_draws_all_once_by_the_datasets_seed_alone() {
     let by_sample = split(Division::Sample);
     let drawn = |seed| ramps(seed, &[300, 200]).partition(&by_sample, Window::TRANSITION).unwrap();
     let one = drawn(1);
@@ -636,7 +636,7 @@ fn still(count: usize, place: FramePlace, byte: u8, value: impl Fn(usize, usize)
 }
 
 #[test]
-fn a_constant_value_has_the_deviation_1_whatever_it_is_and_however_many_samples_there_are() {
+fn any_constant_has_the_deviation_1_over_any_number_of_samples() {
     // Only the last element varies, by a ten-thousandth of its mean.
     let value = |sample: usize, element: usize| match element + 1 == JOINTS {
         true => 1.0 + 1e-4 * (sample % 2) as f32,
@@ -660,7 +660,7 @@ fn a_constant_value_has_the_deviation_1_whatever_it_is_and_however_many_samples_
 }
 
 #[test]
-fn frames_are_scaled_by_their_pixels_means_and_one_deviation_whatever_the_threads() {
+fn pixel_means_and_one_deviation_scale_frames_for_any_threads() {
     // These are more samples than are summed at once.
     let samples = ramps(0, &[3000, 3000]);
     let at = at((0..6000).filter(|sample| sample % 7 != 0));

@@ -316,7 +316,7 @@ fn pictures<'a>(group: &'a usvg::Group) -> Vec<&'a usvg::Image> {
 
 /// The images of a world need not have the size of another's.
 #[test]
-fn changes_of_images_of_several_sizes_are_saved_whole_and_drawn_as_wide_as_they_are() {
+fn image_changes_of_any_size_are_saved_whole_and_drawn_as_wide() {
     let (folder, results) = (tempfile::tempdir().unwrap(), fresh("figures_sizes"));
     fs::write(folder.path().join("wide.xml"), include_str!("../models/empty.xml")).unwrap();
     let world = include_str!("../models/empty.yaml");
@@ -557,7 +557,7 @@ fn forces_and_frames_are_those_of_the_dataset() {
 }
 
 #[test]
-fn missing_runs_are_named_with_the_command_and_the_others_are_drawn() {
+fn missing_runs_are_named_with_the_command_and_others_are_drawn() {
     let results = fresh("figures_missing");
     run(&results, SINGLE, &["latent=[2]", "scenarios=[cluttered]", "seeds=[0]"]);
     let out = results.join("drawn");

@@ -203,7 +203,7 @@ fn a_table_of_another_run_is_not_taken_for_ones_own() {
 }
 
 #[test]
-fn a_training_whose_state_is_damaged_begins_anew_and_comes_to_the_same_end() {
+fn a_training_with_damaged_state_begins_anew_and_ends_the_same() {
     let folder = tempfile::tempdir().unwrap();
     let results = folder.path().join("results");
     copy(&RESULTS.join("datasets"), &results.join("datasets"));
@@ -366,7 +366,7 @@ fn damaged_and_lost_records_are_named_and_their_runs_done_again() {
 }
 
 #[test]
-fn a_run_is_not_to_be_removed_when_its_spec_is_elsewhere_or_has_changed() {
+fn a_run_whose_spec_is_elsewhere_or_changed_must_not_be_removed() {
     let folder = tempfile::tempdir().unwrap();
     let (results, spec) = (folder.path().join("results"), folder.path().join("touch.yaml"));
     std::fs::copy(SMOKE, &spec).unwrap();
@@ -499,7 +499,7 @@ fn copies_of_runs_are_not_counted() {
 }
 
 #[test]
-fn a_record_in_another_runs_folder_is_not_counted_and_that_run_is_done_again() {
+fn a_run_with_the_record_of_another_is_not_counted_but_redone() {
     let act = |copy: &Copy| {
         let record = copy.run("cluttered").join("run.json");
         std::fs::copy(copy.run("empty").join("run.json"), &record).unwrap();
@@ -601,7 +601,7 @@ fn a_query_of_episodes_notices_which_are_missing_or_swapped() {
 }
 
 #[test]
-fn datasets_that_finished_runs_used_and_that_are_gone_are_named_and_made_again() {
+fn gone_datasets_of_finished_runs_are_named_and_made_again() {
     let act = |copy: &Copy| {
         let dataset = copy.dataset("empty");
         std::fs::remove_dir_all(&dataset).unwrap();
@@ -616,7 +616,7 @@ fn datasets_that_finished_runs_used_and_that_are_gone_are_named_and_made_again()
 }
 
 #[test]
-fn a_finished_run_with_a_damaged_file_is_not_taken_for_done_and_comes_to_the_same_end() {
+fn a_damaged_finished_run_counts_as_undone_and_ends_the_same() {
     for (act, name) in [
         (flip as fn(PathBuf) -> PathBuf, "metrics.parquet"),
         (cut, "predictions.parquet"),

@@ -352,7 +352,7 @@ fn the_state_of_a_finished_run_is_removed() {
 // --- stopped by a signal ---
 
 #[test]
-fn a_run_that_is_asked_to_stop_says_so_and_goes_on_when_asked_again() {
+fn a_run_asked_to_stop_says_so_and_goes_on_when_asked_again() {
     let signals =
         [(libc::SIGINT, "SIGINT", 130), (libc::SIGTERM, "SIGTERM", 143), (libc::SIGHUP, "SIGHUP", 129)];
     for (number, signal_name, code) in signals {
@@ -586,7 +586,7 @@ fn a_scenario_that_diverges_fails_and_the_other_goes_on() {
 }
 
 #[test]
-fn a_dataset_larger_than_memory_is_refused_before_it_is_collected() {
+fn a_dataset_larger_than_memory_is_refused_before_collection() {
     let results = Results::new();
     let size = ["simulation.episodes=100000", "simulation.actuations_per_episode=100"];
     let answer = run_within(12_000_000, results.path(), &[&["run", SMOKE], &size[..]].concat());
@@ -599,7 +599,7 @@ fn a_dataset_larger_than_memory_is_refused_before_it_is_collected() {
 
 /// The limit is 12 GB, and 24 copies of 336 million parameters of 4 bytes take more.
 #[test]
-fn a_network_larger_than_memory_fails_its_run_and_the_others_go_on() {
+fn a_network_larger_than_memory_fails_its_run_and_others_go_on() {
     let results = Results::new();
     let networks = ["latent=4096", "vary={network.hidden: [16, 16384]}", "training.epochs=1"];
     let command = [&["run", SMOKE, "scenarios=empty"], &networks[..]].concat();
@@ -625,7 +625,7 @@ fn trainings_that_have_no_room_side_by_side_wait_for_each_other() {
 }
 
 #[test]
-fn a_run_whose_folder_cannot_be_written_fails_and_the_others_go_on() {
+fn a_run_whose_folder_is_not_writable_fails_and_others_go_on() {
     let results = Results::new();
     let plan = succeed(results.path(), &["run", SMOKE, "--dry-run"]);
     let id = plan.split_whitespace().find(|word| word.starts_with("empty-")).unwrap();
@@ -638,7 +638,7 @@ fn a_run_whose_folder_cannot_be_written_fails_and_the_others_go_on() {
 }
 
 #[test]
-fn a_full_disk_fails_what_it_must_and_leaves_nothing_half_written() {
+fn a_full_disk_fails_what_it_must_and_leaves_nothing_half_done() {
     let undisturbed = Results::new();
     let command = [&RUN[..3], &["training.epochs=4", "training.patience=null"]].concat();
     succeed(undisturbed.path(), &command);

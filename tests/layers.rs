@@ -156,7 +156,7 @@ fn every_crate_with_unit_tests_runs_them() {
 }
 
 #[test]
-fn pictures_of_the_report_are_rendered_again_when_any_of_its_crates_changes() {
+fn a_change_of_any_crate_of_the_report_renders_its_pictures() {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("harness/report/build.rs");
     let script = std::fs::read_to_string(script).unwrap();
     for name in own(&contents(package("report"))) {

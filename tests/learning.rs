@@ -117,7 +117,7 @@ fn stack() -> (Stack, usize) {
 }
 
 #[test]
-fn gradients_of_the_frame_encoder_are_those_of_finite_differences() {
+fn frame_encoder_gradients_are_those_of_finite_differences() {
     let mut random = random(2);
     let (stack, images) = stack();
     let frames = dense(&normal(&mut random, &[images, 2, 8, 4]));
@@ -162,7 +162,7 @@ fn gradients_of_the_frame_loss_are_those_of_finite_differences() {
 }
 
 #[test]
-fn gradients_of_the_posterior_and_of_the_vectors_losses_are_those_of_finite_differences() {
+fn posterior_and_vector_loss_gradients_are_finite_differences() {
     let mut random = random(31);
     let (noise, target) = (normal(&mut random, &[4, 3]), normal(&mut random, &[4, 5]));
     assert_gradients(&[variable(&mut random, &[4, 6])], |args| sample(&args[0], &noise));
@@ -175,7 +175,7 @@ fn gradients_of_the_posterior_and_of_the_vectors_losses_are_those_of_finite_diff
 }
 
 #[test]
-fn losses_of_vectors_are_those_of_their_definitions_and_of_candles_operations() {
+fn vector_losses_are_those_of_definitions_and_candle_operations() {
     // Calculated by hand for errors of 0.5, -2 and 3.
     let expected = |loss: Loss| match loss {
         Loss::Squared => (0.25 + 4.0 + 9.0) / 3.0,
@@ -346,7 +346,7 @@ fn adam_takes_the_steps_of_its_algorithm() {
 }
 
 #[test]
-fn reference_adam_with_weight_decay_takes_the_steps_of_candles_adamw() {
+fn reference_adam_with_weight_decay_steps_as_candles_adamw() {
     let mut random = random(0);
     // There are more values than a thread processes at a time.
     let (weight, bias) = (variable(&mut random, &[300, 250]), variable(&mut random, &[250]));
@@ -380,7 +380,7 @@ fn reference_adam_with_weight_decay_takes_the_steps_of_candles_adamw() {
 }
 
 #[test]
-fn a_gradient_longer_than_the_norm_to_clip_to_is_scaled_down_to_it() {
+fn a_gradient_longer_than_the_clip_norm_is_scaled_down_to_it() {
     // The gradients of the two parameters are `times` (3, 0) and (4, 0), so their joint norm is 5 * `times`.
     let step = |adam: &mut Adam, pair: &[Var; 2], times: f32| {
         let product = |var: &Var, slope: f32| {
@@ -409,7 +409,7 @@ fn a_gradient_longer_than_the_norm_to_clip_to_is_scaled_down_to_it() {
 }
 
 #[test]
-fn a_learning_rate_rises_over_the_warm_up_and_falls_to_nothing_over_the_rest() {
+fn learning_rates_rise_over_the_warm_up_then_fall_to_nothing() {
     let cosine = Training {
         learning_rate: 0.2,
         epochs: 5,
@@ -605,12 +605,12 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool, arithmetic: Arithmetic)
 }
 
 #[test]
-fn reference_the_convolutional_network_agrees_with_its_pytorch_twin() {
+fn reference_convolutional_network_agrees_with_pytorch_twin() {
     assert_agrees_with_its_twin("convolutional", true, Arithmetic::best());
 }
 
 #[test]
-fn reference_the_fully_connected_network_agrees_with_its_pytorch_twin() {
+fn reference_fully_connected_network_agrees_with_pytorch_twin() {
     assert_agrees_with_its_twin("fully_connected", false, Arithmetic::best());
 }
 
@@ -799,7 +799,7 @@ fn a_training_depends_on_its_seed_alone() {
 }
 
 #[test]
-fn schedule_warm_up_decay_clipping_and_losses_each_change_a_training() {
+fn schedule_warm_up_decay_clipping_and_losses_change_a_training() {
     let bench = Bench::new();
     let plain = bench.training.clone();
     let changes: [(&str, Training); 5] = [
@@ -884,7 +884,7 @@ impl Objective for &Protocol {
 }
 
 #[test]
-fn every_epoch_visits_every_transition_once_in_an_order_of_its_own() {
+fn epochs_visit_every_transition_once_in_orders_of_their_own() {
     let parameter = Var::new(1.0f32, &Device::Cpu).unwrap();
     let protocol = Protocol { parameter: parameter.as_tensor().clone(), asked: RefCell::default() };
     let parameters = Parameters::from([("parameter".to_owned(), parameter)]);
@@ -1098,7 +1098,7 @@ impl Objective for &Scripted {
 }
 
 #[test]
-fn patience_counts_from_the_best_total_or_from_the_last_term_that_improved() {
+fn patience_counts_from_the_best_total_or_last_improved_term() {
     let errors = [[1.0, 1.0], [0.5, 1.1], [0.4, 1.1], [0.7, 0.9], [0.6, 0.95], [0.6, 1.0], [0.6, 1.0]];
     let epochs = |stop: Stop| {
         let parameter = Var::new(1.0f32, &Device::Cpu).unwrap();
@@ -1146,7 +1146,7 @@ impl Objective for InfiniteOnValidation {
 }
 
 #[test]
-fn a_loss_that_is_not_finite_on_validation_samples_is_named_with_its_terms() {
+fn a_validation_loss_that_is_not_finite_is_named_with_its_terms() {
     let parameter = Var::new(1.0f32, &Device::Cpu).unwrap();
     let objective = InfiniteOnValidation(parameter.as_tensor().clone());
     let parameters = Parameters::from([("parameter".to_owned(), parameter)]);
@@ -1191,7 +1191,7 @@ fn checkpoints_bring_back_parameters_and_scales() {
 }
 
 #[test]
-fn a_checkpoint_contains_its_networks_description_and_older_ones_can_be_read_without() {
+fn checkpoints_describe_their_network_and_older_ones_are_read() {
     let bench = Bench::with_deep_network();
     let (_, trained) = bench.train_undisturbed(7);
     let folder = tempfile::tempdir().unwrap();
@@ -1207,7 +1207,7 @@ fn a_checkpoint_contains_its_networks_description_and_older_ones_can_be_read_wit
 }
 
 #[test]
-fn normalized_values_have_no_mean_and_one_deviation_and_restore_to_what_they_were() {
+fn normalized_values_have_mean_0_and_deviation_1_and_restore() {
     let bench = Bench::new();
     let at = &bench.partition.training;
     let normalizers = &bench.data.normalizers;

@@ -78,7 +78,7 @@ fn wait_for_record(results: &Path) {
 }
 
 #[test]
-fn epochs_appear_in_the_tables_while_a_network_is_trained_and_count_in_no_result() {
+fn epochs_of_a_running_training_are_in_tables_but_in_no_result() {
     let results = fresh("live");
     let mut run = Running(training(&results, 100_000).spawn().unwrap());
     let some = wait_for_epochs(&results, 0);

@@ -14,7 +14,7 @@ fn attempt(folder: &Path) -> Option<FolderLock> {
 }
 
 #[test]
-fn a_lock_that_several_processes_share_is_opened_for_reading_and_writing() {
+fn a_lock_shared_by_processes_is_opened_to_read_and_write() {
     let folder = fresh("lock-modes");
     let _lock = FolderLock::attempt_shared(&folder).unwrap().unwrap();
     let lock = folder.join(LOCK);

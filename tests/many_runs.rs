@@ -78,7 +78,7 @@ fn times(record: &RunRecord, count: u64) -> [f64; 3] {
 }
 
 #[test]
-fn the_time_of_commands_does_not_grow_with_the_square_of_the_number_of_runs() {
+fn command_times_do_not_grow_with_the_square_of_the_runs() {
     let one = fresh("many_runs_one");
     succeed(&one, &["run", SMOKE, "scenarios=[empty]", "training.epochs=1", "tasks=[prediction]"]);
     let record = Registry::new(&one).records().remove(0);

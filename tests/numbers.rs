@@ -34,7 +34,7 @@ fn root() -> &'static Path {
 }
 
 #[test]
-fn every_number_is_that_of_a_plain_computation_over_the_same_files() {
+fn every_number_is_that_of_a_plain_computation_over_the_files() {
     let cases = std::env::var("NUMBERS_CASES").map_or(CASES, |count| count.parse().unwrap());
     for case in 0..cases {
         let results = fresh("numbers");

@@ -93,7 +93,7 @@ fn files_in_the_folder_come_before_built_in_ones() {
 }
 
 #[test]
-fn names_and_files_that_do_not_exist_are_refused_with_what_there_is() {
+fn unknown_names_and_files_are_refused_with_what_there_is() {
     let folder = empty_folder();
     let refused = |name: &str| {
         let answer = answer(folder.path(), &["run", name]);
@@ -116,7 +116,7 @@ fn names_and_files_that_do_not_exist_are_refused_with_what_there_is() {
 
 /// A built-in spec has no folder that the paths of world files could be relative to.
 #[test]
-fn world_files_of_built_in_experiments_are_relative_to_the_current_folder() {
+fn world_files_of_built_ins_are_relative_to_the_current_folder() {
     let folder = empty_folder();
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
     for file in ["twelve.yaml", "twelve.xml"] {

@@ -96,7 +96,7 @@ fn computed(results: &Path, scenario: &str, datasets: &Path) -> Vec<u32> {
 // --- what arrives ---
 
 #[test]
-fn an_unpacked_network_computes_the_same_bits_and_all_commands_work() {
+fn unpacked_networks_compute_the_same_bits_and_commands_work() {
     let results = fresh("unpacked");
     let answer = unpack(&results, &PACK);
     assert_eq!(answer.code, 0, "{}", answer.stderr);
@@ -139,7 +139,7 @@ fn datasets_come_along_if_they_are_asked_for() {
 }
 
 #[test]
-fn the_suggested_command_collects_the_datasets_that_were_not_packed() {
+fn the_suggested_command_collects_datasets_that_were_not_packed() {
     let folder = tempfile::tempdir().unwrap();
     let results = folder.path().join("it's all here");
     let said = unpack(&results, &PACK).stdout;
@@ -184,7 +184,7 @@ fn what_is_there_is_skipped_and_what_is_missing_is_added() {
 }
 
 #[test]
-fn a_pack_is_a_tar_archive_that_anyone_can_open_and_packing_twice_gives_the_same_bytes() {
+fn a_pack_is_a_tar_archive_with_the_same_bytes_each_time() {
     let results = fresh("untarred");
     fs::create_dir(&results).unwrap();
     let tar = Command::new("tar").arg("-xf").arg(&*WHOLE).arg("-C").arg(&results).output().unwrap();
@@ -228,7 +228,7 @@ fn assert_refused(answer: &Answer, code: i32, expected: &str) {
 }
 
 #[test]
-fn what_cannot_be_packed_is_refused_in_one_line_and_writes_nothing() {
+fn a_refused_pack_is_one_line_and_writes_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path().join("it.harness");
     let refuse = |results: &Path, output: &Path, code: i32, expected: &str| {
@@ -493,7 +493,7 @@ fn a_damaged_pack_is_refused_or_gives_the_same_files() {
 }
 
 #[test]
-fn a_run_that_is_there_with_other_content_is_kept_and_nothing_is_unpacked() {
+fn a_run_with_other_content_is_kept_and_nothing_is_unpacked() {
     let results = fresh("unpacked-differing");
     // The same runs, done here: their epochs have other times.
     succeed(&results, &["run", SMOKE]);
@@ -532,7 +532,7 @@ fn folders_in_which_a_process_works_are_left_to_it() {
 // --- disks and signals ---
 
 #[test]
-fn a_pack_larger_than_the_free_space_is_refused_before_anything_is_written() {
+fn a_pack_larger_than_the_free_space_is_refused_unwritten() {
     let (_folder, huge) = with_manifest(|manifest| {
         let first = first(manifest);
         manifest["files"][first]["bytes"] = 4_000_000_000_000_000_000_u64.into();
@@ -593,7 +593,7 @@ fn killed_at(kilobytes: usize, results: &Path, arguments: &[&str]) {
 }
 
 #[test]
-fn a_killed_process_leaves_the_results_as_they_were_and_the_same_command_does_all_of_it() {
+fn a_kill_leaves_the_results_as_they_were_and_a_retry_does_all() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path().join("it.harness");
     let packing = ["pack", "smoke", "--datasets", "--output", output.to_str().unwrap()];

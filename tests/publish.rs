@@ -43,7 +43,7 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 #[test]
-fn a_published_registry_answers_as_the_whole_one_but_for_single_samples() {
+fn a_published_registry_answers_all_but_single_samples_the_same() {
     let copy = fresh("published");
     assert!(publish(&copy).starts_with("6 runs, "));
     for (table, order) in [
@@ -128,7 +128,7 @@ fn publishing_again_changes_nothing() {
 }
 
 #[test]
-fn publishing_again_keeps_all_chosen_runs_and_the_copy_of_a_damaged_one() {
+fn republishing_keeps_chosen_runs_and_the_copy_of_a_damaged_one() {
     let (results, copy) = (fresh("published-alike-from"), fresh("published-alike"));
     for epochs in ["training.epochs=1", "training.epochs=2"] {
         succeed(&results, &["run", SMOKE, "scenarios=[empty]", "tasks=[prediction]", epochs]);

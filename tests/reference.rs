@@ -66,7 +66,7 @@ fn published_figures_are_those_of_the_published_tables() {
 
 /// Defaults may change, but the published runs must still match the data of their experiments.
 #[test]
-fn published_runs_are_made_of_the_data_that_their_experiments_name() {
+fn published_runs_are_of_the_data_that_their_experiments_name() {
     let mut found = 0;
     for experiment in std::fs::read_dir(reference().join("runs")).unwrap() {
         let experiment = experiment.unwrap();

@@ -38,7 +38,7 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 #[test]
-fn garbage_is_listed_with_its_size_and_removed_only_with_consent() {
+fn garbage_is_listed_with_sizes_and_removed_only_with_consent() {
     let results = results("garbage");
     let listed = succeed(&results, &["gc"]);
     let lines: Vec<&str> = listed.lines().collect();
@@ -277,7 +277,7 @@ fn what_cannot_be_removed_or_compared_is_refused_in_one_line() {
 }
 
 #[test]
-fn runs_are_removed_from_a_full_disk_but_not_from_one_that_cannot_be_written() {
+fn runs_are_removed_from_full_disks_but_not_unwritable_ones() {
     let Some(disk) = Disk::new(8000) else {
         println!("skipped: no small disk can be mounted here");
         return;
@@ -313,7 +313,7 @@ fn only_run(results: &Path, experiment: &str) -> PathBuf {
 }
 
 #[test]
-fn a_beginning_of_an_experiments_name_and_an_empty_text_choose_no_run() {
+fn the_start_of_an_experiments_name_or_no_text_chooses_no_run() {
     let results = results("beginnings");
     let pack = fresh("beginnings.pack");
     for wanted in ["", "smok", "smoke-"] {
@@ -355,7 +355,7 @@ fn the_path_of_a_runs_folder_chooses_the_run() {
 }
 
 #[test]
-fn a_run_whose_experiment_has_the_name_of_a_quick_one_is_no_garbage() {
+fn a_run_of_an_experiment_named_as_a_quick_one_is_no_garbage() {
     let results = fresh("garbage_named_quick");
     succeed(&results, &[&["run", SMOKE, "scenarios=[empty]", "name=my-quick"][..], &SHORT].concat());
     assert_eq!(succeed(&results, &["gc", "--yes"]), "nothing to remove\n");
@@ -375,7 +375,7 @@ fn a_running_run_and_its_dataset_are_no_garbage() {
 }
 
 #[test]
-fn what_is_no_longer_garbage_when_the_question_is_answered_is_kept() {
+fn what_is_no_longer_garbage_at_the_answer_is_kept() {
     let results = fresh("garbage_asked");
     succeed(&results, &[&["run", SMOKE, "scenarios=[empty]", "name=first"][..], &SHORT].concat());
     quick_run(&results, "second");
@@ -402,7 +402,7 @@ fn what_is_no_longer_garbage_when_the_question_is_answered_is_kept() {
 }
 
 #[test]
-fn processes_that_remove_the_same_runs_at_once_do_not_disturb_each_other() {
+fn processes_can_remove_the_same_runs_at_once() {
     let results = fresh("removed_at_once");
     let experiment = results.join("runs/smoke");
     succeed(&results, &[&["run", SMOKE, "scenarios=[empty]"][..], &SHORT].concat());

@@ -311,7 +311,7 @@ fn times_are_what_a_person_would_say() {
 }
 
 #[test]
-fn the_same_tables_give_the_same_bytes_with_pictures_rendered_anew_or_before() {
+fn same_tables_give_same_bytes_with_new_or_earlier_pictures() {
     let caches = folder("report_caches");
     let cache = caches.join("harness");
     let names = || -> Vec<String> {
@@ -479,7 +479,7 @@ fn a_report_of_an_experiment_has_only_its_results() {
 }
 
 #[test]
-fn an_experiment_with_other_inputs_stands_for_no_study_in_figures() {
+fn an_experiment_with_other_inputs_is_no_study_in_figures() {
     let folder = folder("report_inputs");
     let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
     let figures = |experiments: &[&str]| {
@@ -503,7 +503,7 @@ fn an_experiment_with_other_inputs_stands_for_no_study_in_figures() {
 }
 
 #[test]
-fn a_report_of_an_unknown_experiment_says_which_there_are_and_writes_nothing() {
+fn a_report_of_an_unknown_experiment_only_says_which_there_are() {
     let out = RESULTS.join("unknown.html");
     let arguments = ["report", "multi_to_mlti", "--output", out.to_str().unwrap()];
     let answer = finish(&mut harness(&RESULTS, &arguments));
@@ -527,7 +527,7 @@ fn a_report_of_another_world_has_what_there_is() {
 }
 
 #[test]
-fn what_an_experiment_does_not_predict_is_named_without_a_command() {
+fn what_is_not_predicted_is_named_without_a_command() {
     let results = folder("report_images");
     let settings = ["name=images", "output=[frame_difference]", "tasks=[prediction]", "seeds=[0]"];
     succeed(&results, &[&["run", SMOKE][..], &settings].concat());
@@ -569,7 +569,7 @@ fn directions_of_joints_and_links_are_those_of_the_world() {
 }
 
 #[test]
-fn runs_of_several_settings_are_put_together_nowhere_on_the_page() {
+fn runs_of_several_settings_are_nowhere_put_together() {
     let results = folder("report_mixed");
     for batch in ["training.batch_size=16", "training.batch_size=32"] {
         let settings = ["latent=[2]", "scenarios=[cluttered]", "seeds=[0]", batch];

@@ -109,7 +109,7 @@ fn best(answer: &Answer) -> Vec<&str> {
 }
 
 #[test]
-fn halving_trains_the_best_trials_on_as_if_they_had_been_trained_at_once() {
+fn halving_trains_the_best_trials_on_as_if_trained_at_once() {
     let case = Case::halving();
     let answer = case.run(&[]);
     assert_eq!(counts(&answer), [64, 0, 0]);
@@ -199,7 +199,7 @@ fn a_search_killed_a_few_times_ends_as_one_undisturbed() {
 }
 
 #[test]
-fn a_halving_of_64_trials_killed_a_few_times_ends_as_one_undisturbed() {
+fn a_halving_killed_a_few_times_ends_as_one_undisturbed() {
     killed(&format!("{SPEC}{HALVING}"), 4, 2);
 }
 
@@ -213,7 +213,7 @@ fn searches_killed_at_60_moments_end_as_those_undisturbed() {
 }
 
 #[test]
-fn shares_of_a_halving_wait_for_each_other_and_do_what_the_others_leave() {
+fn shares_of_a_halving_wait_and_do_what_the_others_leave() {
     let text = format!("{SPEC}{HALVING}").replace("trials: 64", "trials: 16");
     let undisturbed = Case::new(&text);
     undisturbed.run(&[]);
@@ -300,7 +300,7 @@ fn the_commands_after_a_search_work() {
 }
 
 #[test]
-fn the_command_that_trains_a_best_trial_again_has_the_varied_settings() {
+fn the_command_to_retrain_a_best_trial_has_the_varied_settings() {
     let text = SPEC
         .replace("trials: 64", "trials: 2")
         .replace("search:", "vary: {training.kl_weight: [0, 0.01]}\nsearch:");
@@ -319,7 +319,7 @@ fn the_command_that_trains_a_best_trial_again_has_the_varied_settings() {
 }
 
 #[test]
-fn a_comparison_of_trials_fits_the_terminal_and_says_how_far_each_was_trained() {
+fn a_comparison_of_trials_fits_and_says_how_far_each_trained() {
     let case = Case::new(&format!("{SPEC}{HALVING}").replace("trials: 64", "trials: 8"));
     case.run(&[]);
     for width in [60, 80, 120] {
@@ -338,7 +338,7 @@ fn a_comparison_of_trials_fits_the_terminal_and_says_how_far_each_was_trained() 
 }
 
 #[test]
-fn trials_with_the_same_number_and_other_settings_are_told_apart_in_a_comparison() {
+fn trials_with_one_number_and_other_settings_are_told_apart() {
     let spec = SPEC.replace("trials: 64", "trials: 2");
     let case = Case::new(&spec);
     case.run(&[]);

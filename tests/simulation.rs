@@ -61,7 +61,7 @@ fn varies(values: &[f32]) -> bool {
 }
 
 #[test]
-fn every_scenario_records_finite_varying_observations_of_the_right_shape() {
+fn scenarios_record_finite_varying_observations_in_their_shape() {
     for scenario in Scenario::PAPER {
         let (scene, spec) = (scene(scenario), short());
         let episode = simulate(&scene, &spec, 0);
@@ -173,7 +173,7 @@ fn sample_of(episode: &Episode, sample: usize) -> Episode {
 }
 
 #[test]
-fn a_live_simulation_that_follows_an_episodes_course_senses_its_samples_bit_by_bit() {
+fn a_live_simulation_of_an_episodes_course_senses_it_bit_by_bit() {
     for scenario in Scenario::PAPER {
         let (scene, spec) = (scene(scenario), short());
         let mut live = live(scenario);
@@ -191,7 +191,7 @@ fn a_live_simulation_that_follows_an_episodes_course_senses_its_samples_bit_by_b
 }
 
 #[test]
-fn a_live_simulations_arm_goes_evenly_to_its_setpoint_and_stays_within_the_ranges() {
+fn a_live_arm_goes_evenly_to_its_setpoint_within_the_ranges() {
     let mut live = live(Scenario::EMPTY);
     let start = live.setpoint().to_vec();
     let wanted = [start[0] + 0.2, -0.15, 0.2];

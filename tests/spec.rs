@@ -543,7 +543,7 @@ fn shares_become_whole_episodes_of_each_kind() {
 }
 
 #[test]
-fn one_continuous_run_is_allowed_where_time_or_samples_are_split() {
+fn a_continuous_run_is_allowed_where_time_or_samples_are_split() {
     let run = format!("{BASE}simulation: {{episodes: 1, actuations_per_episode: 4000}}\n");
     for by in [Division::Time, Division::Sample] {
         let experiment = load(&format!("{run}split: {{by: {by}}}\n"));
@@ -745,7 +745,7 @@ fn a_spec_without_quick_settings_has_no_quick_runs() {
 }
 
 #[test]
-fn a_varied_setting_that_is_given_is_tried_with_that_value_alone() {
+fn a_given_varied_setting_is_tried_with_that_value_alone() {
     let text = format!(
         "{}vary:\n  training.epochs: [1, 2]\n  training.kl_weight: [0, 1]\nquick:\n  training.epochs: 3\n",
         base_with("latent: [2]").replace("[empty, cluttered]", "[empty]")
@@ -1114,7 +1114,7 @@ fn the_command_of_a_run_names_its_own_dataset() {
 }
 
 #[test]
-fn a_split_that_is_not_by_time_has_no_gap_though_the_spec_s_own_has() {
+fn a_split_not_by_time_has_no_gap_though_the_spec_s_own_has() {
     let text = format!("{BASE}split: {{by: time}}\nvary: {{split.by: [time, sample]}}\n");
     let gaps: Vec<_> = load(&text).runs().iter().map(|run| run.split.gap_seconds.is_some()).collect();
     assert_eq!(gaps[..4], [true, true, false, false]);
@@ -1219,7 +1219,7 @@ fn the_hash_is_stable() {
 }
 
 #[test]
-fn settings_that_came_later_change_the_hash_only_where_they_are_set() {
+fn later_settings_change_the_hash_only_where_they_are_set() {
     let with = |training: &str| first_hash(&format!("{BASE}training: {{{training}}}\n"));
     let defaults = "schedule: constant, warmup_epochs: 0, weight_decay: 0, clip_norm: null, stop: total, dropout: 0, \
          losses: {contact_force: squared}";

@@ -85,7 +85,7 @@ fn every_query_of_the_corpus_agrees_with_duckdb() {
 }
 
 #[test]
-fn every_other_query_of_the_corpus_is_refused_with_what_to_write_instead() {
+fn every_other_query_is_refused_with_what_to_write_instead() {
     let mut wrong = Vec::new();
     for Entry { about, message, sql } in corpus() {
         let Some(expected) = message else { continue };

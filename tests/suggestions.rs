@@ -193,7 +193,7 @@ fn what_is_suggested_for_damaged_runs_works() {
 }
 
 #[test]
-fn a_damaged_run_whose_spec_is_elsewhere_is_repaired_once_it_is_back() {
+fn a_damaged_run_is_repaired_once_its_spec_is_back() {
     let there = Situation::new();
     let (spec, elsewhere) = (there.results.join("lost.yaml"), there.results.join("elsewhere.yaml"));
     std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join(SMOKE), &spec).unwrap();

@@ -164,7 +164,7 @@ fn every_file_says_what_made_it() {
 }
 
 #[test]
-fn the_metrics_are_those_of_scikit_learn_on_the_written_predictions() {
+fn metrics_are_those_of_scikit_learn_on_written_predictions() {
     for metric in &ANSWER.metrics {
         match (metric.table, metric.computed) {
             (Some(table), Some(computed)) => {

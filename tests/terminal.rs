@@ -208,7 +208,7 @@ fn a_terminal_that_shows_no_unicode_gets_ascii() {
 }
 
 #[test]
-fn a_run_ends_with_the_best_runs_the_baselines_the_place_and_what_to_do_next() {
+fn a_run_ends_with_its_best_runs_baselines_place_and_next_steps() {
     let said = on_terminal(FOLDER.path(), 120, &["run", "experiments/smoke.yaml"]);
     let lines: Vec<&str> = said.lines().collect();
     let [counts, best @ .., results, next] = &lines[lines.len() - 7..] else { panic!("{said}") };
@@ -350,7 +350,7 @@ fn the_networks_of_a_run_have_a_table_each_that_breaks_no_cell() {
 }
 
 #[test]
-fn the_numbers_of_a_block_are_aligned_and_missing_ones_are_left_out() {
+fn numbers_of_a_block_are_aligned_and_missing_ones_left_out() {
     let said = on_terminal(FOLDER.path(), 60, &["run", "experiments/smoke.yaml"]);
     let block = said.split("prediction, cluttered, contact force, R2 ↑\n").nth(1).unwrap();
     let block: Vec<&str> = block.split("\n\n").next().unwrap().lines().collect();

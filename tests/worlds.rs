@@ -41,7 +41,7 @@ fn place(text: &str) -> String {
 }
 
 #[test]
-fn every_mistake_of_a_world_file_is_one_line_with_its_place_and_what_exists() {
+fn mistakes_of_a_world_file_are_a_line_with_place_and_choices() {
     let cases = [
         (
             "joint_positions: finger_joint_*",
@@ -548,7 +548,7 @@ fn a_world_file_without_a_model_that_compiles_is_refused() {
 }
 
 #[test]
-fn rates_that_no_experiment_can_use_are_refused_at_their_place_in_the_world_file() {
+fn rates_that_no_experiment_can_use_are_refused_at_their_place() {
     let folder = tempfile::tempdir().unwrap();
     let results = folder.path().join("results");
     fs::write(folder.path().join("own.xml"), EMPTY_XML).unwrap();
@@ -605,7 +605,7 @@ fn a_default_in_which_worlds_differ_is_blamed_at_the_second() {
 }
 
 #[test]
-fn a_model_is_refused_with_the_command_that_writes_its_world_file() {
+fn a_model_is_refused_with_the_command_for_its_world_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("own.xml");
     fs::write(&path, EMPTY_XML).unwrap();
@@ -738,7 +738,7 @@ impl Progress for Editing {
 }
 
 #[test]
-fn a_world_that_changes_under_a_running_experiment_is_named_and_has_no_effect() {
+fn a_world_changed_during_an_experiment_is_named_without_effect() {
     let edits = [
         ("twelve.yaml", "range: [0, 1.5]", "range: [0, 1.0]"),
         ("twelve.xml", "model=\"twelve\"", "model=\"dozen\""),
@@ -835,7 +835,7 @@ fn go_through(results: &Path, folder: &Path, spec: &Path, world: &Path, modality
 }
 
 #[test]
-fn a_finger_of_twelve_links_with_a_second_camera_goes_through_every_command() {
+fn a_finger_of_12_links_and_2_cameras_works_in_every_command() {
     let (folder, results) = (tempfile::tempdir().unwrap(), fresh("worlds_twelve"));
     for name in ["twelve.xml", "twelve.yaml"] {
         fs::copy(root().join("models").join(name), folder.path().join(name)).unwrap();
@@ -955,7 +955,7 @@ fn a_spec_turns_factors_on_and_queries_see_what_was_drawn() {
 }
 
 #[test]
-fn images_that_a_network_cannot_take_are_refused_with_their_place() {
+fn images_unfit_for_a_network_are_refused_with_their_place() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("own.xml"), EMPTY_XML).unwrap();
     let said = |size: &str| {

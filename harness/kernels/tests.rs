@@ -22,7 +22,7 @@ impl Normals {
 }
 
 #[test]
-fn convolving_spreading_and_the_kernels_gradient_are_one_bilinear_form() {
+fn convolving_spreading_and_the_gradient_are_one_bilinear_form() {
     // Sizes that are not multiples of the groups of places or channels, and sizes of the networks.
     let square = [(2, 1, [2; 2]), (2, 3, [6; 2]), (3, 9, [20; 2]), (32, 32, [8; 2]), (6, 16, [64; 2])];
     let oblong = [(2, 3, [6, 14]), (3, 5, [20, 2]), (6, 4, [64, 96])];

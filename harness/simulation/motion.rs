@@ -56,7 +56,7 @@ mod tests {
     }
 
     #[test]
-    fn moves_are_continuous_within_the_ranges_and_half_way_at_half_time() {
+    fn moves_are_continuous_in_range_and_half_way_at_half_time() {
         let (spec, ranges, rest) = (Simulation::default(), [[-1.0, 2.0], [0.0, 1.5]], [0.5, 0.0]);
         let motion = Motion::draw(&ranges, &rest, &spec, &timing(), &mut ChaCha8Rng::seed_from_u64(7));
         let setpoint = |step: usize| {

@@ -111,7 +111,7 @@ fn verdicts_of_each_kind_are_wrong_as_rarely_as_promised() {
 }
 
 #[test]
-fn networks_that_learned_nothing_are_compared_as_rarely_as_promised() {
+fn what_learned_nothing_is_compared_as_rarely_as_promised() {
     let (_folder, path) = file(KINDS);
     let claims = load(&path).unwrap();
     let claim = claims.iter().find(|claim| claim.id() == "required").unwrap();

@@ -92,7 +92,7 @@ ELEMENTS = {
 """One of the features, and the names of its elements."""
 
 
-def test_the_dataset_of_a_foreign_robot_opens_with_lerobot_and_holds_the_same(foreign, tmp_path):
+def test_a_foreign_robots_dataset_opens_the_same_with_lerobot(foreign, tmp_path):
     pytest.importorskip("lerobot", reason="lerobot is not installed; it needs Python 3.12: make interchange")
     from lerobot.datasets import LeRobotDataset
 
@@ -118,7 +118,7 @@ def test_the_dataset_of_a_foreign_robot_opens_with_lerobot_and_holds_the_same(fo
     assert np.mean(errors) < 1.5 and np.max(errors) < 60, (np.mean(errors), np.max(errors))
 
 
-def test_the_recording_of_a_foreign_robot_opens_with_rerun_and_holds_the_same(foreign, tmp_path):
+def test_a_foreign_robots_recording_opens_the_same_with_rerun(foreign, tmp_path):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     from PIL import Image
 
@@ -259,7 +259,7 @@ def rotation_matrix(quaternion) -> np.ndarray:
         ("cut", DamagedError, "episode_00003.parquet is damaged: it has no seal"),
     ],
 )
-def test_a_mistake_is_an_error_with_its_reason_and_leaves_nothing_behind(
+def test_a_mistake_is_an_error_with_reason_and_leaves_nothing(
     dataset, tmp_path, problem, error, words
 ):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")

@@ -45,7 +45,7 @@ def metrics(results: Path) -> pl.DataFrame:
     return pl.read_parquet(path).select(*key, "value").sort(key)
 
 
-def test_what_comes_back_by_parquet_is_the_same_and_trains_the_same_bit_by_bit(dataset, harness, tmp_path):
+def test_what_comes_back_by_parquet_equals_and_trains_the_same(dataset, harness, tmp_path):
     name = import_dataset(
         write_mapping(tmp_path, dataset, ITSELF, **PARQUET), harness.results, progress=False
     )
@@ -269,7 +269,7 @@ def test_a_unit_may_have_letters_beyond_ascii(recordings, harness, tmp_path):
     assert "°C" in pl.read_parquet(path)["unit"].to_list()
 
 
-def test_what_an_imported_dataset_lacks_is_refused_before_anything_is_done(recordings, harness, tmp_path):
+def test_what_an_imported_dataset_lacks_is_refused_before_work(recordings, harness, tmp_path):
     mapping = write_mapping(tmp_path, recordings, ROBOT, **TRIALS)
     name = import_dataset(mapping, harness.results, progress=False)
     answer = harness("run", SPEC, f"scenarios=[{name}]")
@@ -286,7 +286,7 @@ def test_what_an_imported_dataset_lacks_is_refused_before_anything_is_done(recor
         RecordedDataset(harness.results / "datasets" / name)
 
 
-def test_a_damaged_or_missing_episode_is_found_and_not_trained_on(recordings, harness, tmp_path):
+def test_a_damaged_or_lost_episode_is_found_and_not_trained_on(recordings, harness, tmp_path):
     mapping = write_mapping(tmp_path, recordings, ROBOT, **TRIALS)
     name = import_dataset(mapping, harness.results, progress=False)
     folder = harness.results / "datasets" / name

@@ -206,7 +206,7 @@ def wait_for_epochs(results: Path, more_than: int) -> int:
     raise AssertionError("no epochs appear")
 
 
-def test_a_running_training_is_exported_again_once_it_has_more_epochs(tmp_path):
+def test_a_running_training_with_more_epochs_is_exported_again(tmp_path):
     results, logs, store = tmp_path / "results", tmp_path / "logs", f"sqlite:///{tmp_path}/mlflow.db"
     settings = ["scenarios=[empty]", "tasks=[prediction]", "training.patience=null", "training.epochs=100000"]
     words = [sys.executable, "-m", "harness", "--results", str(results), "run", SPEC, *settings]
@@ -269,7 +269,7 @@ def test_the_command_exports_and_refuses_in_one_line(results, tmp_path):
 
 
 @pytest.mark.parametrize(("format", "missing"), [("mlflow", "mlflow-skinny"), ("tensorboard", "tensorboard")])
-def test_a_missing_package_is_named_with_the_command_that_installs_it(results, tmp_path, format, missing):
+def test_a_missing_package_is_named_with_how_to_install_it(results, tmp_path, format, missing):
     # A module that can't be imported, in front of the installed one.
     (tmp_path / f"{format}.py").write_text(f"raise ModuleNotFoundError(\"No module named '{format}'\")")
     answer = command(

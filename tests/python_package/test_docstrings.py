@@ -78,7 +78,7 @@ def test_the_examples_in_docstrings_work(name: str, reader: Path, monkeypatch: p
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_everything_public_has_a_docstring_whose_first_line_is_a_sentence(name: str) -> None:
+def test_everything_public_has_a_docstring_led_by_a_sentence(name: str) -> None:
     found = module(name)
     for place, item in [(name, found), *public(found)]:
         if place in ("harness.tasks.TASKS", "harness.export.FORMATS"):

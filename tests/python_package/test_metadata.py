@@ -15,7 +15,7 @@ DISTRIBUTION = distribution("soft-harness")
 VERSION = tomllib.loads((ROOT / "Cargo.toml").read_text())["workspace"]["package"]["version"]
 
 
-def test_the_distribution_has_a_name_a_version_and_a_licence_of_its_own() -> None:
+def test_the_distribution_has_its_own_name_version_and_licence() -> None:
     assert DISTRIBUTION.version == VERSION
     metadata = DISTRIBUTION.metadata
     assert metadata["Name"] == "soft-harness"
@@ -27,7 +27,7 @@ def test_the_distribution_has_a_name_a_version_and_a_licence_of_its_own() -> Non
         assert text == (ROOT / licence).read_text()
 
 
-def test_the_distribution_has_the_command_and_requires_the_mujoco_that_it_loads() -> None:
+def test_the_distribution_has_the_command_and_needs_its_mujoco() -> None:
     [command] = DISTRIBUTION.entry_points
     assert (command.group, command.name, command.value) == ("console_scripts", "harness", "harness.__main__:main")
     assert f"mujoco=={_mujoco.VERSION}" in (DISTRIBUTION.requires or [])

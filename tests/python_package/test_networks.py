@@ -235,7 +235,7 @@ def trained(request: pytest.FixtureRequest, folder: Path) -> Trained:
     return Trained(request.param, folder)
 
 
-def test_the_kinds_have_every_value_of_every_setting_of_a_network() -> None:
+def test_the_kinds_have_every_value_of_every_network_setting() -> None:
     schema = json.loads((ROOT / "experiments" / "schema.json").read_text())
     settings = schema["$defs"]["Network"]["properties"]
     used: dict[str, set[Any]] = {key: set() for key in settings}
@@ -404,7 +404,7 @@ def test_a_wrong_export_says_what_is_allowed(smoke: Trained, tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_files_of_earlier_versions_are_described_by_the_runs_spec(smoke: Trained, tmp_path: Path) -> None:
+def test_older_files_are_described_by_the_runs_spec(smoke: Trained, tmp_path: Path) -> None:
     torch = pytest.importorskip("torch", reason="`make interchange` tests with torch")
     from harness.networks import Network, NetworkFile
 
@@ -428,7 +428,7 @@ def test_files_of_earlier_versions_are_described_by_the_runs_spec(smoke: Trained
         network.reconstruct(smoke.latent)
 
 
-def test_a_torch_network_can_be_trained_and_refuses_wrong_observations(smoke: Trained) -> None:
+def test_a_torch_network_trains_and_refuses_wrong_observations(smoke: Trained) -> None:
     torch = pytest.importorskip("torch", reason="`make interchange` tests with torch")
     network = harness.load_network(smoke.run, smoke.results)
     observation = channels_first(smoke.observation)
@@ -497,7 +497,7 @@ def test_the_numpy_code_in_the_documentation_predicts(folder: Path) -> None:
     trained.assert_equal(names["predicted"], trained.predicted)
 
 
-def test_the_torch_code_in_the_documentation_computes_every_layer(folder: Path) -> None:
+def test_the_documented_torch_code_computes_every_layer(folder: Path) -> None:
     torch = pytest.importorskip("torch", reason="`make interchange` tests with torch")
     names: dict[str, Any] = {}
     exec(code_in_the_documentation("torch"), names)

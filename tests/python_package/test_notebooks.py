@@ -15,7 +15,7 @@ def test_there_are_notebooks() -> None:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_was_run_from_top_to_bottom_and_holds_only_what_it_shows(path: Path) -> None:
+def test_a_notebook_was_run_in_order_and_holds_what_it_shows(path: Path) -> None:
     text = path.read_text()
     notebook = json.loads(text)
     assert notebook["nbformat"] == 4

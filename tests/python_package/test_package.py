@@ -64,7 +64,7 @@ def test_a_run_keeps_a_command_that_does_the_same(results: Path) -> None:
     assert commands.to_list() == [f"harness --results {results} run {SMOKE}"]
 
 
-def test_a_comparison_has_the_mean_and_interval_of_runs_that_differ_in_their_seed_alone(tmp_path: Path) -> None:
+def test_a_comparison_has_means_and_intervals_over_seeds_alone(tmp_path: Path) -> None:
     for overrides in ({"seeds": [0, 1]}, {"seeds": [2], "training.epochs": 3}):
         harness.run(SMOKE, overrides | {"scenarios": ["empty"]}, results=tmp_path, progress=False)
     means = harness.compare("smoke", results=tmp_path)
@@ -120,7 +120,7 @@ def test_a_datasets_arrays_are_its_own_memory_and_keep_it(folders: dict[str, Pat
     assert "vision" not in harness.Dataset(folders["empty"], frames=False).keys()
 
 
-def test_a_model_predicts_what_the_run_recorded_of_its_test_samples(results: Path, folders: dict[str, Path]) -> None:
+def test_a_model_predicts_what_the_run_recorded(results: Path, folders: dict[str, Path]) -> None:
     model = harness.load_model("cluttered-z4", results)
     assert (model.input, model.action, model.latent) == (["proprioception", "vision"], "increment", 4)
     data = harness.Dataset(folders["cluttered"])
@@ -148,7 +148,7 @@ def test_a_model_predicts_what_the_run_recorded_of_its_test_samples(results: Pat
     assert error == pytest.approx(metric.item(), rel=1e-4)
 
 
-def test_a_model_reconstructs_what_the_run_recorded_of_its_test_samples(results: Path, folders: dict[str, Path]) -> None:
+def test_a_model_reconstructs_what_the_run_recorded(results: Path, folders: dict[str, Path]) -> None:
     model, data = harness.load_model("cluttered-z4", results), harness.Dataset(folders["cluttered"])
     episode = data.episode(3)
     mean, _ = model.encode({name: episode[name] for name in model.input})
@@ -259,7 +259,7 @@ def test_a_dataset_of_another_world_can_be_opened(tmp_path: Path) -> None:
     assert len(harness.Dataset(folder)) == 120
 
 
-def test_claims_figures_and_verification_are_those_of_the_commands(tmp_path: Path) -> None:
+def test_claims_figures_and_verify_are_those_of_the_commands(tmp_path: Path) -> None:
     reference = ROOT / "results" / "reference"
     command = [Path(sys.executable).parent / "harness", "--results", reference]
     subprocess.run([*command, "claims", "--output", tmp_path / "verdicts.parquet"], cwd=ROOT, check=True)
@@ -332,7 +332,7 @@ def test_a_run_without_a_reconstruction_says_so(tmp_path: Path) -> None:
         model.reconstruct(np.zeros((1, model.latent), np.float32))
 
 
-def test_a_posterior_does_not_depend_on_the_batch_or_the_form_of_frames(
+def test_a_posterior_is_the_same_in_any_batch_and_form_of_frames(
     results: Path, folders: dict[str, Path]
 ) -> None:
     model, data = harness.load_model("smoke/empty", results), harness.Dataset(folders["empty"])

@@ -106,7 +106,7 @@ fn assert_near(found: f32, expected: f64, tolerance: f64) {
 }
 
 #[test]
-fn stiffness_damping_mass_and_friction_change_motions_as_the_laws_of_mechanics_say() {
+fn stiffness_damping_mass_and_friction_act_by_mechanical_laws() {
     let (time, gravity) = (3.9f64, 9.81);
     for scale in [1.0, 2.0] {
         let factors = ["twice_as_stiff", "twice_the_damping", "twice_the_mass", "twice_the_friction"];
@@ -174,7 +174,7 @@ fn color_and_light_change_pixels_by_as_much_as_was_drawn() {
 }
 
 #[test]
-fn a_camera_that_is_moved_or_turned_sees_the_box_where_it_then_is() {
+fn a_camera_moved_or_turned_sees_the_box_where_it_then_is() {
     let assert_seen = |factors: &[&str], place: [f64; 3]| {
         let ([column, row], [x, y]) = (box_in(&on_bench(factors)).1, seen(place));
         assert!(
@@ -261,7 +261,7 @@ fn an_episode_with_factors_depends_on_its_seed_and_index_alone() {
 }
 
 #[test]
-fn a_live_simulation_draws_the_factors_of_its_episode_at_each_reset() {
+fn a_live_simulation_draws_its_episodes_factors_at_each_reset() {
     let (scene, spec) = (Scene::shared(World::paper(Scenario::CLUTTERED)).unwrap(), varied(&SOME));
     let mut live = LiveSimulation::new(scene, &spec).unwrap();
     for index in [1, 0] {
@@ -341,7 +341,7 @@ fn assert_slid(found: f64, friction: f64) {
 }
 
 #[test]
-fn friction_scales_below_and_above_one_on_ground_of_equal_friction() {
+fn friction_scales_below_and_above_one_on_equal_ground() {
     for scale in [0.2, 0.5, 1.0, 1.5] {
         let factor = format!("f: {{geom_friction: [sled, other], scale_by: {{choice: {scale}}}}}");
         let [sled, other] = slide(SLEDS, &factor);

@@ -127,7 +127,7 @@ fn turned([right, up]: [f64; 2], angle: f64) -> [f64; 2] {
 }
 
 #[test]
-fn what_slides_by_a_known_distance_flows_by_its_projection_and_uncovers_what_it_hid() {
+fn what_slides_flows_by_its_projection_and_uncovers_what_it_hid() {
     let episode = filmed([0.0, 0.0], [-0.9, -0.3], [0.0, 0.0]);
     let column = |x: f64| 32.0 + focal() * x / DISTANCE;
     let (mut moved, mut uncovered) = (0, 0);
@@ -215,7 +215,7 @@ fn assert_colors_flow(episode: &Episode) {
 }
 
 #[test]
-fn frames_have_the_colors_of_the_frames_before_where_the_flow_says() {
+fn frames_have_the_colors_of_earlier_ones_where_the_flow_says() {
     assert_colors_flow(&filmed([-0.3, 0.3], [-0.9, 0.5], [-1.0, 1.0]));
 }
 
@@ -270,7 +270,7 @@ fn a_camera_that_enters_and_leaves_a_geom_has_its_flow() {
 }
 
 #[test]
-fn poses_are_those_of_the_kinematics_and_of_mujocos_sensors_at_the_same_instant() {
+fn poses_are_those_of_kinematics_and_sensors_at_one_instant() {
     let episode = filmed([0.0, 0.0], [-0.9, 0.5], [-1.0, 1.0]);
     let names = |name: &str| -> Vec<String> {
         let elements = episode.layout[Modality::new(name).unwrap()].elements().iter();

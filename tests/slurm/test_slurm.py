@@ -81,7 +81,7 @@ def kill_when_training(cluster, results: Path, avoid: set[int]) -> int:
         time.sleep(0.1)
 
 
-def test_an_experiment_whose_tasks_are_killed_ends_complete_and_equal(cluster, tmp_path):
+def test_an_experiment_of_killed_tasks_ends_complete_and_equal(cluster, tmp_path):
     undisturbed, results = tmp_path / "undisturbed", tmp_path / "results with 5 %"
     harness(cluster, undisturbed, "run", *SPEC, "--jobs", "2")
 

@@ -161,7 +161,7 @@ fn a_sobol_search_covers_its_space_evenly() {
 }
 
 #[test]
-fn drawn_numbers_have_six_significant_digits_and_stay_in_their_range() {
+fn drawn_numbers_have_six_significant_digits_within_their_range() {
     let ranges = [[0.123456789, 0.123456799], [1.0 / 3.0, 2.0 / 3.0], [1e-9, 1e-3]];
     for range in ranges {
         for candidates in [Candidates::Uniform(range), Candidates::LogUniform(range)] {
@@ -469,7 +469,7 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
 }
 
 #[test]
-fn a_sobol_sequence_has_a_dimension_for_every_setting_that_can_be_drawn() {
+fn a_sobol_sequence_has_a_dimension_for_every_drawn_setting() {
     let schema = harness_spec::schema();
     let settings = schema["$defs"]["Search"]["properties"]["space"]["properties"].as_object().unwrap();
     assert!((20..=32).contains(&settings.len()), "{}", settings.len());
@@ -503,7 +503,7 @@ fn an_override_of_a_search_is_refused_by_its_name() {
 }
 
 #[test]
-fn more_runs_than_an_experiment_may_have_are_refused_before_they_are_drawn() {
+fn too_many_runs_are_refused_before_they_are_drawn() {
     let text = spec_with(&SEARCH.replace("trials: 4", "trials: 10000"))
         .replace("name: base", "name: base\nseeds: [0, 1]");
     assert_eq!(
