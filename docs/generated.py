@@ -191,7 +191,12 @@ class Keys:
                 return "`true` or `false`"
             case "null":
                 return "`null`"
-        words = {"minimum": "of at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
+        words = {
+            "minimum": "of at least",
+            "exclusiveMinimum": "above",
+            "maximum": "at most",
+            "exclusiveMaximum": "below",
+        }
         bounds = [
             f"{word} {schema[bound]:,}".removesuffix(".0")
             for bound, word in words.items()

@@ -42,7 +42,8 @@ ls dist/soft_harness-*.whl >/dev/null 2>&1 || fail 'there is no wheel; build it:
 if [ ! -d "$bare" ]; then
     mkdir -p "$(dirname "$bare")"
     rm -rf "$bare.part"
-    debootstrap --variant=minbase --include=python3,python3-venv,ca-certificates "$suite" "$bare.part" >"$bare.log" 2>&1 ||
+    debootstrap --variant=minbase --include=python3,python3-venv,ca-certificates "$suite" "$bare.part" \
+        >"$bare.log" 2>&1 ||
         fail "debootstrap failed; see $bare.log"
     mv "$bare.part" "$bare"
 fi

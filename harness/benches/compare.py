@@ -20,11 +20,11 @@ Collection compares the whole command `harness collect`, including its start and
 start of these programs is not counted. All simulate the same episodes.
 
 Registry compares lists of runs and a query of a metric over 10,008 made-up runs (the example `many_runs`) with MLflow's
-file store and with DuckDB over the same files (registry.py). For the harness, the time is that of the whole command. All
-must give the same answer. Root can empty the system's cache of files, and so also measures with files on disk only.
+file store and with DuckDB over the same files (registry.py). For the harness, the time is that of the whole command.
+All must give the same answer. Root can empty the system's cache of files, and so also measures with files on disk only.
 
-Shards compares an experiment that is divided among several processes with one process. All of them begin at the same time,
-or as many at a time as there are cores.
+Shards compares an experiment that is divided among several processes with one process. All of them begin at the same
+time, or as many at a time as there are cores.
 """
 
 import argparse

@@ -6,12 +6,12 @@
 
 `list` finds all runs with their status. `mean` computes the mean of a metric over the seeds of each cell. The reader
 `duckdb` reads the files of the runs, and `duckdb-compacted` reads the compacted tables. Both commands print the time in
-seconds and the answer as JSON. The start of Python and its imports are not counted. compare.py calls this program. Run it
-on an otherwise idle machine.
+seconds and the answer as JSON. The start of Python and its imports are not counted. compare.py calls this program. Run
+it on an otherwise idle machine.
 
-A run in the file store has the parameters and metrics that a user of MLflow would log: each setting of its spec, and each
-metric of the network over all joints, links or pixels. It has no losses of epochs and no artifacts. The tables in the
-results folder also have metrics of the baselines and of each joint, losses, predictions, forces and images.
+A run in the file store has the parameters and metrics that a user of MLflow would log: each setting of its spec, and
+each metric of the network over all joints, links or pixels. It has no losses of epochs and no artifacts. The tables in
+the results folder also have metrics of the baselines and of each joint, losses, predictions, forces and images.
 """
 
 import argparse
@@ -49,7 +49,8 @@ def fill(results: Path, store: Path) -> None:
     from mlflow.store.tracking.file_store import FileStore
 
     rows = duckdb_rows(
-        f"""select experiment, run, task, modality, metric, value from read_parquet('{results}/runs/*/*/metrics.parquet')
+        f"""select experiment, run, task, modality, metric, value
+            from read_parquet('{results}/runs/*/*/metrics.parquet')
             where model = 'network' and index is null and direction is null and value is not null"""
     )
     metrics: dict[tuple[str, str], dict[str, float]] = {}

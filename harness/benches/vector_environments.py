@@ -188,7 +188,8 @@ def main() -> None:
             measured[name].append(rates(environment, actions))
     for environment in contenders.values():
         environment.close()
-    print(f"{options.scenario}, {count} environments, {options.rounds} rounds of {options.actions} actions: environment steps")
+    rounds = f"{options.rounds} rounds of {options.actions} actions"
+    print(f"{options.scenario}, {count} environments, {rounds}: environment steps")
     for name, values in measured.items():
         for unit, own, theirs in zip(("a second", "a processor second"), zip(*measured["harness"]), zip(*values)):
             ratio = statistics.median(mine / other for mine, other in zip(own, theirs))

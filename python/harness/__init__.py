@@ -270,8 +270,8 @@ def compare(
 ) -> "polars.DataFrame":
     """Computes the means of metrics over datasets and seeds, with 95 % intervals, as `harness compare` does.
 
-    A metric is computed on the test samples over all joints, links or pixels. Runs that differ only in their seed, or in
-    the seed of their dataset, share a row. The intervals are those of Student's t. Baselines have no latent size.
+    A metric is computed on the test samples over all joints, links or pixels. Runs that differ only in their seed, or
+    in the seed of their dataset, share a row. The intervals are those of Student's t. Baselines have no latent size.
 
     Args:
         experiments: names of experiments. Without any, all experiments are compared.
@@ -279,10 +279,10 @@ def compare(
         results: the folder of datasets and runs.
 
     Returns:
-        One row for each mean. `seeds` is the number of values: one for each seed on each dataset. A baseline has one for
-        each dataset. With several `datasets`, the interval is over the means of the datasets. `low` and `high` are the
-        ends of the interval, which a single value does not have. If the runs of an experiment differ in settings other
-        than scenario, latent size and variant, the column `settings` contains these.
+        One row for each mean. `seeds` is the number of values: one for each seed on each dataset. A baseline has one
+        for each dataset. With several `datasets`, the interval is over the means of the datasets. `low` and `high` are
+        the ends of the interval, which a single value does not have. If the runs of an experiment differ in settings
+        other than scenario, latent size and variant, the column `settings` contains these.
 
     Raises:
         KeyError: an experiment has no finished runs.
@@ -427,8 +427,8 @@ def plot(
 
     Raises:
         KeyError: an experiment has no finished runs.
-        ValueError: there is no such key, metric, model, task or format, no run has the metric, or the means differ in a key
-            that the plot does not show.
+        ValueError: there is no such key, metric, model, task or format, no run has the metric, or the means differ in a
+            key that the plot does not show.
         FileNotFoundError: there is no results folder.
         OSError: the file can't be written.
         RuntimeError: a table is damaged.

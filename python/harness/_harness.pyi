@@ -308,8 +308,8 @@ class SimulationBatch:
             experiment. The default is the world's own settings.
 
     Raises:
-        ValueError: there is no such world, a world file or its model is wrong, the count is out of range, or the spec is
-            wrong.
+        ValueError: there is no such world, a world file or its model is wrong, the count is out of range, or the spec
+            is wrong.
         FileNotFoundError: there is no such experiment.
 
     Example:

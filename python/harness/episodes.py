@@ -35,8 +35,8 @@ class Episodes:
     starts the dataset's first episode, and a reset without a seed starts the next one. The boxes have the same places
     as in the dataset. The goal depends only on the seed and the index.
 
-    Rewards: the reward of an action is between 0 and 1, and depends on the task. Without a task it is 0. An episode ends
-    after a given number of actions.
+    Rewards: the reward of an action is between 0 and 1, and depends on the task. Without a task it is 0. An episode
+    ends after a given number of actions.
 
     Args:
         scenario: a built-in world, such as `empty` or `cluttered`, or the path of a world file.

@@ -174,7 +174,9 @@ class Selection:
                     raise self.error(f"'{column}' holds no numbers, or lists of different lengths") from None
                 values = values.reshape(len(values), -1)
                 if (elements.stop or 0) > values.shape[1]:
-                    raise self.error(f"{term} goes beyond the end of '{column}'; all of it is {column}[0:{values.shape[1]}]")
+                    raise self.error(
+                        f"{term} goes beyond the end of '{column}'; all of it is {column}[0:{values.shape[1]}]"
+                    )
                 parts.append(values[:, elements])
         values = np.concatenate(parts, axis=1)
         if values.shape[1] == 0:
@@ -296,8 +298,8 @@ def _selections(modalities: Any, kind: str) -> dict[str, Selection]:
     for name in modalities:
         if not NAME.fullmatch(str(name)) or name in RESERVED:
             raise MappingError(
-                f"modalities: {name!r} can't name a modality; use small letters, digits and _, a letter first, and none "
-                f"of {', '.join(RESERVED)}"
+                f"modalities: {name!r} can't name a modality; use small letters, digits and _, a letter first, "
+                f"and none of {', '.join(RESERVED)}"
             )
     # The finger's modalities come first, in their order, so that a dataset of the finger has the same columns.
     given = [name for name in KNOWN if name in modalities]
@@ -330,7 +332,9 @@ def _selection(modality: str, value: Any, kind: str) -> Selection:
         if modality in KNOWN and (KNOWN[modality]["kind"] == "image") != (size is not None):
             raise MappingError(f"{where}: is a {KNOWN[modality]['kind']}; an image has a size, a vector has none")
         if modality in KNOWN and unit:
-            raise MappingError(f"{where}.unit: is that of the finger's; leave it out, or give the modality another name")
+            raise MappingError(
+                f"{where}.unit: is that of the finger's; leave it out, or give the modality another name"
+            )
     if size is not None and not (
         isinstance(size, list)
         and len(size) == 2
@@ -412,7 +416,8 @@ def import_dataset(
         >>> import polars
         >>> from pathlib import Path
         >>> from harness.importing import import_dataset
-        >>> columns = {"trial": [0, 0, 1, 1, 2, 2], "row": [0, 1] * 3, "command": [0.0, 0.1] * 3, "angle": [0.0, 0.2] * 3}
+        >>> columns = {"trial": [0, 0, 1, 1, 2, 2], "row": [0, 1] * 3}
+        >>> columns |= {"command": [0.0, 0.1] * 3, "angle": [0.0, 0.2] * 3}
         >>> polars.DataFrame(columns).write_parquet("lab.parquet")
         >>> keys = "name: lab, source: lab.parquet, format: parquet, episode: trial, order: row, sample_rate_hz: 10"
         >>> modalities = "{setpoint: command, bend: {from: angle, unit: rad}}"
@@ -534,7 +539,8 @@ def _episode(index: int, columns: Columns, mapping: Mapping, rate: float) -> Epi
     samples = rows - shift
     if samples < 2:
         left_out = " after its first row, which is left out" if shift else ""
-        raise MappingError(f"it has {samples} {'sample' if samples == 1 else 'samples'}{left_out}; it must have 2 or more")
+        noun = "sample" if samples == 1 else "samples"
+        raise MappingError(f"it has {samples} {noun}{left_out}; it must have 2 or more")
     selections = mapping.selections
     vectors = {name: each.pick(columns) for name, each in selections.items() if each.size is None}
     vectors = {name: values[:samples] if name == "setpoint" else values[shift:] for name, values in vectors.items()}
@@ -571,8 +577,8 @@ def _write(mapping: Mapping, rate: float, episodes: list[Episode], results: Path
         for name, values in episode.vectors.items():
             if values.shape[1] != widths[name]:
                 raise MappingError(
-                    f"modalities.{name}: has {values.shape[1]} values in episode {episode.index} and {widths[name]} in the "
-                    "first"
+                    f"modalities.{name}: has {values.shape[1]} values in episode {episode.index} and {widths[name]} "
+                    "in the first"
                 )
     layout = _layout(mapping, widths)
     elements = {column.name for each in vector_columns(layout).values() for column in each}

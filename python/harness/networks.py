@@ -61,8 +61,8 @@ class NetworkFile:
 class Network(torch.nn.Module):
     """A trained network as a `torch.nn.Module`. `harness.load_network` builds it.
 
-    It takes and returns the same values as `harness.Model`, for a batch, but its images have PyTorch's order of axes. An
-    observation is a dictionary by modality, with exactly the modalities of the network's input. Vectors are
+    It takes and returns the same values as `harness.Model`, for a batch, but its images have PyTorch's order of axes.
+    An observation is a dictionary by modality, with exactly the modalities of the network's input. Vectors are
     `[batch, width]` in SI units. Images are `[batch, 3, rows, columns]`, as `Dataset.torch` gives them, either uint8 or
     floating-point numbers in [0, 1]. Changes of images are floating-point numbers in [-1, 1]. NumPy arrays and lists of
     these shapes are converted to tensors.

@@ -23,11 +23,11 @@ class Transitions(torch.utils.data.Dataset[tuple[dict[str, torch.Tensor], torch.
 
     An item consists of the observation, the action and the next observation. Observations are dictionaries of tensors
     by modality. All values are in SI units. Vectors are `[width]`, float32. Images are `[3, rows, columns]`, uint8, the
-    order of axes of PyTorch and of `load_network`. The change of an image since the previous sample (`frame_difference`,
-    or `IMAGE_difference` for other images) is float32 in [-1, 1].
+    order of axes of PyTorch and of `load_network`. The change of an image since the previous sample
+    (`frame_difference`, or `IMAGE_difference` for other images) is float32 in [-1, 1].
 
-    The processes of a DataLoader share the dataset's memory if they are forked. Processes that are started by `spawn` or
-    `forkserver` get the dataset's folder, and each reads the dataset again.
+    The processes of a DataLoader share the dataset's memory if they are forked. Processes that are started by `spawn`
+    or `forkserver` get the dataset's folder, and each reads the dataset again.
 
     Args:
         data: the dataset.

@@ -27,8 +27,7 @@ use std::sync::{Mutex, MutexGuard, TryLockError};
 ///
 /// Raises:
 ///     ValueError: there is no such world, a world file or its model is wrong, the count is out of range, or the spec
-///     is
-///         wrong.
+///         is wrong.
 ///     FileNotFoundError: there is no such experiment.
 ///
 /// Example:

@@ -43,8 +43,8 @@ FOREIGN = {
 
 @pytest.fixture(scope="session", params=FOREIGN)
 def foreign(request, tmp_path_factory) -> Path:
-    """The folder of a dataset whose world is a file outside of the repository: a finger of 12 links with a second camera,
-    whose episodes differ in stiffness, or the finger of dm_control's suite as its package has it."""
+    """The folder of a dataset whose world is a file outside of the repository: a finger of 12 links with a second
+    camera, whose episodes differ in stiffness, or the finger of dm_control's suite as its package has it."""
     world, folder = request.param, tmp_path_factory.mktemp("robot")
     harness = Harness(folder / "results")
     if world == "twelve":

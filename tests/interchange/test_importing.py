@@ -337,7 +337,8 @@ def without(section: dict, key: str) -> dict:
         (
             {},
             {"wrist": {"from": "camera", "size": [8, 8]}, "wrist_difference": "angles"},
-            "modalities.wrist: the change of this image is called 'wrist_difference', and another modality has this name",
+            "modalities.wrist: the change of this image is called 'wrist_difference', "
+            "and another modality has this name",
         ),
         (
             {},
@@ -368,9 +369,17 @@ def without(section: dict, key: str) -> dict:
             {"setpoint": "command[3:6]"},
             r"modalities.setpoint: command\[3:6\] goes beyond the end of 'command'; all of it is command\[0:5\]",
         ),
-        ({}, {"arm": ["command[0:2]", "lift[1]"]}, r"arm: lift\[1\] goes beyond the end of 'lift'; all of it is lift\[0:1\]"),
+        (
+            {},
+            {"arm": ["command[0:2]", "lift[1]"]},
+            r"arm: lift\[1\] goes beyond the end of 'lift'; all of it is lift\[0:1\]",
+        ),
         ({}, {"setpoint": {"from": "command[1:4]", "shift": 2}}, "modalities.setpoint.shift: must be 0 or 1, not 2"),
-        ({}, {"arm": {"from": "command[1:4]", "shift": 1}}, "unknown key 'modalities.arm.shift'; allowed are from, scale"),
+        (
+            {},
+            {"arm": {"from": "command[1:4]", "shift": 1}},
+            "unknown key 'modalities.arm.shift'; allowed are from, scale",
+        ),
         ({}, {"setpoint": "trial"}, "modalities.setpoint: 'trial' holds no numbers"),
         ({}, {"arm": {"from": "command[0:3]", "scale": [1, 2]}}, "modalities.arm: scale: must be 1 number or 3, not 2"),
         ({}, {"arm": {"scale": 2}}, "missing 'modalities.arm.from'"),
@@ -378,8 +387,16 @@ def without(section: dict, key: str) -> dict:
         ({}, {"arm": 3}, "modalities.arm: must be a column, or a list of columns, not 3"),
         ({}, {"vision": "trial"}, "modalities.vision: a value is no picture"),
         ({}, {"vision": ["camera", "camera"]}, "modalities.vision: must be one column"),
-        ({}, {"vision": "*a*"}, r"modalities.vision: must be one whole column, not \*a\*, which matches angles, .*camera"),
-        ({}, {"vision": "camera[0:3]"}, r"modalities.vision: must be one whole column, not camera\[0:3\], which is a part of one"),
+        (
+            {},
+            {"vision": "*a*"},
+            r"modalities.vision: must be one whole column, not \*a\*, which matches angles, .*camera",
+        ),
+        (
+            {},
+            {"vision": "camera[0:3]"},
+            r"modalities.vision: must be one whole column, not camera\[0:3\], which is a part of one",
+        ),
         ({}, {"arm": {"from": "command[0:3]", "scale": float("nan")}}, "value 0 of row 0 is nan"),
     ],
 )

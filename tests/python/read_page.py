@@ -3,9 +3,9 @@
     read_page.py PAGE RESULTS CHROMIUM CHROMEDRIVER [--hostile | --quiet] [--screenshots DIR]
 
 RESULTS is the folder that the page was made of; what the page shows is compared with its tables, read by pandas.
-With --hostile, names on the page try to run scripts that set `window.hostile`, and only that is looked at. With --quiet,
-only whether the page asks for anything, while the browser shows a page of its own beside it. Ends with an error at the
-first thing that is not as it should be.
+With --hostile, names on the page try to run scripts that set `window.hostile`, and only that is looked at. With
+--quiet, only whether the page asks for anything, while the browser shows a page of its own beside it. Ends with an
+error at the first thing that is not as it should be.
 """
 
 import argparse
@@ -173,7 +173,9 @@ class Page:
             copy.drawImage(canvas, -Math.round(x), -Math.round(y));
             const { data } = copy.getImageData(0, 0, 5 * ratio, 5 * ratio);
             const found = new Set();
-            for (let at = 0; at < data.length; at += 4) if (data[at + 3] === 255) found.add(`rgb(${data.slice(at, at + 3).join(", ")})`);
+            for (let at = 0; at < data.length; at += 4) {
+                if (data[at + 3] === 255) found.add(`rgb(${data.slice(at, at + 3).join(", ")})`);
+            }
             return [...found];"""
         return set(self.run(script, f"#{section} canvas:not(.legend canvas)", x, y))
 
@@ -357,7 +359,8 @@ def check_regression(page: Page, predictions: pd.DataFrame):
     row = predictions[(predictions.experiment == study) & (predictions.scenario == scenario)
                       & (predictions.latent == latent) & (predictions.task == "prediction")
                       & (predictions.modality == "contact_force") & (predictions["index"] == 19)
-                      & (predictions.seed == seed) & (predictions.episode == episode) & (predictions["sample"] == sample)]
+                      & (predictions.seed == seed) & (predictions.episode == episode)
+                      & (predictions["sample"] == sample)]
     assert len(row) == 1, said
     for shown, stored in [(reference, row.reference.item()), (predicted, row.predicted.item())]:
         assert abs(shown - stored) <= 1e-3 * abs(stored) + 1e-9, (said, stored)
@@ -382,7 +385,8 @@ def check_training(page: Page, epochs: pd.DataFrame):
     pictures = set()
     for scale in ["linear", "logarithmic"]:
         page.choose("training", "Scale", scale)
-        charts = page.run("return [...document.querySelectorAll('#training .plot canvas')].map((one) => one.toDataURL())")
+        charts = page.run("return [...document.querySelectorAll('#training .plot canvas')]"
+                          ".map((one) => one.toDataURL())")
         assert len(charts) == len(terms)
         pictures.update(charts)
     assert len(pictures) == 2 * len(terms), "the scales look the same"
@@ -476,7 +480,8 @@ def check_width(page: Page):
     page.run("document.querySelectorAll('details').forEach((details) => (details.open = true))")
     width = page.run("return document.documentElement.scrollWidth")
     wide = page.run(
-        "return [...document.querySelectorAll('body *')].filter((e) => e.getBoundingClientRect().right > innerWidth + 0.5"
+        "return [...document.querySelectorAll('body *')]"
+        ".filter((e) => e.getBoundingClientRect().right > innerWidth + 0.5"
         " && !e.closest('pre') && !e.closest('svg')).map((e) => e.outerHTML.slice(0, 200))")
     assert width <= page.run("return innerWidth") and not wide, (width, wide[:5])
 
@@ -548,7 +553,8 @@ def read_on_phone(page: Page):
 
     to_a_point = [Keys.ESCAPE, *(6 * [Keys.ARROW_RIGHT])]
     before = place_after(*to_a_point)
-    page.touch([(middle - 20 - step, y) for step in range(0, 50, 10)], [(middle + 20 + step, y) for step in range(0, 50, 10)])
+    page.touch([(middle - 20 - step, y) for step in range(0, 50, 10)],
+               [(middle + 20 + step, y) for step in range(0, 50, 10)])
     page.wait(lambda: abs(place_after(*to_a_point) - before) > 5, "two fingers do not zoom")
     zoomed = place_after(*to_a_point)
     page.touch([(middle + step, y) for step in range(0, 50, 10)])
@@ -575,7 +581,8 @@ def read_in_the_dark(page: Page):
     dark_blue = page.color_of("first")
     assert dark_blue in page.colors("joints", x, y)
     # A reader who turns on the light sees charts in the colors of the light.
-    page.browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": "light"}]})
+    preference = {"name": "prefers-color-scheme", "value": "light"}
+    page.browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [preference]})
     page.draw()
     assert dark_blue not in page.colors("joints", x, y) and page.color_of("first") in page.colors("joints", x, y)
     page.open(DESKTOP, dark=True)

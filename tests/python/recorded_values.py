@@ -63,7 +63,7 @@ def site_orientation(data, site):
 
 
 def normal_forces(model, data, links):
-    """For each link, a set of geoms, the sum of the normal forces of all contacts in which one of its geoms takes part."""
+    """For each link, a set of geoms, the sum of the normal forces of all contacts of its geoms."""
     forces, wrench = np.zeros(len(links)), np.zeros(6)
     for index in range(data.ncon):
         mujoco.mj_contactForce(model, data, index, wrench)

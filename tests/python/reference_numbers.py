@@ -154,7 +154,8 @@ def check_queries():
         if metrics is None:
             check(found.height == 0, "means of nothing")
             return
-        wanted = metrics.filter((pl.col("model") == "network") & pl.col("index").is_null() & pl.col("value").is_not_null())
+        of_networks = (pl.col("model") == "network") & pl.col("index").is_null()
+        wanted = metrics.filter(of_networks & pl.col("value").is_not_null())
         grouped = wanted.group_by("experiment", "scenario", "latent", "variant", "metric")
         expected = grouped.agg(pl.col("value").mean().alias("mean"), pl.len().cast(pl.Int64).alias("n"))
         same_rows("means", found.with_columns(pl.col("n").cast(pl.Int64)), expected)
@@ -227,7 +228,8 @@ def check_compare():
         decimals = {"%": 2, "1": 3}[row["unit"]]
         half = "" if high is None else f" ± {high - mean:.{decimals}f}"
         printed[re.sub(r"^-(0\.0+)\b", r"\1", f"{mean:.{decimals}f}") + half] += 1
-    cells = [cell.strip().strip("*") for line in answer["stdout"].splitlines()[2:] if line.startswith("|") for cell in line.split("|")]
+    lines = [line for line in answer["stdout"].splitlines()[2:] if line.startswith("|")]
+    cells = [cell.strip().strip("*") for line in lines for cell in line.split("|")]
     shown = collections.Counter(cell for cell in cells if re.fullmatch(r"-?[0-9.]+( ± [0-9.]+)?", cell))
     # The last digit may be rounded either way where the next is a five.
     missing, extra = printed - shown, shown - printed
@@ -377,11 +379,13 @@ def check_curves(figure, quick, tables=("metrics",)):
         & pl.col("direction").is_not_null()
         & pl.col("index").is_null()
     )
-    cells = networks.filter(pl.col("model") == "network").select("experiment", "modality", "scenario", "direction", "latent")
+    cells = networks.filter(pl.col("model") == "network")
+    cells = cells.select("experiment", "modality", "scenario", "direction", "latent")
     shown = found.filter(pl.col("model") == "network").height
     check(shown == cells.unique().height, figure, "shows", shown, "cells instead of", cells.unique().height)
     for row in found.iter_rows(named=True):
-        same = [pl.col(key) == row[key] for key in ("experiment", "modality", "metric", "scenario", "direction", "model")]
+        keys = ("experiment", "modality", "metric", "scenario", "direction", "model")
+        same = [pl.col(key) == row[key] for key in keys]
         values = networks.filter(*same, *([pl.col("latent") == row["latent"]] if row["latent"] is not None else []))
         values = values["value"].to_list()
         expected = interval(values) if row["latent"] is not None else (values[0], None, None)
@@ -453,7 +457,8 @@ def check_frames(quick):
         check(abs(float(mean) - expected_mean) <= 0.0050001, figure, mean, "instead of", expected_mean)
         check(bool(half) == (high is not None), figure, half, "instead of", high)
         if half:
-            check(abs(float(half) - (high - expected_mean)) <= 0.0050001, figure, half, "instead of", high - expected_mean)
+            expected_half = high - expected_mean
+            check(abs(float(half) - expected_half) <= 0.0050001, figure, half, "instead of", expected_half)
 
 
 def check_forces(quick):

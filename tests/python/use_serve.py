@@ -1,10 +1,10 @@
-"""Uses the page of `harness serve` in a real headless Chromium, as a person would: filters, sorts, groups, chooses, asks.
+"""Uses the page of `harness serve` in a real headless Chromium like a person: filters, sorts, groups, chooses, asks.
 
     use_serve.py HARNESS RESULTS CHROMIUM CHROMEDRIVER [--hostile] [--many] [--live SPEC] [--screenshots DIR]
 
-With --hostile, names on the page try to run scripts that set `window.hostile`, and only that is checked. With --many, the
-times and the memory of many runs are measured too. With --live, a run of the spec is started and removed while the page is
-open, and the page must follow. Ends with an error at the first thing that is wrong.
+With --hostile, names on the page try to run scripts that set `window.hostile`, and only that is checked. With --many,
+the times and the memory of many runs are measured too. With --live, a run of the spec is started and removed while the
+page is open, and the page must follow. Ends with an error at the first thing that is wrong.
 """
 
 import argparse
@@ -96,7 +96,8 @@ class Served:
 
     def answered(self, path: str) -> int:
         """The number of requests of this path that the server has answered."""
-        script = "return performance.getEntriesByType('resource').filter(({name}) => name.includes(arguments[0])).length"
+        requests = "performance.getEntriesByType('resource')"
+        script = f"return {requests}.filter(({{name}}) => name.includes(arguments[0])).length"
         return self.browser.execute_script(script, path)
 
     def click_row(self, place: int = 0, times: int = 1):
@@ -143,7 +144,8 @@ def check_guard(address: str):
         assert (status, text) == (403, "only pages of this server may ask it"), (headers, status, text)
     link = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}
     assert ask(address, "/", link)[0] == 200, "a link from another site may be followed"
-    for path, headers in [("/api/runs", link), ("/", link | {"Sec-Fetch-Dest": "iframe"}), ("/", link | {"Host": "evil.example"})]:
+    frame, rebound = link | {"Sec-Fetch-Dest": "iframe"}, link | {"Host": "evil.example"}
+    for path, headers in [("/api/runs", link), ("/", frame), ("/", rebound)]:
         assert ask(address, path, headers)[0] == 403, (path, headers)
     for headers in [{}, {"Host": f"localhost:{port}"}, {"Host": f"[::1]:{port}"}, {"Origin": address}]:
         assert ask(address, "/api/tables", headers)[0] == 200, headers
@@ -218,8 +220,8 @@ def check_chosen(page: Served):
     assert first != last and first.startswith("epoch 1\n") and last.startswith("epoch "), (first, last)
     # The values of both runs, each on two splits.
     assert len(first.splitlines()) == 5, first
-    ring = page.browser.execute_script("const box = arguments[0].getBoundingClientRect(); return [box.x + 8, box.y + 8]",
-                                       page.one("#chosen .ring"))
+    script = "const box = arguments[0].getBoundingClientRect(); return [box.x + 8, box.y + 8]"
+    ring = page.browser.execute_script(script, page.one("#chosen .ring"))
     chart.send_keys(Keys.ESCAPE)
     assert not tooltip.is_displayed()
     pointer = ActionChains(page.browser).w3c_actions
@@ -354,11 +356,12 @@ def check_many(page: Served, process: subprocess.Popen):
     """The limits for 10,000 runs: first view in 1 s, filtering in 100 ms, memory below 500 MB."""
     page.open(DESKTOP)
     first = page.open(DESKTOP)
-    times = sorted(page.filter(text) for text in ["latent>3", "seed=7 status=done", "empty", '"contact_force r2">0.5', ""])
+    filters = ["latent>3", "seed=7 status=done", "empty", '"contact_force r2">0.5', ""]
+    times = sorted(page.filter(text) for text in filters)
     status = Path(f"/proc/{process.pid}/status").read_text()
     megabytes = int(re.search(r"VmHWM:\s+(\d+)", status)[1]) / 1000
-    print(f"first view {first:.2f} s, filter {times[len(times) // 2]:.0f} ms (most {times[-1]:.0f}), memory {megabytes:.0f} MB, "
-          f"{page.count()[1]} runs")
+    print(f"first view {first:.2f} s, filter {times[len(times) // 2]:.0f} ms (most {times[-1]:.0f}), "
+          f"memory {megabytes:.0f} MB, {page.count()[1]} runs")
     assert first < 1 and times[-1] < 100 and megabytes < 500
 
 
@@ -403,8 +406,8 @@ class Training:
 
 
 def check_live(page: Served, harness: str, results: str, spec: str):
-    """A run that is started while the page is open appears, its curves grow while it trains, the curves of its second task
-    and its metrics follow, and it goes when it is removed."""
+    """A run that is started while the page is open appears, its curves grow while it trains, the curves of its second
+    task and its metrics follow, and it goes when it is removed."""
     page.open(DESKTOP)
     before = page.count()[1]
     training = Training(harness, results, spec)

@@ -342,7 +342,11 @@ WRONG = {
     "environment's seed": (lambda: environments.load("empty", "reach", seed=-1), ValueError, "seed: -1 must be 0 to"),
     "seed's type": (lambda: environments.load("empty", "reach", seed=1.5), TypeError, "seed: 1.5 must be an integer"),
     "no reset": (lambda: harness.gymnasium.SoftFinger("empty").step(np.zeros(3)), RuntimeError, "call reset first"),
-    "width's type": (lambda: harness.gymnasium.SoftFinger("empty", width=1.5), TypeError, "width: 1.5 must be an integer"),
+    "width's type": (
+        lambda: harness.gymnasium.SoftFinger("empty", width=1.5),
+        TypeError,
+        "width: 1.5 must be an integer",
+    ),
     "width": (lambda: harness.gymnasium.SoftFinger("empty", width=0), ValueError, "width: 0 must be 1 to 4096 pixels"),
     "actions": (lambda: reset_vector().step(np.zeros(3)), ValueError, "2 times 3 finite numbers: rotation, lift, ext"),
     "an action": (lambda: reset_vector().step(np.full((2, 3), np.nan)), ValueError, "actions: .* finite numbers"),

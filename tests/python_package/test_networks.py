@@ -241,7 +241,8 @@ def test_the_kinds_have_every_value_of_every_network_setting() -> None:
     used: dict[str, set[Any]] = {key: set() for key in settings}
     for overrides in KINDS.values():
         network = {**overrides.get("network", {})}
-        network |= {key.removeprefix("network."): value for key, value in overrides.items() if key.startswith("network.")}
+        dotted = {key: value for key, value in overrides.items() if key.startswith("network.")}
+        network |= {key.removeprefix("network."): value for key, value in dotted.items()}
         for key, value in network.items():
             used[key].add(json.dumps(value))
 
@@ -251,7 +252,9 @@ def test_the_kinds_have_every_value_of_every_network_setting() -> None:
 
     assert used["preset"] == values("Preset")
     assert used["fusion"] | {'"early"'} == values("Fusion")
-    lengths = {key: {len(list(np.atleast_1d(json.loads(value)))) > 1 for value in used[key]} for key in ("hidden", "channels")}
+    lengths = {
+        key: {len(list(np.atleast_1d(json.loads(value)))) > 1 for value in used[key]} for key in ("hidden", "channels")
+    }
     assert lengths == {"hidden": {False, True}, "channels": {False, True}}
     assert used["average"] == {"1", "2", "4"}
     assert set(settings) == {"preset", "fusion", "hidden", "channels", "average"}, "a new setting needs new kinds"
@@ -392,7 +395,8 @@ def test_both_commands_write_the_same_model(smoke: Trained, tmp_path: Path, comm
 
 
 def test_the_program_says_which_formats_the_package_has(tmp_path: Path) -> None:
-    wrong = subprocess.run([*PROGRAM, "export", "--format", "lerobot", "x", tmp_path / "y"], capture_output=True, text=True)
+    command = [*PROGRAM, "export", "--format", "lerobot", "x", tmp_path / "y"]
+    wrong = subprocess.run(command, capture_output=True, text=True)
     assert wrong.returncode == 2 and "the Python package (pip install .) also exports datasets" in wrong.stderr
 
 

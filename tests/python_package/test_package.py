@@ -431,7 +431,9 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         "plot key": lambda: harness.plot(x="latents", y="r2", results=results),
         "plot metric": lambda: harness.plot(x="latent", y="R2", results=results),
         "plot ending": lambda: harness.plot(x="latent", y="r2", output="plot.pdf", results=results),
-        "plot series": lambda: harness.plot(x="latent", y="r2", facet="scenario", output=results / "none.svg", results=results),
+        "plot series": lambda: harness.plot(
+            x="latent", y="r2", facet="scenario", output=results / "none.svg", results=results
+        ),
         "plot of nothing": lambda: harness.plot("smoke", x="latent", y="r2", modality="vision", results=results),
         "plotted experiment": lambda: harness.plot("nothing", x="latent", y="r2", results=results),
         "reported experiment": lambda: harness.report("nothing", results=results, progress=False),
@@ -546,7 +548,12 @@ WORLDS = {
     "no camera": ("twelve.yaml", "camera: wrist", "camera: waist", r"twelve.yaml:\d+:\d+: .*waist"),
     "not a world": ("twelve.yaml", "step_rate_hz", "steps_hz", r"twelve.yaml:\d+:\d+: .*steps_hz"),
     "model": ("twelve.xml", "<worldbody>", "<worldbodies>", "twelve.xml does not compile: "),
-    "rate": ("twelve.yaml", "sample_rate_hz: 10", "sample_rate_hz: 9.9", "simulation.sample_rate_hz: |9.9 Hz does not divide"),
+    "rate": (
+        "twelve.yaml",
+        "sample_rate_hz: 10",
+        "sample_rate_hz: 9.9",
+        "simulation.sample_rate_hz: |9.9 Hz does not divide",
+    ),
 }
 """Mistakes in a world: the file, what it has, what it gets instead, and the message."""
 
@@ -707,8 +714,8 @@ def test_what_is_returned_has_the_types_of_the_stubs(
     for stub in stubs:
         if isinstance(stub, ast.ClassDef):
             functions |= {f"{stub.name}.{part.name}": part for part in stub.body if isinstance(part, ast.FunctionDef)}
-    # What makes an object returns one of its own class, `main` prints, pickling is tested elsewhere, and a table returns a
-    # capsule.
+    # What makes an object returns one of its own class, `main` prints, pickling is tested elsewhere, and a table
+    # returns a capsule.
     left_out = {"main", "Dataset.__new__", "Model.__new__", "SimulationBatch.__new__", "Table.__arrow_c_stream__"}
     left_out |= {"Dataset.__reduce__", "Model.__reduce__"}
     for name in sorted(functions.keys() - left_out):

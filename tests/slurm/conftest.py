@@ -1,7 +1,8 @@
 """A Slurm cluster of four nodes on this machine, in a folder of its own.
 
-It needs root and Debian's packages slurmctld, slurmd, slurm-client and munge. Nothing of the machine's own configuration is
-read or changed: munge has its own key and socket, and Slurm's programs are told where their configuration lies.
+It needs root and Debian's packages slurmctld, slurmd, slurm-client and munge. Nothing of the machine's own
+configuration is read or changed: munge has its own key and socket, and Slurm's programs are told where their
+configuration lies.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""An experiment on a Slurm cluster whose tasks are killed in every way ends complete, with the results of an undisturbed one."""
+"""An experiment on a Slurm cluster whose tasks are killed in every way ends with the results of an undisturbed one."""
 
 import csv
 import os
@@ -12,7 +12,8 @@ import conftest
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "debug/harness"
-SPEC = ["experiments/smoke.yaml", f"seeds={list(range(20))}", "tasks=[prediction]", "training.epochs=250", "training.patience=null"]
+SPEC = ["experiments/smoke.yaml", f"seeds={list(range(20))}", "tasks=[prediction]"]
+SPEC += ["training.epochs=250", "training.patience=null"]
 RUNS = 40
 TASKS = 8
 

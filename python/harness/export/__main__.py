@@ -45,7 +45,11 @@ def main(words: list[str] | None = None) -> int:
         misplaced = [option for option, value in of_runs.items() if value]
         misplaced += ["--task"] * bool(arguments.task)
     elif arguments.format == "onnx":
-        others = {"--episodes": arguments.episodes, "--condition": arguments.condition, "--artifacts": arguments.artifacts}
+        others = {
+            "--episodes": arguments.episodes,
+            "--condition": arguments.condition,
+            "--artifacts": arguments.artifacts,
+        }
         misplaced = [option for option, value in others.items() if value]
     else:
         misplaced = ["--episodes"] * bool(arguments.episodes) + ["--task"] * bool(arguments.task)
