@@ -215,7 +215,7 @@ impl Setting {
     }
 
     /// Whether the setting applies to the runs of an experiment.
-    pub fn is_about(&self, experiment: &str) -> bool {
+    pub(crate) fn is_about(&self, experiment: &str) -> bool {
         self.experiment.as_ref().is_none_or(|name| name == experiment)
     }
 

@@ -45,7 +45,7 @@ pub enum QueryError {
 
 impl QueryError {
     /// Whether a file is missing because its run was removed.
-    pub fn is_of_removed_run(&self) -> bool {
+    pub(crate) fn is_of_removed_run(&self) -> bool {
         let Self::Registry(RegistryError::File { path, .. }) = self else { return false };
         path.parent().is_some_and(|folder| !folder.exists())
     }

@@ -20,21 +20,21 @@ pub const COLUMN: f64 = 241.0;
 const PNG_SCALE: f32 = 600.0 / 72.0;
 
 /// Color of text, axes and outlines.
-pub const BLACK: &str = "#1a1a1a";
+pub(crate) const BLACK: &str = "#1a1a1a";
 /// Color of remarks and thin outlines.
-pub const GRAY: &str = "#767676";
+pub(crate) const GRAY: &str = "#767676";
 /// Color of grid lines and shaded rows.
-pub const PALE: &str = "#e4e4e4";
+pub(crate) const PALE: &str = "#e4e4e4";
 /// Color of the page.
-pub const WHITE: &str = "#ffffff";
+pub(crate) const WHITE: &str = "#ffffff";
 /// Blue of Okabe and Ito's palette, whose colors color-blind people can tell apart.
-pub const BLUE: &str = "#0072b2";
+pub(crate) const BLUE: &str = "#0072b2";
 /// Vermilion of Okabe and Ito's palette.
-pub const VERMILION: &str = "#d55e00";
+pub(crate) const VERMILION: &str = "#d55e00";
 /// Green of Okabe and Ito's palette.
-pub const GREEN: &str = "#009e73";
+pub(crate) const GREEN: &str = "#009e73";
 /// Wine of Tol's palette, used together with [`GREEN`].
-pub const WINE: &str = "#882255";
+pub(crate) const WINE: &str = "#882255";
 
 /// A position `[x, y]` in points from the page's upper left corner. `y` grows downwards.
 pub type Point = [f64; 2];
@@ -57,7 +57,7 @@ impl Stroke {
     }
 
     /// The same line, dashed.
-    pub const fn dashed(self) -> Self {
+    pub(crate) const fn dashed(self) -> Self {
         Self { dashed: true, ..self }
     }
 
@@ -102,9 +102,9 @@ impl Type {
     pub const LABEL: Type =
         Type { size: 7.0, face: Face::Regular, color: BLACK, anchor: Anchor::Middle, upright: false };
     /// Numbers at ticks, and notes.
-    pub const SMALL: Type = Type { size: 6.2, ..Self::LABEL };
+    pub(crate) const SMALL: Type = Type { size: 6.2, ..Self::LABEL };
     /// Headings.
-    pub const BOLD: Type = Type { size: 7.5, face: Face::Bold, anchor: Anchor::Start, ..Self::LABEL };
+    pub(crate) const BOLD: Type = Type { size: 7.5, face: Face::Bold, anchor: Anchor::Start, ..Self::LABEL };
 
     /// The same type, with the text's beginning at the point.
     pub const fn start(self) -> Self {
@@ -127,7 +127,7 @@ impl Type {
     }
 
     /// The same type, reading upwards.
-    pub const fn upright(self) -> Self {
+    pub(crate) const fn upright(self) -> Self {
         Self { upright: true, ..self }
     }
 

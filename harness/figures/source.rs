@@ -128,7 +128,7 @@ impl<'a> Source<'a> {
     ///
     /// # Errors
     /// When there are no such runs, runs of one reading differ in settings, or the query fails or has no rows.
-    pub fn query_readings(&self, sql: &str) -> Result<DataFrame, FigureError> {
+    pub(crate) fn query_readings(&self, sql: &str) -> Result<DataFrame, FigureError> {
         let experiment = &self.experiments.readings;
         let runs = self.analysis.runs(experiment);
         let mut readings: BTreeMap<_, Vec<&Run>> = BTreeMap::new();
@@ -203,7 +203,7 @@ impl<'a> Runs<'a> {
     }
 
     /// The error that the runs have nothing for a figure.
-    pub fn no_rows(&self) -> FigureError {
+    pub(crate) fn no_rows(&self) -> FigureError {
         no_rows(self.analysis, &self.experiment)
     }
 
@@ -280,7 +280,7 @@ fn null_in(column: &str) -> FigureError {
 ///
 /// # Errors
 /// When the column is missing or can't be cast to numbers.
-pub fn reals(table: &DataFrame, column: &str) -> Result<Vec<Option<f64>>, FigureError> {
+pub(crate) fn reals(table: &DataFrame, column: &str) -> Result<Vec<Option<f64>>, FigureError> {
     let values = table.column(column)?.cast(&DataType::Float64)?;
     Ok(values.f64()?.iter().collect())
 }
@@ -289,7 +289,7 @@ pub fn reals(table: &DataFrame, column: &str) -> Result<Vec<Option<f64>>, Figure
 ///
 /// # Errors
 /// When one of the columns is missing or isn't numeric.
-pub fn replicated(table: &DataFrame) -> Result<Vec<(u64, Option<f64>)>, FigureError> {
+pub(crate) fn replicated(table: &DataFrame) -> Result<Vec<(u64, Option<f64>)>, FigureError> {
     let seeds = integers(table, "dataset_seed")?.into_iter().map(|seed| seed as u64);
     Ok(seeds.zip(reals(table, "value")?).collect())
 }

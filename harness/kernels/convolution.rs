@@ -19,7 +19,7 @@ const KERNEL: usize = 4;
 /// Stride of the convolution in pixels.
 const STRIDE: usize = 2;
 /// Number of weights for one pair of channels.
-pub const TAPS: usize = KERNEL * KERNEL;
+const TAPS: usize = KERNEL * KERNEL;
 /// A place is the position of a pixel in a row. Rows have room for whole groups of this many coarse places. At most
 /// this many are computed at once.
 const PLACES: usize = 4;
@@ -205,7 +205,7 @@ impl Images {
     }
 
     /// Returns the number of values of one image.
-    pub fn image_len(&self) -> usize {
+    fn image_len(&self) -> usize {
         self.channels * self.size[0] * self.size[1]
     }
 

@@ -38,19 +38,19 @@ impl State {
     }
 
     /// The losses of the epochs so far, in order.
-    pub fn into_epochs(self) -> Vec<Epoch> {
+    pub(crate) fn into_epochs(self) -> Vec<Epoch> {
         self.epochs
     }
 
     /// Returns the epoch with the lowest validation loss, counted from 1; 0 before the first epoch. Without validation
     /// losses, that is the first epoch.
-    pub fn best_epoch(&self) -> usize {
+    pub(crate) fn best_epoch(&self) -> usize {
         self.lowest.get(TOTAL).map_or(self.epochs.len().min(1), |(_, epoch)| *epoch)
     }
 
     /// Returns the last epoch, counted from 1, in which the validation error of some output modality reached a new
     /// minimum; 0 before the first epoch.
-    pub fn last_improvement(&self) -> usize {
+    pub(crate) fn last_improvement(&self) -> usize {
         let outputs = self.lowest.iter().filter(|(term, _)| ![TOTAL, KL].contains(&term.as_str()));
         outputs.map(|(_, (_, epoch))| *epoch).max().unwrap_or_default()
     }
@@ -82,7 +82,7 @@ impl State {
     ///
     /// # Errors
     /// When a parameter can't be set.
-    pub fn restore_best(&self, parameters: &Parameters) -> CandleResult<()> {
+    pub(crate) fn restore_best(&self, parameters: &Parameters) -> CandleResult<()> {
         self.best.iter().try_for_each(|(name, tensor)| match parameters.get(name) {
             Some(parameter) => parameter.set(tensor),
             None => Ok(()),
@@ -163,7 +163,7 @@ impl StateFile {
     ///
     /// # Errors
     /// When the state can't be copied or written.
-    pub fn save_now_and_then(
+    pub(crate) fn save_now_and_then(
         &self,
         state: &State,
         parameters: &Parameters,
@@ -181,7 +181,7 @@ impl StateFile {
     ///
     /// # Errors
     /// When the file can't be written.
-    pub fn save_kept(&self, state: &State) -> Result<(), LearningError> {
+    pub(crate) fn save_kept(&self, state: &State) -> Result<(), LearningError> {
         let (Some(path), Some((tensors, steps))) = (&self.path, self.kept.take()) else { return Ok(()) };
         let begin = Instant::now();
         let mut note = Map::new();

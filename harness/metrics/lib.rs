@@ -45,7 +45,7 @@ impl Direction {
 
     /// Returns the name for all elements with this unit, of a modality whose elements have different units. Names of
     /// other groups contain no space.
-    pub fn in_unit(unit: &str) -> Self {
+    fn in_unit(unit: &str) -> Self {
         Self::new(&format!("in {}", if unit.is_empty() { "no unit" } else { unit }))
     }
 
@@ -84,7 +84,7 @@ pub enum Metric {
 
 impl Metric {
     /// The metrics that do not belong to a region.
-    pub const GENERAL: [Metric; 6] = {
+    const GENERAL: [Metric; 6] = {
         use Metric::*;
         [Smape, Wmape, R2, Rmse, Mae, RelativeError]
     };

@@ -58,7 +58,7 @@ pub(super) enum Origin {
 
 impl Origin {
     /// The beginning of the file.
-    pub const START: Self = Self::File { line: 1, column: 1 };
+    pub(crate) const START: Self = Self::File { line: 1, column: 1 };
 
     /// Returns a parser's location, or the beginning of the file if the location is unknown.
     pub fn at(location: Location) -> Self {

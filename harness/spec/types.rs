@@ -381,7 +381,7 @@ impl Split {
     /// The default gap of a split by time, s: five actuations of the default duration. The autocorrelation of the
     /// finger's angles is 0.19 after 1 s, 0.04 after 2 s and 0.00 after 5 s (cluttered scenario). Samples before and
     /// after the gap therefore have only the positions of the pushed boxes in common.
-    pub const GAP_SECONDS: f64 = 5.0;
+    pub(crate) const GAP_SECONDS: f64 = 5.0;
 
     /// Divides `all` episodes or transitions; `None` if none would be left for training.
     pub fn counts(&self, all: usize) -> Option<SplitCounts> {
@@ -424,7 +424,7 @@ pub struct Window {
 }
 
 /// Largest context and horizon.
-pub const MAX_WINDOW: usize = 1000;
+const MAX_WINDOW: usize = 1000;
 /// Numbers of samples after the present one at which predictions are judged.
 const HORIZONS: [usize; 9] = [1, 2, 5, 10, 20, 50, 100, 200, 500];
 
@@ -439,7 +439,7 @@ impl Window {
     pub const TRANSITION: Self = Self { context: 1, horizon: 1 };
 
     /// Whether this is [`Window::TRANSITION`], which specs do not store.
-    pub fn is_transition(&self) -> bool {
+    pub(crate) fn is_transition(&self) -> bool {
         *self == Self::TRANSITION
     }
 

@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, LazyLock};
 
 /// The longest side of an image that a world can declare, pixels.
-pub const MAX_IMAGE_SIDE: usize = 1024;
+const MAX_IMAGE_SIDE: usize = 1024;
 
 /// Entries of a section of a file, as names and values in the file's order.
 #[derive(Debug, Clone, PartialEq)]

@@ -14,7 +14,7 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 /// Key in a file's metadata of the columns' units and meanings, as JSON.
-pub const COLUMNS_KEY: &str = "harness.columns";
+const COLUMNS_KEY: &str = "harness.columns";
 
 /// The provenance of a table by key. It is written to the file's metadata.
 pub type Stamp = BTreeMap<String, String>;

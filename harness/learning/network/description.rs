@@ -223,7 +223,7 @@ pub enum Activation {
 
 impl Activation {
     /// Returns ReLU if `relu`, and none otherwise.
-    pub fn relu_if(relu: bool) -> Self {
+    pub(crate) fn relu_if(relu: bool) -> Self {
         if relu { Self::Relu } else { Self::None }
     }
 }
@@ -238,7 +238,7 @@ impl Convolution {
 
 impl Layer {
     /// Describes the values `inputs` side by side, of `width` in all.
-    pub fn concatenate(name: &str, inputs: &[&str], width: usize) -> Self {
+    pub(crate) fn concatenate(name: &str, inputs: &[&str], width: usize) -> Self {
         Self {
             name: name.to_owned(),
             operation: Operation::Concatenate,
