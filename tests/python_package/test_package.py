@@ -737,7 +737,8 @@ def test_further_horizons_change_no_other_table(tmp_path: Path) -> None:
     count = "select task, model, metric, count(*) as rows from metrics group by all order by all"
     assert harness.query(count, near).equals(harness.query(count, far))
     assert harness.compare(results=near).shape == harness.compare(results=far).shape
-    both = "select horizon, count(*) as rows from all_metrics where task = 'prediction' group by horizon order by horizon"
+    both = "select horizon, count(*) as rows from all_metrics where task = 'prediction'"
+    both += " group by horizon order by horizon"
     rows = harness.query(both, far)
     assert rows["horizon"].to_list() == [1, 2, 3]
     assert rows["rows"].to_list() == harness.query(both, near)["rows"].to_list() * 3
