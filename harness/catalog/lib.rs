@@ -217,6 +217,9 @@ fn run_table(
 }
 
 /// The rows of all frames; `None` without frames.
+///
+/// # Errors
+/// When the frames have different columns.
 pub fn one_after_the_other(mut frames: Vec<LazyFrame>) -> PolarsResult<Option<LazyFrame>> {
     match frames.len() {
         0 | 1 => Ok(frames.pop()),
