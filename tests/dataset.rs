@@ -165,7 +165,7 @@ fn an_episode_comes_back_as_it_was_simulated() {
     // The table does not contain the places of the boxes and the name of the renderer.
     let expected = Episode { boxes: Vec::new(), renderer: String::new(), ..simulated };
     assert!(collected.dataset.read(2, true).unwrap() == expected);
-    let without_frames = expected.clone().without_images();
+    let without_frames = Episode { images: vec![Vec::new(); expected.images.len()], ..expected.clone() };
     assert!(collected.dataset.read(2, false).unwrap() == without_frames);
 
     let samples = collected.dataset.load(FramePlace::Memory, &Silent).unwrap();

@@ -11,7 +11,7 @@ use harness::figures::source::{integers, texts};
 use harness::registry::Registry;
 use harness::simulation::Scene;
 use harness::spec::{Modality, Scenario, Simulation};
-use harness::tables::read_table;
+use harness::tables::TableFile;
 use polars::prelude::*;
 use resvg::usvg::{self, roxmltree};
 use std::collections::{BTreeMap, BTreeSet};
@@ -495,7 +495,7 @@ fn forces_and_frames_are_those_of_the_dataset() {
     let episodes: Vec<_> = (0..EPISODES).map(|index| dataset.read(index, true).unwrap()).collect();
     let run = fs::read_dir(results.join("runs/multi_to_multi")).unwrap().next().unwrap().unwrap().path();
 
-    let forces = read_table(&run.join("forces.parquet"), None).unwrap();
+    let forces = TableFile::open(&run.join("forces.parquet")).unwrap().table(None).unwrap();
     // There are two kinds of force on 20 links: first for the whole dataset, then for each episode.
     assert_eq!(forces.height(), 2 * (1 + EPISODES as usize) * 20);
     let whole = (None, &episodes[..]);
@@ -522,7 +522,7 @@ fn forces_and_frames_are_those_of_the_dataset() {
         }
     }
 
-    let frames = read_table(&run.join("frames.parquet"), None).unwrap();
+    let frames = TableFile::open(&run.join("frames.parquet")).unwrap().table(None).unwrap();
     let rows = |task: &str| {
         (0..frames.height()).filter(|row| text(&frames, "task", *row) == task).collect::<Vec<_>>()
     };

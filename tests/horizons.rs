@@ -2,7 +2,7 @@
 
 use crate::common::{SMOKE, finish, fresh, harness, succeed};
 use harness::schema::{GIVEN, HORIZON, Table};
-use harness::tables::{Stamp, read_table, write_table};
+use harness::tables::{Stamp, TableFile, write_table};
 use harness::{catalog, registry::Registry, seal};
 use polars::prelude::*;
 use serde_json::{Value, json};
@@ -69,7 +69,12 @@ fn add_further_rows(run: &Path) {
         if !usual.exists() {
             continue;
         }
-        let rows = read_table(&usual, None).unwrap().lazy().with_column(col(value) + lit(1000.0));
+        let rows = TableFile::open(&usual)
+            .unwrap()
+            .table(None)
+            .unwrap()
+            .lazy()
+            .with_column(col(value) + lit(1000.0));
         let with = |horizon: i64, given: Option<&'static str>| {
             let given = given.map_or(lit(NULL).cast(DataType::String), lit);
             rows.clone().with_columns([lit(horizon).alias(HORIZON), given.alias(GIVEN)])

@@ -12,7 +12,7 @@ use harness::registry::{Registry, RegistryError};
 use harness::schema::Table;
 use harness::simulation::Scene;
 use harness::spec::{Scenario, Simulation};
-use harness::tables::{TableError, read_table};
+use harness::tables::{TableError, TableFile};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::{Path, PathBuf};
@@ -141,7 +141,9 @@ fn a_damaged_table_gives_no_answer() {
                 message.contains(&name) && message.contains(" verify` says how to repair it"),
                 "{what}: {message}"
             );
-            let error = read_table(&copy.run("empty").join(&name), None).expect_err(what);
+            let error = TableFile::open(&copy.run("empty").join(&name))
+                .and_then(|file| file.table(None))
+                .expect_err(what);
             assert!(matches!(error, TableError::Read { .. }), "{what}: {error}");
         });
         query(&registry, &sql).unwrap();

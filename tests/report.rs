@@ -7,7 +7,7 @@ use harness::figures::Figure;
 use harness::numbers::duration;
 use harness::registry::Registry;
 use harness::seal::{self, hex};
-use harness::tables::{read_table, write_table};
+use harness::tables::{TableFile, write_table};
 use polars::prelude::{Column, CsvReader, DataType, IntoColumn, SerReader};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
@@ -658,7 +658,7 @@ pub static HOSTILE_PAGE: LazyLock<(PathBuf, String)> = LazyLock::new(|| {
     }
     record["spec"]["variant"] = HOSTILE.into();
     let path = run.join("epochs.parquet");
-    let mut epochs = read_table(&path, None).unwrap();
+    let mut epochs = TableFile::open(&path).unwrap().table(None).unwrap();
     for (column, value) in [("experiment", name.as_str()), ("run", &name), ("term", HOSTILE)] {
         let values: Column = Column::new(column.into(), vec![value; epochs.height()]);
         epochs.with_column(values.into_column()).unwrap();

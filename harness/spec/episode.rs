@@ -46,11 +46,6 @@ impl Episode {
     pub fn image(&self, modality: Modality) -> &[u8] {
         self.layout.position(modality).map_or(&[], |index| &self.images[index])
     }
-
-    /// Returns the episode with all images removed.
-    pub fn without_images(self) -> Self {
-        Self { images: vec![Vec::new(); self.layout.modalities.len()], ..self }
-    }
 }
 
 /// Prints the index and the number of samples, but not the arrays, which are large.

@@ -183,14 +183,6 @@ pub fn read_footer(path: &Path) -> Result<Footer, TableError> {
     TableFile::open(path)?.footer()
 }
 
-/// Reads the given columns of a table, or all columns.
-///
-/// # Errors
-/// When the file can't be read or is damaged, or a column is missing.
-pub fn read_table(path: &Path, columns: Option<Vec<String>>) -> Result<DataFrame, TableError> {
-    TableFile::open(path)?.table(columns)
-}
-
 fn unreadable(path: &Path, error: impl std::fmt::Display) -> TableError {
     TableError::Read { path: path.to_owned(), reason: error.to_string() }
 }
