@@ -395,8 +395,9 @@ def test_both_commands_write_the_same_model(smoke: Trained, tmp_path: Path, comm
 
 
 def test_the_program_says_which_formats_the_package_has(tmp_path: Path) -> None:
-    command = [*PROGRAM, "export", "--format", "lerobot", "x", tmp_path / "y"]
-    wrong = subprocess.run(command, capture_output=True, text=True)
+    wrong = subprocess.run(
+        [*PROGRAM, "export", "--format", "lerobot", "x", tmp_path / "y"], capture_output=True, text=True
+    )
     assert wrong.returncode == 2 and "the Python package (pip install .) also exports datasets" in wrong.stderr
 
 
