@@ -10,6 +10,7 @@ mod cluster;
 mod compacted;
 mod compare;
 mod cycles;
+mod external;
 mod figures;
 mod foreign;
 mod formats;

@@ -78,7 +78,7 @@ impl Place {
         Self {
             vision,
             cluttered: spec.scenario == Scenario::CLUTTERED.into(),
-            size: sizes.iter().position(|latent| *latent == spec.latent).unwrap(),
+            size: sizes.iter().position(|latent| Some(*latent) == spec.latent()).unwrap(),
         }
     }
 }
@@ -175,7 +175,7 @@ fn persistence_wmape(place: Place, index: Option<u32>) -> f64 {
 fn outcome(says: Says, spec: &RunSpec) -> Outcome {
     let place = Place::of(spec);
     // Seeds and latent sizes differ slightly, like those of real runs.
-    let noise = 1e-3 * ((spec.seed * 7 + spec.latent as u64 * 3) % 5) as f64;
+    let noise = 1e-3 * ((spec.seed * 7 + spec.latent().unwrap() as u64 * 3) % 5) as f64;
     let error = |[same, opposite]: [f64; 2]| says.error(same, opposite, noise);
     let mut metrics = Vec::new();
     let mut push = |model, of: Of, metric, value| {
@@ -504,7 +504,7 @@ fn forces_are_read_from_one_run_of_each_dataset() {
     let expected = values(&registry);
     let mut removed = 0;
     for record in registry.records() {
-        if (record.spec.latent, record.spec.seed) != (2, 0) {
+        if (record.spec.latent(), record.spec.seed) != (Some(2), 0) {
             let run = folder.path().join("runs").join(&record.experiment).join(&record.run);
             std::fs::remove_file(run.join("forces.parquet")).unwrap();
             removed += 1;

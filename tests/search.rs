@@ -73,7 +73,7 @@ impl Case {
         let mut epochs = BTreeMap::new();
         for record in &records {
             assert_eq!(record.status, Status::Done);
-            let training = &record.spec.training;
+            let training = &record.spec.trained().unwrap().training;
             let trained = training.last_epoch.unwrap_or(training.epochs);
             assert_eq!(epochs.insert(record.spec.trial().unwrap(), trained), None, "each trial counts once");
         }
@@ -291,11 +291,9 @@ fn the_commands_after_a_search_work() {
     let records = Registry::new(case.path()).records();
     let alone: Vec<_> = records.iter().filter(|record| record.spec.trial().is_none()).collect();
     assert_eq!(alone.len(), 1);
-    let same = records.iter().filter(|record| {
-        record.spec.trial().is_some()
-            && record.spec.training == alone[0].spec.training
-            && record.spec.network == alone[0].spec.network
-    });
+    let same = records
+        .iter()
+        .filter(|record| record.spec.trial().is_some() && record.spec.model == alone[0].spec.model);
     assert_eq!(same.count(), 1);
 }
 

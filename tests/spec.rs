@@ -752,9 +752,16 @@ fn a_given_varied_setting_is_tried_with_that_value_alone() {
     );
     let tried = |overrides: &[&str], quick| -> Vec<(usize, f64)> {
         let runs = load_with(&text, overrides, quick).unwrap().runs();
-        let settings = runs.iter().map(|run| (run.training.epochs, run.training.kl_weight)).collect();
+        let settings = runs
+            .iter()
+            .map(|run| (run.trained().unwrap().training.epochs, run.trained().unwrap().training.kl_weight))
+            .collect();
         let named = |run: &spec::RunSpec| {
-            format!("epochs={},kl_weight={}", run.training.epochs, run.training.kl_weight)
+            format!(
+                "epochs={},kl_weight={}",
+                run.trained().unwrap().training.epochs,
+                run.trained().unwrap().training.kl_weight
+            )
         };
         assert!(runs.iter().all(|run| run.variant == named(run)), "{settings:?}");
         settings
@@ -892,9 +899,9 @@ fn runs_expand_by_every_combination_of_what_varies() {
         ]
     );
     let run = &runs[3];
-    assert_eq!((run.training.kl_weight, run.action), (0.01, Action::Target));
-    assert_eq!(run.training.loss_weights[&Modality::CONTACT_FORCE], 2.5);
-    assert_eq!(run.training.loss_weights[&Modality::PROPRIOCEPTION], 1.0);
+    assert_eq!((run.trained().unwrap().training.kl_weight, run.action), (0.01, Action::Target));
+    assert_eq!(run.trained().unwrap().training.loss_weights[&Modality::CONTACT_FORCE], 2.5);
+    assert_eq!(run.trained().unwrap().training.loss_weights[&Modality::PROPRIOCEPTION], 1.0);
 }
 
 #[test]
@@ -904,7 +911,7 @@ fn what_varies_may_change_the_modalities() {
     let runs = load(&text).runs();
     assert_eq!(runs[2].variant, "output=contact_force+arm");
     assert_eq!(runs[2].output, [Modality::ARM, Modality::CONTACT_FORCE]);
-    let weights: Vec<_> = runs[2].training.loss_weights.keys().copied().collect();
+    let weights: Vec<_> = runs[2].trained().unwrap().training.loss_weights.keys().copied().collect();
     assert_eq!(weights, [Modality::ARM, Modality::CONTACT_FORCE]);
 }
 
@@ -992,7 +999,11 @@ fn an_ablation_of_images_keeps_the_convolutions_of_its_spec() {
     let runs = load(&format!("{text}vary: {{input: [[proprioception], [proprioception, vision]]}}\n")).runs();
     let of_network = |input: &str| {
         let run = runs.iter().find(|run| run.variant == format!("input={input}")).unwrap();
-        (run.network.channels().to_vec(), run.network.average, run.check(&Layout::finger()))
+        (
+            run.trained().unwrap().network.channels().to_vec(),
+            run.trained().unwrap().network.average,
+            run.check(&Layout::finger()),
+        )
     };
     assert_eq!(of_network("proprioception"), (vec![], 1, Ok(())));
     assert_eq!(of_network("proprioception+vision"), (vec![4], 2, Ok(())));
@@ -1000,7 +1011,8 @@ fn an_ablation_of_images_keeps_the_convolutions_of_its_spec() {
     let text =
         base_with("network: {preset: multi_to_multi}").replace("[proprioception, arm]", "proprioception");
     let runs = load(&format!("{text}vary: {{input: [[proprioception], [proprioception, vision]]}}\n")).runs();
-    let channels: Vec<usize> = runs.iter().flat_map(|run| run.network.channels()).copied().collect();
+    let channels: Vec<usize> =
+        runs.iter().flat_map(|run| run.trained().unwrap().network.channels()).copied().collect();
     assert_eq!(channels, [16].repeat(4));
     let yaml = load(&text).to_yaml();
     assert_eq!(load(&yaml), load(&text));
@@ -1051,7 +1063,9 @@ fn a_reading_weights_outputs_that_only_some_roles_have() {
         let runs = load(&text).runs();
         let of_role = |run: &&spec::RunSpec| run.variant.contains(role) && run.variant.contains("heavy");
         let run = runs.iter().find(of_role).unwrap();
-        run.training
+        run.trained()
+            .unwrap()
+            .training
             .loss_weights
             .iter()
             .map(|(modality, weight)| (modality.name(), *weight))
@@ -1089,10 +1103,10 @@ fn each_reading_changes_one_choice_for_every_role_and_dataset() {
     for run in &runs {
         let reading = run.reading().unwrap();
         assert_eq!(run.action == Action::Target, reading == "target");
-        assert_eq!(run.training.epochs, if reading == "long" { 7 } else { 200 });
+        assert_eq!(run.trained().unwrap().training.epochs, if reading == "long" { 7 } else { 200 });
         assert_eq!(run.split.by == Division::Time, reading == "long");
         assert_eq!(run.output.len(), if run.role() == Some("small") { 1 } else { 2 });
-        assert_eq!(run.training.loss_weights.len(), run.output.len());
+        assert_eq!(run.trained().unwrap().training.loss_weights.len(), run.output.len());
     }
     assert_eq!(runs.iter().map(|run| run.dataset_seed()).collect::<Vec<_>>(), [0, 5].repeat(6));
     let plain = &load(BASE).runs()[0];
@@ -1102,7 +1116,7 @@ fn each_reading_changes_one_choice_for_every_role_and_dataset() {
 #[test]
 fn a_setting_that_is_given_counts_in_every_reading_and_role() {
     let runs = load_with(readings(), &["training.epochs=3", "latent=[8]"], false).unwrap().runs();
-    assert!(runs.iter().all(|run| run.training.epochs == 3 && run.latent == 8));
+    assert!(runs.iter().all(|run| run.trained().unwrap().training.epochs == 3 && run.latent() == Some(8)));
     assert!(runs.iter().any(|run| run.split.by == Division::Time), "the rest of a reading stays");
 }
 

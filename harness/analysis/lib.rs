@@ -514,7 +514,7 @@ impl Experiment {
             (
                 spec.scenario.clone(),
                 spec.variant.clone(),
-                spec.latent,
+                spec.latent(),
                 settings,
                 spec.seed,
                 run.record.run.clone(),

@@ -182,7 +182,7 @@ impl Analysis {
                 scenario: spec.scenario.clone(),
                 variant: spec.variant.clone(),
                 settings: settings.clone(),
-                latent: (row.model == NETWORK).then_some(spec.latent),
+                latent: spec.latent().filter(|_| row.model == NETWORK),
                 task: row.task,
                 modality: row.modality,
                 direction: row.direction,

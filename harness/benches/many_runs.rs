@@ -94,7 +94,8 @@ fn write(
 }
 
 fn outcome(spec: &RunSpec) -> Result<Outcome, Box<dyn Error>> {
-    let size = spec.latent as u64;
+    let trained = spec.trained().expect("an experiment trains its networks");
+    let size = trained.latent as u64;
     let mut random =
         ChaCha8Rng::seed_from_u64(spec.seed * 1000 + size * 2 + u64::from(spec.scenario.name() == "empty"));
     let mut outcome = Outcome {
@@ -106,7 +107,7 @@ fn outcome(spec: &RunSpec) -> Result<Outcome, Box<dyn Error>> {
         let output = if *task == Task::Prediction { &spec.output } else { &spec.input };
         outcome
             .epochs
-            .extend((1..=spec.training.epochs).map(|epoch| (*task, losses(epoch, output, &mut random))));
+            .extend((1..=trained.training.epochs).map(|epoch| (*task, losses(epoch, output, &mut random))));
         for modality in output {
             judge(*task, *modality, &mut outcome, &mut random)?;
         }

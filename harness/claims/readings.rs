@@ -132,7 +132,8 @@ impl<'a> Readings<'a> {
     /// The claim's latent sizes for which the reading has runs. An experiment without any keeps all of its sizes.
     fn sizes(&self, claim: &Claim, reading: &str) -> Sizes {
         let of = |(role, asked): (&String, &BTreeSet<usize>)| {
-            let there: BTreeSet<usize> = self.runs(reading, role).map(|run| run.record.spec.latent).collect();
+            let there: BTreeSet<usize> =
+                self.runs(reading, role).filter_map(|run| run.record.spec.latent()).collect();
             let there: BTreeSet<usize> = there.intersection(asked).copied().collect();
             (role.clone(), if there.is_empty() { asked.clone() } else { there })
         };

@@ -6,11 +6,12 @@ use harness::spec::{Layout, RunSpec, Task};
 use std::sync::Arc;
 
 /// A table of the layers that a run trains: name, shape of the output for one sample, and number of parameters. After
-/// the layers of each task follows the total number of its parameters.
+/// the layers of each task follows the total number of its parameters. It is empty for an external model.
 pub fn table(spec: &RunSpec, layout: &Arc<Layout>) -> Result<String> {
     let mut lines = vec![["layer".to_owned(), "output".to_owned(), "parameters".to_owned()]];
+    let Some(trained) = spec.trained() else { return Ok(String::new()) };
     for &task in &spec.tasks {
-        let summary = architecture(spec, layout, task).summary()?;
+        let summary = architecture(spec, trained, layout, task).summary()?;
         // The reconstruction uses the trained encoder of the prediction, which is frozen.
         let parts = match task {
             Task::Prediction => vec![("encoder", summary.encoder), ("decoder", summary.decoder)],

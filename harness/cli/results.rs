@@ -21,7 +21,8 @@ struct Row {
     task: String,
     scenario: String,
     variant: String,
-    latent: u32,
+    /// `None` for an external model.
+    latent: Option<u32>,
     modality: String,
     direction: Option<String>,
     metric: String,
@@ -70,7 +71,7 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
             row.task,
             row.scenario,
             row.variant.replace(',', ", "),
-            format!("latent {}", row.latent),
+            row.latent.map(|latent| format!("latent {latent}")).unwrap_or_default(),
             row.modality.replace('_', " "),
             row.direction.unwrap_or_default(),
             Style::Text.metric(&row.metric, &row.unit),

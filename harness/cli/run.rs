@@ -298,7 +298,8 @@ fn print_results(
 fn comparable<'p, 'a>(plan: &'p [&'a Planned]) -> impl Iterator<Item = &'p [&'a Planned]> {
     let measured = |planned: &'a Planned| {
         let spec = &planned.spec;
-        (&spec.simulation, &spec.split, &spec.output, &spec.scaling, &spec.training.losses)
+        let losses = spec.trained().map(|trained| &trained.training.losses);
+        (&spec.simulation, &spec.split, &spec.output, &spec.scaling, losses)
     };
     let scenarios = plan.chunk_by(|a, b| a.spec.scenario == b.spec.scenario);
     scenarios.filter(move |runs| runs.iter().all(|run| measured(run) == measured(runs[0])))

@@ -64,8 +64,10 @@ fn cell(experiment: &Experiment, run: &RunSpec) -> Vec<String> {
     {
         overrides.push(format!("scenarios=[{}]", String::from(origin.clone())));
     }
-    if experiment.latent.len() > 1 {
-        overrides.push(format!("latent=[{}]", run.latent));
+    if experiment.latent.len() > 1
+        && let Some(latent) = run.latent()
+    {
+        overrides.push(format!("latent=[{latent}]"));
     }
     overrides.extend(experiment.varied(run).into_iter().map(|(key, value)| format!("{key}={value}")));
     overrides

@@ -138,7 +138,7 @@ fn row(folder: &Path, record: &RunRecord) -> [String; 7] {
         let value = own.last().and_then(|epoch| of(epoch).get(TOTAL));
         value.map_or("-".into(), |value| format!("{value:.4}"))
     };
-    let planned = record.spec.training.final_epoch();
+    let planned = record.spec.trained().map_or(0, |trained| trained.training.final_epoch());
     let recent = &own[own.len().saturating_sub(RECENT)..];
     let each = recent.iter().map(|epoch| epoch.seconds).sum::<f64>() / recent.len() as f64;
     let time = |seconds: f64| if own.is_empty() { "-".into() } else { duration(seconds) };

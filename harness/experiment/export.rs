@@ -6,7 +6,7 @@ use harness_learning::network::description::Description;
 use harness_learning::onnx::{self, Described};
 use harness_learning::{LearningError, checkpoint};
 use harness_registry::{Registry, RunFolder, RunRecord};
-use harness_spec::Task;
+use harness_spec::{Task, Trained};
 use std::path::PathBuf;
 
 /// A trained network's file.
@@ -24,9 +24,9 @@ pub struct NetworkFile {
 /// # Errors
 /// When no run or several runs match, the run isn't done, or a network is missing or damaged.
 pub fn network_files(registry: &Registry, wanted: &str) -> Result<Vec<NetworkFile>, ModelError> {
-    let (folder, record) = finished(registry, wanted)?;
+    let (folder, record, trained) = finished(registry, wanted)?;
     let file = |task: &Task| {
-        let Described { description, .. } = described(&folder, &record, *task)?;
+        let Described { description, .. } = described(&folder, &record, &trained, *task)?;
         Ok(NetworkFile { task: *task, path: folder.checkpoint(*task), description })
     };
     record.spec.tasks.iter().map(file).collect()
@@ -38,12 +38,12 @@ pub fn network_files(registry: &Registry, wanted: &str) -> Result<Vec<NetworkFil
 /// # Errors
 /// Those of [`network_files`], and when the run did not train `task`.
 pub fn onnx(registry: &Registry, wanted: &str, task: Task) -> Result<Vec<u8>, ModelError> {
-    let (folder, record) = finished(registry, wanted)?;
+    let (folder, record, trained) = finished(registry, wanted)?;
     if !record.spec.tasks.contains(&task) {
         return Err(ModelError::NoReconstruction { run: record.run, tasks: record.spec.tasks });
     }
-    let prediction = described(&folder, &record, Task::Prediction)?;
-    let decoding = described(&folder, &record, task)?;
+    let prediction = described(&folder, &record, &trained, Task::Prediction)?;
+    let decoding = described(&folder, &record, &trained, task)?;
     let properties = [
         ("run", record.run.as_str()),
         ("experiment", &record.experiment),
@@ -53,14 +53,19 @@ pub fn onnx(registry: &Registry, wanted: &str, task: Task) -> Result<Vec<u8>, Mo
     Ok(onnx::model(&prediction, &decoding, &properties)?)
 }
 
-fn described(folder: &RunFolder, record: &RunRecord, task: Task) -> Result<Described, ModelError> {
+fn described(
+    folder: &RunFolder,
+    record: &RunRecord,
+    trained: &Trained,
+    task: Task,
+) -> Result<Described, ModelError> {
     let path = folder.checkpoint(task);
     if !path.exists() {
         return Err(ModelError::NoNetwork(path));
     }
     let (file, normalizers) = checkpoint::open(&path)?;
-    let network = architecture(&record.spec, &record.layout, task);
-    let spec = &record.spec;
-    let description = Description::new(&network, task, spec.action, &spec.training.losses, &normalizers);
+    let network = architecture(&record.spec, trained, &record.layout, task);
+    let losses = &trained.training.losses;
+    let description = Description::new(&network, task, record.spec.action, losses, &normalizers);
     Ok(Described { description: description.map_err(LearningError::from)?, file })
 }

@@ -33,7 +33,7 @@ use harness_shared::memory;
 use harness_shared::progress::Progress;
 use harness_shared::shard::Shard;
 use harness_simulation::{Scene, SimulationError, mujoco_version};
-use harness_spec::{Experiment, Layout, Origin, RunSpec, Simulation, Task, World};
+use harness_spec::{Device, Experiment, Layout, Origin, RunSpec, Simulation, Task, Trained, World};
 use rayon::prelude::*;
 use search::{Rungs, Standing};
 use std::path::PathBuf;
@@ -124,6 +124,9 @@ pub enum ExperimentError {
     /// The threads of a job can't be started.
     #[error("no threads can be started: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
+    /// The run's predictions come from another program.
+    #[error("this run's model is one of another program, which the harness can't train")]
+    NotTrained,
     /// The caller cancelled the experiment.
     #[error("the experiment was cancelled; the same command continues from here")]
     Cancelled,
@@ -225,7 +228,7 @@ impl Planned {
             let spec = &planned.spec;
             let data = (&spec.scenario, &spec.simulation, &spec.split, spec.window);
             let form = (&spec.input, &spec.output, &spec.tasks, spec.action, &spec.scaling);
-            (data, form, spec.training.device)
+            (data, form, device(spec))
         }
         key(self) == key(other)
     }
@@ -376,7 +379,7 @@ impl<'a> Runner<'a> {
             samples: Arc::new(samples),
             normalizers: Arc::new(normalizers),
             action: spec.action,
-            device: open_device(spec.training.device)?,
+            device: open_device(device(spec))?,
         };
         let mut baselines = Vec::new();
         for task in &spec.tasks {
@@ -427,12 +430,17 @@ pub fn describe(error: &dyn std::error::Error) -> String {
     text
 }
 
+/// Returns the device on which a run computes: that of its training.
+fn device(spec: &RunSpec) -> Device {
+    spec.trained().map(|trained| trained.training.device).unwrap_or(Device::Cpu)
+}
+
 /// Returns an upper estimate of the memory that training a run's networks one after the other takes, in bytes.
-fn training_bytes(spec: &RunSpec, layout: &Arc<Layout>) -> Result<u64, LearningError> {
+fn training_bytes(spec: &RunSpec, trained: &Trained, layout: &Arc<Layout>) -> Result<u64, LearningError> {
     let bytes = |task: &Task| {
-        let summary = architecture(spec, layout, *task).summary()?;
+        let summary = architecture(spec, trained, layout, *task).summary()?;
         let (parameters, activations) = (summary.parameters(), summary.activations());
-        Ok(learning::memory::training_bytes(parameters, activations, spec.training.batch_size))
+        Ok(learning::memory::training_bytes(parameters, activations, trained.training.batch_size))
     };
     let bytes: candle_core::Result<Vec<u64>> = spec.tasks.iter().map(bytes).collect();
     Ok(bytes.map_err(LearningError::from)?.into_iter().max().unwrap_or_default())
@@ -454,6 +462,7 @@ struct PreparedData {
 /// One run that is being trained.
 struct TrainingRun<'a> {
     spec: &'a RunSpec,
+    trained: &'a Trained,
     claimed: &'a Claimed<'a>,
     prepared: &'a PreparedData,
     progress: &'a dyn Progress,
@@ -484,7 +493,8 @@ impl TrainingRun<'_> {
         let task = Task::Prediction;
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
-        let architecture = architecture(spec, data.samples.layout(), task);
+        let Trained { training, .. } = self.trained;
+        let architecture = architecture(spec, self.trained, data.samples.layout(), task);
         let network = architecture.network(&mut parameters, &mut random, &data.device);
         let objective = Prediction {
             data,
@@ -492,9 +502,9 @@ impl TrainingRun<'_> {
             window: spec.window,
             input: &spec.input,
             output: &spec.output,
-            kl_weight: spec.training.kl_weight,
-            losses: &spec.training.losses,
-            loss_weights: &spec.training.loss_weights,
+            kl_weight: training.kl_weight,
+            losses: &training.losses,
+            loss_weights: &training.loss_weights,
         };
         self.train(task, &architecture, &objective, &parameters, outcome)?;
         outcome.timings.prediction = begin.elapsed().as_secs_f64();
@@ -512,7 +522,7 @@ impl TrainingRun<'_> {
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
         let latents = Latents::of(network, data, &spec.input, spec.window).map_err(LearningError::from)?;
-        let architecture = architecture(spec, data.samples.layout(), task);
+        let architecture = architecture(spec, self.trained, data.samples.layout(), task);
         let decoder = architecture.decoder(&mut parameters, &mut random, &data.device);
         let objective = Reconstruction {
             data,
@@ -538,7 +548,7 @@ impl TrainingRun<'_> {
     ) -> Result<(), ExperimentError> {
         let fit = Fit {
             task,
-            training: &self.spec.training,
+            training: &self.trained.training,
             seed: self.spec.seed,
             partition: &self.prepared.partition,
             state: &StateFile::at(self.claimed.state(task)),
@@ -547,8 +557,9 @@ impl TrainingRun<'_> {
         };
         let epochs = fit.run(objective, parameters)?;
         let NormalizedData { normalizers, action, .. } = &self.prepared.data;
-        let network = Description::new(architecture, task, *action, &self.spec.training.losses, normalizers)
-            .map_err(LearningError::from)?;
+        let network =
+            Description::new(architecture, task, *action, &self.trained.training.losses, normalizers)
+                .map_err(LearningError::from)?;
         checkpoint::save(&self.claimed.folder().checkpoint(task), parameters, normalizers, &network)?;
         outcome.epochs.extend(epochs.into_iter().map(|epoch| (task, epoch)));
         Ok(())

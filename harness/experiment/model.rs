@@ -10,7 +10,7 @@ use harness_learning::random::{Random, Stream};
 use harness_learning::{LearningError, checkpoint, predict};
 use harness_registry::{Registry, RegistryError, RunFolder, RunRecord, Status};
 use harness_samples::Normalizers;
-use harness_spec::{IMAGE_CHANNELS, Modality, Precision, Task};
+use harness_spec::{IMAGE_CHANNELS, Modality, Precision, Task, Trained};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -36,6 +36,9 @@ pub enum ModelError {
         /// Its status.
         status: Status,
     },
+    /// The run's model is one of another program.
+    #[error("the predictions of {0} come from another program, so the harness has no network of it")]
+    External(String),
     /// The run has no checkpoint at this path.
     #[error("there is no network at {}; published results have no networks, so train the run again", .0.display())]
     NoNetwork(PathBuf),
@@ -82,6 +85,7 @@ fn names(modalities: &[Modality]) -> String {
 /// present one.
 pub struct Model {
     record: RunRecord,
+    latent: usize,
     normalizers: Normalizers,
     encoder: Box<dyn Encoder>,
     decoder: Box<dyn Decoder>,
@@ -95,9 +99,9 @@ impl Model {
     /// # Errors
     /// When no run or several runs match, the run isn't done, or its network is missing or damaged.
     pub fn load(registry: &Registry, wanted: &str) -> Result<Self, ModelError> {
-        let (folder, record) = finished(registry, wanted)?;
+        let (folder, record, trained) = finished(registry, wanted)?;
         let task = Task::Prediction;
-        let architecture = applied(&record, task);
+        let architecture = applied(&record, &trained, task);
         let mut parameters = Parameters::new();
         let mut random = Random::new(record.spec.seed, Stream::Parameters(task));
         let encoder = architecture.encoder(&mut parameters, &mut random, &Device::Cpu);
@@ -106,8 +110,14 @@ impl Model {
         let decoder = decoder.map_err(LearningError::from)?.detached();
         let normalizers = load_network(&folder.checkpoint(task), &parameters)?;
         let reconstructs = record.spec.tasks.contains(&Task::Reconstruction);
-        let reconstruction = reconstructs.then(|| load_reconstruction(&folder, &record)).transpose()?;
-        Ok(Self { record, normalizers, encoder, decoder, reconstruction })
+        let reconstruction =
+            reconstructs.then(|| load_reconstruction(&folder, &record, &trained)).transpose()?;
+        Ok(Self { record, latent: trained.latent, normalizers, encoder, decoder, reconstruction })
+    }
+
+    /// Returns the size of the latent state.
+    pub fn latent(&self) -> usize {
+        self.latent
     }
 
     /// Returns the run's record, which includes its spec.
@@ -166,9 +176,9 @@ impl Model {
                 tasks: spec.tasks.clone(),
             });
         };
-        check("latent", batch, spec.latent, &latent)?;
+        check("latent", batch, self.latent, &latent)?;
         let reconstructed = || -> candle_core::Result<_> {
-            let latent = Tensor::from_vec(latent, (batch, spec.latent), &Device::Cpu)?;
+            let latent = Tensor::from_vec(latent, (batch, self.latent), &Device::Cpu)?;
             let decoded = decoder.decode(&latent, None)?;
             predict::denormalized(&self.normalizers, &spec.input, &decoded)
         };
@@ -201,20 +211,24 @@ impl Model {
     }
 }
 
-/// Returns the finished run whose id, or `experiment/id`, begins with `wanted`.
-pub(crate) fn finished(registry: &Registry, wanted: &str) -> Result<(RunFolder, RunRecord), ModelError> {
+/// Returns the finished run whose id, or `experiment/id`, begins with `wanted`, and the network that it trained.
+pub(crate) fn finished(
+    registry: &Registry,
+    wanted: &str,
+) -> Result<(RunFolder, RunRecord, Trained), ModelError> {
     let (folder, record) = registry.find(wanted)?;
-    match record.status {
-        Status::Done => Ok((folder, record)),
-        status => Err(ModelError::Unfinished { run: record.run, status }),
+    match (record.status, record.spec.trained().cloned()) {
+        (Status::Done, Some(trained)) => Ok((folder, record, trained)),
+        (Status::Done, None) => Err(ModelError::External(record.run)),
+        (status, _) => Err(ModelError::Unfinished { run: record.run, status }),
     }
 }
 
 /// Returns the network that a run trained for `task`. It computes in f32, whatever the precision of the training.
-fn applied(record: &RunRecord, task: Task) -> Architecture {
+fn applied(record: &RunRecord, trained: &Trained, task: Task) -> Architecture {
     Architecture {
-        arithmetic: arithmetic(record.spec.training.tiles, Precision::F32),
-        ..architecture(&record.spec, &record.layout, task)
+        arithmetic: arithmetic(trained.training.tiles, Precision::F32),
+        ..architecture(&record.spec, trained, &record.layout, task)
     }
 }
 
@@ -236,11 +250,15 @@ fn load_network(path: &Path, parameters: &Parameters) -> Result<Normalizers, Mod
     Ok(checkpoint::load(path, parameters)?)
 }
 
-fn load_reconstruction(folder: &RunFolder, record: &RunRecord) -> Result<Box<dyn Decoder>, ModelError> {
+fn load_reconstruction(
+    folder: &RunFolder,
+    record: &RunRecord,
+    trained: &Trained,
+) -> Result<Box<dyn Decoder>, ModelError> {
     let task = Task::Reconstruction;
     let mut parameters = Parameters::new();
     let mut random = Random::new(record.spec.seed, Stream::Parameters(task));
-    let decoder = applied(record, task).decoder(&mut parameters, &mut random, &Device::Cpu);
+    let decoder = applied(record, trained, task).decoder(&mut parameters, &mut random, &Device::Cpu);
     let decoder = decoder.map_err(LearningError::from)?.detached();
     load_network(&folder.checkpoint(task), &parameters)?;
     Ok(decoder)

@@ -8,7 +8,7 @@ use harness_registry::{Claimed, Decision, LiveEpochs, Outcome, Provenance, RunRe
 use harness_shared::files::FolderLock;
 use harness_shared::memory;
 use harness_shared::turns::{Turn, Turns};
-use harness_spec::{Division, Experiment, RunSpec, Task};
+use harness_spec::{Division, Experiment, RunSpec, Task, Trained};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -376,19 +376,26 @@ impl WorkerPool<'_> {
     }
 
     fn train(&self, planned: &Planned, claimed: &Claimed) -> Result<Outcome, ExperimentError> {
+        let trained = planned.spec.trained().ok_or(ExperimentError::NotTrained)?;
         let prepared = self.prepared(planned)?;
-        let _memory = self.promise(&planned.spec, &prepared)?;
+        let _memory = self.promise(&planned.spec, trained, &prepared)?;
         let everyone = self.runner.progress;
         let spec = &planned.spec;
         let own = everyone.job(&spec.label());
         let progress = own.as_deref().unwrap_or(everyone);
-        TrainingRun { spec, claimed, prepared: &prepared, progress, epochs: LiveEpochs::of(claimed) }.run()
+        let epochs = LiveEpochs::of(claimed);
+        TrainingRun { spec, trained, claimed, prepared: &prepared, progress, epochs }.run()
     }
 
     /// Reserves memory to train a run. Waits while other jobs' trainings use it. Without this check, the system would
     /// kill the process and all of its runs when memory runs out.
-    fn promise(&self, spec: &RunSpec, prepared: &PreparedData) -> Result<Promise<'_>, ExperimentError> {
-        let needed = training_bytes(spec, prepared.data.samples.layout())?;
+    fn promise(
+        &self,
+        spec: &RunSpec,
+        trained: &Trained,
+        prepared: &PreparedData,
+    ) -> Result<Promise<'_>, ExperimentError> {
+        let needed = training_bytes(spec, trained, prepared.data.samples.layout())?;
         loop {
             let mut promised = self.promised.lock().unwrap_or_else(PoisonError::into_inner);
             let available = memory::within_reach().saturating_sub(prepared.bytes).saturating_sub(*promised);

@@ -3,7 +3,7 @@
 use super::Planned;
 use harness_metrics::epoch::{Losses, TOTAL};
 use harness_registry::{RunFolder, Status};
-use harness_spec::{Experiment, RunSpec, Search, Task, Trial};
+use harness_spec::{Experiment, RunSpec, Search, Task, Trained, Trial};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -26,8 +26,8 @@ pub struct Best {
 impl Best {
     /// Whether a run is one of the trial's runs, of which there is one for each seed.
     pub fn is_of(&self, spec: &RunSpec) -> bool {
-        (&self.run.scenario, self.run.latent, &self.run.variant)
-            == (&spec.scenario, spec.latent, &spec.variant)
+        (&self.run.scenario, self.run.latent(), &self.run.variant)
+            == (&spec.scenario, spec.latent(), &spec.variant)
     }
 }
 
@@ -78,11 +78,12 @@ impl Record {
         if self.has_diverged(rung) {
             return f64::INFINITY;
         }
-        let epochs = spec.training.final_epoch().min(self.losses.len());
+        let Some(Trained { training, .. }) = spec.trained() else { return f64::INFINITY };
+        let epochs = training.final_epoch().min(self.losses.len());
         let of = |term: &str, losses: &Losses| losses.get(term).copied().unwrap_or(f64::INFINITY);
         let epochs = &self.losses[..epochs];
         let total = |a: &&Losses, b: &&Losses| of(TOTAL, a).total_cmp(&of(TOTAL, b));
-        let kept = match spec.training.patience {
+        let kept = match training.patience {
             Some(_) => epochs.iter().min_by(total),
             None => epochs.last(),
         };
@@ -119,7 +120,7 @@ impl<'a> Standings<'a> {
         let mut groups: Vec<(_, Trials)> = Vec::new();
         for (index, rungs) in self.runs.iter().enumerate() {
             let spec = &rungs[0].1;
-            let key = (&spec.scenario, spec.latent, spec.variant_parts().0);
+            let key = (&spec.scenario, spec.latent(), spec.variant_parts().0);
             let Some(trial) = spec.trial() else { continue };
             let place = groups.iter().position(|(other, _)| *other == key).unwrap_or_else(|| {
                 groups.push((key, Trials::new()));

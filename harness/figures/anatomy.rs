@@ -7,11 +7,10 @@ use harness_learning::LearningError;
 use harness_learning::network::description::{
     Activation, Convolution, IMAGES, LATENT, Layer, Operation, POSTERIOR, VECTORS,
 };
-use harness_learning::network::{Parameters, architecture};
+use harness_learning::network::{Architecture, Parameters, architecture};
 use harness_learning::random::{Random, Stream};
-use harness_spec::{Definition, Layout, Modality, RunSpec, Task};
+use harness_spec::{Definition, Modality, Task};
 use polars::prelude::*;
-use std::sync::Arc;
 
 /// The inputs, outputs and layers of a task's networks.
 pub struct Anatomy {
@@ -39,10 +38,8 @@ struct Layers {
 
 impl Layers {
     /// Builds a run's network for a task as training builds it.
-    fn of(spec: &RunSpec, layout: &Arc<Layout>, task: Task) -> candle_core::Result<Self> {
-        let architecture = architecture(spec, layout, task);
-        let (mut parameters, mut random) =
-            (Parameters::new(), Random::new(spec.seed, Stream::Parameters(task)));
+    fn of(architecture: &Architecture, seed: u64, task: Task) -> candle_core::Result<Self> {
+        let (mut parameters, mut random) = (Parameters::new(), Random::new(seed, Stream::Parameters(task)));
         let encoder = architecture.encoder(&mut parameters, &mut random, &Device::Cpu)?.layers()?;
         let decoder = architecture.decoder(&mut parameters, &mut random, &Device::Cpu)?.layers()?;
         let parameters = parameters.iter().map(|(name, var)| (name.clone(), var.dims().to_vec()));
@@ -59,16 +56,17 @@ impl Anatomy {
         let runs = source.runs(Study::MultiToMulti)?;
         let latents = runs.latents();
         let spec = &runs.all[0].record.spec;
-        if !spec.tasks.contains(&task) {
+        let Some(trained) = spec.trained().filter(|_| spec.tasks.contains(&task)) else {
             return Err(runs.no_rows());
-        }
-        let architecture = architecture(spec, runs.layout(), task);
+        };
+        let architecture = architecture(spec, trained, runs.layout(), task);
         let definitions = |names: &[Modality]| {
             names.iter().map(|name| (**runs.layout())[*name].clone()).collect::<Vec<Definition>>()
         };
         let (input, output) = (definitions(&architecture.input), definitions(&architecture.output));
-        let build =
-            |latent: &usize| Layers::of(&RunSpec { latent: *latent, ..spec.clone() }, runs.layout(), task);
+        let build = |latent: &usize| {
+            Layers::of(&Architecture { latent: *latent, ..architecture.clone() }, spec.seed, task)
+        };
         let networks = latents.iter().map(build).collect::<Result<_, _>>().map_err(LearningError::from)?;
         Ok(Self { task, input, output, latents, action: architecture.action, networks })
     }

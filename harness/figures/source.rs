@@ -219,7 +219,7 @@ impl<'a> Runs<'a> {
 
     /// The latent sizes of the runs, ascending.
     pub fn latents(&self) -> Vec<usize> {
-        let mut latents: Vec<usize> = self.all.iter().map(|run| run.record.spec.latent).collect();
+        let mut latents: Vec<usize> = self.all.iter().filter_map(|run| run.record.spec.latent()).collect();
         latents.sort_unstable();
         latents.dedup();
         latents

@@ -285,7 +285,8 @@ impl RunRecord {
     /// The names of the files that a finished run of this spec has, besides its record.
     pub(super) fn expected_files(&self) -> Vec<String> {
         let tables = TABLES.iter().map(|table| table.file_name());
-        let checkpoints = self.spec.tasks.iter().map(|task| format!("{}.safetensors", task.name()));
+        let trained = self.spec.tasks.iter().filter(|_| self.spec.trained().is_some());
+        let checkpoints = trained.map(|task| format!("{}.safetensors", task.name()));
         std::iter::once(SPEC.to_owned()).chain(tables).chain(checkpoints).collect()
     }
 
@@ -427,8 +428,8 @@ fn key_columns(records: &[RunRecord]) -> Vec<Column> {
         column_of(records, "scenario", |run| run.spec.scenario.name()),
         column_of(records, "input", |run| joined(&run.spec.input)),
         column_of(records, "output", |run| joined(&run.spec.output)),
-        column_of(records, "architecture", |run| run.spec.network.preset.name()),
-        column_of(records, "latent", |run| run.spec.latent as i64),
+        column_of(records, "architecture", |run| run.spec.model.name()),
+        column_of(records, "latent", |run| run.spec.latent().map(|latent| latent as i64)),
         column_of(records, "variant", |run| run.spec.variant.as_str()),
         column_of(records, "seed", |run| run.spec.seed as i64),
     ]

@@ -100,7 +100,7 @@ fn of_subject(runs: &Runs, subject: &Subject) -> Result<Vec<Cloud>, FigureError>
 
     let mut answer = runs.query_first_seeds(&format!(
         "select modality, scenario, latent, index, seed, episode, sample, reference, predicted from predictions \
-         where {place} order by episode, sample"
+         where {place} and latent is not null order by episode, sample"
     ))?;
     let mut samples: BTreeMap<Of, Vec<Sample>> = BTreeMap::new();
     for sample in rows::<Sample>(&mut answer)? {

@@ -49,7 +49,7 @@ impl Experiment {
             (
                 spec.scenario.clone(),
                 spec.variant.clone(),
-                spec.latent,
+                spec.latent(),
                 spec.seed,
                 record.started.clone(),
                 record.run.clone(),

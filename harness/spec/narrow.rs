@@ -1,7 +1,8 @@
 //! Narrows the overrides of an experiment to one of its runs.
 
-use super::cells::{DATASET_SEED, RunSpec, named};
+use super::cells::{DATASET_SEED, named};
 use super::origin::Origin;
+use super::run::RunSpec;
 use std::collections::BTreeMap;
 
 impl RunSpec {
@@ -11,7 +12,7 @@ impl RunSpec {
         let Some((key, value)) = text.split_once('=') else { return text.to_owned() };
         match key.trim() {
             "seeds" => format!("seeds=[{}]", self.seed),
-            "latent" => format!("latent=[{}]", self.latent),
+            "latent" => self.latent().map_or(text.to_owned(), |latent| format!("latent=[{latent}]")),
             "scenarios" => {
                 self.own_scenario(value).unwrap_or_else(|| format!("scenarios=[{}]", self.scenario))
             }

@@ -105,7 +105,7 @@ impl Model {
     /// Size of the latent state.
     #[getter]
     fn latent(&self) -> usize {
-        self.model.record().spec.latent
+        self.model.latent()
     }
 
     /// Form of the action: `increment` (the setpoint's change) or `target` (the setpoint at the next sample).

@@ -189,10 +189,10 @@ fn a_trial_is_a_run_with_the_drawn_settings() {
         let (varied, number, seed) = (index / 8, index / 2 % 4, index % 2);
         let trial = &trials[number];
         assert_eq!(run.trial(), Some(number));
-        assert_eq!(json!(run.training.learning_rate), trial["training.learning_rate"]);
-        assert_eq!(json!(run.training.weight_decay), trial["training.weight_decay"]);
-        assert_eq!(json!(run.training.batch_size), trial["training.batch_size"]);
-        assert_eq!(json!(run.network.hidden), trial["network.hidden"]);
+        assert_eq!(json!(run.trained().unwrap().training.learning_rate), trial["training.learning_rate"]);
+        assert_eq!(json!(run.trained().unwrap().training.weight_decay), trial["training.weight_decay"]);
+        assert_eq!(json!(run.trained().unwrap().training.batch_size), trial["training.batch_size"]);
+        assert_eq!(json!(run.trained().unwrap().network.hidden), trial["network.hidden"]);
         let kl_weight = ["0", "0.001"][varied];
         assert_eq!(run.label(), format!("empty-z2-kl_weight={kl_weight},trial=000{number}-seed{seed}"));
         let start = format!("kl_weight={kl_weight},trial=000{number},hidden=");
@@ -214,14 +214,18 @@ fn a_drawn_setting_that_is_given_has_that_value_alone() {
     let quick = load_with(&text, &[], true).unwrap().runs();
     assert_eq!(quick.len(), 2);
     let rates = |runs: &[harness_spec::RunSpec]| -> Vec<f64> {
-        runs.iter().map(|run| run.training.learning_rate).collect()
+        runs.iter().map(|run| run.trained().unwrap().training.learning_rate).collect()
     };
     assert_eq!(rates(&quick), [0.5, 0.5]);
     let given = load_with(&text, &["network.hidden=8", "training.learning_rate=0.25"], false).unwrap().runs();
     assert_eq!(rates(&given), [0.25; 4]);
     for (given, drawn) in given.iter().zip(&drawn) {
-        assert_eq!(given.network.hidden, [8]);
-        assert_eq!(given.training.batch_size, drawn.training.batch_size, "the others stay");
+        assert_eq!(given.trained().unwrap().network.hidden, [8]);
+        assert_eq!(
+            given.trained().unwrap().training.batch_size,
+            drawn.trained().unwrap().training.batch_size,
+            "the others stay"
+        );
     }
     // The order of the overrides does not matter.
     let space = "search.space={training.learning_rate: {uniform: [0.1, 0.2]}}";
@@ -244,13 +248,17 @@ fn the_rungs_of_a_run_differ_from_it_in_their_last_epoch() {
     let experiment = load(&text);
     let run = experiment.runs().remove(1);
     let rungs = experiment.rungs(&run);
-    let epochs: Vec<Option<usize>> = rungs.iter().map(|rung| rung.training.last_epoch).collect();
+    let epochs: Vec<Option<usize>> =
+        rungs.iter().map(|rung| rung.trained().unwrap().training.last_epoch).collect();
     assert_eq!(epochs, [Some(2), Some(6), None]);
     assert_eq!(rungs[2], run);
     assert_eq!(run, load(&(spec_with(SEARCH) + "training: {epochs: 10}\n")).runs()[1]);
     for rung in &rungs[..2] {
         assert_eq!((rung.label(), &rung.tasks), (run.label(), &vec![Task::Prediction]));
-        assert_eq!((rung.training.epochs, rung.training.learning_rate), (10, run.training.learning_rate));
+        assert_eq!(
+            (rung.trained().unwrap().training.epochs, rung.trained().unwrap().training.learning_rate),
+            (10, run.trained().unwrap().training.learning_rate)
+        );
     }
     let hashes: BTreeSet<String> = rungs.iter().map(|rung| rung.hash()).collect();
     assert_eq!(hashes.len(), 3);

@@ -17,7 +17,7 @@ use super::ops::{self, Arithmetic, Dropout};
 use super::random::Random;
 use candle_core::{DType, Device, Result, Tensor, Var};
 use description::Layer;
-use harness_spec::{Layout, Loss, Modality, RunSpec, Task};
+use harness_spec::{Layout, Loss, Modality, RunSpec, Task, Trained};
 use layers::{Builder, Made};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -45,7 +45,7 @@ pub struct Architecture {
 }
 
 /// Returns the network that a run trains for `task` on a dataset with this layout.
-pub fn architecture(spec: &RunSpec, layout: &Arc<Layout>, task: Task) -> Architecture {
+pub fn architecture(spec: &RunSpec, trained: &Trained, layout: &Arc<Layout>, task: Task) -> Architecture {
     let (output, action) = match task {
         Task::Prediction => (&spec.output, layout.action().len()),
         Task::Reconstruction => (&spec.input, 0),
@@ -54,10 +54,10 @@ pub fn architecture(spec: &RunSpec, layout: &Arc<Layout>, task: Task) -> Archite
         input: spec.input.clone(),
         output: output.clone(),
         layout: layout.clone(),
-        latent: spec.latent,
+        latent: trained.latent,
         action,
-        network: spec.network.clone(),
-        arithmetic: ops::arithmetic(spec.training.tiles, spec.training.precision),
+        network: trained.network.clone(),
+        arithmetic: ops::arithmetic(trained.training.tiles, trained.training.precision),
     }
 }
 

@@ -1,0 +1,399 @@
+//! The spec of one run: everything that its result depends on, and nothing else.
+
+use super::modality::{Layout, Modality, Scale};
+use super::origin::Origin;
+use super::scaling::{Scaling, Scalings};
+use super::simulation::Simulation;
+use super::types::{Action, Loss, Network, Split, Task, Training, Window};
+use super::validate::{Images, check_images};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value as Json, json};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+
+/// The spec of one run: data, what is given and predicted, and what predicts, with one seed. It holds everything that
+/// the result depends on, and nothing else. Runs of different experiments with equal specs are therefore equal.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Fields", into = "Fields")]
+pub struct RunSpec {
+    /// The world that is simulated, or the imported dataset.
+    pub scenario: Origin,
+    /// Input modalities of the model, in the order of [`Modality`].
+    pub input: Vec<Modality>,
+    /// Output modalities of the model, in the order of [`Modality`].
+    pub output: Vec<Modality>,
+    /// The reading, the role, the varied settings and the trial with its settings: `reading=base,role=single_to_multi`,
+    /// `kl_weight=0.001,hidden=64` or `trial=0017,learning_rate=0.00127`. It is empty if the experiment varies nothing.
+    /// The seed of the dataset is left out.
+    pub variant: String,
+    /// Seed of the initial weights, the sampling and the order of batches.
+    pub seed: u64,
+    /// What is judged, in the order in which it is trained.
+    pub tasks: Vec<Task>,
+    /// Which quantity the model gets as the action.
+    pub action: Action,
+    /// How many samples the model sees and predicts.
+    pub window: Window,
+    /// Settings of the simulation; `None` if the dataset is imported.
+    pub simulation: Option<Simulation>,
+    /// Division of the dataset into training, validation and test set.
+    pub split: Split,
+    /// Scaling of each modality that is used. It is empty if all scalings are those that were in use before scaling
+    /// became a setting, so that old runs keep their names. [`RunSpec::scalings`] handles both cases.
+    pub scaling: Scalings,
+    /// What predicts.
+    pub model: Model,
+}
+
+/// What predicts in a run.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Model {
+    /// A network that the run trains.
+    Trained(Trained),
+    /// A model of another program with this name, whose predictions were recorded.
+    External(String),
+}
+
+impl Model {
+    /// Returns the name in the column `architecture`: the preset of a network, or the name of an external model.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Trained(trained) => trained.network.preset.name(),
+            Self::External(name) => name,
+        }
+    }
+}
+
+/// A network that a run trains.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trained {
+    /// Size of the latent state.
+    pub latent: usize,
+    /// Layers of the network.
+    pub network: Network,
+    /// Settings of the training.
+    pub training: Training,
+}
+
+/// The spec as it is stored. Specs from before external models have the same fields.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Fields {
+    scenario: Origin,
+    input: Vec<Modality>,
+    output: Vec<Modality>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    latent: Option<usize>,
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    variant: String,
+    seed: u64,
+    tasks: Vec<Task>,
+    action: Action,
+    #[serde(default, skip_serializing_if = "Window::is_transition")]
+    window: Window,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    network: Option<Network>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    model: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    simulation: Option<Simulation>,
+    split: Split,
+    #[serde(default, skip_serializing_if = "Scalings::is_empty")]
+    scaling: Scalings,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    training: Option<Training>,
+}
+
+impl From<RunSpec> for Fields {
+    fn from(spec: RunSpec) -> Self {
+        let (trained, model) = match spec.model {
+            Model::Trained(trained) => (Some(trained), None),
+            Model::External(name) => (None, Some(name)),
+        };
+        let (latent, network, training) = match trained {
+            Some(Trained { latent, network, training }) => (Some(latent), Some(network), Some(training)),
+            None => (None, None, None),
+        };
+        let RunSpec {
+            scenario,
+            input,
+            output,
+            variant,
+            seed,
+            tasks,
+            action,
+            window,
+            simulation,
+            split,
+            scaling,
+            ..
+        } = spec;
+        Self {
+            scenario,
+            input,
+            output,
+            latent,
+            variant,
+            seed,
+            tasks,
+            action,
+            window,
+            network,
+            model,
+            simulation,
+            split,
+            scaling,
+            training,
+        }
+    }
+}
+
+impl TryFrom<Fields> for RunSpec {
+    type Error = &'static str;
+
+    fn try_from(fields: Fields) -> Result<Self, Self::Error> {
+        let model = match (fields.latent, fields.network, fields.training, fields.model) {
+            (Some(latent), Some(network), Some(training), None) => {
+                Model::Trained(Trained { latent, network, training })
+            }
+            (None, None, None, Some(name)) => Model::External(name),
+            _ => return Err("a run has 'latent', 'network' and 'training', or it has 'model'"),
+        };
+        let Fields { scenario, input, output, variant, seed, tasks, action, window, .. } = fields;
+        let (simulation, split, scaling) = (fields.simulation, fields.split, fields.scaling);
+        Ok(Self {
+            scenario,
+            input,
+            output,
+            variant,
+            seed,
+            tasks,
+            action,
+            window,
+            simulation,
+            split,
+            scaling,
+            model,
+        })
+    }
+}
+
+impl RunSpec {
+    /// Returns the network that the run trains; `None` for an external model.
+    pub fn trained(&self) -> Option<&Trained> {
+        match &self.model {
+            Model::Trained(trained) => Some(trained),
+            Model::External(_) => None,
+        }
+    }
+
+    /// Returns the size of the latent state; `None` for an external model.
+    pub fn latent(&self) -> Option<usize> {
+        self.trained().map(|trained| trained.latent)
+    }
+
+    /// Returns the input and output modalities, without duplicates, in the order of [`Modality`].
+    pub fn modalities(&self) -> Vec<Modality> {
+        let mut used: Vec<Modality> = self.input.iter().chain(&self.output).copied().collect();
+        used.sort();
+        used.dedup();
+        used
+    }
+
+    /// Returns the scaling of each modality that is used, given the dataset's layout. A modality that the layout lacks
+    /// is left out.
+    pub fn scalings(&self, layout: &Layout) -> Scalings {
+        let of = |modality: Modality| {
+            let definition = layout.get(modality)?;
+            let unsaid = if Modality::BUILT_IN.contains(&modality) {
+                Scaling::plain(definition.is_image())
+            } else {
+                Scaling { scale: definition.scale, minimum: definition.minimum }
+            };
+            Some((modality, self.scaling.get(&modality).copied().unwrap_or(unsaid)))
+        };
+        self.modalities().into_iter().filter_map(of).collect()
+    }
+
+    /// Checks that the run can use a dataset with this layout.
+    ///
+    /// # Errors
+    /// When the network can't take the images, or a scaling does not suit a modality. Returns the message.
+    pub fn check(&self, layout: &Layout) -> Result<(), String> {
+        let images = |modalities: &[Modality]| -> Vec<(Modality, [usize; 2])> {
+            let size = |modality: &Modality| Some((*modality, layout.get(*modality)?.size()?));
+            modalities.iter().filter_map(size).collect()
+        };
+        let (input, output) = (images(&self.input), images(&self.output));
+        let images = Images { input: &input, output: &output };
+        if let Some(Trained { network, training, .. }) = self.trained() {
+            check_images(&images, network, training).map_err(|fault| fault.message)?;
+        }
+        let by_element = self.scaling.iter().find(|(modality, scaling)| {
+            layout.get(**modality).is_some_and(|definition| definition.is_image())
+                && scaling.scale == Scale::PerElement
+        });
+        match by_element {
+            Some((modality, _)) => Err(format!(
+                "'{modality}' is an image, whose values share one standard deviation; use shared"
+            )),
+            None => Ok(()),
+        }
+    }
+
+    /// Returns the hash that identifies the run: the first 16 hexadecimal digits of the SHA-256 of its JSON with sorted
+    /// keys. It does not depend on the layout of the YAML, nor on whether defaults are written out.
+    pub fn hash(&self) -> String {
+        let mut json = serde_json::to_value(self).expect("a run's spec is plain data");
+        json.sort_all_objects();
+        let digest = Sha256::digest(json.to_string());
+        digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// Returns the run's spec with the defaults that are not stored, so that older runs keep their names. `layout` is
+    /// that of the dataset.
+    pub fn complete(&self, layout: &Layout) -> Json {
+        let Self { split, simulation, .. } = self;
+        let unsaid = json!({
+            "variant": self.variant,
+            "window": { "context": self.window.context, "horizon": self.window.horizon },
+            "split": { "by": split.by, "gap_seconds": split.gap_seconds },
+            "scaling": self.scalings(layout),
+        });
+        let mut all = serde_json::to_value(self).expect("a run's spec is plain data");
+        add(&mut all, unsaid);
+        if let Some(trained) = self.trained() {
+            add(&mut all, self.unsaid_of(trained, layout));
+        }
+        if let Some(simulation) = simulation {
+            all["simulation"]["factors"] = json!(simulation.factors);
+        }
+        all
+    }
+
+    /// Returns the defaults of a network and its training that are not stored.
+    fn unsaid_of(&self, Trained { network, training, .. }: &Trained, layout: &Layout) -> Json {
+        let is_vector =
+            |modality: &&Modality| layout.get(**modality).is_some_and(|definition| !definition.is_image());
+        let loss = |modality: &Modality| training.losses.get(modality).copied().unwrap_or_default();
+        let losses: BTreeMap<Modality, Loss> =
+            self.output.iter().filter(is_vector).map(|modality| (*modality, loss(modality))).collect();
+        json!({
+            "network": { "average": network.average, "fusion": network.fusion },
+            "training": {
+                "schedule": training.schedule,
+                "warmup_epochs": training.warmup_epochs,
+                "weight_decay": training.weight_decay,
+                "clip_norm": training.clip_norm,
+                "last_epoch": training.last_epoch,
+                "stop": training.stop,
+                "losses": losses,
+                "dropout": training.dropout,
+                "tiles": training.tiles,
+            },
+        })
+    }
+
+    /// Returns the run's spec as YAML with every value explicit.
+    pub fn to_yaml(&self) -> String {
+        serde_yaml::to_string(self).expect("a run's spec is plain data, which YAML can hold")
+    }
+
+    /// Returns the YAML of an experiment `name` whose only run is this one. Its variant, which names settings that the
+    /// run's own experiment varies, is left out.
+    pub fn to_experiment_yaml(&self, name: &str) -> String {
+        let mut json = serde_json::to_value(self).expect("a run's spec is plain data");
+        let fields = json.as_object_mut().expect("a run's spec is an object");
+        fields.remove("variant");
+        for (of_run, of_experiment) in [("scenario", "scenarios"), ("latent", "latent"), ("seed", "seeds")] {
+            let value = fields.remove(of_run).expect("every run's spec has it");
+            fields.insert(of_experiment.to_owned(), vec![value].into());
+        }
+        fields.insert("name".to_owned(), name.into());
+        // An experiment without scaling has the defaults, which are not those of a run without scaling.
+        if self.scaling.is_empty() && self.simulation.is_some() {
+            let scaling = serde_json::to_value(self.scalings(&Layout::finger()));
+            fields.insert("scaling".to_owned(), scaling.expect("scalings are plain data"));
+        }
+        serde_yaml::to_string(&json).expect("a run's spec is plain data, which YAML can hold")
+    }
+
+    /// Returns the seed of the dataset; 0 for an imported dataset.
+    pub fn dataset_seed(&self) -> u64 {
+        self.simulation.as_ref().map_or(0, |simulation| simulation.seed)
+    }
+
+    /// Returns the name of the run's reading; `None` if its experiment has no readings.
+    pub fn reading(&self) -> Option<&str> {
+        self.named("reading")
+    }
+
+    /// Returns the name of the run's role; `None` if its experiment has no roles.
+    pub fn role(&self) -> Option<&str> {
+        self.named("role")
+    }
+
+    /// Returns the number of the run's trial; `None` if its experiment is no search.
+    pub fn trial(&self) -> Option<usize> {
+        self.variant_parts().1?.parse().ok()
+    }
+
+    /// Whether successive halving may train the run on after its last epoch. Its state is kept until then.
+    pub fn may_continue(&self) -> bool {
+        self.trial().is_some() && self.trained().is_some_and(|trained| trained.training.last_epoch.is_some())
+    }
+
+    /// Divides the variant; see [`variant_parts`].
+    pub fn variant_parts(&self) -> (&str, Option<&str>, &str) {
+        variant_parts(&self.variant)
+    }
+
+    /// Returns the value of a key in the variant.
+    fn named(&self, key: &str) -> Option<&str> {
+        let parts = self.variant.split(',').filter_map(|part| part.split_once('='));
+        parts.filter(|(own, _)| *own == key).map(|(_, value)| value).next()
+    }
+
+    /// Returns the name of the cell, which is unique within an experiment: `cluttered-z64`,
+    /// `cluttered-z64-kl_weight=0.001` or `cluttered-z64-trial=0017`. A trial's settings are left out, because a
+    /// folder's name must be short. The variant of an external model names the model.
+    pub fn cell(&self) -> String {
+        let (varied, trial, _) = self.variant_parts();
+        let trial = trial.map(|number| format!("trial={number}")).unwrap_or_default();
+        let names: Vec<&str> = [varied, &trial].into_iter().filter(|name| !name.is_empty()).collect();
+        let latent = self.latent().map(|latent| format!("z{latent}"));
+        let parts = [Some(self.scenario.name().to_owned()), latent, Some(names.join(","))];
+        parts.into_iter().flatten().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("-")
+    }
+
+    /// Returns the name of the run, which is unique within an experiment: `cluttered-z64-seed0`, or
+    /// `cluttered-z64-data1-seed0` if the seed of the dataset is not 0.
+    pub fn label(&self) -> String {
+        let data = match self.dataset_seed() {
+            0 => String::new(),
+            seed => format!("-data{seed}"),
+        };
+        format!("{}{data}-seed{}", self.cell(), self.seed)
+    }
+}
+
+/// Adds the values of `more` to a tree, section by section.
+fn add(tree: &mut Json, more: Json) {
+    match more {
+        Json::Object(entries) => {
+            entries.into_iter().for_each(|(key, value)| add(&mut tree[key], value));
+        }
+        value => *tree = value,
+    }
+}
+
+/// Divides a variant into the part before the trial, the trial's number, and the trial's settings. Without a trial, all
+/// of it is the first part.
+pub fn variant_parts(variant: &str) -> (&str, Option<&str>, &str) {
+    let varied = variant.strip_prefix("trial=").map(|trial| ("", trial));
+    let Some((varied, trial)) = varied.or_else(|| variant.split_once(",trial=")) else {
+        return (variant, None, "");
+    };
+    let (number, settings) = trial.split_once(',').unwrap_or((trial, ""));
+    (varied, Some(number), settings)
+}
