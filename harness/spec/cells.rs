@@ -68,7 +68,7 @@ impl Experiment {
         let epochs = halving.rungs(trained.training.epochs);
         let until = |epoch: &usize| {
             let training = Training { last_epoch: Some(*epoch), ..trained.training.clone() };
-            let model = Model::Trained(Trained { training, ..trained.clone() });
+            let model = Model::Trained(Box::new(Trained { training, ..trained.clone() }));
             RunSpec { tasks: vec![Task::Prediction], model, ..run.clone() }
         };
         epochs[..epochs.len() - 1].iter().map(until).chain([run.clone()]).collect()
@@ -162,11 +162,11 @@ impl Experiment {
             simulation: self.world(scenario).map(|world| world.complete(&self.simulation)),
             split: self.split.clone(),
             scaling: self.scaling_of_used(scenario),
-            model: Model::Trained(Trained {
+            model: Model::Trained(Box::new(Trained {
                 latent,
                 network: self.network.clone(),
                 training: self.training.clone(),
-            }),
+            })),
         }
     }
 

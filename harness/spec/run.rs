@@ -49,7 +49,7 @@ pub struct RunSpec {
 #[derive(Debug, Clone, PartialEq)]
 pub enum Model {
     /// A network that the run trains.
-    Trained(Trained),
+    Trained(Box<Trained>),
     /// A model of another program with this name, whose predictions were recorded.
     External(String),
 }
@@ -107,7 +107,7 @@ struct Fields {
 impl From<RunSpec> for Fields {
     fn from(spec: RunSpec) -> Self {
         let (trained, model) = match spec.model {
-            Model::Trained(trained) => (Some(trained), None),
+            Model::Trained(trained) => (Some(*trained), None),
             Model::External(name) => (None, Some(name)),
         };
         let (latent, network, training) = match trained {
@@ -154,7 +154,7 @@ impl TryFrom<Fields> for RunSpec {
     fn try_from(fields: Fields) -> Result<Self, Self::Error> {
         let model = match (fields.latent, fields.network, fields.training, fields.model) {
             (Some(latent), Some(network), Some(training), None) => {
-                Model::Trained(Trained { latent, network, training })
+                Model::Trained(Box::new(Trained { latent, network, training }))
             }
             (None, None, None, Some(name)) => Model::External(name),
             _ => return Err("a run has 'latent', 'network' and 'training', or it has 'model'"),
