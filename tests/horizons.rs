@@ -77,7 +77,7 @@ fn add_further_rows(run: &Path) {
             .with_column(col(value) + lit(1000.0));
         let with = |horizon: i64, given: Option<&'static str>| {
             let given = given.map_or(lit(NULL).cast(DataType::String), lit);
-            rows.clone().with_columns([lit(horizon).alias(HORIZON), given.alias(GIVEN)])
+            rows.clone().with_columns([lit(horizon).cast(DataType::Int64).alias(HORIZON), given.alias(GIVEN)])
         };
         let further = concat([with(5, None), with(1, Some("arm"))], UnionArgs::default()).unwrap();
         let further = further.collect().unwrap();
