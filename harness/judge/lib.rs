@@ -16,7 +16,7 @@ pub use rows::{FrameRow, MetricRow, PredictionRow, is_usual};
 pub use training_mean::TrainingMean;
 
 use harness_metrics::{Evaluation, MetricsError, parts};
-use harness_samples::{Sample, Samples, physical};
+use harness_samples::{Sample, Samples, after, physical};
 use harness_spec::{Modality, Task};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -116,7 +116,7 @@ pub fn judge(predictor: &dyn Predictor, test: &Test) -> Result<Judged, JudgeErro
         predictor.predict(at, &mut |predicted| {
             let Predicted { modality, horizon, values } = predicted;
             let definition = &layout[*modality];
-            let ahead: Vec<Sample> = at.iter().map(|sample| sample.after(*horizon)).collect();
+            let ahead = after(at, *horizon);
             let reference = physical(test.samples, *modality, &ahead);
             let new = || Evaluation::new(definition, &layout.regions);
             let evaluation = evaluations.entry((*modality, *horizon)).or_insert_with(new);

@@ -2,7 +2,7 @@
 
 use super::{BATCH, JudgeError, Predicted, Predictor, Receive, models};
 use harness_metrics::baselines;
-use harness_samples::{Sample, Samples, physical};
+use harness_samples::{Sample, Samples, after, physical};
 use harness_spec::Modality;
 
 /// Predicts the mean of the samples that training windows predict.
@@ -25,8 +25,7 @@ impl TrainingMean {
     ) -> Result<Self, JudgeError> {
         let mut mean = baselines::TrainingMean::new(samples.layout()[modality].width());
         for at in training.chunks(BATCH) {
-            let ahead: Vec<Sample> = at.iter().map(|sample| sample.after(horizon)).collect();
-            mean.add(&physical(samples, modality, &ahead))?;
+            mean.add(&physical(samples, modality, &after(at, horizon)))?;
         }
         Ok(Self { modality, horizon, mean })
     }

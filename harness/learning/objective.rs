@@ -1,10 +1,10 @@
 //! Training objectives: the loss terms of a batch of windows.
 
 use super::data::NormalizedData;
-use super::network::{Decoder, Draw, Network, State, Targets, Term};
+use super::network::{Decoder, Draw, Network, State, Targets, Term, context};
 use super::predict::Latents;
 use candle_core::{Result, Tensor};
-use harness_samples::Sample;
+use harness_samples::{Sample, after, before};
 use harness_spec::{Loss, Modality, Window};
 use std::collections::BTreeMap;
 
@@ -59,8 +59,7 @@ pub struct Prediction<'a> {
 impl Prediction<'_> {
     /// Returns the state that predicts the samples after `now`, and the losses of its prediction.
     fn step(&self, state: &State, now: &[Sample]) -> Result<(State, Vec<Term>)> {
-        let next: Vec<Sample> = now.iter().map(|sample| sample.after(1)).collect();
-        let values = self.data.observation(&next, self.output)?;
+        let values = self.data.observation(&after(now, 1), self.output)?;
         let state = self.network.act(state, &self.data.actions(now)?)?;
         let terms = self.network.losses(&state, Targets { values: &values, losses: self.losses })?;
         Ok((state, terms))
@@ -71,9 +70,8 @@ impl Objective for Prediction<'_> {
     fn terms(&self, at: &[Sample], mut draw: Draw) -> Result<Vec<Weighted>> {
         let (mut divergences, mut losses) = (Vec::new(), Vec::new());
         let mut state = self.network.start(at.len(), &self.data.device)?;
-        let context = if state.is_some() { self.window.context } else { 1 };
-        for distance in (0..context).rev() {
-            let now: Vec<Sample> = at.iter().map(|sample| sample.before(distance)).collect();
+        for distance in (0..context(state.as_ref(), self.window)).rev() {
+            let now = before(at, distance);
             let observation = self.data.observation(&now, self.input)?;
             let seen = self.network.observe(state.as_ref(), &observation, &mut draw)?;
             let (next, terms) = self.step(&seen.state, &now)?;
@@ -82,9 +80,8 @@ impl Objective for Prediction<'_> {
             state = Some(next);
         }
         for distance in 1..self.window.horizon {
-            let now: Vec<Sample> = at.iter().map(|sample| sample.after(distance)).collect();
-            let Some(before) = &state else { break };
-            let (next, terms) = self.step(before, &now)?;
+            let Some(last) = &state else { break };
+            let (next, terms) = self.step(last, &after(at, distance))?;
             losses.push(terms);
             state = Some(next);
         }

@@ -2,10 +2,10 @@
 
 use super::LearningError;
 use super::data::NormalizedData;
-use super::network::{Decoded, Decoder, Draw, Network, State};
+use super::network::{Decoded, Decoder, Draw, Network, State, context};
 use candle_core::{Result, Tensor};
 use harness_judge::{BATCH, JudgeError, Predicted, Predictor, Receive, models};
-use harness_samples::{Normalizers, Sample};
+use harness_samples::{Normalizers, Sample, after, before};
 use harness_spec::{Modality, Window};
 
 /// Returns the state of a network that has seen the windows until the present samples `at`.
@@ -20,10 +20,9 @@ fn present(
     at: &[Sample],
 ) -> Result<State> {
     let mut state = network.start(at.len(), &data.device)?;
-    let context = if state.is_some() { window.context } else { 1 };
-    let mut distance = context - 1;
+    let mut distance = context(state.as_ref(), window) - 1;
     loop {
-        let now: Vec<Sample> = at.iter().map(|sample| sample.before(distance)).collect();
+        let now = before(at, distance);
         let observation = data.observation(&now, input)?;
         let seen = network.observe(state.as_ref(), &observation, &mut Draw::Mean)?.state;
         if distance == 0 {
@@ -103,7 +102,7 @@ impl Predictor for TrainedNetwork<'_> {
         let mut state = present(&**network, data, input, *window, at).map_err(failed)?;
         let horizons = window.horizons();
         for horizon in 1..=window.horizon {
-            let now: Vec<Sample> = at.iter().map(|sample| sample.after(horizon - 1)).collect();
+            let now = after(at, horizon - 1);
             let next = || network.act(&state, &data.actions(&now)?);
             state = next().map_err(failed)?;
             if !horizons.contains(&horizon) {

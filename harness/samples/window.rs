@@ -40,6 +40,19 @@ impl Sample {
     }
 }
 
+/// Returns the samples that follow those in `at` `steps` later.
+pub fn after(at: &[Sample], steps: usize) -> Vec<Sample> {
+    at.iter().map(|sample| sample.after(steps)).collect()
+}
+
+/// Returns the samples that came `steps` before those in `at`.
+///
+/// # Panics
+/// When the dataset begins later.
+pub fn before(at: &[Sample], steps: usize) -> Vec<Sample> {
+    at.iter().map(|sample| sample.before(steps)).collect()
+}
+
 /// Returns the present samples of all windows within a range of consecutive samples.
 fn within(window: Window, samples: &Range<usize>) -> impl Iterator<Item = Sample> + use<> {
     let first = samples.start + window.context - 1;

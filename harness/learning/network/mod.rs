@@ -17,7 +17,7 @@ use super::ops::{self, Arithmetic, Dropout};
 use super::random::Random;
 use candle_core::{DType, Device, Result, Tensor, Var};
 use description::Layer;
-use harness_spec::{Layout, Loss, Modality, RunSpec, Task, Trained};
+use harness_spec::{Layout, Loss, Modality, RunSpec, Task, Trained, Window};
 use layers::{Builder, Made};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -166,6 +166,11 @@ pub struct State {
     pub action: Option<Tensor>,
     /// What the network has stored of earlier samples, `[batch, width]`; `None` without memory.
     pub memory: Option<Tensor>,
+}
+
+/// Returns the number of samples that a network sees of a window: only the present one if it has no state at the start.
+pub(crate) fn context(start: Option<&State>, window: Window) -> usize {
+    if start.is_some() { window.context } else { 1 }
 }
 
 /// A state after an observation.
