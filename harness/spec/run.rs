@@ -114,35 +114,21 @@ impl From<RunSpec> for Fields {
             Some(Trained { latent, network, training }) => (Some(latent), Some(network), Some(training)),
             None => (None, None, None),
         };
-        let RunSpec {
-            scenario,
-            input,
-            output,
-            variant,
-            seed,
-            tasks,
-            action,
-            window,
-            simulation,
-            split,
-            scaling,
-            ..
-        } = spec;
         Self {
-            scenario,
-            input,
-            output,
+            scenario: spec.scenario,
+            input: spec.input,
+            output: spec.output,
             latent,
-            variant,
-            seed,
-            tasks,
-            action,
-            window,
+            variant: spec.variant,
+            seed: spec.seed,
+            tasks: spec.tasks,
+            action: spec.action,
+            window: spec.window,
             network,
             model,
-            simulation,
-            split,
-            scaling,
+            simulation: spec.simulation,
+            split: spec.split,
+            scaling: spec.scaling,
             training,
         }
     }
@@ -159,20 +145,18 @@ impl TryFrom<Fields> for RunSpec {
             (None, None, None, Some(name)) => Model::External(name),
             _ => return Err("a run has 'latent', 'network' and 'training', or it has 'model'"),
         };
-        let Fields { scenario, input, output, variant, seed, tasks, action, window, .. } = fields;
-        let (simulation, split, scaling) = (fields.simulation, fields.split, fields.scaling);
         Ok(Self {
-            scenario,
-            input,
-            output,
-            variant,
-            seed,
-            tasks,
-            action,
-            window,
-            simulation,
-            split,
-            scaling,
+            scenario: fields.scenario,
+            input: fields.input,
+            output: fields.output,
+            variant: fields.variant,
+            seed: fields.seed,
+            tasks: fields.tasks,
+            action: fields.action,
+            window: fields.window,
+            simulation: fields.simulation,
+            split: fields.split,
+            scaling: fields.scaling,
             model,
         })
     }
