@@ -136,6 +136,10 @@ fn conditions_on(query: &Query, table: Table, columns: &[Column]) -> BTreeSet<Co
 /// # Errors
 /// When a file of the table is damaged or missing.
 pub fn table(registry: &Registry, table: Table, runs: &[Recorded], query: &Query) -> PolarsResult<LazyFrame> {
+    // A run's tables count once its record says that it is done, and as its record lists them.
+    let done = || -> Vec<&RunRecord> {
+        runs.iter().map(|(_, run)| run).filter(|run| run.status == Status::Done).collect()
+    };
     let found = match table {
         Table::Runs if runs.is_empty() => None,
         Table::Runs => {
@@ -144,14 +148,11 @@ pub fn table(registry: &Registry, table: Table, runs: &[Recorded], query: &Query
         }
         Table::Episodes => episodes(&episode_files(registry, runs)?)?,
         Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
-            // A run's tables count once its record says that it is done, and as its record lists them.
-            let done = runs.iter().map(|(_, run)| run).filter(|run| run.status == Status::Done);
-            let done = run_table(registry, table, table, &done.collect::<Vec<_>>(), query)?;
-            if table == Table::Epochs { with_live_epochs(done, runs)? } else { done }
+            let rows = run_table(registry, table, table, &done(), query)?;
+            if table == Table::Epochs { with_live_epochs(rows, runs)? } else { rows }
         }
         Table::AllMetrics | Table::AllPredictions => {
-            let done = runs.iter().map(|(_, run)| run).filter(|run| run.status == Status::Done);
-            let done: Vec<&RunRecord> = done.collect();
+            let done = done();
             let usual = table.usual().map(|usual| run_table(registry, usual, table, &done, query));
             let usual = usual.transpose()?.flatten().map(|rows| with_distance(rows, table));
             let further = run_table(registry, table, table, &done, query)?;
