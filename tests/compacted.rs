@@ -1,6 +1,6 @@
 //! Compacted tables give the same answers as the runs' own files, even after changes and damage to either.
 
-use crate::common::{SMOKE, finish, fresh, harness, set_in_record, succeed};
+use crate::common::{SMOKE, copy_folder, finish, fresh, harness, set_in_record, succeed};
 use harness::analysis::compare;
 use harness::catalog::{QueryError, query, query_of};
 use harness::experiment::provenance;
@@ -107,17 +107,6 @@ fn plain_answers(results: &Path) -> Vec<DataFrame> {
     copy_folder(&results.join("runs"), &copy.path().join("runs"));
     std::fs::write(copy.path().join("compacted"), "in the way").unwrap();
     answers(copy.path())
-}
-
-fn copy_folder(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let (path, copy) = {
-            let entry = entry.unwrap();
-            (entry.path(), to.join(entry.file_name()))
-        };
-        if path.is_dir() { copy_folder(&path, &copy) } else { std::fs::copy(&path, &copy).map(drop).unwrap() }
-    }
 }
 
 #[track_caller]

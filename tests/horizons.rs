@@ -1,6 +1,6 @@
 //! Rows of further horizons, and of models that got only some inputs: where they are, and that nothing else sees them.
 
-use crate::common::{SMOKE, finish, fresh, harness, succeed};
+use crate::common::{SMOKE, copy_folder, finish, fresh, harness, succeed};
 use harness::schema::{GIVEN, HORIZON, Table};
 use harness::tables::{Stamp, TableFile, write_table};
 use harness::{catalog, registry::Registry, seal};
@@ -42,15 +42,6 @@ const COMMANDS: [&[&str]; 17] = [
     &["figures", "readings", "--output", "{}/figures", "--format", "svg"],
     &["report", "--output", "{}/report.html"],
 ];
-
-fn copy(from: &Path, to: &Path) {
-    fs::create_dir_all(to).unwrap();
-    for entry in fs::read_dir(from).unwrap() {
-        let path = entry.unwrap().path();
-        let copied = to.join(path.file_name().unwrap());
-        if path.is_dir() { copy(&path, &copied) } else { fs::copy(&path, &copied).map(drop).unwrap() }
-    }
-}
 
 /// The folders of all runs below a results folder.
 fn runs(results: &Path) -> Vec<PathBuf> {
@@ -113,8 +104,8 @@ fn answer(results: &Path, command: &[&str]) -> (i32, String, Vec<(String, Vec<u8
 fn further_rows_change_no_other_answer() {
     let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
     let [plain, further] = ["horizons_plain", "horizons_further"].map(fresh);
-    copy(&reference.join("runs"), &plain.join("runs"));
-    copy(&reference.join("runs"), &further.join("runs"));
+    copy_folder(&reference.join("runs"), &plain.join("runs"));
+    copy_folder(&reference.join("runs"), &further.join("runs"));
     let added = runs(&further);
     assert!(added.len() > 100);
     added.iter().for_each(|run| add_further_rows(run));

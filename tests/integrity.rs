@@ -1,6 +1,6 @@
 //! Damaged results: every damage is detected, no damaged data are read, and the commands of `harness verify` repair it.
 
-use crate::common::{Answer, SMOKE, finish, harness, smoke_run, succeed};
+use crate::common::{Answer, SMOKE, copy_folder, finish, harness, smoke_run, succeed};
 use harness::catalog::{QueryError, query};
 use harness::collection::{collect, dataset_of};
 use harness::dataset::DatasetError;
@@ -35,7 +35,7 @@ impl Copy {
     fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let results = folder.path().join("it's all here");
-        copy(&RESULTS, &results);
+        copy_folder(&RESULTS, &results);
         Self { _folder: folder, results }
     }
 
@@ -50,19 +50,6 @@ impl Copy {
 
     fn dataset(&self, scenario: &str) -> PathBuf {
         child(&self.results.join("datasets"), scenario)
-    }
-}
-
-fn copy(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let entry = entry.unwrap();
-        let to = to.join(entry.file_name());
-        if entry.path().is_dir() {
-            copy(&entry.path(), &to);
-        } else {
-            std::fs::copy(entry.path(), to).unwrap();
-        }
     }
 }
 
@@ -208,7 +195,7 @@ fn a_table_of_another_run_is_not_taken_for_ones_own() {
 fn a_training_with_damaged_state_begins_anew_and_ends_the_same() {
     let folder = tempfile::tempdir().unwrap();
     let results = folder.path().join("results");
-    copy(&RESULTS.join("datasets"), &results.join("datasets"));
+    copy_folder(&RESULTS.join("datasets"), &results.join("datasets"));
     let undisturbed = Copy::new();
     let run = undisturbed.run("empty").file_name().unwrap().to_owned();
     let run = results.join("runs/smoke").join(run);
@@ -442,7 +429,7 @@ fn number(copy: &Copy, sql: &str) -> (i64, Vec<String>) {
 #[track_caller]
 fn not_counted(from: impl Fn(&Copy) -> PathBuf, to: impl Fn(&Copy) -> PathBuf, sql: &str, copies: usize) {
     let act = |results: &Copy| {
-        copy(&from(results), &to(results));
+        copy_folder(&from(results), &to(results));
         to(results)
     };
     let results = Copy::new();
@@ -494,7 +481,7 @@ fn copies_of_runs_are_not_counted() {
     }
     // A folder of runs inside an experiment's folder is not a run. Only its owner can know what to do with it.
     let results = Copy::new();
-    copy(&RESULTS.join("runs/smoke"), &results.results.join("runs/smoke/older"));
+    copy_folder(&RESULTS.join("runs/smoke"), &results.results.join("runs/smoke/older"));
     let (counted, left_out) = number(&results, RUNS);
     assert_eq!((counted, left_out.len()), (2, 1), "{left_out:?}");
     assert!(verify(&results.results).stdout.contains("runs belong in runs/EXPERIMENT/RUN"));

@@ -5,7 +5,7 @@
 //! `NUMBERS_CASES=200 cargo test --test all numbers::` tests 200 folders instead of a few.
 
 use crate::common::finger::{FRAME_LEN, JOINTS};
-use crate::common::{finish, fresh, harness};
+use crate::common::{copy_folder, finish, fresh, harness};
 use harness::claims::{Claim, load};
 use harness::judge::{FrameRow, MetricRow, PredictionRow};
 use harness::learning::training::{Epoch, Losses, TOTAL};
@@ -229,15 +229,6 @@ fn folders(folder: &Path) -> Vec<PathBuf> {
     folders
 }
 
-fn copy(from: &Path, to: &Path) {
-    fs::create_dir_all(to).unwrap();
-    for entry in fs::read_dir(from).unwrap() {
-        let path = entry.unwrap().path();
-        let copied = to.join(path.file_name().unwrap());
-        if path.is_dir() { copy(&path, &copied) } else { fs::copy(&path, &copied).map(drop).unwrap() }
-    }
-}
-
 /// Copies and damages runs, like people and disks do.
 fn spoil(results: &Path, random: &mut ChaCha8Rng) {
     let experiments = folders(&results.join("runs"));
@@ -247,12 +238,12 @@ fn spoil(results: &Path, random: &mut ChaCha8Rng) {
     }
     if chance(random, 0.4) {
         let experiment = pick(random, &experiments);
-        copy(experiment, &experiment.with_extension("backup"));
+        copy_folder(experiment, &experiment.with_extension("backup"));
     }
     if chance(random, 0.4) {
         let run = pick(random, &runs);
         let name = format!("{}-copy", run.file_name().unwrap().to_str().unwrap());
-        copy(run, &run.with_file_name(name));
+        copy_folder(run, &run.with_file_name(name));
     }
     if chance(random, 0.3) {
         let (from, to) = (pick(random, &runs).join("run.json"), pick(random, &runs).join("run.json"));

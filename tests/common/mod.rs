@@ -67,6 +67,20 @@ pub fn fresh(name: &str) -> PathBuf {
     folder
 }
 
+/// Copies a folder with everything in it.
+pub fn copy_folder(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let path = entry.unwrap().path();
+        let copied = to.join(path.file_name().unwrap());
+        if path.is_dir() {
+            copy_folder(&path, &copied);
+        } else {
+            std::fs::copy(&path, &copied).unwrap();
+        }
+    }
+}
+
 /// Changes a value of a run's record.
 pub fn set_in_record(run: &Path, key: &str, value: serde_json::Value) {
     let path = run.join("run.json");
