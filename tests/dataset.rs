@@ -4,7 +4,7 @@ use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness_collection::{CollectionError, collect, dataset_of};
 use harness_dataset::{CompiledModel, Dataset, DatasetError};
 use harness_learning::frames::{Frames, SampleFrames};
-use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples};
+use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples, covered, sequences};
 use harness_shared::files::UNFINISHED;
 use harness_shared::progress::{Progress, Silent};
 use harness_simulation::{Episode, Scene, SimulationError, Simulator};
@@ -550,7 +550,7 @@ fn a_split_by_sample_draws_all_once_by_the_datasets_seed_alone() {
 #[test]
 fn a_window_never_leaves_its_episode_or_its_part() {
     let samples = ramps(0, &[200, 300]);
-    let window = Window { context: 4, horizon: 3 };
+    let window = Window { context: 4, horizon: 3, ..Window::TRANSITION };
     let episode_of = |sample: Sample| samples.place(sample).0;
     let parts = |by| {
         let Partition { training, validation, test } = samples.partition(&split(by), window).unwrap();
@@ -575,11 +575,33 @@ fn a_window_never_leaves_its_episode_or_its_part() {
         training.is_disjoint(&validation) && validation.is_disjoint(&test) && training.is_disjoint(&test)
     );
     // No episode has a window that is longer than it.
-    let long = Window { context: 150, horizon: 100 };
+    let long = Window { context: 150, horizon: 100, ..Window::TRANSITION };
     let Partition { training, validation, test } =
         ramps(0, &[200, 300, 300, 300]).partition(&split(Division::Episode), long).unwrap();
     assert_eq!([training.len(), validation.len(), test.len()], [51, 51, 51]);
     assert_eq!(samples.partition(&split(Division::Time), long), None);
+}
+
+#[test]
+fn sequences_cover_their_episodes_without_overlap() {
+    let samples = ramps(0, &[40, 23, 7]);
+    for context in [1, 4, 7] {
+        let window = Window { context, ..Window::TRANSITION };
+        let windows = samples.windows(window);
+        for left_out in [|_: usize| 0, |most: usize| most] {
+            let taken = sequences(&windows, context, left_out);
+            assert!(taken.iter().all(|present| windows.contains(present)));
+            let seen: Vec<usize> =
+                taken.iter().flat_map(|at| at.index() + 1 - context..=at.index()).collect();
+            assert_eq!(seen.iter().collect::<BTreeSet<_>>().len(), seen.len(), "no sample is seen twice");
+            // The last sample of an episode is only predicted.
+            let covered: usize = [39, 22, 6].map(|transitions| transitions / context * context).iter().sum();
+            assert_eq!(seen.len(), covered, "{context}");
+        }
+        let expected: BTreeSet<usize> =
+            windows.iter().flat_map(|at| at.index() + 1 - context..=at.index()).collect();
+        assert_eq!(covered(&windows, context), at(expected.into_iter()));
+    }
 }
 
 #[test]

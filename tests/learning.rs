@@ -26,8 +26,8 @@ use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Sam
 use harness_shared::progress::Progress;
 use harness_spec::Episode;
 use harness_spec::{
-    Action, Fusion, Layout, Loss, Modality, Network, Preset, Scenario, Schedule, Split, Stop, Task, Training,
-    Window, World,
+    Action, Fusion, Layout, Loss, Memory, Modality, Network, Preset, Scenario, Schedule, Split, Stop, Task,
+    Training, Window, World,
 };
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, HashMap};
@@ -40,6 +40,8 @@ use std::time::Duration;
 mod additions;
 #[path = "common/finger.rs"]
 mod finger;
+#[path = "learning/memory.rs"]
+mod memory;
 
 /// Path of the repository.
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
@@ -456,6 +458,7 @@ fn network(hidden: usize, channels: usize) -> Network {
         channels: Some(vec![channels]),
         average: 1,
         fusion: Fusion::Early,
+        memory: Memory::None,
     }
 }
 
@@ -501,6 +504,7 @@ impl Twin {
                     channels: Some(sizes("channels")),
                     average: 1,
                     fusion,
+                    memory: Memory::None,
                 },
                 arithmetic,
             },
@@ -696,6 +700,7 @@ impl Bench {
             hidden: vec![8, 7],
             channels: Some(vec![2, 3, 4]),
             fusion: Fusion::Late,
+            memory: Memory::None,
             ..bench.network
         };
         Self { network: deep, ..bench }

@@ -1,8 +1,8 @@
 //! Specs: which are loaded, which are refused with which message, and which runs are the same.
 
 use harness_spec::{
-    self as spec, Action, Candidates, Division, Experiment, Fusion, GivenScaling, Layout, Loss, Method,
-    Modality, Network, Origin, Preset, Scale, Scaling, Scalings, Scenario, Schedule, Search, Setting,
+    self as spec, Action, Candidates, Division, Experiment, Fusion, GivenScaling, Layout, Loss, Memory,
+    Method, Modality, Network, Origin, Preset, Scale, Scaling, Scalings, Scenario, Schedule, Search, Setting,
     Simulation, Split, SplitCounts, Stop, Task, Training, Window, World,
 };
 use rand::seq::{IndexedRandom, SliceRandom};
@@ -82,6 +82,7 @@ fn what_is_left_out_gets_its_default() {
             channels: Some(Vec::new()),
             average: 1,
             fusion: Fusion::Early,
+            memory: Memory::None,
         },
         simulation: World::paper(Scenario::CLUTTERED).simulation(),
         split: Split::default(),
@@ -162,6 +163,33 @@ fn nested_aliases_and_deep_nesting_are_refused_at_once() {
     assert!(refusal("[".repeat(500_000)).contains("broken YAML"));
     assert!(refusal("a: ".repeat(1_000)).contains("broken YAML"));
     assert!(start.elapsed().as_secs() < 60);
+}
+
+#[test]
+fn a_memory_needs_consecutive_samples() {
+    let load = |overrides: &[&str]| load_with(BASE, overrides, false);
+    let gru = ["network.memory=gru", "window.context=50"];
+    let experiment = load(&[gru[0], gru[1], "window.start=rest", "window.horizon=3"]).unwrap();
+    assert_eq!((experiment.network.memory, experiment.window.context), (Memory::Gru, 50));
+    for (overrides, expected) in [
+        (&gru[..1], "needs a context of several samples; use for example window.context: 50, or"),
+        (&[gru[0], gru[1], "split.by=sample"], "which a split by sample tears apart; use episode or time"),
+        (&[gru[0], gru[1], "split.by=time", "window.start=rest"], "leaves no whole episodes to start from"),
+    ] {
+        let said = load(overrides).unwrap_err();
+        assert!(said.contains(expected), "{said}");
+    }
+    // What is not said is not stored, so that runs without memory keep their names.
+    let json = |overrides: &[&str]| serde_json::to_value(&load(overrides).unwrap().runs()[0]).unwrap();
+    assert_eq!(json(&["network.memory=none", "window.start=random"]), json(&[]));
+    assert_ne!(json(&gru), json(&gru[1..]));
+    // A sweep may compare contexts.
+    let text = format!("{BASE}window: {{context: 5}}\nvary: {{window.context: [5, 50]}}\n");
+    let swept = load_with(text, &gru[..1], false).unwrap();
+    let mut contexts: Vec<usize> = swept.runs().iter().map(|run| run.window.context).collect();
+    contexts.sort_unstable();
+    contexts.dedup();
+    assert_eq!(contexts, [5, 50]);
 }
 
 #[test]
@@ -500,7 +528,7 @@ fn rules_that_tie_settings_together_are_checked() {
         (
             "window: {horizon: 2}\n",
             "spec.yaml:7:19: a network without memory predicts further than one sample from its own predictions, and \
-             these lack its input 'arm'; add it to the output, or use horizon: 1",
+             these lack its input 'arm'; add it to the output, or use network.memory or horizon: 1",
         ),
         (
             "split: {by: sample, validation: 0.6, test: 0.4}\n",
@@ -1341,6 +1369,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
         ),
         average: if has_frame { *[1, 2, 4].choose(random).unwrap() } else { 1 },
         fusion: *Fusion::ALL.choose(random).unwrap(),
+        memory: Memory::None,
     };
     let mut range = || {
         let (a, b): (f64, f64) = (random.random_range(-3.0..3.0), random.random_range(-3.0..3.0));

@@ -13,7 +13,7 @@ use harness::learning::network::{Architecture, Observation, Parameters, Targets,
 use harness::learning::ops::Adam;
 use harness::learning::ops::arithmetic;
 use harness::learning::random::{Random, Stream};
-use harness::spec::{Fusion, Layout, Modality, Network, Precision, Preset, Task};
+use harness::spec::{Fusion, Layout, Memory, Modality, Network, Precision, Preset, Task};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -83,6 +83,7 @@ fn main() -> candle_core::Result<()> {
             channels: Some(arguments.channels.clone()),
             average: 1,
             fusion: arguments.fusion,
+            memory: Memory::None,
         },
         arithmetic: arithmetic(!arguments.no_tiles, arguments.precision),
     };

@@ -14,7 +14,9 @@ pub fn table(spec: &RunSpec, layout: &Arc<Layout>) -> Result<String> {
         let summary = architecture(spec, trained, layout, task).summary()?;
         // The reconstruction uses the trained encoder of the prediction, which is frozen.
         let parts = match task {
-            Task::Prediction => vec![("encoder", summary.encoder), ("decoder", summary.decoder)],
+            Task::Prediction => {
+                vec![("encoder", summary.encoder), ("memory", summary.memory), ("decoder", summary.decoder)]
+            }
             Task::Reconstruction => vec![("reconstruction", summary.decoder)],
         };
         let layers = || parts.iter().flat_map(|(_, layers)| layers);

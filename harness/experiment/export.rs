@@ -1,6 +1,6 @@
 //! The files of a run's trained networks, and the networks as ONNX models.
 
-use crate::model::{ModelError, finished};
+use crate::model::{ModelError, finished, without_memory};
 use harness_learning::network::architecture;
 use harness_learning::network::description::Description;
 use harness_learning::onnx::{self, Described};
@@ -38,7 +38,7 @@ pub fn network_files(registry: &Registry, wanted: &str) -> Result<Vec<NetworkFil
 /// # Errors
 /// Those of [`network_files`], and when the run did not train `task`.
 pub fn onnx(registry: &Registry, wanted: &str, task: Task) -> Result<Vec<u8>, ModelError> {
-    let (folder, record, trained) = finished(registry, wanted)?;
+    let (folder, record, trained) = without_memory(finished(registry, wanted)?)?;
     if !record.spec.tasks.contains(&task) {
         return Err(ModelError::NoReconstruction { run: record.run, tasks: record.spec.tasks });
     }

@@ -10,7 +10,7 @@ use harness_learning::random::{Random, Stream};
 use harness_learning::{LearningError, checkpoint, predict};
 use harness_registry::{Registry, RegistryError, RunFolder, RunRecord, Status};
 use harness_samples::Normalizers;
-use harness_spec::{IMAGE_CHANNELS, Modality, Precision, Task, Trained};
+use harness_spec::{IMAGE_CHANNELS, Memory, Modality, Precision, Task, Trained};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -39,6 +39,12 @@ pub enum ModelError {
     /// The run's model is one of another program.
     #[error("the predictions of {0} come from another program, so the harness has no network of it")]
     External(String),
+    /// The run's network has a memory.
+    #[error(
+        "the network of {0} has a memory; only networks without one can be exported as ONNX or applied to single \
+         observations so far"
+    )]
+    Memory(String),
     /// The run has no checkpoint at this path.
     #[error("there is no network at {}; published results have no networks, so train the run again", .0.display())]
     NoNetwork(PathBuf),
@@ -99,7 +105,7 @@ impl Model {
     /// # Errors
     /// When no run or several runs match, the run isn't done, or its network is missing or damaged.
     pub fn load(registry: &Registry, wanted: &str) -> Result<Self, ModelError> {
-        let (folder, record, trained) = finished(registry, wanted)?;
+        let (folder, record, trained) = without_memory(finished(registry, wanted)?)?;
         let task = Task::Prediction;
         let architecture = applied(&record, &trained, task);
         let mut parameters = Parameters::new();
@@ -221,6 +227,16 @@ pub(crate) fn finished(
         (Status::Done, Some(trained)) => Ok((folder, record, trained)),
         (Status::Done, None) => Err(ModelError::External(record.run)),
         (status, _) => Err(ModelError::Unfinished { run: record.run, status }),
+    }
+}
+
+/// Refuses a run whose network has a memory.
+pub(crate) fn without_memory(
+    (folder, record, trained): (RunFolder, RunRecord, Trained),
+) -> Result<(RunFolder, RunRecord, Trained), ModelError> {
+    match trained.network.memory {
+        Memory::None => Ok((folder, record, trained)),
+        Memory::Gru => Err(ModelError::Memory(record.run)),
     }
 }
 

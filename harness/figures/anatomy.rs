@@ -288,6 +288,7 @@ impl<'a> Part<'a> {
             Operation::TransposedConvolution(convolution) => {
                 vec![short("transposed convolution", "transposed conv."), kernel(convolution), given]
             }
+            Operation::GatedRecurrentUnit { .. } => vec![short("gated recurrent unit", "GRU"), given],
             Operation::LayerNormalization { .. } => vec![short("layer normalization", "layer norm."), given],
             Operation::Average { size } => vec![format!("mean of {size} × {size} pixels"), given],
             Operation::Concatenate | Operation::Flatten | Operation::Reshape => {

@@ -29,6 +29,16 @@ pub trait Objective {
     /// When a tensor operation fails.
     fn terms(&self, at: &[Sample], draw: Draw) -> Result<Vec<Weighted>>;
 
+    /// Returns the number of consecutive samples that the network sees of each window.
+    fn context(&self) -> usize {
+        1
+    }
+
+    /// Returns the number of samples that are predicted in each window.
+    fn predicted(&self) -> usize {
+        1
+    }
+
     /// Returns the same objective over detached parameters, so that no gradients are computed.
     fn detached(&self) -> Box<dyn Objective + '_>;
 }
@@ -56,38 +66,44 @@ pub struct Prediction<'a> {
     pub loss_weights: &'a BTreeMap<Modality, f64>,
 }
 
-impl Prediction<'_> {
-    /// Returns the state that predicts the samples after `now`, and the losses of its prediction.
-    fn step(&self, state: &State, now: &[Sample]) -> Result<(State, Vec<Term>)> {
-        let values = self.data.observation(&after(now, 1), self.output)?;
-        let state = self.network.act(state, &self.data.actions(now)?)?;
-        let terms = self.network.losses(&state, Targets { values: &values, losses: self.losses })?;
-        Ok((state, terms))
-    }
-}
-
 impl Objective for Prediction<'_> {
     fn terms(&self, at: &[Sample], mut draw: Draw) -> Result<Vec<Weighted>> {
-        let (mut divergences, mut losses) = (Vec::new(), Vec::new());
-        let mut state = self.network.start(at.len(), &self.data.device)?;
-        for distance in (0..context(state.as_ref(), self.window)).rev() {
-            let now = before(at, distance);
-            let observation = self.data.observation(&now, self.input)?;
-            let seen = self.network.observe(state.as_ref(), &observation, &mut draw)?;
-            let (next, terms) = self.step(&seen.state, &now)?;
-            divergences.push(seen.divergence);
-            losses.push(terms);
+        let Self { data, network, window, .. } = self;
+        let mut state = network.start(at.len(), &data.device)?;
+        let context = self.context();
+        // The samples of all windows at one time lie together, and those at the first time come first.
+        let mut from: Vec<Sample> = (0..context).rev().flat_map(|distance| before(at, distance)).collect();
+        let encoded = network.encode(&data.observation(&from, self.input)?, &mut draw)?;
+        from.extend((1..window.horizon).flat_map(|distance| after(at, distance)));
+        let actions = data.actions(&from)?;
+        let rows_at = |tensor: &Tensor, time: usize| tensor.narrow(0, time * at.len(), at.len());
+        let (mut divergences, mut states) = (Vec::new(), Vec::new());
+        for time in 0..context + window.horizon - 1 {
+            let present = if time < context {
+                let seen = network.observe(state.as_ref(), &rows_at(&encoded, time)?, &mut draw)?;
+                divergences.push(seen.divergence);
+                Some(seen.state)
+            } else {
+                state
+            };
+            let Some(present) = present else { break };
+            let next = network.act(&present, &rows_at(&actions, time)?)?;
+            states.push(next.clone());
             state = Some(next);
         }
-        for distance in 1..self.window.horizon {
-            let Some(last) = &state else { break };
-            let (next, terms) = self.step(last, &after(at, distance))?;
-            losses.push(terms);
-            state = Some(next);
-        }
-        let mut terms = weighted(means(losses)?, self.loss_weights);
+        let values = data.observation(&after(&from, 1), self.output)?;
+        let targets = Targets { values: &values, losses: self.losses };
+        let mut terms = weighted(network.losses(&State::joined(&states)?, targets)?, self.loss_weights);
         terms.push(Weighted { name: KL.into(), weight: self.kl_weight, value: mean(divergences)? });
         Ok(terms)
+    }
+
+    fn context(&self) -> usize {
+        context(&*self.network, self.window)
+    }
+
+    fn predicted(&self) -> usize {
+        self.context() + self.window.horizon - 1
     }
 
     fn detached(&self) -> Box<dyn Objective + '_> {
@@ -98,16 +114,6 @@ impl Objective for Prediction<'_> {
 /// Returns the mean of scalars.
 fn mean(mut values: Vec<Tensor>) -> Result<Tensor> {
     if values.len() == 1 { Ok(values.remove(0)) } else { Tensor::stack(&values, 0)?.mean_all() }
-}
-
-/// Returns the mean loss of each modality over several predicted samples.
-fn means(mut losses: Vec<Vec<Term>>) -> Result<Vec<Term>> {
-    let Some(first) = losses.pop() else { return Ok(Vec::new()) };
-    let mean = |(index, Term { modality, value }): (usize, Term)| {
-        let others = losses.iter().map(|terms| terms[index].value.clone());
-        Ok(Term { modality, value: mean(others.chain([value]).collect())? })
-    };
-    first.into_iter().enumerate().map(mean).collect()
 }
 
 /// Reconstructs the present observation from the latent state of a frozen encoder. The terms are the squared error of

@@ -305,6 +305,10 @@ impl Writer<'_> {
             Operation::TransposedConvolution(convolution) => {
                 self.convolution("ConvTranspose", &inputs, output, convolution)?;
             }
+            Operation::GatedRecurrentUnit { .. } => {
+                let problem = "a network with memory can't be written as an ONNX model";
+                return Err(candle_core::Error::Msg(problem.into()).into());
+            }
             Operation::LayerNormalization { weight, bias, epsilon } => {
                 let (weight, bias) = (self.tensor(weight, None)?, self.tensor(bias, None)?);
                 let attributes =

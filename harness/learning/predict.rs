@@ -5,10 +5,57 @@ use super::data::NormalizedData;
 use super::network::{Decoded, Decoder, Draw, Network, State, context};
 use candle_core::{Result, Tensor};
 use harness_judge::{BATCH, JudgeError, Predicted, Predictor, Receive, models};
-use harness_samples::{Normalizers, Sample, after, before};
-use harness_spec::{Modality, Window};
+use harness_samples::{Normalizers, Sample, Samples, after};
+use harness_spec::{Modality, Window, WindowStart};
+use std::collections::BTreeSet;
 
-/// Returns the state of a network that has seen the windows until the present samples `at`.
+/// Consecutive samples that a network sees one after the other, from a start without knowledge.
+struct Track {
+    first: Sample,
+    samples: usize,
+}
+
+/// The tracks that end at present samples, or pass them.
+struct Tracks {
+    tracks: Vec<Track>,
+    /// For each present sample, the track on which it lies, and its distance from the track's first sample.
+    places: Vec<(usize, usize)>,
+}
+
+impl Tracks {
+    /// Returns the tracks for the present samples `at`, which are in ascending order.
+    fn new(samples: &Samples, context: usize, start: WindowStart, at: &[Sample]) -> Self {
+        let (mut tracks, mut places): (Vec<Track>, _) = (Vec::new(), Vec::with_capacity(at.len()));
+        for &present in at {
+            let distance = match start {
+                WindowStart::Rest if context > 1 => samples.place(present).1,
+                _ => context - 1,
+            };
+            let first = present.before(distance);
+            // A track from the start of an episode passes all its samples.
+            match tracks.last_mut() {
+                Some(last) if last.first == first => last.samples = distance + 1,
+                _ => tracks.push(Track { first, samples: distance + 1 }),
+            }
+            places.push((tracks.len() - 1, distance));
+        }
+        Self { tracks, places }
+    }
+
+    /// Returns the sample of each track at a distance from its first one. A shorter track stays at its last one.
+    fn at(&self, distance: usize) -> Vec<Sample> {
+        self.tracks.iter().map(|track| track.first.after(distance.min(track.samples - 1))).collect()
+    }
+
+    /// Returns the present samples at this distance, and their tracks.
+    fn wanted(&self, distance: usize) -> impl Iterator<Item = (usize, u32)> {
+        let places = self.places.iter().enumerate();
+        places.filter(move |(_, place)| place.1 == distance).map(|(index, place)| (index, place.0 as u32))
+    }
+}
+
+/// Returns the state of a network that has seen the windows until the present samples `at`, which are in ascending
+/// order.
 ///
 /// # Errors
 /// Those of the network.
@@ -19,18 +66,35 @@ fn present(
     window: Window,
     at: &[Sample],
 ) -> Result<State> {
-    let mut state = network.start(at.len(), &data.device)?;
-    let mut distance = context(state.as_ref(), window) - 1;
-    loop {
-        let now = before(at, distance);
-        let observation = data.observation(&now, input)?;
-        let seen = network.observe(state.as_ref(), &observation, &mut Draw::Mean)?.state;
-        if distance == 0 {
-            return Ok(seen);
+    let tracks = Tracks::new(&data.samples, context(network, window), window.start, at);
+    let longest = tracks.tracks.iter().map(|track| track.samples).max().unwrap_or_default();
+    let all: BTreeSet<Sample> = (0..longest).flat_map(|distance| tracks.at(distance)).collect();
+    let all: Vec<Sample> = all.into_iter().collect();
+    let encoded = all.chunks(BATCH).map(|at| {
+        let observation = data.observation(at, input)?;
+        network.encode(&observation, &mut Draw::Mean)
+    });
+    let encoded = Tensor::cat(&encoded.collect::<Result<Vec<_>>>()?, 0)?;
+    let mut state = network.start(tracks.tracks.len(), &data.device)?;
+    let (mut states, mut order) = (Vec::new(), Vec::new());
+    for distance in 0..longest {
+        let now = tracks.at(distance);
+        let rows: Vec<u32> =
+            now.iter().filter_map(|sample| all.binary_search(sample).ok()).map(|row| row as u32).collect();
+        let encoded = encoded.index_select(&Tensor::new(rows, encoded.device())?, 0)?;
+        let seen = network.observe(state.as_ref(), &encoded, &mut Draw::Mean)?.state;
+        let (indices, rows): (Vec<usize>, Vec<u32>) = tracks.wanted(distance).unzip();
+        if !rows.is_empty() {
+            states.push(seen.rows(&rows)?);
+            order.extend(indices);
         }
-        state = Some(network.act(&seen, &data.actions(&now)?)?);
-        distance -= 1;
+        if distance + 1 < longest {
+            state = Some(network.act(&seen, &data.actions(&now)?)?);
+        }
     }
+    let mut rows = vec![0; order.len()];
+    order.into_iter().enumerate().for_each(|(row, index)| rows[index] = row as u32);
+    State::joined(&states)?.rows(&rows)
 }
 
 /// The latent states of a network at all samples that have a whole context before them.
@@ -53,7 +117,7 @@ impl Latents {
         window: Window,
     ) -> Result<Self> {
         let network = network.detached();
-        let at = data.samples.windows(Window { horizon: 0, ..window });
+        let at = data.samples.windows(Window { horizon: 0, ..window.judged() });
         let latents = at.chunks(BATCH).map(|at| Ok(present(&*network, data, input, window, at)?.latent));
         let values = Tensor::cat(&latents.collect::<Result<Vec<_>>>()?, 0)?.contiguous()?;
         Ok(Self { at, values })

@@ -2,7 +2,7 @@
 
 use harness_spec::Task;
 use rand::seq::SliceRandom;
-use rand::{Rng, SeedableRng};
+use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, Uniform};
 
@@ -55,6 +55,11 @@ impl Random {
     /// Draws a seed for another generator.
     pub fn seed(&mut self) -> u64 {
         self.0.next_u64()
+    }
+
+    /// Draws an integer from 0 to `most`.
+    pub fn up_to(&mut self, most: usize) -> usize {
+        self.0.random_range(0..=most)
     }
 
     /// Shuffles `values`.

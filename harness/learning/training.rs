@@ -7,7 +7,7 @@ use super::ops::Adam;
 use super::random::{Random, Stream};
 use super::state::{State, StateFile};
 use candle_core::{Result as CandleResult, Tensor};
-use harness_samples::Partition;
+use harness_samples::{Partition, sequences};
 use harness_shared::progress::Progress;
 use harness_spec::{Schedule, Stop, Task, Training};
 use std::f64::consts::PI;
@@ -115,11 +115,12 @@ impl Fit<'_> {
     ) -> Result<Epoch, LearningError> {
         let begin = Instant::now();
         let mut random = Random::new(self.seed, Stream::Epoch { task: self.task, index });
-        let mut order = self.partition.training.clone();
+        let mut order = sequences(&self.partition.training, objective.context(), |most| random.up_to(most));
         random.shuffle(&mut order);
         let mut train = Sums::default();
-        let epoch_steps = order.len().div_ceil(self.training.batch_size);
-        for at in order.chunks(self.training.batch_size) {
+        let batch = self.windows_per_step(objective);
+        let epoch_steps = order.len().div_ceil(batch);
+        for at in order.chunks(batch) {
             if self.progress.cancelled() {
                 return Err(LearningError::Cancelled);
             }
@@ -141,6 +142,11 @@ impl Fit<'_> {
         Ok(epoch)
     }
 
+    /// Returns the number of windows whose predicted samples are a batch.
+    fn windows_per_step(&self, objective: &dyn Objective) -> usize {
+        (self.training.batch_size / objective.predicted()).max(1)
+    }
+
     /// Refuses an epoch with a loss that is infinite or NaN.
     fn check_finite(&self, epoch: &Epoch) -> Result<(), LearningError> {
         for (split, losses) in [("training", &epoch.train), ("validation", &epoch.validation)] {
@@ -156,7 +162,8 @@ impl Fit<'_> {
     fn validate(&self, objective: &dyn Objective) -> CandleResult<Losses> {
         let objective = objective.detached();
         let mut sums = Sums::default();
-        for at in self.partition.validation.chunks(self.training.batch_size) {
+        let windows = sequences(&self.partition.validation, objective.context(), |most| most / 2);
+        for at in windows.chunks(self.windows_per_step(&*objective)) {
             let terms = objective.terms(at, Draw::Mean)?;
             sums.add(&terms, &total(&terms)?, at.len())?;
         }

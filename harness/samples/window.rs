@@ -53,6 +53,40 @@ pub fn before(at: &[Sample], steps: usize) -> Vec<Sample> {
     at.iter().map(|sample| sample.before(steps)).collect()
 }
 
+/// Returns the ranges of consecutive samples in `windows`, which are in ascending order.
+fn runs(windows: &[Sample]) -> impl Iterator<Item = Range<usize>> {
+    let parts = windows.chunk_by(|one, next| one.index() + 1 == next.index());
+    parts.map(|part| part[0].index()..part[part.len() - 1].index() + 1)
+}
+
+/// Returns windows with a context of `context` samples that share none of them, so that together they cover nearly all
+/// samples. Each window is named by its present sample. `windows` are all windows, in ascending order. `offset` says how
+/// many samples are left out before the first window of an episode, given how many are left over; all windows are taken
+/// if the context is one sample.
+pub fn sequences(windows: &[Sample], context: usize, mut offset: impl FnMut(usize) -> usize) -> Vec<Sample> {
+    if context == 1 {
+        return windows.to_vec();
+    }
+    let mut taken = Vec::new();
+    for run in runs(windows) {
+        let samples = run.len() + context - 1;
+        let first = run.start + offset(samples % context);
+        taken.extend((0..samples / context).map(|index| Sample::at(first + index * context)));
+    }
+    taken
+}
+
+/// Returns the samples that a model sees of windows with a context of `context` samples, in ascending order. `windows`
+/// are their present samples, in ascending order.
+pub fn covered(windows: &[Sample], context: usize) -> Vec<Sample> {
+    let mut seen: Vec<Sample> = Vec::with_capacity(windows.len());
+    for run in runs(windows) {
+        let first = seen.last().map_or(0, |last| last.index() + 1);
+        seen.extend((first.max(run.start + 1 - context)..run.end).map(Sample::at));
+    }
+    seen
+}
+
 /// Returns the present samples of all windows within a range of consecutive samples.
 fn within(window: Window, samples: &Range<usize>) -> impl Iterator<Item = Sample> + use<> {
     let first = samples.start + window.context - 1;
@@ -94,11 +128,16 @@ impl Samples {
     /// keeps the neighbors of a test sample out of the training data.
     fn partition_by_episode(&self, split: &Split, window: Window) -> Option<Partition> {
         let counts = split.counts(self.episodes().len())?;
-        let all =
-            |episodes: &[Range<usize>]| episodes.iter().flat_map(|range| within(window, range)).collect();
+        let all = |episodes: &[Range<usize>], window| {
+            episodes.iter().flat_map(|range| within(window, range)).collect()
+        };
         let (training, others) = self.episodes().split_at(counts.training);
         let (validation, test) = others.split_at(counts.validation);
-        Some(Partition { training: all(training), validation: all(validation), test: all(test) })
+        Some(Partition {
+            training: all(training, window),
+            validation: all(validation, window),
+            test: all(test, window.judged()),
+        })
     }
 
     /// In each episode, the last part is for the test, the part before it for validation, and the first part for

@@ -240,7 +240,7 @@ impl RunSpec {
         let Self { split, simulation, .. } = self;
         let unsaid = json!({
             "variant": self.variant,
-            "window": { "context": self.window.context, "horizon": self.window.horizon },
+            "window": { "context": self.window.context, "start": self.window.start, "horizon": self.window.horizon },
             "split": { "by": split.by, "gap_seconds": split.gap_seconds },
             "scaling": self.scalings(layout),
         });
@@ -263,7 +263,7 @@ impl RunSpec {
         let losses: BTreeMap<Modality, Loss> =
             self.output.iter().filter(is_vector).map(|modality| (*modality, loss(modality))).collect();
         json!({
-            "network": { "average": network.average, "fusion": network.fusion },
+            "network": { "average": network.average, "fusion": network.fusion, "memory": network.memory },
             "training": {
                 "schedule": training.schedule,
                 "warmup_epochs": training.warmup_epochs,

@@ -93,15 +93,26 @@ const NOT_OVERRIDDEN: [&str; 3] = ["quick", "readings", "roles"];
 
 /// Whether `vary` takes the setting: not what makes cells of its own.
 fn varies(key: &str) -> bool {
-    const SECTIONS: [&str; 9] =
-        ["input", "output", "tasks", "action", "network", "simulation", "split", "scaling", "training"];
+    const SECTIONS: [&str; 10] = [
+        "input",
+        "output",
+        "tasks",
+        "action",
+        "window",
+        "network",
+        "simulation",
+        "split",
+        "scaling",
+        "training",
+    ];
     SECTIONS.contains(&key.split('.').next().unwrap_or(key))
 }
 
 /// Whether a search may draw the setting. Trials with other data, outputs or scales could not be compared by their
-/// losses.
+/// losses, and successive halving sets the last epoch.
 fn draws(key: &str) -> bool {
-    ["input", "action", "network", "training"].contains(&key.split('.').next().unwrap_or(key))
+    const SECTIONS: [&str; 4] = ["input", "action", "network", "training"];
+    SECTIONS.contains(&key.split('.').next().unwrap_or(key)) && key != "training.last_epoch"
 }
 
 /// The distributions of a setting: one of those that suit its type.

@@ -78,6 +78,31 @@ pub enum Fusion {
 }
 names!(Fusion { Early => "early", Late => "late" });
 
+/// What a network knows of earlier samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Memory {
+    /// Nothing: it sees one sample.
+    #[default]
+    None,
+    /// A gated recurrent unit between the encoder and the latent state (Cho et al., 2014), as wide as the last hidden
+    /// layer. It takes the encoded sample and the action before it, and tells the latent state.
+    Gru,
+}
+names!(Memory { None => "none", Gru => "gru" });
+
+/// What a model has seen when it predicts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum WindowStart {
+    /// The last `context` samples, anywhere in an episode.
+    #[default]
+    Random,
+    /// All samples since the start of the episode. `context` is then the number of samples in a training sequence.
+    Rest,
+}
+names!(WindowStart { Random => "random", Rest => "rest" });
+
 /// The number format in a network's large matrix products.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -270,8 +295,12 @@ pub struct Network {
     #[schemars(range(min = 1, max = 32))]
     pub average: usize,
     /// The layer in which the encoder joins images and vectors. The default is `early`.
-    #[serde(default, skip_serializing_if = "is_early")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub fusion: Fusion,
+    /// What the network knows of earlier samples. The default is `none`. A network with memory needs a `window` with a
+    /// context of several samples.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub memory: Memory,
 }
 
 impl Network {
@@ -332,7 +361,7 @@ pub struct Training {
     #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(max = 1e6), extend("exclusiveMinimum" = 0.0))]
     pub clip_norm: Option<f64>,
-    /// Samples per step.
+    /// Predicted samples per step. Sequences of samples count with their length.
     #[schemars(range(min = 1, max = 65536))]
     pub batch_size: usize,
     /// Largest number of epochs.
@@ -416,6 +445,10 @@ pub struct Window {
     /// whatever the number; it is then judged on the same samples as one with memory.
     #[schemars(range(min = 1, max = MAX_WINDOW))]
     pub context: usize,
+    /// What the model has seen when it predicts: the last `context` samples anywhere in an episode (`random`, the
+    /// default), or all samples since the episode's start (`rest`).
+    #[serde(skip_serializing_if = "is_default")]
+    pub start: WindowStart,
     /// Number of samples after the present one that the model predicts, one from the other. The tables `metrics` and
     /// `predictions` contain those of the first one, and `all_metrics` and `all_predictions` also those at 2, 5, 10,
     /// 20, 50, 100, 200 and 500 samples, as far as the horizon goes, and at the horizon.
@@ -436,11 +469,19 @@ impl Default for Window {
 
 impl Window {
     /// A transition: the present sample and the next one.
-    pub const TRANSITION: Self = Self { context: 1, horizon: 1 };
+    pub const TRANSITION: Self = Self { context: 1, start: WindowStart::Random, horizon: 1 };
 
     /// Whether this is [`Window::TRANSITION`], which specs do not store.
     pub(crate) fn is_transition(&self) -> bool {
         *self == Self::TRANSITION
+    }
+
+    /// Returns the shortest window in which a model is judged. From the start of an episode, this is its first sample.
+    pub fn judged(self) -> Self {
+        match self.start {
+            WindowStart::Random => self,
+            WindowStart::Rest => Self { context: 1, ..self },
+        }
     }
 
     /// Returns the number of samples in a window.
@@ -527,9 +568,6 @@ fn one() -> usize {
 }
 fn is_one(value: &usize) -> bool {
     *value == 1
-}
-fn is_early(fusion: &Fusion) -> bool {
-    *fusion == Fusion::Early
 }
 fn yes() -> bool {
     true

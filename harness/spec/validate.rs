@@ -7,7 +7,8 @@ use super::origin::Origin;
 use super::search::{Halving, Objective, Search};
 use super::simulation::{Setting, Simulation};
 use super::types::{
-    Device, Division, Experiment, Network, Precision, Preset, Reading, Settings, Split, Task, Training,
+    Device, Division, Experiment, Memory, Network, Precision, Preset, Reading, Settings, Split, Task,
+    Training, WindowStart,
 };
 use super::world::World;
 
@@ -474,7 +475,7 @@ fn scaling(experiment: &Experiment) -> Result<(), Fault> {
 
 /// Refuses a window that does not fit into an episode, or that the network can't predict.
 fn window(experiment: &Experiment) -> Result<(), Fault> {
-    let Experiment { window, simulation, input, output, scenarios, .. } = experiment;
+    let Experiment { window, simulation, input, output, scenarios, network, split, .. } = experiment;
     let samples = simulation.samples_per_episode();
     let is_simulated = scenarios.iter().any(|origin| experiment.world(origin).is_some());
     if is_simulated && window.samples() > samples {
@@ -488,12 +489,40 @@ fn window(experiment: &Experiment) -> Result<(), Fault> {
             ),
         );
     }
+    let has_memory = network.memory != Memory::None;
+    if has_memory && window.context == 1 {
+        return fault(
+            "window.context",
+            format!(
+                "a network with memory needs a context of several samples; use for example window.context: {}, or \
+                 network.memory: none",
+                (samples - window.horizon).clamp(2, 50)
+            ),
+        );
+    }
+    if has_memory && split.by == Division::Sample {
+        return fault(
+            "split.by",
+            "a network with memory is trained on consecutive samples, which a split by sample tears apart; use \
+             episode or time"
+                .to_owned(),
+        );
+    }
+    if window.start == WindowStart::Rest && split.by != Division::Episode {
+        return fault(
+            "window.start",
+            format!(
+                "a split by {} leaves no whole episodes to start from; use split.by: episode, or start: random",
+                split.by
+            ),
+        );
+    }
     match input.iter().find(|modality| !output.contains(modality)) {
-        Some(missing) if window.horizon > 1 => fault(
+        Some(missing) if window.horizon > 1 && !has_memory => fault(
             "window.horizon",
             format!(
                 "a network without memory predicts further than one sample from its own predictions, and these lack \
-                 its input '{missing}'; add it to the output, or use horizon: 1"
+                 its input '{missing}'; add it to the output, or use network.memory or horizon: 1"
             ),
         ),
         _ => Ok(()),

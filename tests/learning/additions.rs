@@ -14,7 +14,7 @@ use harness_learning::predict::{Latents, TrainedNetwork};
 use harness_metrics::Metric;
 
 /// The window of these tests.
-const WINDOW: Window = Window { context: 3, horizon: 5 };
+const WINDOW: Window = Window { context: 3, horizon: 5, ..Window::TRANSITION };
 
 /// The registration of what these tests add.
 struct Added {
@@ -139,10 +139,14 @@ fn a_rollout_of_some_steps_equals_single_steps() {
     let both: &[Modality] = &[Modality::PROPRIOCEPTION];
     let architecture = Architecture { input: both.to_vec(), output: both.to_vec(), ..bench.architecture() };
     let network = architecture.network(&mut Parameters::new(), &mut random(3), &Device::Cpu).unwrap();
-    let window = Window { context: 1, horizon: 3 };
+    let window = Window { context: 1, horizon: 3, ..Window::TRANSITION };
     let at = [Sample::at(1), Sample::at(14)];
     let seen = bench.data.observation(&at, both).unwrap();
-    let mut state = network.observe(None, &seen, &mut Draw::Mean).unwrap().state;
+    let observed = |seen: &Observation| {
+        let encoded = network.encode(seen, &mut Draw::Mean).unwrap();
+        network.observe(None, &encoded, &mut Draw::Mean).unwrap().state
+    };
+    let mut state = observed(&seen);
     for step in 0..3 {
         let now: Vec<Sample> = at.iter().map(|sample| sample.after(step)).collect();
         let acted = network.act(&state, &bench.data.actions(&now).unwrap()).unwrap();
@@ -150,7 +154,7 @@ fn a_rollout_of_some_steps_equals_single_steps() {
         // One step at a time: the prediction is seen like an observation.
         let again =
             next.iter().map(|(modality, values)| (*modality, Value::Vector(values.clone()))).collect();
-        state = network.observe(None, &again, &mut Draw::Mean).unwrap().state;
+        state = observed(&again);
         if step == 2 {
             let trained = TrainedNetwork {
                 data: &bench.data,

@@ -30,9 +30,12 @@ impl Network for Integrator {
         Ok(Some(State { latent, action: None, memory: Some(seen) }))
     }
 
-    fn observe(&self, state: Option<&State>, seen: &Observation, _: &mut Draw) -> Result<Seen> {
+    fn encode(&self, seen: &Observation, _: &mut Draw) -> Result<Tensor> {
+        seen.vectors(&[Modality::ARM])
+    }
+
+    fn observe(&self, state: Option<&State>, positions: &Tensor, _: &mut Draw) -> Result<Seen> {
         let Some(State { latent, memory: Some(count), .. }) = state else { candle_core::bail!("no state") };
-        let positions = seen.vectors(&[Modality::ARM])?;
         let share = (count + 1.0)?.recip()?;
         let latent = (latent + (positions - latent)?.broadcast_mul(&share)?)?;
         let state = State { latent, action: None, memory: Some((count + 1.0)?) };

@@ -1,8 +1,9 @@
 //! The conditional variational auto-encoder as a network. It has no memory: its latent state is that of one sample.
 
-use super::{Decoded, Decoder, Draw, Encoder, Network, Observation, Seen, State, Targets, Term, Value};
+use super::{
+    Decoded, Decoder, Draw, Encoder, Network, Observation, Posterior, Seen, State, Targets, Term, Value,
+};
 use crate::frames::DenseFrames;
-use crate::ops::Dropout;
 use candle_core::{Device, Result, Tensor};
 use harness_spec::Modality;
 use std::sync::Arc;
@@ -38,12 +39,12 @@ impl Network for Cvae {
         Ok(None)
     }
 
-    fn observe(&self, _state: Option<&State>, seen: &Observation, draw: &mut Draw) -> Result<Seen> {
-        let dropout = match draw {
-            Draw::Sample { random, dropout } if *dropout > 0.0 => Some(Dropout::new(*dropout, random.seed())),
-            _ => None,
-        };
-        let posterior = self.encoder.encode_with_dropout(seen, dropout)?;
+    fn encode(&self, seen: &Observation, draw: &mut Draw) -> Result<Tensor> {
+        Ok(self.encoder.encode_with_dropout(seen, draw.dropout())?.0)
+    }
+
+    fn observe(&self, _state: Option<&State>, encoded: &Tensor, draw: &mut Draw) -> Result<Seen> {
+        let posterior = Posterior(encoded.clone());
         let state = State { latent: draw.latent(&posterior)?, action: None, memory: None };
         Ok(Seen { state, divergence: posterior.kl_divergence()? })
     }

@@ -11,6 +11,8 @@ use std::collections::BTreeMap;
 
 /// Version of the description. Raise it if a reader of the previous version would compute something else.
 pub const FORMAT: u32 = 1;
+/// Version of the description of a network with memory.
+pub const FORMAT_WITH_MEMORY: u32 = 2;
 
 /// Value that the encoder is given: all normalized vectors of the input side by side, `[batch, width]`.
 pub const VECTORS: &str = "vectors";
@@ -24,10 +26,16 @@ pub const LATENT: &str = "latent";
 /// Value that the decoder is given: the normalized action, `[batch, elements]`.
 pub const ACTION: &str = "action";
 
+/// The memory's layer, `[batch, width]`.
+pub const MEMORY: &str = "memory";
+/// What a memory takes: the encoder's last layer (zero for a sample that is not seen), 1 for a sample that is seen and
+/// 0 otherwise, and the normalized action before the sample (zero before the first one).
+pub const UNIT_INPUTS: [&str; 3] = ["encoded", "seen", ACTION];
+
 /// A network with everything that is needed to rebuild it from its tensors.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Description {
-    /// [`FORMAT`].
+    /// [`FORMAT`], or [`FORMAT_WITH_MEMORY`].
     pub format: u32,
     /// `prediction`: encoder and decoder. `reconstruction`: only a decoder, which takes the latent state of the
     /// prediction's encoder.
@@ -48,6 +56,10 @@ pub struct Description {
     /// encoder.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub encoder: Vec<Layer>,
+    /// Layers between the encoder and the latent state, which keep a state from sample to sample. The last one is
+    /// [`POSTERIOR`], and replaces that of the encoder. Empty without memory.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub memory: Vec<Layer>,
     /// Layers of the decoder in the order in which they are applied.
     pub decoder: Vec<Layer>,
 }
@@ -184,6 +196,18 @@ pub enum Operation {
     Convolution(Convolution),
     /// A transposed convolution.
     TransposedConvolution(Convolution),
+    /// A gated recurrent unit (Cho et al., 2014), as PyTorch computes it: its parts are in the order reset, update,
+    /// candidate.
+    GatedRecurrentUnit {
+        /// Name of the inputs' weight, `[3 * width, inputs]`.
+        input_weight: String,
+        /// Name of the inputs' bias, `[3 * width]`.
+        input_bias: String,
+        /// Name of the last state's weight, `[3 * width, width]`.
+        hidden_weight: String,
+        /// Name of the last state's bias, `[3 * width]`.
+        hidden_bias: String,
+    },
     /// Layer normalization over the row: (x - mean) / sqrt(variance + epsilon) * weight + bias.
     LayerNormalization {
         /// Name of the weight, `[width]`.
@@ -255,6 +279,9 @@ impl Layer {
                 Vec::new()
             }
             Operation::Dense { weights, bias, .. } => weights.iter_mut().chain([bias]).collect(),
+            Operation::GatedRecurrentUnit { input_weight, input_bias, hidden_weight, hidden_bias } => {
+                vec![input_weight, input_bias, hidden_weight, hidden_bias]
+            }
             Operation::Convolution(Convolution { weight, bias, .. })
             | Operation::TransposedConvolution(Convolution { weight, bias, .. })
             | Operation::LayerNormalization { weight, bias, .. } => vec![weight, bias],
@@ -287,6 +314,7 @@ impl Description {
         let encodes = task == Task::Prediction;
         let inputs = places(architecture, &architecture.input, [VECTORS, IMAGES]);
         let encoder = architecture.encoder_layers()?;
+        let memory = architecture.memory_layers()?;
         let output = |quantity: Quantity| {
             let name = quantity.name;
             let minimum = normalizers
@@ -300,7 +328,7 @@ impl Description {
         // The names of the decoder's last layers.
         let outputs = places(architecture, &architecture.output, ["vector", "conv"]);
         Ok(Self {
-            format: FORMAT,
+            format: if encodes && !memory.is_empty() { FORMAT_WITH_MEMORY } else { FORMAT },
             task: task.name(),
             latent: architecture.latent,
             images: Images::default(),
@@ -312,6 +340,7 @@ impl Description {
             }),
             outputs: outputs.into_iter().map(output).collect(),
             encoder: if encodes { named(encoder, "encoder") } else { Vec::new() },
+            memory: if encodes { named(memory, "memory") } else { Vec::new() },
             decoder: named(architecture.decoder_layers()?, "decoder"),
         })
     }

@@ -9,16 +9,19 @@ mod decoder;
 pub mod description;
 mod encoder;
 mod layers;
+mod recurrent;
 
 pub use super::observation::{Observation, Value};
 pub use cvae::Cvae;
+pub use recurrent::Recurrent;
 
 use super::ops::{self, Arithmetic, Dropout};
 use super::random::Random;
 use candle_core::{DType, Device, Result, Tensor, Var};
 use description::Layer;
-use harness_spec::{Layout, Loss, Modality, RunSpec, Task, Trained, Window};
+use harness_spec::{Layout, Loss, Memory, Modality, RunSpec, Task, Trained, Window};
 use layers::{Builder, Made};
+use recurrent::Unit;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -74,7 +77,14 @@ impl Architecture {
     ) -> Result<Box<dyn Network>> {
         let encoder = self.encoder(parameters, random, device)?;
         let decoder = self.decoder(parameters, random, device)?;
-        Ok(Box::new(Cvae { encoder, decoder, input: self.input.clone() }))
+        Ok(match self.network.memory {
+            Memory::None => Box::new(Cvae { encoder, decoder, input: self.input.clone() }),
+            Memory::Gru => {
+                let made = Made::Variables { parameters, random, device };
+                let unit = Unit::new(self, &mut self.builder("memory", made))?;
+                Box::new(Recurrent { encoder, unit, decoder })
+            }
+        })
     }
 
     /// Creates an encoder. Its parameters are added to `parameters`, under names that begin with `encoder.`.
@@ -103,7 +113,7 @@ impl Architecture {
         decoder::build(self, &mut self.builder("decoder", Made::Variables { parameters, random, device }))
     }
 
-    /// Lists all layers with parameters of the encoder and the decoder in the order in which they are applied. Creates
+    /// Lists all layers with parameters in the order in which they are applied. Creates
     /// no parameters.
     ///
     /// # Errors
@@ -115,6 +125,7 @@ impl Architecture {
         };
         Ok(Summary {
             encoder: trained(self.encoder_layers()?),
+            memory: trained(self.memory_layers()?),
             decoder: trained(self.decoder_layers()?),
             observed: self
                 .input
@@ -128,6 +139,14 @@ impl Architecture {
     /// Describes the encoder's layers in the order in which they are applied. Creates no parameters.
     fn encoder_layers(&self) -> Result<Vec<Layer>> {
         encoder::build(self, &mut self.builder("encoder", Made::Shapes))?.layers()
+    }
+
+    /// Describes the memory's layers in the order in which they are applied. Creates no parameters.
+    fn memory_layers(&self) -> Result<Vec<Layer>> {
+        match self.network.memory {
+            Memory::None => Ok(Vec::new()),
+            Memory::Gru => Unit::new(self, &mut self.builder("memory", Made::Shapes))?.layers(),
+        }
     }
 
     /// Describes the decoder's layers in the order in which they are applied. Creates no parameters.
@@ -168,9 +187,53 @@ pub struct State {
     pub memory: Option<Tensor>,
 }
 
-/// Returns the number of samples that a network sees of a window: only the present one if it has no state at the start.
-pub(crate) fn context(start: Option<&State>, window: Window) -> usize {
-    if start.is_some() { window.context } else { 1 }
+/// Returns the number of samples that a network sees of a training window: only the present one if it has no memory, and
+/// thus no state before the first sample.
+pub(crate) fn context(network: &dyn Network, window: Window) -> usize {
+    let has_memory = matches!(network.start(1, &Device::Cpu), Ok(Some(_)));
+    if has_memory { window.context } else { 1 }
+}
+
+impl State {
+    /// Returns the states of several batches as one batch, `[states * batch, …]`.
+    ///
+    /// # Errors
+    /// When a part is missing in one of them.
+    pub(crate) fn joined(states: &[Self]) -> Result<Self> {
+        if let [only] = states {
+            return Ok(only.clone());
+        }
+        let part = |of: fn(&Self) -> Option<&Tensor>| {
+            let parts: Vec<&Tensor> = states.iter().filter_map(of).collect();
+            match parts.len() {
+                0 => Ok(None),
+                found if found == states.len() => Tensor::cat(&parts, 0).map(Some),
+                _ => candle_core::bail!("some of the states lack a part"),
+            }
+        };
+        let Some(latent) = part(|state| Some(&state.latent))? else {
+            candle_core::bail!("there are no states")
+        };
+        Ok(Self {
+            latent,
+            action: part(|state| state.action.as_ref())?,
+            memory: part(|state| state.memory.as_ref())?,
+        })
+    }
+
+    /// Returns the states of these rows of the batch.
+    ///
+    /// # Errors
+    /// When the batch has no such row.
+    pub(crate) fn rows(&self, rows: &[u32]) -> Result<Self> {
+        let rows = Tensor::new(rows, self.latent.device())?;
+        let part = |of: &Option<Tensor>| of.as_ref().map(|values| values.index_select(&rows, 0)).transpose();
+        Ok(Self {
+            latent: self.latent.index_select(&rows, 0)?,
+            action: part(&self.action)?,
+            memory: part(&self.memory)?,
+        })
+    }
 }
 
 /// A state after an observation.
@@ -196,6 +259,14 @@ pub enum Draw<'a> {
 }
 
 impl Draw<'_> {
+    /// Returns the dropout of a batch; `None` if no value is set to zero.
+    pub fn dropout(&mut self) -> Option<Dropout> {
+        match self {
+            Self::Sample { random, dropout } if *dropout > 0.0 => Some(Dropout::new(*dropout, random.seed())),
+            _ => None,
+        }
+    }
+
     /// Returns latent states of a posterior, `[batch, latent]`.
     ///
     /// # Errors
@@ -221,12 +292,18 @@ pub trait Network: Send + Sync {
     /// When a tensor can't be created on the device.
     fn start(&self, batch: usize, device: &Device) -> Result<Option<State>>;
 
-    /// Returns the state of a sample that is seen. `state` is the one that predicts this sample, or the one before the
-    /// first sample.
+    /// Encodes samples, each by itself, `[samples, width]`.
     ///
     /// # Errors
     /// When the observation lacks a modality that the network needs.
-    fn observe(&self, state: Option<&State>, seen: &Observation, draw: &mut Draw) -> Result<Seen>;
+    fn encode(&self, seen: &Observation, draw: &mut Draw) -> Result<Tensor>;
+
+    /// Returns the state of an encoded sample. `state` is the one that predicts this sample, or the one before the
+    /// first sample.
+    ///
+    /// # Errors
+    /// When a network with memory gets no state.
+    fn observe(&self, state: Option<&State>, encoded: &Tensor, draw: &mut Draw) -> Result<Seen>;
 
     /// Returns the state that predicts the next sample, after an action `[batch, elements]`.
     ///
@@ -305,6 +382,8 @@ pub trait Decoder: Send + Sync {
 pub struct Summary {
     /// Layers of the encoder, in the order in which they are applied.
     pub encoder: Vec<Layer>,
+    /// Layers of the memory, in the order in which they are applied; empty without memory.
+    pub memory: Vec<Layer>,
     /// Layers of the decoder, in the order in which they are applied.
     pub decoder: Vec<Layer>,
     /// Number of values in one sample's input and output.
@@ -313,10 +392,10 @@ pub struct Summary {
 
 impl Summary {
     fn layers(&self) -> impl Iterator<Item = &Layer> {
-        self.encoder.iter().chain(&self.decoder)
+        self.encoder.iter().chain(&self.memory).chain(&self.decoder)
     }
 
-    /// Returns the number of trained values in the encoder and the decoder.
+    /// Returns the number of trained values.
     pub fn parameters(&self) -> usize {
         self.layers().map(|layer| layer.parameters).sum()
     }
