@@ -34,7 +34,7 @@ pub trait Objective {
         1
     }
 
-    /// Returns the number of samples that are predicted in each window.
+    /// Returns the number of predictions of samples in each window.
     fn predicted(&self) -> usize {
         1
     }
@@ -43,8 +43,8 @@ pub trait Objective {
     fn detached(&self) -> Box<dyn Objective + '_>;
 }
 
-/// Predicts the sample after each that the network has seen, and the window's samples after the present one. The terms
-/// are the mean loss of each output modality and the weighted KL divergence.
+/// Predicts the next samples of each that the network has seen, as many as the window's horizon. The terms are the mean
+/// loss of each output modality and the weighted KL divergence.
 ///
 /// A network without memory sees only the present sample, however long the context is.
 pub struct Prediction<'a> {
@@ -69,31 +69,30 @@ pub struct Prediction<'a> {
 impl Objective for Prediction<'_> {
     fn terms(&self, at: &[Sample], mut draw: Draw) -> Result<Vec<Weighted>> {
         let Self { data, network, window, .. } = self;
-        let mut state = network.start(at.len(), &data.device)?;
-        let context = self.context();
         // The samples of all windows at one time lie together, and those at the first time come first.
-        let mut from: Vec<Sample> = (0..context).rev().flat_map(|distance| before(at, distance)).collect();
-        let encoded = network.encode(&data.observation(&from, self.input)?, &mut draw)?;
-        from.extend((1..window.horizon).flat_map(|distance| after(at, distance)));
-        let actions = data.actions(&from)?;
-        let rows_at = |tensor: &Tensor, time: usize| tensor.narrow(0, time * at.len(), at.len());
+        let seen: Vec<Sample> = (0..self.context()).rev().flat_map(|distance| before(at, distance)).collect();
+        let encoded = network.encode(&data.observation(&seen, self.input)?, &mut draw)?;
+        let actions = data.actions(&seen)?;
         let (mut divergences, mut states) = (Vec::new(), Vec::new());
-        for time in 0..context + window.horizon - 1 {
-            let present = if time < context {
-                let seen = network.observe(state.as_ref(), &rows_at(&encoded, time)?, &mut draw)?;
-                divergences.push(seen.divergence);
-                Some(seen.state)
-            } else {
-                state
-            };
-            let Some(present) = present else { break };
-            let next = network.act(&present, &rows_at(&actions, time)?)?;
+        let mut state = network.start(at.len(), &data.device)?;
+        for first in (0..seen.len()).step_by(at.len()) {
+            let now = |tensor: &Tensor| tensor.narrow(0, first, at.len());
+            let seen = network.observe(state.as_ref(), &now(&encoded)?, &mut draw)?;
+            let next = network.act(&seen.state, &now(&actions)?)?;
+            divergences.push(seen.divergence);
             states.push(next.clone());
             state = Some(next);
         }
-        let values = data.observation(&after(&from, 1), self.output)?;
-        let targets = Targets { values: &values, losses: self.losses };
-        let mut terms = weighted(network.losses(&State::joined(&states)?, targets)?, self.loss_weights);
+        let mut state = State::joined(&states)?;
+        let mut losses = Vec::new();
+        for distance in 1..=window.horizon {
+            if distance > 1 {
+                state = network.act(&state, &data.actions(&after(&seen, distance - 1))?)?;
+            }
+            let values = data.observation(&after(&seen, distance), self.output)?;
+            losses.push(network.losses(&state, Targets { values: &values, losses: self.losses })?);
+        }
+        let mut terms = weighted(means(losses)?, self.loss_weights);
         terms.push(Weighted { name: KL.into(), weight: self.kl_weight, value: mean(divergences)? });
         Ok(terms)
     }
@@ -103,7 +102,7 @@ impl Objective for Prediction<'_> {
     }
 
     fn predicted(&self) -> usize {
-        self.context() + self.window.horizon - 1
+        self.context() * self.window.horizon
     }
 
     fn detached(&self) -> Box<dyn Objective + '_> {
@@ -114,6 +113,16 @@ impl Objective for Prediction<'_> {
 /// Returns the mean of scalars.
 fn mean(mut values: Vec<Tensor>) -> Result<Tensor> {
     if values.len() == 1 { Ok(values.remove(0)) } else { Tensor::stack(&values, 0)?.mean_all() }
+}
+
+/// Returns the mean loss of each modality over several distances.
+fn means(mut losses: Vec<Vec<Term>>) -> Result<Vec<Term>> {
+    let Some(first) = losses.pop() else { return Ok(Vec::new()) };
+    let mean = |(index, Term { modality, value }): (usize, Term)| {
+        let others = losses.iter().map(|terms| terms[index].value.clone());
+        Ok(Term { modality, value: mean(others.chain([value]).collect())? })
+    };
+    first.into_iter().enumerate().map(mean).collect()
 }
 
 /// Reconstructs the present observation from the latent state of a frozen encoder. The terms are the squared error of
