@@ -4,7 +4,7 @@ use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness_collection::{CollectionError, collect, dataset_of};
 use harness_dataset::{CompiledModel, Dataset, DatasetError};
 use harness_learning::frames::{Frames, SampleFrames};
-use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples, covered, sequences};
+use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples, sequences};
 use harness_shared::files::UNFINISHED;
 use harness_shared::progress::{Progress, Silent};
 use harness_simulation::{Episode, Scene, SimulationError, Simulator};
@@ -556,21 +556,25 @@ fn a_window_never_leaves_its_episode_or_its_part() {
         let Partition { training, validation, test } = samples.partition(&split(by), window).unwrap();
         [training, validation, test]
     };
-    // A part of an episode has six windows less than samples.
+    // An episode has six windows less than samples, and three more with a context of one sample.
     assert_eq!(parts(Division::Sample).each_ref().map(Vec::len), [488 - 98, 49, 49]);
     let by_time = parts(Division::Time);
-    assert_eq!(by_time.each_ref().map(Vec::len), [60 + 140 - 12, 20 + 30 - 12, 20 + 30 - 12]);
+    assert_eq!(by_time.each_ref().map(Vec::len), [60 + 140 - 6, 20 + 30 - 6, 20 + 30 - 12]);
     assert_eq!(
         (by_time[0][0], by_time[1][0], by_time[2][0]),
-        (Sample::at(3), Sample::at(113), Sample::at(183))
+        (Sample::at(0), Sample::at(110), Sample::at(183))
     );
-    for present in [by_time, parts(Division::Sample)].iter().flatten().flatten() {
+    for present in parts(Division::Sample).iter().flatten().chain(&by_time[2]) {
         assert_eq!(episode_of(present.before(3)), episode_of(present.after(3)));
     }
+    // A sequence for training has a whole context, and neither it nor what it predicts leaves its part.
+    let [training, validation, test] = by_time;
+    let whole = |part: &[Sample]| sequences(part, 4, |most| most);
     let used = |part: &[Sample]| -> BTreeSet<usize> {
         part.iter().flat_map(|present| present.index() - 3..=present.index() + 3).collect()
     };
-    let [training, validation, test] = parts(Division::Time).each_ref().map(|part| used(part));
+    let by_time = [whole(&training), whole(&validation), test];
+    let [training, validation, test] = by_time.each_ref().map(|part| used(part));
     assert!(
         training.is_disjoint(&validation) && validation.is_disjoint(&test) && training.is_disjoint(&test)
     );
@@ -578,29 +582,25 @@ fn a_window_never_leaves_its_episode_or_its_part() {
     let long = Window { context: 150, horizon: 100, ..Window::TRANSITION };
     let Partition { training, validation, test } =
         ramps(0, &[200, 300, 300, 300]).partition(&split(Division::Episode), long).unwrap();
-    assert_eq!([training.len(), validation.len(), test.len()], [51, 51, 51]);
+    assert_eq!([training.len(), validation.len(), test.len()], [100 + 200, 200, 51]);
     assert_eq!(samples.partition(&split(Division::Time), long), None);
 }
 
 #[test]
 fn sequences_cover_their_episodes_without_overlap() {
     let samples = ramps(0, &[40, 23, 7]);
-    for context in [1, 4, 7] {
-        let window = Window { context, ..Window::TRANSITION };
-        let windows = samples.windows(window);
+    let all = samples.windows(Window::TRANSITION);
+    for length in [1, 4, 7] {
+        let windows = samples.windows(Window { context: length, ..Window::TRANSITION });
         for left_out in [|_: usize| 0, |most: usize| most] {
-            let taken = sequences(&windows, context, left_out);
-            assert!(taken.iter().all(|present| windows.contains(present)));
-            let seen: Vec<usize> =
-                taken.iter().flat_map(|at| at.index() + 1 - context..=at.index()).collect();
+            let taken = sequences(&all, length, left_out);
+            assert!(taken.iter().all(|last| windows.contains(last)));
+            let seen: Vec<usize> = taken.iter().flat_map(|at| at.index() + 1 - length..=at.index()).collect();
             assert_eq!(seen.iter().collect::<BTreeSet<_>>().len(), seen.len(), "no sample is seen twice");
             // The last sample of an episode is only predicted.
-            let covered: usize = [39, 22, 6].map(|transitions| transitions / context * context).iter().sum();
-            assert_eq!(seen.len(), covered, "{context}");
+            let covered: usize = [39, 22, 6].map(|transitions| transitions / length * length).iter().sum();
+            assert_eq!(seen.len(), covered, "{length}");
         }
-        let expected: BTreeSet<usize> =
-            windows.iter().flat_map(|at| at.index() + 1 - context..=at.index()).collect();
-        assert_eq!(covered(&windows, context), at(expected.into_iter()));
     }
 }
 

@@ -4,11 +4,11 @@ use harness_judge::{Given, JudgeError, MetricRow, Persistence, Predictor, Ridge,
 use harness_learning::data::NormalizedData;
 use harness_metrics::contact;
 use harness_registry::ForceRows;
-use harness_samples::{Sample, Samples};
+use harness_samples::{Partition, Samples};
 use harness_spec::{Definition, RunSpec, Task};
 use std::ops::Range;
 
-/// Judges all baselines on the windows of the test, after those of `training`: persistence, the training mean and, for vectors, ridge regression on the
+/// Judges all baselines on the test windows: persistence, the training mean and, for vectors, ridge regression on the
 /// network's input and the actions.
 ///
 /// A reconstruction has only the training mean, because persistence would be its target.
@@ -17,12 +17,12 @@ use std::ops::Range;
 /// When a value of the dataset is not finite.
 pub fn baselines(
     data: &NormalizedData,
-    [training, test]: [&[Sample]; 2],
+    partition: &Partition,
     task: Task,
     spec: &RunSpec,
 ) -> Result<Vec<MetricRow>, JudgeError> {
     let samples = &*data.samples;
-    let test = Test { samples, task, windows: test, sampled: None };
+    let test = Test { samples, task, windows: &partition.test, sampled: None };
     let mut rows = Vec::new();
     let mut add = |predictor: &dyn Predictor| {
         rows.extend(judge(predictor, &test)?.metrics);
@@ -35,7 +35,7 @@ pub fn baselines(
     // Each modality has its own predictor, so that the means of few images are in memory.
     for modality in output.iter().copied() {
         for &horizon in &horizons {
-            add(&TrainingMean::fit(samples, training, modality, horizon)?)?;
+            add(&TrainingMean::fit(samples, &partition.training, modality, horizon)?)?;
         }
         if task == Task::Prediction {
             add(&Persistence { samples, modality, horizons: &horizons })?;
@@ -45,7 +45,7 @@ pub fn baselines(
         let given =
             Given { samples, normalizers: &data.normalizers, action: data.action, input: &spec.input };
         for &horizon in &horizons {
-            if let Some(ridge) = Ridge::fit(given, training, output, horizon)? {
+            if let Some(ridge) = Ridge::fit(given, &partition.training, output, horizon)? {
                 add(&ridge)?;
             }
         }

@@ -27,7 +27,7 @@ use harness_registry::{
     Claimed, Decision, ForceRows, LiveEpochs, Outcome, Provenance, Registry, RegistryError, RunFolder,
     RunRecord, Timings, Versions,
 };
-use harness_samples::{FramePlace, Normalizers, Partition, Samples, covered, frame_bytes};
+use harness_samples::{FramePlace, Normalizers, Partition, Samples, frame_bytes};
 use harness_shared::files::free_bytes;
 use harness_shared::memory;
 use harness_shared::progress::Progress;
@@ -373,9 +373,8 @@ impl<'a> Runner<'a> {
         let frames = self.frame_place(planned);
         let samples = self.samples(source, frames)?;
         let partition = samples.partition(&spec.split, spec.window).ok_or(ExperimentError::NoTraining)?;
-        let training = covered(&partition.training, spec.window.context);
         let normalizers =
-            Normalizers::fit(&samples, &training, &spec.scalings(samples.layout()), spec.action);
+            Normalizers::fit(&samples, &partition.training, &spec.scalings(samples.layout()), spec.action);
         let data = NormalizedData {
             samples: Arc::new(samples),
             normalizers: Arc::new(normalizers),
@@ -384,7 +383,7 @@ impl<'a> Runner<'a> {
         };
         let mut baselines = Vec::new();
         for task in &spec.tasks {
-            baselines.extend(evaluate::baselines(&data, [&training, &partition.test], *task, spec)?);
+            baselines.extend(evaluate::baselines(&data, &partition, *task, spec)?);
         }
         let forces = evaluate::forces(&data.samples);
         let sampled = sample_windows(&data.samples, &partition.test);

@@ -53,38 +53,25 @@ pub fn before(at: &[Sample], steps: usize) -> Vec<Sample> {
     at.iter().map(|sample| sample.before(steps)).collect()
 }
 
-/// Returns the ranges of consecutive samples in `windows`, which are in ascending order.
-fn runs(windows: &[Sample]) -> impl Iterator<Item = Range<usize>> {
-    let parts = windows.chunk_by(|one, next| one.index() + 1 == next.index());
+/// Returns the ranges of consecutive samples in `samples`, which are in ascending order.
+fn runs(samples: &[Sample]) -> impl Iterator<Item = Range<usize>> {
+    let parts = samples.chunk_by(|one, next| one.index() + 1 == next.index());
     parts.map(|part| part[0].index()..part[part.len() - 1].index() + 1)
 }
 
-/// Returns windows with a context of `context` samples that share none of them, so that together they cover nearly all
-/// samples. Each window is named by its present sample. `windows` are all windows, in ascending order. `offset` says how
-/// many samples are left out before the first window of an episode, given how many are left over; all windows are taken
-/// if the context is one sample.
-pub fn sequences(windows: &[Sample], context: usize, mut offset: impl FnMut(usize) -> usize) -> Vec<Sample> {
-    if context == 1 {
-        return windows.to_vec();
+/// Returns sequences of `length` consecutive samples that share none of them, so that together they cover nearly all.
+/// Each is named by its last sample. `samples` are in ascending order. `offset` says how many samples are left out before
+/// the first sequence of consecutive samples, given how many are left over.
+pub fn sequences(samples: &[Sample], length: usize, mut offset: impl FnMut(usize) -> usize) -> Vec<Sample> {
+    if length == 1 {
+        return samples.to_vec();
     }
     let mut taken = Vec::new();
-    for run in runs(windows) {
-        let samples = run.len() + context - 1;
-        let first = run.start + offset(samples % context);
-        taken.extend((0..samples / context).map(|index| Sample::at(first + index * context)));
+    for run in runs(samples) {
+        let first = run.start + offset(run.len() % length) + length - 1;
+        taken.extend((0..run.len() / length).map(|index| Sample::at(first + index * length)));
     }
     taken
-}
-
-/// Returns the samples that a model sees of windows with a context of `context` samples, in ascending order. `windows`
-/// are their present samples, in ascending order.
-pub fn covered(windows: &[Sample], context: usize) -> Vec<Sample> {
-    let mut seen: Vec<Sample> = Vec::with_capacity(windows.len());
-    for run in runs(windows) {
-        let first = seen.last().map_or(0, |last| last.index() + 1);
-        seen.extend((first.max(run.start + 1 - context)..run.end).map(Sample::at));
-    }
-    seen
 }
 
 /// Returns the present samples of all windows within a range of consecutive samples.
@@ -96,9 +83,9 @@ fn within(window: Window, samples: &Range<usize>) -> impl Iterator<Item = Sample
 /// Windows by split, each named by its present sample.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Partition {
-    /// Windows for training.
+    /// Windows for training. If episodes or times are split, their context is one sample, and [`sequences`] joins them.
     pub training: Vec<Sample>,
-    /// Windows for validation.
+    /// Windows for validation, like those for training.
     pub validation: Vec<Sample>,
     /// Windows for the test.
     pub test: Vec<Sample>,
@@ -110,16 +97,19 @@ impl Samples {
         self.episodes().iter().flat_map(|range| within(window, range)).collect()
     }
 
-    /// Divides the windows into training, validation and test; `None` if one of them would be empty. A window never
-    /// leaves its episode. If episodes or times are split, it never leaves its part.
+    /// Divides the windows into training, validation and test; `None` if one of them would have no whole window. A window
+    /// never leaves its episode. If episodes or times are split, it never leaves its part.
     pub fn partition(&self, split: &Split, window: Window) -> Option<Partition> {
         let partition = match split.by {
             Division::Episode => self.partition_by_episode(split, window),
             Division::Time => self.partition_by_time(split, window),
             Division::Sample => self.partition_by_sample(split, window),
         }?;
-        let parts = [&partition.training, &partition.validation, &partition.test];
-        parts.iter().all(|part| !part.is_empty()).then_some(partition)
+        let least = if split.by == Division::Sample { 1 } else { window.context };
+        let is_whole = |part: &Vec<Sample>, least| runs(part).any(|run| run.len() >= least);
+        let Partition { training, validation, test } = &partition;
+        let are_whole = is_whole(training, least) && is_whole(validation, least) && is_whole(test, 1);
+        are_whole.then_some(partition)
     }
 
     /// The last episodes are for the test, those before them for validation, and the rest for training.
@@ -134,8 +124,8 @@ impl Samples {
         let (training, others) = self.episodes().split_at(counts.training);
         let (validation, test) = others.split_at(counts.validation);
         Some(Partition {
-            training: all(training, window),
-            validation: all(validation, window),
+            training: all(training, window.of_one_sample()),
+            validation: all(validation, window.of_one_sample()),
             test: all(test, window.judged()),
         })
     }
@@ -144,9 +134,10 @@ impl Samples {
     /// training. A gap separates the parts.
     fn partition_by_time(&self, split: &Split, window: Window) -> Option<Partition> {
         let mut parts = [(); 3].map(|()| Vec::new());
+        let windows = [window.of_one_sample(), window.of_one_sample(), window];
         for episode in self.episodes() {
             let times = split.times(episode.len(), window.samples(), self.recording().sample_rate_hz)?;
-            for (part, time) in parts.iter_mut().zip(times) {
+            for ((part, time), window) in parts.iter_mut().zip(times).zip(windows) {
                 part.extend(within(window, &(episode.start + time.start..episode.start + time.end)));
             }
         }

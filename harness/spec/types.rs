@@ -477,11 +477,16 @@ impl Window {
         *self == Self::TRANSITION
     }
 
+    /// Returns the window with a context of one sample.
+    pub fn of_one_sample(self) -> Self {
+        Self { context: 1, ..self }
+    }
+
     /// Returns the shortest window in which a model is judged. From the start of an episode, this is its first sample.
     pub fn judged(self) -> Self {
         match self.start {
             WindowStart::Random => self,
-            WindowStart::Rest => Self { context: 1, ..self },
+            WindowStart::Rest => self.of_one_sample(),
         }
     }
 
