@@ -35,6 +35,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "choose_recipe",
     "force_assumptions",
     "latent_assumptions",
+    "memory",
     "multi_to_multi",
     "multi_to_multi_400k",
     "multi_to_multi_best",

@@ -86,7 +86,7 @@ def combined() -> dict[str, Overrides]:
 
 
 def networks_of(spec: Path) -> Iterator[Overrides]:
-    """The settings of each network that an experiment trains."""
+    """The settings of each network without memory that an experiment trains."""
     experiment = yaml.safe_load(spec.read_text())
     base = {key: experiment[key] for key in SETTINGS if key in experiment}
     roles = list((experiment.get("roles") or {"": {}}).values())
@@ -96,7 +96,9 @@ def networks_of(spec: Path) -> Iterator[Overrides]:
     for role, reading, chosen in itertools.product(roles, readings, itertools.product(*values)):
         changes = {**role, **reading, **dict(chosen)}
         own = {key: value for key, value in changes.items() if key.split(".")[0] in SETTINGS}
-        yield {**base, **own}
+        # Networks with memory can't be exported yet.
+        if own.get("network.memory", base["network"].get("memory", "none")) == "none":
+            yield {**base, **own}
 
 
 def kinds() -> dict[str, Overrides]:
@@ -257,7 +259,8 @@ def test_the_kinds_have_every_value_of_every_network_setting() -> None:
     }
     assert lengths == {"hidden": {False, True}, "channels": {False, True}}
     assert used["average"] == {"1", "2", "4"}
-    assert set(settings) == {"preset", "fusion", "hidden", "channels", "average"}, "a new setting needs new kinds"
+    known = {"preset", "fusion", "hidden", "channels", "average", "memory"}
+    assert set(settings) == known, "a new setting needs new kinds"
 
 
 def test_onnx_agrees_with_the_harness(trained: Trained, tmp_path: Path) -> None:
