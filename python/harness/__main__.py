@@ -6,7 +6,7 @@ import sys
 from . import _harness
 
 # Commands that are written in Python, because they use other Python packages. The Rust program has all the others.
-MODULES = {"export": "harness.export.__main__", "import": "harness.importing"}
+MODULES = {"export": "harness.export.__main__", "import": "harness.importing.__main__"}
 
 
 def main() -> None:

@@ -1,0 +1,58 @@
+"""Reads LeRobot datasets, whose rows are the samples."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .alignment import wanted
+from .mapping import Columns, Mapping, MappingError
+from .recording import Recording
+
+
+def open_lerobot(mapping: Mapping) -> Recording:
+    """Opens a LeRobot dataset.
+
+    Raises:
+        MappingError: it can't be read, or does not fit the mapping.
+        ImportError: the package lerobot is not installed.
+    """
+    try:
+        from lerobot.datasets import LeRobotDataset
+    except ImportError as error:
+        raise ImportError(
+            f"importing from LeRobot needs the package lerobot: pip install 'lerobot[dataset]' ({error})"
+        ) from error
+    if not (mapping.source / "meta/info.json").exists():
+        raise MappingError(f"source: {mapping.source} is no LeRobot dataset: it has no meta/info.json")
+    with _blaming(mapping.source):
+        dataset = LeRobotDataset("local/source", root=mapping.source, video_backend="pyav", return_uint8=True)
+    columns = wanted(mapping.selections, list(dataset.meta.features))
+
+    def episodes() -> Iterator[Columns]:
+        for episode in dataset.meta.episodes:
+            rows = range(episode["dataset_from_index"], episode["dataset_to_index"])
+            with _blaming(mapping.source):
+                items = [dataset[row] for row in rows]
+            yield {name: np.stack([_plain(item[name]) for item in items]) for name in columns}
+
+    return Recording(float(dataset.fps), len(dataset.meta.episodes), episodes())
+
+
+@contextlib.contextmanager
+def _blaming(source: Path) -> Iterator[None]:
+    """Turns any exception of LeRobot into a MappingError, because LeRobot raises many kinds for a damaged dataset."""
+    try:
+        yield
+    except Exception as error:
+        raise MappingError(f"source: LeRobot can't read {source}: {' '.join(str(error).split())}") from error
+
+
+def _plain(value: Any) -> np.ndarray:
+    """Returns a tensor as an array. The channels of a picture become its last axis."""
+    array: np.ndarray = value.numpy()
+    return array.transpose(1, 2, 0) if array.ndim == 3 else array

@@ -1,0 +1,216 @@
+"""Streams: the parts of a recording whose values were measured together, each with its own times."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .mapping import Mapping, MappingError, StreamSettings
+
+LIMIT_NS = 2**62
+"""The largest time, ns. It is 146 years."""
+CHUNK_ROWS = 65536
+"""How many rows are read at once where a whole stream is searched."""
+
+
+class Stream(ABC):
+    """Values that were measured together. A row has a time and one value of each column."""
+
+    place: str
+    """The file, and what in it: for messages."""
+    times: np.ndarray
+    """int64 [rows], ns."""
+    columns: list[str]
+    """The names by which a mapping calls its columns: `STREAM`, or `STREAM.COLUMN`."""
+    received: np.ndarray | None = None
+    """int64 [rows], ns: when a recorder received the values, if it noted that."""
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    @abstractmethod
+    def read(self, column: str, first: int, last: int) -> np.ndarray:
+        """Returns the values of the rows from `first` to before `last`, float64 [rows, …].
+
+        Raises:
+            MappingError: they are no numbers, or can't be read.
+        """
+
+    @abstractmethod
+    def pictures(self, column: str, rows: np.ndarray) -> Iterator[Any]:
+        """Yields the pictures of increasing rows: uint8 [rows, columns, 3], or the bytes of an image file.
+
+        Raises:
+            MappingError: they are no pictures, or can't be read.
+        """
+
+    def at(self, row: int) -> str:
+        """Returns the place of a row: for messages."""
+        return f"{self.place}: row {row}"
+
+
+class View(Stream):
+    """Some rows of another stream."""
+
+    def __init__(self, whole: Stream, rows: np.ndarray, times: np.ndarray | None = None):
+        self.whole, self.rows, self.place, self.columns = whole, rows, whole.place, whole.columns
+        self.times = whole.times[rows] if times is None else times
+        self.received = None if whole.received is None else whole.received[rows]
+
+    def read(self, column: str, first: int, last: int) -> np.ndarray:
+        rows = self.rows[first:last]
+        return self.whole.read(column, rows[0], rows[-1] + 1)[rows - rows[0]]
+
+    def pictures(self, column: str, rows: np.ndarray) -> Iterator[Any]:
+        return self.whole.pictures(column, self.rows[rows])
+
+    def at(self, row: int) -> str:
+        return self.whole.at(int(self.rows[row]))
+
+
+@dataclass(frozen=True)
+class Take:
+    """A part of a recording in which all streams were recorded together."""
+
+    name: str
+    """Which part it is: for messages."""
+    streams: dict[str, Stream]
+    """The streams by their name in the mapping."""
+
+    @property
+    def columns(self) -> list[str]:
+        """The columns of all streams."""
+        return [column for stream in self.streams.values() for column in stream.columns]
+
+
+def nanoseconds(values: np.ndarray, unit: int, at: Any) -> np.ndarray:
+    """Returns times as int64, ns.
+
+    Args:
+        values: numbers, [rows].
+        unit: nanoseconds in their unit.
+        at: returns the place of a row.
+
+    Raises:
+        MappingError: one is not a finite number, or larger than a time can be.
+    """
+    with np.errstate(invalid="ignore"):
+        wrong = ~(np.abs(values.astype(np.float64)) <= LIMIT_NS / unit)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise MappingError(
+            f"{at(row)}: {values[row]} is no time; times are finite numbers in s, unless the stream has a time_unit of "
+            "ms, us or ns"
+        )
+    if values.dtype.kind in "iub":
+        return values.astype(np.int64) * unit
+    return np.rint(values.astype(np.float64) * unit).astype(np.int64)
+
+
+def regular(rows: int, rate_hz: float) -> np.ndarray:
+    """Returns the times of rows at a fixed rate, int64, ns, from 0."""
+    return np.rint(np.arange(rows) * (1e9 / rate_hz)).astype(np.int64)
+
+
+def checked(stream: Stream, settings: StreamSettings, wanted: Iterable[str]) -> Stream:
+    """Returns a stream of a take without missing values, and with the times that its settings say.
+
+    Raises:
+        MappingError: it has no rows, or its times go back.
+    """
+    rows = np.arange(len(stream))
+    if settings.skip_missing:
+        rows = rows[_is_whole(stream, [column for column in wanted if column in stream.columns])]
+    if len(rows) == 0:
+        raise MappingError(f"{stream.place}: holds no rows{' without missing values' * settings.skip_missing}")
+    times = stream.times[rows]
+    back = np.flatnonzero(np.diff(times) < 0)
+    if len(back):
+        row = int(back[0])
+        raise MappingError(
+            f"{stream.at(int(rows[row + 1]))}: the time goes back from {seconds(times[row])} to "
+            f"{seconds(times[row + 1])} s; the rows of a stream must be in the order of time"
+        )
+    start = times[0] if settings.begin_at_zero else 0
+    view = View(stream, rows, times - start + settings.offset_ns)
+    if settings.begin_at_zero:
+        view.received = None
+    return view
+
+
+def _is_whole(stream: Stream, columns: list[str]) -> np.ndarray:
+    whole = np.ones(len(stream), bool)
+    for first in range(0, len(stream), CHUNK_ROWS):
+        last = min(first + CHUNK_ROWS, len(stream))
+        for column in columns:
+            values = stream.read(column, first, last).reshape(last - first, -1)
+            whole[first:last] &= np.isfinite(values).all(axis=1)
+    return whole
+
+
+def seconds(time_ns: int | np.integer[Any]) -> str:
+    """Returns a time in s, as text, without digits that say nothing."""
+    text = f"{int(time_ns) / 1e9:.6f}"
+    return text.rstrip("0").rstrip(".")
+
+
+def divided(starts: np.ndarray, stream: Stream) -> list[Stream]:
+    """Returns the parts of a stream that begin at the given rows."""
+    return [View(stream, rows) for rows in np.split(np.arange(len(stream)), starts[1:])]
+
+
+def changes(values: np.ndarray) -> np.ndarray:
+    """Returns the rows at which a value differs from the one before, and row 0."""
+    flat = np.asarray(values).reshape(len(values), -1)
+    return np.flatnonzero(np.append(True, (flat[1:] != flat[:-1]).any(axis=1)))
+
+
+def natural(path: Path) -> list[Any]:
+    """A key by which `trial_2` comes before `trial_10`."""
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", str(path)) if part]
+
+
+def sources(mapping: Mapping, suffixes: tuple[str, ...]) -> list[Path]:
+    """Returns the files of a recording, in order: the source itself, those in its folder, or those that match it.
+
+    Raises:
+        FileNotFoundError: there is none.
+    """
+    source = mapping.source
+    if source.exists():
+        is_one = source.is_file() or source.suffix in suffixes
+        found = [source] if is_one else [path for path in source.iterdir() if path.suffix in suffixes]
+    else:
+        anchor = Path(source.anchor)
+        found = list(anchor.glob(str(source.relative_to(anchor))))
+    if not found:
+        raise FileNotFoundError(f"source: {source} is no {' or '.join(suffixes)}, and holds none")
+    return sorted(found, key=natural)
+
+
+@contextlib.contextmanager
+def blaming(place: str) -> Iterator[None]:
+    """Turns any exception of a library into a MappingError, because they raise many kinds for a damaged file."""
+    try:
+        yield
+    except (MappingError, ImportError, MemoryError):
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise MappingError(f"{place}: can't be read: {reason}") from error
+
+
+@contextlib.contextmanager
+def needing(package: str, what: str) -> Iterator[None]:
+    """Turns the ImportError of an optional package into one that says how to install it."""
+    try:
+        yield
+    except ImportError as error:
+        raise ImportError(f"importing {what} needs the package {package}: pip install {package} ({error})") from error

@@ -1,0 +1,161 @@
+"""Writes the folder of a dataset, one episode at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness._unfinished import unfinished_folder
+from harness.recorded import (
+    FORMAT,
+    Episode,
+    Layout,
+    difference_of,
+    image_shapes,
+    vector_columns,
+    write_episode,
+)
+
+from .mapping import KNOWN, Mapping, MappingError
+
+
+@dataclass(frozen=True)
+class Draft:
+    """An episode in a file. It becomes one of the dataset when the dataset's name is known, which needs all episodes."""
+
+    path: Path
+    index: int
+    samples: int
+    digest: str
+    """SHA-256 of its vectors and images."""
+    widths: dict[str, int]
+    """Elements of each vector."""
+
+    @classmethod
+    def write(cls, folder: Path, episode: Episode) -> Draft:
+        """Writes an episode to a new file in a folder."""
+        path = folder / f"draft_{episode.index:05}.npy"
+        with open(path, "wb") as file:
+            for values in [episode.time, *episode.vectors.values(), *episode.images.values()]:
+                np.save(file, values, allow_pickle=False)
+        widths = {name: values.shape[1] for name, values in episode.vectors.items()}
+        return cls(path, episode.index, len(episode), _digest(episode), widths)
+
+    def read(self, mapping: Mapping) -> Episode:
+        """Reads the episode, and removes the file."""
+        images = [name for name, selection in mapping.selections.items() if selection.size is not None]
+        with open(self.path, "rb") as file:
+            time = np.load(file)
+            vectors = {name: np.load(file) for name in self.widths}
+            episode = Episode(self.index, time, vectors, {name: np.load(file) for name in images})
+        self.path.unlink()
+        return episode
+
+
+def write_dataset(mapping: Mapping, rate: float, episodes: Iterable[Episode], results: Path) -> str:
+    """Writes a dataset, unless it is there already, and returns its name. Has one episode at a time in memory.
+
+    Raises:
+        MappingError: the episodes do not fit each other. Whatever `episodes` raises is raised as well.
+        OSError: the folder can't be written.
+    """
+    with _made(results), unfinished_folder(results, "import") as unfinished:
+        unfinished.chmod(0o755)
+        drafts = [Draft.write(unfinished, episode) for episode in episodes]
+        identity = _identity(mapping, rate, drafts)
+        # The Rust program computes the same hash from the same text, in which letters beyond ASCII are not escaped.
+        text = json.dumps(identity, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        name = f"{mapping.name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+        folder = results / "datasets" / name
+        if folder.exists():
+            return name
+        layout = identity["imported"]["layout"]
+        for draft in drafts:
+            path = unfinished / f"episode_{draft.index:05}.parquet"
+            write_episode(path, name, name, draft.read(mapping), layout)
+        description = json.dumps(identity | {"mapping": mapping.text}, indent=2, default=str)
+        (unfinished / "dataset.json").write_text(description + "\n")
+        folder.parent.mkdir(exist_ok=True)
+        try:
+            unfinished.rename(folder)
+        except OSError:
+            # Another process may have imported the same dataset meanwhile.
+            if not folder.exists():
+                raise
+    return name
+
+
+@contextlib.contextmanager
+def _made(folder: Path) -> Iterator[None]:
+    """Makes a folder, and removes it if the work in it fails and leaves it empty."""
+    missing = [path for path in [folder, *folder.parents] if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(OSError):
+            for path in missing:
+                path.rmdir()
+        raise
+
+
+def _identity(mapping: Mapping, rate: float, drafts: list[Draft]) -> dict[str, Any]:
+    """Returns what a dataset's hash is computed from."""
+    widths = drafts[0].widths
+    for draft in drafts:
+        for name, width in draft.widths.items():
+            if width != widths[name]:
+                raise MappingError(
+                    f"modalities.{name}: has {width} values in episode {draft.index} and {widths[name]} in the first"
+                )
+    layout = _layout(mapping, widths)
+    elements = {column.name for each in vector_columns(layout).values() for column in each}
+    for image in sorted(elements & image_shapes(layout).keys()):
+        raise MappingError(f"modalities.{image}: a vector has a column of this name; give the image another name")
+    content = {
+        "layout": layout,
+        "name": mapping.name,
+        "sample_rate_hz": rate,
+        "modalities": [name for name in mapping.selections if name != "setpoint"],
+        "episodes": [{"samples": draft.samples, "sha256": draft.digest} for draft in drafts],
+    }
+    return {"format": FORMAT, "imported": content}
+
+
+def _layout(mapping: Mapping, widths: dict[str, int]) -> Layout:
+    """Returns the layout of a dataset, given the widths of its vectors."""
+    modalities: list[dict[str, Any]] = []
+    for name, selection in mapping.selections.items():
+        known = KNOWN.get(name)
+        if selection.size is not None:
+            image = {"kind": "image", "size": list(selection.size), "scale": "shared"}
+            modalities.append({"name": name, "meaning": "Image", **image})
+            meaning = f"Change of {name} since the sample before"
+            modalities.append({"name": difference_of(name), "meaning": meaning, **image, "difference_of": name})
+        elif known and len(known["elements"]) == widths[name]:
+            modalities.append(known)
+        else:
+            units = {element["unit"] for element in known["elements"]} if known else {selection.unit}
+            unit = units.pop() if len(units) == 1 else ""
+            elements = [{"name": f"{index:02}", "unit": unit} for index in range(widths[name])]
+            keep = ("scale", "minimum", "percentage")
+            rest = {key: known[key] for key in keep if key in known} if known else {"scale": "per_element"}
+            modalities.append({"name": name, "meaning": "Value", "kind": "vector", "elements": elements, **rest})
+    return {"modalities": modalities}
+
+
+def _digest(episode: Episode) -> str:
+    """Returns the SHA-256 of all vectors and images of an episode."""
+    digest = hashlib.sha256()
+    for name, values in [*episode.vectors.items(), *episode.images.items()]:
+        if len(values):
+            digest.update(name.encode())
+            digest.update(np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes())
+    return digest.hexdigest()
