@@ -112,4 +112,4 @@ def table(recording: Recording) -> list[str]:
 
 def duration(time_s: float) -> str:
     """Returns a time as text, in ms if it is short."""
-    return f"{time_s:.3g} s" if abs(time_s) >= 1 else f"{time_s * 1e3:.3g} ms"
+    return f"{time_s:.3g} s" if abs(time_s) >= 1 else f"{round(time_s * 1e3, 3):.3g} ms"

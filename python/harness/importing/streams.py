@@ -177,21 +177,31 @@ def natural(path: Path) -> list[Any]:
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", str(path)) if part]
 
 
-def sources(mapping: Mapping, suffixes: tuple[str, ...]) -> list[Path]:
-    """Returns the files of a recording, in order: the source itself, those in its folder, or those that match it.
+def sources(mapping: Mapping, suffixes: tuple[str, ...], marks: tuple[str, ...] = ()) -> list[Path]:
+    """Returns the recordings at a mapping's source, in order: itself, those in its folder, or those that match it.
+
+    Args:
+        mapping: the mapping.
+        suffixes: what the name of a recording ends in.
+        marks: files that tell that a folder is one recording.
 
     Raises:
         FileNotFoundError: there is none.
     """
     source = mapping.source
-    if source.exists():
-        is_one = source.is_file() or source.suffix in suffixes
-        found = [source] if is_one else [path for path in source.iterdir() if path.suffix in suffixes]
-    else:
+
+    def is_one(path: Path) -> bool:
+        return path.suffix in suffixes or any((path / mark).exists() for mark in marks)
+
+    if not source.exists():
         anchor = Path(source.anchor)
         found = list(anchor.glob(str(source.relative_to(anchor))))
+    elif source.is_file() or is_one(source):
+        found = [source]
+    else:
+        found = [path for path in source.iterdir() if is_one(path)]
     if not found:
-        raise FileNotFoundError(f"source: {source} is no {' or '.join(suffixes)}, and holds none")
+        raise FileNotFoundError(f"source: {source} is no {', '.join(suffixes)}, and holds none")
     return sorted(found, key=natural)
 
 

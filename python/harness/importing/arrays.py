@@ -1,0 +1,185 @@
+"""Takes from files of named arrays: HDF5, zarr and MATLAB."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .mapping import Mapping, MappingError, StreamSettings
+from .streams import Stream, Take, blaming, changes, divided, nanoseconds, natural, regular
+
+Arrays = dict[str, Any]
+"""Arrays by their path in a file, such as `observations/qpos`. Each has a shape and a dtype, and slices of it are read."""
+BLOCK_BYTES = 2**25
+"""How much of an array of pictures is read at once."""
+
+
+def takes_of(
+    mapping: Mapping, files: list[Path], opened: Callable[[Path], AbstractContextManager[Arrays]], by_rows: bool = True
+) -> Iterator[Take]:
+    """Yields the takes of files: one of each file, or as the mapping divides each file.
+
+    Args:
+        mapping: the mapping.
+        files: the files, in order.
+        opened: opens the arrays of a file.
+        by_rows: whether the first axis always counts the rows. Otherwise, it is the axis as long as the times.
+
+    Raises:
+        MappingError: a file is damaged, or does not fit the mapping.
+    """
+    assert mapping.sampling
+    streams, division = mapping.sampling.streams, mapping.sampling.divided_by
+    for path in files:
+        with opened(path) as arrays:
+            if "episodes" in division:
+                for group, members in _groups(str(path), arrays, division["episodes"]):
+                    place = f"{path}: {group}"
+                    yield Take(place, {name: _stream(place, "/", each, members, by_rows) for name, each in streams.items()})
+                continue
+            whole = {name: _stream(str(path), ": ", each, arrays, by_rows) for name, each in streams.items()}
+            key = next((key for key in ("episode", "episode_ends") if key in division), None)
+            yield from [Take(str(path), whole)] if key is None else _by_rows(path, whole, arrays, key, division[key])
+
+
+def _groups(place: str, arrays: Arrays, pattern: str) -> Iterator[tuple[str, Arrays]]:
+    """Yields the groups that match a pattern, each with its arrays."""
+    expression = re.compile("[^/]*".join(map(re.escape, pattern.strip("/").split("*"))) + "(?=/)")
+    names = [found[0] for path in arrays if (found := expression.match(path))]
+    if not names:
+        raise MappingError(f"{place}: no group matches '{pattern}' of the key 'episodes'; {_listing(arrays)}")
+    for name in sorted(dict.fromkeys(names), key=lambda name: natural(Path(name))):
+        prefix = f"{name}/"
+        yield name, {path.removeprefix(prefix): array for path, array in arrays.items() if path.startswith(prefix)}
+
+
+def _by_rows(path: Path, streams: dict[str, Stream], arrays: Arrays, key: str, name: str) -> Iterator[Take]:
+    """Yields the stretches of rows that an array tells: by its changes, or by the rows at which they end."""
+    array = _array(str(path), arrays, name, key)
+    with blaming(f"{path}: {name}"):
+        values = np.asarray(array[:]).reshape(-1)
+    if key == "episode":
+        starts, rows = changes(values), len(values)
+    else:
+        if values.dtype.kind not in "iu" or not len(values) or (np.diff(np.append(0, values.astype(np.int64))) <= 0).any():
+            raise MappingError(f"{path}: {name}: must be growing row numbers, which say where each episode ends")
+        ends = values.astype(np.int64)
+        starts, rows = np.append(0, ends[:-1]), int(ends[-1])
+    for stream in streams.values():
+        if len(stream) != rows:
+            raise MappingError(f"{stream.place}: has {len(stream)} rows, and {name} divides {rows} rows into episodes")
+    parts = {each: divided(starts, stream) for each, stream in streams.items()}
+    for index in range(len(starts)):
+        yield Take(f"{path}, episode {index}", {each: parts[each][index] for each in streams})
+
+
+def _stream(place: str, joint: str, settings: StreamSettings, arrays: Arrays, by_rows: bool) -> Stream:
+    """Returns the stream of one array, or of all arrays in a group."""
+    data = settings.where["data"].strip("/")
+    below = {path.removeprefix(f"{data}/"): path for path in arrays if path.startswith(f"{data}/")}
+    time = settings.where.get("time", "").strip("/")
+    own = {f"{settings.name}.{name}": path for name, path in below.items() if path != time}
+    own = {settings.name: data} if data in arrays else own
+    if not own:
+        raise MappingError(f"{place}: there is no '{data}' for streams.{settings.name}.data; {_listing(arrays)}")
+    stamps = None
+    if time:
+        array = _array(place, arrays, time, f"streams.{settings.name}.time")
+        at = f"{place}{joint}{time}"
+        with blaming(at):
+            values = np.asarray(array[:]).reshape(-1)
+        if values.dtype.kind not in "iuf":
+            raise MappingError(f"{at}: holds no numbers; times must be numbers")
+        stamps = nanoseconds(values, settings.time_unit, lambda row: f"{at}: row {row}")
+    elif not settings.rate_hz:
+        raise settings.error("needs the array 'time', or rate_hz")
+    columns = {
+        column: arrays[path] if by_rows else _RowsFirst(arrays[path], None if stamps is None else len(stamps))
+        for column, path in own.items()
+    }
+    lengths = {own[column]: array.shape[0] if array.shape else 0 for column, array in columns.items()}
+    rows = len(stamps) if stamps is not None else next(iter(lengths.values()))
+    for path, length in lengths.items():
+        if length != rows:
+            other = f"its times {time}" if stamps is not None else next(iter(lengths))
+            raise MappingError(
+                f"{place}{joint}{path}: has {length} rows, and {other} {'have' if stamps is not None else 'has'} {rows}"
+            )
+    if stamps is None:
+        assert settings.rate_hz
+        stamps = regular(rows, settings.rate_hz)
+    return ArrayStream(f"{place}{joint}{data}", columns, stamps)
+
+
+def _array(place: str, arrays: Arrays, name: str, key: str) -> Any:
+    if name.strip("/") not in arrays:
+        raise MappingError(f"{place}: there is no array '{name}' for {key}; {_listing(arrays)}")
+    return arrays[name.strip("/")]
+
+
+def _listing(arrays: Arrays) -> str:
+    names = list(arrays)
+    shown = ", ".join(names[:20]) + ", …" * (len(names) > 20)
+    return f"the arrays are {shown}" if names else "there are no arrays of numbers"
+
+
+class _RowsFirst:
+    """An array in memory whose rows are the axis that is as long as the times; without times, a vector's only axis, the
+    first of a matrix, and the last of pictures."""
+
+    def __init__(self, array: Any, rows: int | None):
+        values = np.asarray(array[:])
+        if values.ndim == 2 and 1 in values.shape and (rows is None or values.shape[0] != rows):
+            values = values.reshape(-1, 1) if rows in (None, values.size) else values
+        is_first = rows == values.shape[0] if rows is not None else values.ndim < 4
+        if not is_first and (rows is None or values.shape[-1] == rows):
+            values = np.moveaxis(values, -1, 0)
+        self._values, self.shape, self.dtype = values, values.shape, values.dtype
+
+    def __getitem__(self, key: Any) -> np.ndarray:
+        found: np.ndarray = self._values[key]
+        return found
+
+
+class ArrayStream(Stream):
+    """Arrays with as many rows as times."""
+
+    def __init__(self, place: str, arrays: Arrays, times: np.ndarray):
+        self.place, self._arrays, self.times, self.columns = place, arrays, times, list(arrays)
+
+    def read(self, column: str, first: int, last: int) -> np.ndarray:
+        array = self._arrays[column]
+        if np.dtype(array.dtype).kind not in "iufb":
+            raise MappingError(f"{self.place}: '{column}' holds no numbers, but {array.dtype}")
+        with blaming(f"{self.place}: '{column}', rows {first} to {last - 1}"):
+            return np.asarray(array[first:last], np.float64)
+
+    def pictures(self, column: str, rows: np.ndarray) -> Iterator[Any]:
+        array = self._arrays[column]
+        block = max(1, BLOCK_BYTES // max(1, int(np.prod(array.shape[1:])) * max(1, np.dtype(array.dtype).itemsize)))
+        for part in np.split(rows, np.flatnonzero(np.diff(rows // block)) + 1):
+            with blaming(f"{self.place}: '{column}', rows {part[0]} to {part[-1]}"):
+                values = array[int(part[0]) : int(part[-1]) + 1]
+            for row in part.tolist():
+                yield self._picture(values[row - int(part[0])], column, row)
+
+    def _picture(self, value: Any, column: str, row: int) -> Any:
+        """Returns a picture as [rows, columns, 3] or [rows, columns], or the bytes of an image file."""
+        if isinstance(value, bytes):
+            return value
+        picture = np.asarray(value)
+        if picture.dtype != np.uint8 or not 1 <= picture.ndim <= 3:
+            raise MappingError(
+                f"{self.at(row)}: '{column}' is no picture but {picture.dtype} of shape {list(picture.shape)}; a picture "
+                "is uint8, [rows, columns, 3], [3, rows, columns] or [rows, columns], or the bytes of an image file"
+            )
+        if picture.ndim == 1:
+            return picture.tobytes()
+        if picture.ndim == 3 and picture.shape[0] in (1, 3) and picture.shape[2] not in (1, 3, 4):
+            picture = picture.transpose(1, 2, 0)
+        return np.ascontiguousarray(picture[..., 0] if picture.shape[2:] == (1,) else picture)
