@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from .mapping import Columns, Mapping, MappingError, Sampling, Selection, StreamSettings
 from .streams import Stream, Take, seconds
@@ -200,10 +202,21 @@ def align(take: Take, span: Span, mapping: Mapping, sampling: Sampling) -> Colum
 
 
 def _repeated(stream: Stream, column: str, rows: np.ndarray) -> Iterator[Any]:
-    """Yields the picture of each sample. Reads each picture once."""
+    """Yields the picture of each sample, uint8 [rows, columns, 3] or [rows, columns]. Reads each picture once."""
     distinct, counts = np.unique(rows, return_counts=True)
-    for picture, count in zip(stream.pictures(column, distinct), counts, strict=True):
-        yield from itertools.repeat(picture, count)
+    pictures = stream.pictures(column, distinct)
+    for row, picture, count in zip(distinct.tolist(), pictures, counts.tolist(), strict=True):
+        yield from itertools.repeat(_decoded(picture, stream, row), count)
+
+
+def _decoded(picture: Any, stream: Stream, row: int) -> np.ndarray:
+    if isinstance(picture, np.ndarray):
+        return picture
+    try:
+        return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"))
+    # Pillow raises many kinds of errors for a damaged file.
+    except Exception as error:
+        raise MappingError(f"{stream.at(row)}: is no picture, or damaged: {error}") from None
 
 
 def _aligned(stream: Stream, column: str, span: Span, sampling: Sampling, how: str) -> np.ndarray:
