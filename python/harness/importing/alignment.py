@@ -189,6 +189,14 @@ def align(take: Take, span: Span, mapping: Mapping, sampling: Sampling) -> Colum
         for selection in mapping.selections.values()
         if selection.size is not None
     }
+    vectors = {
+        column
+        for selection in mapping.selections.values()
+        if selection.size is None
+        for column in selection.columns(take.columns)
+    }
+    for column in sorted(vectors & pictures):
+        raise MappingError(f"modalities: '{column}' is an image of one modality and numbers of another")
     columns: Columns = {}
     for column in wanted(mapping.selections, take.columns):
         name = column.partition(".")[0]

@@ -136,8 +136,8 @@ class _RowsFirst:
         values = np.asarray(array[:])
         if values.ndim == 2 and 1 in values.shape and (rows is None or values.shape[0] != rows):
             values = values.reshape(-1, 1) if rows in (None, values.size) else values
-        is_first = rows == values.shape[0] if rows is not None else values.ndim < 4
-        if not is_first and (rows is None or values.shape[-1] == rows):
+        is_first = values.shape[0] == rows or (values.shape[-1] != rows and values.ndim < 4)
+        if not is_first:
             values = np.moveaxis(values, -1, 0)
         self._values, self.shape, self.dtype = values, values.shape, values.dtype
 
@@ -173,7 +173,8 @@ class ArrayStream(Stream):
         if isinstance(value, bytes):
             return value
         picture = np.asarray(value)
-        if picture.dtype != np.uint8 or not 1 <= picture.ndim <= 3:
+        channels = {*picture.shape[::2]} & {1, 3, 4} if picture.ndim == 3 else {1}
+        if picture.dtype != np.uint8 or not 1 <= picture.ndim <= 3 or not channels:
             raise MappingError(
                 f"{self.at(row)}: '{column}' is no picture but {picture.dtype} of shape {list(picture.shape)}; a picture "
                 "is uint8, [rows, columns, 3], [3, rows, columns] or [rows, columns], or the bytes of an image file"

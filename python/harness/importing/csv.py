@@ -54,16 +54,16 @@ def _stars(mapping: Mapping, streams: dict[str, StreamSettings]) -> list[str]:
             raise settings.error(f"missing 'file': {mapping.source} is a folder; say which file in it, such as '*.csv'")
         if settings.where["file"].count("*") > 1:
             raise settings.error(f"file: '{settings.where['file']}' has several *; only one can stand for the episode")
-    pattern = next((each.where["file"] for each in streams.values() if "*" in each.where["file"]), None)
-    if pattern is None:
-        return [""]
-    before, _, after = pattern.partition("*")
-    expression = re.compile(f"{re.escape(before)}([^/]*){re.escape(after)}")
-    paths = sorted(mapping.source.glob(pattern), key=natural)
-    matches = [expression.fullmatch(path.relative_to(mapping.source).as_posix()) for path in paths]
-    if not paths:
-        raise FileNotFoundError(f"source: {mapping.source} holds no {pattern}")
-    return [match[1] for match in matches if match]
+    patterns = list(dict.fromkeys(each.where["file"] for each in streams.values() if "*" in each.where["file"]))
+    found: set[str] = set()
+    for pattern in patterns:
+        before, _, after = pattern.partition("*")
+        expression = re.compile(f"{re.escape(before)}([^/]*){re.escape(after)}")
+        paths = [path.relative_to(mapping.source).as_posix() for path in mapping.source.glob(pattern)]
+        found |= {match[1] for match in map(expression.fullmatch, paths) if match}
+    if patterns and not found:
+        raise FileNotFoundError(f"source: {mapping.source} holds no {' and no '.join(patterns)}")
+    return sorted(found, key=lambda star: natural(Path(star))) or [""]
 
 
 def _open(mapping: Mapping, settings: StreamSettings, star: str, tables: dict[Path, Table]) -> Stream:
@@ -172,9 +172,11 @@ class Table:
                 infer_schema=False,
             )
         except pl.exceptions.NoDataError:
-            raise MappingError(f"{path}: line {self.first_line}: there are no rows below the header") from None
+            self.frame = pl.DataFrame()
         except (pl.exceptions.PolarsError, OSError) as error:
             raise MappingError(self._why(error)) from None
+        if self.frame.is_empty():
+            raise MappingError(f"{path}: line {self.first_line}: there are no rows below the header")
         self._numbers: dict[str, np.ndarray] = {}
 
     def numbers(self, column: str) -> np.ndarray:

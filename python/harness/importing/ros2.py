@@ -37,7 +37,7 @@ def takes(mapping: Mapping) -> Iterator[Take]:
     """
     assert mapping.sampling
     topic = mapping.sampling.divided_by.get("episode")
-    for path in sources(mapping, SUFFIXES, MARKS):
+    for path in sources(mapping, SUFFIXES, MARKS, ("*.mcap", "*.db3")):
         with opened(path) as bag:
             streams = {name: BagStream(bag, settings) for name, settings in mapping.sampling.streams.items()}
             yield from [Take(str(path), {**streams})] if topic is None else _by_topic(bag, streams, topic)
@@ -179,6 +179,8 @@ class BagStream(Stream):
         return found
 
     def read(self, column: str, first: int, last: int) -> np.ndarray:
+        if self.is_picture:
+            raise MappingError(f"{self.place}: '{column}' holds pictures, no numbers; give the modality a size")
         path = column.removeprefix(self._prefix) if column.startswith(self._prefix) else "data"
         values = []
         for row, message in enumerate(self._messages(first, last), first):
@@ -225,7 +227,7 @@ class BagStream(Stream):
             )
         order, channels = ENCODINGS[message.encoding]
         data, wide = np.asarray(message.data), message.width * channels
-        if message.step < wide or len(data) < message.step * message.height or not wide:
+        if message.step < wide or len(data) < message.step * message.height or not wide * message.height:
             raise MappingError(
                 f"{self.at(row)}: has {len(data)} bytes for {message.height} x {message.width} pixels of {channels} bytes"
             )

@@ -177,13 +177,16 @@ def natural(path: Path) -> list[Any]:
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", str(path)) if part]
 
 
-def sources(mapping: Mapping, suffixes: tuple[str, ...], marks: tuple[str, ...] = ()) -> list[Path]:
+def sources(
+    mapping: Mapping, suffixes: tuple[str, ...], marks: tuple[str, ...] = (), inner: tuple[str, ...] = ()
+) -> list[Path]:
     """Returns the recordings at a mapping's source, in order: itself, those in its folder, or those that match it.
 
     Args:
         mapping: the mapping.
         suffixes: what the name of a recording ends in.
         marks: files that tell that a folder is one recording.
+        inner: patterns of files that tell so of a folder in the source, even if the marks are missing.
 
     Raises:
         FileNotFoundError: there is none.
@@ -199,7 +202,7 @@ def sources(mapping: Mapping, suffixes: tuple[str, ...], marks: tuple[str, ...] 
     elif source.is_file() or is_one(source):
         found = [source]
     else:
-        found = [path for path in source.iterdir() if is_one(path)]
+        found = [path for path in source.iterdir() if is_one(path) or any(any(path.glob(each)) for each in inner)]
     if not found:
         raise FileNotFoundError(f"source: {source} is no {', '.join(suffixes)}, and holds none")
     return sorted(found, key=natural)

@@ -109,6 +109,8 @@ class Video(Stream):
         with _opened(self.path) as container:
             video = _video(container, self.path)
             video.thread_type = "AUTO"
+            # Otherwise, the decoder invents what is missing.
+            video.codec_context.options = {"err_detect": "explode"}
             frames = container.decode(video)
             while True:
                 with blaming(self.at(min(decoded, self.count - 1))):
