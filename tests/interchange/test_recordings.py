@@ -1,7 +1,10 @@
 """Recordings of streams, written by other libraries, as datasets of the harness."""
 
+import base64
+import io
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -527,3 +530,96 @@ def test_the_mapping_is_in_the_datasets_description(recording, harness):
     name = import_dataset(recording / "csv.yaml", harness.results, progress=False)
     description = json.loads((harness.results / "datasets" / name / "dataset.json").read_text())
     assert description["mapping"] == yaml.safe_load((recording / "csv.yaml").read_text())
+
+
+# --- inspection and the page ---
+
+
+def command(*words: str | Path) -> subprocess.CompletedProcess:
+    line = [sys.executable, "-m", "harness.importing", *map(str, words)]
+    return subprocess.run(line, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize(
+    ("format", "listed"),
+    [
+        ("csv", r"\*/joints.csv: 800 rows\n    time  numbers: 0"),
+        ("hdf5", r"trial_1.h5:\n  camera/frames  \[240, 96, 128, 3\]  uint8"),
+        ("zarr", r"recording.zarr:\n  data/angles  \[1440, 4\]  float64"),
+        ("matlab", r"trial_1.mat:\n  joints/time  \[800, 1\]  float64"),
+        ("ros2", r"/joint_states  sensor_msgs/msg/JointState  800 messages, 100 Hz|    wrench.force  3 values"),
+    ],
+)
+def test_inspecting_lists_a_format_and_writes_a_mapping(recording, tmp_path, format, listed):
+    mapping = tmp_path / "first.yaml"
+    answer = command("--inspect", recording / format, "--output", mapping)
+    assert answer.returncode == 0, answer.stderr
+    assert re.search(listed, answer.stdout), answer.stdout
+    if format == "zarr":
+        # The store has no times, so the user must say the rate.
+        refused = command(mapping, "--results", tmp_path / "results")
+        assert refused.returncode == 1 and "needs the array 'time', or rate_hz" in refused.stderr
+        mapping.write_text(mapping.read_text().replace("rate_hz: }", "rate_hz: 30}"))
+    name = import_dataset(mapping, tmp_path / "results", progress=False)
+    (first, *_) = read_episodes(tmp_path / "results", name)
+    commands = example.simulate(0).commands[:, 0]
+    assert np.isin(first["setpoint_00"].to_numpy(), commands.astype(np.float32)).all()
+    assert {"vision"} < set(first.columns) and len([name for name in first.columns if "angle" in name or "position" in name]) == 4
+    again = command("--inspect", recording / format, "--output", mapping)
+    assert again.returncode == 1 and "is there already, and was not changed; name another file" in again.stderr
+
+
+def test_inspecting_finds_parquet_and_lerobot_columns(tmp_path):
+    rows = {"trial": [0, 0], "time": [0.0, 0.1], "command": [[1.0], [2.0]], "angle": [1.0, 2.0]}
+    pl.DataFrame(rows).write_parquet(tmp_path / "lab.parquet")
+    answer = command("--inspect", tmp_path / "lab.parquet")
+    assert answer.returncode == 0 and "command  List(Float64)" in answer.stdout, answer.stderr
+    mapping = yaml.safe_load((tmp_path / "lab.yaml").read_text())
+    assert mapping["episode"] == "trial" and mapping["order"] == "time"
+    assert mapping["modalities"] == {"setpoint": "command", "angle": {"from": "angle", "unit": ""}}
+    (tmp_path / "robot/meta").mkdir(parents=True)
+    features = {"action": {"shape": [3], "dtype": "float32"}, "observation.images.top": {"shape": [9, 9, 3], "dtype": "video"}}
+    (tmp_path / "robot/meta/info.json").write_text(json.dumps({"fps": 30, "features": features}))
+    answer = command("--inspect", tmp_path / "robot")
+    assert answer.returncode == 0 and "action  [3]  float32" in answer.stdout, answer.stderr
+    modalities = yaml.safe_load((tmp_path / "robot.yaml").read_text())["modalities"]
+    assert modalities == {"setpoint": "action", "vision": "observation.images.top"}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "name a mapping, or a recording with --inspect FILE"),
+        (["lab.yaml", "--inspect", "x"], "name a mapping, or a recording with --inspect FILE"),
+        (["lab.yaml", "--output", "x"], "--output needs --inspect FILE"),
+        (["--inspect", "/nowhere.h5"], "error: /nowhere.h5 is not there"),
+        (["--inspect", "/dev/null"], "error: /dev/null: holds no recording: no .csv, .h5"),
+    ],
+)
+def test_the_command_refuses_with_one_message(words, message):
+    answer = command(*words)
+    assert answer.returncode in (1, 2) and message in answer.stderr and "Traceback" not in answer.stderr
+
+
+def test_the_page_shows_every_modality_and_needs_no_network(recording, harness):
+    name = import_dataset(recording / "ros2.yaml", harness.results, progress=False)
+    page = (harness.results / "imports" / f"{name}.html").read_text()
+    # Three episodes of three vectors, and the times of four streams.
+    assert page.count("<svg ") == 3 * 3 + 4
+    assert page.count('src="data:image/png;base64,') == 3 * 8
+    for modality in ("setpoint", "angles", "force", "vision"):
+        assert f"<h2>{modality} " in page
+    assert not re.search(r"(src|href)=.(?!data:)|https?:|@import|<script", page)
+    assert "6 episodes, 474 samples at 10 Hz" in page
+    data = [np.frombuffer(frame, np.uint8).reshape(64, 64, 3) for frame in read_episodes(harness.results, name)[0]["vision"]]
+    (first, *_) = re.findall(r"data:image/png;base64,([^\"]+)", page)
+    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(base64.b64decode(first)))), data[0])
+
+
+def test_the_page_tells_what_never_changes(tmp_path):
+    three_trials(tmp_path, **FAST)
+    imported(tmp_path, format="csv", modalities=TWO | {"both": ["slow.u", "fast.x"]}, streams=STREAMS)
+    (page,) = (tmp_path / "results/imports").iterdir()
+    text = page.read_text()
+    assert "All elements have the same value at all samples." in text
+    assert "The elements 0 have the same value at all samples." in text

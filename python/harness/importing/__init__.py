@@ -60,6 +60,7 @@ except ImportError as error:
 from .conversion import episode_of
 from .lerobot import open_lerobot
 from .mapping import Mapping, MappingError
+from .page import Sketch, write_page
 from .parquet import open_parquet
 from .recording import Recording, open_streams
 from .writing import write_dataset
@@ -111,6 +112,8 @@ class Import:
     """The dataset's name."""
     recording: Recording
     """The recording, whose episodes are read."""
+    page: Path
+    """The page with plots."""
 
 
 def run_import(path: Path, results: Path, progress: bool) -> Import:
@@ -120,8 +123,12 @@ def run_import(path: Path, results: Path, progress: bool) -> Import:
         recording = _open(mapping, progress)
     except MappingError as error:
         raise MappingError(f"{path}: {error}") from None
-    name = write_dataset(mapping, recording.sample_rate_hz, _episodes(path, mapping, recording, progress), results)
-    return Import(name, recording)
+    sketch = Sketch.of(recording)
+    episodes = _episodes(path, mapping, recording, sketch, progress)
+    name = write_dataset(mapping, recording.sample_rate_hz, episodes, results)
+    page = results / "imports" / f"{name}.html"
+    write_page(page, name, mapping, recording, sketch)
+    return Import(name, recording, page)
 
 
 def _open(mapping: Mapping, progress: bool) -> Recording:
@@ -130,7 +137,9 @@ def _open(mapping: Mapping, progress: bool) -> Recording:
     return open_parquet(mapping, mapping.rows) if mapping.rows else open_lerobot(mapping)
 
 
-def _episodes(path: Path, mapping: Mapping, recording: Recording, progress: bool) -> Iterator[Episode]:
+def _episodes(
+    path: Path, mapping: Mapping, recording: Recording, sketch: Sketch, progress: bool
+) -> Iterator[Episode]:
     """Yields the episodes of a recording. Shows how many are done."""
     count = 0
     bar = tqdm(
@@ -148,6 +157,7 @@ def _episodes(path: Path, mapping: Mapping, recording: Recording, progress: bool
                 except MappingError as error:
                     raise MappingError(f"episode {count}: {error}") from None
                 count += 1
+                sketch.add(episode)
                 yield episode
         if count < 3:
             raise MappingError(f"{count} episodes were found; training, validation and test need one each")

@@ -1,0 +1,398 @@
+"""Lists what is in a recording, and writes a first mapping of it."""
+
+from __future__ import annotations
+
+import fnmatch
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from . import csv, hdf5, matlab, ros2, zarr
+from .arrays import Arrays
+from .mapping import KNOWN, NAME, RESERVED, MappingError
+from .recording import duration
+from .streams import blaming, natural
+from .video import VIDEOS, Folder, Video
+
+SETPOINT = re.compile(r"set_?point|command|cmd|action|target|desired|goal", re.IGNORECASE)
+"""What the names of setpoints often contain."""
+TIME = re.compile(r"(.*[_/ ])?(t|time|times|timestamps?|stamps?|seconds|secs?|datetime|date)([_ ]?(s|ms|us|ns))?", re.IGNORECASE)
+"""What times are often called."""
+SKIPPED_TOPICS = ("/rosout", "/parameter_events", "/tf", "/tf_static", "/events/write_split")
+
+
+@dataclass
+class Found:
+    """A stream, or a column, that a first mapping contains."""
+
+    name: str
+    """A name for it."""
+    settings: str
+    """The keys of the stream in the mapping; empty for formats without streams."""
+    columns: list[tuple[str, str, bool]] = field(default_factory=list)
+    """Names for its modalities, what each is from, and whether it is an image."""
+    rate_hz: float | None = None
+    """The stream's rate."""
+    gap_s: float = 0.0
+    """The stream's longest gap."""
+
+
+@dataclass
+class Contents:
+    """What is in a recording."""
+
+    format: str
+    """The format in a mapping."""
+    lines: list[str]
+    """A description of it."""
+    found: list[Found]
+    """What a first mapping contains."""
+    keys: list[str] = field(default_factory=list)
+    """Further lines of the mapping."""
+
+
+def inspect(path: Path) -> Contents:
+    """Returns what is in a file or folder.
+
+    Raises:
+        FileNotFoundError: it is not there.
+        MappingError: it holds nothing that can be imported, or is damaged.
+        ImportError: the package that reads it is not installed.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"{path} is not there")
+    for matches, read in (
+        (lambda: (path / "meta/info.json").exists(), _lerobot),
+        (lambda: _some(path, ros2.SUFFIXES, ("metadata.yaml", "*.db3", "*.mcap", "*/metadata.yaml")), _ros2),
+        (lambda: _some(path, (".zarr",), zarr.MARKS) or path.name.endswith(".zarr.zip"), _zarr),
+        (lambda: _some(path, hdf5.SUFFIXES), _hdf5),
+        (lambda: _some(path, matlab.SUFFIXES), _matlab),
+        (lambda: _some(path, (".parquet",), ("**/*.parquet",)), _parquet),
+        (lambda: _some(path, (".csv", ".txt", ".tsv"), ("*/*.csv",)), _csv),
+    ):
+        if matches():
+            return read(path)
+    raise MappingError(
+        f"{path}: holds no recording: no .csv, .h5, .zarr, .mat, .mcap, .db3, .bag or .parquet file, and no LeRobot dataset"
+    )
+
+
+def first_mapping(contents: Contents, source: Path, folder: Path) -> str:
+    """Returns the text of a mapping in a folder. It marks what is guessed, and what the user has to fill in."""
+    relative = source.relative_to(folder) if source.is_relative_to(folder) else source.resolve()
+    name = re.sub(r"[^a-z0-9_]+", "_", source.stem.lower()).strip("_") or "recording"
+    lines = [f"name: {name if NAME.fullmatch(name) else f'recording_{name}'[:60]}", f"source: {relative}"]
+    lines += [f"format: {contents.format}", *contents.keys]
+    if any(each.settings for each in contents.found):
+        rates = [each.rate_hz for each in contents.found if each.rate_hz]
+        gap = max([each.gap_s for each in contents.found] or [0.0])
+        rate = min([10.0, *rates])
+        lines += [
+            f"sample_rate_hz: {rate:.3g}      # samples per second of the dataset",
+            f"max_gap_s: {max(0.1, float(f'{3 * gap:.1g}')):g}      # three times the longest gap of the streams",
+            "gaps: refuse      # or split: a gap begins a new episode",
+            "align: last      # or linear, or mean: of the values since the last sample",
+            "# max_episode_s: 60      # cut a long recording into episodes",
+            "streams:",
+        ]
+        lines += [f"  {each.name}: {{{each.settings}}}" for each in contents.found]
+    lines.append("modalities:")
+    modalities = [column for each in contents.found for column in each.columns]
+    setpoint = next((each for each in modalities if SETPOINT.search(each[0]) and not each[2]), None)
+    if setpoint:
+        lines.append(f"  setpoint: {setpoint[1]}      # a guess: what the robot was commanded")
+    else:
+        lines.append("  setpoint:      # fill in: what the robot was commanded; one of the lines below")
+    taken = {"setpoint", *RESERVED, *KNOWN}
+    has_vision = False
+    for wish, term, is_image in modalities:
+        if (wish, term, is_image) == setpoint:
+            continue
+        if is_image and not has_vision:
+            has_vision = True
+            lines.append(f"  vision: {term}")
+            continue
+        name = _free(wish, taken)
+        lines.append(f"  {name}: {{from: {term}, {'size: [64, 64]' if is_image else 'unit: '}}}".replace("unit: }", 'unit: ""}'))
+    return "\n".join(lines) + "\n"
+
+
+def _free(wish: str, taken: set[str]) -> str:
+    """Returns a name for a modality that no other has."""
+    name = re.sub(r"[^a-z0-9]+", "_", wish.lower()).strip("_")[:48] or "value"
+    name = name if name[0].isalpha() else f"value_{name}"
+    numbered = (f"{name}_{number}" for number in range(2, 10**6))
+    while name in taken:
+        name = next(numbered)
+    taken.add(name)
+    return name
+
+
+def _some(path: Path, suffixes: tuple[str, ...], marks: tuple[str, ...] = ()) -> bool:
+    if path.suffix in suffixes:
+        return True
+    return path.is_dir() and any(any(path.glob(mark)) for mark in (*marks, *(f"*{suffix}" for suffix in suffixes)))
+
+
+def _first(path: Path, suffixes: tuple[str, ...], marks: tuple[str, ...] = ()) -> Path:
+    """Returns the first recording in a folder, or the path itself."""
+    if path.suffix in suffixes or path.is_file() or any((path / mark).exists() for mark in marks):
+        return path
+    inside = [each for each in path.iterdir() if each.suffix in suffixes or any(any(each.glob(mark)) for mark in marks)]
+    return min(inside, key=natural)
+
+
+# --- arrays ---
+
+
+def _hdf5(path: Path) -> Contents:
+    with hdf5.opened(_first(path, hdf5.SUFFIXES)) as arrays:
+        return _of_arrays("hdf5", _first(path, hdf5.SUFFIXES), arrays)
+
+
+def _zarr(path: Path) -> Contents:
+    first = _first(path, zarr.SUFFIXES, zarr.MARKS)
+    with zarr.opened(first) as arrays:
+        return _of_arrays("zarr", first, arrays)
+
+
+def _matlab(path: Path) -> Contents:
+    with matlab.opened(_first(path, matlab.SUFFIXES)) as arrays:
+        return _of_arrays("matlab", _first(path, matlab.SUFFIXES), arrays)
+
+
+def _of_arrays(format: str, path: Path, arrays: Arrays) -> Contents:
+    lines = [f"{path}:"] + [f"  {name}  {list(array.shape)}  {array.dtype}" for name, array in arrays.items()]
+    keys, prefix = [], ""
+    ends = next((name for name in arrays if re.search(r"(^|/)episode_ends$", name)), None)
+    groups = list(dict.fromkeys(match[0] for name in arrays if (match := re.match(r"(.*/)?[^/]*?\d+(?=/)", name))))
+    if ends:
+        keys.append(f"episode_ends: {ends}")
+    elif len(groups) > 1:
+        keys.append(f"episodes: {re.sub(r'\d+$', '*', groups[0])}")
+        prefix = f"{groups[0]}/"
+    inside = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+    times = {name: array for name, array in inside.items() if _is_time(name, array)}
+    found, taken = [], set()
+    for name, array in inside.items():
+        is_numeric = np.dtype(array.dtype).kind in "iufb"
+        if name in times or name == ends or not array.shape or not (is_numeric or np.dtype(array.dtype).kind == "O"):
+            continue
+        is_image = not is_numeric or (np.dtype(array.dtype) == np.uint8 and len(array.shape) >= 3)
+        time = _time_of(name, array, times)
+        stream = _free(name if len(name.split("/")) < 3 else "/".join(name.split("/")[-2:]), taken)
+        each = Found(stream, "", [(stream, stream, is_image)])
+        if time:
+            values = np.asarray(times[time][:]).reshape(-1)
+            unit = _unit(values)
+            each.rate_hz, each.gap_s = _rate(values.astype(np.float64) / {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit])
+            each.settings = f"data: {name}, time: {time}" + (f", time_unit: {unit}" if unit != "s" else "")
+        else:
+            each.settings = f"data: {name}, rate_hz: "
+        found.append(each)
+    if any(each.settings.endswith("rate_hz: ") for each in found):
+        keys.append("# fill in rate_hz: no times were found for some arrays")
+    return Contents(format, lines, found, keys)
+
+
+def _is_time(name: str, array: Any) -> bool:
+    is_vector = array.shape and max(array.shape) == np.prod(array.shape)
+    return bool(is_vector and np.dtype(array.dtype).kind in "iuf" and TIME.fullmatch(name.split("/")[-1]))
+
+
+def _time_of(name: str, array: Any, times: Arrays) -> str | None:
+    """Returns the times of an array: those in its own group, or the only ones of its length."""
+    same = [time for time, values in times.items() if np.prod(values.shape) in (array.shape[0], array.shape[-1])]
+    own = [time for time in same if time.rpartition("/")[0] == name.rpartition("/")[0]]
+    return own[0] if own else same[0] if len(same) == 1 else None
+
+
+def _unit(values: np.ndarray) -> str:
+    """Returns the likely unit of times since 1970, from their size; s for all others."""
+    largest = float(np.nanmax(np.abs(values.astype(np.float64)))) if len(values) else 0.0
+    return "ns" if largest > 1e17 else "us" if largest > 1e14 else "ms" if largest > 1e11 else "s"
+
+
+def _rate(times_s: np.ndarray) -> tuple[float | None, float]:
+    """Returns the rate of times and their longest gap, s."""
+    periods = np.diff(times_s)
+    periods = periods[np.isfinite(periods) & (periods > 0)]
+    return (1 / float(np.median(periods)), float(periods.max())) if len(periods) else (None, 0.0)
+
+
+# --- bags ---
+
+
+def _ros2(path: Path) -> Contents:
+    first = _first(path, ros2.SUFFIXES, ("metadata.yaml", "*.db3", "*.mcap"))
+    lines, found, taken = [f"{first}:"], [], set()
+    with ros2.opened(first) as bag:
+        topics = sorted({each.topic: each for each in bag.connections}.items())
+        for topic, connection in topics:
+            received = np.array([time for time, _ in bag.raw(connection)], np.float64) / 1e9
+            rate, gap = _rate(received)
+            speed = f"{rate:.4g} Hz, longest gap {duration(gap)}" if rate else "no rate"
+            lines.append(f"  {topic}  {connection.msgtype}  {len(received)} messages, {speed}")
+            message = next((message for _, message in bag.messages(connection)), None)
+            if message is None or topic in SKIPPED_TOPICS:
+                continue
+            stream = _free(topic, taken)
+            each = Found(stream, f"topic: {topic}", rate_hz=rate, gap_s=gap)
+            if connection.msgtype in (ros2.IMAGE, ros2.COMPRESSED):
+                each.columns = [(stream, stream, True)]
+            else:
+                for column, width in _columns(message):
+                    lines.append(f"    {column}  {width} values")
+                    term = stream if column == "data" and len(_columns(message)) == 1 else f"{stream}.{column}"
+                    each.columns.append((f"{stream}_{column}" if term != stream else stream, term, False))
+            if each.columns:
+                found.append(each)
+    return Contents("ros2", lines, found)
+
+
+def _columns(message: Any) -> list[tuple[str, int]]:
+    """Returns the fields of a message that belong together, such as `position` or `wrench.force`, and their widths."""
+    available = ros2.fields(message)
+    leaves = [name for name in available if not any(other.startswith(f"{name}.") for other in available)]
+    widths = {}
+    for leaf in leaves:
+        parent = leaf.rpartition(".")[0]
+        chosen = parent if parent in available else leaf
+        value = message
+        for part in chosen.split("."):
+            value = getattr(value, part)
+        numbers = ros2.flattened(value)
+        if numbers is not None and len(numbers):
+            widths[chosen] = len(numbers)
+    return list(widths.items())
+
+
+# --- tables ---
+
+
+def _csv(path: Path) -> Contents:
+    lines, found, taken = [f"{path}:"], [], set()
+    clocks: dict[str, str] = {}
+    for pattern, file in _files(path):
+        stream = _free(file.stem if pattern != "*.csv" else "log", taken)
+        key = f'file: "{pattern}", ' if pattern else ""
+        if file.is_dir():
+            images = Folder(stream, file)
+            lines.append(f"  {pattern}: {images.count} images, such as {images.files[0].name}")
+            found.append(Found(stream, f"{key}rate_hz: ", [(stream, stream, True)]))
+        elif file.suffix.lower() in VIDEOS:
+            video = Video(stream, file)
+            rate, gap = _rate(video.times / 1e9)
+            lines.append(f"  {pattern}: video, {video.count} frames, {rate or 0:.4g} Hz")
+            found.append(Found(stream, key.rstrip(", "), [(stream, stream, True)], rate, gap))
+        else:
+            table = _of_table(stream, key, csv.Table(file), pattern or str(file), lines)
+            if table.columns:
+                found.append(table)
+            elif table.rate_hz:
+                # A file of times alone has those of the frames that are called like it.
+                clocks[file.stem] = table.settings.replace("file:", "times:")
+    for each in found:
+        stem = each.columns[0][0].removesuffix("_2")
+        if each.columns[0][2] and stem in clocks:
+            each.settings = f"{each.settings.removesuffix(', rate_hz: ')}, {clocks[stem]}"
+    return Contents("csv", lines, found)
+
+
+def _files(path: Path) -> Iterator[tuple[str, Path]]:
+    """Yields the files of the first episode, each with the pattern of all episodes."""
+    if path.is_file():
+        yield "", path
+        return
+    videos = (".csv", *VIDEOS)
+    own = sorted((each for each in path.iterdir() if each.suffix.lower() in videos), key=natural)
+    inner = sorted((each for each in path.iterdir() if each.is_dir() and any(each.glob("*.csv"))), key=natural)
+    if inner:
+        for each in sorted(inner[0].iterdir(), key=natural):
+            if each.suffix.lower() in videos or each.is_dir():
+                yield f"*/{each.name}", each
+        return
+    # Files that are numbered are episodes of one stream. Others are streams of one episode.
+    numbered = len({re.sub(r"\d+", "*", each.name) for each in own}) < len(own)
+    seen = set()
+    for each in own:
+        pattern = re.sub(r"\d+", "*", each.name, count=1) if numbered else each.name
+        if pattern not in seen:
+            seen.add(pattern)
+            yield pattern, each
+
+
+def _of_table(stream: str, key: str, table: csv.Table, place: str, lines: list[str]) -> Found:
+    lines.append(f"  {place}: {len(table.frame)} rows")
+    time = next((name for name in table.names if TIME.fullmatch(name)), None)
+    each = Found(stream, f"{key}rate_hz: ")
+    if time:
+        with_unit = re.search(r"[_ (\[](ms|us|ns)[)\]]?$", time)
+        try:
+            unit = with_unit[1] if with_unit else _unit(table.numbers(time))
+        except MappingError:
+            unit = "s"
+        times = table.times(time, {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}[unit])
+        each.rate_hz, each.gap_s = _rate(times / 1e9)
+        each.settings = f"{key}time: {time}" + (f", time_unit: {unit}" if unit != "s" else "")
+    groups: dict[str, list[str]] = {}
+    for name in table.names:
+        texts = table.frame[name]
+        numbers = texts.str.strip_chars().str.replace(",", ".", literal=True).cast(pl.Float64, strict=False)
+        is_numeric = numbers.null_count() < len(numbers)
+        shown = ", ".join(str(value) for value in texts.head(3).to_list())
+        lines.append(f"    {name}  {'numbers' if is_numeric else 'text'}: {shown}, …")
+        if is_numeric and name != time:
+            groups.setdefault(re.sub(r"[_ ]?\d+$", "", name) or name, []).append(name)
+    for base, names in groups.items():
+        patterns = [f"{base}*", f"{base}?", f"{base}_?", f"{base}_*"]
+        fitting = [each for each in patterns if fnmatch.filter(table.names, each) == names]
+        single = f"{stream}.{names[0]}"
+        term = single if len(names) == 1 else f'"{stream}.{fitting[0]}"' if fitting else _list(stream, names)
+        each.columns.append((f"{stream}_{base}", term, False))
+    return each
+
+
+def _list(stream: str, names: list[str]) -> str:
+    return f"[{', '.join(f'{stream}.{name}' for name in names)}]"
+
+
+def _parquet(path: Path) -> Contents:
+    files = [path] if path.is_file() else sorted(path.glob("**/*.parquet"))
+    with blaming(str(files[0])):
+        schema = pl.scan_parquet(files[0]).collect_schema()
+    lines = [f"{files[0]}:"] + [f"  {name}  {kind}" for name, kind in schema.items()]
+    episode = next((name for name in schema if re.search(r"episode|trial|run", name, re.IGNORECASE)), "")
+    order = next((name for name in schema if re.search(r"^(sample|frame|index|row|step)|time|stamp", name) and name != episode), "")
+    keys = [
+        f"episode: {episode}      # the column whose value differs between episodes",
+        f"order: {order}      # the column by which an episode's rows are sorted",
+        "sample_rate_hz: 10      # fill in: samples per second",
+    ]
+    columns = [
+        (name, name, kind in (pl.Binary, pl.Struct))
+        for name, kind in schema.items()
+        if name not in (episode, order) and (kind.is_numeric() or kind in (pl.List, pl.Array, pl.Binary, pl.Struct))
+    ]
+    return Contents("parquet", lines, [Found(name, "", [(name, term, image)]) for name, term, image in columns], keys)
+
+
+def _lerobot(path: Path) -> Contents:
+    with blaming(str(path / "meta/info.json")):
+        info = json.loads((path / "meta/info.json").read_text())
+        features = {name: (list(each["shape"]), each["dtype"]) for name, each in info["features"].items()}
+    lines = [f"{path}: {info.get('total_episodes')} episodes, {info.get('total_frames')} samples at {info.get('fps')} Hz"]
+    lines += [f"  {name}  {shape}  {kind}" for name, (shape, kind) in features.items()]
+    own = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+    found = [
+        Found(name, "", [(name.removeprefix("observation."), name, kind in ("video", "image"))])
+        for name, (_, kind) in features.items()
+        if name not in own and kind != "string"
+    ]
+    return Contents("lerobot", lines, found)
