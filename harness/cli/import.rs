@@ -9,8 +9,14 @@ use std::process::ExitCode;
 #[derive(Args)]
 pub struct Import {
     /// The YAML file that says what to import, and which columns are which modality
-    #[arg(value_name = "MAPPING")]
-    mapping: PathBuf,
+    #[arg(value_name = "MAPPING", required_unless_present = "inspect")]
+    mapping: Option<PathBuf>,
+    /// List what is in a recording, and write a first mapping
+    #[arg(long, value_name = "FILE", conflicts_with = "mapping")]
+    inspect: Option<PathBuf>,
+    /// The file for the first mapping [default: FILE.yaml]
+    #[arg(long, value_name = "MAPPING", requires = "inspect")]
+    output: Option<PathBuf>,
 }
 
 /// The message with the command to call instead.
@@ -24,13 +30,15 @@ pub struct ImportError(String);
 impl Import {
     /// Names the command of the Python package that does the same.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let mapping = self.mapping.to_string_lossy();
-        let results = registry.root().to_string_lossy();
+        let is_import = self.mapping.is_some();
+        let results = (is_import && registry.root() != Path::new("results")).then(|| registry.root().to_owned());
         // The Python command reads its options after its name.
-        let mut words = vec!["import", &*mapping];
-        if registry.root() != Path::new("results") {
-            words.extend(["--results", &*results]);
+        let mut words = vec!["import".to_owned()];
+        words.extend(self.mapping.map(|path| path.to_string_lossy().into_owned()));
+        for (option, path) in [("--inspect", self.inspect), ("--output", self.output), ("--results", results)] {
+            let Some(path) = path else { continue };
+            words.extend([option.to_owned(), path.to_string_lossy().into_owned()]);
         }
-        Err(ImportError(quoted(words)).into())
+        Err(ImportError(quoted(words.iter().map(String::as_str))).into())
     }
 }

@@ -35,7 +35,7 @@ Simulation:
 - The module `harness.gymnasium` has the simulation as environments for Gymnasium, and `harness.environments` as
   environments for dm_env and dm_control.
 
-The modules `harness.export` and `harness.importing` convert datasets to and from LeRobot, Rerun and plain Parquet.
+The module `harness.export` writes datasets for LeRobot and Rerun. `harness.importing` makes datasets from recordings.
 
 All values are in SI units. Long calls let other threads run, and Ctrl-C stops them.
 """

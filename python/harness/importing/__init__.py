@@ -1,4 +1,4 @@
-"""Imports recordings as datasets: LeRobot datasets, and plain Parquet files.
+"""Imports recordings as datasets: LeRobot datasets, Parquet, CSV, HDF5, zarr and MATLAB files, videos, ROS 2 bags.
 
 `import_dataset` does the same as the command
 
@@ -24,6 +24,21 @@ defines which columns of the recording make up which modality:
     order: sample                   # the column by which an episode's rows are sorted
     sample_rate_hz: 10              # samples per second
 
+The other formats, csv, hdf5, zarr, matlab and ros2, have streams with times of their own, which are aligned to one rate:
+
+    format: ros2
+    sample_rate_hz: 10
+    max_gap_s: 0.5                  # a longer gap is refused; `gaps: split` begins a new episode there
+    streams:
+      joints: {topic: /joint_states}
+      force: {topic: /wrench, align: mean}
+    modalities:
+      setpoint: joints.position
+      force: {from: force.wrench.force, unit: N}
+
+docs/exchange.md describes their keys. The import also writes a page with plots of every modality, and
+`harness import --inspect FILE` writes a first mapping.
+
 `source` is relative to the mapping's folder. `modalities` must have `setpoint` and at least one other. Vectors may have
 any width. The names of the finger's modalities have a fixed meaning. Their values must be in rad, m and N, after they
 have been multiplied by `scale`. `vision` is an image, which is resized to 64 x 64 pixels unless it has a `size`. A
@@ -34,8 +49,8 @@ setpoint of the next sample. `setpoint: {from: COLUMN, shift: 1}` says so: each 
 and the first row of each episode is left out. Columns of a LeRobot dataset that begin with `action` have `shift: 1`
 unless the mapping says `shift: 0`, and all other columns have `shift: 0`.
 
-The module needs the packages pillow, pyyaml and tqdm: `pip install 'soft-harness[import]'`. For LeRobot datasets, it
-also needs the package lerobot.
+The module needs the packages of the extra `import`: `pip install 'soft-harness[import]'`. It needs av, h5py, rosbags,
+scipy and zarr only for the formats that they read. For LeRobot datasets, it also needs the package lerobot.
 """
 
 from __future__ import annotations
@@ -71,12 +86,12 @@ __all__ = ["MappingError", "import_dataset"]
 def import_dataset(
     mapping: str | os.PathLike[str], results: str | os.PathLike[str] = "results", *, progress: bool = True
 ) -> str:
-    """Imports a recording as a dataset. The whole recording is read into memory.
+    """Imports a recording as a dataset. One episode at a time is in memory, but the whole of Parquet files.
 
     Args:
         mapping: the YAML file that says what to import; see `harness.importing`.
         results: the folder of datasets and runs. The dataset is written to `datasets` in it, unless it is there
-            already.
+            already, and a page with plots to `imports`.
         progress: shows a progress bar on stderr.
 
     Returns:
@@ -85,7 +100,7 @@ def import_dataset(
     Raises:
         MappingError: the mapping or the recording is wrong. The message says where. A MappingError is a ValueError.
         FileNotFoundError: the mapping or its source does not exist.
-        ImportError: the recording is a LeRobot dataset, and the package lerobot is not installed.
+        ImportError: the package that reads the format is not installed.
         OSError: the results folder can't be written.
 
     Example:
