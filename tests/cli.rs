@@ -789,8 +789,10 @@ fn importing_is_left_to_python_with_the_words_to_type() {
     assert!(message.contains("`.venv/bin/harness import 'my lab.yaml'`"), "{message}");
     let message = error(&finish(&mut harness(Path::new("other"), &["import", "lab.yaml"])), 2);
     assert!(message.contains("`.venv/bin/harness import lab.yaml --results other`"), "{message}");
-    let message =
-        error(&finish(&mut harness(Path::new("results"), &["import", "--inspect", "bag", "--output", "lab.yaml"])), 2);
+    let message = error(
+        &finish(&mut harness(Path::new("results"), &["import", "--inspect", "bag", "--output", "lab.yaml"])),
+        2,
+    );
     assert!(message.contains("`.venv/bin/harness import --inspect bag --output lab.yaml`"), "{message}");
     let help = succeed(&RESULTS, &["import", "--help"]);
     assert!(help.contains(install) && help.contains(".venv/bin/harness import mapping.yaml"), "{help}");

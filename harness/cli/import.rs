@@ -31,11 +31,13 @@ impl Import {
     /// Names the command of the Python package that does the same.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let is_import = self.mapping.is_some();
-        let results = (is_import && registry.root() != Path::new("results")).then(|| registry.root().to_owned());
+        let results =
+            (is_import && registry.root() != Path::new("results")).then(|| registry.root().to_owned());
         // The Python command reads its options after its name.
         let mut words = vec!["import".to_owned()];
         words.extend(self.mapping.map(|path| path.to_string_lossy().into_owned()));
-        for (option, path) in [("--inspect", self.inspect), ("--output", self.output), ("--results", results)] {
+        for (option, path) in [("--inspect", self.inspect), ("--output", self.output), ("--results", results)]
+        {
             let Some(path) = path else { continue };
             words.extend([option.to_owned(), path.to_string_lossy().into_owned()]);
         }

@@ -1,4 +1,4 @@
-"""Damaged and odd recordings: each is an error with the file and the place, and leaves nothing in the results folder."""
+"""Damaged and odd recordings: each is an error with the file and the place, and leaves nothing behind."""
 
 import io
 import re
@@ -156,27 +156,39 @@ CSV_CASES: dict[str, tuple[Change, str]] = {
     "an empty file": (edited(LOG, lambda _: b""), "trial_2/log.csv: line 1: the file ends before a header"),
     "a file of comments": (edited(LOG, lambda _: b"# a\n# b\n"), "log.csv: line 3: the file ends before a header"),
     "a header alone": (edited(LOG, lambda data: data.split(b"\n")[0]), "log.csv: line 2: there are no rows below"),
-    "a word": (edited(LOG, line(7, "0.5,2,abc,00001.jpg")), "trial_2/log.csv: line 7: 'x' is 'abc', which is no number"),
+    "a word": (
+        edited(LOG, line(7, "0.5,2,abc,00001.jpg")),
+        "trial_2/log.csv: line 7: 'x' is 'abc', which is no number",
+    ),
     "an empty value": (edited(LOG, line(7, "0.5,2,,00001.jpg")), "trial_2/log.csv: line 7: 'log.x' is nan; it must be"),
     "a nan": (edited(LOG, line(9, "0.7,nan,7,00003.jpg")), "trial_2/log.csv: line 9: 'log.u' is nan; .*missing: skip"),
     "an infinite value": (edited(LOG, line(9, "0.7,inf,7,00003.jpg")), "log.csv: line 9: 'log.u' is inf; it must be"),
     "a value too many": (edited(LOG, line(7, "0.5,2,5,00001.jpg,8")), "line 7: has 5 values, and the header 4"),
     "a short line": (edited(LOG, line(7, "0.5,2")), "trial_2/log.csv: line 7: 'log.x' is nan"),
     "a line that was cut": (edited(LOG, lambda data: data[: data.rindex(b",19,")]), "log.csv: line 21: 'log.x' is nan"),
-    "a time that is a word": (edited(LOG, line(5, "soon,0,3,00003.jpg")), "log.csv: line 5: 't' is 'soon', which is no"),
+    "a time that is a word": (
+        edited(LOG, line(5, "soon,0,3,00003.jpg")),
+        "log.csv: line 5: 't' is 'soon', which is no",
+    ),
     "an empty time": (edited(LOG, line(5, ",0,3,00003.jpg")), "trial_2/log.csv: line 5: nan is no time"),
     "a time that goes back": (
         edited(LOG, line(5, "0.1,0,3,00003.jpg")),
         "trial_2/log.csv: line 5: the time goes back from 0.2 to 0.1 s",
     ),
     "a column twice": (edited(LOG, line(1, "t,u,u,x")), "trial_2/log.csv: line 1: the column 'u' is there twice"),
-    "no header": (edited(LOG, lambda data: data.split(b"\n", 1)[1]), "trial_2/log.csv: line 1: the column '0' is there twice"),
+    "no header": (
+        edited(LOG, lambda data: data.split(b"\n", 1)[1]),
+        "trial_2/log.csv: line 1: the column '0' is there twice",
+    ),
     "an empty header": (edited(LOG, line(1, ",,,")), "trial_2/log.csv: line 1: there is no header with the names"),
     "no text": (edited(LOG, lambda _: bytes(range(128, 256)) * 9), "trial_2/log.csv: line 1: is no text in UTF-8"),
     "UTF-16": (edited(LOG, lambda data: data.decode().encode("utf-16")), "log.csv: line 1: is no text in UTF-8"),
     "bytes of 0": (edited(LOG, lambda _: bytes(100)), "trial_2/log.csv: line 1: is no text: it contains a byte 0"),
     "a letter of another encoding": (edited(LOG, line(7, "0.5,2,\u20ac,1.jpg")), "log.csv: line 7: 'x' is '€'"),
-    "Latin-1": (edited(LOG, lambda data: data.replace(b",7,", b",\xb5,")), "trial_2/log.csv: .*can't be read: .*(utf|UTF)"),
+    "Latin-1": (
+        edited(LOG, lambda data: data.replace(b",7,", b",\xb5,")),
+        "trial_2/log.csv: .*can't be read: .*(utf|UTF)",
+    ),
     "an open quote": (edited(LOG, line(7, '0.5,2,"5,00001.jpg')), "trial_2/log.csv: "),
     "times in ns": (
         edited(LOG, lambda data: re.sub(rb"(?m)^(\d)\.(\d)", rb"1700000000\g<1>\g<2>0000000", data)),
@@ -186,7 +198,10 @@ CSV_CASES: dict[str, tuple[Change, str]] = {
         edited(LOG, lambda data: b"\n".join(data.split(b"\n")[:5] + data.split(b"\n")[12:])),
         "trial_2/log.csv: line 5: 0.8 s pass until the next row of 'log', which is more than max_gap_s, 0.5",
     ),
-    "one row": (edited(LOG, lambda data: b"\n".join(data.split(b"\n")[:2])), "episode 1: it has 1 sample; it must have 2"),
+    "one row": (
+        edited(LOG, lambda data: b"\n".join(data.split(b"\n")[:2])),
+        "episode 1: it has 1 sample; it must have 2",
+    ),
     "no video": (lambda folder, _: (folder / CAMERA).unlink(), "streams.camera.file: .*camera.mp4 is not there"),
     "an empty video": (edited(CAMERA, lambda _: b""), "trial_2/camera.mp4: can't be read: .*Invalid data"),
     "a video that is text": (edited(CAMERA, lambda _: b"no video" * 99), "camera.mp4: can't be read: .*Invalid data"),
@@ -260,7 +275,9 @@ def write_arrays(path: Path, arrays: dict[str, Any]) -> None:
     if path.suffix == ".h5":
         with h5py.File(path, "w") as file:
             for name, value in arrays.items():
-                chunked = {"chunks": True, "compression": "gzip"} if isinstance(value, np.ndarray) and value.size else {}
+                chunked = (
+                    {"chunks": True, "compression": "gzip"} if isinstance(value, np.ndarray) and value.size else {}
+                )
                 file.create_dataset(name, data=value, **chunked)
     elif path.suffix == ".zarr":
         root = zarr.create_group(path)
@@ -317,12 +334,36 @@ def keep(_: dict[str, Any]) -> None:
 
 ENDS = {"source": "rec/trial_2.SUFFIX", "episode_ends": "meta/ends"}
 ARRAY_CASES: dict[str, tuple[Callable[[dict[str, Any]], None], dict[str, Any], str]] = {
-    "data that is not there": (drop("log/x"), {}, r"trial_2.\w+: there is no 'log/x' for streams.x.data; the arrays are"),
-    "times that are not there": (drop("log/t"), {}, r"trial_2.\w+: there is no array 'log/t' for streams.u.time; the arr"),
-    "fewer rows than times": (shortened("log/x", 12), {}, r"trial_2.\w+: log/x: has 12 rows, and its times log/t have 20"),
-    "fewer times than rows": (shortened("log/t", 12), {}, r"trial_2.\w+: log/u: has 20 rows, and its times log/t have 12"),
-    "fewer frames than times": (shortened("camera/frames", 3), {}, "camera/frames: has [38] rows, and its times camera/t"),
-    "a time that goes back": (put_at("log/t", 9, 0.1), {}, r"trial_2.\w+: log/u: row 9: the time goes back from 0.8 to 0.1"),
+    "data that is not there": (
+        drop("log/x"),
+        {},
+        r"trial_2.\w+: there is no 'log/x' for streams.x.data; the arrays are",
+    ),
+    "times that are not there": (
+        drop("log/t"),
+        {},
+        r"trial_2.\w+: there is no array 'log/t' for streams.u.time; the arr",
+    ),
+    "fewer rows than times": (
+        shortened("log/x", 12),
+        {},
+        r"trial_2.\w+: log/x: has 12 rows, and its times log/t have 20",
+    ),
+    "fewer times than rows": (
+        shortened("log/t", 12),
+        {},
+        r"trial_2.\w+: log/u: has 20 rows, and its times log/t have 12",
+    ),
+    "fewer frames than times": (
+        shortened("camera/frames", 3),
+        {},
+        "camera/frames: has [38] rows, and its times camera/t",
+    ),
+    "a time that goes back": (
+        put_at("log/t", 9, 0.1),
+        {},
+        r"trial_2.\w+: log/u: row 9: the time goes back from 0.8 to 0.1",
+    ),
     "a time that is nan": (put_at("log/t", 9, np.nan), {}, r"trial_2.\w+: log/t: row 9: nan is no time"),
     "a time that is infinite": (put_at("log/t", 9, np.inf), {}, r"trial_2.\w+: log/t: row 9: inf is no time"),
     "times in ns": (
@@ -330,9 +371,21 @@ ARRAY_CASES: dict[str, tuple[Callable[[dict[str, Any]], None], dict[str, Any], s
         {},
         r"log/t: row 0: 1700000000000000000 is no time; .*time_unit",
     ),
-    "complex times": (put("log/t", np.arange(ROWS) * 1j), {}, r"trial_2.\w+: (log/t: holds no numbers|.*no array 'log/t')"),
-    "a gap": (put_at("log/t", slice(9, None), np.arange(11) / 10 + 2), {}, "row 8: 1.2 s pass until the next row of 'u'"),
-    "streams that do not overlap": (put("camera/t", np.arange(ROWS) / 10 + 9), {}, r"trial_2.\w+: the streams are at no"),
+    "complex times": (
+        put("log/t", np.arange(ROWS) * 1j),
+        {},
+        r"trial_2.\w+: (log/t: holds no numbers|.*no array 'log/t')",
+    ),
+    "a gap": (
+        put_at("log/t", slice(9, None), np.arange(11) / 10 + 2),
+        {},
+        "row 8: 1.2 s pass until the next row of 'u'",
+    ),
+    "streams that do not overlap": (
+        put("camera/t", np.arange(ROWS) / 10 + 9),
+        {},
+        r"trial_2.\w+: the streams are at no",
+    ),
     "a nan": (put_at("log/x", (7, 1), np.nan), {}, r"trial_2.\w+: log/x: row 7: element 1 of 'x' is nan; it must be"),
     "an infinite value": (put_at("log/u", (7, 0), -np.inf), {}, r"trial_2.\w+: log/u: row 7: 'u' is -inf; it must be"),
     "complex values": (
@@ -340,14 +393,42 @@ ARRAY_CASES: dict[str, tuple[Callable[[dict[str, Any]], None], dict[str, Any], s
         {},
         r"trial_2.\w+: (log/x: 'x' holds no numbers, but complex|there is no 'log/x')",
     ),
-    "another width": (put("log/x", np.zeros((ROWS, 3))), {}, "modalities.x: has 3 values in episode 1 and 2 in the first"),
-    "frames of floats": (put("camera/frames", np.zeros((ROWS, 6, 8, 3))), {}, r"trial_2.\w+: camera/frames: row 0: 'cam.*float64"),
-    "frames of 16 bits": (put("camera/frames", np.zeros((ROWS, 6, 8, 3), np.uint16)), {}, "row 0: 'camera' is no pict.*uint16"),
-    "frames of five channels": (put("camera/frames", np.zeros((ROWS, 6, 8, 5), np.uint8)), {}, "row 0: .*no picture.*5"),
+    "another width": (
+        put("log/x", np.zeros((ROWS, 3))),
+        {},
+        "modalities.x: has 3 values in episode 1 and 2 in the first",
+    ),
+    "frames of floats": (
+        put("camera/frames", np.zeros((ROWS, 6, 8, 3))),
+        {},
+        r"trial_2.\w+: camera/frames: row 0: 'cam.*float64",
+    ),
+    "frames of 16 bits": (
+        put("camera/frames", np.zeros((ROWS, 6, 8, 3), np.uint16)),
+        {},
+        "row 0: 'camera' is no pict.*uint16",
+    ),
+    "frames of five channels": (
+        put("camera/frames", np.zeros((ROWS, 6, 8, 5), np.uint8)),
+        {},
+        "row 0: .*no picture.*5",
+    ),
     "one row": (short, {}, "episode 1: it has 1 sample; it must have 2 or more"),
-    "ends that are not there": (keep, ENDS, r"trial_2.\w+: there is no array 'meta/ends' for episode_ends; the arrays are"),
-    "ends that go back": (put("meta/ends", np.array([8, 4, 20])), ENDS, r"trial_2.\w+: meta/ends: must be growing row num"),
-    "ends that are not whole": (put("meta/ends", np.array([1.5, 9, 20])), ENDS, r"trial_2.\w+: meta/ends: must be growing"),
+    "ends that are not there": (
+        keep,
+        ENDS,
+        r"trial_2.\w+: there is no array 'meta/ends' for episode_ends; the arrays are",
+    ),
+    "ends that go back": (
+        put("meta/ends", np.array([8, 4, 20])),
+        ENDS,
+        r"trial_2.\w+: meta/ends: must be growing row num",
+    ),
+    "ends that are not whole": (
+        put("meta/ends", np.array([1.5, 9, 20])),
+        ENDS,
+        r"trial_2.\w+: meta/ends: must be growing",
+    ),
     "ends beyond the rows": (put("meta/ends", np.array([8, 16, 24])), ENDS, "has 20 rows, and meta/ends divides 24"),
     "ends before the rows": (put("meta/ends", np.array([4, 8, 12])), ENDS, "has 20 rows, and meta/ends divides 12"),
     "labels of another length": (
@@ -355,7 +436,11 @@ ARRAY_CASES: dict[str, tuple[Callable[[dict[str, Any]], None], dict[str, Any], s
         {"source": "rec/trial_2.SUFFIX", "episode": "meta/label"},
         r"has 20 rows, and meta/label divides 18 rows into episodes",
     ),
-    "no such groups": (keep, {"episodes": "data/demo_*"}, r"trial_1.\w+: no group matches 'data/demo_\*' of the key 'epi"),
+    "no such groups": (
+        keep,
+        {"episodes": "data/demo_*"},
+        r"trial_1.\w+: no group matches 'data/demo_\*' of the key 'epi",
+    ),
     "a group instead of times": (
         keep,
         {"streams": {"u": {"data": "log/u", "time": "log"}}, "modalities": {"setpoint": "u", "x": "u"}},
@@ -470,15 +555,30 @@ ONE_FORMAT_CASES: dict[str, dict[str, tuple[Change, str]]] = {
         "half a file": (edited(H5, half), "trial_2.h5: can't be read: .*truncated"),
         "a garbled head": (edited(H5, lambda data: data[:40] + bytes(60) + data[100:]), "trial_2.h5: "),
         "a garbled chunk": (garbled_chunk, "trial_2.h5: log/x: 'x', rows 0 to 19: can't be read: "),
-        "words": (in_hdf5(lambda file: file.create_dataset("log/x", data=["a"] * ROWS)), "log/x: 'x' holds no numbers, but obj"),
+        "words": (
+            in_hdf5(lambda file: file.create_dataset("log/x", data=["a"] * ROWS)),
+            "log/x: 'x' holds no numbers, but obj",
+        ),
         "a table of fields": (
             in_hdf5(lambda file: file.create_dataset("log/x", (ROWS,), [("a", "f4"), ("b", "i4")])),
             "trial_2.h5: log/x: 'x' holds no numbers, but ",
         ),
-        "a single number": (in_hdf5(lambda file: file.create_dataset("log/x", data=3.0)), "log/x: has 0 rows, and its times"),
-        "no rows": (in_hdf5(lambda file: file.create_dataset("log/x", (0, 2))), "log/x: has 0 rows, and its times log/t"),
-        "no columns": (in_hdf5(lambda file: file.create_dataset("log/x", (ROWS, 0))), "episode 1: modalities.x: x gives no val"),
-        "nothing": (in_hdf5(lambda file: file.create_dataset("log/x", dtype="f4")), "there is no 'log/x' for streams.x.data"),
+        "a single number": (
+            in_hdf5(lambda file: file.create_dataset("log/x", data=3.0)),
+            "log/x: has 0 rows, and its times",
+        ),
+        "no rows": (
+            in_hdf5(lambda file: file.create_dataset("log/x", (0, 2))),
+            "log/x: has 0 rows, and its times log/t",
+        ),
+        "no columns": (
+            in_hdf5(lambda file: file.create_dataset("log/x", (ROWS, 0))),
+            "episode 1: modalities.x: x gives no val",
+        ),
+        "nothing": (
+            in_hdf5(lambda file: file.create_dataset("log/x", dtype="f4")),
+            "there is no 'log/x' for streams.x.data",
+        ),
         "a link to nowhere": (
             in_hdf5(lambda file: file.__setitem__("log/x", h5py.SoftLink("/gone"))),
             "trial_2.h5: there is no 'log/x' for streams.x.data",
@@ -487,20 +587,44 @@ ONE_FORMAT_CASES: dict[str, dict[str, tuple[Change, str]]] = {
             in_hdf5(lambda file: file.__setitem__("log/x", h5py.ExternalLink("gone.h5", "/x"))),
             "trial_2.h5: there is no 'log/x' for streams.x.data",
         ),
-        "pictures that were cut": (in_hdf5(broken_jpegs), "trial_2.h5: camera/frames: row 0: is no picture, or damaged"),
+        "pictures that were cut": (
+            in_hdf5(broken_jpegs),
+            "trial_2.h5: camera/frames: row 0: is no picture, or damaged",
+        ),
     },
     "zarr": {
         "an empty folder": (emptied, "trial_2.zarr: can't be read: "),
         "a file": (replaced_zarr(b"no ZIP"), "trial_2.zarr: can't be read: .*zip"),
         "a ZIP file that was cut": (replaced_zarr(b"PK\x03\x04" + bytes(99)), "trial_2.zarr: can't be read: .*zip"),
-        "no metadata of an array": (changed_zarr("log/x/zarr.json", None), "trial_2.zarr: there is no 'log/x' for streams.x"),
+        "no metadata of an array": (
+            changed_zarr("log/x/zarr.json", None),
+            "trial_2.zarr: there is no 'log/x' for streams.x",
+        ),
         "metadata that is no JSON": (changed_zarr("log/x/zarr.json", half), "trial_2.zarr: .*can't be read: "),
-        "metadata of another kind": (changed_zarr("log/x/zarr.json", lambda _: b"[]"), "trial_2.zarr: .*can't be read: "),
-        "a chunk that was cut": (changed_zarr("log/x/c/0/0", half), "trial_2.zarr: log/x: 'x', rows 0 to 19: can't be read: "),
-        "an empty chunk": (changed_zarr("log/x/c/0/0", lambda _: b""), "trial_2.zarr: log/x: 'x', rows 0 to 19: can't be read"),
-        "a garbled chunk": (changed_zarr("log/x/c/0/0", lambda data: bytes(len(data))), "log/x: 'x', rows 0 to 19: can't be"),
-        "garbled times": (changed_zarr("log/t/c/0", lambda data: bytes(len(data))), "trial_2.zarr: log/t: can't be read: "),
-        "garbled frames": (changed_zarr("camera/frames/c/0/0/0/0", half), "camera/frames: 'camera', rows 0 to 19: can't be"),
+        "metadata of another kind": (
+            changed_zarr("log/x/zarr.json", lambda _: b"[]"),
+            "trial_2.zarr: .*can't be read: ",
+        ),
+        "a chunk that was cut": (
+            changed_zarr("log/x/c/0/0", half),
+            "trial_2.zarr: log/x: 'x', rows 0 to 19: can't be read: ",
+        ),
+        "an empty chunk": (
+            changed_zarr("log/x/c/0/0", lambda _: b""),
+            "trial_2.zarr: log/x: 'x', rows 0 to 19: can't be read",
+        ),
+        "a garbled chunk": (
+            changed_zarr("log/x/c/0/0", lambda data: bytes(len(data))),
+            "log/x: 'x', rows 0 to 19: can't be",
+        ),
+        "garbled times": (
+            changed_zarr("log/t/c/0", lambda data: bytes(len(data))),
+            "trial_2.zarr: log/t: can't be read: ",
+        ),
+        "garbled frames": (
+            changed_zarr("camera/frames/c/0/0/0/0", half),
+            "camera/frames: 'camera', rows 0 to 19: can't be",
+        ),
         "a single array": (
             lambda folder, _: (shutil.rmtree(folder / ZARR), zarr.save_array(folder / ZARR, np.ones(3))) and None,
             "trial_2.zarr: is a single array; a recording is a group",
@@ -514,13 +638,22 @@ ONE_FORMAT_CASES: dict[str, dict[str, tuple[Change, str]]] = {
         "text": (edited(MAT, lambda _: b"no variables\n" * 40), "trial_2.mat: can't be read: "),
         "an empty file": (edited(MAT, lambda _: b""), "trial_2.mat: can't be read: "),
         "half a file": (edited(MAT, half), "trial_2.mat: can't be read: "),
-        "a head alone": (edited(MAT, lambda data: data[:128]), "trial_2.mat: there is no 'camera/frames' for .*; there are no arr"),
+        "a head alone": (
+            edited(MAT, lambda data: data[:128]),
+            "trial_2.mat: there is no 'camera/frames' for .*; there are no arr",
+        ),
         "a garbled variable": (
             edited(MAT, lambda data: data[:300] + bytes(300) + data[600:]),
             "trial_2.mat: can't be read: ",
         ),
-        "words": (of_matlab({"log": {"u": "word", "t": np.arange(4.0)}}), "trial_2.mat: there is no 'log/u' for streams.u"),
-        "a variable instead of a structure": (of_matlab({"log": np.zeros(9)}), "there is no 'log/u' for .*the arrays are log"),
+        "words": (
+            of_matlab({"log": {"u": "word", "t": np.arange(4.0)}}),
+            "trial_2.mat: there is no 'log/u' for streams.u",
+        ),
+        "a variable instead of a structure": (
+            of_matlab({"log": np.zeros(9)}),
+            "there is no 'log/u' for .*the arrays are log",
+        ),
         "an empty matrix": (
             of_matlab({"log": {"u": np.zeros((0, 0)), "t": np.arange(4.0)}}),
             "trial_2.mat: log/u: has 0 rows, and its times log/t have 4",
@@ -649,7 +782,9 @@ def swapped(index: int, message: Message) -> Change:
 
 
 def without_topic(topic: str) -> Change:
-    return rewritten(lambda messages: messages.__setitem__(slice(None), [each for each in messages if each[0] != topic]))
+    return rewritten(
+        lambda messages: messages.__setitem__(slice(None), [each for each in messages if each[0] != topic])
+    )
 
 
 def cut(index: int, length: int) -> Callable[[list[Message]], None]:
@@ -698,7 +833,10 @@ BAG_CASES: dict[str, tuple[Change, str]] = {
     "an MCAP file that is text": (in_mcap(lambda _: b"no MCAP" * 99), "rec/trial_2: .*can't be read: "),
     "an empty MCAP file": (in_mcap(lambda _: b""), "rec/trial_2: .*can't be read: "),
     "a garbled MCAP file": (in_mcap(garbled_middle), "rec/trial_2: /\\w+: message \\d+"),
-    "no such topic": (without_topic("/joints"), "rec/trial_2: there is no topic '/joints' for streams.joints.topic; the top"),
+    "no such topic": (
+        without_topic("/joints"),
+        "rec/trial_2: there is no topic '/joints' for streams.joints.topic; the top",
+    ),
     "no messages of a topic": (sql("delete from messages where topic_id = 1"), "rec/trial_2: /\\w+: holds no messages"),
     "no such field": (
         setting("modalities", "x", to="joints.positions"),
@@ -711,8 +849,14 @@ BAG_CASES: dict[str, tuple[Change, str]] = {
         swapped(7, joints(7, [7, -7], ["b", "a"])),
         r"rec/trial_2: /joints: message 7: its names are \['b', 'a'\], and those of message 0 \['a', 'b'\]",
     ),
-    "a joint too many": (swapped(7, joints(7, [7, -7, 0])), "/joints: message 7, .*'joints.position' has 3 values, and 2 in m"),
-    "a header without a time": (swapped(7, joints(7, [7, -7], time=0)), "/joints: message 7: its header has no time; .*received"),
+    "a joint too many": (
+        swapped(7, joints(7, [7, -7, 0])),
+        "/joints: message 7, .*'joints.position' has 3 values, and 2 in m",
+    ),
+    "a header without a time": (
+        swapped(7, joints(7, [7, -7], time=0)),
+        "/joints: message 7: its header has no time; .*received",
+    ),
     "a header's time that goes back": (
         swapped(7, joints(7, [7, -7], time=START + 10**8)),
         "/joints: message 7, received at 1700000000.7 s: the time goes back from 1700000000.6 to 1700000000.1 s",
@@ -723,11 +867,23 @@ BAG_CASES: dict[str, tuple[Change, str]] = {
         rewritten(lambda messages: messages.__delitem__(slice(5, 12))),
         "/joints: message 4, .*0.8 s pass until the next row of 'joints'",
     ),
-    "depth images": (swapped(2 * ROWS + 7, image(7, "16UC1")), "/image: message 7, .*has the encoding '16UC1'; those that can"),
-    "pixels that are missing": (swapped(2 * ROWS + 7, image(7, size=99)), "/image: message 7, .*has 99 bytes for 6 x 8 pixels"),
+    "depth images": (
+        swapped(2 * ROWS + 7, image(7, "16UC1")),
+        "/image: message 7, .*has the encoding '16UC1'; those that can",
+    ),
+    "pixels that are missing": (
+        swapped(2 * ROWS + 7, image(7, size=99)),
+        "/image: message 7, .*has 99 bytes for 6 x 8 pixels",
+    ),
     "an image without pixels": (swapped(2 * ROWS + 7, image(7, height=0, size=0)), "/image: message 7, .*pixels"),
-    "a picture that was cut": (swapped(3 * ROWS + 7, packed(7, half(jpeg(1)))), "/packed: message 7, .*is no picture, or dam"),
-    "a picture that is text": (swapped(3 * ROWS + 7, packed(7, b"text")), "/packed: message 7, .*: is no picture, or damaged"),
+    "a picture that was cut": (
+        swapped(3 * ROWS + 7, packed(7, half(jpeg(1)))),
+        "/packed: message 7, .*is no picture, or dam",
+    ),
+    "a picture that is text": (
+        swapped(3 * ROWS + 7, packed(7, b"text")),
+        "/packed: message 7, .*: is no picture, or damaged",
+    ),
     "two types on a topic": (
         rewritten(lambda messages: messages.append(("/joints", "std_msgs/msg/Float64", START, command(0, 1)[3]))),
         "rec/trial_2: /joints: has messages of several types",
@@ -736,10 +892,22 @@ BAG_CASES: dict[str, tuple[Change, str]] = {
         both(setting("modalities", "x", to="image"), setting("modalities", "vision", to=None)),
         "trial_1: /image: 'image' holds pictures, no numbers",
     ),
-    "pictures from numbers": (setting("modalities", "vision", to="joints.effort"), "/joints: holds no pictures, but sensor"),
-    "pictures that are also numbers": (setting("modalities", "x", to="image"), "modalities: 'image' is an image of one"),
-    "an episode's topic that is not there": (setting("episode", to="/trial"), "trial_1: there is no topic '/trial' for epis"),
-    "an episode's topic of joints": (setting("episode", to="/joints"), "trial_1: /joints: is a .*; a topic 'episode' has one"),
+    "pictures from numbers": (
+        setting("modalities", "vision", to="joints.effort"),
+        "/joints: holds no pictures, but sensor",
+    ),
+    "pictures that are also numbers": (
+        setting("modalities", "x", to="image"),
+        "modalities: 'image' is an image of one",
+    ),
+    "an episode's topic that is not there": (
+        setting("episode", to="/trial"),
+        "trial_1: there is no topic '/trial' for epis",
+    ),
+    "an episode's topic of joints": (
+        setting("episode", to="/joints"),
+        "trial_1: /joints: is a .*; a topic 'episode' has one",
+    ),
     "a time of another kind": (
         setting("streams", "joints", "time", to="sent"),
         "streams.joints: time: must be header or received, not 'sent'",

@@ -24,6 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from harness.importing import example, import_dataset
 
+ROOT = Path(__file__).parents[2]
 ROS2 = get_typestore(Stores.ROS2_HUMBLE)
 
 
@@ -75,7 +76,8 @@ def test_the_example_comes_back_in_a_format(recording, harness, format):
         ):
             np.testing.assert_allclose(values[key], last_values(times, expected, samples), rtol=1e-6)
         means = [
-            trial.forces[(trial.force_times > at - 0.1 + 1e-6) & (trial.force_times <= at + 1e-6)].mean() for at in samples
+            trial.forces[(trial.force_times > at - 0.1 + 1e-6) & (trial.force_times <= at + 1e-6)].mean()
+            for at in samples
         ]
         np.testing.assert_allclose(values["force"][:, 0], means, rtol=1e-5, atol=1e-6)
         found = np.stack([np.frombuffer(frame, np.uint8).reshape(64, 64, 3) for frame in episode["vision"]])
@@ -110,7 +112,14 @@ def test_the_same_numbers_have_the_same_hash_in_any_format(recording, harness):
 
 
 def test_the_command_prints_the_clocks_and_shows_progress(recording, tmp_path):
-    command = [sys.executable, "-m", "harness.importing", str(recording / "ros2.yaml"), "--results", str(tmp_path / "r")]
+    command = [
+        sys.executable,
+        "-m",
+        "harness.importing",
+        str(recording / "ros2.yaml"),
+        "--results",
+        str(tmp_path / "r"),
+    ]
     answer = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ)
     assert answer.returncode == 0, answer.stderr
     lines = [line.split() for line in answer.stdout.splitlines()]
@@ -139,7 +148,10 @@ def three_trials(folder: Path, **columns) -> Path:
 
 STREAMS = {"slow": {"file": "*/slow.csv", "time": "t"}, "fast": {"file": "*/fast.csv", "time": "t"}}
 TWO = {"setpoint": "slow.u", "value": "fast.x"}
-FAST = {"t": [0.0, 0.04, 0.1, 0.13, 0.18, 0.34, 0.38, 0.52, 0.61], "x": [0.0, 4.0, 10.0, 13.0, 18.0, 34.0, 38.0, 52.0, 61.0]}
+FAST = {
+    "t": [0.0, 0.04, 0.1, 0.13, 0.18, 0.34, 0.38, 0.52, 0.61],
+    "x": [0.0, 4.0, 10.0, 13.0, 18.0, 34.0, 38.0, 52.0, 61.0],
+}
 """A stream without a rate, whose value is a hundred times its time."""
 
 
@@ -170,7 +182,9 @@ def test_an_offset_moves_a_stream_in_time(tmp_path):
 
 def test_clocks_with_different_zeros_can_begin_at_zero(tmp_path):
     three_trials(tmp_path, t=[1.7e9 + time for time in FAST["t"]], x=FAST["x"])
-    with pytest.raises(ValueError, match="trial_0: the streams are at no time all there: fast lasts from 1700000000 to"):
+    with pytest.raises(
+        ValueError, match="trial_0: the streams are at no time all there: fast lasts from 1700000000 to"
+    ):
         imported(tmp_path, format="csv", modalities=TWO, streams=STREAMS)
     streams = STREAMS | {"fast": STREAMS["fast"] | {"begin_at_zero": True}}
     (first, *_) = imported(tmp_path, format="csv", modalities=TWO, streams=streams)
@@ -458,7 +472,9 @@ def test_bags_of_ros_1_are_read(tmp_path):
     store = get_typestore(Stores.ROS1_NOETIC)
     for trial in range(3):
         with Writer1(tmp_path / f"{trial}.bag") as writer:
-            topics = {name: writer.add_connection(name, "std_msgs/msg/Float64", typestore=store) for name in ("/u", "/x")}
+            topics = {
+                name: writer.add_connection(name, "std_msgs/msg/Float64", typestore=store) for name in ("/u", "/x")
+            }
             for step in range(4):
                 for connection in topics.values():
                     message = store.types["std_msgs/msg/Float64"](float(step))
@@ -564,7 +580,8 @@ def test_inspecting_lists_a_format_and_writes_a_mapping(recording, tmp_path, for
     (first, *_) = read_episodes(tmp_path / "results", name)
     commands = example.simulate(0).commands[:, 0]
     assert np.isin(first["setpoint_00"].to_numpy(), commands.astype(np.float32)).all()
-    assert {"vision"} < set(first.columns) and len([name for name in first.columns if "angle" in name or "position" in name]) == 4
+    joints = [name for name in first.columns if "angle" in name or "position" in name]
+    assert "vision" in first.columns and len(joints) == 4
     again = command("--inspect", recording / format, "--output", mapping)
     assert again.returncode == 1 and "is there already, and was not changed; name another file" in again.stderr
 
@@ -578,7 +595,8 @@ def test_inspecting_finds_parquet_and_lerobot_columns(tmp_path):
     assert mapping["episode"] == "trial" and mapping["order"] == "time"
     assert mapping["modalities"] == {"setpoint": "command", "angle": {"from": "angle", "unit": ""}}
     (tmp_path / "robot/meta").mkdir(parents=True)
-    features = {"action": {"shape": [3], "dtype": "float32"}, "observation.images.top": {"shape": [9, 9, 3], "dtype": "video"}}
+    camera = {"shape": [9, 9, 3], "dtype": "video"}
+    features = {"action": {"shape": [3], "dtype": "float32"}, "observation.images.top": camera}
     (tmp_path / "robot/meta/info.json").write_text(json.dumps({"fps": 30, "features": features}))
     answer = command("--inspect", tmp_path / "robot")
     assert answer.returncode == 0 and "action  [3]  float32" in answer.stdout, answer.stderr
@@ -611,9 +629,9 @@ def test_the_page_shows_every_modality_and_needs_no_network(recording, harness):
         assert f"<h2>{modality} " in page
     assert not re.search(r"(src|href)=.(?!data:)|https?:|@import|<script", page)
     assert "6 episodes, 474 samples at 10 Hz" in page
-    data = [np.frombuffer(frame, np.uint8).reshape(64, 64, 3) for frame in read_episodes(harness.results, name)[0]["vision"]]
+    frame = np.frombuffer(read_episodes(harness.results, name)[0]["vision"][0], np.uint8).reshape(64, 64, 3)
     (first, *_) = re.findall(r"data:image/png;base64,([^\"]+)", page)
-    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(base64.b64decode(first)))), data[0])
+    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(base64.b64decode(first)))), frame)
 
 
 def test_the_page_tells_what_never_changes(tmp_path):
@@ -623,3 +641,25 @@ def test_the_page_tells_what_never_changes(tmp_path):
     text = page.read_text()
     assert "All elements have the same value at all samples." in text
     assert "The elements 0 have the same value at all samples." in text
+
+
+def test_the_commands_of_the_tutorial_work_as_it_shows_them(tmp_path):
+    """Those that need only this package. The page's mapping and its table of streams are compared as well."""
+    page = (ROOT / "docs/recordings.md").read_text()
+    blocks = re.findall(r"```(\w+)\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    (mapping,) = [text for language, text in blocks if language == "yaml" and "streams:" in text]
+    (tmp_path / "press.yaml").write_text(mapping)
+    commands = [text for language, text in blocks if language == "sh" and re.search(r"harness import|example", text)]
+    assert len(commands) == 4
+    functions = f"""
+    python() {{ "{sys.executable}" "$@"; }}
+    harness() {{ "{sys.executable}" -m harness.importing "${{@:2}}"; }}
+    """
+    script = f"set -e\n{functions}\n" + "\n".join(commands)
+    answer = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stderr
+    (table,) = [text for language, text in blocks if language == "text"]
+    assert table in answer.stdout, answer.stdout
+    (name,) = re.findall(r"scenarios: (press-\w+)", page)
+    datasets = [path.name for path in (tmp_path / "results/datasets").iterdir()]
+    assert len(datasets) == 6 and name in datasets

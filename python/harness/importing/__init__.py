@@ -24,7 +24,7 @@ defines which columns of the recording make up which modality:
     order: sample                   # the column by which an episode's rows are sorted
     sample_rate_hz: 10              # samples per second
 
-The other formats, csv, hdf5, zarr, matlab and ros2, have streams with times of their own, which are aligned to one rate:
+The formats csv, hdf5, zarr, matlab and ros2 have streams with times of their own, which are aligned to one rate:
 
     format: ros2
     sample_rate_hz: 10
@@ -140,7 +140,7 @@ def run_import(path: Path, results: Path, progress: bool) -> Import:
         raise MappingError(f"{path}: {error}") from None
     sketch = Sketch.of(recording)
     episodes = _episodes(path, mapping, recording, sketch, progress)
-    name = write_dataset(mapping, recording.sample_rate_hz, episodes, results)
+    name = write_dataset(mapping, recording.sample_rate_hz, episodes, results, progress)
     page = results / "imports" / f"{name}.html"
     write_page(page, name, mapping, recording, sketch)
     return Import(name, recording, page)
@@ -152,9 +152,7 @@ def _open(mapping: Mapping, progress: bool) -> Recording:
     return open_parquet(mapping, mapping.rows) if mapping.rows else open_lerobot(mapping)
 
 
-def _episodes(
-    path: Path, mapping: Mapping, recording: Recording, sketch: Sketch, progress: bool
-) -> Iterator[Episode]:
+def _episodes(path: Path, mapping: Mapping, recording: Recording, sketch: Sketch, progress: bool) -> Iterator[Episode]:
     """Yields the episodes of a recording. Shows how many are done."""
     count = 0
     bar = tqdm(

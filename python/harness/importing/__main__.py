@@ -33,7 +33,9 @@ def main(words: list[str] | None = None) -> int:
     )
     folder = "folder of datasets and runs [default: results]"
     parser.add_argument("--results", type=Path, metavar="DIR", help=folder)
-    parser.add_argument("--inspect", type=Path, metavar="FILE", help="list what is in a recording; write a first mapping")
+    parser.add_argument(
+        "--inspect", type=Path, metavar="FILE", help="list what is in a recording; write a first mapping"
+    )
     output = "the file for the first mapping, with --inspect [default: FILE.yaml]"
     parser.add_argument("--output", type=Path, metavar="MAPPING", help=output)
     arguments = parser.parse_args(words)

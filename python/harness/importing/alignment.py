@@ -104,7 +104,8 @@ class Plan:
 
 def latest(times: np.ndarray, samples: np.ndarray) -> np.ndarray:
     """Returns the row of the last value at each sample, int64 [samples]; -1 if there is none."""
-    return np.searchsorted(times, samples + TOLERANCE_NS, side="right") - 1
+    rows: np.ndarray = np.searchsorted(times, samples + TOLERANCE_NS, side="right") - 1
+    return rows
 
 
 def plan(take: Take, mapping: Mapping, sampling: Sampling, qualities: dict[str, Quality]) -> Plan:
@@ -249,7 +250,8 @@ def _aligned(stream: Stream, column: str, span: Span, sampling: Sampling, how: s
         return _interpolated(values, times, samples, rows[1:])
     if how == "mean":
         return _means(values, rows)
-    return values[rows[1:]]
+    latest_values: np.ndarray = values[rows[1:]]
+    return latest_values
 
 
 def _interpolated(values: np.ndarray, times: np.ndarray, samples: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -257,7 +259,8 @@ def _interpolated(values: np.ndarray, times: np.ndarray, samples: np.ndarray, ro
     after = np.minimum(rows + 1, len(times) - 1)
     length = np.maximum(times[after] - times[rows], 1)
     share = np.clip((samples - times[rows]) / length, 0.0, 1.0)[:, None]
-    return values[rows] + share * (values[after] - values[rows])
+    interpolated: np.ndarray = values[rows] + share * (values[after] - values[rows])
+    return interpolated
 
 
 def _means(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -267,7 +270,7 @@ def _means(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """
     begin, end = np.maximum(rows[:-1] + 1, 0), rows[1:] + 1
     counts = end - begin
-    means = values[rows[1:]].copy()
+    means: np.ndarray = values[rows[1:]].copy()
     full = counts > 0
     if full.any():
         sums = np.add.reduceat(values[: end[-1]], begin[full], axis=0)

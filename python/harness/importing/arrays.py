@@ -14,7 +14,7 @@ from .mapping import Mapping, MappingError, StreamSettings
 from .streams import Stream, Take, blaming, changes, divided, nanoseconds, natural, regular
 
 Arrays = dict[str, Any]
-"""Arrays by their path in a file, such as `observations/qpos`. Each has a shape and a dtype, and slices of it are read."""
+"""Arrays by their path in a file, such as `observations/qpos`. Each has a shape, a dtype, and slices that are read."""
 BLOCK_BYTES = 2**25
 """How much of an array of pictures is read at once."""
 
@@ -40,7 +40,8 @@ def takes_of(
             if "episodes" in division:
                 for group, members in _groups(str(path), arrays, division["episodes"]):
                     place = f"{path}: {group}"
-                    yield Take(place, {name: _stream(place, "/", each, members, by_rows) for name, each in streams.items()})
+                    own = {name: _stream(place, "/", each, members, by_rows) for name, each in streams.items()}
+                    yield Take(place, own)
                 continue
             whole = {name: _stream(str(path), ": ", each, arrays, by_rows) for name, each in streams.items()}
             key = next((key for key in ("episode", "episode_ends") if key in division), None)
@@ -66,7 +67,8 @@ def _by_rows(path: Path, streams: dict[str, Stream], arrays: Arrays, key: str, n
     if key == "episode":
         starts, rows = changes(values), len(values)
     else:
-        if values.dtype.kind not in "iu" or not len(values) or (np.diff(np.append(0, values.astype(np.int64))) <= 0).any():
+        is_whole = values.dtype.kind in "iu" and len(values)
+        if not is_whole or (np.diff(np.append(0, values.astype(np.int64))) <= 0).any():
             raise MappingError(f"{path}: {name}: must be growing row numbers, which say where each episode ends")
         ends = values.astype(np.int64)
         starts, rows = np.append(0, ends[:-1]), int(ends[-1])
@@ -176,8 +178,8 @@ class ArrayStream(Stream):
         channels = {*picture.shape[::2]} & {1, 3, 4} if picture.ndim == 3 else {1}
         if picture.dtype != np.uint8 or not 1 <= picture.ndim <= 3 or not channels:
             raise MappingError(
-                f"{self.at(row)}: '{column}' is no picture but {picture.dtype} of shape {list(picture.shape)}; a picture "
-                "is uint8, [rows, columns, 3], [3, rows, columns] or [rows, columns], or the bytes of an image file"
+                f"{self.at(row)}: '{column}' is no picture but {picture.dtype} of shape {list(picture.shape)}; a "
+                "picture is uint8, [rows, columns, 3], [3, rows, columns] or [rows, columns], or the bytes of an image"
             )
         if picture.ndim == 1:
             return picture.tobytes()

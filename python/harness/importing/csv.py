@@ -33,9 +33,7 @@ def takes(mapping: Mapping) -> Iterator[Take]:
     by_column = mapping.sampling.divided_by.get("episode")
     for star in _stars(mapping, mapping.sampling.streams):
         tables: dict[Path, Table] = {}
-        streams = {
-            name: _open(mapping, settings, star, tables) for name, settings in mapping.sampling.streams.items()
-        }
+        streams = {name: _open(mapping, settings, star, tables) for name, settings in mapping.sampling.streams.items()}
         name = str(mapping.source / star) if star else str(mapping.source)
         yield from [Take(name, streams)] if by_column is None else _by_column(name, streams, by_column)
 
@@ -99,7 +97,7 @@ def _open(mapping: Mapping, settings: StreamSettings, star: str, tables: dict[Pa
         frames.times = frames.times_in_names(settings.time_unit)
     elif "time" in where or isinstance(frames, Folder):
         name = "" if isinstance(frames, Video) else ", 'time: name' if the files are called by their time,"
-        raise settings.error(f"the frames of {path} need rate_hz{name or ','} or a CSV file 'times' and its column 'time'")
+        raise settings.error(f"the frames of {path} need rate_hz{name or ','} or a CSV file 'times' and its 'time'")
     return frames
 
 
@@ -111,9 +109,9 @@ def _by_column(name: str, streams: dict[str, Stream], column: str) -> Iterator[T
         if isinstance(stream, TableStream) and column in stream.table.names
     }
     if not having:
-        (table, *_) = [stream.table for stream in streams.values() if isinstance(stream, TableStream)] or [None]
-        names = f"; the columns of {table.path} are {', '.join(table.names)}" if table else ""
-        raise MappingError(f"episode: no stream has a column '{column}'{names}")
+        tables = [stream.table for stream in streams.values() if isinstance(stream, TableStream)]
+        names = [f"; the columns of {table.path} are {', '.join(table.names)}" for table in tables[:1]]
+        raise MappingError(f"episode: no stream has a column '{column}'{''.join(names)}")
     parts: dict[str, list[Stream]] = {}
     labels: dict[str, list[str]] = {}
     for key, stream in having.items():
@@ -292,5 +290,3 @@ class TableStream(Stream):
 
     def at(self, row: int) -> str:
         return self.table.at(row)
-
-

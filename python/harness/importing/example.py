@@ -13,6 +13,7 @@ import io
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -148,7 +149,8 @@ def write_zarr(folder: Path, trials: list[Trial]) -> None:
     root = zarr.open_group(folder / "recording.zarr", mode="w")
     for name, parts in rows.items():
         values = np.concatenate(parts)
-        root.create_array(f"data/{name}", shape=values.shape, dtype=values.dtype, chunks=(100, *values.shape[1:]))[:] = values
+        chunks = (100, *values.shape[1:])
+        root.create_array(f"data/{name}", shape=values.shape, dtype=values.dtype, chunks=chunks)[:] = values
     ends = np.cumsum([len(trial.frame_times) for trial in trials])
     root.create_array("meta/episode_ends", shape=ends.shape, dtype=ends.dtype)[:] = ends
 
@@ -192,19 +194,19 @@ def write_ros2(folder: Path, trials: list[Trial]) -> None:
     vector = types["geometry_msgs/msg/Vector3"]
     folder.mkdir(parents=True)
 
-    def joint_state(head: object, row: np.ndarray) -> object:
+    def joint_state(head: Any, row: np.ndarray) -> Any:
         names = [f"finger_{joint}" for joint in range(4)]
         return types["sensor_msgs/msg/JointState"](head, names, row, np.zeros(0), np.zeros(0))
 
-    def wrench(head: object, row: np.ndarray) -> object:
+    def wrench(head: Any, row: np.ndarray) -> Any:
         force, torque = vector(row[0], 0.0, 0.0), vector(0.0, 0.0, 0.0)
         return types["geometry_msgs/msg/WrenchStamped"](head, types["geometry_msgs/msg/Wrench"](force, torque))
 
-    def command(_: object, row: np.ndarray) -> object:
+    def command(_: Any, row: np.ndarray) -> Any:
         layout = types["std_msgs/msg/MultiArrayLayout"]([], 0)
         return types["std_msgs/msg/Float64MultiArray"](layout, row)
 
-    def picture(head: object, frame: np.ndarray) -> object:
+    def picture(head: Any, frame: np.ndarray) -> Any:
         buffer = io.BytesIO()
         Image.fromarray(frame).save(buffer, "JPEG", quality=90)
         return types["sensor_msgs/msg/CompressedImage"](head, "jpeg", np.frombuffer(buffer.getvalue(), np.uint8))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,9 @@ from .video import VIDEOS, Folder, Video
 
 SETPOINT = re.compile(r"set_?point|command|cmd|action|target|desired|goal", re.IGNORECASE)
 """What the names of setpoints often contain."""
-TIME = re.compile(r"(.*[_/ ])?(t|time|times|timestamps?|stamps?|seconds|secs?|datetime|date)([_ ]?(s|ms|us|ns))?", re.IGNORECASE)
+TIME = re.compile(
+    r"(.*[_/ ])?(t|time|times|timestamps?|stamps?|seconds|secs?|datetime|date)([_ ]?(s|ms|us|ns))?", re.IGNORECASE
+)
 """What times are often called."""
 SKIPPED_TOPICS = ("/rosout", "/parameter_events", "/tf", "/tf_static", "/events/write_split")
 
@@ -67,19 +69,21 @@ def inspect(path: Path) -> Contents:
     """
     if not path.exists():
         raise FileNotFoundError(f"{path} is not there")
-    for matches, read in (
-        (lambda: (path / "meta/info.json").exists(), _lerobot),
-        (lambda: _some(path, ros2.SUFFIXES, ("metadata.yaml", "*.db3", "*.mcap", "*/metadata.yaml")), _ros2),
-        (lambda: _some(path, (".zarr",), zarr.MARKS) or path.name.endswith(".zarr.zip"), _zarr),
-        (lambda: _some(path, hdf5.SUFFIXES), _hdf5),
-        (lambda: _some(path, matlab.SUFFIXES), _matlab),
-        (lambda: _some(path, (".parquet",), ("**/*.parquet",)), _parquet),
-        (lambda: _some(path, (".csv", ".txt", ".tsv"), ("*/*.csv",)), _csv),
-    ):
-        if matches():
+    readers: tuple[tuple[bool, Callable[[Path], Contents]], ...] = (
+        ((path / "meta/info.json").exists(), _lerobot),
+        (_some(path, ros2.SUFFIXES, ("metadata.yaml", "*.db3", "*.mcap", "*/metadata.yaml")), _ros2),
+        (_some(path, (".zarr",), zarr.MARKS) or path.name.endswith(".zarr.zip"), _zarr),
+        (_some(path, hdf5.SUFFIXES), _hdf5),
+        (_some(path, matlab.SUFFIXES), _matlab),
+        (_some(path, (".parquet",), ("**/*.parquet",)), _parquet),
+        (_some(path, (".csv", ".txt", ".tsv"), ("*/*.csv",)), _csv),
+    )
+    for matches, read in readers:
+        if matches:
             return read(path)
     raise MappingError(
-        f"{path}: holds no recording: no .csv, .h5, .zarr, .mat, .mcap, .db3, .bag or .parquet file, and no LeRobot dataset"
+        f"{path}: holds no recording: no .csv, .h5, .zarr, .mat, .mcap, .db3, .bag or .parquet file, and no LeRobot "
+        "dataset"
     )
 
 
@@ -119,7 +123,8 @@ def first_mapping(contents: Contents, source: Path, folder: Path) -> str:
             lines.append(f"  vision: {term}")
             continue
         name = _free(wish, taken)
-        lines.append(f"  {name}: {{from: {term}, {'size: [64, 64]' if is_image else 'unit: '}}}".replace("unit: }", 'unit: ""}'))
+        rest = "size: [64, 64]" if is_image else 'unit: ""'
+        lines.append(f"  {name}: {{from: {term}, {rest}}}")
     return "\n".join(lines) + "\n"
 
 
@@ -175,11 +180,13 @@ def _of_arrays(format: str, path: Path, arrays: Arrays) -> Contents:
     if ends:
         keys.append(f"episode_ends: {ends}")
     elif len(groups) > 1:
-        keys.append(f"episodes: {re.sub(r'\d+$', '*', groups[0])}")
+        pattern = re.sub(r"\d+$", "*", groups[0])
+        keys.append(f"episodes: {pattern}")
         prefix = f"{groups[0]}/"
     inside = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
     times = {name: array for name, array in inside.items() if _is_time(name, array)}
-    found, taken = [], set()
+    found: list[Found] = []
+    taken: set[str] = set()
     for name, array in inside.items():
         is_numeric = np.dtype(array.dtype).kind in "iufb"
         if name in times or name == ends or not array.shape or not (is_numeric or np.dtype(array.dtype).kind == "O"):
@@ -191,7 +198,9 @@ def _of_arrays(format: str, path: Path, arrays: Arrays) -> Contents:
         if time:
             values = np.asarray(times[time][:]).reshape(-1)
             unit = _unit(values)
-            each.rate_hz, each.gap_s = _rate(values.astype(np.float64) / {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit])
+            each.rate_hz, each.gap_s = _rate(
+                values.astype(np.float64) / {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
+            )
             each.settings = f"data: {name}, time: {time}" + (f", time_unit: {unit}" if unit != "s" else "")
         else:
             each.settings = f"data: {name}, rate_hz: "
@@ -231,7 +240,9 @@ def _rate(times_s: np.ndarray) -> tuple[float | None, float]:
 
 def _ros2(path: Path) -> Contents:
     first = _first(path, ros2.SUFFIXES, ("metadata.yaml", "*.db3", "*.mcap"))
-    lines, found, taken = [f"{first}:"], [], set()
+    lines = [f"{first}:"]
+    found: list[Found] = []
+    taken: set[str] = set()
     with ros2.opened(first) as bag:
         topics = sorted({each.topic: each for each in bag.connections}.items())
         for topic, connection in topics:
@@ -277,7 +288,9 @@ def _columns(message: Any) -> list[tuple[str, int]]:
 
 
 def _csv(path: Path) -> Contents:
-    lines, found, taken = [f"{path}:"], [], set()
+    lines = [f"{path}:"]
+    found: list[Found] = []
+    taken: set[str] = set()
     clocks: dict[str, str] = {}
     for pattern, file in _files(path):
         stream = _free(file.stem if pattern != "*.csv" else "log", taken)
@@ -369,7 +382,8 @@ def _parquet(path: Path) -> Contents:
         schema = pl.scan_parquet(files[0]).collect_schema()
     lines = [f"{files[0]}:"] + [f"  {name}  {kind}" for name, kind in schema.items()]
     episode = next((name for name in schema if re.search(r"episode|trial|run", name, re.IGNORECASE)), "")
-    order = next((name for name in schema if re.search(r"^(sample|frame|index|row|step)|time|stamp", name) and name != episode), "")
+    rows = re.compile(r"^(sample|frame|index|row|step)|time|stamp")
+    order = next((name for name in schema if rows.search(name) and name != episode), "")
     keys = [
         f"episode: {episode}      # the column whose value differs between episodes",
         f"order: {order}      # the column by which an episode's rows are sorted",
@@ -387,7 +401,9 @@ def _lerobot(path: Path) -> Contents:
     with blaming(str(path / "meta/info.json")):
         info = json.loads((path / "meta/info.json").read_text())
         features = {name: (list(each["shape"]), each["dtype"]) for name, each in info["features"].items()}
-    lines = [f"{path}: {info.get('total_episodes')} episodes, {info.get('total_frames')} samples at {info.get('fps')} Hz"]
+    lines = [
+        f"{path}: {info.get('total_episodes')} episodes of {info.get('total_frames')} samples, {info.get('fps')} Hz"
+    ]
     lines += [f"  {name}  {shape}  {kind}" for name, (shape, kind) in features.items()]
     own = ("timestamp", "frame_index", "episode_index", "index", "task_index")
     found = [

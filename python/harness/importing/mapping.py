@@ -148,16 +148,12 @@ class Selection:
         """Returns the columns that a term matches, each with the slice of its elements."""
         found = _TERM.fullmatch(term)
         if not found:
-            raise self.error(
-                f"'{term}' is not understood; write COLUMN, COLUMN[3], COLUMN[0:20] or PATTERN_*"
-            )
+            raise self.error(f"'{term}' is not understood; write COLUMN, COLUMN[3], COLUMN[0:20] or PATTERN_*")
         is_pattern = "*" in found["column"] or "?" in found["column"]
         names = fnmatch.filter(available, found["column"]) if is_pattern else [found["column"]]
         unknown = [name for name in names if name not in available]
         if unknown or not names:
-            raise self.error(
-                f"there is no column '{found['column']}'; the columns are {', '.join(available)}"
-            )
+            raise self.error(f"there is no column '{found['column']}'; the columns are {', '.join(available)}")
         first = int(found["first"] or 0)
         last = int(found["last"]) if found["last"] else first + 1 if found["first"] else None
         return [(name, slice(first, last)) for name in names]
@@ -367,9 +363,7 @@ def _selections(modalities: Any, kind: str) -> dict[str, Selection]:
     if modalities.get("setpoint") is None:
         raise MappingError("missing 'modalities.setpoint'")
     if len(modalities) == 1:
-        raise MappingError(
-            "modalities: there is nothing to learn from the setpoint alone; name what was sensed"
-        )
+        raise MappingError("modalities: there is nothing to learn from the setpoint alone; name what was sensed")
     for name in modalities:
         if not NAME.fullmatch(str(name)) or name in RESERVED:
             raise MappingError(

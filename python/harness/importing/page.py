@@ -89,7 +89,9 @@ def write_page(path: Path, name: str, mapping: Mapping, recording: Recording, sk
         f"{least if least == most else f'{least} to {most}'} samples.</p>",
     ]
     if recording.left_out:
-        parts.append(f'<p class="warning">{recording.left_out} samples are left out, because a stream has a gap there.</p>')
+        parts.append(
+            f'<p class="warning">{recording.left_out} samples are left out, because a stream has a gap there.</p>'
+        )
     if recording.qualities:
         parts += _streams(recording.qualities)
     for modality, selection in mapping.selections.items():
@@ -102,7 +104,9 @@ def write_page(path: Path, name: str, mapping: Mapping, recording: Recording, sk
             for index, (length, place) in enumerate(zip(sketch.lengths, recording.places, strict=True))
         )
         parts.append(f"<h2>Episodes</h2><table><tr><th>episode</th><th>samples</th><td></td></tr>{rows}</table>")
-    head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(name)}</title><style>{STYLE}</style>'
+    head = (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(name)}</title><style>{STYLE}</style>'
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     draft.write_text(f"{head}<body>{''.join(parts)}</body></html>\n", encoding="utf-8")
@@ -130,10 +134,13 @@ def _streams(qualities: list[Quality]) -> list[str]:
             chart = _plot(np.arange(len(periods), dtype=float), periods[:, None], 0.0, float(periods.max()), "row")
             caption = f"{each.name}: time to the next row, ms. The longest is after {html.escape(each.gap_at)}."
             plots.append(f"<figure>{chart}<figcaption style='max-width: {WIDTH}px'>{caption}</figcaption></figure>")
-    head = "".join(f"<th>{name}</th>" for name in ("stream", "rows", "rate", "jitter", "longest gap", "delay", "transport"))
+    head = "".join(
+        f"<th>{name}</th>" for name in ("stream", "rows", "rate", "jitter", "longest gap", "delay", "transport")
+    )
     note = (
-        "<p class='note'>Jitter is what 95 % of the times between rows differ at most from their median. Delay is how old "
-        "the last value is at a sample, on average. Transport is the median time from a message's header to its receipt.</p>"
+        "<p class='note'>Jitter is what 95 % of the times between rows differ at most from their median. Delay is how "
+        "old the last value is at a sample, on average. Transport is the median time from a message's header to its "
+        "receipt.</p>"
     )
     return ["<h2>Streams</h2>", f"<table><tr>{head}</tr>{''.join(rows)}</table>", note, *plots]
 
@@ -157,9 +164,15 @@ def _vector(name: str, unit: str, sketch: Sketch) -> list[str]:
         f"<td>{low[index]:.4g}</td><td>{means[index]:.4g}</td><td>{high[index]:.4g}</td></tr>"
         for index in shown
     )
-    more = f"<p class='note'>{count - len(shown)} further elements are drawn, but not listed.</p>" if count > len(shown) else ""
+    more = (
+        f"<p class='note'>{count - len(shown)} further elements are drawn, but not listed.</p>"
+        if count > len(shown)
+        else ""
+    )
     head = f"<tr><th>element</th><th>least</th><th>mean</th><th>largest</th><td>{html.escape(unit)}</td></tr>"
-    parts.append(f"<details><summary class='note'>values of all episodes</summary><table>{head}{rows}</table>{more}</details>")
+    parts.append(
+        f"<details><summary class='note'>values of all episodes</summary><table>{head}{rows}</table>{more}</details>"
+    )
     return parts
 
 
@@ -168,7 +181,7 @@ def _images(name: str, sketch: Sketch) -> list[str]:
     parts = []
     for episode, samples in zip(sketch.episodes, sketch.image_samples, strict=True):
         pictures = "".join(
-            f'<img src="data:image/png;base64,{_png(image)}" height="128" title="sample {sample}" alt="sample {sample}">'
+            f'<img src="data:image/png;base64,{_png(image)}" height="128" alt="sample {sample}">'
             for image, sample in zip(episode.images[name], samples.tolist(), strict=True)
         )
         times = ", ".join(f"{episode.time[sample]:.4g}" for sample in samples.tolist())
@@ -183,7 +196,7 @@ def _png(image: np.ndarray) -> str:
 
 
 def _plot(across: np.ndarray, values: np.ndarray, low: float, high: float, unit: str) -> str:
-    """A plot of values, [points, elements], as SVG. All plots of a modality have the same range, from `low` to `high`."""
+    """A plot of values, [points, elements], as SVG. Its range is from `low` to `high`."""
     left, top, right, bottom = MARGIN
     if high <= low:
         low, high = low - 0.5, high + 0.5
@@ -207,7 +220,7 @@ def _plot(across: np.ndarray, values: np.ndarray, low: float, high: float, unit:
 
 
 def _reduced(across: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns a series of at most POINTS columns. A longer series has the least and the largest value of each column."""
+    """Returns a series of at most POINTS columns. A longer one has the range of each column."""
     if len(values) <= 2 * POINTS:
         return across, values
     starts = np.linspace(0, len(values), POINTS, endpoint=False).astype(int)

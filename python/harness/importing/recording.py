@@ -85,7 +85,11 @@ def _checked(take: Take, mapping: Mapping, sampling: Sampling) -> Take:
     used = {column.partition(".")[0] for column in columns}
     return Take(
         take.name,
-        {name: checked(stream, sampling.streams[name], columns) for name, stream in take.streams.items() if name in used},
+        {
+            name: checked(stream, sampling.streams[name], columns)
+            for name, stream in take.streams.items()
+            if name in used
+        },
     )
 
 

@@ -53,7 +53,9 @@ def _by_topic(bag: Bag, streams: dict[str, BagStream], topic: str) -> Iterator[T
     for received, message in bag.messages(connection):
         value = getattr(message, "data", None)
         if value is None or not np.isscalar(value):
-            raise MappingError(f"{bag.path}: {topic}: is a {connection.msgtype}; a topic 'episode' has one value 'data'")
+            raise MappingError(
+                f"{bag.path}: {topic}: is a {connection.msgtype}; a topic 'episode' has one value 'data'"
+            )
         if not starts or starts[-1][1] != value:
             starts.append((received, value))
     bounds = [start for start, _ in starts] + [sys.maxsize]
@@ -150,8 +152,8 @@ class BagStream(Stream):
             names = getattr(message, "name", None)
             if names != getattr(first, "name", None):
                 raise MappingError(
-                    f"{self.place}: message {row}: its names are {names}, and those of message 0 {first.name}; a stream "
-                    "must have the same in all messages"
+                    f"{self.place}: message {row}: its names are {names}, and those of message 0 {first.name}; a "
+                    "stream must have the same in all messages"
                 )
             received.append(time)
             header = getattr(message, "header", None)
@@ -182,11 +184,13 @@ class BagStream(Stream):
         if self.is_picture:
             raise MappingError(f"{self.place}: '{column}' holds pictures, no numbers; give the modality a size")
         path = column.removeprefix(self._prefix) if column.startswith(self._prefix) else "data"
-        values = []
+        values: list[np.ndarray] = []
         for row, message in enumerate(self._messages(first, last), first):
             for name in path.split("."):
                 message = getattr(message, name)
             numbers = flattened(message)
+            # A list that is empty in this message has no numbers.
+            numbers = np.zeros(0) if numbers is None else numbers
             if values and len(numbers) != len(values[0]):
                 raise MappingError(
                     f"{self.at(row)}: '{column}' has {len(numbers)} values, and {len(values[0])} in message {first}"
@@ -229,7 +233,7 @@ class BagStream(Stream):
         data, wide = np.asarray(message.data), message.width * channels
         if message.step < wide or len(data) < message.step * message.height or not wide * message.height:
             raise MappingError(
-                f"{self.at(row)}: has {len(data)} bytes for {message.height} x {message.width} pixels of {channels} bytes"
+                f"{self.at(row)}: has {len(data)} bytes for {message.height} x {message.width} pixels of {channels}"
             )
         picture = data[: message.step * message.height].reshape(message.height, message.step)[:, :wide]
         if channels == 1:

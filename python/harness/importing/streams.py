@@ -66,7 +66,8 @@ class View(Stream):
 
     def read(self, column: str, first: int, last: int) -> np.ndarray:
         rows = self.rows[first:last]
-        return self.whole.read(column, rows[0], rows[-1] + 1)[rows - rows[0]]
+        values: np.ndarray = self.whole.read(column, rows[0], rows[-1] + 1)[rows - rows[0]]
+        return values
 
     def pictures(self, column: str, rows: np.ndarray) -> Iterator[Any]:
         return self.whole.pictures(column, self.rows[rows])

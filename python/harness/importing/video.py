@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -65,7 +65,7 @@ class Video(Stream):
 
     def __init__(self, name: str, path: Path):
         self.path, self.place, self.columns = path, str(path), [name]
-        self._row, self._picture = -1, None
+        self._row, self._picture = -1, cast(Any, None)
         """The last row that was decoded, and its frame."""
         self._frames = self._decoded()
         with blaming(self.place), _opened(path) as container:

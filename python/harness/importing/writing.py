@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from harness._unfinished import unfinished_folder
 from harness.recorded import (
@@ -28,7 +30,7 @@ from .mapping import KNOWN, Mapping, MappingError
 
 @dataclass(frozen=True)
 class Draft:
-    """An episode in a file. It becomes one of the dataset when the dataset's name is known, which needs all episodes."""
+    """An episode in a file. It becomes one of the dataset when the name is known, which needs all episodes."""
 
     path: Path
     index: int
@@ -59,7 +61,7 @@ class Draft:
         return episode
 
 
-def write_dataset(mapping: Mapping, rate: float, episodes: Iterable[Episode], results: Path) -> str:
+def write_dataset(mapping: Mapping, rate: float, episodes: Iterable[Episode], results: Path, progress: bool) -> str:
     """Writes a dataset, unless it is there already, and returns its name. Has one episode at a time in memory.
 
     Raises:
@@ -77,7 +79,7 @@ def write_dataset(mapping: Mapping, rate: float, episodes: Iterable[Episode], re
         if folder.exists():
             return name
         layout = identity["imported"]["layout"]
-        for draft in drafts:
+        for draft in tqdm(drafts, desc="writing", unit=" episodes", file=sys.stderr, disable=not progress):
             path = unfinished / f"episode_{draft.index:05}.parquet"
             write_episode(path, name, name, draft.read(mapping), layout)
         description = json.dumps(identity | {"mapping": mapping.text}, indent=2, default=str)
