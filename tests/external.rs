@@ -1,11 +1,12 @@
 //! Runs of models of other programs: recorded, listed, compared and removed like runs that train a network.
 
-use crate::common::{SMOKE, finish, harness, smoke_run, succeed};
+use crate::common::{SMOKE, finish, fresh, harness, smoke_run, succeed};
 use harness::judge::{MetricRow, PredictionRow};
 use harness::metrics::evaluate;
 use harness::registry::{Outcome, Registry};
 use harness::spec::{self, Layout, Modality, Model, RunSpec, Task};
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 /// The spec of an external model's run in the empty scenario of the smoke experiment.
 fn external(name: &str, seed: u64) -> RunSpec {
@@ -99,4 +100,255 @@ fn commands_take_runs_of_external_models() {
     assert!(refused.code != 0 && refused.stderr.contains("come from another program"), "{}", refused.stderr);
     succeed(&results, &["rm", &runs[2], "--yes"]);
     assert!(!succeed(&results, &["ls"]).contains(&runs[2]));
+}
+
+/// Overrides of the smoke experiment whose networks predict only vectors, one from the other.
+const AHEAD: [&str; 5] = [
+    "input=[proprioception]",
+    "output=[proprioception,contact_force]",
+    "window.horizon=5",
+    "window.context=2",
+    "tasks=[prediction]",
+];
+
+/// The results of the networks of [`AHEAD`], and the predictions of the network in the empty scenario in a file.
+fn ahead(name: &str, file: &str) -> (PathBuf, PathBuf) {
+    let (results, file) = (fresh(name), fresh(&format!("{name}.{file}")));
+    let _ = std::fs::remove_file(&file);
+    succeed(&results, &[&["run", SMOKE][..], &AHEAD].concat());
+    let sql = "select episode, sample, horizon, modality, index, predicted as value from all_predictions
+               where scenario = 'empty' order by horizon, index, sample";
+    succeed(&results, &["query", sql, "--output", file.to_str().unwrap()]);
+    (results, file)
+}
+
+/// Calls `harness judge` for a file of predictions of the experiment of [`AHEAD`].
+fn judge<'a>(file: &'a Path, more: &[&'a str]) -> Vec<&'a str> {
+    [&["judge", SMOKE, file.to_str().unwrap()], &AHEAD[..], more].concat()
+}
+
+/// All metrics of a run of the smoke experiment, as text.
+fn metrics(results: &Path, architecture: &str) -> String {
+    let sql = format!(
+        "select task, model, modality, direction, index, metric, value, unit, horizon, given from all_metrics
+         where scenario = 'empty' and architecture = '{architecture}' order by all"
+    );
+    succeed(results, &["query", &sql, "--format", "csv"])
+}
+
+/// The contents of all files below a folder.
+fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let pattern = folder.join("**/*");
+    let paths = glob::glob(pattern.to_str().unwrap()).unwrap().map(Result::unwrap);
+    paths.map(|path| (path.clone(), std::fs::read(&path).unwrap_or_default())).collect()
+}
+
+#[test]
+fn a_file_of_a_networks_predictions_gets_its_metrics() {
+    for ending in ["parquet", "csv"] {
+        let (results, file) = ahead(&format!("judged-{ending}"), ending);
+        let options = ["--cell", "empty", "--model", "twin", "--note", "commit=ab12cd3"];
+        let said = succeed(&results, &judge(&file, &options));
+        assert!(said.contains("smoke/empty-model=twin-seed0-"), "{said}");
+        // The metrics of the network, and those of the baselines, to the last digit.
+        let own = metrics(&results, "multi_to_multi");
+        assert!(own.lines().count() > 500, "{own}");
+        assert_eq!(metrics(&results, "twin"), own);
+        let record = Registry::new(&results).find("smoke/empty-model=twin").unwrap().1;
+        let submission = record.submission.unwrap();
+        assert_eq!(submission.notes, BTreeMap::from([("commit".to_owned(), "ab12cd3".to_owned())]));
+        assert_eq!(submission.task, record.spec.task_hash(&record.dataset));
+        // The same predictions, in another order, are not judged again. Other predictions are refused.
+        let before = contents(&results);
+        let mut lines: Vec<String> = match ending {
+            "csv" => std::fs::read_to_string(&file).unwrap().lines().map(str::to_owned).collect(),
+            _ => break,
+        };
+        lines[1..].reverse();
+        std::fs::write(&file, lines.join("\n")).unwrap();
+        assert!(succeed(&results, &judge(&file, &options)).contains("judged before"));
+        lines[1] = lines[1].rsplit_once(',').unwrap().0.to_owned() + ",0.123";
+        std::fs::write(&file, lines.join("\n")).unwrap();
+        let refused = finish(&mut harness(&results, &judge(&file, &options)));
+        assert_eq!(refused.code, 2, "{}", refused.stderr);
+        let (_, remedy) = refused.stderr.split_once("first `harness --results ").unwrap();
+        assert_eq!(contents(&results), before);
+        let remedy: Vec<&str> = remedy.split_once('`').unwrap().0.split(' ').skip(1).collect();
+        succeed(&results, &[&remedy[..], &["--yes"]].concat());
+        succeed(&results, &judge(&file, &options));
+        assert_ne!(metrics(&results, "twin"), own);
+        assert!(succeed(&results, &["verify"]).contains("all files are intact"));
+    }
+}
+
+#[test]
+fn a_task_says_what_a_file_must_have() {
+    let results = fresh("task");
+    let before = succeed(&results, &[&["task", SMOKE][..], &AHEAD].concat());
+    assert!(before.contains("episodes; `harness --results") && before.contains("collect"), "{before}");
+    assert!(!results.join("datasets").exists());
+    let (results, file) = ahead("task", "parquet");
+    let said = succeed(&results, &[&["task", SMOKE, "--cell", "empty"][..], &AHEAD].concat());
+    // 30 samples in each of two episodes for training, one for validation and one for the test, without the first
+    // sample and the last five.
+    for words in [
+        "proprioception [20] rad, contact_force [20] N",
+        "1, 2, 5 samples ahead",
+        "48 for training, 24 for validation, 24 for test",
+        "Results so far:",
+    ] {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+    let hash = said.lines().find_map(|line| line.trim().strip_prefix("task")).unwrap().trim();
+    succeed(&results, &judge(&file, &["--cell", "empty", "--model", "twin", "--task", hash]));
+    let other = [&["task", SMOKE, "--cell", "empty", "split.test=0.3"][..], &AHEAD].concat();
+    assert!(!succeed(&results, &other).contains(hash));
+}
+
+#[test]
+fn hostile_predictions_are_refused_and_leave_nothing() {
+    let (results, file) = ahead("hostile-predictions", "csv");
+    let good = std::fs::read_to_string(&file).unwrap();
+    let rows: Vec<Vec<&str>> = good.lines().map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows[0], ["episode", "sample", "horizon", "modality", "index", "value"]);
+    let before = contents(&results);
+    let text = |rows: &[Vec<&str>]| rows.iter().map(|row| row.join(",")).collect::<Vec<_>>().join("\n");
+    // Changes the cell in a column of the second row.
+    let cell = |column: usize, value: &'static str| {
+        let mut rows = rows.clone();
+        rows[2][column] = value;
+        text(&rows)
+    };
+    let header = |column: usize, name: &'static str| {
+        let mut rows = rows.clone();
+        rows[0][column] = name;
+        text(&rows)
+    };
+    let without = |column: usize| {
+        let mut rows = rows.clone();
+        rows.iter_mut().for_each(|row| {
+            row.remove(column);
+        });
+        text(&rows)
+    };
+    let kept = |is_kept: &dyn Fn(&[&str]) -> bool| {
+        let rows: Vec<_> = rows.iter().filter(|row| row[0] == "episode" || is_kept(row)).cloned().collect();
+        text(&rows)
+    };
+    let given = |of: &dyn Fn(usize) -> &'static str| {
+        let mut rows = rows.clone();
+        rows.iter_mut()
+            .enumerate()
+            .for_each(|(place, row)| row.push(if place == 0 { "given" } else { of(place) }));
+        text(&rows)
+    };
+    let files: Vec<(String, &str)> = vec![
+        (String::new(), "can't be read"),
+        ("\0\u{1}\u{2}".into(), "can't be read"),
+        ("just a text".into(), "it has a column 'just a text'"),
+        (rows[0].join(","), "there are no predictions"),
+        (text(&rows[..2]), "is missing"),
+        (text(&rows[..rows.len() - 1]), "is missing"),
+        (text(&[&rows[..], &rows[1..2]].concat()), "it occurs twice"),
+        (text(&[&rows[..], &rows[1..]].concat()), "it occurs twice"),
+        (cell(0, "0"), "no test window predicts it"),
+        (cell(0, "99"), "no test window predicts it"),
+        (cell(0, "-1"), "has -1 in row 2, must be at least 0"),
+        (cell(0, ""), "has no number in row 2"),
+        (cell(0, "three"), "must be integers"),
+        (cell(0, "1.5"), "must be integers"),
+        (cell(0, "99999999999999999999"), "can't be read"),
+        (cell(1, "0"), "no test window predicts it"),
+        (cell(1, "30"), "no test window predicts it"),
+        (cell(1, "9223372036854775807"), "no test window predicts it"),
+        (cell(1, "-9223372036854775808"), "must be at least 0"),
+        (cell(2, "0"), "0 samples ahead, is missing"),
+        (cell(2, "3"), "no test window predicts it"),
+        (cell(2, "9223372036854775807"), "no test window predicts it"),
+        (cell(3, "vision"), "is missing"),
+        (cell(3, "touch"), "the dataset has no such modality"),
+        (cell(3, "Contact Force"), "is not the name of a modality"),
+        (cell(3, ""), "is not the name of a modality"),
+        (cell(4, "20"), "the modality has no such element"),
+        (cell(4, "18446744073709551615"), "can't be read"),
+        (cell(5, "NaN"), "the value is not finite"),
+        (cell(5, "inf"), "the value is not finite"),
+        (cell(5, "-inf"), "the value is not finite"),
+        (cell(5, "1e39"), "the value is not finite"),
+        (cell(5, ""), "has no number in row 2"),
+        (cell(5, "a lot"), "must be numbers"),
+        (cell(5, "true"), "must be numbers"),
+        (header(0, "trial"), "it has a column 'trial'"),
+        (header(5, "predicted"), "it has a column 'predicted'"),
+        (header(0, "sample"), "can't be read"),
+        (without(0), "it has no column 'episode'"),
+        (without(1), "it has no column 'sample'"),
+        (without(2), "it occurs twice"),
+        (without(3), "it has no column 'modality'"),
+        (without(4), "it has no column 'index'"),
+        (without(5), "it has no column 'value'"),
+        (kept(&|row| row[2] != "5"), "there are no predictions of proprioception, 5 samples ahead"),
+        (
+            kept(&|row| row[3] != "contact_force"),
+            "there are no predictions of contact_force, 1 samples ahead",
+        ),
+        (kept(&|row| row[4] != "7"), "element 7 of proprioception, 1 samples ahead, is missing"),
+        (kept(&|row| row[1] != "12"), "is missing"),
+        (given(&|_| "proprioception"), "all predictions are of a model that got only some inputs"),
+        (given(&|place| if place == 1 { "arm" } else { "" }), "'given' has arm, which is no input"),
+        (given(&|place| if place == 1 { "?" } else { "" }), "is not the name of a modality"),
+    ];
+    assert!(files.len() > 50);
+    let refused = |arguments: &[&str], words: &str| {
+        let answer = finish(&mut harness(&results, arguments));
+        let (said, error) = answer.stderr.trim().rsplit_once('\n').unwrap_or(("", answer.stderr.trim()));
+        let is_one = error.starts_with("error: ") && !said.contains("error");
+        assert!(is_one && error.contains(words) && answer.code == 2, "{words}: {}", answer.stderr);
+    };
+    let options = ["--cell", "empty", "--model", "my_gru"];
+    for (text, words) in files {
+        std::fs::write(&file, text).unwrap();
+        refused(&judge(&file, &options), words);
+    }
+    for bytes in [&b"PAR1"[..], b"PAR1\x00\x00\x00\x00PAR1", &[255; 4096]] {
+        let file = file.with_extension("parquet");
+        std::fs::write(&file, bytes).unwrap();
+        refused(&judge(&file, &options), "can't be read");
+    }
+    std::fs::write(&file, &good).unwrap();
+    refused(&judge(Path::new("nowhere.csv"), &options), "nowhere.csv can't be read");
+    refused(&judge(&file, &["--model", "my_gru"]), "choose one with --cell: empty, cluttered");
+    refused(&judge(&file, &["--cell", "full", "--model", "my_gru"]), "it has empty, cluttered");
+    refused(&judge(&file, &["--cell", "empty", "--model", "my gru"]), "can't name a model");
+    refused(&judge(&file, &["--cell", "empty", "--model", "../gru"]), "can't name a model");
+    refused(&judge(&file, &["--cell", "empty", "--model", "gru", "--note", "=1"]), "has no name");
+    refused(
+        &judge(&file, &["--cell", "empty", "--model", "gru", "--task", "0123456789abcdef"]),
+        "for the task 0123",
+    );
+    refused(
+        &judge(&file, &["--cell", "empty", "--model", "gru", "--seed", "18446744073709551615"]),
+        "too large",
+    );
+    refused(&judge(&file, &["--cell", "empty", "--model", "gru", "split.test=0.5"]), "is missing");
+    refused(&judge(&file, &["--cell", "empty", "--model", "gru", "window.horizon=6"]), "samples ahead");
+    refused(&judge(&file, &["--cell", "cluttered", "--model", "gru", "simulation.seed=1"]), "simulates them");
+    assert_eq!(contents(&results), before);
+}
+
+#[test]
+fn a_task_needs_no_network_and_may_predict_further() {
+    let folder = fresh("task-without-network");
+    std::fs::create_dir_all(&folder).unwrap();
+    let spec = folder.join("task.yaml");
+    let text = "name: forces\nscenarios: [empty]\ninput: [proprioception, vision]\noutput: [contact_force]\n\
+                window: {context: 5, horizon: 20}\nsimulation: {episodes: 4, actuations_per_episode: 3}\n";
+    std::fs::write(&spec, text).unwrap();
+    let path = spec.to_str().unwrap();
+    let results = folder.join("results");
+    succeed(&results, &["collect", path]);
+    let said = succeed(&results, &["task", path]);
+    assert!(said.contains("1, 2, 5, 10, 20 samples ahead") && said.contains("12 for training"), "{said}");
+    let refused = finish(&mut harness(&results, &["run", path]));
+    assert!(refused.code == 2 && refused.stderr.contains("latent"), "{}", refused.stderr);
 }

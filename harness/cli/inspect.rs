@@ -241,6 +241,12 @@ fn print_essentials(registry: &Registry, folder: &RunFolder, record: &RunRecord)
         .map(|(stage, seconds)| format!("{stage} {}", duration(seconds)))
         .collect();
     lines.retain(|(name, value)| ESSENTIAL.contains(&name.as_str()) && !value.is_empty());
+    if let Some(submission) = &record.submission {
+        lines.push(("task".to_owned(), submission.task.clone()));
+        lines.push(("predictions_sha256".to_owned(), submission.predictions_sha256.clone()));
+        let notes = submission.notes.iter();
+        lines.extend(notes.map(|(name, note)| (format!("note {name}"), note.clone())));
+    }
     lines.push(("time".to_owned(), seconds.join(", ")));
     lines.push(("folder".to_owned(), shown(folder.path())));
     print_beside(lines);

@@ -16,6 +16,7 @@ mod format;
 mod import;
 mod inspect;
 mod interrupt;
+mod judge;
 mod latex;
 mod layers;
 mod pack;
@@ -121,6 +122,19 @@ samples. You can interrupt the command at any time: the same command continues."
 
 Finished runs and saved states are kept. The next `harness submit` or `harness run` continues from them.")]
     Cancel(submit::Cancel),
+    /// Judge the predictions of a model of another program
+    #[command(after_help = JUDGE_HELP)]
+    Judge(judge::Judge),
+    /// Describe what an experiment asks of a model, and list the results so far
+    #[command(after_help = "Examples:
+  harness task smoke
+  harness task smoke --cell empty
+  harness task smoke window.context=5
+
+A spec says which data a model gets and what it predicts, so every spec is a task for models of other programs. The \
+command prints the dataset, the shapes and units of inputs and outputs, the number of windows, and the columns that a \
+file of predictions must have. The spec of a task need not have a network.")]
+    Task(judge::Task),
     /// Check a spec and list its runs
     #[command(after_help = "Example:\n  harness validate smoke training.epochs=3")]
     Validate(run::Validate),
@@ -338,6 +352,15 @@ the runs, and one task that does the remaining runs if a task was lost. A task t
 preempted saves its state, is queued again, and resumes. All nodes must share the file system of the results folder, \
 and its locks must work across nodes.";
 
+const JUDGE_HELP: &str = "Examples:
+  harness judge smoke predictions.parquet --cell empty --model my_gru --seed 0
+  harness judge smoke predictions.csv --cell empty --model my_gru --seed 1 --note commit=ab12cd3
+
+The predictions become a run of the experiment, beside the networks that `harness run` trains: `harness compare`, \
+`query`, `plot` and `report` show it. Its metrics are computed by the program, on the same test windows and with the \
+same baselines. Nothing is written unless every prediction is there and finite. Judging the same predictions again \
+changes nothing. docs/your-own-model.md explains every step, also from Python.";
+
 const IMPORT_HELP: &str = "Example, in a clone of the repository:
   .venv/bin/pip install '.[import]'        install the Python package, once
   .venv/bin/harness import --inspect recordings/trial_1.h5
@@ -484,6 +507,8 @@ fn execute(
     match command {
         Command::Run(run) => run.execute(registry, threads),
         Command::Collect(collect) => collect.execute(registry, threads),
+        Command::Judge(judge) => judge.execute(registry, threads),
+        Command::Task(task) => task.execute(registry, threads),
         Command::Validate(validate) => validate.execute(),
         Command::Experiments(experiments) => experiments.execute(),
         Command::Query(query) => query.execute(registry),
@@ -532,7 +557,7 @@ impl Command {
             Self::Rm(_) | Self::Gc(_) | Self::Du | Self::Pack(_) => true,
             Self::Unpack(_) | Self::Completions { .. } => false,
             Self::Run(_) | Self::Collect(_) | Self::Validate(_) | Self::Submit(_) | Self::Cancel(_) => false,
-            Self::Import(_) => false,
+            Self::Import(_) | Self::Judge(_) | Self::Task(_) => false,
             Self::Experiments(_) | Self::Schema(_) | Self::World(_) | Self::Render(_) | Self::Doctor => false,
         }
     }
@@ -596,6 +621,7 @@ fn is_usage(error: &anyhow::Error) -> bool {
             )
         )
         || submit::is_usage(error)
+        || judge::is_usage(error)
         || pack::is_usage(error)
         || error.is::<world::WorldError>()
         || matches!(

@@ -11,7 +11,7 @@ use harness::files::write_bytes;
 use harness::numbers::{bytes, counted};
 use harness::registry::{PackError, Packed, Recorded, Registry, RunRecord, Status, Versions, quoted};
 use harness::simulation::{Scene, mujoco_version};
-use harness::spec::parse_spec;
+use harness::spec::parse_task;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -110,7 +110,7 @@ fn collection_of(registry: &Registry, record: &RunRecord) -> Result<PathBuf, Str
 
 /// Whether the dataset of a spec is that of a run.
 fn makes(spec: &str, record: &RunRecord, registry: &Registry) -> bool {
-    let Ok(experiment) = parse_spec("spec", spec, &[], false) else { return false };
+    let Ok(experiment) = parse_task("spec", spec) else { return false };
     experiment.simulated().into_iter().any(|(world, simulation)| {
         Scene::new(world).is_ok_and(|scene| {
             scene.check(&simulation).is_ok()

@@ -25,20 +25,25 @@ pub struct Spec {
     /// The experiment: a YAML file, or a name. A name stands for NAME.yaml, experiments/NAME.yaml or a built-in
     /// experiment, whichever exists first. `harness experiments` lists the built-in ones
     #[arg(value_name = "SPEC")]
-    path: PathBuf,
+    pub(super) path: PathBuf,
     /// Settings to change, for example training.epochs=5 'latent=[8,16]' seeds=7. A list with one value can be written
     /// as the value. If the spec varies the setting, only the values given here are used
     #[arg(value_name = "KEY=VALUE")]
-    overrides: Vec<String>,
+    pub(super) overrides: Vec<String>,
     /// Use the spec's `quick` settings, for minutes instead of hours. KEY=VALUE can change them again. The experiment's
     /// name then ends in -quick. A spec without these settings is refused
     #[arg(long)]
-    quick: bool,
+    pub(super) quick: bool,
 }
 
 impl Spec {
     pub fn load(&self) -> Result<Experiment> {
         Ok(spec::load(&self.path, &self.overrides, self.quick)?)
+    }
+
+    /// Loads the spec to collect its data or to judge other models, so it need not have a network.
+    pub fn load_task(&self) -> Result<Experiment> {
+        Ok(spec::load_task(&self.path, &self.overrides, self.quick)?)
     }
 
     /// The arguments that say the same again.
@@ -176,7 +181,7 @@ pub struct Collect {
 impl Collect {
     /// Collects the missing episodes of all scenarios.
     pub fn execute(self, registry: &Registry, threads: usize) -> Result<ExitCode> {
-        let experiment = self.spec.load()?;
+        let experiment = self.spec.load_task()?;
         registry.check_writable()?;
         interrupt::install()?;
         let (mut failed, bars) = (false, Bars::default());

@@ -1,12 +1,45 @@
 //! Judges the baselines of a run, and summarizes the forces of its dataset.
 
-use harness_judge::{Given, JudgeError, MetricRow, Persistence, Predictor, Ridge, Test, TrainingMean, judge};
+use super::OpenData;
+use harness_judge::{
+    Given, JudgeError, MetricRow, Persistence, Predictor, Ridge, SampledWindow, Test, TrainingMean, judge,
+    sample_windows,
+};
 use harness_learning::data::NormalizedData;
 use harness_metrics::contact;
 use harness_registry::ForceRows;
 use harness_samples::{Partition, Samples};
 use harness_spec::{Definition, RunSpec, Task};
 use std::ops::Range;
+use std::time::Instant;
+
+/// What all runs with the same data, inputs and outputs share.
+pub struct References {
+    /// The metrics of the baselines.
+    pub baselines: Vec<MetricRow>,
+    /// The forces of the dataset.
+    pub forces: Vec<ForceRows>,
+    /// The test windows whose images are stored.
+    pub sampled: Vec<SampledWindow>,
+    /// The time that computing them took, s.
+    pub seconds: f64,
+}
+
+/// Computes what all runs with the data, inputs and outputs of `spec` share.
+///
+/// # Errors
+/// When a value of the dataset is not finite.
+pub fn references(open: &OpenData, spec: &RunSpec) -> Result<References, JudgeError> {
+    let begin = Instant::now();
+    let OpenData { data, partition, .. } = open;
+    let mut rows = Vec::new();
+    for task in &spec.tasks {
+        rows.extend(baselines(data, partition, *task, spec)?);
+    }
+    let forces = forces(&data.samples);
+    let sampled = sample_windows(&data.samples, &partition.test);
+    Ok(References { baselines: rows, forces, sampled, seconds: begin.elapsed().as_secs_f64() })
+}
 
 /// Judges all baselines on the test windows: persistence, the training mean and, for vectors, ridge regression on the
 /// network's input and the actions.
@@ -15,7 +48,7 @@ use std::ops::Range;
 ///
 /// # Errors
 /// When a value of the dataset is not finite.
-pub fn baselines(
+fn baselines(
     data: &NormalizedData,
     partition: &Partition,
     task: Task,
@@ -54,7 +87,7 @@ pub fn baselines(
 }
 
 /// Returns the distribution of the forces on each link, over the whole dataset and in each of its episodes.
-pub fn forces(samples: &Samples) -> Vec<ForceRows> {
+fn forces(samples: &Samples) -> Vec<ForceRows> {
     let of = |definition: &Definition, episode, range: Range<usize>| {
         let (modality, width) = (definition.name, definition.width());
         let forces = &samples.vectors(modality)[range.start * width..range.end * width];

@@ -2,18 +2,21 @@
 
 mod evaluate;
 mod export;
+mod external;
 mod model;
 mod schedule;
 mod search;
 
 pub use export::{NetworkFile, network_files, onnx};
+pub use external::{External, JudgedRun, OpenTask, PredictionTask, Predictions, SubmissionError};
 pub use model::{Model, ModelError, Values};
 pub use schedule::Summary;
 pub use search::{Best, best};
 
+use evaluate::References;
 use harness_collection::{CollectionError, collect, collect_together, dataset_of};
 use harness_dataset::{AnyDataset, DatasetError, Imported};
-use harness_judge::{JudgeError, MetricRow, Predictor, SampledWindow, Test, judge, sample_windows};
+use harness_judge::{JudgeError, Predictor, Test, judge};
 use harness_learning::data::NormalizedData;
 use harness_learning::network::description::Description;
 use harness_learning::network::{Architecture, Network, Parameters, architecture};
@@ -24,8 +27,8 @@ use harness_learning::state::StateFile;
 use harness_learning::training::Fit;
 use harness_learning::{self as learning, LearningError, checkpoint, open_device};
 use harness_registry::{
-    Claimed, Decision, ForceRows, LiveEpochs, Outcome, Provenance, Registry, RegistryError, RunFolder,
-    RunRecord, Timings, Versions,
+    Claimed, Decision, LiveEpochs, Outcome, Provenance, Registry, RegistryError, RunFolder, RunRecord,
+    Timings, Versions,
 };
 use harness_samples::{FramePlace, Normalizers, Partition, Samples, frame_bytes};
 use harness_shared::files::free_bytes;
@@ -127,6 +130,9 @@ pub enum ExperimentError {
     /// The run's predictions come from another program.
     #[error("this run's model is one of another program, which the harness can't train")]
     NotTrained,
+    /// The predictions of an external model can't become a run.
+    #[error(transparent)]
+    Submission(#[from] SubmissionError),
     /// The caller cancelled the experiment.
     #[error("the experiment was cancelled; the same command continues from here")]
     Cancelled,
@@ -324,7 +330,7 @@ impl<'a> Runner<'a> {
     }
 
     /// Returns where a run's frames are stored.
-    fn frame_place(&self, Planned { spec, source, .. }: &Planned) -> FramePlace {
+    fn frame_place(&self, spec: &RunSpec, source: &Source) -> FramePlace {
         let layout = source.dataset.layout();
         match spec.modalities().iter().any(|modality| layout[*modality].is_image()) {
             true => FramePlace::for_samples(layout, source.dataset.len(), self.memory),
@@ -332,8 +338,8 @@ impl<'a> Runner<'a> {
         }
     }
 
-    /// Returns the samples of a run's dataset. Missing episodes are collected first.
-    fn samples(&self, source: &Source, frames: FramePlace) -> Result<Samples, ExperimentError> {
+    /// Collects the missing episodes of a run's dataset, if there is room for it.
+    fn collect(&self, source: &Source, frames: FramePlace) -> Result<(), ExperimentError> {
         self.check_room(&source.dataset, frames)?;
         if let (AnyDataset::Simulated(dataset), Some(scene)) = (&source.dataset, &source.scene) {
             match self.shard {
@@ -341,7 +347,7 @@ impl<'a> Runner<'a> {
                 None => collect(dataset, scene, self.threads, self.progress)?,
             };
         }
-        Ok(source.dataset.load(frames, self.progress)?)
+        Ok(())
     }
 
     /// Returns an error if there is no space for a dataset. Reports it if frames are stored on disk.
@@ -366,12 +372,10 @@ impl<'a> Runner<'a> {
         Ok(())
     }
 
-    /// Prepares the run's dataset for training.
-    fn prepare(&self, planned: &Planned) -> Result<PreparedData, ExperimentError> {
+    /// Reads a run's dataset, divides it and normalizes it.
+    fn open(&self, spec: &RunSpec, source: &Source, frames: FramePlace) -> Result<OpenData, ExperimentError> {
         let begin = Instant::now();
-        let Planned { spec, source, .. } = planned;
-        let frames = self.frame_place(planned);
-        let samples = self.samples(source, frames)?;
+        let samples = source.dataset.load(frames, self.progress)?;
         let partition = samples.partition(&spec.split, spec.window).ok_or(ExperimentError::NoTraining)?;
         let normalizers =
             Normalizers::fit(&samples, &partition.training, &spec.scalings(samples.layout()), spec.action);
@@ -381,15 +385,18 @@ impl<'a> Runner<'a> {
             action: spec.action,
             device: open_device(device(spec))?,
         };
-        let mut baselines = Vec::new();
-        for task in &spec.tasks {
-            baselines.extend(evaluate::baselines(&data, &partition, *task, spec)?);
-        }
-        let forces = evaluate::forces(&data.samples);
-        let sampled = sample_windows(&data.samples, &partition.test);
         let bytes = Samples::bytes(source.dataset.layout(), source.dataset.len(), frames);
-        let seconds = begin.elapsed().as_secs_f64();
-        Ok(PreparedData { data, partition, baselines, forces, sampled, bytes, seconds })
+        Ok(OpenData { data, partition, bytes, seconds: begin.elapsed().as_secs_f64() })
+    }
+
+    /// Prepares the run's dataset for training.
+    fn prepare(&self, planned: &Planned) -> Result<PreparedData, ExperimentError> {
+        let Planned { spec, source, .. } = planned;
+        let (begin, frames) = (Instant::now(), self.frame_place(spec, source));
+        self.collect(source, frames)?;
+        let open = self.open(spec, source, frames)?;
+        let references = evaluate::references(&open, spec)?;
+        Ok(PreparedData { open, references, seconds: begin.elapsed().as_secs_f64() })
     }
 }
 
@@ -446,16 +453,19 @@ fn training_bytes(spec: &RunSpec, trained: &Trained, layout: &Arc<Layout>) -> Re
     Ok(bytes.map_err(LearningError::from)?.into_iter().max().unwrap_or_default())
 }
 
-/// A scenario's data, shared by runs that use them in the same form.
-struct PreparedData {
+/// A dataset in memory, divided and normalized.
+struct OpenData {
     data: NormalizedData,
     partition: Partition,
-    baselines: Vec<MetricRow>,
-    forces: Vec<ForceRows>,
-    /// The test windows whose images are stored.
-    sampled: Vec<SampledWindow>,
     /// Memory of the samples, bytes.
     bytes: u64,
+    seconds: f64,
+}
+
+/// A scenario's data, shared by runs that use them in the same form.
+struct PreparedData {
+    open: OpenData,
+    references: References,
     seconds: f64,
 }
 
@@ -472,12 +482,13 @@ struct TrainingRun<'a> {
 
 impl TrainingRun<'_> {
     fn run(&self) -> Result<Outcome, ExperimentError> {
+        let references = &self.prepared.references;
         let mut outcome = Outcome {
             timings: Timings { collect: self.prepared.seconds, ..Timings::default() },
             ..Outcome::default()
         };
-        outcome.metrics.extend(self.prepared.baselines.iter().cloned());
-        outcome.forces = self.prepared.forces.clone();
+        outcome.metrics.extend(references.baselines.iter().cloned());
+        outcome.forces = references.forces.clone();
         let (network, parameters) = self.predict(&mut outcome)?;
         outcome.parameters = parameters.values().map(|var| var.elem_count()).sum();
         if self.spec.tasks.contains(&Task::Reconstruction) {
@@ -488,7 +499,7 @@ impl TrainingRun<'_> {
 
     /// Trains and evaluates the network that predicts.
     fn predict(&self, outcome: &mut Outcome) -> Result<(Box<dyn Network>, Parameters), ExperimentError> {
-        let (spec, data) = (self.spec, &self.prepared.data);
+        let (spec, data) = (self.spec, &self.prepared.open.data);
         let begin = Instant::now();
         let task = Task::Prediction;
         let mut parameters = Parameters::new();
@@ -516,7 +527,7 @@ impl TrainingRun<'_> {
 
     /// Trains and evaluates a new decoder on the latent states of the frozen network.
     fn reconstruct(&self, network: &dyn Network, outcome: &mut Outcome) -> Result<(), ExperimentError> {
-        let (spec, data) = (self.spec, &self.prepared.data);
+        let (spec, data) = (self.spec, &self.prepared.open.data);
         let begin = Instant::now();
         let task = Task::Reconstruction;
         let mut parameters = Parameters::new();
@@ -550,13 +561,13 @@ impl TrainingRun<'_> {
             task,
             training: &self.trained.training,
             seed: self.spec.seed,
-            partition: &self.prepared.partition,
+            partition: &self.prepared.open.partition,
             state: &StateFile::at(self.claimed.state(task)),
             progress: self.progress,
             log: &|epochs| self.epochs.set(task, epochs),
         };
         let epochs = fit.run(objective, parameters)?;
-        let NormalizedData { normalizers, action, .. } = &self.prepared.data;
+        let NormalizedData { normalizers, action, .. } = &self.prepared.open.data;
         let network =
             Description::new(architecture, task, *action, &self.trained.training.losses, normalizers)
                 .map_err(LearningError::from)?;
@@ -573,7 +584,8 @@ impl TrainingRun<'_> {
         outcome: &mut Outcome,
     ) -> Result<(), ExperimentError> {
         let begin = Instant::now();
-        let PreparedData { data, partition, sampled, .. } = self.prepared;
+        let PreparedData { open: OpenData { data, partition, .. }, references, .. } = self.prepared;
+        let sampled = &references.sampled;
         let test = Test { samples: &data.samples, task, windows: &partition.test, sampled: Some(sampled) };
         let judged = judge(predictor, &test)?;
         outcome.metrics.extend(judged.metrics);

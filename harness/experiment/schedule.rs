@@ -395,10 +395,11 @@ impl WorkerPool<'_> {
         trained: &Trained,
         prepared: &PreparedData,
     ) -> Result<Promise<'_>, ExperimentError> {
-        let needed = training_bytes(spec, trained, prepared.data.samples.layout())?;
+        let needed = training_bytes(spec, trained, prepared.open.data.samples.layout())?;
         loop {
             let mut promised = self.promised.lock().unwrap_or_else(PoisonError::into_inner);
-            let available = memory::within_reach().saturating_sub(prepared.bytes).saturating_sub(*promised);
+            let available =
+                memory::within_reach().saturating_sub(prepared.open.bytes).saturating_sub(*promised);
             if needed <= available {
                 *promised += needed;
                 return Ok(Promise { promised: &self.promised, bytes: needed });

@@ -16,7 +16,7 @@ pub struct RecordedValue {
     pub sample: usize,
     /// Number of samples from the present to the predicted one.
     pub horizon: usize,
-    /// The element of the modality, counted from 0.
+    /// The element of the modality, counted from 0; of an image, `[channel, row, column]`.
     pub index: usize,
     /// The value in the modality's unit.
     pub value: f32,
@@ -52,6 +52,32 @@ pub enum RecordedError {
         /// The element of the modality.
         index: usize,
     },
+    /// The values of a modality at a horizon are missing, or nothing asks for them.
+    #[error("{problem} {modality}, {horizon} samples ahead; the task asks for {asked}")]
+    Asked {
+        /// What is wrong.
+        problem: &'static str,
+        /// The modality.
+        modality: Modality,
+        /// Number of samples from the present to the predicted one.
+        horizon: usize,
+        /// The modalities and horizons that the task asks for, in words.
+        asked: String,
+    },
+    /// The array of a modality has the wrong number of values.
+    #[error("{modality} has {found} values, {horizon} samples ahead, instead of {windows} times {width}")]
+    Length {
+        /// The modality.
+        modality: Modality,
+        /// Number of samples from the present to the predicted one.
+        horizon: usize,
+        /// Number of values.
+        found: usize,
+        /// Number of windows.
+        windows: usize,
+        /// Number of elements of the modality.
+        width: usize,
+    },
     /// There are no values.
     #[error("there are no predictions")]
     Empty,
@@ -60,6 +86,8 @@ pub enum RecordedError {
 /// Recorded predictions of all windows of a test.
 pub struct Recorded<'a> {
     model: String,
+    /// The modalities that the model got; `None` if it got all inputs.
+    given: Option<Vec<Modality>>,
     /// The windows, in ascending order.
     windows: &'a [Sample],
     /// The values of each modality at each horizon, `[windows, width]`.
@@ -115,7 +143,75 @@ impl<'a> Recorded<'a> {
         if values.is_empty() {
             return Err(RecordedError::Empty);
         }
-        Ok(Self { model: model.to_owned(), windows, values })
+        Ok(Self { model: model.to_owned(), given: None, windows, values })
+    }
+
+    /// Takes the values of whole modalities, `[windows, width]` by modality and horizon, in the order of the windows;
+    /// images channel by channel.
+    ///
+    /// # Errors
+    /// When the dataset lacks a modality, a number of values is wrong, a value is not finite, or there are none.
+    pub fn of_windows(
+        model: &str,
+        samples: &Samples,
+        windows: &'a [Sample],
+        values: BTreeMap<(Modality, usize), Vec<f32>>,
+    ) -> Result<Self, RecordedError> {
+        for (&(modality, horizon), values) in &values {
+            let at = |place: usize, width: usize| {
+                let (episode, sample) = samples.place(windows[place / width].after(horizon));
+                let (index, value) = (place % width, values[place]);
+                RecordedValue { modality, episode, sample, horizon, index, value }
+            };
+            let Some(definition) = samples.layout().get(modality) else {
+                let asked = "modalities of the dataset".to_owned();
+                let problem = "the dataset has no modality";
+                return Err(RecordedError::Asked { problem, modality, horizon, asked });
+            };
+            let (windows, width, found) = (windows.len(), definition.width(), values.len());
+            if found != windows * width {
+                return Err(RecordedError::Length { modality, horizon, found, windows, width });
+            }
+            if let Some(place) = values.iter().position(|value| !value.is_finite()) {
+                let problem = "the value is not finite".to_owned();
+                return Err(RecordedError::Value { at: at(place, width), problem });
+            }
+        }
+        if values.is_empty() {
+            return Err(RecordedError::Empty);
+        }
+        Ok(Self { model: model.to_owned(), given: None, windows, values })
+    }
+
+    /// Says which modalities the model got, if these were not all inputs.
+    pub fn with_given(self, given: Option<Vec<Modality>>) -> Self {
+        Self { given, ..self }
+    }
+
+    /// Checks that there are predictions of all these modalities at all these horizons, and no others.
+    ///
+    /// # Errors
+    /// When one is missing, or there are others.
+    pub fn check(&self, output: &[Modality], horizons: &[usize]) -> Result<(), RecordedError> {
+        let wrong = |problem, &(modality, horizon): &(Modality, usize)| {
+            let names: Vec<&str> = output.iter().map(|modality| modality.name()).collect();
+            let numbers: Vec<String> = horizons.iter().map(usize::to_string).collect();
+            let asked = format!("{}, each {} samples ahead", names.join(" and "), numbers.join(", "));
+            Err(RecordedError::Asked { problem, modality, horizon, asked })
+        };
+        let asked = output.iter().flat_map(|&output| horizons.iter().map(move |&horizon| (output, horizon)));
+        if let Some(missing) = asked.clone().find(|key| !self.values.contains_key(key)) {
+            return wrong("there are no predictions of", &missing);
+        }
+        match self.values.keys().find(|key| !asked.clone().any(|asked| asked == **key)) {
+            Some(other) => wrong("nothing asks for predictions of", other),
+            None => Ok(()),
+        }
+    }
+
+    /// Returns the values by modality and horizon, `[windows, width]`.
+    pub fn values(&self) -> &BTreeMap<(Modality, usize), Vec<f32>> {
+        &self.values
     }
 }
 
@@ -123,13 +219,19 @@ impl<'a> Recorded<'a> {
 fn window_of(samples: &Samples, windows: &[Sample], at: &RecordedValue) -> Option<usize> {
     let episode = samples.episodes().get(at.episode)?;
     let present = at.sample.checked_sub(at.horizon)?;
-    let is_inside = at.sample < episode.len();
-    windows.binary_search(&Sample::at(episode.start + present)).ok().filter(|_| is_inside)
+    if at.sample >= episode.len() {
+        return None;
+    }
+    windows.binary_search(&Sample::at(episode.start + present)).ok()
 }
 
 impl Predictor for Recorded<'_> {
     fn name(&self) -> &str {
         &self.model
+    }
+
+    fn given(&self) -> Option<&[Modality]> {
+        self.given.as_deref()
     }
 
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> Result<(), JudgeError> {

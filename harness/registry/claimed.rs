@@ -115,7 +115,7 @@ impl Claimed<'_> {
         let record = RunRecord {
             status: Status::Done,
             timings: Some(outcome.timings),
-            parameters: Some(outcome.parameters),
+            parameters: record.spec.trained().map(|_| outcome.parameters),
             peak_memory_bytes: peak_memory_bytes(),
             ..record
         };

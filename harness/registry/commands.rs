@@ -67,13 +67,17 @@ impl<'a> Commands<'a> {
         let experiment = folder.parent().and_then(Path::file_name).and_then(OsStr::to_str);
         let spec = record.map(|record| record.spec.clone()).or_else(|| read_spec(folder));
         let (Some(experiment), Some(spec)) = (experiment, spec) else { return Again::Unknown };
+        // The predictions of an external model come from another program.
+        if spec.trained().is_none() {
+            return Again::Unknown;
+        }
         let is_own = |dataset: &String| self.registry.run(experiment, &spec, dataset).path() == folder;
         let Some(dataset) = self.datasets().into_iter().find(is_own) else { return Again::Unknown };
         // Without a record, the world is that of another run on the dataset.
         let same = || self.recorded.iter().map(|(_, other)| other).find(|other| other.dataset == dataset);
         let world = record.or_else(same).and_then(|record| record.provenance.world_file.as_deref());
-        let others =
-            self.recorded.iter().map(|(_, other)| other).filter(|other| other.experiment == experiment);
+        let is_other = |other: &&RunRecord| other.experiment == experiment && other.spec.trained().is_some();
+        let others = self.recorded.iter().map(|(_, other)| other).filter(is_other);
         let own = record.map(|record| command_of(&record.provenance.command, &spec));
         let others: BTreeSet<String> =
             others.map(|other| command_of(&other.provenance.command, &spec)).collect();
@@ -93,6 +97,9 @@ impl<'a> Commands<'a> {
 
     /// How a run's dataset can be collected again.
     pub fn collect(&self, record: &RunRecord) -> Again {
+        if record.spec.trained().is_none() {
+            return Again::Unknown;
+        }
         let by = &record.provenance;
         self.again("collect", &by.command, &record.experiment, &record.spec, by.world_file.as_deref())
     }

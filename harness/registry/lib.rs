@@ -38,7 +38,9 @@ pub use mark::Mark;
 pub use pack::{PackError, Packed, Unpacked};
 pub use provenance::{Provenance, Versions, peak_memory_bytes};
 pub use publish::{ForcesOf, Published, forces_of};
-pub use record::{FileRecord, ForceRows, Outcome, RunRecord, Status, Timings, episodes_used, runs_table};
+pub use record::{
+    FileRecord, ForceRows, Outcome, RunRecord, Status, Submission, Timings, episodes_used, runs_table,
+};
 pub use removal::{Garbage, Removable, Usage};
 pub use verify::{Finding, Report};
 

@@ -146,6 +146,18 @@ impl FileRecord {
     }
 }
 
+/// The predictions of an external model that were judged.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Submission {
+    /// Hash of the task: the dataset, the split, the inputs, the outputs and the window.
+    pub task: String,
+    /// SHA-256 of the predicted values in hexadecimal. It does not depend on the order of the rows.
+    pub predictions_sha256: String,
+    /// What the user says about the model, such as its commit, the versions of packages, or seconds of training.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub notes: BTreeMap<String, String>,
+}
+
 /// The record of a run: its spec, status, provenance and files. A row of the `runs` table is made from it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunRecord {
@@ -177,6 +189,9 @@ pub struct RunRecord {
     pub parameters: Option<usize>,
     /// Source tree, versions, machine and command.
     pub provenance: Provenance,
+    /// The predictions of an external model, and what its user says about it; `None` for a network.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub submission: Option<Submission>,
     /// The run's resolved spec.
     pub spec: RunSpec,
     /// The modalities of the dataset's samples. A record without a layout has that of the finger.
@@ -244,6 +259,7 @@ impl RunRecord {
             peak_memory_bytes: None,
             parameters: None,
             provenance: Provenance { command: command_of(&by.command, spec), ..by.clone() },
+            submission: None,
             spec: spec.clone(),
             layout: layout.clone(),
             files: BTreeMap::new(),

@@ -112,7 +112,7 @@ impl Verification<'_> {
         }
         // The command of the run that needs the most episodes restores them for all runs.
         let users = self.recorded.iter().map(|(_, record)| record).filter(|record| record.dataset == name);
-        let user = users.max_by_key(|record| record.episodes());
+        let user = users.max_by_key(|record| (record.episodes(), record.spec.trained().is_some()));
         let again = user.map_or(Again::Unknown, |record| self.commands.collect(record));
         let collect = again.command();
         if let Some(problem) = &inspection.undescribed

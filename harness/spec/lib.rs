@@ -36,7 +36,7 @@ pub use modality::*;
 pub use name::{intern, is_name};
 pub use origin::{Origin, Scenario};
 pub use parse::read as read_text;
-pub use run::{Model, RunSpec, Trained, variant_parts};
+pub use run::{Model, RunSpec, Trained, model_parts, variant_parts};
 pub use scaling::{GivenScaling, GivenScalings, Scaling, Scalings};
 pub use schema::{schema, setting_names};
 pub use search::{Candidates, Halving, Method, Objective, Search, Trial};
@@ -66,7 +66,17 @@ use std::sync::Arc;
 /// overrides.
 pub fn load(path: &Path, overrides: &[String], quick: bool) -> Result<Experiment, SpecError> {
     let YamlFile { label, folder, text } = find("experiment", path, SPECS)?;
-    parse_in(&folder, &label, &text, overrides, quick)
+    parse_in(&folder, &label, &text, overrides, quick, Purpose::Training)
+}
+
+/// Resolves a spec like [`load`], but not for training: to collect its data, or to judge models of other programs. The
+/// spec may lack `latent` and `network`, and rules of networks do not apply to it.
+///
+/// # Errors
+/// See [`load`].
+pub fn load_task(path: &Path, overrides: &[String], quick: bool) -> Result<Experiment, SpecError> {
+    let YamlFile { label, folder, text } = find("experiment", path, SPECS)?;
+    parse_in(&folder, &label, &text, overrides, quick, Purpose::Task)
 }
 
 /// Resolves a spec like [`load`], but from its text. Messages call the text `path`, and the paths of world files are
@@ -80,7 +90,28 @@ pub fn parse_spec(
     overrides: &[String],
     quick: bool,
 ) -> Result<Experiment, SpecError> {
-    parse_in(Path::new(path).parent().unwrap_or(Path::new("")), path, text, overrides, quick)
+    parse_in(folder_of(path), path, text, overrides, quick, Purpose::Training)
+}
+
+/// Resolves a spec like [`load_task`], but from its text, as [`parse_spec`] does.
+///
+/// # Errors
+/// See [`load`].
+pub fn parse_task(path: &str, text: &str) -> Result<Experiment, SpecError> {
+    parse_in(folder_of(path), path, text, &[], false, Purpose::Task)
+}
+
+fn folder_of(path: &str) -> &Path {
+    Path::new(path).parent().unwrap_or(Path::new(""))
+}
+
+/// What a spec is read for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Purpose {
+    /// Networks are trained.
+    Training,
+    /// Data are collected, or models of other programs are judged. Nothing is trained.
+    Task,
 }
 
 fn parse_in(
@@ -89,8 +120,9 @@ fn parse_in(
     text: &str,
     overrides: &[String],
     quick: bool,
+    purpose: Purpose,
 ) -> Result<Experiment, SpecError> {
-    let mut worlds = WorldFiles { folder, read: BTreeMap::new() };
+    let mut worlds = WorldFiles { folder, purpose, read: BTreeMap::new() };
     let mut experiment =
         load_text(&mut worlds, text, overrides, quick).map_err(|problem| problem.in_file(label))?;
     if quick {
@@ -121,6 +153,9 @@ fn load_text(
     if let Some(message) = other_file(&tree) {
         return Err(Problem::new(&tree.origin, message));
     }
+    if worlds.purpose == Purpose::Task {
+        add_network(&mut tree);
+    }
     schema::list_single_values(&mut tree);
     resolve(worlds, &tree)?;
     let mut quick_tree = tree.clone();
@@ -141,6 +176,17 @@ fn load_text(
     let experiment = resolve(worlds, &tree).map_err(|problem| problem.after("applying the overrides"))?;
     check_variants(worlds, &tree, &experiment)?;
     Ok(experiment)
+}
+
+/// Adds a network to a spec that has none. Nothing uses it.
+fn add_network(tree: &mut Node) {
+    let network = serde_json::json!({ "latent": [1], "network": { "preset": "multi_to_multi" } });
+    let unused = Node::of_json(&network, &tree.origin);
+    if let (Value::Section(entries), Value::Section(unused)) = (&mut tree.value, unused.value) {
+        let lacks = |entry: &Entry| entries.iter().all(|own| own.key != entry.key);
+        let lacking: Vec<Entry> = unused.into_iter().filter(lacks).collect();
+        entries.extend(lacking);
+    }
 }
 
 /// Returns the value that a text stands for as the value of a setting, as in `KEY=VALUE`; `None` if it is no YAML.
@@ -267,6 +313,9 @@ fn resolve(worlds: &mut WorldFiles, tree: &Node) -> Result<Experiment, Problem> 
     experiment.take_defaults_of_worlds(tree).map_err(at)?;
     check_rates(tree, &experiment)?;
     validate::validate(&experiment).map_err(at)?;
+    if worlds.purpose == Purpose::Training {
+        validate::validate_network(&experiment).map_err(at)?;
+    }
     Ok(experiment.canonical())
 }
 
@@ -300,10 +349,12 @@ fn check_rates(tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
     })
 }
 
-/// The world files of a spec. Each is read once, however many combinations of settings use it.
+/// How a spec is read, and its world files. Each is read once, however many combinations of settings use it.
 struct WorldFiles<'a> {
     /// The folder to which their paths are relative.
     folder: &'a Path,
+    /// What the spec is read for.
+    purpose: Purpose,
     /// The worlds by the paths of their files.
     read: BTreeMap<PathBuf, Arc<World>>,
 }

@@ -176,6 +176,23 @@ impl RunSpec {
         self.trained().map(|trained| trained.latent)
     }
 
+    /// Returns the spec of the run of an external model with this name, on the same data with the same inputs, outputs
+    /// and window. `variant` is that of the run's cell.
+    pub fn external(&self, name: &str, variant: &str, seed: u64) -> Self {
+        let model = format!("model={name}");
+        let parts = [variant, &model].into_iter().filter(|part| !part.is_empty());
+        let variant = parts.collect::<Vec<_>>().join(",");
+        let (model, tasks) = (Model::External(name.to_owned()), vec![Task::Prediction]);
+        Self { model, variant, seed, tasks, ..self.clone() }
+    }
+
+    /// Returns the hash of what the run asks of a model, whichever it is: the first 16 hexadecimal digits of the
+    /// SHA-256 of the dataset's name, the split, the inputs, the outputs, the action and the window.
+    pub fn task_hash(&self, dataset: &str) -> String {
+        let task = Self { scaling: Scalings::new(), ..self.external("", "", 0) };
+        digits(&format!("{} {dataset}", task.hash()))
+    }
+
     /// Returns the input and output modalities, without duplicates, in the order of [`Modality`].
     pub fn modalities(&self) -> Vec<Modality> {
         let mut used: Vec<Modality> = self.input.iter().chain(&self.output).copied().collect();
@@ -230,8 +247,7 @@ impl RunSpec {
     pub fn hash(&self) -> String {
         let mut json = serde_json::to_value(self).expect("a run's spec is plain data");
         json.sort_all_objects();
-        let digest = Sha256::digest(json.to_string());
-        digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+        digits(&json.to_string())
     }
 
     /// Returns the run's spec with the defaults that are not stored, so that older runs keep their names. `layout` is
@@ -284,14 +300,16 @@ impl RunSpec {
     }
 
     /// Returns the YAML of an experiment `name` whose only run is this one. Its variant, which names settings that the
-    /// run's own experiment varies, is left out.
+    /// run's own experiment varies, is left out. For an external model it is a task without a network.
     pub fn to_experiment_yaml(&self, name: &str) -> String {
         let mut json = serde_json::to_value(self).expect("a run's spec is plain data");
         let fields = json.as_object_mut().expect("a run's spec is an object");
         fields.remove("variant");
+        fields.remove("model");
         for (of_run, of_experiment) in [("scenario", "scenarios"), ("latent", "latent"), ("seed", "seeds")] {
-            let value = fields.remove(of_run).expect("every run's spec has it");
-            fields.insert(of_experiment.to_owned(), vec![value].into());
+            if let Some(value) = fields.remove(of_run) {
+                fields.insert(of_experiment.to_owned(), vec![value].into());
+            }
         }
         fields.insert("name".to_owned(), name.into());
         // An experiment without scaling has the defaults, which are not those of a run without scaling.
@@ -361,6 +379,11 @@ impl RunSpec {
     }
 }
 
+/// Returns the first 16 hexadecimal digits of the SHA-256 of a text.
+fn digits(text: &str) -> String {
+    Sha256::digest(text).iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+}
+
 /// Adds the values of `more` to a tree, section by section.
 fn add(tree: &mut Json, more: Json) {
     match more {
@@ -368,6 +391,16 @@ fn add(tree: &mut Json, more: Json) {
             entries.into_iter().for_each(|(key, value)| add(&mut tree[key], value));
         }
         value => *tree = value,
+    }
+}
+
+/// Divides a variant into the part that cells of networks have as well, and the name of the external model.
+pub fn model_parts(variant: &str) -> (&str, Option<&str>) {
+    match variant.rsplit_once("model=") {
+        Some((varied, model)) if varied.is_empty() || varied.ends_with(',') => {
+            (varied.trim_end_matches(','), Some(model))
+        }
+        _ => (variant, None),
     }
 }
 

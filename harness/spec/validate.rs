@@ -52,7 +52,6 @@ pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     scenarios(experiment)?;
     modalities(experiment)?;
     tasks(&experiment.tasks)?;
-    frames(experiment)?;
     losses(experiment)?;
     precision(&experiment.training)?;
     steps(&experiment.training)?;
@@ -62,6 +61,12 @@ pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     window(experiment)?;
     split(experiment)?;
     search(experiment)
+}
+
+/// Refuses an experiment whose data a network can't take, or whose window it can't predict.
+pub(super) fn validate_network(experiment: &Experiment) -> Result<(), Fault> {
+    frames(experiment)?;
+    memory(experiment)
 }
 
 fn name(name: &str) -> Result<(), Fault> {
@@ -473,9 +478,9 @@ fn scaling(experiment: &Experiment) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Refuses a window that does not fit into an episode, or that the network can't predict.
+/// Refuses a window that does not fit into an episode.
 fn window(experiment: &Experiment) -> Result<(), Fault> {
-    let Experiment { window, simulation, input, output, scenarios, network, split, .. } = experiment;
+    let Experiment { window, simulation, scenarios, split, .. } = experiment;
     let samples = simulation.samples_per_episode();
     let is_simulated = scenarios.iter().any(|origin| experiment.world(origin).is_some());
     if is_simulated && window.samples() > samples {
@@ -489,6 +494,22 @@ fn window(experiment: &Experiment) -> Result<(), Fault> {
             ),
         );
     }
+    if window.start == WindowStart::Rest && split.by != Division::Episode {
+        return fault(
+            "window.start",
+            format!(
+                "a split by {} leaves no whole episodes to start from; use split.by: episode, or start: random",
+                split.by
+            ),
+        );
+    }
+    Ok(())
+}
+
+/// Refuses a window or a split that does not suit the memory of the network, or that a network without memory can't
+/// predict.
+fn memory(experiment: &Experiment) -> Result<(), Fault> {
+    let Experiment { window, simulation, input, output, network, split, .. } = experiment;
     let has_memory = network.memory != Memory::None;
     if has_memory && window.context == 1 {
         return fault(
@@ -496,7 +517,7 @@ fn window(experiment: &Experiment) -> Result<(), Fault> {
             format!(
                 "a network with memory needs a context of several samples; use for example window.context: {}, or \
                  network.memory: none",
-                (samples - window.horizon).clamp(2, 50)
+                (simulation.samples_per_episode() - window.horizon).clamp(2, 50)
             ),
         );
     }
@@ -506,15 +527,6 @@ fn window(experiment: &Experiment) -> Result<(), Fault> {
             "a network with memory is trained on consecutive samples, which a split by sample tears apart; use \
              episode or time"
                 .to_owned(),
-        );
-    }
-    if window.start == WindowStart::Rest && split.by != Division::Episode {
-        return fault(
-            "window.start",
-            format!(
-                "a split by {} leaves no whole episodes to start from; use split.by: episode, or start: random",
-                split.by
-            ),
         );
     }
     match input.iter().find(|modality| !output.contains(modality)) {

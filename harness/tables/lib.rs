@@ -1,9 +1,11 @@
 //! Parquet tables. They are written completely or not at all, with units and provenance in their metadata.
 
 mod lazy;
+mod predicted;
 pub mod schema;
 
 pub use lazy::{asked_columns, asked_rows, lazily, scan};
+pub use predicted::{PREDICTED_COLUMNS, PredictedRow, PredictedRows, read_predicted};
 
 use harness_shared::files::WriteError;
 use harness_shared::seal;

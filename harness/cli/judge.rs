@@ -1,0 +1,263 @@
+//! `harness judge` and `harness task`: models of other programs.
+
+use super::progress::Bars;
+use super::results::{self, Metrics};
+use super::run::Spec;
+use super::sheet::Style;
+use super::table::{print_beside, print_command, print_text, width};
+use super::{DONE, interrupt};
+use anyhow::Result;
+use clap::Args;
+use harness::experiment::{
+    ExperimentError, External, JudgedRun, OpenTask, PredictionTask, Predictions, Runner, SubmissionError,
+    provenance,
+};
+use harness::numbers::counted;
+use harness::registry::{Registry, RunRecord, quoted};
+use harness::spec::{Definition, Experiment, IMAGE_CHANNELS, Modality};
+use harness::tables::{PREDICTED_COLUMNS, TableError, read_predicted};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// Why no task can be judged.
+#[derive(Debug, thiserror::Error)]
+pub enum TaskError {
+    /// The experiment has several tasks.
+    #[error("{experiment} has several tasks; choose one with --cell: {}", names.join(", "))]
+    Several {
+        /// Name of the experiment.
+        experiment: String,
+        /// The names of its tasks.
+        names: Vec<String>,
+    },
+    /// The experiment has no task with this name.
+    #[error("{experiment} has no task '{wanted}'; it has {}", names.join(", "))]
+    Unknown {
+        /// Name of the experiment.
+        experiment: String,
+        /// The wanted name.
+        wanted: String,
+        /// The names of its tasks.
+        names: Vec<String>,
+    },
+    /// The dataset is not complete.
+    #[error(
+        "the dataset {dataset} lacks {missing} of its episodes, so it has no predictions yet; `{command}` simulates them"
+    )]
+    NotCollected {
+        /// Name of the dataset.
+        dataset: String,
+        /// Number of missing episodes.
+        missing: usize,
+        /// The command that collects them.
+        command: String,
+    },
+    /// The file can't be read.
+    #[error(transparent)]
+    File(#[from] TableError),
+}
+
+/// The task to judge, of those of an experiment.
+#[derive(Args)]
+pub struct Choice {
+    /// The task, if the experiment has several: a scenario, or a name that `harness task` lists
+    #[arg(long, value_name = "NAME", alias = "scenario")]
+    cell: Option<String>,
+}
+
+impl Choice {
+    /// The chosen task of an experiment.
+    fn of(&self, experiment: &Experiment, tasks: Vec<PredictionTask>) -> Result<PredictionTask, TaskError> {
+        PredictionTask::choose(tasks, self.cell.as_deref()).map_err(|names| {
+            let experiment = experiment.name.clone();
+            match self.cell.clone() {
+                Some(wanted) if !names.iter().any(|name| name.starts_with(&format!("{wanted}-"))) => {
+                    TaskError::Unknown { experiment, wanted, names }
+                }
+                _ => TaskError::Several { experiment, names },
+            }
+        })
+    }
+}
+
+#[derive(Args)]
+pub struct Judge {
+    /// The experiment that asks for the predictions: a YAML file, or a name, as for `harness run`
+    #[arg(value_name = "SPEC")]
+    path: PathBuf,
+    /// The file of predictions: Parquet, or CSV if its name ends in .csv. `harness task` lists its columns
+    #[arg(value_name = "PREDICTIONS")]
+    predictions: PathBuf,
+    /// Settings to change, as for `harness run`
+    #[arg(value_name = "KEY=VALUE")]
+    overrides: Vec<String>,
+    /// Use the spec's `quick` settings, as for `harness run`
+    #[arg(long)]
+    quick: bool,
+    /// Name of the model in tables: letters, digits, '_', '-' and '.'
+    #[arg(long, value_name = "NAME")]
+    model: String,
+    /// Seed of the model's training
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    #[command(flatten)]
+    choice: Choice,
+    /// The hash of the task that the predictions are for. They are refused if the task has another
+    #[arg(long, value_name = "HASH")]
+    task: Option<String>,
+    /// What to record about the model, for example commit=ab12cd3; may be given several times
+    #[arg(long = "note", value_name = "NAME=TEXT", value_parser = note)]
+    notes: Vec<(String, String)>,
+}
+
+fn note(text: &str) -> Result<(String, String), String> {
+    let (name, note) = text.split_once('=').ok_or("write NAME=TEXT, such as commit=ab12cd3")?;
+    Ok((name.trim().to_owned(), note.to_owned()))
+}
+
+impl Judge {
+    /// Judges the predictions, writes the run, and prints its metrics.
+    pub fn execute(self, registry: &Registry, threads: usize) -> Result<ExitCode> {
+        let spec = Spec { path: self.path, overrides: self.overrides, quick: self.quick };
+        let experiment = spec.load_task()?;
+        let (provenance, bars) = (provenance(threads, super::command_line()), Bars::default());
+        let runner = Runner::new(registry, threads, &provenance, &bars);
+        let task = self.choice.of(&experiment, runner.tasks(&experiment)?)?;
+        let missing = task.missing();
+        if missing > 0 {
+            let (dataset, command) = (task.dataset().name().to_owned(), collect(registry, &spec));
+            return Err(TaskError::NotCollected { dataset, missing, command }.into());
+        }
+        let predictions = Predictions::Rows(read_predicted(&self.predictions).map_err(TaskError::from)?);
+        interrupt::install()?;
+        let task = runner.open_task(task)?;
+        let (model, seed, notes) = (self.model, self.seed, BTreeMap::from_iter(self.notes));
+        let external = External { model, seed, notes, task: self.task, predictions };
+        let JudgedRun { record, was_done } = runner.judge(&task, external)?;
+        let is_run = |other: &RunRecord| other.name() == record.name();
+        println!("{}", results::sheet(registry, Metrics::Main, is_run)?.render(Style::Text, width()));
+        let before = if was_done { "; the same predictions were judged before" } else { "" };
+        print_text(&format!("{}: done{before}", record.name()));
+        print_command("next ", &registry.command(&format!("compare {}", quoted([&*record.experiment]))));
+        Ok(ExitCode::from(DONE))
+    }
+}
+
+/// The command that collects the datasets of a spec.
+fn collect(registry: &Registry, spec: &Spec) -> String {
+    registry.command(&format!("collect {}", quoted(spec.words().iter().map(String::as_str))))
+}
+
+#[derive(Args)]
+pub struct Task {
+    #[command(flatten)]
+    spec: Spec,
+    #[command(flatten)]
+    choice: Choice,
+}
+
+impl Task {
+    /// Describes the tasks of the experiment, and prints the results so far.
+    pub fn execute(self, registry: &Registry, threads: usize) -> Result<ExitCode> {
+        let experiment = self.spec.load_task()?;
+        let (provenance, bars) = (provenance(threads, super::command_line()), Bars::default());
+        let runner = Runner::new(registry, threads, &provenance, &bars);
+        let tasks = runner.tasks(&experiment)?;
+        let tasks = match &self.choice.cell {
+            Some(_) => vec![self.choice.of(&experiment, tasks)?],
+            None => tasks,
+        };
+        let is_several = self.choice.cell.is_some() || tasks.len() > 1;
+        let first = tasks.first().map(PredictionTask::name);
+        for (place, task) in tasks.into_iter().enumerate() {
+            if place > 0 {
+                println!();
+            }
+            self.describe(registry, &runner, task)?;
+        }
+        print_text("\nColumns of a file of predictions, one row for each value:");
+        print_beside(PREDICTED_COLUMNS.map(|(name, meaning)| (format!("  {name:<9}"), meaning.to_owned())));
+        let spec = quoted(self.spec.words().iter().map(String::as_str));
+        let cell = first
+            .filter(|_| is_several)
+            .map(|name| format!(" --cell {}", quoted([&*name])))
+            .unwrap_or_default();
+        println!();
+        print_command(
+            "judge ",
+            &registry.command(&format!("judge {spec} predictions.parquet{cell} --model NAME")),
+        );
+        print_results(registry, &experiment.name)?;
+        Ok(ExitCode::from(DONE))
+    }
+
+    fn describe(&self, registry: &Registry, runner: &Runner, task: PredictionTask) -> Result<()> {
+        let (spec, missing) = (task.spec().clone(), task.missing());
+        println!("{}/{}", task.experiment(), task.name());
+        let mut lines =
+            vec![("task".to_owned(), task.hash()), ("dataset".to_owned(), task.dataset().name().to_owned())];
+        let of = |modality: &Modality| task.dataset().layout().get(*modality).map(described);
+        let inputs = spec.input.iter().filter_map(of).collect::<Vec<_>>();
+        let outputs = spec.output.iter().filter_map(of).collect::<Vec<_>>();
+        let horizons: Vec<String> = spec.window.horizons().iter().map(usize::to_string).collect();
+        lines.push(("inputs".to_owned(), inputs.join(", ")));
+        lines.push(("outputs".to_owned(), outputs.join(", ")));
+        lines.push(("context".to_owned(), counted(spec.window.context, "sample")));
+        lines.push(("horizons".to_owned(), format!("{} samples ahead", horizons.join(", "))));
+        let split = format!(
+            "by {}, {} for validation, {} for the test",
+            spec.split.by, spec.split.validation, spec.split.test
+        );
+        lines.push(("split".to_owned(), split));
+        match missing {
+            0 => lines.push(("windows".to_owned(), windows(&runner.open_task(task)?))),
+            missing => {
+                let collect = collect(registry, &self.spec);
+                lines.push((
+                    "missing".to_owned(),
+                    format!("{}; `{collect}` simulates them", counted(missing, "episode")),
+                ));
+            }
+        }
+        print_beside(lines.into_iter().map(|(name, text)| (format!("  {name:<9}"), text)));
+        Ok(())
+    }
+}
+
+/// A modality with its shape and unit: `contact_force [20] N`.
+fn described(definition: &Definition) -> String {
+    let shape = match definition.size() {
+        Some([rows, columns]) => format!("[{rows}, {columns}, {IMAGE_CHANNELS}]"),
+        None => format!("[{}]", definition.width()),
+    };
+    let unit = definition.unit().unwrap_or(if definition.is_image() { "1" } else { "several units" });
+    format!("{} {shape} {unit}", definition.name)
+}
+
+/// The number of windows in each part.
+fn windows(task: &OpenTask) -> String {
+    let partition = task.partition();
+    let parts =
+        [("training", &partition.training), ("validation", &partition.validation), ("test", &partition.test)];
+    parts.map(|(name, windows)| format!("{} for {name}", windows.len())).join(", ")
+}
+
+/// Prints the metrics of the experiment's runs and their baselines.
+fn print_results(registry: &Registry, experiment: &str) -> Result<()> {
+    let is_own = |record: &RunRecord| record.experiment == experiment;
+    let sheet = results::sheet(registry, Metrics::Main, is_own)?;
+    if sheet.rows.is_empty() {
+        return Ok(());
+    }
+    print_text("\nResults so far:");
+    print!("{}", sheet.render(Style::Text, width()));
+    Ok(())
+}
+
+/// Whether the error is in the arguments or in the file of predictions, so that nothing was done.
+pub fn is_usage(error: &anyhow::Error) -> bool {
+    let is_wrong = |error: &SubmissionError| !matches!(error, SubmissionError::Held { .. });
+    error.is::<TaskError>()
+        || matches!(error.downcast_ref(), Some(ExperimentError::Submission(error)) if is_wrong(error))
+}

@@ -1,0 +1,460 @@
+//! Models of other programs: what a cell of an experiment asks of them, and the runs that their predictions become.
+
+use super::evaluate::{self, References};
+use super::{ExperimentError, OpenData, Runner, Source, describe};
+use harness_dataset::AnyDataset;
+use harness_judge::{Predictor, Recorded, RecordedError, RecordedValue, Test, judge, models};
+use harness_registry::{Outcome, Provenance, Registry, RunFolder, RunRecord, Status, Submission, Timings};
+use harness_samples::{Partition, Samples};
+use harness_shared::files::FolderLock;
+use harness_shared::seal::hex;
+use harness_spec::{Experiment, IMAGE_CHANNELS, Layout, MAX_SEED, Modality, RunSpec, Task};
+use harness_tables::{PredictedRow, PredictedRows};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, OnceLock};
+use std::time::Instant;
+
+/// Largest number of notes, and of characters in one of them.
+const MAX_NOTES: usize = 100;
+const MAX_NOTE: usize = 10_000;
+
+/// Why predictions can't become a run.
+#[derive(Debug, thiserror::Error)]
+pub enum SubmissionError {
+    /// The name of the model can't be part of a folder's name.
+    #[error(
+        "'{0}' can't name a model; use 1 to 64 ASCII letters, digits, '_', '-' and '.', a letter or digit first"
+    )]
+    Name(String),
+    /// The seed is too large.
+    #[error("the seed {0} is too large; use 0 to {MAX_SEED}")]
+    Seed(u64),
+    /// A note has no name, there are too many, or one is too long.
+    #[error("notes: {0}")]
+    Note(String),
+    /// The predictions are incomplete or wrong.
+    #[error("{0} ({dataset})", dataset = .1)]
+    Recorded(RecordedError, String),
+    /// The model got something that is no input of the task.
+    #[error("'given' has {modality}, which is no input of the task; its inputs are {input}")]
+    Given {
+        /// The modality.
+        modality: Modality,
+        /// The inputs of the task, separated by commas.
+        input: String,
+    },
+    /// Every prediction is of a model that got only some inputs.
+    #[error("all predictions are of a model that got only some inputs ('given'); add those with all inputs")]
+    OnlyGiven,
+    /// The predictions were made for another task.
+    #[error(
+        "the predictions are for the task {wanted}, and this one is {found}: its dataset, split, inputs, outputs or \
+         window is another; predict the test windows of this task"
+    )]
+    Task {
+        /// The hash of the task that the predictions are for.
+        wanted: String,
+        /// The hash of this task.
+        found: String,
+    },
+    /// Other predictions of the model with this seed were judged before.
+    #[error(
+        "{run} has other predictions of this model with this seed; use another name or seed, or first `{remedy}`"
+    )]
+    Judged {
+        /// The run.
+        run: String,
+        /// The command that removes it.
+        remedy: String,
+    },
+    /// Another process writes the run.
+    #[error("{holder} is writing {run}; try again when it has ended")]
+    Held {
+        /// The run.
+        run: String,
+        /// The other process.
+        holder: String,
+    },
+}
+
+/// What a cell of an experiment asks of a model: to predict the outputs at the horizons of a window from its inputs, on
+/// the test windows of a dataset. It is the same for every seed.
+pub struct PredictionTask {
+    experiment: String,
+    /// The variant of the cell, if the scenario has several tasks.
+    variant: String,
+    /// The spec of a run of a model without a name.
+    spec: RunSpec,
+    source: Arc<Source>,
+}
+
+impl PredictionTask {
+    /// Returns the name of the task, which is unique within its experiment: `empty` or `empty-role=single_to_multi`.
+    pub fn name(&self) -> String {
+        let spec = RunSpec { variant: self.variant.clone(), ..self.spec.clone() };
+        let label = spec.label();
+        label.strip_suffix("-seed0").unwrap_or(&label).to_owned()
+    }
+
+    /// Returns the task of this name, or that of this scenario if it has only one. Without a name, returns the only
+    /// task.
+    ///
+    /// # Errors
+    /// When there is no such task, or there are several. Returns the names of all tasks.
+    pub fn choose(tasks: Vec<Self>, wanted: Option<&str>) -> Result<Self, Vec<String>> {
+        let names: Vec<String> = tasks.iter().map(Self::name).collect();
+        let is_named = |wanted: &str| names.iter().any(|name| name == wanted);
+        let is_wanted = |task: &Self| match wanted {
+            Some(wanted) if is_named(wanted) => task.name() == wanted,
+            Some(wanted) => task.spec.scenario.name() == wanted,
+            None => true,
+        };
+        let mut chosen = tasks.into_iter().filter(is_wanted);
+        match (chosen.next(), chosen.next()) {
+            (Some(task), None) => Ok(task),
+            _ => Err(names),
+        }
+    }
+
+    /// Returns the name of the experiment.
+    pub fn experiment(&self) -> &str {
+        &self.experiment
+    }
+
+    /// Returns the data, the inputs, the outputs and the window.
+    pub fn spec(&self) -> &RunSpec {
+        &self.spec
+    }
+
+    /// Returns the dataset.
+    pub fn dataset(&self) -> &AnyDataset {
+        &self.source.dataset
+    }
+
+    /// Returns the path of the world file; `None` for a built-in world and an imported dataset.
+    pub fn world_file(&self) -> Option<PathBuf> {
+        self.source.world_file()
+    }
+
+    /// Returns the hash of the task; see [`RunSpec::task_hash`].
+    pub fn hash(&self) -> String {
+        self.spec.task_hash(self.source.dataset.name())
+    }
+
+    /// Returns the number of episodes that have not been collected.
+    pub fn missing(&self) -> usize {
+        match &self.source.dataset {
+            AnyDataset::Simulated(dataset) => dataset.missing().len(),
+            AnyDataset::Imported(_) => 0,
+        }
+    }
+
+    /// Returns the spec of a run of a model.
+    fn run(&self, model: &str, seed: u64) -> RunSpec {
+        self.spec.external(model, &self.variant, seed)
+    }
+}
+
+/// A task with its dataset.
+pub struct OpenTask {
+    task: PredictionTask,
+    open: OpenData,
+    /// The predictions of baselines, and what else all runs on the data share. They are computed for the first run.
+    references: OnceLock<References>,
+}
+
+impl OpenTask {
+    /// Returns the task.
+    pub fn task(&self) -> &PredictionTask {
+        &self.task
+    }
+
+    /// Returns the samples of the dataset.
+    pub fn samples(&self) -> &Arc<Samples> {
+        &self.open.data.samples
+    }
+
+    /// Returns the windows for training, validation and test.
+    pub fn partition(&self) -> &Partition {
+        &self.open.partition
+    }
+
+    fn references(&self) -> Result<&References, ExperimentError> {
+        if let Some(references) = self.references.get() {
+            return Ok(references);
+        }
+        let references = evaluate::references(&self.open, &self.task.spec)?;
+        Ok(self.references.get_or_init(|| references))
+    }
+
+    /// Checks predictions, and makes a predictor of those of each set of inputs.
+    fn recorded(&self, predictions: Predictions) -> Result<Vec<Recorded<'_>>, SubmissionError> {
+        let (samples, windows, spec) = (&**self.samples(), &self.partition().test, &self.task.spec);
+        let wrong = |error| SubmissionError::Recorded(error, self.task.source.dataset.name().to_owned());
+        let model = models::NETWORK;
+        let recorded = match predictions {
+            Predictions::Windows(values) => {
+                vec![Recorded::of_windows(model, samples, windows, values).map_err(wrong)?]
+            }
+            Predictions::Rows(rows) => {
+                if !rows.is_empty() && !rows.contains_key(&None) {
+                    return Err(SubmissionError::OnlyGiven);
+                }
+                rows.keys().flatten().try_for_each(|given| self.check_given(given))?;
+                let of = |(given, rows): (Option<Vec<Modality>>, Vec<PredictedRow>)| {
+                    let values = rows.into_iter().map(|row| value(samples.layout(), row));
+                    let recorded = Recorded::new(model, samples, windows, values).map_err(wrong)?;
+                    Ok(recorded.with_given(given))
+                };
+                rows.into_iter().map(of).collect::<Result<Vec<_>, SubmissionError>>()?
+            }
+        };
+        if recorded.is_empty() {
+            return Err(wrong(RecordedError::Empty));
+        }
+        let horizons = spec.window.horizons();
+        recorded.iter().try_for_each(|recorded| recorded.check(&spec.output, &horizons)).map_err(wrong)?;
+        Ok(recorded)
+    }
+
+    fn check_given(&self, given: &[Modality]) -> Result<(), SubmissionError> {
+        let input = &self.task.spec.input;
+        let Some(&modality) = given.iter().find(|modality| !input.contains(modality)) else { return Ok(()) };
+        let names: Vec<&str> = input.iter().map(|modality| modality.name()).collect();
+        Err(SubmissionError::Given { modality, input: names.join(", ") })
+    }
+}
+
+/// Returns the value of a row. The elements of an image are put in the order of channels.
+fn value(layout: &Layout, row: PredictedRow) -> RecordedValue {
+    let PredictedRow { episode, sample, horizon, modality, index, value } = row;
+    let pixels =
+        layout.get(modality).and_then(|definition| definition.size()).map(|[rows, columns]| rows * columns);
+    let index = match pixels {
+        Some(pixels) if index < pixels * IMAGE_CHANNELS => {
+            index % IMAGE_CHANNELS * pixels + index / IMAGE_CHANNELS
+        }
+        _ => index,
+    };
+    RecordedValue { modality, episode, sample, horizon, index, value }
+}
+
+/// Predictions of the test windows of a task.
+pub enum Predictions {
+    /// Single values, as a file has them.
+    Rows(PredictedRows),
+    /// All values of a modality at a horizon, `[windows, width]` in physical units; images channel by channel.
+    Windows(BTreeMap<(Modality, usize), Vec<f32>>),
+}
+
+/// A model of another program with its predictions.
+pub struct External {
+    /// Name of the model.
+    pub model: String,
+    /// Seed of its training.
+    pub seed: u64,
+    /// What the user says about it, such as its commit.
+    pub notes: BTreeMap<String, String>,
+    /// The hash of the task that the predictions are for, if the user knows it.
+    pub task: Option<String>,
+    /// Its predictions.
+    pub predictions: Predictions,
+}
+
+impl External {
+    fn check(&self, task: &PredictionTask) -> Result<(), SubmissionError> {
+        let Self { model, seed, notes, task: wanted, .. } = self;
+        let is_allowed = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
+        let begins = model.starts_with(|c: char| c.is_ascii_alphanumeric());
+        if model.len() > 64 || !begins || !model.chars().all(is_allowed) {
+            return Err(SubmissionError::Name(model.escape_debug().take(80).collect()));
+        }
+        if *seed > MAX_SEED {
+            return Err(SubmissionError::Seed(*seed));
+        }
+        if notes.len() > MAX_NOTES {
+            return Err(SubmissionError::Note(format!(
+                "there are {}, at most {MAX_NOTES} are allowed",
+                notes.len()
+            )));
+        }
+        for (name, note) in notes {
+            if name.trim().is_empty() {
+                return Err(SubmissionError::Note("one has no name; write NAME=TEXT".to_owned()));
+            }
+            if name.len() + note.len() > MAX_NOTE {
+                let name: String = name.escape_debug().take(80).collect();
+                return Err(SubmissionError::Note(format!("'{name}' has more than {MAX_NOTE} bytes")));
+            }
+        }
+        let found = task.hash();
+        match wanted {
+            Some(wanted) if *wanted != found => Err(SubmissionError::Task { wanted: wanted.clone(), found }),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The run of an external model.
+pub struct JudgedRun {
+    /// Its record.
+    pub record: RunRecord,
+    /// Whether the same predictions were judged before, so that nothing was written.
+    pub was_done: bool,
+}
+
+impl Runner<'_> {
+    /// Returns the tasks of an experiment that differ in their data, inputs, outputs or windows. Cells that differ only
+    /// in their networks are one task.
+    ///
+    /// # Errors
+    /// When a dataset can't be opened, or lacks something that the experiment needs.
+    pub fn tasks(&self, experiment: &Experiment) -> Result<Vec<PredictionTask>, ExperimentError> {
+        let mut tasks: Vec<PredictionTask> = Vec::new();
+        for run in experiment.runs() {
+            let spec = run.external("", "", 0);
+            if tasks.iter().any(|task| task.spec == spec) {
+                continue;
+            }
+            let known = tasks.iter().find(|task| {
+                (&task.spec.scenario, &task.spec.simulation) == (&spec.scenario, &spec.simulation)
+            });
+            let source = match known {
+                Some(task) => task.source.clone(),
+                None => Arc::new(self.source(experiment, &spec)?),
+            };
+            source.check(&spec)?;
+            let variant = run.variant_parts().0.to_owned();
+            tasks.push(PredictionTask { experiment: experiment.name.clone(), variant, spec, source });
+        }
+        // A scenario with one task needs no variant to tell it from others.
+        let place = |task: &PredictionTask| (task.spec.scenario.clone(), task.spec.dataset_seed());
+        let places: Vec<_> = tasks.iter().map(place).collect();
+        for task in &mut tasks {
+            let own = place(task);
+            if places.iter().filter(|place| **place == own).count() == 1 {
+                task.variant.clear();
+            }
+        }
+        Ok(tasks)
+    }
+
+    /// Opens the dataset of a task, which must be complete.
+    ///
+    /// # Errors
+    /// When the dataset can't be read, or the split leaves no training samples.
+    pub fn open_task(&self, task: PredictionTask) -> Result<OpenTask, ExperimentError> {
+        let frames = self.frame_place(&task.spec, &task.source);
+        self.check_room(&task.source.dataset, frames)?;
+        let open = self.open(&task.spec, &task.source, frames)?;
+        Ok(OpenTask { task, open, references: OnceLock::new() })
+    }
+
+    /// Judges the predictions of a model of another program, and writes its run. The same predictions are not judged
+    /// twice. Everything is checked before anything is written.
+    ///
+    /// # Errors
+    /// When the predictions are incomplete or wrong, other predictions of the model with the same seed were judged
+    /// before, or the run can't be written.
+    pub fn judge(&self, task: &OpenTask, external: External) -> Result<JudgedRun, ExperimentError> {
+        external.check(&task.task)?;
+        let External { model, seed, notes, predictions, .. } = external;
+        let recorded = task.recorded(predictions)?;
+        let spec = task.task.run(&model, seed);
+        let folder = self.registry.run(&task.task.experiment, &spec, task.task.source.dataset.name());
+        let submission = Submission { task: task.task.hash(), predictions_sha256: digest(&recorded), notes };
+        if let Some(record) = judged_before(self.registry, &folder, &submission)? {
+            return Ok(JudgedRun { record, was_done: true });
+        }
+        let outcome = self.outcome(task, &recorded)?;
+        let Some(claimed) = self.registry.claim(&folder)? else {
+            let holder = FolderLock::holder(folder.path()).unwrap_or_else(|| "another process".into());
+            let run = format!("{}/{}", task.task.experiment, folder.id());
+            return Err(SubmissionError::Held { run, holder }.into());
+        };
+        // Another process may have written the run meanwhile.
+        if let Some(record) = judged_before(self.registry, &folder, &submission)? {
+            return Ok(JudgedRun { record, was_done: true });
+        }
+        let provenance = Provenance { world_file: task.task.source.world_file(), ..self.provenance.clone() };
+        let record = claimed.begin(&spec, task.samples().layout(), &provenance)?;
+        let record = RunRecord { submission: Some(submission), ..record };
+        if let Err(error) = claimed.finish(record.clone(), &outcome) {
+            // The disk may be full, so this can fail as well. The run is then listed as interrupted.
+            let _ = claimed.fail(record, &describe(&error));
+            return Err(error.into());
+        }
+        drop(claimed);
+        let record = folder.record()?.unwrap_or(record);
+        Ok(JudgedRun { record, was_done: false })
+    }
+
+    /// Judges predictions and returns all rows of the run.
+    fn outcome(&self, task: &OpenTask, recorded: &[Recorded]) -> Result<Outcome, ExperimentError> {
+        let references = task.references()?;
+        let begin = Instant::now();
+        let mut outcome = Outcome {
+            metrics: references.baselines.clone(),
+            forces: references.forces.clone(),
+            ..Outcome::default()
+        };
+        let windows = &task.partition().test;
+        self.progress.begin("judging", recorded.len() as u64, "predictors");
+        for predictor in recorded {
+            let sampled = Some(&references.sampled[..]);
+            let test = Test { samples: task.samples(), task: Task::Prediction, windows, sampled };
+            let judged = judge(predictor as &dyn Predictor, &test)?;
+            outcome.metrics.extend(judged.metrics);
+            outcome.predictions.extend(judged.predictions);
+            outcome.frames.extend(judged.frames);
+            self.progress.advance(1);
+        }
+        self.progress.end();
+        outcome.timings = Timings {
+            collect: task.open.seconds + references.seconds,
+            evaluation: begin.elapsed().as_secs_f64(),
+            ..Timings::default()
+        };
+        Ok(outcome)
+    }
+}
+
+/// Returns the record of the run if the same predictions were judged before.
+///
+/// # Errors
+/// When these were other predictions.
+fn judged_before(
+    registry: &Registry,
+    folder: &RunFolder,
+    submission: &Submission,
+) -> Result<Option<RunRecord>, ExperimentError> {
+    let Some(record) = folder.record()?.filter(|record| record.status == Status::Done) else {
+        return Ok(None);
+    };
+    if record.damage(Path::new(folder.path())).is_some() {
+        return Ok(None);
+    }
+    let before = record.submission.as_ref().map(|before| &before.predictions_sha256);
+    if before == Some(&submission.predictions_sha256) {
+        return Ok(Some(record));
+    }
+    let run = record.name();
+    let remedy = registry.command(&format!("rm {run}"));
+    Err(SubmissionError::Judged { run, remedy }.into())
+}
+
+/// Returns the SHA-256 of all values, by the inputs that were given, modality and horizon.
+fn digest(recorded: &[Recorded]) -> String {
+    let mut hash = Sha256::new();
+    for predictor in recorded {
+        for ((modality, horizon), values) in predictor.values() {
+            let given: Option<Vec<&str>> =
+                predictor.given().map(|given| given.iter().map(|modality| modality.name()).collect());
+            hash.update(format!("{given:?} {modality} {horizon} {}\n", values.len()));
+            values.iter().for_each(|value| hash.update(value.to_le_bytes()));
+        }
+    }
+    hex(&hash.finalize())
+}
