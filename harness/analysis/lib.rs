@@ -51,6 +51,9 @@ pub struct Selection {
     pub settings: Vec<Setting>,
     /// Whether runs on imported data are left out.
     pub simulated: bool,
+    /// Experiments of which the runs of external models are left out, because what is asked about their networks does
+    /// not tell them apart.
+    pub trained: Vec<String>,
 }
 
 /// An error in selecting runs, or in computing results from them.
@@ -221,6 +224,7 @@ impl Analysis {
             record.status == Status::Done
                 && (selection.experiments.is_empty() || selection.experiments.contains(&record.experiment))
                 && (!selection.simulated || matches!(record.spec.scenario, Origin::Simulated(_)))
+                && (record.spec.trained().is_some() || !selection.trained.contains(&record.experiment))
         };
         let recorded = recorded.into_par_iter().filter(|(_, record)| is_wanted(record));
         let with_settings = recorded.map(|(folder, record)| {
@@ -258,7 +262,7 @@ impl Analysis {
         settings: &[Setting],
     ) -> Result<Self, AnalysisError> {
         let (experiments, settings) = (experiments.to_vec(), settings.to_vec());
-        let analysis = Self::new(registry, &Selection { experiments, settings, simulated: false })?;
+        let analysis = Self::new(registry, &Selection { experiments, settings, ..Selection::default() })?;
         analysis.check_finished(&analysis.selection.experiments)?;
         Ok(analysis)
     }
@@ -560,7 +564,11 @@ fn named<'a>(differences: impl Iterator<Item = &'a Difference>, run: &Run) -> St
     let value = |difference: &Difference| {
         format!("{}={}", difference.key, settings::value(&run.settings, &difference.key))
     };
-    differences.map(value).collect::<Vec<_>>().join(", ")
+    // An external model has no settings of a network.
+    let is_own = |difference: &&Difference| {
+        run.record.spec.trained().is_some() || settings::concerns(&run.settings, &difference.key)
+    };
+    differences.filter(is_own).map(value).collect::<Vec<_>>().join(", ")
 }
 
 /// Checks that some run has each of these settings.

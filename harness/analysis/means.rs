@@ -36,7 +36,7 @@ pub struct Of {
     pub variant: String,
     /// The other settings in which the experiment's runs differ; see [`Analysis::settings`].
     pub settings: String,
-    /// Size of the latent state; `None` for a baseline, which has none.
+    /// Size of the latent state; `None` for a baseline and an external model, which have none.
     pub latent: Option<usize>,
     /// The task that is evaluated.
     pub task: Task,
@@ -194,7 +194,7 @@ impl Analysis {
         }
         let mean = |(of, (unit, values)): (Of, Values)| {
             let mut values: Vec<(u64, f64)> = values.into_values().collect();
-            if of.latent.is_none() {
+            if of.model != NETWORK {
                 let mut datasets = BTreeSet::new();
                 values.retain(|(dataset, _)| datasets.insert(*dataset));
             }

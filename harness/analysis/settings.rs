@@ -14,6 +14,10 @@ const REVISION: &str = "revision";
 /// The keys in which the runs of an experiment may always differ.
 const OF_CELLS: [&str; 4] = ["scenario", "latent", "seed", "simulation.seed"];
 const VARIANT: &str = "variant";
+/// The name of an external model, which only runs of external models have.
+const MODEL: &str = "model";
+/// The sections and the list of a spec about what a run trains.
+const OF_NETWORKS: [&str; 3] = ["network.", "training.", "tasks"];
 /// The section of a spec that only runs on simulated episodes have.
 const SIMULATION: &str = "simulation.";
 /// The sections of a spec with settings for each modality that a run uses.
@@ -96,19 +100,15 @@ impl fmt::Display for Difference {
 /// The settings in which the runs of one experiment differ, without scenario, latent size and seeds.
 ///
 /// Some settings are compared only between runs that have them: those of the simulation, which runs on imported data
-/// lack, and the scaling, losses and loss weights of modalities, which runs that do not use the modality lack. Datasets
-/// of different scenarios or simulation settings are no difference. Two datasets with the same scenario and simulation
-/// settings are one, because then the world, its model or MuJoCo differs.
+/// lack, those of a network, which external models lack, and the scaling, losses and loss weights of modalities, which
+/// runs that do not use the modality lack. Datasets of different scenarios or simulation settings are no difference.
+/// Two datasets with the same scenario and simulation settings are one, because then the world, its model or MuJoCo
+/// differs.
 pub(super) fn differences(runs: &[&Settings]) -> Vec<Difference> {
     let mut values: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
     let keys: BTreeSet<&str> = runs.iter().flat_map(|run| run.keys()).map(String::as_str).collect();
     for key in keys.into_iter().filter(|key| !OF_CELLS.contains(key) && ![DATASET, REVISION].contains(key)) {
-        let concerns = |run: &&&Settings| match key {
-            key if key.starts_with(SIMULATION) => is_simulated(run),
-            key if OF_MODALITIES.iter().any(|section| key.starts_with(section)) => run.contains_key(key),
-            _ => true,
-        };
-        values.insert(key, runs.iter().filter(concerns).map(|run| value(run, key)).collect());
+        values.insert(key, concerned(runs, key).map(|run| value(run, key)).collect());
     }
     let mut datasets: BTreeMap<Vec<(&str, &str)>, BTreeSet<&str>> = BTreeMap::new();
     for run in runs {
@@ -126,6 +126,23 @@ pub(super) fn differences(runs: &[&Settings]) -> Vec<Difference> {
         Difference { key: key.to_owned(), values: sorted(values), in_variant }
     };
     differing.map(difference).collect()
+}
+
+/// The runs between which a setting is compared.
+fn concerned<'a>(runs: &[&'a Settings], key: &str) -> impl Iterator<Item = &'a Settings> {
+    runs.iter().copied().filter(move |run| concerns(run, key))
+}
+
+/// Whether a run is compared with others by a setting.
+pub(super) fn concerns(run: &Settings, key: &str) -> bool {
+    match key {
+        key if key.starts_with(SIMULATION) => is_simulated(run),
+        key if key == MODEL || OF_MODALITIES.iter().any(|section| key.starts_with(section)) => {
+            run.contains_key(key)
+        }
+        key if OF_NETWORKS.iter().any(|section| key.starts_with(section)) => !run.contains_key(MODEL),
+        _ => true,
+    }
 }
 
 /// Sorts numbers by value, and other texts alphabetically.
@@ -161,7 +178,7 @@ fn is_in_variant(runs: &[&Settings], key: &str) -> bool {
         })
     };
     let mut values: BTreeMap<&str, &str> = BTreeMap::new();
-    runs.iter().all(|run| {
+    concerned(runs, key).all(|run| {
         let (variant, value) = (value(run, VARIANT), value(run, key));
         names(variant) && *values.entry(variant).or_insert(value) == value
     })

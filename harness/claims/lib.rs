@@ -522,8 +522,11 @@ pub fn runs(
 /// The selection of runs for these claims, to which a caller may add experiments.
 pub fn selection(claims: &[&Claim], settings: &[Setting], quick: bool) -> Selection {
     let experiments = claims.iter().flat_map(|claim| claim.experiments(quick)).collect();
+    // A query that does not name the column `variant` is about networks. Their means must not contain other models.
+    let is_of_networks = |claim: &&&Claim| !claim.queries().any(|query| query.value.contains("variant"));
+    let trained = claims.iter().filter(is_of_networks).flat_map(|claim| claim.experiments(quick)).collect();
     // The paper's statements are about the simulated scenarios.
-    Selection { experiments, settings: settings.to_vec(), simulated: true }
+    Selection { experiments, settings: settings.to_vec(), simulated: true, trained }
 }
 
 /// Announces the claims' queries to `analysis`, so that each table is read once.

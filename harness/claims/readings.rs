@@ -64,7 +64,8 @@ impl<'a> Readings<'a> {
         settings: &[Setting],
     ) -> Result<Self, AnalysisError> {
         let experiments = vec![spec.name.clone()];
-        let selection = Selection { experiments, settings: settings.to_vec(), simulated: true };
+        let (settings, trained) = (settings.to_vec(), experiments.clone());
+        let selection = Selection { experiments, settings, simulated: true, trained };
         let mut readings = Self { spec, analysis: Analysis::new(registry, &selection)? };
         let mut queries = BTreeSet::new();
         for reading in readings.names() {

@@ -14,7 +14,7 @@ use harness::judge::models::{self, NETWORK};
 use harness::metrics::Metric;
 use harness::numbers::Natural;
 use harness::registry::Registry;
-use harness::spec::{Modality, Origin, Task, variant_parts};
+use harness::spec::{Modality, Origin, Task, model_parts, variant_parts};
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::ExitCode;
 
@@ -162,18 +162,21 @@ fn printed(interval: &Interval, unit: &str) -> (String, Option<String>) {
     (number(interval.mean), interval.bounds.map(|(_, high)| number(high - interval.mean)))
 }
 
-/// A column of the table. Columns of the network come first, then those of each baseline.
+/// A column of the table. Columns of the network come first, then those of each external model and each baseline.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 struct Side {
-    /// `None` for the network.
+    /// `None` for the network and external models.
     baseline: Option<String>,
+    /// The name of an external model, if the variant does not distinguish columns.
+    model: Option<String>,
     place: Place,
 }
 
 impl Side {
     /// The column's heading. A network that no key distinguishes from the others is called the network.
     fn name(&self, style: Style, legend: &BTreeMap<String, String>) -> String {
-        let model = self.baseline.as_ref().map(|name| name.replace('_', " "));
+        let baseline = self.baseline.as_ref().map(|name| name.replace('_', " "));
+        let model = baseline.or_else(|| self.model.clone());
         let words = model.into_iter().chain(self.place.words(style, legend));
         let words: Vec<String> = words.filter(|word| !word.is_empty()).collect();
         if words.is_empty() { NETWORK.to_owned() } else { words.join(", ") }
@@ -209,15 +212,24 @@ struct Comparison<'a> {
 
 impl<'a> Comparison<'a> {
     fn new(means: impl Iterator<Item = &'a Mean>, by: &[Key], metrics: &'a [String]) -> Self {
+        // An external model is a column beside the networks on the same data.
+        let variants_are_rows = !by.contains(&Key::Variant);
         let subject = |of: &Of| Subject {
             task: of.task,
-            place: Place::of(of, |key| !by.contains(&key)),
+            place: Place {
+                variant: variants_are_rows.then(|| Natural::new(model_parts(&of.variant).0)),
+                ..Place::of(of, |key| !by.contains(&key))
+            },
             modality: of.modality,
             direction: of.direction.clone(),
             metric: metrics.iter().position(|name| *name == of.metric).unwrap_or(metrics.len()),
         };
         let side = |of: &Of| Side {
             baseline: (of.model != NETWORK).then(|| of.model.clone()),
+            model: model_parts(&of.variant)
+                .1
+                .filter(|_| variants_are_rows && of.model == NETWORK)
+                .map(str::to_owned),
             place: Place::of(of, |key| by.contains(&key)),
         };
         let mut comparison =
@@ -261,7 +273,7 @@ impl<'a> Comparison<'a> {
                 rows.entry(subject).or_default().insert(printed(&mean.interval, &mean.unit));
             }
             if rows.values().all(|numbers| numbers.len() == 1) {
-                let side = Side { baseline: Some(name.clone()), place: Place::default() };
+                let side = Side { baseline: Some(name.clone()), model: None, place: Place::default() };
                 let (own, others): (Vec<_>, Vec<_>) =
                     std::mem::take(&mut self.values).into_iter().partition(|(key, _)| is_own(key));
                 let own = own.into_iter().map(|((subject, _), mean)| ((subject, side.clone()), mean));

@@ -59,8 +59,10 @@ impl Figures {
             multi_to_multi: self.multi.unwrap_or(paper.multi_to_multi),
             readings: paper.readings,
         };
-        let names = experiments.names().into_iter().chain([experiments.readings.clone()]).collect();
-        let selection = Selection { experiments: names, settings: self.settings, simulated: true };
+        let names: Vec<String> =
+            experiments.names().into_iter().chain([experiments.readings.clone()]).collect();
+        let (settings, trained) = (self.settings, names.clone());
+        let selection = Selection { experiments: names, settings, simulated: true, trained };
         let analysis = Analysis::new(registry, &selection)?;
         for note in analysis.notes() {
             eprintln!("{note}");

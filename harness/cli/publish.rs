@@ -26,8 +26,8 @@ pub struct Publish {
 impl Publish {
     /// Publishes the runs of the experiments that count.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let selection =
-            Selection { experiments: self.experiments.clone(), settings: self.settings, simulated: false };
+        let (experiments, settings) = (self.experiments.clone(), self.settings);
+        let selection = Selection { experiments, settings, ..Selection::default() };
         let analysis = Analysis::new(registry, &selection)?;
         analysis.check_finished(&self.experiments)?;
         let mut chosen = Vec::new();

@@ -167,8 +167,11 @@ impl Asked {
         let quick = self.is_quick();
         let analysis = if self.experiments.is_empty() {
             let mut selection = claims::selection(claims, &self.settings, quick);
-            selection.experiments.extend(Experiments::of_the_paper(quick).names());
-            selection.experiments.push(readings.name.clone());
+            let of_the_paper =
+                Experiments::of_the_paper(quick).names().into_iter().chain([readings.name.clone()]);
+            let of_the_paper: Vec<String> = of_the_paper.collect();
+            selection.experiments.extend(of_the_paper.iter().cloned());
+            selection.trained.extend(of_the_paper);
             Analysis::new(registry, &selection)?
         } else {
             Analysis::finished(registry, &self.experiments, &self.settings)?
