@@ -43,7 +43,8 @@ pub enum TaskError {
     },
     /// The dataset is not complete.
     #[error(
-        "the dataset {dataset} lacks {missing} of its episodes, so it has no predictions yet; `{command}` simulates them"
+        "the dataset {dataset} lacks {missing} of its episodes, so nothing can be judged yet; `{command}` simulates \
+         them"
     )]
     NotCollected {
         /// Name of the dataset.

@@ -369,6 +369,9 @@ impl Runner<'_> {
             return Ok(JudgedRun { record, was_done: true });
         }
         let outcome = self.outcome(task, &recorded)?;
+        if self.progress.cancelled() {
+            return Err(ExperimentError::Cancelled);
+        }
         let Some(claimed) = self.registry.claim(&folder)? else {
             let holder = FolderLock::holder(folder.path()).unwrap_or_else(|| "another process".into());
             let run = format!("{}/{}", task.task.experiment, folder.id());
@@ -401,7 +404,7 @@ impl Runner<'_> {
             ..Outcome::default()
         };
         let windows = &task.partition().test;
-        self.progress.begin("judging", recorded.len() as u64, "predictors");
+        self.progress.begin("judging", (windows.len() * recorded.len()) as u64, "windows");
         for predictor in recorded {
             let sampled = Some(&references.sampled[..]);
             let test = Test { samples: task.samples(), task: Task::Prediction, windows, sampled };
@@ -409,7 +412,7 @@ impl Runner<'_> {
             outcome.metrics.extend(judged.metrics);
             outcome.predictions.extend(judged.predictions);
             outcome.frames.extend(judged.frames);
-            self.progress.advance(1);
+            self.progress.advance(windows.len() as u64);
         }
         self.progress.end();
         outcome.timings = Timings {

@@ -21,7 +21,7 @@ mod verdicts;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use harness_analysis::{Analysis, AnalysisError, Setting, has_settings};
+use harness_analysis::{Analysis, AnalysisError, Selection, Setting, has_settings};
 use harness_catalog::QueryError;
 use harness_claims::{self as claims, Claim, ClaimsError};
 use harness_figures::source::{Experiments, Source};
@@ -174,7 +174,14 @@ impl Asked {
             selection.trained.extend(of_the_paper);
             Analysis::new(registry, &selection)?
         } else {
-            Analysis::finished(registry, &self.experiments, &self.settings)?
+            Analysis::finished(registry, &self.experiments, &self.settings)?;
+            // The charts and figures are about networks, except claims that name the variant.
+            let of_claims = claims::selection(claims, &self.settings, quick);
+            let is_of_networks =
+                |name: &&String| !of_claims.experiments.contains(name) || of_claims.trained.contains(name);
+            let trained = self.experiments.iter().filter(is_of_networks).cloned().collect();
+            let (experiments, settings) = (self.experiments.clone(), self.settings.clone());
+            Analysis::new(registry, &Selection { experiments, settings, trained, ..Selection::default() })?
         };
         Ok(claims::expect(analysis, claims, quick).expect([joints::SQL, FORCES_SQL]))
     }

@@ -26,6 +26,8 @@ Experiments and results:
 Data and networks:
 
 - `Dataset` opens a dataset.
+- `task` opens a task: what a model of PyTorch, JAX, scikit-learn or another program gets and predicts. The program then
+  judges its predictions like those of its own networks.
 - `load_model` opens a trained network. `load_network` opens it as a `torch.nn.Module`, and `export_onnx` writes it as
   an ONNX model.
 
@@ -67,6 +69,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from .networks import Network
+    from .prediction import PredictionTask
     from .torch import Transitions
 
 __all__ = [
@@ -89,6 +92,7 @@ __all__ = [
     "query",
     "report",
     "run",
+    "task",
     "verify",
 ]
 
@@ -669,6 +673,75 @@ def export_tensorboard(
 
     chosen = runs.read_runs(_names("experiments", experiments), condition, Path(results))
     return tensorboard.write(chosen, Path(folder), progress)
+
+
+def task(
+    spec: str | os.PathLike[str] | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    dataset: str | os.PathLike[str] | None = None,
+    inputs: str | Iterable[str] | None = None,
+    outputs: str | Iterable[str] | None = None,
+    context: int = 1,
+    horizons: int | Iterable[int] = 1,
+    split: Mapping[str, Any] | None = None,
+    action: str = "increment",
+    name: str | None = None,
+    cell: str | None = None,
+    quick: bool = False,
+    results: str | os.PathLike[str] = "results",
+    progress: bool = False,
+) -> "PredictionTask":
+    """Opens a task for a model of another program: of an experiment, or of a dataset.
+
+    Every spec of an experiment is a task, because it says which data a model gets and what it predicts. A model that is
+    judged on it stands beside the networks that `run` trains. For a dataset, the arguments say the same.
+
+    Args:
+        spec: the experiment: the path of a YAML file, which need not have a network, or the name of a built-in one.
+        overrides: settings to change in the spec, as in `run`.
+        dataset: name of a dataset in the results folder, instead of a spec.
+        inputs: modalities that a model gets.
+        outputs: modalities that it predicts.
+        context: number of samples that it sees, with the present one.
+        horizons: how many samples ahead predictions are judged. The longest is that of the task. Shorter ones must be
+            among 1, 2, 5, 10, 20, 50, 100, 200 and 500, at all of which every task is judged.
+        split: how the dataset is divided, as in a spec: `{"by": "time", "test": 0.2}`.
+        action: `increment`, the change of the setpoint in a sample, or `target`, the setpoint after it.
+        name: name of the experiment of the task. The default is made of a hash of the arguments.
+        cell: the task, if the experiment has several: a scenario, or a name that `harness task` lists.
+        quick: applies the `quick` settings of the spec.
+        results: the folder of datasets and runs.
+        progress: shows progress bars on stderr while the dataset is read.
+
+    Returns:
+        The task; see `harness.prediction.PredictionTask`.
+
+    Raises:
+        FileNotFoundError: there is no such spec or dataset, or the dataset is not complete.
+        KeyError: the dataset lacks a modality.
+        TypeError: both a spec and a dataset are given, or neither.
+        ValueError: the spec or an argument is wrong, or the experiment has several tasks. The message lists them.
+
+    Example:
+        >>> model = harness.load_model("smoke/empty-z4")
+        >>> harness.task(dataset=model.dataset, inputs="arm", outputs="contact_force", context=3, horizons=[1, 5])
+        <harness.PredictionTask task-.../empty: arm to contact_force, task ...>
+    """
+    from .prediction import PredictionTask, check_horizons, task_text
+
+    if (spec is None) == (dataset is None):
+        raise TypeError("task: give either a spec or a dataset")
+    folder = Path(results)
+    if spec is not None:
+        return PredictionTask(Path(spec), None, _changes(overrides), quick, cell, folder, progress)
+    text = task_text(dataset, inputs, outputs, context, horizons, split, action, name, folder)
+    try:
+        opened = PredictionTask(Path("task"), text, [], False, None, folder, progress)
+    except FileNotFoundError as error:
+        raise ValueError(f"dataset: this version does not simulate {Path(dataset).name} as it is ({error})") from error
+    check_horizons(opened, horizons)
+    return opened
 
 
 class Dataset(_harness.Dataset):

@@ -12,6 +12,7 @@ __all__ = [
     "Model",
     "SimulationBatch",
     "Table",
+    "Task",
     "claims",
     "collect",
     "compare",
@@ -103,6 +104,46 @@ class Table:
     """A table that readers of Arrow's C stream interface can read."""
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> Any: ...
+
+@disjoint_base
+class Task:
+    """The compiled part of `harness.PredictionTask`."""
+
+    def __new__(
+        cls,
+        path: Path,
+        text: str | None,
+        overrides: list[str],
+        quick: bool,
+        cell: str | None,
+        results: Path,
+        progress: bool,
+    ) -> Task: ...
+    def description(self) -> str:
+        """Returns the description of the task, as JSON."""
+
+    def yaml(self) -> str:
+        """Returns the spec of the task as YAML. Raises ValueError if its world is a file."""
+
+    def bounds(self) -> NDArray[np.int64]:
+        """Returns the samples of each episode, `[episodes, 2]`: index of the first one, of the last one plus 1."""
+
+    def windows(self, part: str) -> NDArray[np.int64]:
+        """Returns the present samples of the windows of a part, `[windows]`, int64."""
+
+    def array(self, name: str) -> NDArray[Any]:
+        """Returns all samples of a modality, as `Dataset` does."""
+
+    def judge(
+        self,
+        predictions: list[tuple[str, int, NDArray[Any]]],
+        model: str,
+        seed: int,
+        notes: dict[str, str],
+        command: list[str],
+        progress: bool,
+    ) -> tuple[str, bool]:
+        """Judges predictions of the test windows. Returns the name of the run, and whether it was done before."""
 
 @disjoint_base
 class Dataset:

@@ -14,8 +14,9 @@ from .recorded import difference_of
 
 if TYPE_CHECKING:
     from . import Dataset
+    from .prediction import Windows
 
-__all__ = ["Transitions"]
+__all__ = ["Transitions", "WindowDataset"]
 
 
 class Transitions(torch.utils.data.Dataset[tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]]):
@@ -123,3 +124,38 @@ class Transitions(torch.utils.data.Dataset[tuple[dict[str, torch.Tensor], torch.
     def _planes(self, name: str, sample: int) -> NDArray[np.uint8]:
         planes: NDArray[np.uint8] = self._arrays[name][sample].transpose(2, 0, 1)
         return planes
+
+
+class WindowDataset(torch.utils.data.Dataset[tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]]):
+    """The windows of a part of a task's dataset. `PredictionTask.torch` creates it.
+
+    An item consists of the context, the actions and the targets, as in `harness.prediction.Batch`, but as tensors.
+    Images are `[samples, 3, rows, columns]`.
+
+    Args:
+        windows: the windows.
+
+    Example:
+        >>> task = harness.task("smoke", cell="empty")                                            # needs torch
+        >>> context, actions, targets = task.torch()[0]
+        >>> context["vision"].shape, actions.shape, targets["contact_force"].shape
+        (torch.Size([1, 3, 64, 64]), torch.Size([1, 3]), torch.Size([1, 20]))
+    """
+
+    def __init__(self, windows: Windows) -> None:
+        self._windows = windows
+
+    def __len__(self) -> int:
+        """Returns the number of windows."""
+        return len(self._windows)
+
+    def __getitem__(self, index: int) -> tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]:
+        """Returns a window: the context, the actions `[horizon, elements]` and the targets."""
+        context, actions, targets = self._windows[index]
+        return _tensors(context), torch.from_numpy(actions.copy()), _tensors(targets)
+
+
+def _tensors(arrays: dict[str, NDArray[Any]]) -> dict[str, torch.Tensor]:
+    """Returns copies of arrays as tensors. The channels of images come before their rows and columns."""
+    planes = {name: array.transpose(0, 3, 1, 2) if array.ndim == 4 else array for name, array in arrays.items()}
+    return {name: torch.from_numpy(np.ascontiguousarray(array).copy()) for name, array in planes.items()}

@@ -218,15 +218,26 @@ impl Dataset {
             let all = slf.get().keys().join(", ");
             return Err(PyKeyError::new_err(format!("the dataset has no '{name}' in memory; it has {all}")));
         };
-        let definition = &samples.layout()[modality];
-        match definition.size() {
-            Some([rows, columns]) => {
-                let shape = [samples.len(), IMAGE_CHANNELS, rows, columns];
-                // SAFETY: a dataset never changes, and the array owns a reference to it.
-                pixels_last(unsafe { view(slf, samples.image(modality), &shape) }?)
-            }
-            // SAFETY: as above.
-            None => unsafe { view(slf, samples.vectors(modality), &[samples.len(), definition.width()]) },
+        modality_array(slf, samples, modality)
+    }
+}
+
+/// Returns all samples of a modality that the layout has as a read-only array, `[samples, width]` or
+/// `[samples, rows, columns, 3]`. `owner` must own the samples and never change them. The change of an image has the
+/// values of the image.
+pub fn modality_array<'py, O>(
+    owner: &Bound<'py, O>,
+    samples: &Samples,
+    modality: Modality,
+) -> PyResult<Bound<'py, PyAny>> {
+    let definition = &samples.layout()[modality];
+    match definition.size() {
+        Some([rows, columns]) => {
+            let shape = [samples.len(), IMAGE_CHANNELS, rows, columns];
+            // SAFETY: the owner never changes the samples, and the array owns a reference to it.
+            pixels_last(unsafe { view(owner, samples.image(modality), &shape) }?)
         }
+        // SAFETY: as above.
+        None => unsafe { view(owner, samples.vectors(modality), &[samples.len(), definition.width()]) },
     }
 }

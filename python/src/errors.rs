@@ -3,7 +3,7 @@
 use harness::analysis::AnalysisError;
 use harness::catalog::QueryError;
 use harness::dataset::DatasetError;
-use harness::experiment::{ExperimentError, ModelError, describe};
+use harness::experiment::{ExperimentError, ModelError, SubmissionError, describe};
 use harness::figures::FigureError;
 use harness::learning::LearningError;
 use harness::registry::RegistryError;
@@ -117,6 +117,8 @@ impl Raise for ExperimentError {
             Self::Simulation(error) => error.raise(),
             Self::Registry(error) => error.raise(),
             Self::NoTraining | Self::Learning(LearningError::Device { .. }) => self.value_error(),
+            Self::Submission(SubmissionError::Held { .. }) => self.runtime_error(),
+            Self::Submission(_) => self.value_error(),
             _ => self.runtime_error(),
         }
     }

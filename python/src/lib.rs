@@ -11,6 +11,7 @@ mod model;
 mod results;
 mod run;
 mod simulation;
+mod task;
 mod work;
 
 use mimalloc::MiMalloc;
@@ -37,6 +38,8 @@ mod _harness {
     use super::run::{Table, compare, query, run};
     #[pymodule_export]
     use super::simulation::SimulationBatch;
+    #[pymodule_export]
+    use super::task::Task;
 
     /// Runs the command line; returns its exit code. See [`cli::main`].
     #[pyfunction]

@@ -1,7 +1,7 @@
 //! The Python functions `claims`, `figures`, `plot`, `report`, `verify` and `collect`.
 
 use crate::errors::Raise;
-use crate::run::{Listener, Table, loaded, settings_of, warn};
+use crate::run::{Listener, Table, settings_of, warn, writable};
 use crate::work::interruptible;
 use harness::analysis::{Analysis, AnalysisError, Key, Selection};
 use harness::claims::ClaimsError;
@@ -15,7 +15,7 @@ use harness::progress::Silent;
 use harness::registry::Registry;
 use harness::report::{Asked, ReportError};
 use harness::simulation::Scene;
-use harness::spec::Task;
+use harness::spec::{self, Task};
 use pyo3::PyErr;
 use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -86,8 +86,8 @@ pub fn figures(
         multi_to_multi: multi.unwrap_or(paper.multi_to_multi),
         readings: paper.readings,
     };
-    let all = experiments.names().into_iter().chain([experiments.readings.clone()]).collect();
-    let selection = Selection { experiments: all, settings, simulated: true };
+    let all: Vec<String> = experiments.names().into_iter().chain([experiments.readings.clone()]).collect();
+    let selection = Selection { experiments: all.clone(), settings, simulated: true, trained: all };
     let draw = || -> Result<Drawn, AnalysisError> {
         let analysis = Analysis::new(&registry, &selection)?;
         let source = Source::new(&analysis, experiments);
@@ -217,7 +217,8 @@ pub fn collect(
     results: PathBuf,
     progress: bool,
 ) -> PyResult<Vec<(PathBuf, usize)>> {
-    let (experiment, registry) = loaded(&path, &overrides, quick, results)?;
+    let experiment = spec::load_task(&path, &overrides, quick).map_err(Raise::raise)?;
+    let registry = writable(results)?;
     let cancelled = AtomicBool::new(false);
     let listener = Listener::new(progress, &cancelled);
     let work = || -> PyResult<Vec<(PathBuf, usize)>> {

@@ -8,7 +8,7 @@ use harness::cli::progress::Bars;
 use harness::experiment::{ExperimentError, Runner, provenance};
 use harness::progress::{Progress, Silent};
 use harness::registry::{Registry, quoted};
-use harness::spec::{self, Experiment};
+use harness::spec;
 use polars::prelude::{CompatLevel, DataFrame, SchemaExt};
 use polars_arrow::array::StructArray;
 use polars_arrow::datatypes::{ArrowDataType, Field};
@@ -25,17 +25,11 @@ pub fn settings_of(texts: &[String]) -> PyResult<Vec<Setting>> {
     texts.iter().map(|text| text.parse().map_err(PyValueError::new_err)).collect()
 }
 
-/// Loads an experiment, and opens the results folder that its runs are written to.
-pub fn loaded(
-    path: &Path,
-    overrides: &[String],
-    quick: bool,
-    results: PathBuf,
-) -> PyResult<(Experiment, Registry)> {
-    let experiment = spec::load(path, overrides, quick).map_err(Raise::raise)?;
+/// Opens a results folder that can be written.
+pub fn writable(results: PathBuf) -> PyResult<Registry> {
     let registry = Registry::new(results);
     registry.check_writable().map_err(|error| PyOSError::new_err(error.to_string()))?;
-    Ok((experiment, registry))
+    Ok(registry)
 }
 
 /// Does every run of an experiment that isn't done yet, and returns the numbers of runs done now and before; see
@@ -53,7 +47,8 @@ pub fn run(
     jobs: usize,
     memory: Option<u64>,
 ) -> PyResult<(usize, usize)> {
-    let (experiment, registry) = loaded(&path, &overrides, quick, results)?;
+    let experiment = spec::load(&path, &overrides, quick).map_err(Raise::raise)?;
+    let registry = writable(results)?;
     let threads = rayon::current_num_threads();
     let command = command(&path, &overrides, quick, &registry);
     let provenance = py.detach(|| provenance(threads, command));

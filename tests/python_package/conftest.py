@@ -1,6 +1,9 @@
 """The smoke experiment, done once for all tests by the package itself."""
 
 import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 # For the renderer of MuJoCo's own package, which reads it when it is imported.
@@ -26,3 +29,25 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def folders(results: Path) -> dict[str, Path]:
     """The smoke experiment's datasets by scenario."""
     return {folder.name.split("-")[0]: folder for folder in (results / "datasets").iterdir()}
+
+
+@pytest.fixture
+def copy(results: Path, tmp_path: Path) -> Path:
+    """A copy of the smoke experiment's results."""
+    folder = tmp_path / "results"
+    shutil.copytree(results, folder)
+    return folder
+
+
+def check_example(name: str, inputs: list[str], results: Path) -> None:
+    """Runs an example on a task, and checks that its best model learned something."""
+    dataset = next(path.name for path in (results / "datasets").iterdir() if path.name.startswith("empty"))
+    outputs = ["arm", "contact_force"]
+    task = harness.task(dataset=dataset, inputs=inputs, outputs=outputs, context=3, horizons=5, results=results)
+    task.save(results.parent / "task.yaml")
+    command = [sys.executable, ROOT / f"python/examples/{name}.py", "task.yaml", "1"]
+    subprocess.run(command, cwd=results.parent, check=True)
+    # The arm hardly moves in a sample, so any model that learned something is better than the mean.
+    errors = task.compare().filter(metric="rmse", modality="arm")
+    best = {model: errors.filter(model=model)["mean"].min() for model in ("network", "training_mean")}
+    assert best["network"] < best["training_mean"], best

@@ -27,6 +27,7 @@ MODULES = [
     "harness.gymnasium",
     "harness.importing",
     "harness.networks",
+    "harness.prediction",
     "harness.tasks",
     "harness.torch",
 ]

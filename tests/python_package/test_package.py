@@ -708,6 +708,18 @@ def test_what_is_returned_has_the_types_of_the_stubs(
         "SimulationBatch.sense": lambda: simulation.sense("vision"),
         "SimulationBatch.render": lambda: simulation.render(0, 16, 16),
     }
+    copy = tmp_path / "results"
+    shutil.copytree(results, copy)
+    task = _harness.Task(SMOKE, None, ["output=[arm]", "tasks=[prediction]"], False, "cluttered", copy, False)
+    predictions = [("arm", 1, np.zeros((len(task.windows("test")), 3), np.float32))]
+    calls |= {
+        "Task.description": task.description,
+        "Task.yaml": task.yaml,
+        "Task.bounds": task.bounds,
+        "Task.windows": lambda: task.windows("training"),
+        "Task.array": lambda: task.array("vision"),
+        "Task.judge": lambda: task.judge(predictions, "zero", 0, {}, ["python"], False),
+    }
     objects = {"Dataset": dataset, "Model": model, "SimulationBatch": simulation}
     stubs = ast.parse((ROOT / "python/harness/_harness.pyi").read_text()).body
     functions = {stub.name: stub for stub in stubs if isinstance(stub, ast.FunctionDef)}
@@ -717,7 +729,7 @@ def test_what_is_returned_has_the_types_of_the_stubs(
     # What makes an object returns one of its own class, `main` prints, pickling is tested elsewhere, and a table
     # returns a capsule.
     left_out = {"main", "Dataset.__new__", "Model.__new__", "SimulationBatch.__new__", "Table.__arrow_c_stream__"}
-    left_out |= {"Dataset.__reduce__", "Model.__reduce__"}
+    left_out |= {"Dataset.__reduce__", "Model.__reduce__", "Task.__new__"}
     for name in sorted(functions.keys() - left_out):
         stub = functions[name]
         if stub.decorator_list:

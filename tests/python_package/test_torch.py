@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import SMOKE, check_example
 
 import harness
 
@@ -62,3 +63,23 @@ def test_only_the_change_of_an_image_is_computed() -> None:
     assert np.array_equal(following["wrist_difference"].numpy(), change.transpose(2, 0, 1))
     with pytest.raises(KeyError, match="setpoint_difference"):
         Transitions(data, ["setpoint_difference"], ["wrist"])
+
+
+def test_windows_of_a_task_are_a_map_style_dataset(results: Path) -> None:
+    overrides = {"input": ["proprioception", "vision"], "output": ["contact_force"], "window.context": 3}
+    task = harness.task(SMOKE, overrides, cell="empty", results=results)
+    windows, found = task.train(), task.torch("train")
+    context, actions, targets = found[30]
+    expected = windows[30]
+    assert np.array_equal(context["proprioception"].numpy(), expected.context["proprioception"])
+    assert np.array_equal(context["vision"].numpy().transpose(0, 2, 3, 1), expected.context["vision"])
+    assert np.array_equal(context["action"].numpy(), expected.context["action"])
+    assert np.array_equal(actions.numpy(), expected.actions)
+    assert np.array_equal(targets["contact_force"].numpy(), expected.targets["contact_force"])
+    loader = torch.utils.data.DataLoader(found, batch_size=16, shuffle=True)
+    assert sum(len(actions) for _, actions, _ in loader) == len(windows)
+
+
+@pytest.mark.parametrize("example", ["torch_cnn", "torch_gru"])
+def test_the_examples_for_pytorch_work(example: str, copy: Path) -> None:
+    check_example(example, ["proprioception", "arm", "vision"], copy)

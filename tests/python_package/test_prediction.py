@@ -1,0 +1,379 @@
+"""Models of other programs: their windows and their metrics, compared with numpy, scikit-learn and our own networks."""
+
+import signal
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars
+import pytest
+from conftest import ROOT, SMOKE, check_example
+from sklearn.metrics import mean_absolute_error, r2_score, root_mean_squared_error
+
+import harness
+from harness.prediction import Arrays, PredictionTask
+
+AHEAD = {
+    "input": ["proprioception", "arm"],
+    "output": ["proprioception", "arm", "contact_force"],
+    "window.context": 3,
+    "window.horizon": 5,
+}
+"""Settings of the smoke experiment with longer windows, for networks that predict only vectors."""
+
+
+def files(folder: Path) -> dict[Path, int]:
+    """All files below a folder, with the time of their last change."""
+    return {path: path.stat().st_mtime_ns for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def last(context: Arrays, actions: np.ndarray) -> dict[str, np.ndarray]:
+    """Repeats the last angles, and predicts forces that depend on them."""
+    now = np.repeat(context["proprioception"][:, -1:], actions.shape[1], 1)
+    return {"proprioception": now, "contact_force": np.abs(now)}
+
+
+def vectors(results: Path) -> PredictionTask:
+    """A task with vectors only."""
+    changes = {"input": ["proprioception"], "output": ["proprioception", "contact_force"]}
+    return harness.task(SMOKE, {**AHEAD, **changes}, cell="empty", results=results)
+
+
+def test_windows_are_those_of_the_split(results: Path, folders: dict[str, Path]) -> None:
+    task = harness.task(SMOKE, AHEAD, cell="empty", results=results)
+    data = harness.Dataset(folders["empty"])
+    assert (task.context, task.horizon, task.horizons) == (3, 5, (1, 2, 5))
+    # Two episodes of 30 samples for training. The first two samples have no context, the last five no horizon.
+    assert [len(part) for part in (task.train(), task.validation(), task.test_inputs())] == [46, 23, 23]
+    windows = task.train()
+    assert windows.samples.tolist() == [*range(2, 25), *range(32, 55)]
+    context, actions, targets = windows[30]
+    present = windows.samples[30]
+    assert np.array_equal(context["proprioception"], data["proprioception"][present - 2 : present + 1])
+    assert np.array_equal(targets["contact_force"], data["contact_force"][present + 1 : present + 6])
+    steps = np.diff(data["setpoint"], axis=0)
+    assert np.array_equal(actions, steps[present : present + 5])
+    assert np.array_equal(context["action"], steps[present - 2 : present])
+    everything, some = windows[:], windows[[40, 3, 3]]
+    for batch, chosen in ((some, [40, 3, 3]), (windows[5:9], range(5, 9))):
+        for name, array in batch.context.items():
+            assert np.array_equal(array, everything.context[name][list(chosen)]), name
+        assert np.array_equal(batch.actions, everything.actions[list(chosen)])
+    blocks = list(windows.blocks())
+    assert [len(block.actions) for block in blocks] == [23, 23]
+    assert np.array_equal(np.concatenate([block.targets["arm"] for block in blocks]), everything.targets["arm"])
+    assert task.test_inputs()[:].targets == {}
+
+
+def test_consecutive_windows_are_views(results: Path) -> None:
+    task = harness.task(SMOKE, AHEAD, cell="empty", results=results)
+    for block in task.train().blocks():
+        for name, array in (*block.context.items(), *block.targets.items()):
+            if name != "action":
+                assert np.shares_memory(array, task.array(name)) and not array.flags.writeable, name
+
+
+def test_images_and_their_changes_are_in_windows(results: Path, folders: dict[str, Path]) -> None:
+    task = harness.task(SMOKE, cell="empty", results=results)
+    frames = harness.Dataset(folders["empty"])["vision"]
+    context, _, targets = task.train()[[0, 29]]
+    assert np.array_equal(context["vision"][:, 0], frames[[0, 30]])
+    change = (frames[[1, 31]].astype(np.float32) - frames[[0, 30]].astype(np.float32)) / np.float32(255)
+    assert np.array_equal(targets["frame_difference"][:, 0], change)
+
+
+@pytest.mark.parametrize("has_images", [False, True])
+def test_our_own_network_gets_its_own_metrics(has_images: bool, copy: Path) -> None:
+    """To the last digit. Those of images have rounding errors, because `Model` gets them as numbers, not as bytes."""
+    changes = {} if has_images else {"input": ["proprioception", "arm"], "output": ["proprioception", "contact_force"]}
+    overrides = {**changes, "seeds": 7, "scenarios": "empty"}
+    assert harness.run(SMOKE, overrides, results=copy, progress=False) == (1, 0)
+    task = harness.task(SMOKE, overrides, results=copy)
+    model = harness.load_model("smoke/empty-z4-seed7", results=copy)
+
+    def predict(context: Arrays, actions: np.ndarray) -> dict[str, np.ndarray]:
+        found = model.predict({name: array[:, 0] for name, array in context.items()}, actions[:, 0])
+        return {name: array[:, None] for name, array in found.items()}
+
+    run, was_done = task.submit(predict, model="twin", seed=7, progress=False)
+    assert run.startswith("smoke/empty-model=twin-seed7-") and not was_done
+    assert task.submit(predict, model="twin", seed=7, progress=False) == (run, True)
+    for table in ("all_metrics", "all_predictions", "frames", "forces"):
+        condition = "task = 'prediction' and " if table != "forces" else ""
+        sql = f"select * from {table} where {condition} seed = 7 and architecture = '{{}}'"
+        keys = ["run", "architecture", "latent", "variant"]
+        values = ["value", "reference", "predicted"]
+        found = [harness.query(sql.format(name), copy).drop(keys) for name in ("multi_to_multi", "twin")]
+        order = [name for name in found[0].columns if name not in values]
+        ours, theirs = (rows.sort(order, nulls_last=True) for rows in found)
+        assert ours.height > 0 or (table == "frames" and not has_images), table
+        if not has_images or table not in ("all_metrics", "all_predictions"):
+            assert ours.equals(theirs), table
+        else:
+            assert ours.select(order).equals(theirs.select(order)), table
+            name = next(name for name in ("value", "predicted") if name in ours)
+            # Counts of pixels and other exact values are equal as well.
+            assert np.allclose(ours[name].to_numpy(), theirs[name].to_numpy(), rtol=1e-4, atol=1e-6, equal_nan=True)
+    assert harness.verify(copy) == []
+
+
+def test_metrics_are_those_of_scikit_learn(copy: Path) -> None:
+    task = vectors(copy)
+    task.submit(last, model="last", seed=3, notes={"commit": "ab12cd3", "seconds": 1.5}, progress=False)
+    data = harness.Dataset(copy / "datasets" / task.dataset)
+    present = task.test_inputs().samples
+    rows = harness.query("select * from all_metrics where architecture = 'last' and model = 'network'", copy)
+    for horizon in task.horizons:
+        found = {"proprioception": data["proprioception"][present]}
+        found["contact_force"] = np.abs(found["proprioception"])
+        for name, values in found.items():
+            wanted = data[name][present + horizon].astype(float)
+            overall = rows.filter(polars.col("index").is_null(), polars.col("direction").is_null())
+            overall = overall.filter(modality=name, horizon=horizon)
+            metrics = dict(overall.select("metric", "value").iter_rows())
+            assert metrics["mae"] == pytest.approx(mean_absolute_error(wanted, values), rel=1e-6)
+            assert metrics["rmse"] == pytest.approx(root_mean_squared_error(wanted.ravel(), values.ravel()), rel=1e-6)
+            by_joint = rows.filter(polars.col("index").is_not_null())
+            by_joint = by_joint.filter(modality=name, horizon=horizon, metric="r2")
+            own = dict(by_joint.select("index", "value").iter_rows())
+            # A joint or link whose value never changes has none.
+            assert any(value is not None for value in own.values())
+            for index in (index for index, value in own.items() if value is not None):
+                assert own[index] == pytest.approx(r2_score(wanted[:, index], values[:, index]), rel=1e-5)
+    # Repeating the last sample is the baseline persistence.
+    sql = "select value from all_metrics where architecture = 'last' and model = '{}' and modality = 'proprioception'"
+    order = " order by horizon, metric, index"
+    own, baseline = (harness.query(sql.format(name) + order, copy) for name in ("network", "persistence"))
+    assert own.equals(baseline)
+
+
+def test_a_task_of_a_dataset_is_saved_and_opened(copy: Path, tmp_path: Path, folders: dict[str, Path]) -> None:
+    arguments: dict[str, Any] = {"inputs": ["proprioception", "vision"], "outputs": "contact_force", "context": 5}
+    task = harness.task(dataset=folders["empty"].name, horizons=[1, 5, 20], **arguments, results=copy)
+    assert (task.horizons, task.input, len(task.train())) == ((1, 2, 5, 10, 20), ["proprioception", "vision"], 12)
+    task.save(tmp_path / "task.yaml")
+    again = harness.task(tmp_path / "task.yaml", results=copy)
+    assert (again.hash, again.experiment) == (task.hash, task.experiment)
+    assert harness.task(dataset=folders["empty"], horizons=20, **arguments, results=copy).hash == task.hash
+    other = harness.task(dataset=folders["empty"], horizons=20, **arguments, split={"test": 0.3}, results=copy)
+    assert other.hash != task.hash
+    table = task.to_arrow()
+    assert table["proprioception"].to_numpy().shape == (12, 5, 20)
+    with pytest.raises(ValueError, match="latent"):
+        harness.run(tmp_path / "task.yaml", results=copy, progress=False)
+    zero = lambda context, actions: {"contact_force": np.zeros((len(actions), 20, 20))}  # noqa: E731
+    task.submit(zero, model="zero", progress=False)
+    means = task.compare()
+    assert set(means["model"]) == {"network", "persistence", "ridge", "training_mean"}
+
+
+def test_every_command_takes_the_run(copy: Path, tmp_path: Path) -> None:
+    task = vectors(copy)
+    for seed in range(3):
+        noise = np.random.default_rng(seed)
+
+        def predict(context: Arrays, actions: np.ndarray, noise: np.random.Generator = noise) -> dict[str, np.ndarray]:
+            found = last(context, actions)
+            return {name: values + noise.normal(0, 0.1, values.shape) for name, values in found.items()}
+
+        task.submit(predict, model="noisy", seed=seed, notes={"commit": "ab12cd3"}, progress=False)
+    own = task.compare().filter(variant="model=noisy", model="network", metric="r2")
+    assert own["seeds"].to_list() == [3] * own.height and own["low"].is_not_null().all()
+    plot: dict[str, Any] = {"x": "variant", "y": "r2", "by": "modality", "where": {"window.horizon": 5}}
+    harness.plot("smoke", **plot, output=tmp_path / "r2.png", results=copy)
+    page = harness.report("smoke", output=tmp_path / "report.html", results=copy, progress=False)
+    assert "model=noisy" in page.read_text()
+
+
+CLAIMS = """
+- id: networks_learn_the_force
+  statement: Networks predict the force.
+  measured: mean R2 of the force
+  scenarios: [empty]
+  experiments: [smoke]
+  query: |
+    select scenario, seed, avg(value) as value from metrics where experiment = 'smoke' and task = 'prediction'
+      and model = 'network' and modality = 'contact_force' and metric = 'r2' and direction is null and index is null
+    group by scenario, seed
+  condition: above 0.5
+- id: good_is_better
+  statement: The model good is better than networks.
+  measured: advantage in R2 of the force
+  scenarios: [empty]
+  experiments: [smoke]
+  query: |
+    select scenario, seed, max(case when variant = 'model=good' then value end)
+        - max(case when variant = '' then value end) as value
+      from metrics where experiment = 'smoke' and task = 'prediction' and model = 'network'
+        and modality = 'contact_force' and metric = 'r2' and direction is null and index is null
+    group by scenario, seed having count(value) = 2
+  condition: above 0
+"""
+
+
+def test_claims_are_about_models_that_they_name(tmp_path: Path) -> None:
+    own = tmp_path / "results"
+    networks = {"seeds": [0, 1, 2], "output": "contact_force", "scenarios": "empty"}
+    assert harness.run(SMOKE, networks, results=own, progress=False) == (3, 0)
+    file = tmp_path / "claims.yaml"
+    file.write_text(CLAIMS)
+    before = harness.claims("networks_learn_the_force", file=file, results=own)
+    task = harness.task(SMOKE, {"output": "contact_force"}, cell="empty", results=own)
+    data = harness.Dataset(own / "datasets" / task.dataset)
+    answers = data["contact_force"][task.test_inputs().samples + 1]
+    for seed in range(3):
+        noise = np.random.default_rng(seed).normal(0, 0.01, answers.shape)
+        task.submit(lambda *given, noise=noise: {"contact_force": (answers + noise)[:, None]}, model="good", seed=seed,
+                    batch_size=1000, progress=False)
+    # A claim on networks does not see other models, whose R2 is nearly 1.
+    assert harness.claims("networks_learn_the_force", file=file, results=own).equals(before)
+    verdict = harness.claims("good_is_better", file=file, results=own)
+    assert verdict["verdict"].to_list() == ["holds"], verdict
+
+
+def refused(task: PredictionTask, predict: Callable[..., Any], error: type[Exception], words: str, **more: Any) -> None:
+    """Checks that a submission is refused and leaves nothing behind."""
+    before = files(task.results)
+    with pytest.raises(error, match=words) as raised:
+        task.submit(predict, **{"model": "hostile", "progress": False, **more})
+    assert "\n" not in str(raised.value)
+    assert files(task.results) == before
+
+
+Change = Callable[[np.ndarray], Any]
+
+CHANGES: list[tuple[Change, type[Exception], str]] = [
+    (lambda values: values[:, :, :-1], ValueError, r"has the shape \[23, 5, 19\], must be \[23, 5, 20\]"),
+    (lambda values: values[:-1], ValueError, r"has the shape \[22, 5, 20\]"),
+    (lambda values: values[:, :4], ValueError, r"has the shape \[23, 4, 20\]"),
+    (lambda values: values[:, 0], ValueError, "has the shape"),
+    (lambda values: values[..., None], ValueError, "has the shape"),
+    (lambda values: values.ravel(), ValueError, "has the shape"),
+    (lambda values: values[:0], ValueError, "has the shape"),
+    (lambda values: values[0, 0, 0], ValueError, "has the shape"),
+    (lambda values: np.where(values == values.max(), np.nan, values), ValueError, "value nan at .*must be finite"),
+    (lambda values: np.where(values == values.max(), np.inf, values), ValueError, "has the value inf"),
+    (lambda values: np.where(values == values.max(), 1e39, values.astype(float)), ValueError, "finite"),
+    (lambda values: values.astype(str), TypeError, "must be an array of numbers"),
+    (lambda values: values.astype(complex), TypeError, "must be an array of numbers"),
+    (lambda values: values.astype(bool), TypeError, "must be an array of numbers"),
+    (lambda values: values.astype(object), TypeError, "must be an array of numbers"),
+    (lambda values: values.astype("datetime64[s]"), TypeError, "must be an array of numbers"),
+    (lambda values: None, TypeError, "must be an array of numbers"),
+    (lambda values: "forces", TypeError, "must be an array of numbers"),
+    (lambda values: [[1.0], [1.0, 2.0]], TypeError, "must be an array of numbers"),
+    (lambda values: {"values": values}, TypeError, "must be an array of numbers"),
+    (lambda values: iter(values), TypeError, "must be an array of numbers"),
+]
+
+
+@pytest.mark.parametrize("number", range(len(CHANGES)))
+def test_wrong_arrays_are_refused(number: int, results: Path) -> None:
+    change, error, words = CHANGES[number]
+
+    def predict(context: Arrays, actions: np.ndarray) -> dict[str, Any]:
+        found = last(context, actions)
+        return {**found, "contact_force": change(found["contact_force"])}
+
+    refused(vectors(results), predict, error, words)
+
+
+async def late(context: Arrays, actions: np.ndarray) -> dict[str, np.ndarray]:
+    """Returns after its caller."""
+    return last(context, actions)
+
+
+def test_wrong_submissions_are_refused(results: Path) -> None:
+    task = vectors(results)
+    refused(task, late, TypeError, "it returned a coroutine, must be a dictionary")
+    refused(task, lambda *given: None, TypeError, "it returned a NoneType")
+    refused(task, lambda *given: last(*given)["contact_force"], TypeError, "it returned a ndarray")
+    refused(task, lambda *given: {}, ValueError, "it returned nothing, must be proprioception, contact_force")
+    refused(task, lambda *given: {"contact_force": last(*given)["contact_force"]}, ValueError, "must be proprioception")
+    refused(task, lambda *given: {**last(*given), "arm": 0}, ValueError, "must be proprioception, contact_force")
+    refused(task, lambda *given: 1 / 0, ZeroDivisionError, "division by zero")
+    refused(task, lambda context: context, TypeError, "positional argument")
+    refused(task, "last", TypeError, "predict: it must be a function")  # type: ignore[arg-type]
+    for model in ("", "my gru", "../gru", "a" * 65, "gru,seed=1", "-gru", "a\nb", "über"):
+        refused(task, last, ValueError, "can't name a model", model=model)
+    refused(task, last, TypeError, "model: 3 must be a text", model=3)
+    refused(task, last, ValueError, "seed: -1 must not be negative", seed=-1)
+    refused(task, last, ValueError, "is too large", seed=2**60)
+    refused(task, last, OverflowError, "int", seed=2**64)
+    refused(task, last, TypeError, "must be an integer", seed=0.5)
+    refused(task, last, ValueError, "batch_size: 0 must be at least 1", batch_size=0)
+    refused(task, last, TypeError, "notes: .* must be a dictionary", notes=["commit"])
+    refused(task, last, ValueError, "has no name", notes={"": "ab12cd3"})
+    refused(task, last, ValueError, "more than 10000 bytes", notes={"log": "x" * 20_000})
+    refused(task, last, ValueError, "at most 100 are allowed", notes=dict.fromkeys(map(str, range(101)), ""))
+
+
+def test_other_predictions_of_the_same_model_are_refused(copy: Path) -> None:
+    task = vectors(copy)
+    run, _ = task.submit(last, model="last", progress=False)
+    other = lambda *given: {name: values + 0.1 for name, values in last(*given).items()}  # noqa: E731
+    refused(task, other, ValueError, "has other predictions of this model .*harness.*rm smoke/", model="last")
+    assert task.submit(other, model="last", seed=1, progress=False).run != run
+
+
+def test_a_model_never_gets_targets(results: Path) -> None:
+    task = vectors(results)
+    seen: list[np.ndarray] = []
+
+    def predict(context: Arrays, actions: np.ndarray) -> dict[str, np.ndarray]:
+        seen.extend([*context.values(), actions])
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        task.submit(predict, model="curious", progress=False)
+    for array in seen:
+        assert array.base is None or array.base.size == array.size
+
+
+def test_tasks_that_do_not_exist_are_refused(copy: Path, folders: dict[str, Path]) -> None:
+    name = folders["empty"].name
+    forces: dict[str, Any] = {"inputs": "arm", "outputs": "contact_force", "results": copy}
+    gone, seed = "empty-0123456789abcdef", {"simulation.seed": 7}
+    for error, words, call in [
+        (TypeError, "either a spec or a dataset", lambda: harness.task(results=copy)),
+        (TypeError, "either a spec or a dataset", lambda: harness.task(SMOKE, dataset=name, results=copy)),
+        (TypeError, "give the inputs and the outputs", lambda: harness.task(dataset=name, results=copy)),
+        (ValueError, "choose one: empty, cluttered", lambda: harness.task(SMOKE, results=copy)),
+        (ValueError, "allowed: empty, cluttered", lambda: harness.task(SMOKE, cell="full", results=copy)),
+        (FileNotFoundError, f"there is no {gone}", lambda: harness.task(dataset=gone, **forces)),
+        (ValueError, "did you mean 'arm'", lambda: harness.task(dataset=name, **{**forces, "inputs": "arms"})),
+        (ValueError, "does not fit into an episode", lambda: harness.task(dataset=name, horizons=40, **forces)),
+        (ValueError, "3 is not judged", lambda: harness.task(dataset=name, horizons=[3, 5], **forces)),
+        (ValueError, "at least 1", lambda: harness.task(dataset=name, horizons=[], **forces)),
+        (TypeError, "must be an integer", lambda: harness.task(dataset=name, horizons=[1.5], **forces)),
+        (FileNotFoundError, "lacks 4 of its episodes", lambda: harness.task(SMOKE, seed, cell="empty", results=copy)),
+    ]:
+        with pytest.raises(error, match=words):
+            call()
+
+
+def test_a_killed_submission_leaves_nothing(copy: Path) -> None:
+    before = files(copy)
+    script = f"""
+        import os, signal
+        import harness
+        task = harness.task({str(SMOKE)!r}, cell="empty", results={str(copy)!r})
+        task.submit(lambda *given: os.kill(os.getpid(), signal.SIGKILL), model="killed", progress=False)
+    """
+    answer = subprocess.run([sys.executable, "-c", textwrap.dedent(script)], check=False)
+    assert answer.returncode == -signal.SIGKILL and files(copy) == before
+
+
+def test_the_example_for_scikit_learn_works(copy: Path) -> None:
+    check_example("scikit_learn", ["proprioception", "arm", "vision"], copy)
+    models = set(harness.query("select distinct architecture from runs", copy)["architecture"])
+    assert models == {"multi_to_multi", "random_forest", "nearest_neighbors", "mlp"}
+
+
+def test_examples_have_less_than_60_lines() -> None:
+    for path in (ROOT / "python/examples").glob("*.py"):
+        assert len(path.read_text().splitlines()) < 60, path
