@@ -155,6 +155,10 @@ fn a_file_of_a_networks_predictions_gets_its_metrics() {
         assert!(own.lines().count() > 500, "{own}");
         assert_eq!(metrics(&results, "twin"), own);
         let record = Registry::new(&results).find("smoke/empty-model=twin").unwrap().1;
+        let sql = "select count(distinct task_hash) as tasks, max(notes) as notes from runs
+                   where scenario = 'empty'";
+        let answer = succeed(&results, &["query", sql, "--format", "json"]);
+        assert_eq!(answer.trim(), r#"[{"tasks":1,"notes":"{\"commit\":\"ab12cd3\"}"}]"#);
         let submission = record.submission.unwrap();
         assert_eq!(submission.notes, BTreeMap::from([("commit".to_owned(), "ab12cd3".to_owned())]));
         assert_eq!(submission.task, record.spec.task_hash(&record.dataset));

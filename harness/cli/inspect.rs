@@ -94,7 +94,9 @@ impl List {
         } else {
             format!("order by {}, experiment, run", self.sort)
         };
-        let seconds = "prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds";
+        // A model of another program was not trained here.
+        let seconds =
+            "coalesce(prediction_seconds, 0) + coalesce(reconstruction_seconds, 0) + evaluation_seconds";
         let sql = format!(
             "select experiment, run, status, started, {seconds} as seconds, reason from runs where {chosen} {order}"
         );

@@ -169,6 +169,7 @@ impl Task {
             Some(_) => vec![self.choice.of(&experiment, tasks)?],
             None => tasks,
         };
+        let hashes: Vec<String> = tasks.iter().map(PredictionTask::hash).collect();
         let is_several = self.choice.cell.is_some() || tasks.len() > 1;
         let first = tasks.first().map(PredictionTask::name);
         for (place, task) in tasks.into_iter().enumerate() {
@@ -186,10 +187,10 @@ impl Task {
             .unwrap_or_default();
         println!();
         print_command(
-            "judge ",
+            "judge with: ",
             &registry.command(&format!("judge {spec} predictions.parquet{cell} --model NAME")),
         );
-        print_results(registry, &experiment.name)?;
+        print_results(registry, &experiment.name, &hashes)?;
         Ok(ExitCode::from(DONE))
     }
 
@@ -244,9 +245,11 @@ fn windows(task: &OpenTask) -> String {
     parts.map(|(name, windows)| format!("{} for {name}", windows.len())).join(", ")
 }
 
-/// Prints the metrics of the experiment's runs and their baselines.
-fn print_results(registry: &Registry, experiment: &str) -> Result<()> {
-    let is_own = |record: &RunRecord| record.experiment == experiment;
+/// Prints the metrics of the experiment's runs with these tasks, and their baselines.
+fn print_results(registry: &Registry, experiment: &str, tasks: &[String]) -> Result<()> {
+    let is_own = |record: &RunRecord| {
+        record.experiment == experiment && tasks.contains(&record.spec.task_hash(&record.dataset))
+    };
     let sheet = results::sheet(registry, Metrics::Main, is_own)?;
     if sheet.rows.is_empty() {
         return Ok(());

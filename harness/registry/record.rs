@@ -356,6 +356,12 @@ impl RunRecord {
         (0..=REVISION).rev().find(is_of)
     }
 
+    /// What the user of an external model says about it, as JSON; `None` for a network.
+    fn notes(&self) -> Option<String> {
+        let submission = self.submission.as_ref()?;
+        serde_json::to_string(&submission.notes).ok()
+    }
+
     /// A hash that is the same for all runs that differ only in their seed.
     fn group_hash(&self) -> String {
         let spec = RunSpec { seed: 0, ..self.spec.clone() };
@@ -457,8 +463,13 @@ fn key_columns(records: &[RunRecord]) -> Vec<Column> {
 /// When Polars fails.
 pub fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
     let group_hashes: Vec<String> = records.par_iter().map(RunRecord::group_hash).collect();
+    let task_hashes: Vec<String> = records.par_iter().map(|run| run.spec.task_hash(&run.dataset)).collect();
     let seconds = |name: &str, of: fn(&Timings) -> Option<f64>| {
         column_of(records, name, |run| run.timings.as_ref().and_then(of))
+    };
+    let prediction_seconds = |run: &RunRecord| {
+        let timings = run.timings.as_ref().filter(|_| run.spec.trained().is_some())?;
+        Some(timings.prediction)
     };
     let mut columns = key_columns(records);
     columns.extend([
@@ -473,7 +484,7 @@ pub fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
         column_of(records, "split", |run| run.spec.split.by.name()),
         column_of(records, "started", |run| run.started.as_str()),
         seconds("collect_seconds", |timings| Some(timings.collect)),
-        seconds("prediction_seconds", |timings| Some(timings.prediction)),
+        column_of(records, "prediction_seconds", prediction_seconds),
         seconds("reconstruction_seconds", |timings| timings.reconstruction),
         seconds("evaluation_seconds", |timings| Some(timings.evaluation)),
         column_of(records, "peak_memory_bytes", |run| run.peak_memory_bytes.map(|bytes| bytes as i64)),
@@ -487,6 +498,8 @@ pub fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
         column_of(records, "processor", |run| run.provenance.processor.as_str()),
         column_of(records, "threads", |run| run.provenance.threads as i64),
         column_of(records, "command", |run| run.provenance.command.as_str()),
+        Column::new("task_hash".into(), task_hashes),
+        column_of(records, "notes", RunRecord::notes),
     ]);
     DataFrame::new(records.len(), columns)?
         .select(Table::Runs.columns().into_iter().map(|column| column.name))

@@ -198,7 +198,11 @@ fn run_details() -> Vec<Column> {
             "s",
             "wall time of collecting and loading the dataset, which all runs of a command on this dataset share",
         ),
-        real("prediction_seconds", "s", "wall time of training the prediction"),
+        real(
+            "prediction_seconds",
+            "s",
+            "wall time of training the prediction; null for a model of another program",
+        ),
         real(
             "reconstruction_seconds",
             "s",
@@ -211,7 +215,10 @@ fn run_details() -> Vec<Column> {
             "B",
             "largest memory of the process up to the end of the run",
         ),
-        integer("parameters", "number of trained parameters of the prediction"),
+        integer(
+            "parameters",
+            "number of trained parameters of the prediction; null for a model of another program",
+        ),
         text("git_commit", "commit of the source tree; null outside of a repository"),
         column(
             "git_dirty",
@@ -226,6 +233,14 @@ fn run_details() -> Vec<Column> {
         text("processor", "the machine's processor"),
         integer("threads", "threads used"),
         text("command", "the command line, reduced to this run"),
+        text(
+            "task_hash",
+            "hash of what the run asks of a model: dataset, split, inputs, outputs, action and window",
+        ),
+        text(
+            "notes",
+            "what the user of a model of another program says about it, as JSON; null for a network",
+        ),
     ]
 }
 
