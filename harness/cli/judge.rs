@@ -239,7 +239,7 @@ fn described(definition: &Definition) -> String {
 
 /// The number of windows in each part.
 fn windows(task: &OpenTask) -> String {
-    let partition = task.partition();
+    let partition = task.windows();
     let parts =
         [("training", &partition.training), ("validation", &partition.validation), ("test", &partition.test)];
     parts.map(|(name, windows)| format!("{} for {name}", windows.len())).join(", ")

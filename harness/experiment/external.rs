@@ -5,10 +5,10 @@ use super::{ExperimentError, OpenData, Runner, Source, describe};
 use harness_dataset::AnyDataset;
 use harness_judge::{Predictor, Recorded, RecordedError, RecordedValue, Test, judge, models};
 use harness_registry::{Outcome, Provenance, Registry, RunFolder, RunRecord, Status, Submission, Timings};
-use harness_samples::{Partition, Samples};
+use harness_samples::{Partition, Sample, Samples};
 use harness_shared::files::FolderLock;
 use harness_shared::seal::hex;
-use harness_spec::{Experiment, IMAGE_CHANNELS, Layout, MAX_SEED, Modality, RunSpec, Task};
+use harness_spec::{Division, Experiment, IMAGE_CHANNELS, Layout, MAX_SEED, Modality, RunSpec, Task};
 use harness_tables::{PredictedRow, PredictedRows};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -176,9 +176,21 @@ impl OpenTask {
         &self.open.data.samples
     }
 
-    /// Returns the windows for training, validation and test.
-    pub fn partition(&self) -> &Partition {
-        &self.open.partition
+    /// Returns the windows for training, validation and test, each with its whole context in its part.
+    pub fn windows(&self) -> Partition {
+        let Partition { training, validation, test } = &self.open.partition;
+        let (training, validation) = (self.whole(training), self.whole(validation));
+        Partition { training, validation, test: test.clone() }
+    }
+
+    /// Returns the windows of a part whose context is in the part. Networks join shorter windows to sequences.
+    fn whole(&self, part: &[Sample]) -> Vec<Sample> {
+        let before = match self.task.spec.split.by {
+            Division::Sample => 0,
+            Division::Episode | Division::Time => self.task.spec.window.context - 1,
+        };
+        let ends = part.iter().skip(before);
+        ends.zip(part).filter(|(end, first)| first.after(before) == **end).map(|(end, _)| *end).collect()
     }
 
     fn references(&self) -> Result<&References, ExperimentError> {
@@ -191,7 +203,7 @@ impl OpenTask {
 
     /// Checks predictions, and makes a predictor of those of each set of inputs.
     fn recorded(&self, predictions: Predictions) -> Result<Vec<Recorded<'_>>, SubmissionError> {
-        let (samples, windows, spec) = (&**self.samples(), &self.partition().test, &self.task.spec);
+        let (samples, windows, spec) = (&**self.samples(), &self.open.partition.test, &self.task.spec);
         let wrong = |error| SubmissionError::Recorded(error, self.task.source.dataset.name().to_owned());
         let model = models::NETWORK;
         let recorded = match predictions {
@@ -403,7 +415,7 @@ impl Runner<'_> {
             forces: references.forces.clone(),
             ..Outcome::default()
         };
-        let windows = &task.partition().test;
+        let windows = &task.open.partition.test;
         self.progress.begin("judging", (windows.len() * recorded.len()) as u64, "windows");
         for predictor in recorded {
             let sampled = Some(&references.sampled[..]);

@@ -10,7 +10,7 @@ use harness::experiment::{
 };
 use harness::registry::{Registry, quoted};
 use harness::samples::Samples;
-use harness::spec::{self, IMAGE_CHANNELS, Modality};
+use harness::spec::{self, IMAGE_CHANNELS, Modality, WindowStart};
 use pyo3::exceptions::{PyFileNotFoundError, PyKeyError, PyValueError};
 use pyo3::prelude::*;
 use serde_json::json;
@@ -68,6 +68,13 @@ impl Task {
                  results, simulates them",
                 registry.datasets().display()
             )));
+        }
+        let window = task.spec().window;
+        if window.start == WindowStart::Rest && window.context > 1 {
+            return Err(PyValueError::new_err(
+                "window.start: rest gives every window another number of samples; use random, or judge a file of \
+                 predictions with `harness judge`",
+            ));
         }
         let name = task.name();
         let work = || runner.open_task(task);
@@ -131,11 +138,11 @@ impl Task {
 
     /// Returns the present samples of the windows of a part, `[windows]`, int64.
     fn windows<'py>(&self, py: Python<'py>, part: &str) -> PyResult<Bound<'py, PyAny>> {
-        let partition = self.open.partition();
+        let partition = self.open.windows();
         let windows = match part {
-            "training" => &partition.training,
-            "validation" => &partition.validation,
-            "test" => &partition.test,
+            "training" => partition.training,
+            "validation" => partition.validation,
+            "test" => partition.test,
             _ => {
                 let allowed = "training, validation, test";
                 return Err(PyValueError::new_err(format!("part: there is no '{part}'; allowed: {allowed}")));
@@ -165,7 +172,7 @@ impl Task {
         command: Vec<String>,
         progress: bool,
     ) -> PyResult<(String, bool)> {
-        let (windows, layout) = (self.open.partition().test.len(), self.open.samples().layout());
+        let (windows, layout) = (self.open.windows().test.len(), self.open.samples().layout());
         let mut values = BTreeMap::new();
         for (name, horizon, given) in predictions {
             let known = Modality::new(&name).and_then(|modality| layout.get(modality));
