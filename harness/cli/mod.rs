@@ -366,8 +366,9 @@ const IMPORT_HELP: &str = "Example, in a clone of the repository:
   .venv/bin/harness import --inspect recordings/trial_1.h5
   .venv/bin/harness import mapping.yaml
 
-Only the Python package imports recordings: LeRobot datasets, Parquet, CSV, HDF5, zarr and MATLAB files, videos and ROS 2 \
-bags. The mapping says what makes up each modality. --inspect lists what is in a recording, and writes a first mapping. \
+Only the Python package imports recordings: LeRobot datasets, Parquet, CSV, HDF5, zarr and MATLAB files, videos and \
+ROS 2 bags. The mapping says what makes up each modality. --inspect lists what is in a recording, and writes a first \
+mapping. \
 docs/exchange.md has an example.";
 
 const PACK_HELP: &str = "Examples:

@@ -60,8 +60,8 @@ fn runs(samples: &[Sample]) -> impl Iterator<Item = Range<usize>> {
 }
 
 /// Returns sequences of `length` consecutive samples that share none of them, so that together they cover nearly all.
-/// Each is named by its last sample. `samples` are in ascending order. `offset` says how many samples are left out before
-/// the first sequence of consecutive samples, given how many are left over.
+/// Each is named by its last sample. `samples` are in ascending order. `offset` says how many samples are left out
+/// before the first sequence of consecutive samples, given how many are left over.
 pub fn sequences(samples: &[Sample], length: usize, mut offset: impl FnMut(usize) -> usize) -> Vec<Sample> {
     if length == 1 {
         return samples.to_vec();
@@ -97,8 +97,8 @@ impl Samples {
         self.episodes().iter().flat_map(|range| within(window, range)).collect()
     }
 
-    /// Divides the windows into training, validation and test; `None` if one of them would have no whole window. A window
-    /// never leaves its episode. If episodes or times are split, it never leaves its part.
+    /// Divides the windows into training, validation and test; `None` if one of them would have no whole window. A
+    /// window never leaves its episode. If episodes or times are split, it never leaves its part.
     pub fn partition(&self, split: &Split, window: Window) -> Option<Partition> {
         let partition = match split.by {
             Division::Episode => self.partition_by_episode(split, window),

@@ -361,8 +361,8 @@ pub struct Training {
     #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(max = 1e6), extend("exclusiveMinimum" = 0.0))]
     pub clip_norm: Option<f64>,
-    /// Predictions of samples per step. A window has as many as the product of its context, if the network has a memory,
-    /// and its horizon.
+    /// Predictions of samples per step. A window has as many as the product of its context, if the network has a
+    /// memory, and its horizon.
     #[schemars(range(min = 1, max = 65536))]
     pub batch_size: usize,
     /// Largest number of epochs.
