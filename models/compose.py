@@ -15,7 +15,7 @@ import sys
 from dm_control import mjcf
 from lxml import etree
 
-SCENES = ("empty", "cluttered", "wrist", "tendon", "twelve")
+SCENES = ("empty", "cluttered", "crowded", "wrist", "tendon", "twelve")
 PRECISION = 9  # significant digits in the files
 HERE = pathlib.Path(__file__).resolve().parent
 
@@ -54,11 +54,21 @@ BOX_MASS = 1.0  # kg
 BOX_FRICTION = 0.5  # sliding, against the ground and each other
 BOX_PARKING = [(radius, math.radians(angle)) for radius in (1.05, 1.75) for angle in (147, 169, 191, 213)]
 
+# Pillars of the crowded scene, which the finger presses on from above.
+PILLAR_RADIUS = 0.18  # m
+PILLAR_HEIGHTS = (0.20, 0.24, 0.28, 0.32, 0.36, 0.40, 0.44)  # m, below the tip of the lifted finger (0.5 m)
+PILLAR_DENSITY = 2400  # kg/m3, concrete: the finger can't move them
+PILLAR_PARKING = [(x, y) for x in (-1.02, -1.43) for y in (-0.41, 0, 0.41)] + [(-1.84, 0)]  # m
+
 TIMESTEP = 1e-3  # s
 
 CAMERA_POSITION = (-3.8, -2.55, 3.55)  # m
 CAMERA_TARGET = (-0.79, 0.44, 0.0)  # m
 CAMERA_FOVY = 34  # degrees
+# The crowded scene's camera is steeper and sees a smaller part of the ground, so that the pillars' tops are large.
+CROWDED_CAMERA_POSITION = (-3.7, -2.1, 4.4)  # m
+CROWDED_CAMERA_TARGET = (-1.22, 0.05, 0.4)  # m
+CROWDED_CAMERA_FOVY = 27  # degrees
 
 # The wrist's camera is mounted on the beam, behind the finger. It looks down along the finger to the contacts.
 WRIST_POSITION = (-0.45, 0.0, -0.05)  # m, relative to the finger's mount
@@ -83,6 +93,7 @@ ARM_RGBA = (0.25, 0.28, 0.33, 1)
 BASE_RGB, TIP_RGB = (1.0, 0.75, 0.0), (0.85, 0.0, 0.35)  # the finger's color changes linearly from base to tip
 ODD_LINK_SHADE = 0.85  # odd links are darker, so that links are visible in a large picture
 BOX_RGBA = ((0.30, 0.50, 1.0, 1), (0.20, 0.75, 0.65, 1))  # of even and odd boxes
+LOW_RGB, HIGH_RGB = (0.10, 0.15, 0.55), (0.35, 0.95, 1.0)  # the pillars' color changes linearly with the height
 
 
 def finger(mount, joints=JOINTS, tendons=False):
@@ -208,6 +219,25 @@ def boxes(world):
         body.add("geom", name=f"box_{index}", rgba=BOX_RGBA[index % 2])
 
 
+def pillars(world):
+    """Adds the pillars, each of its own height and color, in two rows and one behind."""
+    defaults = world.root.default.add("default", dclass="pillar")
+    defaults.geom.set_attributes(
+        type="cylinder",
+        density=PILLAR_DENSITY,
+        friction=[BOX_FRICTION],
+        contype=BOX_BIT,
+        conaffinity=FINGER_BIT | BOX_BIT,
+    )
+    last = len(PILLAR_HEIGHTS) - 1
+    for index, (height, (x, y)) in enumerate(zip(PILLAR_HEIGHTS, PILLAR_PARKING, strict=True)):
+        name = f"pillar_{index}"
+        body = world.add("body", name=name, childclass="pillar", pos=(x, y, height / 2))
+        body.add("freejoint", name=name)
+        rgb = [low + (high - low) * index / last for low, high in zip(LOW_RGB, HIGH_RGB)]
+        body.add("geom", name=name, size=(PILLAR_RADIUS, height / 2), rgba=(*rgb, 1))
+
+
 def scene(name):
     """Returns a scene, one of `SCENES`, as a PyMJCF model."""
     root = mjcf.RootElement(model=name)
@@ -221,8 +251,10 @@ def scene(name):
 
     world = root.worldbody
     world.add("light", name="sun", type="directional", pos=(-2, 1, 4), dir=(0.4, -0.25, -1))
-    camera_axes = look_at(CAMERA_POSITION, CAMERA_TARGET)
-    world.add("camera", name="external", pos=CAMERA_POSITION, xyaxes=camera_axes, fovy=CAMERA_FOVY)
+    position, target, fovy = CAMERA_POSITION, CAMERA_TARGET, CAMERA_FOVY
+    if name == "crowded":
+        position, target, fovy = CROWDED_CAMERA_POSITION, CROWDED_CAMERA_TARGET, CROWDED_CAMERA_FOVY
+    world.add("camera", name="external", pos=position, xyaxes=look_at(position, target), fovy=fovy)
     world.add(
         "geom",
         name="ground",
@@ -238,9 +270,12 @@ def scene(name):
     if name in ("wrist", "twelve"):
         axes = look_at(WRIST_POSITION, WRIST_TARGET)
         beam.add("camera", name="wrist", pos=WRIST_POSITION, xyaxes=axes, fovy=WRIST_FOVY)
+    if name in ("cluttered", "crowded", "wrist"):
+        root.option.flag.sleep = "enable"  # objects at rest take no time; the actuated arm never sleeps
     if name in ("cluttered", "wrist"):
-        root.option.flag.sleep = "enable"  # boxes at rest take no time; the actuated arm never sleeps
         boxes(world)
+    if name == "crowded":
+        pillars(world)
     pulled = [0] * (len(TENDONS) if name == "tendon" else 0)
     root.keyframe.add("key", name="rest", ctrl=[ROTATION_REST, 0, 0, *pulled])
     return root
