@@ -56,7 +56,7 @@ BOX_PARKING = [(radius, math.radians(angle)) for radius in (1.05, 1.75) for angl
 
 # Pillars of the crowded scene, which the finger presses on from above.
 PILLAR_RADIUS = 0.18  # m
-PILLAR_HEIGHTS = (0.20, 0.24, 0.28, 0.32, 0.36, 0.40, 0.44)  # m, below the tip of the lifted finger (0.5 m)
+PILLAR_HEIGHTS = (0.21, 0.25, 0.29, 0.33, 0.37, 0.41, 0.45)  # m, below the tip of the lifted finger (0.5 m)
 PILLAR_DENSITY = 2400  # kg/m3, concrete: the finger can't move them
 PILLAR_PARKING = [(x, y) for x in (-1.02, -1.43) for y in (-0.41, 0, 0.41)] + [(-1.84, 0)]  # m
 

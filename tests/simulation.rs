@@ -29,6 +29,13 @@ const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
 const STEPS_PER_SAMPLE: usize = 100;
 
+/// Heights of the pillars of the world `crowded`, m.
+const PILLAR_HEIGHTS: [f32; 7] = [0.21, 0.25, 0.29, 0.33, 0.37, 0.41, 0.45];
+
+fn crowded() -> Scenario {
+    Scenario::new("crowded").unwrap()
+}
+
 fn scene(scenario: Scenario) -> Scene {
     Scene::paper(scenario).unwrap()
 }
@@ -428,6 +435,32 @@ fn boxes_keep_their_clearance_and_leave_the_finger_room() {
 }
 
 #[test]
+fn pillars_stay_in_place_and_the_finger_often_touches_them() {
+    let scene = scene(crowded());
+    let spec = Simulation { actuations_per_episode: 4, ..Default::default() };
+    let [places, kinds] = ["pillars", "contact_force_kind"].map(|name| Modality::new(name).unwrap());
+    let (mut samples, mut on_pillars) = (0, 0);
+    for index in 0..30 {
+        let episode = simulate(&scene, &spec, index);
+        let first = &episode.vector(places)[..3 * PILLAR_HEIGHTS.len()];
+        for place in episode.vector(places).chunks_exact(first.len()) {
+            assert!(
+                place.iter().zip(first).all(|(now, before)| (now - before).abs() < 1e-3),
+                "{index}: {place:?}"
+            );
+        }
+        for (pillar, height) in first.chunks_exact(3).zip(PILLAR_HEIGHTS) {
+            assert!((pillar[2] - height / 2.0).abs() < 1e-6, "episode {index}: {pillar:?}");
+        }
+        samples += episode.samples;
+        on_pillars += episode.vector(kinds).chunks_exact(JOINTS).filter(|links| links.contains(&2.0)).count();
+    }
+    // Of 40,000 samples, docs/crowded.md.
+    let share = on_pillars as f64 / samples as f64;
+    assert!((0.3..0.55).contains(&share), "{share}");
+}
+
+#[test]
 fn boxes_that_cannot_be_placed_are_an_error() {
     let spec = Simulation::default().with("box_clearance_m", Setting::Number(2.0));
     let error = EpisodePlan::draw(&scene(Scenario::CLUTTERED), &spec, 5).unwrap_err().to_string();
@@ -582,7 +615,7 @@ fn images_show_all_sites_of_a_model_with_many() {
 
 #[test]
 fn colors_tell_the_robots_parts_as_mujocos_segmentation_does() {
-    for scenario in Scenario::PAPER {
+    for scenario in Scenario::PAPER.into_iter().chain([crowded()]) {
         let (scene, spec) = (scene(scenario), short());
         let episode = simulate(&scene, &spec, 0);
         let folder = tempfile::tempdir().unwrap();

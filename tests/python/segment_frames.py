@@ -21,7 +21,7 @@ def part(name: str) -> int:
     """The part that a geom belongs to; the arm's geoms have no names."""
     if name.startswith("finger_link_"):
         return FINGER
-    return OTHER if name == "ground" or name.startswith("box_") else ARM
+    return OTHER if name == "ground" or name.startswith(("box_", "pillar_")) else ARM
 
 
 def main(model_path, positions_path, side, parts_path):
