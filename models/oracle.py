@@ -1,7 +1,8 @@
 """Measures what an oracle adds that knows the place and height of each pillar, and prints it as a Markdown table.
 
-    harness --results results collect SPEC simulation.seed=0      # and other seeds: docs/crowded.md has the spec
-    python models/oracle.py results/datasets/crowded-*            # one row for each dataset, and the mean with interval
+    python models/oracle.py results/datasets/crowded-*   # a row for each dataset and target, and intervals of the gain
+
+docs/crowded.md has the command that collects the datasets.
 
 Two networks of the same size predict the contact forces of the next sample. Both know the joint angles of the finger,
 the arm's position, and its setpoint now and at the next sample. The oracle also knows the pillars: a layer that all
