@@ -67,13 +67,13 @@ def read(folder, episodes):
             own = [name for name in own if name.removeprefix("contact_force_").isdigit()]
         return table.select(own).to_numpy().reshape(len(files), -1, len(own)).astype(np.float32)
 
-    names = ("proprioception", "arm", "setpoint", "contact_force", "contact_force_mean", "contact_force_kind", "pillars")
-    return {name: columns(name) for name in names}
+    forces = ("contact_force", "contact_force_mean", "contact_force_kind")
+    return {name: columns(name) for name in ("proprioception", "arm", "setpoint", *forces, "pillars")}
 
 
 def relative(pillars, setpoint):
-    """Returns for each pillar how far it is from the finger's mount along and across the arm, how far the hanging tip is
-    above its top (m), and how near it is to the place below the mount (0 to 1), also times its height.
+    """Returns for each pillar how far it is from the finger's mount along and across the arm, how far the hanging tip
+    is above its top (m), and how near it is to the place below the mount (0 to 1), also times its height.
 
     `pillars` is `[samples, pillars, 3]`, in which z is half of the height, and `setpoint` is `[samples, 3]`.
     """
