@@ -951,8 +951,8 @@ fn each_combination_of_what_varies_must_be_possible() {
             "spec.yaml:8:3: unknown key 'simulation.seeds' in 'vary'; did you mean 'simulation.seed'? Allowed: \
              simulation.seed, simulation.episodes, simulation.actuations_per_episode, simulation.actuation_seconds, \
              simulation.sample_rate_hz, simulation.factors, simulation.rotation_range_rad, simulation.lift_range_m, \
-             simulation.extension_range_m, simulation.box_clearance_m, simulation.front_range_n, \
-             simulation.back_range_n, simulation.left_range_n, simulation.right_range_n",
+             simulation.extension_range_m, simulation.box_clearance_m, simulation.pillar_clearance_m, \
+             simulation.front_range_n, simulation.back_range_n, simulation.left_range_n, simulation.right_range_n",
         ),
         (
             "vary:\n  seeds: [0, 1]\n",
@@ -1294,8 +1294,8 @@ fn a_complete_spec_has_every_setting_with_its_default() {
                 run.output.iter().any(|output| output.name() == name)
             }
             ["scaling", name, _] => used.iter().any(|modality| modality.name() == name),
-            // The world `empty` has no tendons.
-            ["simulation", name] => !name.ends_with("_n"),
+            // The world `empty` has neither tendons nor pillars.
+            ["simulation", name] => !name.ends_with("_n") && name != "pillar_clearance_m",
             ["network" | "split" | "training" | "tasks" | "action" | "input" | "output", ..] => true,
             _ => continue,
         };
