@@ -132,6 +132,21 @@ def predicted(state, objects, forces, parts, seed):
     return best[1]
 
 
+def onsets(data):
+    """Returns which part of the samples are the first three of a contact, and which part of the force's variance they
+    have."""
+    touched = (data["contact_force_kind"] > 0).any(2)
+    first = touched & ~np.roll(touched, 1, 1)
+    first[:, 0] = touched[:, 0]
+    # A second or third sample counts only if the contact goes on.
+    second = np.roll(first, 1, 1) & touched
+    third = np.roll(second, 1, 1) & touched
+    second[:, 0] = third[:, :2] = False
+    begins = first | second | third
+    deviations = ((data["contact_force"] - data["contact_force"].mean((0, 1))) ** 2).sum(2)
+    return begins.mean(), deviations[begins].sum() / deviations.sum()
+
+
 def r2(prediction, reference):
     """R2 over all links, each with its own mean, as docs/metrics.md defines it."""
     return 1 - ((prediction - reference) ** 2).sum() / ((reference - reference.mean(0)) ** 2).sum()
@@ -143,9 +158,15 @@ def main():
     parser.add_argument("--ahead", type=int, default=1, help="samples ahead [default: 1]")
     parser.add_argument("--episodes", type=int, help="use only the first episodes [default: all]")
     parser.add_argument("--seed", type=int, default=0, help="of the networks [default: 0]")
+    parser.add_argument("--onsets", action="store_true", help="print only how much of the variance contacts begin with")
     options = parser.parse_args()
     torch.set_num_threads(1)
 
+    if options.onsets:
+        for folder in options.datasets:
+            samples, variance = onsets(read(folder, options.episodes))
+            print(f"{folder.name}: {samples:.0%} of the samples, {variance:.0%} of the variance")
+        return
     print("| seed | episodes | contacts with pillars, ground | target | without | oracle | gain |")
     print("|---|---|---|---|---|---|---|", flush=True)
     gains = {name: [] for name in TARGETS}
