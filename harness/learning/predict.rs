@@ -27,12 +27,13 @@ impl Tracks {
     fn new(samples: &Samples, context: usize, start: WindowStart, at: &[Sample]) -> Self {
         let (mut tracks, mut places): (Vec<Track>, _) = (Vec::new(), Vec::with_capacity(at.len()));
         for &present in at {
+            let before = samples.place(present).1;
             let distance = match start {
-                WindowStart::Rest if context > 1 => samples.place(present).1,
-                _ => context - 1,
+                WindowStart::Rest if context > 1 => before,
+                _ => before.min(context - 1),
             };
             let first = present.before(distance);
-            // A track from the start of an episode passes all its samples.
+            // A track from the start of an episode passes the samples after it.
             match tracks.last_mut() {
                 Some(last) if last.first == first => last.samples = distance + 1,
                 _ => tracks.push(Track { first, samples: distance + 1 }),
@@ -97,7 +98,7 @@ fn present(
     State::joined(&states)?.rows(&rows)
 }
 
-/// The latent states of a network at all samples that have a whole context before them.
+/// The latent states of a network at all samples. At the first ones of an episode, the context is as long as it can be.
 pub struct Latents {
     /// The samples, in their order.
     at: Vec<Sample>,
@@ -117,7 +118,7 @@ impl Latents {
         window: Window,
     ) -> Result<Self> {
         let network = network.detached();
-        let at = data.samples.windows(Window { horizon: 0, ..window.judged() });
+        let at = data.samples.windows(Window { horizon: 0, ..window.of_one_sample() });
         let latents = at.chunks(BATCH).map(|at| Ok(present(&*network, data, input, window, at)?.latent));
         let values = Tensor::cat(&latents.collect::<Result<Vec<_>>>()?, 0)?.contiguous()?;
         Ok(Self { at, values })
@@ -126,7 +127,7 @@ impl Latents {
     /// Returns the latent states at these samples, `[at, latent]`.
     ///
     /// # Errors
-    /// When a sample has no whole context before it.
+    /// When the dataset has no such sample.
     pub fn rows(&self, at: &[Sample]) -> Result<Tensor> {
         let row = |sample: &Sample| match self.at.binary_search(sample) {
             Ok(row) => Ok(row as u32),

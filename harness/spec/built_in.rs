@@ -47,6 +47,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "single_to_multi",
     "single_to_multi_best",
     "smoke",
+    "value",
     "vision_assumptions",
 ];
 

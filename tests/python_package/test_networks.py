@@ -89,6 +89,8 @@ def networks_of(spec: Path) -> Iterator[Overrides]:
     """The settings of each network without memory that an experiment trains."""
     experiment = yaml.safe_load(spec.read_text())
     base = {key: experiment[key] for key in SETTINGS if key in experiment}
+    if not {"empty", "cluttered"}.issuperset(experiment["scenarios"]):
+        base["scenarios"] = experiment["scenarios"]
     roles = list((experiment.get("roles") or {"": {}}).values())
     readings = [{}, *(reading["settings"] for reading in experiment.get("readings", []))]
     vary = experiment.get("vary", {})
