@@ -123,7 +123,7 @@ def first_mapping(contents: Contents, source: Path, folder: Path) -> str:
             lines.append(f"  vision: {term}")
             continue
         name = _free(wish, taken)
-        rest = "size: [64, 64]" if is_image else 'unit: ""'
+        rest = f"size: {KNOWN['vision']['size']}" if is_image else 'unit: ""'
         lines.append(f"  {name}: {{from: {term}, {rest}}}")
     return "\n".join(lines) + "\n"
 
