@@ -7,7 +7,7 @@
 #   setup/setup.sh --python       also what building and testing the Python package needs
 #   setup/setup.sh --docs         also what building the documentation site needs
 #   setup/setup.sh --bench        also .venv-bench, with PyTorch and PyBullet for the benchmarks
-#   setup/setup.sh --interchange  also .venv-interchange, with LeRobot, Rerun, MLflow, TensorBoard and readers of recordings
+#   setup/setup.sh --interchange  also .venv-interchange, with LeRobot, Rerun, MLflow, TensorBoard, recordings' readers
 #   setup/setup.sh --cluster      also Slurm, for its tests
 #   setup/setup.sh --notebooks    also .venv-notebooks, with Stable-Baselines3 and Jupyter
 #   setup/setup.sh --wheel        also .venv-wheel, with what builds a wheel
