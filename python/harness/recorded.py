@@ -164,9 +164,8 @@ class RecordedDataset:
 
     @property
     def is_finger(self) -> bool:
-        """Whether it records what the built-in worlds `empty` and `cluttered` do."""
-        # The bounds of regions are single-precision numbers in a dataset's description, and decimal ones in FINGER.
-        return self.scenario in PAPER and self.layout["modalities"] == FINGER["modalities"]
+        """Whether it records what the built-in worlds `empty` and `cluttered` do, and maybe more."""
+        return self.scenario in PAPER and vector_columns(FINGER).items() <= vector_columns(self.layout).items()
 
     @property
     def sample_rate_hz(self) -> float:
