@@ -177,6 +177,20 @@ fn an_answer_is_written_to_a_folder_that_is_not_there_yet() {
 }
 
 #[test]
+fn an_outer_join_has_the_same_rows_each_time() {
+    // The order of distinct rows differs between evaluations. Each has to be in the answer, with a partner or without.
+    let sql = "select s.scenario, l.latent, count(r.run) as n
+               from (select distinct scenario from runs) s cross join (select distinct latent from runs) l
+               left join runs r on r.scenario = s.scenario and r.latent = l.latent group by all order by all";
+    let first = answer(sql).unwrap();
+    let distinct = |column| answer(&format!("select distinct {column} from runs")).unwrap().height();
+    assert_eq!(first.height(), distinct("scenario") * distinct("latent"));
+    for _ in 0..30 {
+        assert!(answer(sql).unwrap().equals_missing(&first));
+    }
+}
+
+#[test]
 fn rows_come_in_the_same_order_each_time() {
     for sql in [
         "select metric, modality, index, count(*) from metrics group by metric, modality, index",

@@ -393,8 +393,10 @@ impl Planner<'_> {
             .map(|((left, right), (left_id, right_id))| (left.alias(left_id), right.alias(right_id)))
             .unzip();
         let (row, other_row) = (self.fresh(), self.fresh());
-        let numbered =
-            |frame: LazyFrame, keys: Vec<Expr>, row: &str| frame.with_columns(keys).with_row_index(row, None);
+        // Two parts of an outer join use the numbers. The order of rows may differ between two evaluations of a table.
+        let numbered = |frame: LazyFrame, keys: Vec<Expr>, row: &str| {
+            frame.with_columns(keys).with_row_index(row, None).cache()
+        };
         // An outer join needs row numbers to find the rows that have no partner.
         let (a, b) = if side == Side::Inner {
             (left.frame.with_columns(left_keys), right.frame.with_columns(right_keys))
