@@ -4,7 +4,7 @@ use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness_collection::{CollectionError, collect, dataset_of};
 use harness_dataset::{CompiledModel, Dataset, DatasetError};
 use harness_learning::frames::{Frames, SampleFrames};
-use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples, sequences};
+use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples, ends, sequences};
 use harness_shared::files::UNFINISHED;
 use harness_shared::progress::{Progress, Silent};
 use harness_simulation::{Episode, Scene, SimulationError, Simulator};
@@ -601,6 +601,8 @@ fn sequences_cover_their_episodes_without_overlap() {
             let covered: usize = [39, 22, 6].map(|transitions| transitions / length * length).iter().sum();
             assert_eq!(seen.len(), covered, "{length}");
         }
+        // All sequences, with those that overlap, end where the windows with this context do.
+        assert_eq!(ends(&all, length), windows);
     }
 }
 

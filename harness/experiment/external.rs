@@ -5,7 +5,7 @@ use super::{ExperimentError, OpenData, Runner, Source, describe};
 use harness_dataset::AnyDataset;
 use harness_judge::{Predictor, Recorded, RecordedError, RecordedValue, Test, judge, models};
 use harness_registry::{Outcome, Provenance, Registry, RunFolder, RunRecord, Status, Submission, Timings};
-use harness_samples::{Partition, Sample, Samples};
+use harness_samples::{Partition, Sample, Samples, ends};
 use harness_shared::files::FolderLock;
 use harness_shared::seal::hex;
 use harness_spec::{Division, Experiment, IMAGE_CHANNELS, Layout, MAX_SEED, Modality, RunSpec, Task};
@@ -185,12 +185,10 @@ impl OpenTask {
 
     /// Returns the windows of a part whose context is in the part. Networks join shorter windows to sequences.
     fn whole(&self, part: &[Sample]) -> Vec<Sample> {
-        let before = match self.task.spec.split.by {
-            Division::Sample => 0,
-            Division::Episode | Division::Time => self.task.spec.window.context - 1,
-        };
-        let ends = part.iter().skip(before);
-        ends.zip(part).filter(|(end, first)| first.after(before) == **end).map(|(end, _)| *end).collect()
+        match self.task.spec.split.by {
+            Division::Sample => part.to_vec(),
+            Division::Episode | Division::Time => ends(part, self.task.spec.window.context),
+        }
     }
 
     fn references(&self) -> Result<&References, ExperimentError> {

@@ -6,7 +6,7 @@ mod window;
 
 pub use frames::{FramePlace, frame_bytes};
 pub use normalizer::{Normalizer, Normalizers};
-pub use window::{Partition, Sample, after, before, sequences};
+pub use window::{Partition, Sample, after, before, ends, sequences};
 
 use frames::FrameStore;
 use harness_spec::{Action, Definition, Episode, Layout, Modality};

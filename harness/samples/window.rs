@@ -74,6 +74,12 @@ pub fn sequences(samples: &[Sample], length: usize, mut offset: impl FnMut(usize
     taken
 }
 
+/// Returns the last sample of each sequence of `length` consecutive samples, also of those that share samples.
+/// `samples` are in ascending order.
+pub fn ends(samples: &[Sample], length: usize) -> Vec<Sample> {
+    runs(samples).flat_map(|run| (run.start + length - 1..run.end).map(Sample::at)).collect()
+}
+
 /// Returns the present samples of all windows within a range of consecutive samples.
 fn within(window: Window, samples: &Range<usize>) -> impl Iterator<Item = Sample> + use<> {
     let first = samples.start + window.context - 1;
