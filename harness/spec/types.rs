@@ -86,7 +86,7 @@ pub enum Memory {
     #[default]
     None,
     /// A gated recurrent unit between the encoder and the latent state (Cho et al., 2014), as wide as the last hidden
-    /// layer. It takes the encoded sample and the action before it, and tells the latent state.
+    /// layer. It takes the encoded sample and the action before it. The latent state follows from it.
     Gru,
 }
 names!(Memory { None => "none", Gru => "gru" });

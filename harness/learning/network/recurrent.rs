@@ -14,7 +14,7 @@ const INPUT: &str = "input";
 /// Name of the unit's product with its last state.
 const HIDDEN: &str = "hidden";
 
-/// A gated recurrent unit (Cho et al., 2014) and the posterior that it tells.
+/// A gated recurrent unit (Cho et al., 2014), and the layer of the posterior after it.
 ///
 /// Its input is the encoded sample, whether there is one, and the action before it. For a sample that is not seen, the
 /// encoded sample is zero.
@@ -58,14 +58,14 @@ impl Unit {
         self.hidden.weight.dim(1)
     }
 
-    /// Returns the memory after a sample, `[batch, width]`, and the posterior that it tells. `encoded` is the sample;
-    /// `None` if it was not seen.
+    /// Returns the memory after a sample, `[batch, width]`, and the posterior of the latent state. `encoded` is the
+    /// sample; `None` if it was not seen.
     fn step(&self, state: &State, encoded: Option<&Tensor>) -> Result<(Tensor, Posterior)> {
         let Some(memory) = &state.memory else { candle_core::bail!("the state has no memory") };
         let (batch, device) = (memory.dim(0)?, memory.device());
         let zeros = |width: usize| Tensor::zeros((batch, width), DType::F32, device);
         let (encoded, seen) = match encoded {
-            Some(encoded) => (encoded.clone(), zeros(1)?.affine(1.0, 1.0)?),
+            Some(encoded) => (encoded.clone(), Tensor::ones((batch, 1), DType::F32, device)?),
             None => (zeros(self.encoded)?, zeros(1)?),
         };
         let action = state.action.clone().map_or_else(|| zeros(self.action), Ok)?;
