@@ -1,16 +1,15 @@
 //! The runs that an experiment expands to.
 
-use super::error::Origin as Place;
 use super::modality::{Layout, Modality};
 use super::origin::Origin;
 use super::overrides;
-use super::parse::{Entry, Node};
 use super::run::{Model, RunSpec, Trained};
 use super::scaling::{GivenScaling, Scaling, Scalings};
 use super::search::Trial;
 use super::simulation::Simulation;
-use super::types::{Experiment, Reading, Settings, Task, Training};
+use super::types::{Experiment, Reading, Task, Training};
 use super::world::{Known, World};
+use harness_yaml::{Entry, Node, Place};
 use serde_json::Value as Json;
 use std::borrow::Cow;
 use std::collections::hash_map;
@@ -116,7 +115,7 @@ impl Experiment {
 
     /// Returns the experiment with its own settings alone: without readings, roles, varied settings and trials.
     pub(super) fn alone(&self) -> Experiment {
-        let (readings, roles, vary) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
+        let (readings, roles, vary) = (Vec::new(), serde_json::Map::new(), BTreeMap::new());
         Self { readings, roles, vary, search: None, ..self.clone() }
     }
 
@@ -127,15 +126,22 @@ impl Experiment {
 
     /// Returns every combination of a reading, a role, the settings under `vary` and a trial; a single empty
     /// combination if the experiment has none of them.
-    pub(super) fn combinations(&self) -> Vec<Combination<'_>> {
+    pub(super) fn combinations<'a>(&'a self) -> Vec<Combination<'a>> {
         let mut combinations = vec![Combination::default()];
         if !self.readings.is_empty() {
-            let mut readings = vec![(Reading::BASE, &NO_SETTINGS)];
-            readings.extend(self.readings.iter().map(|one| (one.name.as_str(), &one.settings)));
+            let mut readings = vec![(Reading::BASE, Vec::new())];
+            let settings =
+                |one: &'a Reading| one.settings.iter().map(|(key, value)| (key.as_str(), value)).collect();
+            readings.extend(self.readings.iter().map(|one| (one.name.as_str(), settings(one))));
             combinations = combinations.iter().flat_map(|one| one.each("reading", &readings)).collect();
         }
         if !self.roles.is_empty() {
-            let roles: Vec<_> = self.roles.iter().map(|(role, settings)| (role.as_str(), settings)).collect();
+            let settings = |role: &'a Json| -> Vec<(&str, &Json)> {
+                let settings = role.as_object().into_iter().flatten();
+                settings.map(|(key, value)| (key.as_str(), value)).collect()
+            };
+            let roles: Vec<_> =
+                self.roles.iter().map(|(name, role)| (name.as_str(), settings(role))).collect();
             combinations = combinations.iter().flat_map(|one| one.each("role", &roles)).collect();
         }
         for (key, values) in &self.vary {
@@ -221,17 +227,13 @@ pub(super) struct Combination<'a> {
     settings: Vec<(&'a str, Cow<'a, Json>)>,
 }
 
-static NO_SETTINGS: Settings = Settings::new();
-
 impl<'a> Combination<'a> {
     /// Returns this combination extended by each of several named groups of settings.
-    fn each(&self, kind: &str, groups: &[(&str, &'a Settings)]) -> Vec<Self> {
-        let with = |(name, settings): &(&str, &'a Settings)| {
+    fn each(&self, kind: &str, groups: &[(&str, Vec<(&'a str, &'a Json)>)]) -> Vec<Self> {
+        let with = |(name, settings): &(&str, Vec<(&'a str, &'a Json)>)| {
             let mut combination = self.clone();
             combination.names.push(format!("{kind}={name}"));
-            combination
-                .settings
-                .extend(settings.iter().map(|(key, value)| (key.as_str(), Cow::Borrowed(value))));
+            combination.settings.extend(settings.iter().map(|(key, value)| (*key, Cow::Borrowed(*value))));
             combination
         };
         groups.iter().map(with).collect()
@@ -271,12 +273,8 @@ impl<'a> Combination<'a> {
         let entry = |(key, value): &(&str, Cow<Json>)| {
             let written = written.iter().find(|entry| entry.key == *key && entry.node.to_json() == **value);
             written.cloned().unwrap_or_else(|| {
-                let origin = tree.origin_of(&format!("search.space.{key}"));
-                Entry {
-                    key: (*key).to_owned(),
-                    key_origin: origin.clone(),
-                    node: Node::of_json(value, origin),
-                }
+                let place = tree.place_of(&format!("search.space.{key}"));
+                Entry { key: (*key).to_owned(), key_place: place.clone(), node: Node::of_json(value, place) }
             })
         };
         let mut combined = tree.clone();

@@ -1,6 +1,6 @@
 //! Errors in a spec, and their messages.
 
-use serde_yaml::Location;
+use harness_yaml::{Place, Problem};
 
 /// Why a spec was refused. The message says in one line what is wrong, where, and what is allowed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -47,53 +47,13 @@ pub enum SpecError {
     },
 }
 
-/// Where a value was written.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Origin {
-    /// At a line and a column of the file, counted from 1.
-    File { line: u64, column: u64 },
-    /// In this override, as it was given.
-    Override(String),
-}
-
-impl Origin {
-    /// The beginning of the file.
-    pub(crate) const START: Self = Self::File { line: 1, column: 1 };
-
-    /// Returns a parser's location, or the beginning of the file if the location is unknown.
-    pub fn at(location: Location) -> Self {
-        if location == Location::UNKNOWN {
-            return Self::START;
+impl SpecError {
+    /// Returns the error of a problem in the file `path`.
+    pub(super) fn of(problem: Problem, path: &str) -> Self {
+        let message = problem.message;
+        match problem.place {
+            Place::File { line, column } => Self::Invalid { path: path.into(), line, column, message },
+            Place::Override(text) => Self::Override { text, message },
         }
-        Self::File { line: location.line(), column: location.column() }
-    }
-}
-
-/// A fault and where it is, before the file's name is known.
-#[derive(Debug)]
-pub(super) struct Problem {
-    pub origin: Origin,
-    pub message: String,
-}
-
-impl Problem {
-    pub fn new(origin: &Origin, message: impl Into<String>) -> Self {
-        Self { origin: origin.clone(), message: message.into() }
-    }
-
-    pub fn in_file(self, path: &str) -> SpecError {
-        let message = self.message;
-        match self.origin {
-            Origin::File { line, column } => SpecError::Invalid { path: path.into(), line, column, message },
-            Origin::Override(text) => SpecError::Override { text, message },
-        }
-    }
-
-    /// Adds `what` was done to the spec before the problem appeared. A problem in an override says so already.
-    pub fn after(mut self, what: &str) -> Self {
-        if matches!(self.origin, Origin::File { .. }) {
-            self.message = format!("{} (after {what})", self.message);
-        }
-        self
     }
 }

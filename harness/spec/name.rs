@@ -1,18 +1,7 @@
-//! Names: the rule that they follow, interned names, and enums whose values have names.
+//! Interned names, and enums whose values have names.
 
 use std::collections::BTreeSet;
 use std::sync::Mutex;
-
-/// Regular expression of the names of modalities, scenarios and their elements.
-pub(super) const NAME: &str = "^[a-z][a-z0-9_]{0,63}$";
-
-/// Returns whether a text can name a modality, a scenario or an element: 1 to 64 lower-case letters, digits and `_`, of
-/// which the first is a letter.
-pub fn is_name(text: &str) -> bool {
-    (1..=64).contains(&text.len())
-        && text.starts_with(|c: char| c.is_ascii_lowercase())
-        && text.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
-}
 
 /// Returns the single copy of a name. The copy is never freed, because names are few and short.
 pub fn intern(name: &str) -> &'static str {
@@ -33,7 +22,7 @@ macro_rules! interned_name {
         impl $type {
             /// Creates the value with this name; `None` if the name is not valid.
             pub fn new(name: &str) -> Option<Self> {
-                $crate::is_name(name).then(|| Self($crate::intern(name)))
+                harness_yaml::is_name(name).then(|| Self($crate::intern(name)))
             }
 
             /// Returns the name in specs, tables and file names.

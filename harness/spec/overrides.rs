@@ -1,9 +1,8 @@
 //! Changes to single settings: `training.batch_size=512` on the command line, and a spec's own `quick`.
 
-use super::check::unknown;
-use super::error::{Origin, Problem};
-use super::parse::{self, Entry, Node, Value};
 use super::schema;
+use super::text::MAX_FILE_BYTES;
+use harness_yaml::{Entry, Node, Place, Problem, Value, parse, shorten, unknown};
 
 /// Key of the settings that are tried in every combination.
 pub(super) const VARY: &str = "vary";
@@ -15,21 +14,21 @@ const ROLES: &str = "roles";
 
 /// Reads `KEY=VALUE`: the dotted key of a setting, and its value in YAML.
 pub(super) fn read(text: &str) -> Result<Entry, Problem> {
-    let origin = Origin::Override(parse::shorten(text));
+    let place = Place::Override(shorten(text));
     let Some((key, value)) = text.split_once('=') else {
-        return Err(Problem::new(&origin, "has no '='; write KEY=VALUE, as in training.epochs=3"));
+        return Err(Problem::new(&place, "has no '='; write KEY=VALUE, as in training.epochs=3"));
     };
     let key = key.trim();
     let names = schema::setting_names();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     if !names.contains(&key) && !schema::is_setting(key) {
-        return Err(Problem::new(&origin, not_a_setting(key, value, &names)));
+        return Err(Problem::new(&place, not_a_setting(key, value, &names)));
     }
-    if value.len() as u64 > parse::MAX_FILE_BYTES {
-        return Err(Problem::new(&origin, "is larger than 1 MiB"));
+    if value.len() as u64 > MAX_FILE_BYTES {
+        return Err(Problem::new(&place, "is larger than 1 MiB"));
     }
-    let node = parse::parse(value).map_err(|problem| Problem::new(&origin, problem.message))?;
-    Ok(Entry { key: key.to_owned(), key_origin: origin.clone(), node: node.attributed_to(&origin) })
+    let node = parse(value).map_err(|problem| Problem::new(&place, problem.message))?;
+    Ok(Entry { key: key.to_owned(), key_place: place.clone(), node: node.attributed_to(&place) })
 }
 
 fn not_a_setting(key: &str, value: &str, names: &[&str]) -> String {
@@ -38,7 +37,7 @@ fn not_a_setting(key: &str, value: &str, names: &[&str]) -> String {
     if section.is_empty() {
         let suggest = |name: &str| {
             let is_single = schema::is_list(name) && !value.trim_start().starts_with('[');
-            let value = parse::shorten(value);
+            let value = shorten(value);
             if is_single { format!("{name}=[{value}]") } else { format!("{name}={value}") }
         };
         return unknown("key", key, "", names, suggest);
@@ -76,14 +75,14 @@ fn try_alone(tree: &mut Node, setting: &Entry) {
         && let Some(entry) = varied.iter_mut().find(|entry| entry.key == setting.key)
     {
         let only = setting.node.clone();
-        entry.node = Node { origin: only.origin.clone(), value: Value::List(vec![only]) };
+        entry.node = Node { place: only.place.clone(), value: Value::List(vec![only]) };
     }
     if let Some(node) = tree.get_mut(SEARCH).and_then(|search| search.get_mut("space")?.get_mut(&setting.key))
     {
-        let origin = setting.node.origin.clone();
-        let only = Node { origin: origin.clone(), value: Value::List(vec![setting.node.clone()]) };
-        let choice = Entry { key: "choice".into(), key_origin: origin.clone(), node: only };
-        *node = Node { origin, value: Value::Section(vec![choice]) };
+        let place = setting.node.place.clone();
+        let only = Node { place: place.clone(), value: Value::List(vec![setting.node.clone()]) };
+        let choice = Entry { key: "choice".into(), key_place: place.clone(), node: only };
+        *node = Node { place, value: Value::Section(vec![choice]) };
     }
     if let Some(Node { value: Value::List(readings), .. }) = tree.get_mut(READINGS) {
         readings
@@ -108,8 +107,8 @@ fn set(section: &mut Node, path: &str, setting: &Entry) {
     let (key, rest) = path.split_once('.').map_or((path, None), |(key, rest)| (key, Some(rest)));
     let Value::Section(entries) = &mut section.value else { return };
     let index = entries.iter().position(|entry| entry.key == key).unwrap_or_else(|| {
-        let node = Node { origin: setting.key_origin.clone(), value: Value::Section(Vec::new()) };
-        entries.push(Entry { key: key.to_owned(), key_origin: setting.key_origin.clone(), node });
+        let node = Node { place: setting.key_place.clone(), value: Value::Section(Vec::new()) };
+        entries.push(Entry { key: key.to_owned(), key_place: setting.key_place.clone(), node });
         entries.len() - 1
     });
     match rest {

@@ -1,18 +1,20 @@
 //! The JSON schema of a spec, for editors and for the checks.
 
-use super::check::{
-    allow_single_values, check_against, join, list_single, properties, property, resolve, takes_one_item,
-    types,
-};
-use super::error::Problem;
+use super::hints::HINTS;
 use super::origin::{IMPORTED_NAME, Origin};
-use super::parse::Node;
 use super::simulation::Setting;
 use super::types::Experiment;
 use super::world::World;
+use harness_yaml::{
+    Node, Problem, allow_single_values, check_against, join, list_single, properties, property, resolve,
+    takes_one_item, types,
+};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde_json::{Value as Json, json};
 use std::sync::LazyLock;
+
+/// The key and the value of an ablation of each modality of the input.
+pub(super) const WITHOUT: [&str; 2] = ["without", "each"];
 
 static SCHEMA: LazyLock<Json> = LazyLock::new(build);
 
@@ -23,7 +25,21 @@ static SCHEMA: LazyLock<Json> = LazyLock::new(build);
 pub fn schema() -> Json {
     let mut schema = SCHEMA.clone();
     allow_single_values(&mut schema);
+    for path in ["/properties/vary", "/properties/quick/properties/vary"] {
+        let inputs =
+            schema.pointer_mut(&format!("{path}/properties/input/anyOf")).and_then(Json::as_array_mut);
+        inputs.expect("a list of inputs may have a single item").push(ablation());
+    }
     schema
+}
+
+/// The schema of an ablation of the input. A spec that is checked has a list in its place.
+fn ablation() -> Json {
+    let [key, each] = WITHOUT;
+    json!({
+        "description": "The input of the spec, and the input without each of its modalities.", "type": "object",
+        "properties": { key: { "const": each } }, "required": [key], "additionalProperties": false,
+    })
 }
 
 /// Returns the dotted keys of all settings that an override or `quick` may change.
@@ -187,6 +203,18 @@ pub(super) fn is_setting(key: &str) -> bool {
     setting_schema(key).is_some_and(|schema| schema.get("properties").is_none())
 }
 
+/// Returns the dotted key of the setting that may vary and has this name: its key, or its key without its section, if
+/// no other setting has the same. `None` if there is none.
+pub fn varied_setting(name: &str) -> Option<String> {
+    if varies(name) && is_setting(name) {
+        return Some(name.to_owned());
+    }
+    let names = setting_names();
+    let ending = format!(".{name}");
+    let mut found = names.iter().filter(|key| varies(key) && key.ends_with(&ending));
+    found.next().filter(|_| found.next().is_none()).cloned()
+}
+
 /// Returns the schema of the value of a dotted key.
 fn setting_schema(key: &str) -> Option<&'static Json> {
     let mut schema: &'static Json = &SCHEMA;
@@ -205,7 +233,7 @@ fn setting_schema(key: &str) -> Option<&'static Json> {
 
 /// Refuses a tree that the schema does not allow.
 pub(super) fn check(tree: &Node) -> Result<(), Problem> {
-    check_against(&SCHEMA, tree)
+    check_against(&SCHEMA, tree, &HINTS)
 }
 
 /// Accepts the names of the built-in worlds, which editors complete, paths of world files, and names of datasets.
@@ -235,8 +263,8 @@ impl JsonSchema for Origin {
 
 #[cfg(test)]
 mod tests {
-    use super::super::check::expected;
     use super::*;
+    use harness_yaml::expected;
 
     /// A keyword that `check` overlooks would bind editors alone, so each must be one it knows.
     #[test]
@@ -287,7 +315,7 @@ mod tests {
     #[test]
     fn every_setting_can_be_described() {
         for (name, property) in properties(&SCHEMA["properties"]["quick"]) {
-            let words = expected(&SCHEMA, property);
+            let words = expected(&SCHEMA, property, &HINTS);
             let known = ["a", "one of ", "true or false"];
             assert!(known.iter().any(|start| words.starts_with(start)), "{name}: {words}");
         }

@@ -1,8 +1,6 @@
 //! Checks the rules that the schema can't express, because they depend on several settings.
 
-use super::check::unknown;
 use super::modality::{Modality, Scale};
-use super::name::is_name;
 use super::origin::Origin;
 use super::search::{Halving, Objective, Search};
 use super::simulation::{Setting, Simulation};
@@ -11,6 +9,7 @@ use super::types::{
     Training, WindowStart,
 };
 use super::world::World;
+use harness_yaml::{is_name, shorten, unknown};
 
 /// Largest number of values in a tensor of a network: 1 GiB in single precision.
 const MAX_TENSOR_LEN: usize = 1 << 28;
@@ -74,7 +73,7 @@ fn name(name: &str) -> Result<(), Fault> {
     if (1..=64).contains(&name.len()) && name.chars().all(is_allowed) {
         return Ok(());
     }
-    let name = super::parse::shorten(name);
+    let name = shorten(name);
     fault("name", format!("'{name}' can't name a folder; use 1 to 64 ASCII letters, digits, '_' and '-'"))
 }
 
@@ -89,7 +88,7 @@ fn readings(experiment: &Experiment) -> Result<(), Fault> {
             );
         }
         if !is_name(name) {
-            return fault(path, NAME_RULE.replace("{}", &super::parse::shorten(name)));
+            return fault(path, NAME_RULE.replace("{}", &shorten(name)));
         }
         if experiment.readings[..index].iter().any(|other| other.name == *name) {
             return fault(path, format!("there is a reading '{name}' already"));
@@ -408,7 +407,7 @@ fn settings(experiment: &Experiment) -> Result<(), Fault> {
             continue;
         }
         let message = match factors.is_empty() {
-            true => format!("unknown factor '{}': the world file declares none", super::parse::shorten(name)),
+            true => format!("unknown factor '{}': the world file declares none", shorten(name)),
             false => unknown("factor", name, "simulation.factors", &factors, str::to_owned),
         };
         return fault(format!("simulation.factors.{index}"), message);
@@ -599,7 +598,7 @@ fn search(experiment: &Experiment) -> Result<(), Fault> {
             "vary"
         } else if experiment.readings.iter().any(|reading| is_in(&reading.settings)) {
             "readings"
-        } else if experiment.roles.values().any(is_in) {
+        } else if experiment.roles.values().any(|role| role.get(key).is_some()) {
             "roles"
         } else {
             continue;

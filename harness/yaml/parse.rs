@@ -1,41 +1,47 @@
 //! Parses YAML text into a tree in which every value has its place in the text.
 
-use super::error::{Origin, Problem, SpecError};
+use super::{Place, Problem};
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 use serde_yaml::options::NonFiniteFloatPolicy;
 use serde_yaml::{MessageFormatter, Spanned, UserMessageFormatter};
 use std::fmt;
-use std::fs::File;
-use std::io::Read;
-use std::path::Path;
-
-/// Size of the largest file that is read, bytes.
-pub(super) const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// A YAML value and where it was written.
 #[derive(Debug, Clone)]
-pub(super) struct Node {
-    pub origin: Origin,
+pub struct Node {
+    /// Where it was written.
+    pub place: Place,
+    /// The value.
     pub value: Value,
 }
 
 /// A YAML value; a mapping is called a section.
 #[derive(Debug, Clone)]
-pub(super) enum Value {
+pub enum Value {
+    /// Nothing.
     Null,
+    /// `true` or `false`.
     Bool(bool),
+    /// An integer.
     Integer(i128),
+    /// A number with a fraction or an exponent.
     Float(f64),
+    /// A text.
     Text(String),
+    /// A sequence.
     List(Vec<Node>),
+    /// A mapping.
     Section(Vec<Entry>),
 }
 
 /// One `key: value` of a section.
 #[derive(Debug, Clone)]
-pub(super) struct Entry {
+pub struct Entry {
+    /// The key.
     pub key: String,
-    pub key_origin: Origin,
+    /// Where the key was written.
+    pub key_place: Place,
+    /// The value and its place.
     pub node: Node,
 }
 
@@ -60,9 +66,9 @@ impl Node {
 
     /// Returns where the value at a dotted path was written. If it is missing, returns the place of the innermost
     /// section around it. A number in the path is an index into a list. A key may contain dots.
-    pub fn origin_of(&self, path: &str) -> &Origin {
+    pub fn place_of(&self, path: &str) -> &Place {
         if path.is_empty() {
-            return &self.origin;
+            return &self.place;
         }
         let below = |key: &str| match path.strip_prefix(key)? {
             "" => Some(""),
@@ -78,23 +84,23 @@ impl Node {
             }
             _ => None,
         };
-        child.map_or(&self.origin, |(child, rest)| child.origin_of(rest))
+        child.map_or(&self.place, |(child, rest)| child.place_of(rest))
     }
 
-    /// Returns the value with `origin` as the place of all its parts.
-    pub fn attributed_to(mut self, origin: &Origin) -> Node {
-        self.origin = origin.clone();
+    /// Returns the value with `place` as the place of all its parts.
+    pub fn attributed_to(mut self, place: &Place) -> Node {
+        self.place = place.clone();
         self.value = match self.value {
             Value::List(items) => {
-                Value::List(items.into_iter().map(|item| item.attributed_to(origin)).collect())
+                Value::List(items.into_iter().map(|item| item.attributed_to(place)).collect())
             }
             Value::Section(entries) => Value::Section(
                 entries
                     .into_iter()
                     .map(|entry| Entry {
                         key: entry.key,
-                        key_origin: origin.clone(),
-                        node: entry.node.attributed_to(origin),
+                        key_place: place.clone(),
+                        node: entry.node.attributed_to(place),
                     })
                     .collect(),
             ),
@@ -103,8 +109,8 @@ impl Node {
         self
     }
 
-    /// Returns a JSON value as a node with `origin` as the place of all its parts.
-    pub fn of_json(json: &serde_json::Value, origin: &Origin) -> Self {
+    /// Returns a JSON value as a node with `place` as the place of all its parts.
+    pub fn of_json(json: &serde_json::Value, place: &Place) -> Self {
         let value = match json {
             serde_json::Value::Null => Value::Null,
             serde_json::Value::Bool(value) => Value::Bool(*value),
@@ -114,18 +120,18 @@ impl Node {
             },
             serde_json::Value::String(text) => Value::Text(text.clone()),
             serde_json::Value::Array(items) => {
-                Value::List(items.iter().map(|item| Self::of_json(item, origin)).collect())
+                Value::List(items.iter().map(|item| Self::of_json(item, place)).collect())
             }
             serde_json::Value::Object(entries) => {
                 let entry = |(key, value): (&String, _)| Entry {
                     key: key.clone(),
-                    key_origin: origin.clone(),
-                    node: Self::of_json(value, origin),
+                    key_place: place.clone(),
+                    node: Self::of_json(value, place),
                 };
                 Value::Section(entries.iter().map(entry).collect())
             }
         };
-        Self { origin: origin.clone(), value }
+        Self { place: place.clone(), value }
     }
 
     /// Returns the value as JSON. A number that JSON cannot hold becomes null, so check the tree first.
@@ -162,7 +168,7 @@ impl fmt::Display for Value {
 
 /// Shortens a text to 60 characters on one line, to quote it in a message. Characters that can't be printed are
 /// escaped.
-pub(super) fn shorten(text: &str) -> String {
+pub fn shorten(text: &str) -> String {
     const LONGEST: usize = 60;
     let mut shown = String::new();
     for letter in text.chars().take(LONGEST) {
@@ -174,41 +180,11 @@ pub(super) fn shorten(text: &str) -> String {
     if text.chars().nth(LONGEST).is_some() { shown + "…" } else { shown }
 }
 
-/// Reads the text of a YAML file.
+/// Parses one YAML document.
 ///
 /// # Errors
-/// When the file is missing, is a directory or an MJCF model, is larger than 1 MiB, can't be read, or is not UTF-8.
-pub fn read(path: &Path) -> Result<String, SpecError> {
-    let unreadable = |message: String| SpecError::Unreadable { path: path.display().to_string(), message };
-    if path.is_dir() {
-        return Err(unreadable("is a directory; name a YAML file in it".into()));
-    }
-    let file = File::open(path).map_err(|error| match error.kind() {
-        std::io::ErrorKind::NotFound => unreadable("there is no such file".into()),
-        _ => unreadable(format!("can't be opened: {error}")),
-    })?;
-    if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("xml")) {
-        return Err(unreadable(
-            "is an MJCF model; `harness world new MODEL.xml` writes a world file for it".into(),
-        ));
-    }
-    let mut bytes = Vec::new();
-    // Reading one byte more than allowed detects a file that is too large, even a pipe, whose metadata has no size.
-    file.take(MAX_FILE_BYTES + 1)
-        .read_to_end(&mut bytes)
-        .map_err(|error| unreadable(format!("can't be read: {error}")))?;
-    if bytes.len() as u64 > MAX_FILE_BYTES {
-        return Err(unreadable("is larger than 1 MiB; it must be a short text".into()));
-    }
-    String::from_utf8(bytes).map_err(|error| {
-        let valid = &error.as_bytes()[..error.utf8_error().valid_up_to()];
-        let line = valid.iter().filter(|&&byte| byte == b'\n').count() + 1;
-        unreadable(format!("is not UTF-8 text: the first bad byte is on line {line}"))
-    })
-}
-
-/// Parses one YAML document.
-pub(super) fn parse(text: &str) -> Result<Node, Problem> {
+/// When the text is not valid YAML, or is nested too deeply.
+pub fn parse(text: &str) -> Result<Node, Problem> {
     let options = serde_yaml::options! {
         with_snippet: false,
         strict_booleans: true,
@@ -218,16 +194,16 @@ pub(super) fn parse(text: &str) -> Result<Node, Problem> {
         alias_limits: serde_yaml::alias_limits! { max_total_replayed_events: 10_000 },
     };
     serde_yaml::from_str_with_options(text, options).map_err(|error| {
-        let origin = error.location().map_or(Origin::START, Origin::at);
+        let place = error.location().map_or(Place::START, Place::at);
         let message = UserMessageFormatter.format_message(error.without_snippet());
-        Problem { origin, message: format!("broken YAML: {message}") }
+        Problem { place, message: format!("broken YAML: {message}") }
     })
 }
 
 impl<'de> Deserialize<'de> for Node {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let spanned = Spanned::<Value>::deserialize(deserializer)?;
-        Ok(Node { origin: Origin::at(spanned.referenced), value: spanned.value })
+        Ok(Node { place: Place::at(spanned.referenced), value: spanned.value })
     }
 }
 
@@ -281,7 +257,7 @@ impl<'de> Visitor<'de> for ValueVisitor {
     fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Value, A::Error> {
         let mut section = Vec::new();
         while let Some((key, node)) = entries.next_entry::<Spanned<String>, Node>()? {
-            section.push(Entry { key: key.value, key_origin: Origin::at(key.referenced), node });
+            section.push(Entry { key: key.value, key_place: Place::at(key.referenced), node });
         }
         Ok(Value::Section(section))
     }

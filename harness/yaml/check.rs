@@ -1,10 +1,7 @@
 //! Checks of a file against a JSON schema: keys, types, choices and bounds.
 
-use super::error::Problem;
-use super::modality::Modality;
-use super::name::is_name;
-use super::origin::Origin;
 use super::parse::{Entry, Node, Value, shorten};
+use super::{Problem, is_name};
 use harness_shared::nearest;
 use serde_json::{Value as Json, json};
 use std::collections::HashSet;
@@ -12,8 +9,18 @@ use std::collections::HashSet;
 /// How a message calls a string.
 const TEXT: &str = "a text";
 
+/// What a schema can't say. A definition is named in lower case.
+pub struct Hints {
+    /// Whether a text that an enumeration does not list is valid in its place.
+    pub accepts: fn(definition: &str, text: &str) -> bool,
+    /// What is allowed besides the values of an enumeration; it follows them in a message.
+    pub others: fn(definition: &str) -> &'static str,
+    /// The message about a key that is not allowed at a dotted path; `None` for the usual one.
+    pub unknown_key: fn(entry: &Entry, path: &str) -> Option<String>,
+}
+
 /// Changes `schema` so that it also accepts a single value for each list that may have one item.
-pub(super) fn allow_single_values(schema: &mut Json) {
+pub fn allow_single_values(schema: &mut Json) {
     match schema {
         Json::Array(schemas) => schemas.iter_mut().for_each(allow_single_values),
         Json::Object(keywords) => keywords.values_mut().for_each(allow_single_values),
@@ -32,7 +39,7 @@ pub(super) fn allow_single_values(schema: &mut Json) {
 }
 
 /// Makes a list of each single value that stands where the schema wants a list: `latent: 4` becomes `latent: [4]`.
-pub(super) fn list_single(root: &Json, tree: &mut Node) {
+pub fn list_single(root: &Json, tree: &mut Node) {
     list_below(root, root, tree);
 }
 
@@ -54,7 +61,7 @@ fn list_below(root: &Json, schema: &Json, node: &mut Node) {
 }
 
 /// Returns whether a list may have a single item.
-pub(super) fn takes_one_item(schema: &Json) -> bool {
+pub fn takes_one_item(schema: &Json) -> bool {
     let items = |bound: &str| schema[bound].as_u64();
     types(schema) == ["array"]
         && items("minItems").is_none_or(|n| n <= 1)
@@ -71,7 +78,7 @@ fn fits(root: &Json, schema: &Json, value: &Value) -> bool {
 }
 
 /// The schema of a section's key: its own, or the one that all others have; null or false where there is none.
-pub(super) fn property<'a>(schema: &'a Json, key: &str) -> &'a Json {
+pub fn property<'a>(schema: &'a Json, key: &str) -> &'a Json {
     match schema["properties"].get(key) {
         Some(own) => own,
         None if is_name(key) => &schema["additionalProperties"],
@@ -79,125 +86,100 @@ pub(super) fn property<'a>(schema: &'a Json, key: &str) -> &'a Json {
     }
 }
 
-/// Refuses a tree that another schema does not allow.
-pub(super) fn check_against(root: &Json, tree: &Node) -> Result<(), Problem> {
-    check_node(root, root, tree, "")
+/// Refuses a tree that its schema does not allow.
+///
+/// # Errors
+/// When a key or a value is not allowed, or a key is missing. The first problem in the order of the schema counts.
+pub fn check_against(root: &Json, tree: &Node, hints: &Hints) -> Result<(), Problem> {
+    Check { root, hints }.node(root, tree, "")
 }
 
-fn check_node(root: &Json, schema: &Json, node: &Node, path: &str) -> Result<(), Problem> {
-    let (schema, definition) = resolve(root, schema);
-    if let Some(choices) = choices(schema) {
-        return check_choice(root, schema, &choices, &definition.to_lowercase(), node, path);
-    }
-    if let Some(either) = schema["anyOf"].as_array() {
-        if either.iter().any(|choice| check_node(root, choice, node, path).is_ok()) {
-            return Ok(());
+/// A schema with its definitions, and what it can't say.
+struct Check<'a> {
+    root: &'a Json,
+    hints: &'a Hints,
+}
+
+impl Check<'_> {
+    fn node(&self, schema: &Json, node: &Node, path: &str) -> Result<(), Problem> {
+        let (schema, definition) = resolve(self.root, schema);
+        if let Some(choices) = choices(schema) {
+            return self.choice(schema, &choices, &definition.to_lowercase(), node, path);
         }
-        return Err(Problem::new(&node.origin, unexpected(&expected(root, schema), &node.value, path)));
-    }
-    if !has_type(schema, &node.value) || !is_within_bounds(schema, &node.value) {
-        return Err(Problem::new(&node.origin, unexpected(&expected(root, schema), &node.value, path)));
-    }
-    match &node.value {
-        Value::List(items) => check_items(root, schema, items, path),
-        Value::Section(entries) => check_keys(root, schema, node, entries, path),
-        _ => Ok(()),
-    }
-}
-
-fn check_choice(
-    root: &Json,
-    schema: &Json,
-    choices: &[&str],
-    what: &str,
-    node: &Node,
-    path: &str,
-) -> Result<(), Problem> {
-    // A text that only fits a pattern is compared with the existing worlds and datasets later.
-    let fits_pattern = |text: &str| match what {
-        "scenario" => Origin::try_from(text.to_owned()).is_ok(),
-        "modality" => Modality::new(text).is_some(),
-        _ => false,
-    };
-    let message = match &node.value {
-        Value::Text(text) if choices.contains(&text.as_str()) || fits_pattern(text) => return Ok(()),
-        Value::Text(text) => unknown(what, text, path, choices, str::to_owned) + other_choices(what),
-        other => unexpected(&expected(root, schema), other, path),
-    };
-    Err(Problem::new(&node.origin, message))
-}
-
-/// Describes the values that are allowed besides the names that a schema lists.
-fn other_choices(what: &str) -> &'static str {
-    match what {
-        "scenario" => ", the path of a world file, or the name of an imported dataset",
-        "modality" => ", or a modality of another world or dataset",
-        "samples" => "; a choice by the test samples would make their errors too small",
-        _ => "",
-    }
-}
-
-fn check_items(root: &Json, schema: &Json, items: &[Node], path: &str) -> Result<(), Problem> {
-    let mut earlier = HashSet::new();
-    for item in items {
-        check_node(root, &schema["items"], item, path)?;
-        let value = item.to_json().to_string();
-        if schema["uniqueItems"] == true && !earlier.insert(value.clone()) {
-            return Err(Problem::new(&item.origin, format!("{value} is in '{path}' twice")));
+        let unexpected = || {
+            Problem::new(&node.place, unexpected(&expected(self.root, schema, self.hints), &node.value, path))
+        };
+        if let Some(either) = schema["anyOf"].as_array() {
+            let is_one = either.iter().any(|choice| self.node(choice, node, path).is_ok());
+            return if is_one { Ok(()) } else { Err(unexpected()) };
+        }
+        if !has_type(schema, &node.value) || !is_within_bounds(schema, &node.value) {
+            return Err(unexpected());
+        }
+        match &node.value {
+            Value::List(items) => self.items(schema, items, path),
+            Value::Section(entries) => self.keys(schema, node, entries, path),
+            _ => Ok(()),
         }
     }
-    Ok(())
-}
 
-fn check_keys(
-    root: &Json,
-    schema: &Json,
-    section: &Node,
-    entries: &[Entry],
-    path: &str,
-) -> Result<(), Problem> {
-    let names: Vec<&str> = properties(schema).map(|(name, _)| name.as_str()).collect();
-    for entry in entries {
-        let own = property(schema, &entry.key);
-        if own.is_null() || own == false {
-            return Err(Problem::new(&entry.key_origin, unknown_key(entry, path, &names)));
+    fn choice(
+        &self,
+        schema: &Json,
+        choices: &[&str],
+        what: &str,
+        node: &Node,
+        path: &str,
+    ) -> Result<(), Problem> {
+        let Hints { accepts, others, .. } = self.hints;
+        let message = match &node.value {
+            Value::Text(text) if choices.contains(&text.as_str()) || accepts(what, text) => return Ok(()),
+            Value::Text(text) => unknown(what, text, path, choices, str::to_owned) + others(what),
+            other => unexpected(&expected(self.root, schema, self.hints), other, path),
+        };
+        Err(Problem::new(&node.place, message))
+    }
+
+    fn items(&self, schema: &Json, items: &[Node], path: &str) -> Result<(), Problem> {
+        let mut earlier = HashSet::new();
+        for item in items {
+            self.node(&schema["items"], item, path)?;
+            let value = item.to_json().to_string();
+            if schema["uniqueItems"] == true && !earlier.insert(value.clone()) {
+                return Err(Problem::new(&item.place, format!("{value} is in '{path}' twice")));
+            }
         }
+        Ok(())
     }
-    let required = schema["required"].as_array().into_iter().flatten().filter_map(Json::as_str);
-    let missing: Vec<String> = required
-        .filter(|key| section.get(key).is_none())
-        .map(|key| format!("'{}'", join(path, key)))
-        .collect();
-    if !missing.is_empty() {
-        return Err(Problem::new(&section.origin, format!("missing {}", missing.join(", "))));
-    }
-    entries.iter().try_for_each(|entry| {
-        check_node(root, property(schema, &entry.key), &entry.node, &join(path, &entry.key))
-    })
-}
 
-/// A list in which each list is replaced by its elements; `vary` may have lists of lists.
-fn flattened(value: Json) -> Json {
-    let Json::Array(elements) = value else { return value };
-    let elements = elements.into_iter().flat_map(|element| match element {
-        Json::Array(inner) => inner,
-        element => vec![element],
-    });
-    Json::Array(elements.collect())
+    fn keys(&self, schema: &Json, section: &Node, entries: &[Entry], path: &str) -> Result<(), Problem> {
+        let names: Vec<&str> = properties(schema).map(|(name, _)| name.as_str()).collect();
+        for entry in entries {
+            let own = property(schema, &entry.key);
+            if own.is_null() || own == false {
+                let message = (self.hints.unknown_key)(entry, path);
+                let message = message.unwrap_or_else(|| unknown_key(entry, path, &names));
+                return Err(Problem::new(&entry.key_place, message));
+            }
+        }
+        let required = schema["required"].as_array().into_iter().flatten().filter_map(Json::as_str);
+        let missing: Vec<String> = required
+            .filter(|key| section.get(key).is_none())
+            .map(|key| format!("'{}'", join(path, key)))
+            .collect();
+        if !missing.is_empty() {
+            return Err(Problem::new(&section.place, format!("missing {}", missing.join(", "))));
+        }
+        entries.iter().try_for_each(|entry| {
+            self.node(property(schema, &entry.key), &entry.node, &join(path, &entry.key))
+        })
+    }
 }
 
 /// The message about a key that a section can't have. `names` are the keys that the schema lists.
 fn unknown_key(entry: &Entry, path: &str, names: &[&str]) -> String {
-    /// The lists of a spec of which each value has its own runs.
-    const LISTS: [&str; 3] = ["scenarios", "latent", "seeds"];
-    let key = shorten(&entry.key);
-    if path.rsplit('.').next() == Some("vary") && LISTS.contains(&entry.key.as_str()) {
-        let value = shorten(&flattened(entry.node.to_json()).to_string());
-        return format!(
-            "'{key}' is a list already; leave it out of '{path}', and write {key}: {value} at the top level of the spec"
-        );
-    }
     if names.is_empty() {
+        let key = shorten(&entry.key);
         return format!(
             "'{key}' in '{path}' can't be a name; use 1 to 64 lower-case letters, digits and '_', a letter first"
         );
@@ -212,7 +194,7 @@ fn unexpected(expected: &str, found: &Value, path: &str) -> String {
 }
 
 /// Says that a name is not known, which one may have been meant, as `suggest` writes it, and which there are.
-pub(super) fn unknown(
+pub fn unknown(
     what: &str,
     found: &str,
     path: &str,
@@ -235,16 +217,31 @@ pub(super) fn unknown(
     if meant.is_some() && allowed.len() > MOST {
         return message;
     }
-    message + &format!(" Allowed: {}", allowed.join(", "))
+    let shown = if allowed.len() > MOST {
+        by_section(allowed)
+    } else {
+        allowed.iter().map(ToString::to_string).collect()
+    };
+    message + &format!(" Allowed: {}", shown.join(", "))
+}
+
+/// The names, with one entry for all dotted names of a section, such as `training.…`.
+fn by_section(names: &[&str]) -> Vec<String> {
+    let entry =
+        |name: &&str| name.split_once('.').map_or((*name).to_owned(), |(section, _)| format!("{section}.…"));
+    let mut entries: Vec<String> = names.iter().map(entry).collect();
+    entries.dedup();
+    entries
 }
 
 /// Follows a reference into the definitions. Returns the schema and the definition's name.
-pub(super) fn resolve<'a>(root: &'a Json, schema: &'a Json) -> (&'a Json, &'a str) {
+pub fn resolve<'a>(root: &'a Json, schema: &'a Json) -> (&'a Json, &'a str) {
     let name = schema["$ref"].as_str().and_then(|reference| reference.strip_prefix("#/$defs/"));
     name.map_or((schema, ""), |name| (&root["$defs"][name], name))
 }
 
-pub(super) fn properties(schema: &Json) -> impl Iterator<Item = (&String, &Json)> {
+/// The properties that a schema lists, with their names.
+pub fn properties(schema: &Json) -> impl Iterator<Item = (&String, &Json)> {
     schema["properties"].as_object().into_iter().flatten()
 }
 
@@ -253,7 +250,8 @@ fn choices(schema: &Json) -> Option<Vec<&str>> {
     Some(schema["oneOf"].as_array()?.iter().filter_map(|choice| choice["const"].as_str()).collect())
 }
 
-pub(super) fn types(schema: &Json) -> Vec<&str> {
+/// The types that a schema allows.
+pub fn types(schema: &Json) -> Vec<&str> {
     match &schema["type"] {
         Json::Array(types) => types.iter().filter_map(Json::as_str).collect(),
         other => other.as_str().into_iter().collect(),
@@ -300,13 +298,13 @@ fn is_within_bounds(schema: &Json, value: &Value) -> bool {
 }
 
 /// Describes in words what a schema allows.
-pub(super) fn expected(root: &Json, schema: &Json) -> String {
+pub fn expected(root: &Json, schema: &Json, hints: &Hints) -> String {
     let (schema, definition) = resolve(root, schema);
     if let Some(choices) = choices(schema) {
-        return format!("one of {}{}", choices.join(", "), other_choices(&definition.to_lowercase()));
+        return format!("one of {}{}", choices.join(", "), (hints.others)(&definition.to_lowercase()));
     }
     if let Some(either) = schema["anyOf"].as_array() {
-        return either.iter().map(|choice| expected(root, choice)).collect::<Vec<_>>().join(" or ");
+        return either.iter().map(|choice| expected(root, choice, hints)).collect::<Vec<_>>().join(" or ");
     }
     let name = |name: &str| match name {
         "integer" => format!("an integer{}", expected_bounds(schema)),
@@ -314,7 +312,7 @@ pub(super) fn expected(root: &Json, schema: &Json) -> String {
         "string" => TEXT.into(),
         "boolean" => "true or false".into(),
         "array" => {
-            format!("a list of {}, each {}", expected_length(schema), expected(root, &schema["items"]))
+            format!("a list of {}, each {}", expected_length(schema), expected(root, &schema["items"], hints))
         }
         "object" if schema["maxProperties"] == 1 => {
             let names: Vec<&str> = properties(schema).map(|(name, _)| name.as_str()).collect();
@@ -351,6 +349,7 @@ fn expected_length(schema: &Json) -> String {
     }
 }
 
-pub(super) fn join(prefix: &str, name: &str) -> String {
+/// A dotted path with one more name at its end.
+pub fn join(prefix: &str, name: &str) -> String {
     if prefix.is_empty() { name.to_owned() } else { format!("{prefix}.{name}") }
 }
