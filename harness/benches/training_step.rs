@@ -8,11 +8,11 @@
 
 use candle_core::{Device, Tensor};
 use clap::Parser;
-use harness::learning::frames::{DenseFrames, Frames};
 use harness::learning::network::{Architecture, Observation, Parameters, Targets, Value};
-use harness::learning::ops::Adam;
-use harness::learning::ops::arithmetic;
 use harness::learning::random::{Random, Stream};
+use harness::ops::Adam;
+use harness::ops::arithmetic;
+use harness::ops::frames::{DenseFrames, Frames};
 use harness::spec::{Fusion, Layout, Memory, Modality, Network, Precision, Preset, Task};
 use std::sync::Arc;
 use std::time::Instant;
@@ -84,6 +84,7 @@ fn main() -> candle_core::Result<()> {
             average: 1,
             fusion: arguments.fusion,
             memory: Memory::None,
+            memory_samples: 5,
         },
         arithmetic: arithmetic(!arguments.no_tiles, arguments.precision),
     };

@@ -1,8 +1,8 @@
 //! A dataset as tensors for a network.
 
-use super::frames::SampleFrames;
 use super::observation::{Observation, Value};
 use candle_core::{Device, Result, Tensor};
+use harness_ops::frames::SampleFrames;
 use harness_samples::{Normalizers, Sample, Samples};
 use harness_spec::{Action, Modality};
 use std::sync::Arc;

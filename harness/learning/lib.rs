@@ -1,14 +1,12 @@
-//! Networks, their custom candle ops, and their training. This crate knows tensors and datasets, but not MuJoCo.
+//! Networks and their training. This crate knows tensors and datasets, but not MuJoCo.
 
 pub mod checkpoint;
 pub mod data;
-pub mod frames;
 pub mod memory;
 pub mod network;
 pub mod objective;
 mod observation;
 pub mod onnx;
-pub mod ops;
 pub mod predict;
 pub mod random;
 pub mod state;

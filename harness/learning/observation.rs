@@ -1,7 +1,7 @@
 //! What a network sees of a batch of samples, and what it should predict: normalized values by modality.
 
-use super::frames::{Frames, stacked};
 use candle_core::{Result, Tensor};
+use harness_ops::frames::{Frames, stacked};
 use harness_spec::Modality;
 use std::collections::BTreeMap;
 use std::sync::Arc;

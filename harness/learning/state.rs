@@ -3,10 +3,10 @@
 use super::LearningError;
 use super::network::Parameters;
 use super::objective::KL;
-use super::ops::Adam;
 use super::tensors::TensorFile;
 use candle_core::{Result as CandleResult, Tensor, Var};
 use harness_metrics::epoch::{Epoch, TOTAL};
+use harness_ops::Adam;
 use harness_shared::progress::Progress;
 use serde_json::{Map, json};
 use std::cell::{Cell, RefCell};

@@ -3,10 +3,10 @@
 use super::LearningError;
 use super::network::{Draw, Parameters, scalar};
 use super::objective::{Objective, Weighted};
-use super::ops::Adam;
 use super::random::{Random, Stream};
 use super::state::{State, StateFile};
 use candle_core::{Result as CandleResult, Tensor};
+use harness_ops::Adam;
 use harness_samples::{Partition, sequences};
 use harness_shared::progress::Progress;
 use harness_spec::{Schedule, Stop, Task, Training};

@@ -21,7 +21,7 @@ impl Stack {
     }
 
     /// Returns the same stack for frames with another number of channels.
-    pub(crate) fn with_frame_channels(&self, channels: usize) -> Self {
+    pub fn with_frame_channels(&self, channels: usize) -> Self {
         let mut layers = self.0.clone();
         if let Some(first) = layers.first_mut() {
             first.fine_channels = channels;

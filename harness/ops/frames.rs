@@ -190,16 +190,15 @@ impl Frames for SampleFrames {
     fn write(&self, index: usize, frame: &mut [f32]) {
         let (sample, scale) = (self.at[index], &self.normalizers.modalities[&self.modality]);
         let now = self.samples.frame_bytes(self.modality, sample);
-        let factor = 1.0 / scale.std[0];
-        let bytes = 1.0 / 255.0;
+        let normalized = scale.of_steps();
         if self.samples.layout()[self.modality].difference_of.is_none() {
             for ((value, now), mean) in frame.iter_mut().zip(now).zip(&scale.mean) {
-                *value = (f32::from(*now) * bytes - mean) * factor;
+                *value = normalized(f32::from(*now), *mean);
             }
         } else {
             let before = self.samples.previous_frame_bytes(self.modality, sample);
             for (((value, now), before), mean) in frame.iter_mut().zip(now).zip(before).zip(&scale.mean) {
-                *value = ((f32::from(*now) - f32::from(*before)) * bytes - mean) * factor;
+                *value = normalized(f32::from(*now) - f32::from(*before), *mean);
             }
         }
     }

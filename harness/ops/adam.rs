@@ -85,7 +85,7 @@ impl Adam {
     ///
     /// # Errors
     /// When the number or the shape of the moments is not that of the parameters.
-    pub(crate) fn restore(&mut self, steps: u64, moments: &[(Tensor, Tensor)]) -> Result<()> {
+    pub fn restore(&mut self, steps: u64, moments: &[(Tensor, Tensor)]) -> Result<()> {
         if moments.len() != self.slots.len() {
             candle_core::bail!("{} pairs of moments for {} parameters", moments.len(), self.slots.len());
         }

@@ -1,4 +1,4 @@
-//! The networks' custom candle ops.
+//! The networks' custom candle ops, and batches of frames that they take one frame at a time.
 //!
 //! candle's convolution gradients copy their operands, and its chains of element-wise operations allocate every
 //! intermediate result. Each op here computes its forward and backward pass in as few passes over memory as possible.
@@ -9,6 +9,7 @@ mod adam;
 mod dropout;
 mod frame_encoder;
 mod frame_loss;
+pub mod frames;
 mod gru;
 mod linear;
 mod posterior;
@@ -20,7 +21,7 @@ pub use adam::Adam;
 pub use dropout::Dropout;
 pub use frame_encoder::frame_encoder;
 pub use frame_loss::{FrameDecoder, frame_decoder, frame_loss};
-pub use gru::gru;
+pub use gru::{Recurrence, gru};
 pub use linear::linear;
 pub use posterior::{kl_divergence, sample};
 pub use stack::Stack;

@@ -1,0 +1,288 @@
+//! A gated recurrent unit over whole sequences as one op.
+//!
+//! A step of the unit is a small matrix product. An op for each step, and its gradient, would cost more than the
+//! products. Here the product with the inputs of all steps is computed at once, before the op, and the gradients of the
+//! weights are products over all steps at once.
+
+use super::{Arithmetic, slice, tensor, threads, with_values};
+use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use candle_nn::ops::sigmoid;
+use harness_kernels::product::{Accumulate, Matrix, product};
+use harness_kernels::{self as kernels, Buffer, exp, simd};
+use std::sync::OnceLock;
+
+/// The weight `[3 * width, width]` and the bias `[3 * width]` of a unit's product with its last state.
+pub struct Recurrence<'a> {
+    /// The weight, with the rows of the gates r, z and n in this order.
+    pub weight: &'a Tensor,
+    /// The bias.
+    pub bias: &'a Tensor,
+}
+
+/// Returns the states of a gated recurrent unit over sequences, `[times * batch, width]` (Cho et al., 2014, in the form
+/// that PyTorch computes). Each is `n + z (state - n)`, where `state` is the one before it. The reset gate is `r =
+/// σ(input_r + hidden_r)`, the update gate `z = σ(input_z + hidden_z)`, and the candidate `n = tanh(input_n + r
+/// hidden_n)`.
+///
+/// `input` is the product of the unit's inputs with their weights, with biases: `[times * batch, 3 * width]`, the parts
+/// in the order r, z, n. The rows of one time lie together. `start` is the state before the first time, `[batch,
+/// width]`.
+///
+/// # Errors
+/// When the shapes do not match.
+pub fn gru(
+    input: &Tensor,
+    Recurrence { weight, bias }: Recurrence,
+    start: &Tensor,
+    arithmetic: Arithmetic,
+) -> Result<Tensor> {
+    let ((rows, gates), (batch, width)) = (input.dims2()?, start.dims2()?);
+    let fits = gates == 3 * width && weight.dims() == [gates, width] && bias.dims() == [gates];
+    if !fits || batch == 0 || rows == 0 || rows % batch != 0 {
+        let shapes = [input, weight, bias, start].map(Tensor::dims);
+        bail!("input, weight, bias and start of the unit have the shapes {shapes:?}");
+    }
+    if start.device().is_cpu() {
+        // candle gives an op at most three arguments, so the weight and the bias are passed as one tensor.
+        let packed = Tensor::cat(&[&weight.flatten_all()?, bias], 0)?;
+        let op = Gru { sizes: Sizes { batch, width, arithmetic }, hidden: OnceLock::new() };
+        return input.contiguous()?.apply_op3(&packed, &start.contiguous()?, op);
+    }
+    let part = |gates: &Tensor, index: usize| gates.narrow(1, index * width, width);
+    let mut states: Vec<Tensor> = Vec::with_capacity(rows / batch);
+    for first in (0..rows).step_by(batch) {
+        let state = states.last().unwrap_or(start);
+        let (input, hidden) =
+            (input.narrow(0, first, batch)?, state.matmul(&weight.t()?)?.broadcast_add(bias)?);
+        let reset = sigmoid(&(part(&input, 0)? + part(&hidden, 0)?)?)?;
+        let update = sigmoid(&(part(&input, 1)? + part(&hidden, 1)?)?)?;
+        let candidate = (part(&input, 2)? + (reset * part(&hidden, 2)?)?)?.tanh()?;
+        let next = (&candidate + (update * (state - &candidate)?)?)?;
+        states.push(next);
+    }
+    Tensor::cat(&states, 0)
+}
+
+struct Gru {
+    sizes: Sizes,
+    /// The products with the last states, `[times * batch, 3 * width]`, kept for the backward pass.
+    hidden: OnceLock<Buffer>,
+}
+
+/// Sizes of the op's matrices.
+#[derive(Clone, Copy)]
+struct Sizes {
+    /// Number of sequences.
+    batch: usize,
+    /// Width of a state.
+    width: usize,
+    arithmetic: Arithmetic,
+}
+
+/// The gates of one unit.
+struct Gates {
+    reset: f32,
+    update: f32,
+    candidate: f32,
+}
+
+impl Gates {
+    /// Computes the gates from the parts r, z and n of the input and of the hidden product.
+    #[inline(always)]
+    fn new(input: [f32; 3], hidden: [f32; 3]) -> Self {
+        let logistic = |x: f32| 1.0 / (1.0 + exp(-x));
+        let reset = logistic(input[0] + hidden[0]);
+        let update = logistic(input[1] + hidden[1]);
+        let candidate = 2.0 * logistic(2.0 * (input[2] + reset * hidden[2])) - 1.0;
+        Self { reset, update, candidate }
+    }
+}
+
+/// Returns the parts r, z and n of a row `[3 * width]`.
+#[inline(always)]
+fn parts(row: &[f32]) -> [&[f32]; 3] {
+    let (reset, rest) = row.split_at(row.len() / 3);
+    let (update, candidate) = rest.split_at(rest.len() / 2);
+    [reset, update, candidate]
+}
+
+/// Returns the parts r, z and n of a row `[3 * width]`.
+#[inline(always)]
+fn parts_mut(row: &mut [f32]) -> [&mut [f32]; 3] {
+    let (reset, rest) = row.split_at_mut(row.len() / 3);
+    let (update, candidate) = rest.split_at_mut(rest.len() / 2);
+    [reset, update, candidate]
+}
+
+impl Sizes {
+    /// Number of values in the states of one time.
+    fn state(self) -> usize {
+        self.batch * self.width
+    }
+
+    /// Number of values in the gates of one time.
+    fn gates(self) -> usize {
+        3 * self.state()
+    }
+
+    /// Splits the packed parameters into weight and bias.
+    fn unpack(self, packed: &[f32]) -> (&[f32], &[f32]) {
+        packed.split_at(3 * self.width * self.width)
+    }
+
+    /// Computes the states of one time from those before it. `hidden` receives the products with the last states.
+    fn step(self, input: &[f32], packed: &[f32], last: &[f32], hidden: &mut [f32], states: &mut [f32]) {
+        let (width, (weight, bias)) = (self.width, self.unpack(packed));
+        let transposed = Matrix::transposed(weight, 3 * width, width);
+        let last_states = Matrix::plain(last, self.batch, width);
+        product(last_states, transposed, hidden, Accumulate::Overwrite, self.arithmetic, threads());
+        kernels::add_bias(hidden, bias, false);
+        let rows = input.chunks_exact(3 * width).zip(hidden.chunks_exact(3 * width));
+        let rows = rows.zip(last.chunks_exact(width)).zip(states.chunks_exact_mut(width));
+        simd(
+            #[inline(always)]
+            || {
+                for (((input, hidden), last), state) in rows {
+                    let ([ir, iz, i_n], [hr, hz, hn]) = (parts(input), parts(hidden));
+                    for unit in 0..width {
+                        let Gates { update, candidate, .. } =
+                            Gates::new([ir[unit], iz[unit], i_n[unit]], [hr[unit], hz[unit], hn[unit]]);
+                        state[unit] = candidate + update * (last[unit] - candidate);
+                    }
+                }
+            },
+        );
+    }
+
+    /// Computes the gradients of one time's input and hidden products. `grad` is the gradient of its states, and is
+    /// replaced by that of the last states.
+    fn step_back(
+        self,
+        [input, hidden, last, weight]: [&[f32]; 4],
+        [of_input, of_hidden]: [&mut [f32]; 2],
+        grad: &mut [f32],
+    ) {
+        let width = self.width;
+        let given = input.chunks_exact(3 * width).zip(hidden.chunks_exact(3 * width));
+        let wanted = of_input.chunks_exact_mut(3 * width).zip(of_hidden.chunks_exact_mut(3 * width));
+        let rows = given.zip(last.chunks_exact(width)).zip(wanted.zip(grad.chunks_exact_mut(width)));
+        simd(
+            #[inline(always)]
+            || {
+                for (((input, hidden), last), ((of_input, of_hidden), grad)) in rows {
+                    let wanted = [parts_mut(of_input), parts_mut(of_hidden)];
+                    row_gradients([parts(input), parts(hidden)], last, wanted, grad);
+                }
+            },
+        );
+        let (of_hidden, weight) =
+            (Matrix::plain(of_hidden, self.batch, 3 * width), Matrix::plain(weight, 3 * width, width));
+        product(of_hidden, weight, grad, Accumulate::Add, self.arithmetic, threads());
+    }
+}
+
+impl CustomOp3 for Gru {
+    fn name(&self) -> &'static str {
+        "gru"
+    }
+
+    fn cpu_fwd(
+        &self,
+        input: &CpuStorage,
+        input_layout: &Layout,
+        packed: &CpuStorage,
+        packed_layout: &Layout,
+        start: &CpuStorage,
+        start_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let (rows, _) = input_layout.shape().dims2()?;
+        let (input, packed, start) =
+            (slice(input, input_layout)?, slice(packed, packed_layout)?, slice(start, start_layout)?);
+        let Sizes { width, .. } = self.sizes;
+        let (mut states, mut hidden) = (kernels::scratch(rows * width), Buffer::new(rows * 3 * width));
+        let times = input.chunks_exact(self.sizes.gates()).zip(hidden.chunks_exact_mut(self.sizes.gates()));
+        for (time, (input, hidden)) in times.enumerate() {
+            let (before, now) = states.split_at_mut(time * self.sizes.state());
+            let last = if time == 0 { start } else { &before[before.len() - self.sizes.state()..] };
+            self.sizes.step(input, packed, last, hidden, &mut now[..self.sizes.state()]);
+        }
+        self.hidden.get_or_init(|| hidden);
+        Ok((CpuStorage::F32(states), (rows, width).into()))
+    }
+
+    fn bwd(
+        &self,
+        input: &Tensor,
+        packed: &Tensor,
+        start: &Tensor,
+        states: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let (sizes, rows) = (self.sizes, input.dim(0)?);
+        let Sizes { batch, width, arithmetic } = sizes;
+        // The state before each time.
+        let last = Tensor::cat(&[start, &states.narrow(0, 0, rows - batch)?], 0)?;
+        let hidden = self.hidden.get().map(|hidden| &**hidden).unwrap_or_default();
+        let (mut of_input, mut of_hidden) =
+            (kernels::scratch(rows * 3 * width), kernels::scratch(rows * 3 * width));
+        let mut of_state = vec![0.0; sizes.state()];
+        let of_packed = with_values(&last, |last| {
+            with_values(input, |input| {
+                with_values(packed, |packed| {
+                    with_values(grad, |grad| {
+                        let (weight, _) = sizes.unpack(packed);
+                        for time in (0..rows / batch).rev() {
+                            let states = time * sizes.state()..(time + 1) * sizes.state();
+                            let gates = time * sizes.gates()..(time + 1) * sizes.gates();
+                            kernels::add_to(&mut of_state, &grad[states.clone()]);
+                            sizes.step_back(
+                                [&input[gates.clone()], &hidden[gates.clone()], &last[states], weight],
+                                [&mut of_input[gates.clone()], &mut of_hidden[gates]],
+                                &mut of_state,
+                            );
+                        }
+                        Ok(())
+                    })
+                })
+            })?;
+            let mut of_packed = vec![0.0; packed.elem_count()];
+            let (of_weight, of_bias) = of_packed.split_at_mut(3 * width * width);
+            let (gates, last) =
+                (Matrix::transposed(&of_hidden, rows, 3 * width), Matrix::plain(last, rows, width));
+            product(gates, last, of_weight, Accumulate::Overwrite, arithmetic, threads());
+            of_bias.copy_from_slice(&kernels::column_sums(&of_hidden, 3 * width));
+            Ok(of_packed)
+        })?;
+        Ok((
+            Some(tensor(of_input, (rows, 3 * width))?),
+            Some(tensor(of_packed, packed.shape())?),
+            Some(tensor(of_state, (batch, width))?),
+        ))
+    }
+}
+
+/// Computes the gradients of one row. `grad` is the gradient of the next state, and is replaced by the part of the last
+/// state's gradient that does not pass through the hidden product.
+#[inline(always)]
+fn row_gradients(
+    [[ir, iz, i_n], [hr, hz, hn]]: [[&[f32]; 3]; 2],
+    last: &[f32],
+    [[of_ir, of_iz, of_in], [of_hr, of_hz, of_hn]]: [[&mut [f32]; 3]; 2],
+    grad: &mut [f32],
+) {
+    for unit in 0..last.len() {
+        let Gates { reset, update, candidate } =
+            Gates::new([ir[unit], iz[unit], i_n[unit]], [hr[unit], hz[unit], hn[unit]]);
+        // Gradients of the sums that the logistic functions and the hyperbolic tangent take.
+        let of_candidate = grad[unit] * (1.0 - update) * (1.0 - candidate * candidate);
+        let of_update = grad[unit] * (last[unit] - candidate) * update * (1.0 - update);
+        let of_reset = of_candidate * hn[unit] * reset * (1.0 - reset);
+        of_ir[unit] = of_reset;
+        of_hr[unit] = of_reset;
+        of_iz[unit] = of_update;
+        of_hz[unit] = of_update;
+        of_in[unit] = of_candidate;
+        of_hn[unit] = of_candidate * reset;
+        grad[unit] *= update;
+    }
+}
