@@ -1,6 +1,6 @@
 //! Slurm: batch scripts that a person can read and edit, and the commands that submit, list and cancel jobs.
 
-use harness::registry::quoted;
+use harness_registry::quoted;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 use std::path::Path;
@@ -9,13 +9,26 @@ use std::process::Command;
 /// Why Slurm did not do what it was asked for.
 #[derive(Debug, thiserror::Error)]
 pub enum SlurmError {
+    /// A program of Slurm is not installed.
     #[error("{program} is not installed, so this machine is not part of a Slurm cluster{}", instead(program))]
-    Missing { program: String },
+    Missing {
+        /// Its name.
+        program: String,
+    },
+    /// A program of Slurm failed.
     #[error("{program} failed: {said}")]
-    Refused { program: String, said: String },
+    Refused {
+        /// Its name.
+        program: String,
+        /// What it said.
+        said: String,
+    },
+    /// A program of Slurm can't be started.
     #[error("{program} can't be started: {source}")]
     Start {
+        /// Its name.
         program: String,
+        /// Why.
         #[source]
         source: std::io::Error,
     },
@@ -57,7 +70,10 @@ pub const MOST_TASKS: i64 = 1000;
 pub const MOST_CPUS: i64 = 1024;
 
 impl Resources {
-    /// Refuses numbers that the options of `harness submit` would refuse, too. The error is the message.
+    /// Refuses numbers that the options of `harness submit` would refuse, too.
+    ///
+    /// # Errors
+    /// When a number is out of its range. The error is the message.
     pub fn check(&self) -> Result<(), String> {
         let numbers = [
             ("tasks", Some(self.tasks), MOST_TASKS),
@@ -101,8 +117,10 @@ pub enum Step {
 }
 
 impl Step {
+    /// All steps, in their order.
     pub const ALL: [Self; 3] = [Self::Collect, Self::Train, Self::Finish];
 
+    /// Returns the name in names of jobs and files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Collect => "collect",
@@ -122,6 +140,7 @@ impl Step {
 
 /// The common part of an experiment's scripts.
 pub struct Job<'a> {
+    /// The experiment's name.
     pub experiment: &'a str,
     /// The folder of the scripts and logs, absolute.
     pub folder: &'a Path,
@@ -135,6 +154,7 @@ pub struct Job<'a> {
     pub words: &'a [String],
     /// Whether a task waits for the runs of others, to compare them with its own (successive halving).
     pub waits: bool,
+    /// What each task requests.
     pub resources: &'a Resources,
 }
 
@@ -212,6 +232,9 @@ exit "$code"
 
 /// Submits a script. Its job begins when the job `after` has ended, whether that succeeded or not. Returns the job's
 /// number.
+///
+/// # Errors
+/// When sbatch is not installed or refuses the script.
 pub fn submit(script: &Path, after: Option<u64>) -> Result<u64, SlurmError> {
     let mut arguments = vec!["--parsable".to_owned()];
     arguments.extend(after.map(|job| format!("--dependency=afterany:{job}")));
@@ -223,6 +246,9 @@ pub fn submit(script: &Path, after: Option<u64>) -> Result<u64, SlurmError> {
 }
 
 /// Cancels jobs.
+///
+/// # Errors
+/// When scancel is not installed or fails.
 pub fn cancel(jobs: &[u64]) -> Result<(), SlurmError> {
     answer(Command::new("scancel").args(jobs.iter().map(u64::to_string))).map(drop)
 }
@@ -230,11 +256,13 @@ pub fn cancel(jobs: &[u64]) -> Result<(), SlurmError> {
 /// A task that Slurm knows.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Task {
+    /// Number of its job.
     pub job: u64,
     /// The task's index in its array; `None` for a job without one.
     pub index: Option<u32>,
     /// For example RUNNING or PENDING.
     pub state: String,
+    /// The machine that it runs on; empty if it waits.
     pub host: String,
     /// Time since it began, as Slurm prints it.
     pub elapsed: String,
@@ -243,6 +271,9 @@ pub struct Task {
 }
 
 /// This user's tasks that wait or run.
+///
+/// # Errors
+/// When squeue is not installed or fails.
 pub fn tasks() -> Result<Vec<Task>, SlurmError> {
     let format = "%F|%K|%T|%N|%M|%r";
     let said = answer(Command::new("squeue").args(["--me", "--noheader", "--array", "--format", format]))?;
