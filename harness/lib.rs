@@ -7,6 +7,9 @@
 
 // The modules of the command line use the library by its name, like any other user.
 extern crate self as harness;
+// These macros replace those of the standard library, which panic if a stream is full or closed.
+#[macro_use(print, println, eprintln)]
+extern crate harness_terminal;
 
 pub mod cli;
 
@@ -20,6 +23,7 @@ pub use harness_figures as figures;
 pub use harness_judge as judge;
 pub use harness_learning as learning;
 pub use harness_metrics as metrics;
+pub use harness_ops as ops;
 pub use harness_registry as registry;
 pub use harness_report as report;
 pub use harness_samples as samples;

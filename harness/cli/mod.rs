@@ -1,14 +1,9 @@
 //! The command line of the harness: arguments, terminal output, signals and exit codes.
 
-// This module must come first, because its macros are only visible in the modules after it.
-#[macro_use]
-mod output;
-
 mod claims;
 mod compare;
 mod diff;
 mod doctor;
-mod encoding;
 mod experiments;
 mod export;
 mod figures;
@@ -17,7 +12,6 @@ mod import;
 mod inspect;
 mod interrupt;
 mod judge;
-mod latex;
 mod layers;
 mod pack;
 mod plot;
@@ -27,13 +21,12 @@ mod removal;
 mod render;
 mod report;
 mod results;
+mod rollout;
 mod run;
 mod search;
 mod serve;
 mod sheet;
-mod slurm;
 mod submit;
-mod table;
 mod verify;
 mod watch;
 mod world;
@@ -47,13 +40,14 @@ use harness::catalog::QueryError;
 use harness::claims::ClaimsError;
 use harness::collection::CollectionError;
 use harness::dataset::DatasetError;
-use harness::experiment::{ExperimentError, ModelError, describe};
+use harness::experiment::{ExperimentError, ModelError, RolloutError, describe};
 use harness::figures::FigureError;
 use harness::learning::LearningError;
 use harness::registry::{Registry, RegistryError, quoted};
 use harness::report::ReportError;
 use harness::simulation::SimulationError;
 use harness::spec::SpecError;
+use harness_terminal::{encoding, latex, output, table};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -245,18 +239,21 @@ Editors complete and check a spec that begins with this line:
   harness world check cluttered
   harness world new robots/gripper.xml    write robots/gripper.yaml
   harness world check robots/gripper.yaml
+  harness world check robots/gripper.yaml --render pictures
 
 A world is a YAML file next to an MJCF model. It defines what is sensed, what moves, and what is random. A spec names \
 it in `scenarios`, by its path relative to the spec's folder.")]
     World(world::Command),
-    /// Render a scene, or an image or clip of an episode
+    /// Render a scene, an image or clip of an episode, or what a network predicts along it
     #[command(after_help = "Examples:
   harness render cluttered --output scene.png
   harness render cluttered --episode 3 --sample 150 --width 1600 --height 1000 --output push.png
   harness render empty --episode 0 --output clip.gif
-  harness render robots/gripper.yaml --output gripper.png")]
+  harness render robots/gripper.yaml --camera wrist --output gripper.png
+  harness render cluttered --as-seen --episode 3 --sample 150 --output seen.png
+  harness render smoke/empty --horizon 1 --output predicted.gif")]
     Render(render::Render),
-    /// Draw the paper's figures as SVG, PNG and CSV
+    /// Draw the paper's figures, or those of any robot, as SVG, PNG and CSV
     #[command(after_help = FIGURES_HELP)]
     Figures(figures::Figures),
     /// Plot a metric over a setting, as SVG, PNG or CSV
@@ -285,7 +282,7 @@ machine, forward its port with `ssh -L 8787:127.0.0.1:8787 MACHINE`, and open ht
   harness compare smoke --results published
 
 The command copies records, specs, and the tables epochs, metrics and forces. It copies only those predictions and \
-images that figures show, and no networks.")]
+images that figures show, and networks only with --networks.")]
     Publish(publish::Publish),
     /// Write a trained network as an ONNX model
     #[command(after_help = "Examples:
@@ -334,10 +331,14 @@ const FIGURES_HELP: &str = "Examples:
   harness figures --quick
   harness figures readings                the gain by vision under each reading
   harness figures propriovision_to_vision --multi multi_to_multi_best
+  harness figures --experiment my_robot
+  harness figures horizon --experiment memory --modality contact_force
 
 The figures show the runs of single_to_multi and multi_to_multi. If runs are missing, a message names the command that \
-creates them. Runs of one experiment that differ in settings can't be drawn together: select some of them with \
---where. Figures are 8.5 cm wide, a journal's column. Letters are outlines, so no font is needed to show them.";
+creates them. The figure horizon shows the runs of memory. Runs of one experiment that differ in settings can't be \
+drawn together: select some of them with --where. With --experiment, the figures show one experiment in any world, and \
+a message says why the others do not apply. Figures are 8.5 cm wide, a journal's column. Letters are outlines, so no \
+font is needed to show them.";
 
 const SUBMIT_HELP: &str = "Examples:
   harness submit multi_to_multi --tasks 16 --cpus 4 --memory 8G --time 04:00:00
@@ -394,7 +395,8 @@ const REPORT_HELP: &str = "Examples:
   harness report --results results/reference
 
 The report is one HTML file that works offline: open it in a browser, or send it. It shows the runs of `harness \
-figures` and `harness claims`, and lists missing runs. Images of the simulated world are rendered once, and cached in \
+figures` and `harness claims`, and lists missing runs. With names of experiments, it shows their worlds, metrics, \
+predictions and images, for any robot. Images of the simulated world are rendered once, and cached in \
 $XDG_CACHE_HOME/harness (~/.cache/harness) until the program changes.";
 
 /// Exit code: everything was done, now or before.
@@ -525,7 +527,7 @@ fn execute(
         Command::Gc(gc) => gc.execute(registry),
         Command::Du => removal::usage(registry),
         Command::Schema(schema) => schema.execute(registry),
-        Command::Render(render) => render.execute(),
+        Command::Render(render) => render.execute(registry),
         Command::Figures(figures) => figures.execute(registry),
         Command::Plot(plot) => plot.execute(registry),
         Command::Report(report) => report.execute(registry),
@@ -559,7 +561,8 @@ impl Command {
             Self::Unpack(_) | Self::Completions { .. } => false,
             Self::Run(_) | Self::Collect(_) | Self::Validate(_) | Self::Submit(_) | Self::Cancel(_) => false,
             Self::Import(_) | Self::Judge(_) | Self::Task(_) => false,
-            Self::Experiments(_) | Self::Schema(_) | Self::World(_) | Self::Render(_) | Self::Doctor => false,
+            Self::Render(render) => render.reads_results(),
+            Self::Experiments(_) | Self::Schema(_) | Self::World(_) | Self::Doctor => false,
         }
     }
 }
@@ -612,6 +615,15 @@ fn is_usage(error: &anyhow::Error) -> bool {
         )
         || error.is::<import::ImportError>()
         || error.is::<render::RenderError>()
+        || error.is::<rollout::NotPredicted>()
+        || matches!(
+            error.downcast_ref(),
+            Some(
+                RolloutError::NoEpisode { .. }
+                    | RolloutError::TooShort { .. }
+                    | RolloutError::NoFeedback { .. }
+            )
+        )
         || matches!(
             error.downcast_ref(),
             Some(

@@ -33,35 +33,37 @@ impl Style {
         }
     }
 
-    /// The name of a metric with its unit. In text, an arrow says whether higher or lower values are better.
+    /// The name of a metric with its unit. In text, an arrow says whether higher or lower values are better, unless the
+    /// metric is a user's own.
     pub fn metric(self, metric: &str, unit: &str) -> String {
         let name = label(metric, unit);
         match self {
-            Style::Text => {
-                let arrow = if higher_is_better(metric) { '↑' } else { '↓' };
-                format!("{name}{HARD_SPACE}{arrow}")
-            }
+            Style::Text => match higher_is_better(metric) {
+                Some(is_higher) => format!("{name}{HARD_SPACE}{}", if is_higher { '↑' } else { '↓' }),
+                None => name,
+            },
             Style::Markdown | Style::Latex => name,
         }
     }
 }
 
-/// Whether higher values of the metric with this name are better.
-fn higher_is_better(metric: &str) -> bool {
-    Metric::named(metric).is_some_and(Metric::higher_is_better)
+/// Whether higher values of the metric with this name are better; `None` for a user's metric, of which this is unknown.
+fn higher_is_better(metric: &str) -> Option<bool> {
+    Metric::named(metric).map(Metric::higher_is_better)
 }
 
 /// Whether each of some values of a metric is the best, as far as the printed digits show. None is if there are fewer
-/// than two to choose from, or if all of them are printed alike.
+/// than two to choose from, if all of them are printed alike, or for a user's metric.
 pub fn best(metric: &str, unit: &str, values: &[Option<f64>]) -> Vec<bool> {
     let there = || values.iter().copied().flatten();
     let best = match higher_is_better(metric) {
-        true => there().max_by(f64::total_cmp),
-        false => there().min_by(f64::total_cmp),
+        Some(true) => there().max_by(f64::total_cmp),
+        Some(false) => there().min_by(f64::total_cmp),
+        None => None,
     };
     let best = best.map(|value| rounded(value, unit));
     let is_best = |value: f64| best.as_ref() == Some(&rounded(value, unit));
-    let has_worse = !there().all(is_best);
+    let has_worse = best.is_some() && !there().all(is_best);
     values.iter().map(|value| has_worse && value.is_some_and(is_best)).collect()
 }
 
@@ -70,6 +72,7 @@ pub fn rounded(value: f64, unit: &str) -> String {
     let decimals = match unit {
         "%" => 2,
         "1" => 3,
+        "samples" => 1,
         _ => 4,
     };
     let number = format!("{value:.decimals$}");

@@ -4,10 +4,10 @@
 //! with a line for each column. If the output is no terminal, tables are as wide as their contents, so that the output
 //! of a command does not depend on where it is called.
 
-use super::encoding::{IS_UTF8, encoded};
-use super::latex::{escaped, line, tabular};
+use crate::encoding::{IS_UTF8, encoded};
+use crate::latex::{escaped, line, tabular};
 use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table, Width};
-use harness::numbers::rounded;
+use harness_shared::numbers::rounded;
 use polars::prelude::{AnyValue, DataFrame};
 use std::borrow::Cow;
 use std::path::Path;
@@ -44,7 +44,9 @@ pub fn size() -> Option<(u16, u16)> {
 /// The cells of a table.
 #[derive(Default)]
 pub struct Grid {
+    /// The names of the columns.
     pub header: Vec<String>,
+    /// The cells of each row.
     pub rows: Vec<Vec<String>>,
     /// Whether the cells of each column are aligned to the right. Their lines are not broken, because they are numbers.
     pub right: Vec<bool>,

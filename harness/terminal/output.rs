@@ -3,24 +3,30 @@
 //!
 //! All text is UTF-8, except on a terminal whose locale has another encoding: there it is ASCII.
 
-use super::encoding::encoded;
-use super::table::fitted;
+use crate::encoding::encoded;
+use crate::table::fitted;
 use std::fmt::Arguments;
 use std::io::{self, ErrorKind, IsTerminal, Write};
 use std::sync::{Mutex, PoisonError};
 use terminal_size::terminal_size_of;
 
+/// Prints text to the standard output; see the module [`output`](crate::output).
+#[macro_export]
 macro_rules! print {
-    ($($text:tt)*) => { $crate::cli::output::out(format_args!($($text)*)) };
+    ($($text:tt)*) => { $crate::output::out(format_args!($($text)*)) };
 }
 
+/// Prints a line to the standard output; see the module [`output`](crate::output).
+#[macro_export]
 macro_rules! println {
-    () => { $crate::cli::output::out(format_args!("\n")) };
-    ($($text:tt)*) => { $crate::cli::output::out(format_args!("{}\n", format_args!($($text)*))) };
+    () => { $crate::output::out(format_args!("\n")) };
+    ($($text:tt)*) => { $crate::output::out(format_args!("{}\n", format_args!($($text)*))) };
 }
 
+/// Prints a line to the standard error; see the module [`output`](crate::output).
+#[macro_export]
 macro_rules! eprintln {
-    ($($text:tt)*) => { $crate::cli::output::tell(format_args!($($text)*)) };
+    ($($text:tt)*) => { $crate::output::tell(format_args!($($text)*)) };
 }
 
 /// The error of the last write to the standard output. Nothing is printed after it, until [`lost`] takes it.
