@@ -7,21 +7,21 @@ use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness_kernels::convolution::LANES;
 use harness_kernels::product::{Arithmetic, Unit};
 use harness_learning::data::NormalizedData;
-use harness_learning::frames::{Averaged, DenseFrames, Frames};
 use harness_learning::network::description::Description;
 use harness_learning::network::{
     Architecture, Draw, Encoder, Observation, Parameters, Targets, Value, scalar,
 };
 use harness_learning::objective::{Objective, Prediction, Weighted};
-use harness_learning::ops::{
-    Adam, Dropout, FrameDecoder, Quantity, Stack, TwoLayers, composed, frame_decoder, frame_encoder,
-    frame_loss, kl_divergence, linear, sample, two_layers, vector_losses,
-};
 use harness_learning::random::{Random, Stream};
 use harness_learning::state::StateFile;
 use harness_learning::tensors::TensorFile;
 use harness_learning::training::{Epoch, Fit, TOTAL, learning_rate};
 use harness_learning::{LearningError, checkpoint};
+use harness_ops::frames::{Averaged, DenseFrames, Frames};
+use harness_ops::{
+    Adam, Dropout, FrameDecoder, Quantity, Stack, TwoLayers, composed, frame_decoder, frame_encoder,
+    frame_loss, kl_divergence, linear, sample, two_layers, vector_losses,
+};
 use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples};
 use harness_shared::progress::Progress;
 use harness_spec::Episode;
@@ -459,6 +459,7 @@ fn network(hidden: usize, channels: usize) -> Network {
         average: 1,
         fusion: Fusion::Early,
         memory: Memory::None,
+        memory_samples: 5,
     }
 }
 
@@ -505,6 +506,7 @@ impl Twin {
                     average: 1,
                     fusion,
                     memory: Memory::None,
+                    memory_samples: 5,
                 },
                 arithmetic,
             },
@@ -701,6 +703,7 @@ impl Bench {
             channels: Some(vec![2, 3, 4]),
             fusion: Fusion::Late,
             memory: Memory::None,
+            memory_samples: 5,
             ..bench.network
         };
         Self { network: deep, ..bench }
@@ -753,6 +756,7 @@ impl Bench {
             data: &self.data,
             network: architecture.network(&mut parameters, &mut random, &Device::Cpu)?,
             window: Window::TRANSITION,
+            rollout_stride: 1,
             input: &INPUT,
             output: &OUTPUT,
             kl_weight: self.training.kl_weight,

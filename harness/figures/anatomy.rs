@@ -289,9 +289,17 @@ impl<'a> Part<'a> {
                 vec![short("transposed convolution", "transposed conv."), kernel(convolution), given]
             }
             Operation::GatedRecurrentUnit { .. } => vec![short("gated recurrent unit", "GRU"), given],
+            Operation::LastSamples { samples } => vec![format!("last {samples} samples"), given],
             Operation::LayerNormalization { .. } => vec![short("layer normalization", "layer norm."), given],
             Operation::Average { size } => vec![format!("mean of {size} × {size} pixels"), given],
-            Operation::Concatenate | Operation::Flatten | Operation::Reshape => {
+            Operation::SumAndMaximum { objects } => {
+                vec![short(&format!("sum and maximum of {objects}"), "sum, maximum"), given]
+            }
+            Operation::Concatenate
+            | Operation::Columns { .. }
+            | Operation::Objects { .. }
+            | Operation::Flatten
+            | Operation::Reshape => {
                 vec!["side by side".into(), given]
             }
         }
@@ -316,7 +324,7 @@ fn consumers(layers: &[Layer], name: &str) -> usize {
 /// Whether a layer has a block. A layer that only arranges values for the next layer has none.
 fn is_drawn(layers: &[Layer], layer: &Layer) -> bool {
     match layer.operation {
-        Operation::Flatten | Operation::Reshape => false,
+        Operation::Columns { .. } | Operation::Objects { .. } | Operation::Flatten | Operation::Reshape => false,
         Operation::Concatenate => consumers(layers, &layer.name) > 1,
         _ => true,
     }

@@ -72,9 +72,10 @@ pub(super) fn rows(
     sampled.iter().filter_map(row).collect()
 }
 
-/// Converts a frame `[channel, row, column]` to bytes `[row, column, channel]`. An intensity in [0, 1] is multiplied by
-/// 255. A difference in [-1, 1] is multiplied by 127 and added to 128, so that no change is represented exactly.
-fn picture(definition: &Definition, values: &[f32]) -> Vec<u8> {
+/// Converts a frame `[channel, row, column]` of an image to bytes `[row, column, channel]`. An intensity in [0, 1] is
+/// multiplied by 255. A difference in [-1, 1] is multiplied by 127 and added to 128, so that no change is represented
+/// exactly.
+pub fn picture(definition: &Definition, values: &[f32]) -> Vec<u8> {
     let byte = |value: f32| match definition.difference_of {
         Some(_) => (128.0 + 127.0 * value).round().clamp(1.0, 255.0) as u8,
         None => (255.0 * value).round().clamp(0.0, 255.0) as u8,

@@ -8,7 +8,7 @@ mod ridge;
 mod rows;
 mod training_mean;
 
-pub use frames::{SampledWindow, sample_windows};
+pub use frames::{SampledWindow, picture, sample_windows};
 pub use persistence::Persistence;
 pub use recorded::{Recorded, RecordedError, RecordedValue};
 pub use ridge::{Given, Ridge};

@@ -1,7 +1,7 @@
 //! Training objectives: the loss terms of a batch of windows.
 
 use super::data::NormalizedData;
-use super::network::{Decoder, Draw, Network, State, Targets, Term, context};
+use super::network::{Decoder, Draw, Network, Seen, Targets, Term, context, mean};
 use super::predict::Latents;
 use candle_core::{Result, Tensor};
 use harness_samples::{Sample, after, before};
@@ -34,7 +34,7 @@ pub trait Objective {
         1
     }
 
-    /// Returns the number of predictions of samples in each window.
+    /// Returns the mean number of predictions of samples in each window, rounded up.
     fn predicted(&self) -> usize {
         1
     }
@@ -54,6 +54,8 @@ pub struct Prediction<'a> {
     pub network: Box<dyn Network>,
     /// How many samples the network sees and predicts.
     pub window: Window,
+    /// Number of samples of which one, drawn in each step, is the start of a prediction further than the next sample.
+    pub rollout_stride: usize,
     /// Modalities that the network sees.
     pub input: &'a [Modality],
     /// Modalities that the network predicts.
@@ -70,22 +72,21 @@ impl Objective for Prediction<'_> {
     fn terms(&self, at: &[Sample], mut draw: Draw) -> Result<Vec<Weighted>> {
         let Self { data, network, window, .. } = self;
         // The samples of all windows at one time lie together, and those at the first time come first.
-        let seen: Vec<Sample> = (0..self.context()).rev().flat_map(|distance| before(at, distance)).collect();
+        let mut seen: Vec<Sample> =
+            (0..self.context()).rev().flat_map(|distance| before(at, distance)).collect();
         let encoded = network.encode(&data.observation(&seen, self.input)?, &mut draw)?;
         let actions = data.actions(&seen)?;
-        let (mut divergences, mut states) = (Vec::new(), Vec::new());
-        let mut state = network.start(at.len(), &data.device)?;
-        for first in (0..seen.len()).step_by(at.len()) {
-            let now = |tensor: &Tensor| tensor.narrow(0, first, at.len());
-            let seen = network.observe(state.as_ref(), &now(&encoded)?, &mut draw)?;
-            let next = network.act(&seen.state, &now(&actions)?)?;
-            divergences.push(seen.divergence);
-            states.push(next.clone());
-            state = Some(next);
-        }
-        let mut state = State::joined(&states)?;
+        let start = network.start(at.len(), &data.device)?;
+        let Seen { mut state, divergence } =
+            network.unroll(at.len(), start.as_ref(), &encoded, &actions, &mut draw)?;
         let mut losses = Vec::new();
         for distance in 1..=window.horizon {
+            if distance == 2
+                && let Some(rows) = draw.one_of_each(self.rollout_stride, seen.len())
+            {
+                state = state.rows(&rows)?;
+                seen = rows.iter().map(|row| seen[*row as usize]).collect();
+            }
             if distance > 1 {
                 state = network.act(&state, &data.actions(&after(&seen, distance - 1))?)?;
             }
@@ -93,7 +94,7 @@ impl Objective for Prediction<'_> {
             losses.push(network.losses(&state, Targets { values: &values, losses: self.losses })?);
         }
         let mut terms = weighted(means(losses)?, self.loss_weights);
-        terms.push(Weighted { name: KL.into(), weight: self.kl_weight, value: mean(divergences)? });
+        terms.push(Weighted { name: KL.into(), weight: self.kl_weight, value: divergence });
         Ok(terms)
     }
 
@@ -102,17 +103,13 @@ impl Objective for Prediction<'_> {
     }
 
     fn predicted(&self) -> usize {
-        self.context() * self.window.horizon
+        let further = (self.context() * (self.window.horizon - 1)).div_ceil(self.rollout_stride);
+        self.context() + further
     }
 
     fn detached(&self) -> Box<dyn Objective + '_> {
         Box::new(Prediction { network: self.network.detached(), ..*self })
     }
-}
-
-/// Returns the mean of scalars.
-fn mean(mut values: Vec<Tensor>) -> Result<Tensor> {
-    if values.len() == 1 { Ok(values.remove(0)) } else { Tensor::stack(&values, 0)?.mean_all() }
 }
 
 /// Returns the mean loss of each modality over several distances.

@@ -1,12 +1,13 @@
 //! Trained networks as ONNX models, from their descriptions.
 //!
 //! A model takes and returns SI units and bytes, as users have them. Normalization is part of its graph. The batch is
-//! the first axis, of any size. The format: <https://github.com/onnx/onnx/blob/main/onnx/onnx.proto3>.
+//! the first axis, of any size. A network with memory takes its state as an input, and returns the next one. The
+//! format: <https://github.com/onnx/onnx/blob/main/onnx/onnx.proto3>.
 
 use crate::LearningError;
 use crate::network::description::{
-    ACTION, Activation, Convolution, Description, IMAGES, LATENT, Layer, Operation, Output, POSTERIOR,
-    Quantity, Scale, VECTORS,
+    ACTION, ActionTaken, Activation, Convolution, Description, ENCODED, IMAGES, LATENT, Layer, MEMORY,
+    Operation, Output, POSTERIOR, PRIOR, Quantity, SEEN, Scale, VECTORS,
 };
 use crate::tensors::TensorFile;
 use harness_spec::{Element, Kind, Task};
@@ -22,6 +23,15 @@ const BATCH: &str = "batch";
 /// Names of the outputs with the posterior of the latent state.
 const MEAN: &str = "latent.mean";
 const LOG_VARIANCE: &str = "latent.log_variance";
+/// Names of the state that a network with memory takes, and of the one that it returns.
+const STATE: &str = "state";
+const NEXT_STATE: &str = "state.next";
+/// Values of the last sample that the state of a network with memory consists of, in this order.
+const LAST_MEMORY: &str = "state.memory";
+const LAST_LATENT: &str = "state.latent";
+const LAST_ACTION: &str = "state.action";
+/// The parts of a gated recurrent unit, in the order of its weights.
+const GATES: [&str; 3] = ["reset", "update", "candidate"];
 
 /// A network file with its description.
 pub struct Described {
@@ -34,6 +44,10 @@ pub struct Described {
 /// Returns the bytes of an ONNX model that applies the encoder of `prediction` and the decoder of `decoding`, which may
 /// be the same network or a reconstruction. Inputs have the names of their modalities, and outputs too, after
 /// `predicted.` or `reconstructed.`. `properties` are stored in the model, next to its description.
+///
+/// The model of a network with memory also takes `state`, which is zero for the first sample of an episode, and `seen`,
+/// which is 1 for a sample that is seen and 0 for one that is not. It returns `state.next`, the state for the sample
+/// after `action`.
 ///
 /// # Errors
 /// When a tensor is missing.
@@ -55,16 +69,23 @@ pub fn model(
         }
     }
     graph.layers("encoder", &encoding.encoder)?;
-    graph.posterior(encoding.latent);
+    let memory = Remembered::of(encoding);
+    match &memory {
+        None => graph.posterior(in_part("encoder", POSTERIOR), encoding.latent),
+        Some(memory) => {
+            let belief = graph.memory(memory)?;
+            graph.posterior(belief, encoding.latent);
+        }
+    }
+    // A memory takes the action also if the decoder does not.
+    if let Some(action) = decoder.action.as_ref().or(memory.as_ref().map(|memory| memory.action)) {
+        graph.action(action)?;
+    }
+    if let Some(memory) = &memory {
+        graph.next_state(memory);
+    }
     graph.tensors = &decoding.file;
-    if let Some(action) = &decoder.action {
-        graph.declare(
-            ACTION,
-            proto::FLOAT,
-            &[action.elements.len()],
-            format!("{}: {}", action.form, units(&action.elements)),
-        );
-        graph.normalize(ACTION, ACTION, &action.scale, &[action.elements.len()])?;
+    if decoder.action.is_some() {
         graph.node("Identity", &[normalized(ACTION)], in_part("decoder", ACTION), Vec::new());
     }
     graph.layers("decoder", &decoder.decoder)?;
@@ -125,6 +146,45 @@ fn inner_shape(quantity: &Quantity) -> Vec<usize> {
     }
 }
 
+/// The memory of a network.
+struct Remembered<'a> {
+    /// The layer that keeps what it computes, or a part of it, for the next sample.
+    first: &'a Layer,
+    /// The layers after it.
+    others: &'a [Layer],
+    /// The action between two samples.
+    action: &'a ActionTaken,
+    /// Names and widths of the parts of the state.
+    parts: Vec<(&'static str, usize)>,
+}
+
+impl<'a> Remembered<'a> {
+    /// Returns the memory of the described network; `None` if it has none.
+    fn of(description: &'a Description) -> Option<Self> {
+        let ((first, others), action) = (description.memory.split_first()?, description.action.as_ref()?);
+        let width = match first.operation {
+            // The oldest of the last samples is left out.
+            Operation::LastSamples { samples } => first.output[0] / samples * (samples - 1),
+            _ => first.output[0],
+        };
+        let takes_latent = first.inputs.iter().any(|input| input == LATENT);
+        let latent = takes_latent.then_some((LAST_LATENT, description.latent));
+        let ends = [(LAST_MEMORY, width), (LAST_ACTION, action.elements.len())];
+        let parts = [ends[0]].into_iter().chain(latent).chain([ends[1]]).collect();
+        Some(Self { first, others, action, parts })
+    }
+
+    /// Returns the width of the state.
+    fn width(&self) -> usize {
+        self.parts.iter().map(|(_, width)| width).sum()
+    }
+
+    /// Whether the layers expect samples that are not seen.
+    fn has_prior(&self) -> bool {
+        self.others.iter().any(|layer| layer.name == PRIOR)
+    }
+}
+
 /// Adds nodes to a graph. Constants come from `tensors`.
 struct Writer<'a> {
     tensors: &'a TensorFile,
@@ -165,6 +225,12 @@ impl Writer<'_> {
     /// Adds whole numbers as a constant and returns its name.
     fn numbers(&mut self, name: String, values: &[usize]) -> String {
         self.graph.constants.push(Tensor::numbers(&name, values));
+        name
+    }
+
+    /// Adds a shape as a constant and returns its name. A -1 stands for the size that remains.
+    fn shape(&mut self, name: String, sizes: &[i64]) -> String {
+        self.graph.constants.push(Tensor::shape(&name, sizes));
         name
     }
 
@@ -214,18 +280,134 @@ impl Writer<'_> {
         Ok(())
     }
 
-    /// Splits the posterior, and declares both halves as outputs.
-    fn posterior(&mut self, latent: usize) {
-        let sizes = self.numbers("latent.sizes".into(), &[latent, latent]);
-        let outputs = vec![MEAN.to_owned(), LOG_VARIANCE.to_owned()];
+    /// Adds a node that splits the columns of `value` into parts with these names and widths.
+    fn split(&mut self, value: &str, parts: &[(&str, usize)]) {
+        let widths: Vec<usize> = parts.iter().map(|(_, width)| *width).collect();
+        let widths = self.numbers(format!("{value}.widths"), &widths);
         self.graph.nodes.push(Node {
-            inputs: vec![in_part("encoder", POSTERIOR), sizes],
-            outputs: outputs.clone(),
-            name: "latent".into(),
+            inputs: vec![value.to_owned(), widths],
+            outputs: parts.iter().map(|(name, _)| (*name).to_owned()).collect(),
+            name: format!("{value}.split"),
             operator: "Split".into(),
             attributes: vec![Attribute::int("axis", 1)],
         });
-        for (name, told) in outputs.iter().zip(["mean", "logarithm of the variance"]) {
+    }
+
+    /// Declares the action and normalizes it.
+    fn action(&mut self, action: &ActionTaken) -> Result<(), LearningError> {
+        let shape = [action.elements.len()];
+        self.declare(ACTION, proto::FLOAT, &shape, format!("{}: {}", action.form, units(&action.elements)));
+        self.normalize(ACTION, ACTION, &action.scale, &shape)
+    }
+
+    /// Declares the state and whether the sample is seen, adds the layers of a memory, and returns the name of the
+    /// distribution of the latent state.
+    fn memory(&mut self, memory: &Remembered) -> Result<String, LearningError> {
+        let told = "What the network knows of the samples before; zero for the first sample of an episode";
+        self.declare(STATE, proto::FLOAT, &[memory.width()], told.to_owned());
+        let told = "1 if the sample is seen; 0 if it is not, and its values are ignored";
+        self.declare(SEEN, proto::FLOAT, &[1], told.to_owned());
+        self.split(STATE, &memory.parts);
+        let part = |value: &str| in_part(MEMORY, value);
+        let half = self.number(format!("{SEEN}.half"), 0.5);
+        let is_seen = self.node("Greater", &[SEEN, &half], format!("{SEEN}.is"), Vec::new());
+        let zero = self.number(format!("{SEEN}.zero"), 0.0);
+        let posterior = in_part("encoder", POSTERIOR);
+        self.node("Where", &[&is_seen, &posterior, &zero], part(ENCODED), Vec::new());
+        let values: Vec<String> = memory
+            .first
+            .inputs
+            .iter()
+            .map(|input| match input.as_str() {
+                ENCODED => part(ENCODED),
+                LATENT => LAST_LATENT.to_owned(),
+                ACTION => LAST_ACTION.to_owned(),
+                other => other.to_owned(),
+            })
+            .collect();
+        let inputs = self.node("Concat", &values, part("inputs"), vec![Attribute::int("axis", 1)]);
+        match &memory.first.operation {
+            Operation::GatedRecurrentUnit { input_weight, input_bias, hidden_weight, hidden_bias } => {
+                let width = memory.first.output[0];
+                self.gates("input", &inputs, [input_weight, input_bias], width)?;
+                self.gates("hidden", LAST_MEMORY, [hidden_weight, hidden_bias], width)?;
+                self.gated();
+            }
+            Operation::LastSamples { .. } => {
+                let joined = [&inputs, LAST_MEMORY];
+                self.node("Concat", &joined, part(MEMORY), vec![Attribute::int("axis", 1)]);
+            }
+            _ => {
+                let problem = format!("'{}' is no layer of a memory", memory.first.name);
+                return Err(candle_core::Error::Msg(problem).into());
+            }
+        }
+        self.layers(MEMORY, memory.others)?;
+        let posterior = part(POSTERIOR);
+        Ok(match memory.has_prior() {
+            true => self.node("Where", &[&is_seen, &posterior, &part(PRIOR)], part("belief"), Vec::new()),
+            false => posterior,
+        })
+    }
+
+    /// Adds the product of a gated recurrent unit with `value`, and splits it into its three parts.
+    fn gates(
+        &mut self,
+        name: &str,
+        value: &str,
+        [weight, bias]: [&String; 2],
+        width: usize,
+    ) -> Result<(), LearningError> {
+        let (weight, bias) = (self.tensor(weight, None)?, self.tensor(bias, None)?);
+        let product = in_part(MEMORY, name);
+        self.node("Gemm", &[value, &weight, &bias], product.clone(), vec![Attribute::int("transB", 1)]);
+        let parts = GATES.map(|gate| format!("{product}.{gate}"));
+        self.split(&product, &parts.each_ref().map(|part| (part.as_str(), width)));
+        Ok(())
+    }
+
+    /// Adds the gates of a gated recurrent unit, from the parts of both products.
+    fn gated(&mut self) {
+        let of = |product: &str, gate: &str| in_part(MEMORY, &format!("{product}.{gate}"));
+        let [reset, update] = [GATES[0], GATES[1]].map(|gate| {
+            let sum = of("sum", gate);
+            self.node("Add", &[of("input", gate), of("hidden", gate)], sum.clone(), Vec::new());
+            self.node("Sigmoid", &[sum], in_part(MEMORY, gate), Vec::new())
+        });
+        let candidate = GATES[2];
+        let kept = self.node("Mul", &[reset, of("hidden", candidate)], of("kept", candidate), Vec::new());
+        let sum = self.node("Add", &[of("input", candidate), kept], of("sum", candidate), Vec::new());
+        let candidate = self.node("Tanh", &[sum], in_part(MEMORY, candidate), Vec::new());
+        let change = self.node("Sub", &[LAST_MEMORY, &candidate], in_part(MEMORY, "change"), Vec::new());
+        let update = self.node("Mul", &[update, change], in_part(MEMORY, "updated"), Vec::new());
+        self.node("Add", &[candidate, update], in_part(MEMORY, MEMORY), Vec::new());
+    }
+
+    /// Puts the parts of the next state together, and declares it as an output.
+    fn next_state(&mut self, memory: &Remembered) {
+        let mut kept = in_part(MEMORY, MEMORY);
+        if matches!(memory.first.operation, Operation::LastSamples { .. }) {
+            let start = self.numbers(format!("{NEXT_STATE}.start"), &[0]);
+            let end = self.numbers(format!("{NEXT_STATE}.end"), &[memory.parts[0].1]);
+            let axis = self.numbers(format!("{NEXT_STATE}.axis"), &[1]);
+            kept = self.node("Slice", &[kept, start, end, axis], in_part(MEMORY, "kept"), Vec::new());
+        }
+        let next = |(part, _): &(&str, usize)| match *part {
+            LAST_LATENT => MEAN.to_owned(),
+            LAST_ACTION => normalized(ACTION),
+            _ => kept.clone(),
+        };
+        let parts: Vec<String> = memory.parts.iter().map(next).collect();
+        self.node("Concat", &parts, NEXT_STATE.to_owned(), vec![Attribute::int("axis", 1)]);
+        let told = "The state for the sample after the action".to_owned();
+        self.graph.outputs.push(ValueInfo::batch(NEXT_STATE, proto::FLOAT, &[memory.width()], told));
+    }
+
+    /// Splits the posterior, and declares both halves as outputs.
+    fn posterior(&mut self, posterior: String, latent: usize) {
+        self.split(&posterior, &[(MEAN, latent), (LOG_VARIANCE, latent)]);
+        let outputs = [MEAN, LOG_VARIANCE];
+        for (name, told) in outputs.into_iter().zip(["mean", "logarithm of the variance"]) {
             let told = format!("The posterior's {told} of the latent state");
             self.graph.outputs.push(ValueInfo::batch(name, proto::FLOAT, &[latent], told));
         }
@@ -277,6 +459,16 @@ impl Writer<'_> {
             Operation::Concatenate => {
                 self.node("Concat", &inputs, output, vec![Attribute::int("axis", 1)]);
             }
+            Operation::Columns { ranges } => {
+                let columns: Vec<usize> =
+                    ranges.iter().flat_map(|[start, len]| *start..start + len).collect();
+                let columns = self.numbers(format!("{output}.columns"), &columns);
+                self.node("Gather", &[&inputs[0], &columns], output, vec![Attribute::int("axis", 1)]);
+            }
+            Operation::Objects { start, .. } => self.objects(&inputs[0], output, *start, &layer.output),
+            Operation::SumAndMaximum { objects } => {
+                self.sum_and_maximum(&inputs[0], output, *objects, layer.output[0] / 2);
+            }
             Operation::Average { size } => {
                 let sides = [*size as i64; 2];
                 let attributes =
@@ -305,9 +497,9 @@ impl Writer<'_> {
             Operation::TransposedConvolution(convolution) => {
                 self.convolution("ConvTranspose", &inputs, output, convolution)?;
             }
-            Operation::GatedRecurrentUnit { .. } => {
-                let problem = "a network with memory can't be written as an ONNX model";
-                return Err(candle_core::Error::Msg(problem.into()).into());
+            Operation::GatedRecurrentUnit { .. } | Operation::LastSamples { .. } => {
+                let problem = format!("'{}' is not the first layer of a memory", layer.name);
+                return Err(candle_core::Error::Msg(problem).into());
             }
             Operation::LayerNormalization { weight, bias, epsilon } => {
                 let (weight, bias) = (self.tensor(weight, None)?, self.tensor(bias, None)?);
@@ -317,6 +509,28 @@ impl Writer<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Adds nodes that make the objects of a set rows of a batch.
+    fn objects(&mut self, vectors: &str, output: String, start: usize, shape: &[usize]) {
+        let columns: Vec<usize> = (start..start + shape.iter().product::<usize>()).collect();
+        let columns = self.numbers(format!("{output}.columns"), &columns);
+        let attributes = vec![Attribute::int("axis", 1)];
+        let of_set = self.node("Gather", &[vectors, &columns], format!("{output}.set"), attributes);
+        let rows = self.shape(format!("{output}.shape"), &[-1, shape[1] as i64]);
+        self.node("Reshape", &[of_set, rows], output, Vec::new());
+    }
+
+    /// Adds nodes that compute the sum and the maximum over the objects of each sample.
+    fn sum_and_maximum(&mut self, rows: &str, output: String, objects: usize, width: usize) {
+        let shape = self.shape(format!("{output}.shape"), &[-1, objects as i64, width as i64]);
+        let samples = self.node("Reshape", &[rows, &shape], format!("{output}.samples"), Vec::new());
+        let axis = self.numbers(format!("{output}.axis"), &[1]);
+        let keep = || vec![Attribute::int("keepdims", 0)];
+        let parts = ["ReduceSum", "ReduceMax"].map(|operator| {
+            self.node(operator, &[&samples, &axis], format!("{output}.{operator}"), keep())
+        });
+        self.node("Concat", &parts, output, vec![Attribute::int("axis", 1)]);
     }
 
     fn convolution(
@@ -476,8 +690,12 @@ mod proto {
         }
 
         pub fn numbers(name: &str, values: &[usize]) -> Self {
-            let raw = values.iter().flat_map(|value| (*value as i64).to_le_bytes()).collect();
-            Self { dims: vec![values.len() as i64], kind: INT64, name: name.into(), raw }
+            Self::shape(name, &values.iter().map(|value| *value as i64).collect::<Vec<_>>())
+        }
+
+        pub fn shape(name: &str, sizes: &[i64]) -> Self {
+            let raw = sizes.iter().flat_map(|size| size.to_le_bytes()).collect();
+            Self { dims: vec![sizes.len() as i64], kind: INT64, name: name.into(), raw }
         }
     }
 

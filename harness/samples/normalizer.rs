@@ -29,12 +29,38 @@ impl Normalizer {
         self.std[if self.std.len() == 1 { 0 } else { index }]
     }
 
+    /// Returns the normalizer of several objects, each of which has this one.
+    fn for_objects(self, objects: usize) -> Self {
+        let std = if self.std.len() == 1 { self.std } else { self.std.repeat(objects) };
+        Self { mean: self.mean.repeat(objects), std, ..self }
+    }
+
     /// Normalizes `values` `[n, width]`, which are in physical units, in place.
     pub fn normalize(&self, values: &mut [f32]) {
         for row in values.chunks_exact_mut(self.mean.len()) {
             for (index, (value, mean)) in row.iter_mut().zip(&self.mean).enumerate() {
                 *value = (*value - mean) / self.std(index);
             }
+        }
+    }
+
+    /// Returns a function that normalizes a value of an image. It takes the value in steps of 1/255, as bytes have
+    /// them, and the mean.
+    pub fn of_steps(&self) -> impl Fn(f32, f32) -> f32 + use<> {
+        let factor = 1.0 / self.std[0];
+        move |steps, mean| (steps * (1.0 / 255.0) - mean) * factor
+    }
+
+    /// Normalizes images `[n, channel, row, column]` in place. They are intensities in [0, 1], or changes of these.
+    ///
+    /// A byte divided by 255 gets the same number, to the last digit, as [`Normalizer::of_steps`] returns for the byte.
+    pub fn normalize_images(&self, values: &mut [f32]) {
+        let normalized = self.of_steps();
+        for image in values.chunks_exact_mut(self.mean.len()) {
+            image
+                .iter_mut()
+                .zip(&self.mean)
+                .for_each(|(value, mean)| *value = normalized(*value * 255.0, *mean));
         }
     }
 
@@ -72,24 +98,28 @@ struct Moments {
 }
 
 impl Moments {
-    /// Sums `width` values over the given `samples`.
+    /// Sums rows of `width` values over the given `samples`. A sample has one row, or one for each object of a set.
     fn of<V: AsRef<[f32]>>(width: usize, samples: &[Sample], values: impl Fn(Sample) -> V) -> Self {
         let (mut sum, mut square) = (vec![0.0; width], vec![0.0; width]);
         let mut range = vec![(f64::INFINITY, f64::NEG_INFINITY); width];
+        let mut count = 0_usize;
         for sample in samples {
-            let sums = sum.iter_mut().zip(&mut square).zip(&mut range);
-            for (value, ((sum, square), (least, greatest))) in values(*sample).as_ref().iter().zip(sums) {
-                let value = f64::from(*value);
-                *sum += value;
-                *square += value * value;
-                *least = least.min(value);
-                *greatest = greatest.max(value);
+            for row in values(*sample).as_ref().chunks_exact(width.max(1)) {
+                count += 1;
+                let sums = sum.iter_mut().zip(&mut square).zip(&mut range);
+                for (value, ((sum, square), (least, greatest))) in row.iter().zip(sums) {
+                    let value = f64::from(*value);
+                    *sum += value;
+                    *square += value * value;
+                    *least = least.min(value);
+                    *greatest = greatest.max(value);
+                }
             }
         }
         let is_constant =
             |(least, greatest): (f64, f64)| greatest - least <= CONSTANT * least.abs().max(greatest.abs());
         let constant = range.into_iter().map(is_constant).collect();
-        Self { count: samples.len() as f64, sum, square, constant }
+        Self { count: count as f64, sum, square, constant }
     }
 
     fn means(&self) -> Vec<f32> {
@@ -127,10 +157,12 @@ impl Normalizers {
             let moments = if definition.is_image() {
                 frame_moments(samples, transitions, modality)
             } else {
-                Moments::of(definition.width(), transitions, |sample| samples.vector(modality, sample))
+                let width = definition.width() / definition.objects.unwrap_or(1);
+                Moments::of(width, transitions, |sample| samples.vector(modality, sample))
             };
             let minimum = scaling.minimum.map(|minimum| minimum as f32);
-            (modality, Normalizer { minimum, ..moments.scale(scaling.scale) })
+            let each = moments.scale(scaling.scale);
+            (modality, Normalizer { minimum, ..each.for_objects(definition.objects.unwrap_or(1)) })
         });
         let width = samples.layout().action().len();
         let actions =

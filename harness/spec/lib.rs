@@ -5,24 +5,25 @@
 //! the order of [`Modality`], and `quick` is applied or dropped. Two specs with the same meaning are therefore equal.
 //! Derived values are not stored.
 
+mod ablation;
 mod built_in;
 mod cells;
-mod check;
 mod episode;
 mod error;
 mod factor;
+mod hints;
 mod modality;
 mod name;
 mod narrow;
 mod origin;
 mod overrides;
-mod parse;
 mod run;
 mod scaling;
 mod schema;
 mod search;
 mod simulation;
 mod sobol;
+mod text;
 mod types;
 mod validate;
 mod values;
@@ -32,24 +33,24 @@ pub use built_in::{BuiltIn, SPECS, YamlFile, find};
 pub use episode::{Episode, Pose};
 pub use error::SpecError;
 pub use factor::{Distribution, Drawing, Factor, Normal, Property};
+pub use harness_yaml::is_name;
 pub use modality::*;
-pub use name::{intern, is_name};
+pub use name::intern;
 pub use origin::{Origin, Scenario};
-pub use parse::read as read_text;
 pub use run::{Model, RunSpec, Trained, model_parts, variant_parts};
 pub use scaling::{GivenScaling, GivenScalings, Scaling, Scalings};
-pub use schema::{schema, setting_names};
+pub use schema::{schema, setting_names, varied_setting};
 pub use search::{Candidates, Halving, Method, Objective, Search, Trial};
 pub use simulation::{MAX_SEED, Setting, Simulation};
-pub use sobol::sobol;
+pub use sobol::{SOBOL_DIMENSIONS, sobol};
+pub use text::read_text;
 pub use types::*;
 pub use values::matching;
 pub use world::*;
 
 use cells::Combination;
-use error::Problem;
+use harness_yaml::{Entry, Node, Problem, Value, parse, shorten};
 use overrides::VARY;
-use parse::{Entry, Node, Value};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -124,7 +125,7 @@ fn parse_in(
 ) -> Result<Experiment, SpecError> {
     let mut worlds = WorldFiles { folder, purpose, read: BTreeMap::new() };
     let mut experiment =
-        load_text(&mut worlds, text, overrides, quick).map_err(|problem| problem.in_file(label))?;
+        load_text(&mut worlds, text, overrides, quick).map_err(|problem| SpecError::of(problem, label))?;
     if quick {
         experiment.name.push_str(QUICK);
     }
@@ -143,20 +144,21 @@ fn load_text(
     overrides: &[String],
     quick: bool,
 ) -> Result<Experiment, Problem> {
-    let mut tree = parse::parse(text)?;
+    let mut tree = parse(text)?;
     if matches!(tree.value, Value::Null) {
         return Err(Problem::new(
-            &tree.origin,
+            &tree.place,
             "the file is empty; see `harness schema` for what a spec holds",
         ));
     }
     if let Some(message) = other_file(&tree) {
-        return Err(Problem::new(&tree.origin, message));
+        return Err(Problem::new(&tree.place, message));
     }
     if worlds.purpose == Purpose::Task {
         add_network(&mut tree);
     }
     schema::list_single_values(&mut tree);
+    ablation::list_inputs(&mut tree)?;
     resolve(worlds, &tree)?;
     let mut quick_tree = tree.clone();
     match tree.get("quick") {
@@ -164,7 +166,7 @@ fn load_text(
             overrides::apply(&mut quick_tree, settings);
             resolve(worlds, &quick_tree).map_err(|problem| problem.after("applying 'quick'"))?;
         }
-        _ if quick => return Err(Problem::new(&tree.origin, NOT_QUICK)),
+        _ if quick => return Err(Problem::new(&tree.place, NOT_QUICK)),
         _ => {}
     }
     if quick {
@@ -173,6 +175,7 @@ fn load_text(
     let overrides = overrides.iter().map(|text| overrides::read(text)).collect::<Result<Vec<_>, _>>()?;
     overrides::apply(&mut tree, &overrides);
     schema::list_single_values(&mut tree);
+    ablation::list_inputs(&mut tree)?;
     let experiment = resolve(worlds, &tree).map_err(|problem| problem.after("applying the overrides"))?;
     check_variants(worlds, &tree, &experiment)?;
     Ok(experiment)
@@ -181,7 +184,7 @@ fn load_text(
 /// Adds a network to a spec that has none. Nothing uses it.
 fn add_network(tree: &mut Node) {
     let network = serde_json::json!({ "latent": [1], "network": { "preset": "multi_to_multi" } });
-    let unused = Node::of_json(&network, &tree.origin);
+    let unused = Node::of_json(&network, &tree.place);
     if let (Value::Section(entries), Value::Section(unused)) = (&mut tree.value, unused.value) {
         let lacks = |entry: &Entry| entries.iter().all(|own| own.key != entry.key);
         let lacking: Vec<Entry> = unused.into_iter().filter(lacks).collect();
@@ -191,7 +194,7 @@ fn add_network(tree: &mut Node) {
 
 /// Returns the value that a text stands for as the value of a setting, as in `KEY=VALUE`; `None` if it is no YAML.
 pub fn setting_value(text: &str) -> Option<serde_json::Value> {
-    parse::parse(text).ok().map(|node| node.to_json())
+    parse(text).ok().map(|node| node.to_json())
 }
 
 /// Says what a file is, and how it is used, if it is the spec of a run or a world instead of an experiment.
@@ -273,8 +276,8 @@ fn check_different(
             values.iter().map(|value| of(value).map(|(_, variant)| variant).collect()).collect();
         for (index, variants) in of.iter().enumerate() {
             let Some(same) = of[..index].iter().position(|others| others == variants) else { continue };
-            let origin = tree.origin_of(&format!("{VARY}.{key}.{index}"));
-            let [value, other] = [index, same].map(|place| parse::shorten(&values[place].to_string()));
+            let origin = tree.place_of(&format!("{VARY}.{key}.{index}"));
+            let [value, other] = [index, same].map(|place| shorten(&values[place].to_string()));
             return Err(Problem::new(
                 origin,
                 format!("{value} in '{VARY}.{key}' makes the same runs as {other}; leave one of them out"),
@@ -307,9 +310,9 @@ fn varied_settings(tree: &Node) -> Vec<Entry> {
 fn resolve(worlds: &mut WorldFiles, tree: &Node) -> Result<Experiment, Problem> {
     schema::check(tree)?;
     let mut experiment: Experiment = serde_json::from_value(tree.to_json())
-        .map_err(|error| Problem::new(&tree.origin, error.to_string()))?;
+        .map_err(|error| Problem::new(&tree.place, error.to_string()))?;
     experiment.worlds = worlds.of(tree, &experiment.scenarios)?;
-    let at = |fault: validate::Fault| Problem::new(tree.origin_of(&fault.path), fault.message);
+    let at = |fault: validate::Fault| Problem::new(tree.place_of(&fault.path), fault.message);
     experiment.take_defaults_of_worlds(tree).map_err(at)?;
     check_rates(tree, &experiment)?;
     validate::validate(&experiment).map_err(at)?;
@@ -329,7 +332,7 @@ fn sets(tree: &Node, key: &str) -> bool {
 fn check_rates(tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
     let Simulation { actuation_seconds: seconds, sample_rate_hz: rate, .. } = experiment.simulation;
     let [sets_rate, sets_seconds] = ["sample_rate_hz", "actuation_seconds"].map(|key| sets(tree, key));
-    let at = |path: &str, message: String| Problem::new(tree.origin_of(path), message);
+    let at = |path: &str, message: String| Problem::new(tree.place_of(path), message);
     for (index, origin) in experiment.scenarios.iter().enumerate() {
         let Some(world) = experiment.world(origin) else { continue };
         let of_world = |error: SpecError| at(&format!("scenarios.{index}"), error.to_string());
@@ -365,7 +368,7 @@ impl WorldFiles<'_> {
         let mut worlds: Vec<Arc<World>> = Vec::new();
         for (index, origin) in scenarios.iter().enumerate() {
             let Origin::File(path) = origin else { continue };
-            let at = |message: String| Problem::new(tree.origin_of(&format!("scenarios.{index}")), message);
+            let at = |message: String| Problem::new(tree.place_of(&format!("scenarios.{index}")), message);
             let world = self.world(self.folder.join(path)).map_err(|error| at(error.to_string()))?;
             if worlds.iter().any(|other| other.scenario() == world.scenario()) {
                 return Err(at(format!(
@@ -448,6 +451,9 @@ impl Experiment {
                 self.network.channels = Some(self.network.channels().to_vec());
             } else {
                 (self.network.channels, self.network.average) = (Some(Vec::new()), 1);
+            }
+            if self.network.memory != Memory::Window {
+                self.network.memory_samples = Network::MEMORY_SAMPLES;
             }
         }
         if self.split.by == Division::Time {

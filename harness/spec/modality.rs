@@ -1,6 +1,7 @@
 //! Modalities: their names, which specs and tables use, and their definitions, which a dataset stores.
 
-use super::name::{NAME, interned_name, names};
+use super::name::{interned_name, names};
+use harness_yaml::NAME;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use std::ops::Index;
@@ -173,6 +174,10 @@ pub struct Definition {
     /// [`Definition::contact_kind`] has the kind of each element.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub contact_kinds: Vec<String>,
+    /// If a vector is a set of objects: their number. The values of an object lie side by side, and each object has the
+    /// same values. Networks treat the objects alike.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub objects: Option<usize>,
     /// Which standard deviation the values are divided by for a network, if the spec does not say.
     pub scale: Scale,
     /// The least value of a prediction, in physical units, if the spec does not say.
@@ -194,6 +199,7 @@ impl Definition {
             optical_flow: false,
             groups: Vec::new(),
             contact_kinds: Vec::new(),
+            objects: None,
             scale: Scale::PerElement,
             minimum: None,
             percentage: None,

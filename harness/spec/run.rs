@@ -267,6 +267,7 @@ impl RunSpec {
         }
         if let Some(simulation) = simulation {
             all["simulation"]["factors"] = json!(simulation.factors);
+            all["simulation"]["policy"] = json!(simulation.policy);
         }
         all
     }
@@ -279,12 +280,18 @@ impl RunSpec {
         let losses: BTreeMap<Modality, Loss> =
             self.output.iter().filter(is_vector).map(|modality| (*modality, loss(modality))).collect();
         json!({
-            "network": { "average": network.average, "fusion": network.fusion, "memory": network.memory },
+            "network": {
+                "average": network.average,
+                "fusion": network.fusion,
+                "memory": network.memory,
+                "memory_samples": network.memory_samples,
+            },
             "training": {
                 "schedule": training.schedule,
                 "warmup_epochs": training.warmup_epochs,
                 "weight_decay": training.weight_decay,
                 "clip_norm": training.clip_norm,
+                "rollout_stride": training.rollout_stride,
                 "last_epoch": training.last_epoch,
                 "stop": training.stop,
                 "losses": losses,

@@ -85,11 +85,18 @@ pub enum Memory {
     /// Nothing: it sees one sample.
     #[default]
     None,
+    /// The last `memory_samples` encoded samples and the actions before them, side by side. A layer as wide as the last
+    /// hidden layer joins them, and the latent state follows from it.
+    Window,
     /// A gated recurrent unit between the encoder and the latent state (Cho et al., 2014), as wide as the last hidden
     /// layer. It takes the encoded sample and the action before it. The latent state follows from it.
     Gru,
+    /// A recurrent state-space model (Hafner et al., 2025): a gated recurrent unit takes the last latent state and the
+    /// action after it. A prior of the next latent state follows from the unit, and a posterior from the unit and the
+    /// encoded sample. `kl_weight` weighs the divergence between them.
+    Rssm,
 }
-names!(Memory { None => "none", Gru => "gru" });
+names!(Memory { None => "none", Window => "window", Gru => "gru", Rssm => "rssm" });
 
 /// What a model has seen when it predicts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
@@ -221,7 +228,8 @@ pub struct Experiment {
     #[serde(default)]
     pub training: Training,
     /// Settings to try in every combination, by dotted key: `training.kl_weight: [0, 0.001]`. Each combination has runs
-    /// of its own. The column `variant` of the tables names the combination.
+    /// of its own. `input: {without: each}` stands for the input of the spec, and the input without each of its
+    /// modalities. The column `variant` of the tables names the combination.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub vary: BTreeMap<String, Vec<serde_json::Value>>,
     /// Settings to draw from distributions. Each trial is one combination and has runs of its own. The column `variant`
@@ -229,10 +237,10 @@ pub struct Experiment {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "search")]
     pub search: Option<Search>,
-    /// Other experiments, each with the settings in which it differs from the spec, by dotted key. Each has runs of its
-    /// own. The column `role` of the table `runs` names it.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub roles: BTreeMap<String, Settings>,
+    /// Named variants, each with the settings in which it differs from the spec, by dotted key. Each has runs of its
+    /// own. The column `role` of the table `runs` names it. Tables and plots have the roles in the order of the spec.
+    #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
+    pub roles: serde_json::Map<String, serde_json::Value>,
     /// Alternative interpretations of choices that a paper leaves open. Each has runs of its own. The spec's own
     /// settings are the reading `base`. The column `reading` of the table `runs` names the reading.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -301,9 +309,16 @@ pub struct Network {
     /// context of several samples.
     #[serde(default, skip_serializing_if = "is_default")]
     pub memory: Memory,
+    /// Number of samples that `memory: window` knows, with the present one. The default is 5.
+    #[serde(default = "memory_samples", skip_serializing_if = "is_memory_samples")]
+    #[schemars(range(min = 2, max = 1000))]
+    pub memory_samples: usize,
 }
 
 impl Network {
+    /// The default of `memory_samples`.
+    pub const MEMORY_SAMPLES: usize = 5;
+
     /// Returns the channels of each convolution, or those of the preset if none are given.
     pub fn channels(&self) -> &[usize] {
         match (&self.channels, self.preset) {
@@ -361,10 +376,15 @@ pub struct Training {
     #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(max = 1e6), extend("exclusiveMinimum" = 0.0))]
     pub clip_norm: Option<f64>,
-    /// Predictions of samples per step. A window has as many as the product of its context, if the network has a
-    /// memory, and its horizon.
+    /// Predictions of samples per step. A window has one for each sample that the network sees, and
+    /// `window.horizon - 1` more for each sample from which training predicts further.
     #[schemars(range(min = 1, max = 65536))]
     pub batch_size: usize,
+    /// Training predicts further than the next sample from one of this many samples that the network sees, which each
+    /// step draws anew. Validation always takes the same ones. The default is 1.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[schemars(range(min = 1, max = 10_000))]
+    pub rollout_stride: usize,
     /// Largest number of epochs.
     #[schemars(range(min = 1, max = 100_000))]
     pub epochs: usize,
@@ -535,6 +555,7 @@ impl Default for Training {
             weight_decay: 0.0,
             clip_norm: None,
             batch_size: 1024,
+            rollout_stride: 1,
             epochs: 200,
             last_epoch: None,
             patience: Some(20),
@@ -574,6 +595,12 @@ fn one() -> usize {
 }
 fn is_one(value: &usize) -> bool {
     *value == 1
+}
+fn memory_samples() -> usize {
+    Network::MEMORY_SAMPLES
+}
+fn is_memory_samples(value: &usize) -> bool {
+    *value == Network::MEMORY_SAMPLES
 }
 fn yes() -> bool {
     true

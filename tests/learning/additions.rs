@@ -59,6 +59,7 @@ fn fitted(
         data: &bench.data,
         network,
         window,
+        rollout_stride: 1,
         input,
         output,
         kl_weight: 0.0001,

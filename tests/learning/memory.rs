@@ -2,12 +2,14 @@
 
 use super::*;
 use harness_judge::{MetricRow, Persistence, Predictor, Test, judge};
-use harness_learning::network::{Network as Predicting, State};
-use harness_learning::ops::gru;
+use harness_learning::network::{Network as Predicting, Posterior, State};
 use harness_learning::predict::{Latents, TrainedNetwork};
 use harness_metrics::Metric;
+use harness_ops::{Arithmetic, Recurrence, gru};
 use harness_spec::WindowStart;
 
+/// All kinds of memory.
+const MEMORIES: [Memory; 3] = [Memory::Window, Memory::Gru, Memory::Rssm];
 const ARM: [Modality; 1] = [Modality::ARM];
 const ANGLES: [Modality; 1] = [Modality::PROPRIOCEPTION];
 
@@ -22,7 +24,7 @@ fn bench(memory: Memory) -> (Bench, Architecture) {
     let normalizers = Normalizers::fit(&samples, &partition.training, &scalings, Action::Increment);
     bench.data.samples = Arc::new(samples);
     bench.data.normalizers = Arc::new(normalizers);
-    bench.network = Network { hidden: vec![16], memory, ..network(16, 2) };
+    bench.network = Network { hidden: vec![16], memory, memory_samples: 12, ..network(16, 2) };
     let architecture = Architecture { input: ANGLES.to_vec(), output: ARM.to_vec(), ..bench.architecture() };
     (bench, architecture)
 }
@@ -45,6 +47,7 @@ fn objective<'a>(
         data,
         network,
         window,
+        rollout_stride: 1,
         input: &ANGLES,
         output: &ARM,
         kl_weight: 0.01,
@@ -56,35 +59,97 @@ fn objective<'a>(
 #[test]
 fn a_gated_recurrent_unit_is_that_of_its_formula() {
     let mut random = random(7);
-    let (batch, width) = (3, 5);
-    let given =
-        [[batch, 3 * width], [batch, 3 * width], [batch, width]].map(|shape| variable(&mut random, &shape));
-    let [input, hidden, state] = given.each_ref().map(|var| var.as_tensor().to_vec2::<f32>().unwrap());
-    let next = gru(&given[0], &given[1], &given[2]).unwrap().to_vec2::<f32>().unwrap();
+    let (times, batch, width) = (4, 3, 5);
+    let shapes = [&[times * batch, 3 * width][..], &[3 * width, width], &[3 * width], &[batch, width]];
+    let given = shapes.map(|shape| variable(&mut random, shape));
+    let units = |given: &[Tensor]| {
+        let recurrence = Recurrence { weight: &given[1], bias: &given[2] };
+        gru(&given[0], recurrence, &given[3], Arithmetic::best())
+    };
+    let states =
+        units(&given.each_ref().map(|var| var.as_tensor().clone())).unwrap().to_vec2::<f32>().unwrap();
+    let [input, weight, start] = [0, 1, 3].map(|index| given[index].to_vec2::<f32>().unwrap());
+    let bias = given[2].to_vec1::<f32>().unwrap();
     let logistic = |x: f64| 1.0 / (1.0 + (-x).exp());
-    for row in 0..batch {
+    for row in 0..times * batch {
+        let last = if row < batch { &start[row] } else { &states[row - batch] };
         for unit in 0..width {
-            let of = |gates: &[Vec<f32>], part: usize| f64::from(gates[row][part * width + unit]);
-            let reset = logistic(of(&input, 0) + of(&hidden, 0));
-            let update = logistic(of(&input, 1) + of(&hidden, 1));
-            let candidate = (of(&input, 2) + reset * of(&hidden, 2)).tanh();
-            let expected = (1.0 - update) * candidate + update * f64::from(state[row][unit]);
-            assert!((f64::from(next[row][unit]) - expected).abs() < 1e-6, "row {row}, unit {unit}");
+            let of = |part: usize| f64::from(input[row][part * width + unit]);
+            let hidden = |part: usize| -> f64 {
+                let gate = part * width + unit;
+                let products = weight[gate].iter().zip(last).map(|(w, x)| f64::from(*w) * f64::from(*x));
+                products.sum::<f64>() + f64::from(bias[gate])
+            };
+            let reset = logistic(of(0) + hidden(0));
+            let update = logistic(of(1) + hidden(1));
+            let candidate = (of(2) + reset * hidden(2)).tanh();
+            let expected = (1.0 - update) * candidate + update * f64::from(last[unit]);
+            assert!((f64::from(states[row][unit]) - expected).abs() < 2e-6, "row {row}, unit {unit}");
         }
     }
-    assert_gradients(&given, |given| gru(&given[0], &given[1], &given[2]));
+    assert_gradients(&given, units);
     // Large values saturate the gates.
-    let large = Tensor::full(200f32, (1, 3), &Device::Cpu).unwrap();
-    let one = Tensor::ones((1, 1), candle_core::DType::F32, &Device::Cpu).unwrap();
-    let kept = gru(&large, &large, &one).unwrap().to_vec2::<f32>().unwrap();
-    assert_eq!(kept, [[1.0]]);
-    let wide = Tensor::zeros((1, 4), candle_core::DType::F32, &Device::Cpu).unwrap();
-    assert!(gru(&wide, &large, &one).is_err());
+    let of = |value: f32, shape: &[usize]| Tensor::full(value, shape, &Device::Cpu).unwrap();
+    let (weight, bias) = (of(0.0, &[3, 1]), of(200.0, &[3]));
+    let kept = |input: &Tensor| {
+        let recurrence = Recurrence { weight: &weight, bias: &bias };
+        gru(input, recurrence, &of(1.0, &[1, 1]), Arithmetic::best())
+    };
+    assert_eq!(kept(&of(200.0, &[2, 3])).unwrap().to_vec2::<f32>().unwrap(), [[1.0], [1.0]]);
+    assert!(kept(&of(0.0, &[1, 4])).is_err());
+}
+
+#[test]
+fn the_divergence_of_two_posteriors_is_that_of_gaussians() {
+    let of = |mean: [f32; 2], variance: [f32; 2]| {
+        let row = |values: [f32; 2]| Tensor::new(&[values], &Device::Cpu).unwrap();
+        Posterior::new(&row(mean), &row(variance.map(f32::ln))).unwrap()
+    };
+    let nats =
+        |from: &Posterior, to: &Posterior| from.divergence_from(to).unwrap().to_vec1::<f32>().unwrap()[0];
+    let (wide, narrow) = (of([1.0, -2.0], [4.0, 1.0]), of([0.0, -2.0], [1.0, 0.25]));
+    // Half of the sum of variance ratio, squared distance by variance, -1, and the logarithm of the variance ratio.
+    let expected = |ratios: [f32; 2], distance: f32| {
+        0.5 * (ratios.iter().map(|ratio| ratio - 1.0 - ratio.ln()).sum::<f32>() + distance)
+    };
+    assert!((nats(&wide, &narrow) - expected([4.0, 4.0], 1.0)).abs() < 1e-5);
+    assert!((nats(&narrow, &wide) - expected([0.25, 0.25], 0.25)).abs() < 1e-5);
+    assert_eq!(nats(&wide, &wide), 0.0);
+    let normal = of([0.0, 0.0], [1.0, 1.0]);
+    let mean = scalar(&wide.kl_divergence().unwrap()).unwrap() as f32;
+    assert!((nats(&wide, &normal) - mean).abs() < 1e-5);
+}
+
+#[test]
+fn whole_sequences_give_the_states_of_single_steps() {
+    MEMORIES.into_iter().for_each(assert_unrolled);
+}
+
+fn assert_unrolled(memory: Memory) {
+    let (bench, architecture) = bench(memory);
+    let (network, _) = built(&architecture);
+    let times = [0, 1, 2].map(|time| [16, 40].map(|first| Sample::at(first + time)));
+    let at = times.concat();
+    let encoded = network.encode(&bench.data.observation(&at, &ANGLES).unwrap(), &mut Draw::Mean).unwrap();
+    let (actions, start) = (bench.data.actions(&at).unwrap(), network.start(2, &Device::Cpu).unwrap());
+    let whole = network.unroll(2, start.as_ref(), &encoded, &actions, &mut Draw::Mean).unwrap().state;
+    for (row, first) in [(4, 16), (5, 40)] {
+        let expected = stepped(&bench, &*network, first, first + 2);
+        let row = |tensor: &Option<Tensor>| tensor.as_ref().unwrap().narrow(0, row, 1).unwrap();
+        assert!(close(&row(&Some(whole.latent.clone())), &expected.latent), "{first}");
+        assert!(close(&row(&whole.memory), expected.memory.as_ref().unwrap()), "{first}");
+        let action = bench.data.actions(&[Sample::at(first + 2)]).unwrap();
+        assert!(close(&row(&whole.action), &action), "{first}");
+    }
 }
 
 #[test]
 fn gradients_through_time_are_finite_differences() {
-    let (bench, architecture) = bench(Memory::Gru);
+    MEMORIES.into_iter().for_each(assert_gradients_through_time);
+}
+
+fn assert_gradients_through_time(memory: Memory) {
+    let (bench, architecture) = bench(memory);
     let (network, parameters) = built(&architecture);
     let window = Window { context: 6, horizon: 4, ..Window::TRANSITION };
     let (losses, weights) = (BTreeMap::new(), BTreeMap::new());
@@ -112,8 +177,47 @@ fn gradients_through_time_are_finite_differences() {
             let difference = (moved(step) - moved(-step)) / (2.0 * step);
             (difference - slope).abs() < 2e-3 + 0.03 * slope.abs()
         });
-        assert!(agrees, "{name}: {slope}");
+        assert!(agrees, "{memory}: {name}: {slope}");
     }
+}
+
+#[test]
+fn rollouts_start_at_one_of_each_few_samples() {
+    let mut random = random(3);
+    let mut rows =
+        |stride, batch| Draw::Sample { random: &mut random, dropout: 0.0 }.one_of_each(stride, batch);
+    let mut found = [0; 11];
+    for _ in 0..200 {
+        let rows = rows(4, 11).unwrap();
+        assert_eq!(rows.iter().map(|row| row / 4).collect::<Vec<_>>(), [0, 1, 2]);
+        rows.iter().for_each(|row| found[*row as usize] += 1);
+    }
+    assert!(found.iter().all(|times| (25..100).contains(times)), "{found:?}");
+    assert_eq!((rows(1, 11), rows(20, 3).unwrap().len()), (None, 1));
+    assert_eq!(Draw::Mean.one_of_each(4, 11), Some(vec![2, 6, 9]));
+    assert_eq!(Draw::Mean.one_of_each(1, 11), None);
+}
+
+#[test]
+fn few_rollouts_have_the_loss_of_all_on_average() {
+    let (bench, architecture) = bench(Memory::Gru);
+    let (losses, weights) = (BTreeMap::new(), BTreeMap::new());
+    let window = Window { context: 6, horizon: 4, ..Window::TRANSITION };
+    let at = [Sample::at(6), Sample::at(8), Sample::at(24)];
+    let mean = |rollout_stride| {
+        let (network, _) = built(&architecture);
+        let objective =
+            Prediction { rollout_stride, ..objective(&bench, network, window, &losses, &weights) };
+        assert_eq!(objective.predicted(), if rollout_stride == 1 { 24 } else { 6 + 5 });
+        let mut random = random(5);
+        let mut loss = || {
+            let draw = Draw::Sample { random: &mut random, dropout: 0.0 };
+            scalar(&objective.terms(&at, draw).unwrap()[0].value).unwrap()
+        };
+        (0..100).map(|_| loss()).sum::<f64>() / 100.0
+    };
+    let (all, few) = (mean(1), mean(4));
+    assert!((few / all - 1.0).abs() < 0.03, "{few} of some rollouts, {all} of all");
 }
 
 /// The state of a sample, step by step from an earlier one.
@@ -138,7 +242,11 @@ fn close(found: &Tensor, expected: &Tensor) -> bool {
 
 #[test]
 fn states_are_those_of_single_steps_from_their_start() {
-    let (bench, architecture) = bench(Memory::Gru);
+    MEMORIES.into_iter().for_each(assert_states);
+}
+
+fn assert_states(memory: Memory) {
+    let (bench, architecture) = bench(memory);
     let (network, _) = built(&architecture);
     let data = &bench.data;
     for (start, context) in [(WindowStart::Random, 5), (WindowStart::Rest, 5)] {
@@ -231,8 +339,10 @@ fn r2_of_arm(memory: Memory) -> [[f64; 2]; 2] {
 
 #[test]
 fn a_memory_adds_up_the_actions_that_one_sample_lacks() {
-    let [with, _] = r2_of_arm(Memory::Gru);
     let [without, _] = r2_of_arm(Memory::None);
-    println!("R2 of the arm: with memory {with:?}, without {without:?}");
-    assert!(with[0] > without[0] + 0.2 && with[1] > without[0] + 0.2, "with {with:?}, without {without:?}");
+    for memory in MEMORIES {
+        let [with, _] = r2_of_arm(memory);
+        println!("R2 of the arm: with {memory} {with:?}, without {without:?}");
+        assert!(with.iter().all(|with| *with > without[0] + 0.2), "{memory} {with:?}, without {without:?}");
+    }
 }

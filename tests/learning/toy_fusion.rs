@@ -3,7 +3,7 @@
 use candle_core::Result;
 use harness_learning::network::description::Layer;
 use harness_learning::network::{Encoder, Observation, Posterior};
-use harness_learning::ops::Dropout;
+use harness_ops::Dropout;
 
 /// Multiplies the Gaussian distributions of two encoders: their precisions are added.
 pub struct Product(pub Box<dyn Encoder>, pub Box<dyn Encoder>);

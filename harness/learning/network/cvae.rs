@@ -3,8 +3,8 @@
 use super::{
     Decoded, Decoder, Draw, Encoder, Network, Observation, Posterior, Seen, State, Targets, Term, Value,
 };
-use crate::frames::DenseFrames;
 use candle_core::{Device, Result, Tensor};
+use harness_ops::frames::DenseFrames;
 use harness_spec::Modality;
 use std::sync::Arc;
 

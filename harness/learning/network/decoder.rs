@@ -3,8 +3,8 @@
 use super::description::{ACTION, LATENT, Layer};
 use super::layers::{Builder, FrameOutput, Perceptron};
 use super::{Architecture, Decoded, Decoder, Targets, Term};
-use crate::ops::{Quantity, Stack, frame_decoder, frame_loss, vector_losses};
 use candle_core::{Result, Tensor};
+use harness_ops::{Quantity, Stack, frame_decoder, frame_loss, vector_losses};
 use harness_spec::{Fusion, IMAGE_CHANNELS, Modality};
 
 /// Builds the decoder that an architecture describes.

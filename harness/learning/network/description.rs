@@ -26,11 +26,17 @@ pub const LATENT: &str = "latent";
 /// Value that the decoder is given: the normalized action, `[batch, elements]`.
 pub const ACTION: &str = "action";
 
-/// The memory's layer, `[batch, width]`.
+/// The memory's layer, `[batch, width]`. It takes `encoded` (the encoder's last layer; zero for a sample that is not
+/// seen), `seen` (1 for a sample that is seen, and 0 otherwise), and the normalized action before the sample (zero
+/// before the first one). That of a recurrent state-space model takes the last latent state and the action after it.
 pub const MEMORY: &str = "memory";
-/// What a memory takes: the encoder's last layer (zero for a sample that is not seen), 1 for a sample that is seen and
-/// 0 otherwise, and the normalized action before the sample (zero before the first one).
-pub const UNIT_INPUTS: [&str; 3] = ["encoded", "seen", ACTION];
+/// Value that the memory is given: the encoder's last layer.
+pub const ENCODED: &str = "encoded";
+/// Value that the memory is given: whether the sample is seen, `[batch, 1]`.
+pub const SEEN: &str = "seen";
+/// The last layer of what a recurrent state-space model expects: the means of the latent state of a sample that is not
+/// seen, followed by the log-variances, `[batch, 2 * latent]`.
+pub const PRIOR: &str = "prior";
 
 /// A network with everything that is needed to rebuild it from its tensors.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -162,7 +168,7 @@ pub struct Layer {
     pub operation: Operation,
     /// Names of the values that it takes: earlier layers, or what the encoder or the decoder is given.
     pub inputs: Vec<String>,
-    /// Shape of one sample's output: `[width]` or `[channels, rows, columns]`.
+    /// Shape of one sample's output: `[width]`, `[channels, rows, columns]`, or `[objects, width]` for a set.
     pub output: Vec<usize>,
     /// Number of weights and biases.
     pub parameters: usize,
@@ -174,6 +180,23 @@ pub struct Layer {
 pub enum Operation {
     /// The inputs side by side.
     Concatenate,
+    /// Some columns of the input side by side.
+    Columns {
+        /// Index of the first column, and number of columns, of each part.
+        ranges: Vec<[usize; 2]>,
+    },
+    /// The objects of a set as rows. The next fully connected layers compute the same for each row.
+    Objects {
+        /// Index of the set's first column in the input. The columns of an object lie side by side.
+        start: usize,
+        /// Number of objects.
+        objects: usize,
+    },
+    /// The sum over the objects of a set, followed by the maximum over them.
+    SumAndMaximum {
+        /// Number of objects.
+        objects: usize,
+    },
     /// The mean over squares of pixels with this side.
     Average {
         /// Side of a square in pixels.
@@ -207,6 +230,12 @@ pub enum Operation {
         hidden_weight: String,
         /// Name of the last state's bias, `[3 * width]`.
         hidden_bias: String,
+    },
+    /// The inputs of the last samples side by side, those of the latest sample first. Samples before the first one are
+    /// zero.
+    LastSamples {
+        /// Number of samples.
+        samples: usize,
     },
     /// Layer normalization over the row: (x - mean) / sqrt(variance + epsilon) * weight + bias.
     LayerNormalization {
@@ -272,12 +301,27 @@ impl Layer {
         }
     }
 
+    /// Describes a layer without parameters, which takes one value.
+    pub(crate) fn without_parameters(
+        name: &str,
+        operation: Operation,
+        input: &str,
+        output: Vec<usize>,
+    ) -> Self {
+        Self { name: name.to_owned(), operation, inputs: vec![input.to_owned()], output, parameters: 0 }
+    }
+
     /// Returns the layer with `prefix` before the names of its tensors.
     fn prefixed(mut self, prefix: &str) -> Self {
         let names: Vec<&mut String> = match &mut self.operation {
-            Operation::Concatenate | Operation::Average { .. } | Operation::Flatten | Operation::Reshape => {
-                Vec::new()
-            }
+            Operation::Concatenate
+            | Operation::Columns { .. }
+            | Operation::Objects { .. }
+            | Operation::SumAndMaximum { .. }
+            | Operation::Average { .. }
+            | Operation::Flatten
+            | Operation::Reshape
+            | Operation::LastSamples { .. } => Vec::new(),
             Operation::Dense { weights, bias, .. } => weights.iter_mut().chain([bias]).collect(),
             Operation::GatedRecurrentUnit { input_weight, input_bias, hidden_weight, hidden_bias } => {
                 vec![input_weight, input_bias, hidden_weight, hidden_bias]

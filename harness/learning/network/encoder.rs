@@ -1,11 +1,12 @@
 //! Encoders: from an observation to a posterior.
 
-use super::description::{Activation, Layer, Operation, POSTERIOR, VECTORS};
+use super::description::{Activation, Layer, Operation, POSTERIOR};
 use super::layers::{Builder, Dense, FLAT, FrameInput, Norm, Perceptron, numbered};
+use super::vectors::VectorInput;
 use super::{Architecture, Encoder, Observation, Posterior};
-use crate::frames::Frames;
-use crate::ops::{Arithmetic, Dropout, Stack};
 use candle_core::{Result, Tensor};
+use harness_ops::frames::Frames;
+use harness_ops::{Arithmetic, Dropout, Stack};
 use harness_spec::{Fusion, IMAGE_CHANNELS, Modality};
 use std::sync::Arc;
 
@@ -63,13 +64,14 @@ fn first_layer(weights: &[&str]) -> Operation {
 
 /// Fully connected layers on vectors alone.
 struct VectorEncoder {
-    vectors: Vec<Modality>,
+    vectors: VectorInput,
     layers: Perceptron,
 }
 
 impl VectorEncoder {
     fn new(architecture: &Architecture, vectors: Vec<Modality>, builder: &mut Builder) -> Result<Self> {
-        let vector = architecture.width(&vectors);
+        let vectors = VectorInput::new(architecture, &vectors, builder)?;
+        let vector = vectors.width();
         let hidden = &architecture.network.hidden;
         // The parameters have the same names as those of the first layer in an encoder with frames.
         let first = Dense {
@@ -83,24 +85,26 @@ impl VectorEncoder {
 
 impl Encoder for VectorEncoder {
     fn encode_with_dropout(&self, observation: &Observation, _dropout: Option<Dropout>) -> Result<Posterior> {
-        Ok(Posterior(self.layers.forward(&observation.vectors(&self.vectors)?, false)?))
+        Ok(Posterior(self.layers.forward(&self.vectors.forward(observation)?, false)?))
     }
 
     fn detached(&self) -> Box<dyn Encoder> {
-        Box::new(Self { vectors: self.vectors.clone(), layers: self.layers.detached() })
+        Box::new(Self { vectors: self.vectors.detached(), layers: self.layers.detached() })
     }
 
     fn layers(&self) -> Result<Vec<Layer>> {
-        let mut layers = self.layers.layers(VECTORS, false)?;
+        let mut dense = self.layers.layers(self.vectors.name(), false)?;
         // Its weight has the same name as in an encoder with frames.
-        layers[0].operation = first_layer(&["hidden_vector.weight"]);
+        dense[0].operation = first_layer(&["hidden_vector.weight"]);
+        let mut layers = self.vectors.layers()?;
+        layers.extend(dense);
         Ok(layers)
     }
 }
 
 /// Joins frames and vectors in the first fully connected layer.
 struct EarlyEncoder {
-    vectors: Vec<Modality>,
+    vectors: VectorInput,
     images: Vec<Modality>,
     frames: FrameInput,
     /// Weight of the first layer for the vectors, if there are any. Frames and vectors are two blocks of one layer, and
@@ -120,7 +124,8 @@ impl EarlyEncoder {
         builder: &mut Builder,
     ) -> Result<Self> {
         let hidden = &architecture.network.hidden;
-        let vector = architecture.width(&vectors);
+        let vectors = VectorInput::new(architecture, &vectors, builder)?;
+        let vector = vectors.width();
         let frames = frame_input(architecture, &images, "hidden_frame.weight", hidden[0], builder)?;
         let fan_in = vector + frames.stack.coarse_len();
         let weight = (vector > 0)
@@ -139,7 +144,7 @@ impl Encoder for EarlyEncoder {
             Some(weight) => {
                 let layer = Dense { weight: weight.clone(), bias: self.bias.clone() };
                 (seen
-                    + layer.forward(&observation.vectors(&self.vectors)?, false, self.frames.arithmetic)?)?
+                    + layer.forward(&self.vectors.forward(observation)?, false, self.frames.arithmetic)?)?
             }
             None => seen.broadcast_add(&self.bias)?,
         };
@@ -148,7 +153,7 @@ impl Encoder for EarlyEncoder {
 
     fn detached(&self) -> Box<dyn Encoder> {
         Box::new(Self {
-            vectors: self.vectors.clone(),
+            vectors: self.vectors.detached(),
             images: self.images.clone(),
             frames: self.frames.detached(),
             weight: self.weight.as_ref().map(Tensor::detach),
@@ -158,10 +163,11 @@ impl Encoder for EarlyEncoder {
     }
 
     fn layers(&self) -> Result<Vec<Layer>> {
-        let parts = [(FLAT, "hidden_frame.weight"), (VECTORS, "hidden_vector.weight")];
+        let parts = [(FLAT, "hidden_frame.weight"), (self.vectors.name(), "hidden_vector.weight")];
         let (inputs, weights): (Vec<_>, Vec<_>) =
             parts.into_iter().take(1 + usize::from(self.weight.is_some())).unzip();
-        let mut layers = self.frames.layers();
+        let mut layers = self.vectors.layers()?;
+        layers.extend(self.frames.layers());
         layers.push(Layer {
             name: "hidden".into(),
             operation: first_layer(&weights),
@@ -178,7 +184,7 @@ impl Encoder for EarlyEncoder {
 
 /// Encodes frames and vectors separately, normalizes both results, and joins them in one more layer.
 struct LateEncoder {
-    vectors: Vec<Modality>,
+    vectors: VectorInput,
     images: Vec<Modality>,
     vector: Option<(Perceptron, Norm)>,
     frames: Option<LateFrames>,
@@ -210,7 +216,8 @@ impl LateEncoder {
     ) -> Result<Self> {
         let hidden = &architecture.network.hidden;
         let width = hidden[hidden.len() - 1];
-        let vector = architecture.width(&vectors);
+        let vectors = VectorInput::new(architecture, &vectors, builder)?;
+        let vector = vectors.width();
         let frames = (!images.is_empty())
             .then(|| {
                 let input = frame_input(architecture, &images, "frame.weight", width, builder)?;
@@ -242,7 +249,7 @@ impl Encoder for LateEncoder {
     fn encode_with_dropout(&self, observation: &Observation, dropout: Option<Dropout>) -> Result<Posterior> {
         let mut parts = Vec::new();
         if let Some((perceptron, norm)) = &self.vector {
-            parts.push(norm.forward(&perceptron.forward(&observation.vectors(&self.vectors)?, true)?)?);
+            parts.push(norm.forward(&perceptron.forward(&self.vectors.forward(observation)?, true)?)?);
         }
         if let Some(frames) = &self.frames {
             parts.push(frames.forward(&observation.frames(&self.images)?, dropout)?);
@@ -253,7 +260,7 @@ impl Encoder for LateEncoder {
 
     fn detached(&self) -> Box<dyn Encoder> {
         Box::new(Self {
-            vectors: self.vectors.clone(),
+            vectors: self.vectors.detached(),
             images: self.images.clone(),
             vector: self.vector.as_ref().map(|(perceptron, norm)| (perceptron.detached(), norm.detached())),
             frames: self.frames.as_ref().map(|frames| LateFrames {
@@ -271,7 +278,8 @@ impl Encoder for LateEncoder {
         let mut layers = Vec::new();
         let mut parts = Vec::new();
         if let Some((perceptron, norm)) = &self.vector {
-            layers.extend(perceptron.layers(VECTORS, true)?);
+            layers.extend(self.vectors.layers()?);
+            layers.extend(perceptron.layers(self.vectors.name(), true)?);
             layers.push(norm.layer("vector_norm", &layers[layers.len() - 1].name)?);
             parts.push("vector_norm");
         }

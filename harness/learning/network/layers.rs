@@ -2,10 +2,10 @@
 
 use super::Parameters;
 use super::description::{Activation, Convolution, IMAGES, Layer, Operation};
-use crate::frames::{Averaged, Frames};
-use crate::ops::{Arithmetic, Dropout, FrameDecoder, Stack, TwoLayers, frame_encoder, linear, two_layers};
 use crate::random::Random;
 use candle_core::{DType, Device, Result, Tensor, Var};
+use harness_ops::frames::{Averaged, Frames};
+use harness_ops::{Arithmetic, Dropout, FrameDecoder, Stack, TwoLayers, frame_encoder, linear, two_layers};
 use std::sync::Arc;
 
 /// Name of the layer that flattens the convolutions' output.

@@ -8,20 +8,24 @@ mod cvae;
 mod decoder;
 pub mod description;
 mod encoder;
+mod gru;
 mod layers;
 mod recurrent;
+mod rssm;
+mod unit;
+mod vectors;
+mod window;
 
 pub use super::observation::{Observation, Value};
 pub use cvae::Cvae;
 pub use recurrent::Recurrent;
 
-use super::ops::{self, Arithmetic, Dropout};
 use super::random::Random;
 use candle_core::{DType, Device, Result, Tensor, Var};
 use description::Layer;
-use harness_spec::{Layout, Loss, Memory, Modality, RunSpec, Task, Trained, Window};
+use harness_ops::{self as ops, Arithmetic, Dropout};
+use harness_spec::{Layout, Loss, Modality, RunSpec, Task, Trained, Window};
 use layers::{Builder, Made};
-use recurrent::Unit;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -77,13 +81,10 @@ impl Architecture {
     ) -> Result<Box<dyn Network>> {
         let encoder = self.encoder(parameters, random, device)?;
         let decoder = self.decoder(parameters, random, device)?;
-        Ok(match self.network.memory {
-            Memory::None => Box::new(Cvae { encoder, decoder, input: self.input.clone() }),
-            Memory::Gru => {
-                let made = Made::Variables { parameters, random, device };
-                let unit = Unit::new(self, &mut self.builder("memory", made))?;
-                Box::new(Recurrent { encoder, unit, decoder })
-            }
+        let made = Made::Variables { parameters, random, device };
+        Ok(match recurrent::unit(self, self.builder("memory", made))? {
+            None => Box::new(Cvae { encoder, decoder, input: self.input.clone() }),
+            Some(unit) => Box::new(Recurrent { encoder, unit, decoder, latent: self.latent }),
         })
     }
 
@@ -143,10 +144,8 @@ impl Architecture {
 
     /// Describes the memory's layers in the order in which they are applied. Creates no parameters.
     fn memory_layers(&self) -> Result<Vec<Layer>> {
-        match self.network.memory {
-            Memory::None => Ok(Vec::new()),
-            Memory::Gru => Unit::new(self, &mut self.builder("memory", Made::Shapes))?.layers(),
-        }
+        let unit = recurrent::unit(self, self.builder("memory", Made::Shapes))?;
+        unit.map_or_else(|| Ok(Vec::new()), |unit| unit.layers())
     }
 
     /// Describes the decoder's layers in the order in which they are applied. Creates no parameters.
@@ -267,6 +266,20 @@ impl Draw<'_> {
         }
     }
 
+    /// Returns one row of each `stride` rows of a batch, and of those that are left over at its end: a random row for
+    /// training, and the middle one for validation. `None` if `stride` is 1, so that all rows count.
+    pub fn one_of_each(&mut self, stride: usize, batch: usize) -> Option<Vec<u32>> {
+        let row = |first: usize| {
+            let rows = stride.min(batch - first);
+            let row = match self {
+                Self::Sample { random, .. } => random.up_to(rows - 1),
+                Self::Mean => rows / 2,
+            };
+            (first + row) as u32
+        };
+        (stride > 1).then(|| (0..batch).step_by(stride).map(row).collect())
+    }
+
     /// Returns latent states of a posterior, `[batch, latent]`.
     ///
     /// # Errors
@@ -310,6 +323,30 @@ pub trait Network: Send + Sync {
     /// # Errors
     /// When the network can't predict as far.
     fn act(&self, state: &State, action: &Tensor) -> Result<State>;
+
+    /// Sees whole sequences, and returns the states that predict the sample after each. `encoded` are the samples of
+    /// `batch` sequences, `[times * batch, width]`, and `actions` those after each of them. The rows of one time lie
+    /// together. `state` is the one before the first time.
+    ///
+    /// # Errors
+    /// Those of [`observe`](Self::observe) and [`act`](Self::act).
+    fn unroll(
+        &self,
+        batch: usize,
+        state: Option<&State>,
+        encoded: &Tensor,
+        actions: &Tensor,
+        draw: &mut Draw,
+    ) -> Result<Seen> {
+        let (mut divergences, mut states) = (Vec::new(), Vec::<State>::new());
+        for first in (0..encoded.dim(0)?).step_by(batch) {
+            let now = |tensor: &Tensor| tensor.narrow(0, first, batch);
+            let seen = self.observe(states.last().or(state), &now(encoded)?, draw)?;
+            states.push(self.act(&seen.state, &now(actions)?)?);
+            divergences.push(seen.divergence);
+        }
+        Ok(Seen { state: State::joined(&states)?, divergence: mean(divergences)? })
+    }
 
     /// Returns the predicted sample. On the CPU its images have no gradient.
     ///
@@ -473,6 +510,23 @@ impl Posterior {
         ops::sample(&self.0, noise)
     }
 
+    /// Returns the divergence of each row from that of `prior` in nats, `[batch]`.
+    ///
+    /// # Errors
+    /// When the distributions have different shapes.
+    pub fn divergence_from(&self, prior: &Self) -> Result<Tensor> {
+        let (log_variance, log_prior) = (self.log_variance()?, prior.log_variance()?);
+        let distance = (self.mean()? - prior.mean()?)?.sqr()?;
+        let ratio = ((log_variance.exp()? + distance)? / log_prior.exp()?)?;
+        let nats = (((log_prior - log_variance)? + ratio)? - 1.0)?;
+        nats.sum(1)? * 0.5
+    }
+
+    /// Returns the same distribution without gradients.
+    pub fn detached(&self) -> Self {
+        Self(self.0.detach())
+    }
+
     /// Returns the divergence from the standard normal distribution in nats, averaged over the batch; a scalar.
     ///
     /// # Errors
@@ -480,6 +534,14 @@ impl Posterior {
     pub fn kl_divergence(&self) -> Result<Tensor> {
         ops::kl_divergence(&self.0)
     }
+}
+
+/// Returns the mean of scalars.
+///
+/// # Errors
+/// When there are none.
+pub(crate) fn mean(mut values: Vec<Tensor>) -> Result<Tensor> {
+    if values.len() == 1 { Ok(values.remove(0)) } else { Tensor::stack(&values, 0)?.mean_all() }
 }
 
 /// Returns the value of a scalar tensor.

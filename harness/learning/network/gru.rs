@@ -1,0 +1,127 @@
+//! The memory of a gated recurrent unit.
+
+use super::description::{Layer, MEMORY, Operation, POSTERIOR};
+use super::layers::{Builder, Dense};
+use super::unit::{Inputs, Unit, memory_of};
+use super::{Architecture, Draw, Posterior, Seen, State};
+use candle_core::{Result, Tensor};
+use harness_ops::{self as ops, Arithmetic, Recurrence};
+
+/// Name of a unit's product with its input.
+const INPUT: &str = "input";
+/// Name of a unit's product with its last state.
+const HIDDEN: &str = "hidden";
+
+/// The products of a gated recurrent unit (Cho et al., 2014).
+pub(super) struct Cell {
+    /// `[3 * width, inputs]`
+    input: Dense,
+    /// `[3 * width, width]`
+    hidden: Dense,
+    /// Width of the state.
+    pub width: usize,
+    arithmetic: Arithmetic,
+}
+
+impl Cell {
+    /// Creates a unit as wide as the architecture's last hidden layer.
+    pub fn new(architecture: &Architecture, inputs: usize, builder: &mut Builder) -> Result<Self> {
+        let hidden = &architecture.network.hidden;
+        let width = hidden[hidden.len() - 1];
+        // All are uniform in ±1/√width, PyTorch's default for this unit.
+        let mut product = |name: &str, inputs: usize| {
+            Ok::<_, candle_core::Error>(Dense {
+                weight: builder.uniform(&format!("{name}.weight"), &[3 * width, inputs], width)?,
+                bias: builder.uniform(&format!("{name}.bias"), &[3 * width], width)?,
+            })
+        };
+        let (input, hidden) = (product(INPUT, inputs)?, product(HIDDEN, width)?);
+        Ok(Self { input, hidden, width, arithmetic: architecture.arithmetic })
+    }
+
+    /// Returns the unit's states, `[times * batch, width]`, for inputs that follow one another. `last` is the state
+    /// before the first time, `[batch, width]`.
+    pub fn states(&self, inputs: &Tensor, last: &Tensor) -> Result<Tensor> {
+        let inputs = self.input.forward(inputs, false, self.arithmetic)?;
+        let recurrence = Recurrence { weight: &self.hidden.weight, bias: &self.hidden.bias };
+        ops::gru(&inputs, recurrence, last, self.arithmetic)
+    }
+
+    pub fn detached(&self) -> Self {
+        Self { input: self.input.detached(), hidden: self.hidden.detached(), ..*self }
+    }
+
+    /// Describes the unit, which takes these values side by side.
+    pub fn layer(&self, inputs: &[&str]) -> Layer {
+        let parameters =
+            [&self.input, &self.hidden].map(|dense| dense.weight.elem_count() + dense.bias.elem_count());
+        Layer {
+            name: MEMORY.into(),
+            operation: Operation::GatedRecurrentUnit {
+                input_weight: format!("{INPUT}.weight"),
+                input_bias: format!("{INPUT}.bias"),
+                hidden_weight: format!("{HIDDEN}.weight"),
+                hidden_bias: format!("{HIDDEN}.bias"),
+            },
+            inputs: inputs.iter().map(|name| (*name).to_owned()).collect(),
+            output: vec![self.width],
+            parameters: parameters.iter().sum(),
+        }
+    }
+}
+
+/// A gated recurrent unit, and the layer of the posterior after it.
+pub(super) struct Gru {
+    inputs: Inputs,
+    cell: Cell,
+    /// `[2 * latent, width]`
+    posterior: Dense,
+}
+
+impl Gru {
+    pub fn new(architecture: &Architecture, builder: &mut Builder) -> Result<Self> {
+        let inputs = Inputs::new(architecture);
+        let cell = Cell::new(architecture, inputs.width(), builder)?;
+        let posterior = builder.dense(POSTERIOR, cell.width, inputs.encoded)?;
+        Ok(Self { inputs, cell, posterior })
+    }
+
+    /// Returns the memory after each sample, and the posteriors.
+    fn steps(&self, inputs: &Tensor, state: &State) -> Result<(Tensor, Posterior)> {
+        let memory = self.cell.states(inputs, memory_of(state)?)?;
+        let posterior = Posterior(self.posterior.forward(&memory, false, self.cell.arithmetic)?);
+        Ok((memory, posterior))
+    }
+}
+
+impl Unit for Gru {
+    fn width(&self) -> usize {
+        self.cell.width
+    }
+
+    fn seen(
+        &self,
+        state: &State,
+        encoded: &Tensor,
+        between: Option<&Tensor>,
+        draw: &mut Draw,
+    ) -> Result<Seen> {
+        let (memory, posterior) = self.steps(&self.inputs.of(state, Some(encoded), between)?, state)?;
+        let state = State { latent: draw.latent(&posterior)?, action: None, memory: Some(memory) };
+        Ok(Seen { state, divergence: posterior.kl_divergence()? })
+    }
+
+    fn unseen(&self, state: &State) -> Result<State> {
+        let (memory, posterior) = self.steps(&self.inputs.of(state, None, None)?, state)?;
+        Ok(State { latent: posterior.mean()?, action: None, memory: Some(memory) })
+    }
+
+    fn detached(&self) -> Box<dyn Unit> {
+        let (cell, posterior) = (self.cell.detached(), self.posterior.detached());
+        Box::new(Self { inputs: self.inputs, cell, posterior })
+    }
+
+    fn layers(&self) -> Result<Vec<Layer>> {
+        Ok(vec![self.cell.layer(&Inputs::NAMES), self.posterior.layer(POSTERIOR, MEMORY, false)?])
+    }
+}

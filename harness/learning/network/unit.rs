@@ -1,0 +1,94 @@
+//! What a memory is, and what it takes of each sample.
+
+use super::description::{ACTION, ENCODED, Layer, SEEN};
+use super::{Architecture, Draw, Seen, State};
+use candle_core::{DType, Result, Tensor};
+
+/// A memory: what it keeps of encoded samples, and the latent state that follows from it.
+pub(super) trait Unit: Send + Sync {
+    /// Returns the width of the memory.
+    fn width(&self) -> usize;
+
+    /// Returns the states of encoded samples that follow one another, without the actions after them. `encoded` are the
+    /// samples of several sequences, `[times * batch, width]`, the rows of one time together, and `between` the
+    /// actions between the times. `state` is the one before the first time.
+    ///
+    /// # Errors
+    /// When the state has no memory.
+    fn seen(
+        &self,
+        state: &State,
+        encoded: &Tensor,
+        between: Option<&Tensor>,
+        draw: &mut Draw,
+    ) -> Result<Seen>;
+
+    /// Returns the state of the sample that `state` predicts, which is not seen.
+    ///
+    /// # Errors
+    /// When the state has no memory.
+    fn unseen(&self, state: &State) -> Result<State>;
+
+    /// Returns the same unit over the same parameters, for which no gradients are computed.
+    fn detached(&self) -> Box<dyn Unit>;
+
+    /// Describes the layers in the order in which they are applied.
+    ///
+    /// # Errors
+    /// When the shape of a parameter is not that of its layer.
+    fn layers(&self) -> Result<Vec<Layer>>;
+}
+
+/// What a memory takes of each sample: the encoded sample, whether there is one, and the action before it. For a sample
+/// that is not seen, the encoded sample is zero.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Inputs {
+    /// Width of an encoded sample.
+    pub encoded: usize,
+    /// Width of the action.
+    pub action: usize,
+}
+
+impl Inputs {
+    /// Names of the parts.
+    pub const NAMES: [&str; 3] = [ENCODED, SEEN, ACTION];
+
+    pub fn new(architecture: &Architecture) -> Self {
+        Self { encoded: 2 * architecture.latent, action: architecture.action }
+    }
+
+    /// The width of all parts side by side.
+    pub fn width(self) -> usize {
+        self.encoded + 1 + self.action
+    }
+
+    /// Returns the parts side by side, `[times * batch, width]`. `encoded` is `None` for one time that is not seen.
+    pub fn of(self, state: &State, encoded: Option<&Tensor>, between: Option<&Tensor>) -> Result<Tensor> {
+        let (batch, device) = (state.latent.dim(0)?, state.latent.device());
+        let (encoded, seen) = match encoded {
+            Some(encoded) => (encoded.clone(), Tensor::ones((encoded.dim(0)?, 1), DType::F32, device)?),
+            None => (
+                Tensor::zeros((batch, self.encoded), DType::F32, device)?,
+                Tensor::zeros((batch, 1), DType::F32, device)?,
+            ),
+        };
+        Tensor::cat(&[&encoded, &seen, &self.actions(state, between)?], 1)
+    }
+
+    /// Returns the action before each sample, `[times * batch, action]`; zero before an episode's first sample.
+    pub fn actions(self, state: &State, between: Option<&Tensor>) -> Result<Tensor> {
+        let (batch, device) = (state.latent.dim(0)?, state.latent.device());
+        let zeros = || Tensor::zeros((batch, self.action), DType::F32, device);
+        let first = state.action.clone().map_or_else(zeros, Ok)?;
+        match between {
+            Some(between) => Tensor::cat(&[&first, between], 0),
+            None => Ok(first),
+        }
+    }
+}
+
+/// Returns the memory of a state.
+pub(super) fn memory_of(state: &State) -> Result<&Tensor> {
+    let Some(memory) = &state.memory else { candle_core::bail!("the state has no memory") };
+    Ok(memory)
+}
