@@ -3,7 +3,7 @@
 use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness_collection::{CollectionError, collect, dataset_of};
 use harness_dataset::{CompiledModel, Dataset, DatasetError};
-use harness_learning::frames::{Frames, SampleFrames};
+use harness_ops::frames::{Frames, SampleFrames};
 use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples, ends, sequences};
 use harness_shared::files::UNFINISHED;
 use harness_shared::progress::{Progress, Silent};
@@ -97,6 +97,7 @@ fn episodes_that_lack_a_column_are_collected_again() {
     // The dataset of an earlier version, which did not record the mean forces.
     let layout = lacking("contact_force_mean");
     let model = CompiledModel {
+        course_sha256: None,
         layout: &layout,
         sha256: collected.scene.model_sha256(),
         mujoco_version: harness_simulation::mujoco_version(),

@@ -12,7 +12,7 @@ use std::time::Instant;
 
 /// A model of a Python package.
 struct Robot {
-    /// The folder in `.venv` or `.venv-models` of the packages, and the model's path in it.
+    /// The folder in `.venv` or `.venv-models` of the packages, and the model's path in it; or [`FIXTURES`].
     model: (&'static str, &'static str),
     /// Inputs and outputs of the network.
     input: &'static str,
@@ -30,6 +30,8 @@ const ALWAYS: [&str; 4] = ["time", "controls", "joint_positions", "joint_velocit
 /// dm_control is installed for the environments, and the others for this test.
 const SUITE: &str = ".venv";
 const OTHERS: &str = ".venv-models";
+/// Models of this repository, which need no package.
+const FIXTURES: &str = "tests/fixtures";
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -65,6 +67,9 @@ impl Robot {
 
     fn path(&self) -> PathBuf {
         let (environment, model) = self.model;
+        if environment == FIXTURES {
+            return root().join(environment).join(model);
+        }
         let library = root().join(environment).join("lib");
         let mut versions = fs::read_dir(&library)
             .unwrap_or_else(|_| panic!("no {environment}: run `setup/setup.sh --models`"));
@@ -308,6 +313,30 @@ const HEIGHT_FIELD: Robot = Robot {
     actuation_seconds: 0.4,
     compared: &["sensor", "camera", "body_positions", "body_orientations"],
 };
+
+/// An elastic cable of 10 links, computed by a plugin.
+const CABLE: Robot = Robot {
+    model: (FIXTURES, "cable.xml"),
+    input: "[joints, camera_0]",
+    output: "[joints, contact_force]",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.4,
+    compared: &["normal_force", "body_positions", "body_orientations"],
+};
+/// A sensor of a plugin: a grid of 7 x 7 taxels with three values each.
+const TOUCH_GRID: Robot = Robot {
+    model: (FIXTURES, "touch_grid.xml"),
+    input: "[joints, plugin]",
+    output: "[joints, plugin]",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.4,
+    compared: &["sensor", "normal_force", "body_positions"],
+};
+
+#[test]
+fn models_with_mujocos_plugins_record_what_python_computes() {
+    [CABLE, TOUCH_GRID].iter().for_each(Robot::assert_recorded_as_python_computes);
+}
 
 #[test]
 #[ignore = "half a minute, and packages of models: make soak"]

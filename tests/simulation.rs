@@ -13,6 +13,8 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+#[path = "simulation/course.rs"]
+mod course;
 #[path = "simulation/factors.rs"]
 mod factors;
 #[path = "common/finger.rs"]
@@ -21,6 +23,8 @@ mod finger;
 mod flow;
 #[path = "simulation/integrators.rs"]
 mod integrators;
+#[path = "simulation/parts.rs"]
+mod parts;
 #[path = "simulation/placement.rs"]
 mod placement;
 
@@ -745,6 +749,33 @@ fn an_episode_can_be_cancelled() {
     });
     assert!(matches!(result, Err(SimulationError::Cancelled { episode: 1 })));
     assert_eq!(samples, 5);
+}
+
+#[test]
+fn a_picture_as_recorded_is_the_frame_of_the_dataset() {
+    let (scene, spec) = (scene(Scenario::CLUTTERED), Simulation { actuations_per_episode: 3, ..short() });
+    let states = replay(&scene, &spec, 0).unwrap();
+    let episode = simulate(&scene, &spec, 0);
+    // By default the first camera that is recorded; by name of the modality, or of the camera.
+    for name in [None, Some("vision"), Some("external")] {
+        let mut renderer = SceneRenderer::as_recorded(&scene, name).unwrap();
+        for sample in [0, 25] {
+            let frame = &episode.image(Modality::VISION)[sample * FRAME_LEN..][..FRAME_LEN];
+            assert_eq!(renderer.render(&states[sample]).unwrap().as_raw(), frame, "{name:?} {sample}");
+        }
+    }
+    // The scene's view is its camera `external`, which sees the same at any size.
+    let mut by_name = SceneRenderer::from_camera(&scene, "external", 96, 48).unwrap();
+    let mut view = SceneRenderer::new(&scene, 96, 48).unwrap();
+    assert_eq!(by_name.render(&states[25]).unwrap(), view.render(&states[25]).unwrap());
+    let unknown = [
+        SceneRenderer::as_recorded(&scene, Some("inside")).err().unwrap(),
+        SceneRenderer::from_camera(&scene, "inside", 96, 48).err().unwrap(),
+    ];
+    for (error, there) in unknown.iter().zip(["vision", "external"]) {
+        let said = error.to_string();
+        assert!(said.ends_with(&format!("there is no camera 'inside'; available: {there}")), "{said}");
+    }
 }
 
 #[test]

@@ -1,13 +1,15 @@
 //! `harness world`: lists the worlds, checks a world file, and writes one for an MJCF model.
 
 use super::DONE;
+use super::render::save;
 use super::table::{print_beside, print_text, shown};
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use harness::files::write_bytes;
-use harness::simulation::{Scene, draft_world, notes};
+use harness::numbers::counted;
+use harness::simulation::{Scene, SceneRenderer, draft_world, notes};
 use harness::spec::{Definition, Modality, World, is_name, world_schema};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -26,6 +28,9 @@ enum Action {
         /// A world file, or the name of a built-in world
         #[arg(value_name = "WORLD")]
         world: String,
+        /// A folder for a picture of every camera of the model, and for the images that networks get
+        #[arg(long, value_name = "DIR")]
+        render: Option<PathBuf>,
     },
     /// Write a first world file for an MJCF model
     New {
@@ -64,12 +69,15 @@ impl Command {
                 };
                 print_beside(World::built_in().iter().map(named));
             }
-            Action::Check { world } => {
+            Action::Check { world, render } => {
                 let world = World::find(&world)?;
                 world.check_rates()?;
                 let scene = Scene::new(world)?;
                 scene.check_starts()?;
                 check(&scene)?;
+                if let Some(folder) = render {
+                    render_cameras(&scene, &folder)?;
+                }
                 for warning in scene.warnings() {
                     eprintln!("warning: {warning}");
                 }
@@ -118,15 +126,41 @@ fn check(scene: &Scene) -> Result<()> {
     for (name, property, drawing, elements) in scene.factors() {
         entries.push((format!("factor {name}"), format!("{property}, {drawing}: {}", elements.join(", "))));
     }
+    entries.extend(scene.course_summary().map(|course| ("course".to_owned(), course)));
     let notes = notes(scene)?;
     if let Some(time) = notes.rendering {
         entries.push(("rendering".into(), format!("{:.1} ms for the images of a sample", 1e3 * time.own_s)));
     }
     print_beside(entries);
     if scene.boxes() > 0 {
-        println!("{} bodies are placed at random in each episode", scene.boxes());
+        let are =
+            if scene.boxes() == 1 { "1 body is".into() } else { format!("{} bodies are", scene.boxes()) };
+        println!("{are} placed at random in each episode");
     }
     notes.notes.iter().for_each(|note| print_text(&format!("note: {note}")));
+    Ok(())
+}
+
+/// Width and height of the pictures of cameras, pixels.
+const PICTURE: [u32; 2] = [640, 480];
+
+/// Writes what each camera of the model shows of the scene at rest to `camera_<name>.png`, and what a network gets from
+/// each recorded camera to `as_seen_<modality>.png`.
+fn render_cameras(scene: &Scene, folder: &Path) -> Result<()> {
+    let write = |mut renderer: SceneRenderer, name: String| -> Result<()> {
+        let path = folder.join(format!("{name}.png"));
+        save(&renderer.render(scene.rest())?, &path)?;
+        println!("{}", shown(&path));
+        Ok(())
+    };
+    for camera in scene.camera_names() {
+        let renderer = SceneRenderer::from_camera(scene, &camera, PICTURE[0], PICTURE[1])?;
+        // MuJoCo allows any sign in a name, but a file's name must not have a slash.
+        write(renderer, format!("camera_{}", camera.replace('/', "_")))?;
+    }
+    for modality in scene.recorded_cameras() {
+        write(SceneRenderer::as_recorded(scene, Some(modality.name()))?, format!("as_seen_{modality}"))?;
+    }
     Ok(())
 }
 
@@ -142,7 +176,7 @@ fn describe(definition: &Definition) -> String {
             };
             let names: Vec<String> = elements.iter().map(element).collect();
             let what = if definition.name == Modality::SETPOINT { "the action: " } else { "" };
-            format!("{what}{of}{} values: {}", names.len(), names.join(", "))
+            format!("{what}{of}{}: {}", counted(names.len(), "value"), names.join(", "))
         }
     }
 }

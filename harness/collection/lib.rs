@@ -4,7 +4,7 @@ use harness_dataset::{CompiledModel, Dataset, DatasetError};
 use harness_shared::files::{FolderLock, LockError};
 use harness_shared::progress::Progress;
 use harness_shared::shard::Shard;
-use harness_simulation::{Scene, SimulationError, Simulator, mujoco_version, renderer_name};
+use harness_simulation::{Scene, SimulationError, Simulator, mujoco_version, refuse_policy, renderer_name};
 use harness_spec::Simulation;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -39,21 +39,42 @@ impl CollectionError {
 /// Returns the dataset of a scene and a spec in the folder `root`. It reads and writes nothing.
 pub fn dataset_of(root: &Path, scene: &Scene, spec: &Simulation) -> Dataset {
     let layout = scene.layout_of(spec);
-    let model =
-        CompiledModel { layout: &layout, sha256: scene.model_sha256(), mujoco_version: mujoco_version() };
+    let model = CompiledModel {
+        layout: &layout,
+        sha256: scene.model_sha256(),
+        mujoco_version: mujoco_version(),
+        course_sha256: scene.course_sha256(),
+    };
     Dataset::new(root, scene.world(), model, spec)
 }
 
-/// Checks that images can be rendered, if one of the datasets lacks episodes with images.
+/// Checks that the missing episodes of datasets can be simulated here.
 ///
 /// # Errors
-/// When there is no OpenGL to render with.
-pub fn check_rendering<'a>(datasets: impl IntoIterator<Item = &'a Dataset>) -> Result<(), SimulationError> {
-    let has_images = |dataset: &Dataset| dataset.layout().stored_images().next().is_some();
-    if datasets.into_iter().any(|dataset| has_images(dataset) && !dataset.has_every_file()) {
+/// When a policy gives the setpoints of missing episodes, or they have images and there is no OpenGL to render with.
+pub fn check_missing<'a>(datasets: impl IntoIterator<Item = &'a Dataset>) -> Result<(), SimulationError> {
+    let mut has_images = false;
+    for dataset in datasets.into_iter().filter(|dataset| !dataset.has_every_file()) {
+        refuse_policy(dataset.spec())?;
+        has_images |= dataset.layout().stored_images().next().is_some();
+    }
+    if has_images {
         renderer_name()?;
     }
     Ok(())
+}
+
+/// Locks a dataset's folder, and describes the dataset in it. Returns the lock, and the indices of the missing
+/// episodes. The caller writes them before it drops the lock.
+///
+/// If other processes collect the same dataset, it waits for them.
+///
+/// # Errors
+/// When the folder can't be locked or written, or the caller cancels.
+pub fn claim(dataset: &Dataset, progress: &dyn Progress) -> Result<(FolderLock, Vec<u32>), DatasetError> {
+    let lock = lock(dataset, FolderLock::attempt, progress)?;
+    dataset.describe()?;
+    Ok((lock, dataset.to_make(progress)))
 }
 
 /// Simulates the missing episodes of `dataset` and returns their number. Each of the `threads` threads has its own
@@ -70,9 +91,8 @@ pub fn collect(
     threads: usize,
     progress: &dyn Progress,
 ) -> Result<usize, CollectionError> {
-    let _lock = lock(dataset, FolderLock::attempt, progress)?;
-    dataset.describe()?;
-    make(dataset, scene, &dataset.to_make(progress), threads, progress)
+    let (_lock, missing) = claim(dataset, progress)?;
+    make(dataset, scene, &missing, threads, progress)
 }
 
 /// Like [`collect`], but simulates only the episodes of one shard. The shards divide a list in which the dataset's

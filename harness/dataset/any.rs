@@ -77,4 +77,28 @@ impl AnyDataset {
             Self::Imported(dataset) => dataset.load(frames, progress),
         }
     }
+
+    /// Returns the number of episodes.
+    pub fn episodes(&self) -> u32 {
+        match self {
+            Self::Simulated(dataset) => dataset.spec().episodes,
+            Self::Imported(dataset) => dataset.episodes(),
+        }
+    }
+
+    /// Reads one episode into memory, with its frames, as the only one of a dataset.
+    ///
+    /// # Errors
+    /// When the episode is missing or damaged.
+    pub fn load_episode(&self, index: u32) -> Result<Samples, DatasetError> {
+        let (recording, episode) = match self {
+            Self::Simulated(dataset) => (dataset.recording(), dataset.read(index, true)?),
+            Self::Imported(dataset) => (dataset.recording(), dataset.read(index, true)?),
+        };
+        let place = FramePlace::Memory;
+        let mut samples =
+            Samples::new(recording, self.layout().clone(), episode.samples, place, Path::new(""))?;
+        samples.push(&episode)?;
+        Ok(samples)
+    }
 }

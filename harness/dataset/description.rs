@@ -131,7 +131,7 @@ impl Content {
     }
 
     /// Returns the number of samples of each episode.
-    pub fn samples(&self) -> Vec<usize> {
-        self.episodes.iter().map(|episode| episode.samples as usize).collect()
+    pub fn samples(&self) -> impl ExactSizeIterator<Item = usize> {
+        self.episodes.iter().map(|episode| episode.samples as usize)
     }
 }

@@ -5,7 +5,7 @@ use super::description::{Content, Description};
 use super::episode_file::{episode_file, push_all, read_episode};
 use harness_samples::{FramePlace, Recording, Samples};
 use harness_shared::progress::Progress;
-use harness_spec::{Layout, Modality, RunSpec};
+use harness_spec::{Episode, Layout, Modality, RunSpec};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -47,7 +47,7 @@ impl Imported {
 
     /// Returns the number of samples in the whole dataset.
     pub fn len(&self) -> usize {
-        self.content.samples().iter().sum()
+        self.content.samples().sum()
     }
 
     /// Whether the dataset has no samples.
@@ -76,17 +76,34 @@ impl Imported {
     /// # Errors
     /// When an episode is missing or damaged, frames can't be written to disk, or the caller cancels.
     pub fn load(&self, frames: FramePlace, progress: &dyn Progress) -> Result<Samples, DatasetError> {
-        let recording = Recording { sample_rate_hz: self.content.sample_rate_hz, seed: 0 };
-        let mut samples = Samples::new(recording, self.layout.clone(), self.len(), frames, &self.folder)?;
-        let lengths = self.content.samples();
-        let read = |index: u32| {
-            let path = self.folder.join(episode_file(index));
-            let with_frames = frames != FramePlace::Nowhere;
-            read_episode(&path, &self.name, index, lengths[index as usize], with_frames, &self.layout)
-        };
+        let mut samples =
+            Samples::new(self.recording(), self.layout.clone(), self.len(), frames, &self.folder)?;
+        let read = |index: u32| self.read(index, frames != FramePlace::Nowhere);
         progress.begin(&format!("loading {}", self.name), self.len() as u64, "samples");
-        push_all(&mut samples, lengths.len() as u32, read, progress)?;
+        push_all(&mut samples, self.episodes(), read, progress)?;
         progress.end();
         Ok(samples)
+    }
+
+    /// Returns the number of episodes.
+    pub fn episodes(&self) -> u32 {
+        self.content.samples().len() as u32
+    }
+
+    /// Returns the properties that all samples share.
+    pub fn recording(&self) -> Recording {
+        Recording { sample_rate_hz: self.content.sample_rate_hz, seed: 0 }
+    }
+
+    /// Reads one episode, with or without its frames. The whole file is compared with its seal in both cases.
+    ///
+    /// # Errors
+    /// When the file is missing, damaged, or not this episode.
+    pub fn read(&self, index: u32, frames: bool) -> Result<Episode, DatasetError> {
+        let path = self.folder.join(episode_file(index));
+        let samples = self.content.samples().nth(index as usize);
+        let missing =
+            || DatasetError::Damaged { path: path.clone(), problem: "there is no such episode".into() };
+        read_episode(&path, &self.name, index, samples.ok_or_else(missing)?, frames, &self.layout)
     }
 }

@@ -26,7 +26,8 @@ pub struct Dataset {
     description: serde_json::Value,
 }
 
-/// The compiled model of a world, which determines a dataset's content together with its world and spec.
+/// The compiled model of a world and the files beside it, which determine a dataset's content together with its world
+/// and spec.
 #[derive(Debug, Clone, Copy)]
 pub struct CompiledModel<'a> {
     /// Layout of the samples.
@@ -35,6 +36,8 @@ pub struct CompiledModel<'a> {
     pub sha256: &'a str,
     /// Version of the MuJoCo library.
     pub mujoco_version: &'a str,
+    /// SHA-256 of the recorded course that the setpoints follow, in hexadecimal; `None` without one.
+    pub course_sha256: Option<&'a str>,
 }
 
 impl Dataset {
@@ -59,6 +62,9 @@ impl Dataset {
             |factor: &Factor| [Property::GeomFriction, Property::GeomSize].contains(&factor.property().0);
         if world.factors(&spec).any(|(_, factor)| is_of_rule(factor)) {
             description["factor_rule"] = json!(2);
+        }
+        if let Some(course) = model.course_sha256 {
+            description["course_sha256"] = json!(course);
         }
         if let Some(world) = world.identity() {
             description["world"] = world;
@@ -197,6 +203,21 @@ impl Dataset {
         Ok(write_table(&self.episode_path(episode.index), table, &columns, &stamp)?)
     }
 
+    /// Removes the files of episodes that are there, and the whole folder if it has no other episodes. The caller must
+    /// hold the folder's lock.
+    ///
+    /// # Errors
+    /// When a file can't be removed.
+    pub fn discard(&self, episodes: &[u32]) -> std::io::Result<()> {
+        for path in episodes.iter().map(|index| self.episode_path(*index)).filter(|path| path.exists()) {
+            std::fs::remove_file(path)?;
+        }
+        let is_episode = |entry: &std::fs::DirEntry| entry.path().extension() == Some("parquet".as_ref());
+        let has_others =
+            std::fs::read_dir(&self.folder)?.any(|entry| entry.is_ok_and(|entry| is_episode(&entry)));
+        if has_others { Ok(()) } else { std::fs::remove_dir_all(&self.folder) }
+    }
+
     fn table(&self, episode: &Episode) -> PolarsResult<DataFrame> {
         let samples = episode.samples;
         let times = (0..samples).map(|sample| sample as f64 / self.spec.sample_rate_hz);
@@ -231,14 +252,19 @@ impl Dataset {
     /// # Errors
     /// When an episode is missing or damaged, frames can't be written to disk, or the caller cancels.
     pub fn load(&self, frames: FramePlace, progress: &dyn Progress) -> Result<Samples, DatasetError> {
-        let Simulation { sample_rate_hz, seed, .. } = self.spec;
-        let recording = Recording { sample_rate_hz, seed };
-        let mut samples = Samples::new(recording, self.layout.clone(), self.len(), frames, &self.folder)?;
+        let mut samples =
+            Samples::new(self.recording(), self.layout.clone(), self.len(), frames, &self.folder)?;
         let read = |index: u32| self.read(index, frames != FramePlace::Nowhere);
         progress.begin(&format!("loading {}", self.scenario), self.len() as u64, "samples");
         push_all(&mut samples, self.spec.episodes, read, progress)?;
         progress.end();
         Ok(samples)
+    }
+
+    /// Returns the properties that all samples share.
+    pub fn recording(&self) -> Recording {
+        let Simulation { sample_rate_hz, seed, .. } = self.spec;
+        Recording { sample_rate_hz, seed }
     }
 
     /// Reads one episode, with or without its frames. The whole file is compared with its seal in both cases.

@@ -41,7 +41,8 @@ enum Lengths {
 impl Lengths {
     /// Returns the lengths in a description; `None` if it describes another dataset than `name`.
     fn of(description: &Description, name: &str) -> Option<Self> {
-        let imported = || description.imported(name).map(|content| Self::Imported(content.samples()));
+        let imported =
+            || description.imported(name).map(|content| Self::Imported(content.samples().collect()));
         description.simulated(name).map(|(_, simulation)| Self::Simulated(simulation)).or_else(imported)
     }
 

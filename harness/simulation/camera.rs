@@ -3,7 +3,7 @@
 use super::SimulationError;
 use super::factors::FactorValues;
 use super::resolve::SceneCamera;
-use super::scene::{Scene, prepare};
+use super::scene::{Scene, prepare, write_state};
 use image::RgbImage;
 use libloading::Library;
 use mujoco_rs::prelude::*;
@@ -163,6 +163,8 @@ pub struct SceneRenderer<'s> {
     /// The values of the model in `data`.
     factors: FactorValues,
     data: MjData<Arc<MjModel>>,
+    /// The model's camera; `None` for MuJoCo's free camera.
+    view: Option<usize>,
     camera: Camera,
     size: [u32; 2],
 }
@@ -174,7 +176,50 @@ impl<'s> SceneRenderer<'s> {
     /// When a side is 0 or above 4096 pixels, or there is no OpenGL to render with.
     pub fn new(scene: &'s Scene, width: u32, height: u32) -> Result<Self, SimulationError> {
         check_size(width, height)?;
-        Self::of_model(scene, good_looking(&scene.model, width, height), [width, height])
+        Self::of_model(scene, good_looking(&scene.model, width, height), scene.view, [width, height])
+    }
+
+    /// Creates a renderer for pictures of `width` x `height` pixels from a camera of the model.
+    ///
+    /// # Errors
+    /// When the model has no camera of this name, and for the reasons of [`SceneRenderer::new`].
+    pub fn from_camera(
+        scene: &'s Scene,
+        name: &str,
+        width: u32,
+        height: u32,
+    ) -> Result<Self, SimulationError> {
+        check_size(width, height)?;
+        let cameras = scene.camera_names();
+        let Some(camera) = cameras.iter().position(|camera| camera == name) else {
+            return Err(unknown_camera(scene, name, &cameras));
+        };
+        Self::of_model(scene, good_looking(&scene.model, width, height), Some(camera), [width, height])
+    }
+
+    /// Creates a renderer for the images that a modality of the scene records, with their size and quality. Without
+    /// `name`, it is the first modality that records a camera. `name` is that of the modality or of the camera.
+    ///
+    /// # Errors
+    /// When no such modality records a camera, or there is no OpenGL to render with.
+    pub fn as_recorded(scene: &'s Scene, name: Option<&str>) -> Result<Self, SimulationError> {
+        let cameras = scene.camera_names();
+        let is_meant = |recorded: &&SceneCamera| {
+            name.is_none_or(|name| recorded.modality.name() == name || cameras[recorded.camera] == name)
+        };
+        let Some(recorded) = scene.cameras.iter().find(is_meant) else {
+            let recorded: Vec<String> =
+                scene.cameras.iter().map(|recorded| recorded.modality.to_string()).collect();
+            return Err(match name {
+                Some(name) if !recorded.is_empty() => unknown_camera(scene, name, &recorded),
+                _ => SimulationError::Unsuitable {
+                    scene: scene.name.clone(),
+                    problem: "no modality records a camera, so a network sees no image of it".into(),
+                },
+            });
+        };
+        let [rows, columns] = recorded.size.map(|side| side as u32);
+        Self::of_model(scene, (*scene.model).clone(), Some(recorded.camera), [columns, rows])
     }
 
     /// Creates a renderer whose camera is at the same place, but points at a body. Its vertical field of view is
@@ -200,14 +245,19 @@ impl<'s> SceneRenderer<'s> {
         // SAFETY: the index is that of a body of this model.
         unsafe { model.cam_targetbodyid_mut()[camera] = body as i32 };
         model.cam_fovy_mut()[camera] = angle_deg;
-        Self::of_model(scene, model, [width, height])
+        Self::of_model(scene, model, Some(camera), [width, height])
     }
 
-    fn of_model(scene: &'s Scene, model: MjModel, size: [u32; 2]) -> Result<Self, SimulationError> {
+    fn of_model(
+        scene: &'s Scene,
+        model: MjModel,
+        view: Option<usize>,
+        size: [u32; 2],
+    ) -> Result<Self, SimulationError> {
         let model = Arc::new(model);
-        let camera = Camera::for_model(&model, scene, scene.view, size[0], size[1])?;
+        let camera = Camera::for_model(&model, scene, view, size[0], size[1])?;
         let data = MjData::new(model.clone());
-        Ok(Self { scene, model, factors: FactorValues::default(), data, camera, size })
+        Ok(Self { scene, model, factors: FactorValues::default(), data, view, camera, size })
     }
 
     /// Renders all further pictures with these values of the factors of variation, as in [`super::EpisodePlan`].
@@ -232,7 +282,7 @@ impl<'s> SceneRenderer<'s> {
     /// # Panics
     /// When the scene has no camera.
     pub fn project(&self, place: [f64; 3]) -> [f64; 2] {
-        let view = self.scene.view.expect("the scene has no camera to project into");
+        let view = self.view.expect("the scene has no camera to project into");
         let (camera, turn) = (self.data.cam_xpos()[view], self.data.cam_xmat()[view]);
         let away: [f64; 3] = std::array::from_fn(|axis| place[axis] - camera[axis]);
         // The columns of the matrix are the camera's axes: right, up and backwards.
@@ -243,24 +293,29 @@ impl<'s> SceneRenderer<'s> {
         [0.5 + right / (-back * 2.0 * half * aspect), 0.5 - up / (-back * 2.0 * half)]
     }
 
-    /// Renders the scene with these generalized positions, for example from [`super::replay`].
+    /// Renders the scene with these positions, for example from [`super::replay`].
     ///
     /// # Errors
     /// When the number of positions is not that of the scene, or OpenGL fails.
-    pub fn render(&mut self, qpos: &[f64]) -> Result<RgbImage, SimulationError> {
-        if qpos.len() != self.data.qpos().len() {
-            return Err(SimulationError::StateSize {
-                scene: self.scene.name.clone(),
-                found: qpos.len(),
-                expected: self.data.qpos().len(),
-            });
+    pub fn render(&mut self, state: &[f64]) -> Result<RgbImage, SimulationError> {
+        let expected = self.scene.rest().len();
+        if state.len() != expected {
+            let scene = self.scene.name.clone();
+            return Err(SimulationError::StateSize { scene, found: state.len(), expected });
         }
-        self.data.qpos_mut().copy_from_slice(qpos);
+        write_state(state, &mut self.data);
         self.data.forward();
         let pixels = self.camera.capture(&mut self.data)?.to_vec();
         let [width, height] = self.size;
         Ok(RgbImage::from_raw(width, height, pixels).expect("the frame has the size that was asked for"))
     }
+}
+
+/// The error that there is no camera of this name, with the names that there are.
+fn unknown_camera(scene: &Scene, name: &str, there: &[String]) -> SimulationError {
+    let there = if there.is_empty() { "none".into() } else { there.join(", ") };
+    let problem = format!("there is no camera '{name}'; available: {there}");
+    SimulationError::Unsuitable { scene: scene.name.clone(), problem }
 }
 
 fn check_size(width: u32, height: u32) -> Result<(), SimulationError> {

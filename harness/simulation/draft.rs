@@ -16,20 +16,29 @@ const SIDE: usize = 64;
 /// Sample rate in a first world file, unless it does not divide the rate of the simulation steps.
 const SAMPLE_RATE_HZ: f64 = 10.0;
 
+/// How far a mocap body moves to each side in a first world file, m.
+const REACH_M: f64 = 0.1;
+
 /// Returns the text of a world file for the MJCF at the path `model`. The file has all named joints, links, sensors,
 /// cameras and actuators of the model, and refers to the model by the path `called`.
 ///
 /// # Errors
-/// When the model can't be compiled, or has no actuator with a name.
+/// When the model can't be compiled, or has neither an actuator nor a mocap body with a name.
 pub fn draft_world(model: &Path, called: &str) -> Result<String, SimulationError> {
     prepare()?;
     let shown = model.display().to_string();
     let file = model.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let model = load_file(model)?;
     let actuators = named(&model, MjtObjBase::mjOBJ_ACTUATOR);
-    if actuators.is_empty() {
+    let bodies = named(&model, MjtObjBase::mjOBJ_BODY);
+    let mocap: Vec<(&str, usize)> = match actuators.is_empty() {
+        true => bodies.into_iter().filter(|(_, id)| model.body_mocapid()[*id] >= 0).collect(),
+        false => Vec::new(),
+    };
+    if actuators.is_empty() && mocap.is_empty() {
         let problem = match model.nactuator() {
-            0 => "it has no actuator, which a world's action needs".to_owned(),
+            0 => "it has neither an actuator nor a mocap body with a name, and a world's action needs one of them"
+                .to_owned(),
             count => format!(
                 "none of its {count} actuators has a name, which a world's action needs; write names into the MJCF, \
                  such as <motor name=\"push\" .../>"
@@ -80,6 +89,18 @@ pub fn draft_world(model: &Path, called: &str) -> Result<String, SimulationError
         entry(&mut text, &format!("{modality}_difference"), &[("difference_of", modality.clone())]);
     }
     let _ = write!(text, "\naction:\n  seconds: {seconds}\n  actuators:\n");
+    for (name, id) in mocap {
+        for (axis, place) in ["x", "y", "z"].into_iter().zip(model.body_pos()[id]) {
+            let element = format!("{name}_{axis}").to_lowercase();
+            let element =
+                if harness_spec::is_name(&element) { element } else { format!("mocap_{id}_{axis}") };
+            let (name, range) = (quoted(name), format!("[{:?}, {:?}]", place - REACH_M, place + REACH_M));
+            let _ = writeln!(
+                text,
+                "    {element}: {{mocap: {name}, axis: {axis}, unit: m, range: {range}}}   # a guess: how far it moves"
+            );
+        }
+    }
     let mut elements = BTreeSet::new();
     for (index, (name, id)) in actuators.into_iter().enumerate() {
         let [low, high] = limits(&model, id);

@@ -23,8 +23,10 @@ impl<'s> Simulator<'s> {
     /// Creates the simulation and the renderers of a scene.
     ///
     /// # Errors
-    /// When the spec's ranges or rates do not suit the scene, or there is no OpenGL to render with.
+    /// When the spec's ranges or rates do not suit the scene, a policy gives the setpoints, or there is no OpenGL to
+    /// render with.
     pub fn new(scene: &'s Scene, spec: &Simulation) -> Result<Self, SimulationError> {
+        refuse_policy(spec)?;
         let physics = Physics::new(scene, spec)?;
         let cameras = scene.cameras.iter().map(|camera| Camera::recording(scene, camera));
         let cameras = cameras.collect::<Result<_, _>>()?;
@@ -64,22 +66,35 @@ impl<'s> Simulator<'s> {
 }
 
 /// Simulates an episode without images and returns the model's generalized positions at each sample, `[samples, nq]`.
+/// If the action moves mocap bodies, the positions of all mocap bodies follow them, `[samples, nq + 3 nmocap]`.
 ///
 /// # Errors
 /// See [`Simulator::run`]. Rendering and cancelling don't apply.
 pub fn replay(scene: &Scene, spec: &Simulation, index: u32) -> Result<Vec<Vec<f64>>, SimulationError> {
+    refuse_policy(spec)?;
     let mut physics = Physics::new(scene, spec)?;
     let plan = EpisodePlan::draw(scene, spec, index)?;
     let mut states = Vec::with_capacity(physics.timing.samples);
     physics.run(&plan, &mut |instant, _| {
-        states.push(instant.qpos.to_vec());
+        states.push(instant.state.clone());
         Ok(())
     })?;
     Ok(states)
 }
 
+/// Returns an error if a policy gives the setpoints, so that the plan of an episode does not contain them.
+///
+/// # Errors
+/// When the spec names a policy.
+pub fn refuse_policy(spec: &Simulation) -> Result<(), SimulationError> {
+    match spec.policy.clone() {
+        Some(policy) => Err(SimulationError::Policy { policy }),
+        None => Ok(()),
+    }
+}
+
 /// Creates the episode of a plan, with memory reserved for its samples.
-fn with_room(scene: &Scene, spec: &Simulation, plan: &EpisodePlan, samples: usize) -> Episode {
+pub(super) fn with_room(scene: &Scene, spec: &Simulation, plan: &EpisodePlan, samples: usize) -> Episode {
     let mut episode = Episode::new(scene.layout_of(spec), plan.episode, samples);
     for (values, readings) in episode.vectors.iter_mut().zip(&scene.readings) {
         values.reserve_exact(samples * readings.len());
@@ -97,7 +112,7 @@ fn with_room(scene: &Scene, spec: &Simulation, plan: &EpisodePlan, samples: usiz
 }
 
 /// Appends the vectors of one sample.
-fn record(episode: &mut Episode, scene: &Scene, instant: &Instant) {
+pub(super) fn record(episode: &mut Episode, scene: &Scene, instant: &Instant) {
     // The factors of variation have no readings: their values were stored when the episode was created.
     for (position, (values, _)) in episode.vectors.iter_mut().zip(&scene.readings).enumerate() {
         values.extend(instant.vector(scene, position));

@@ -7,7 +7,7 @@
 
 use super::physics::Instant;
 use super::resolve::{SceneCamera, SceneFlow};
-use super::scene::Scene;
+use super::scene::{Scene, write_state};
 use harness_spec::IMAGE_CHANNELS;
 use mujoco_rs::prelude::*;
 use std::collections::BTreeSet;
@@ -76,9 +76,9 @@ impl Flow {
     /// displacement to the right, and green is the same downwards. Blue is 255 if the point was visible at the sample
     /// before, and 0 otherwise.
     pub fn render(&mut self, instant: &Instant) -> &[u8] {
-        for (data, qpos) in [(&mut self.now, &instant.qpos), (&mut self.before, &instant.qpos_before)] {
+        for (data, state) in [(&mut self.now, &instant.state), (&mut self.before, &instant.state_before)] {
             data.swap_model(instant.model.clone());
-            data.qpos_mut().copy_from_slice(qpos);
+            write_state(state, data);
             data.kinematics();
             data.com_pos();
             data.camlight();

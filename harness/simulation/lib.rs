@@ -6,6 +6,7 @@
 
 mod batch;
 mod camera;
+mod course;
 mod draft;
 mod episode;
 mod factors;
@@ -18,6 +19,7 @@ mod notes;
 mod physics;
 mod placement;
 mod plan;
+mod plugins;
 mod resolve;
 mod scene;
 mod sensors;
@@ -28,7 +30,7 @@ mod trial;
 pub use batch::Batch;
 pub use camera::{Camera, SampleTime, SceneRenderer, prepare_rendering, renderer_name};
 pub use draft::draft_world;
-pub use episode::{Simulator, replay};
+pub use episode::{Simulator, refuse_policy, replay};
 pub use factors::FactorValues;
 pub use live::LiveSimulation;
 pub use notes::{Notes, notes};
@@ -40,6 +42,7 @@ pub use harness_spec::{Episode, Pose};
 
 use harness_spec::SpecError;
 use mujoco_rs::prelude::RendererError;
+use std::path::PathBuf;
 
 /// The MuJoCo version that the bindings, the models and the published numbers need.
 pub const MUJOCO_VERSION: &str = "3.17.0";
@@ -145,6 +148,27 @@ pub enum SimulationError {
         time_s: f64,
         /// MuJoCo's warning and its cause.
         what: String,
+    },
+
+    /// A recorded course has a fault, or does not suit the spec.
+    #[error("{}:{line}: {problem}", path.display())]
+    Course {
+        /// The CSV file.
+        path: PathBuf,
+        /// The line of the fault, counted from 1.
+        line: u64,
+        /// What is wrong, and what is allowed.
+        problem: String,
+    },
+
+    /// A policy gives the setpoints, and only Python can call it.
+    #[error(
+        "simulation.policy is {policy}, and only Python can ask a policy for its setpoints: collect its episodes with \
+         `harness.collect(SPEC, policy=...)`"
+    )]
+    Policy {
+        /// Name and version of the policy.
+        policy: String,
     },
 
     /// The caller cancelled the episode.

@@ -2,12 +2,12 @@
 
 use super::SimulationError;
 use super::camera::{Camera, SceneRenderer};
+use super::episode::{record, refuse_policy, with_room};
 use super::flow::Flow;
 use super::physics::{Physics, sensed_position};
 use super::plan::EpisodePlan;
 use super::scene::Scene;
-use harness_spec::Pose;
-use harness_spec::{Modality, Simulation};
+use harness_spec::{Episode, IMAGE_CHANNELS, Modality, Pose, Simulation};
 use image::RgbImage;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -62,7 +62,7 @@ impl LiveSimulation {
         self.spec.seed = seed;
         self.plan = EpisodePlan::draw(self.physics.scene, &self.spec, episode)?;
         self.physics.start(&self.plan);
-        self.follow()
+        self.advance_along_plan()
     }
 
     /// Advances to the next sample while the setpoint moves linearly to `setpoint`. Values outside the spec's ranges
@@ -94,8 +94,13 @@ impl LiveSimulation {
     /// Advances to the next sample along the plan of the episode.
     ///
     /// # Errors
-    /// When the simulation diverges.
+    /// When a policy gives the setpoints, or the simulation diverges.
     pub fn follow(&mut self) -> Result<(), SimulationError> {
+        refuse_policy(&self.spec)?;
+        self.advance_along_plan()
+    }
+
+    fn advance_along_plan(&mut self) -> Result<(), SimulationError> {
         let plan = &self.plan;
         self.physics.advance(|step, setpoint| plan.setpoint(step, setpoint))
     }
@@ -138,7 +143,7 @@ impl LiveSimulation {
 
     /// Returns the pose of each box in the world.
     pub fn boxes(&self) -> impl Iterator<Item = Pose> {
-        let qpos = &self.physics.instant.qpos;
+        let qpos = &self.physics.instant.state;
         let boxes = self.physics.scene.placements.iter().flat_map(|placement| &placement.boxes);
         boxes.map(|body| std::array::from_fn(|axis| qpos[body.qpos + axis]))
     }
@@ -170,6 +175,36 @@ impl LiveSimulation {
         })
     }
 
+    /// Returns the episode at whose start the simulation is, without samples. [`LiveSimulation::record`] appends them.
+    pub fn new_episode(&self) -> Episode {
+        let mut episode = with_room(self.physics.scene, &self.spec, &self.plan, self.physics.timing.samples);
+        episode.renderer = "none".into();
+        episode
+    }
+
+    /// Appends the values and images of this sample to an episode.
+    ///
+    /// # Errors
+    /// When there is no OpenGL to render with.
+    pub fn record(&mut self, episode: &mut Episode) -> Result<(), SimulationError> {
+        let scene = self.physics.scene;
+        record(episode, scene, &self.physics.instant);
+        let flows = scene.flows.iter().map(|flow| &flow.image);
+        for image in scene.cameras.iter().chain(flows) {
+            let pixels = &mut episode.images[image.position];
+            let [rows, columns] = image.size;
+            let before = pixels.len();
+            pixels.resize(before + rows * columns * IMAGE_CHANNELS, 0);
+            self.image(image.modality, &mut pixels[before..])?;
+        }
+        if let Some(camera) = scene.cameras.first() {
+            CAMERAS.with_borrow(|cameras| {
+                episode.renderer = cameras[&(key(scene), camera.modality)].renderer_name().to_owned();
+            });
+        }
+        Ok(())
+    }
+
     /// Renders a picture of this sample for figures and videos. `width` and `height` are in pixels.
     ///
     /// # Errors
@@ -184,7 +219,7 @@ impl LiveSimulation {
             };
             let renderer = &mut kept.insert((kind, renderer)).1;
             renderer.vary(&self.plan.factors);
-            renderer.render(&self.physics.instant.qpos)
+            renderer.render(&self.physics.instant.state)
         })
     }
 }

@@ -1,43 +1,135 @@
-//! The motion of the actuators: smoothstep moves between random setpoints.
+//! The motion of the actuators: smoothstep moves between random setpoints or those of a random walk, sinusoids, or a
+//! recorded course.
 
 use super::timing::Timing;
-use harness_spec::Simulation;
+use harness_spec::{Motion, Simulation};
 use rand::{Rng, RngExt};
+use std::f64::consts::TAU;
+
+/// Largest step of a random walk, as a part of the range.
+const STEP: f64 = 0.3;
+/// The least and the largest amplitude of a sinusoid, as parts of the range.
+const AMPLITUDE: [f64; 2] = [0.25, 0.5];
+/// The lowest and the highest frequency of a sinusoid, periods per move. With the highest one and the largest
+/// amplitude, a setpoint is at most as fast as in a move through the whole range.
+const FREQUENCY: [f64; 2] = [0.1, 0.45];
 
 /// The setpoint as a function of time.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Motion {
+pub(super) struct Setpoints {
     /// Start and end of the moves, `[moves + 1, elements]`.
     waypoints: Vec<f64>,
     elements: usize,
     steps_per_move: usize,
+    /// Whether moves begin and end at rest. Otherwise they have constant speed.
+    eased: bool,
+    /// The sinusoids of the elements; empty if the setpoints move between the waypoints.
+    waves: Vec<Wave>,
 }
 
-impl Motion {
-    /// Draws a uniformly random waypoint for each of the spec's actuations. The motion starts at `rest`.
+/// A sinusoid.
+#[derive(Debug, Clone, PartialEq)]
+struct Wave {
+    middle: f64,
+    amplitude: f64,
+    /// Periods per move.
+    frequency: f64,
+    /// Phase at the start, rad.
+    phase: f64,
+}
+
+impl Setpoints {
+    /// Draws a motion with as many moves as the spec has actuations. The motion starts at `rest`.
     pub fn draw(
+        kind: Motion,
         ranges: &[[f64; 2]],
         rest: &[f64],
         spec: &Simulation,
         timing: &Timing,
         rng: &mut impl Rng,
     ) -> Self {
-        let random = (0..spec.actuations_per_episode).flat_map(|_| ranges);
-        let random = random.map(|[low, high]| rng.random_range(*low..=*high));
-        let waypoints = rest.iter().copied().chain(random).collect();
-        Self { waypoints, elements: ranges.len(), steps_per_move: timing.steps_per_actuation }
+        let (elements, moves) = (ranges.len(), spec.actuations_per_episode);
+        let mut motion = Self {
+            waypoints: rest.to_vec(),
+            elements,
+            steps_per_move: timing.steps_per_actuation,
+            eased: true,
+            waves: Vec::new(),
+        };
+        match kind {
+            Motion::RandomSetpoints => {
+                let random = (0..moves).flat_map(|_| ranges);
+                motion.waypoints.extend(random.map(|[low, high]| rng.random_range(*low..=*high)));
+            }
+            Motion::RandomWalk => {
+                for place in 0..moves as usize * elements {
+                    let ([low, high], from) = (ranges[place % elements], motion.waypoints[place]);
+                    let most = STEP * (high - low);
+                    motion.waypoints.push(reflected(from + rng.random_range(-most..=most), [low, high]));
+                }
+            }
+            Motion::Sinusoids => {
+                motion.waves = ranges.iter().map(|range| Wave::draw(*range, rng)).collect();
+                // The waypoints tell only the start and the number of moves.
+                motion.waypoints = rest.repeat(moves as usize + 1);
+            }
+        }
+        motion
+    }
+
+    /// Returns a motion through the setpoints of a course's samples, `[samples, elements]`, with constant speed between
+    /// two samples. It ends at the last one.
+    pub fn through(course: &[f64], elements: usize, timing: &Timing) -> Self {
+        Self {
+            waypoints: course.to_vec(),
+            elements,
+            steps_per_move: timing.steps_per_sample,
+            eased: false,
+            waves: Vec::new(),
+        }
     }
 
     /// Writes the setpoint at the start of a step to `setpoint`. After the last move, it is the last waypoint.
     pub fn setpoint(&self, step: usize, setpoint: &mut [f64]) {
         let (index, last) = (step / self.steps_per_move, self.waypoints.len() / self.elements - 1);
+        if !self.waves.is_empty() {
+            let moves = step.min(last * self.steps_per_move) as f64 / self.steps_per_move as f64;
+            let reached = smoothstep(moves.min(1.0));
+            for (value, (rest, wave)) in setpoint.iter_mut().zip(self.waypoints.iter().zip(&self.waves)) {
+                *value = rest + reached * (wave.at(moves) - rest);
+            }
+            return;
+        }
         let [from, to] =
             [index, index + 1].map(|i| &self.waypoints[i.min(last) * self.elements..][..self.elements]);
-        let done = smoothstep((step % self.steps_per_move) as f64 / self.steps_per_move as f64);
+        let done = (step % self.steps_per_move) as f64 / self.steps_per_move as f64;
+        let done = if self.eased { smoothstep(done) } else { done };
         for (value, (from, to)) in setpoint.iter_mut().zip(from.iter().zip(to)) {
             *value = from + done * (to - from);
         }
     }
+}
+
+impl Wave {
+    fn draw([low, high]: [f64; 2], rng: &mut impl Rng) -> Self {
+        let amplitude = rng.random_range(AMPLITUDE[0]..=AMPLITUDE[1]) * (high - low);
+        // Rounding must not make the ends of the middle's range cross.
+        let middle = rng.random_range(low + amplitude..=(high - amplitude).max(low + amplitude));
+        let frequency = rng.random_range(FREQUENCY[0]..=FREQUENCY[1]);
+        Self { middle, amplitude, frequency, phase: rng.random_range(0.0..TAU) }
+    }
+
+    /// The value after a number of moves.
+    fn at(&self, moves: f64) -> f64 {
+        self.middle + self.amplitude * (TAU * self.frequency * moves + self.phase).sin()
+    }
+}
+
+/// Reflects a value that is at most as far from a range as the range is wide.
+fn reflected(value: f64, [low, high]: [f64; 2]) -> f64 {
+    let value = if value < low { 2.0 * low - value } else { value };
+    let value = if value > high { 2.0 * high - value } else { value };
+    value.clamp(low, high)
 }
 
 /// Returns 3 u^2 - 2 u^3, which rises from 0 to 1 with zero velocity at both ends.
@@ -58,7 +150,8 @@ mod tests {
     #[test]
     fn moves_are_continuous_in_range_and_half_way_at_half_time() {
         let (spec, ranges, rest) = (Simulation::default(), [[-1.0, 2.0], [0.0, 1.5]], [0.5, 0.0]);
-        let motion = Motion::draw(&ranges, &rest, &spec, &timing(), &mut ChaCha8Rng::seed_from_u64(7));
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let motion = Setpoints::draw(Motion::RandomSetpoints, &ranges, &rest, &spec, &timing(), &mut rng);
         let setpoint = |step: usize| {
             let mut setpoint = [0.0; 2];
             motion.setpoint(step, &mut setpoint);
@@ -82,5 +175,60 @@ mod tests {
             }
         }
         assert_eq!(setpoint(100_000), setpoint(123_456));
+    }
+
+    #[test]
+    fn a_course_is_linear_between_samples() {
+        // A sample has 100 steps.
+        let course = Setpoints::through(&[0.0, 1.0, 0.5, -1.0, 0.25, 3.0], 2, &timing());
+        for (step, expected) in
+            [(0, [0.0, 1.0]), (25, [0.125, 0.5]), (100, [0.5, -1.0]), (150, [0.375, 1.0]), (900, [0.25, 3.0])]
+        {
+            let mut setpoint = [0.0; 2];
+            course.setpoint(step, &mut setpoint);
+            assert_eq!(setpoint, expected, "{step}");
+        }
+    }
+
+    #[test]
+    fn walks_and_sinusoids_start_at_rest_and_stay_in_range() {
+        let (spec, ranges, rest) = (Simulation::default(), [[-1.0, 2.0], [0.0, 1.5]], [0.5, 0.0]);
+        for kind in [Motion::RandomWalk, Motion::Sinusoids] {
+            for seed in 0..20 {
+                let mut rng = ChaCha8Rng::seed_from_u64(seed);
+                let motion = Setpoints::draw(kind, &ranges, &rest, &spec, &timing(), &mut rng);
+                let setpoint = |step: usize| {
+                    let mut setpoint = [0.0; 2];
+                    motion.setpoint(step, &mut setpoint);
+                    setpoint
+                };
+                assert_eq!(setpoint(0), rest);
+                let (mut least, mut most) = (rest, rest);
+                // Each move has 1000 steps, and the episode has 20 moves.
+                for step in 0..20_000 {
+                    let (here, next) = (setpoint(step), setpoint(step + 1));
+                    for (joint, [low, high]) in ranges.into_iter().enumerate() {
+                        assert!(
+                            (low - 1e-12..=high + 1e-12).contains(&here[joint]),
+                            "{kind:?} {seed} {step}"
+                        );
+                        // During the first move, the approach adds at most another move through the range.
+                        let speed = if step < 1000 { 3.0 } else { 1.5 };
+                        assert!((next[joint] - here[joint]).abs() <= speed * (high - low) / 1000.0);
+                        least[joint] = least[joint].min(here[joint]);
+                        most[joint] = most[joint].max(here[joint]);
+                        if kind == Motion::RandomWalk && step.is_multiple_of(1000) {
+                            let step = setpoint(step + 1000)[joint] - here[joint];
+                            assert!(step.abs() <= 0.3 * (high - low) + 1e-12, "{step}");
+                        }
+                    }
+                }
+                // A sinusoid of the lowest frequency has two periods in the episode.
+                for (joint, [low, high]) in ranges.into_iter().enumerate() {
+                    assert!(most[joint] - least[joint] > 0.2 * (high - low), "{kind:?} {seed}");
+                }
+                assert_eq!(setpoint(20_000), setpoint(123_456));
+            }
+        }
     }
 }

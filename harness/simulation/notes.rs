@@ -3,10 +3,10 @@
 use super::SimulationError;
 use super::camera::{SampleTime, time_rendering};
 use super::flow::unrendered;
-use super::joints::{ball_and_free, described, is_single, touches};
+use super::joints::{ball_and_free, described, is_single, touches, word};
 use super::physics::Physics;
 use super::plan::EpisodePlan;
-use super::resolve::{is_pinhole, name_of};
+use super::resolve::{PosedObject, Reading, is_pinhole, name_of};
 use super::scene::Scene;
 use harness_spec::{Definition, Posed};
 use mujoco_rs::prelude::*;
@@ -76,8 +76,9 @@ fn several_units(scene: &Scene) -> Vec<String> {
 /// Actuators whose setpoints the model does not limit.
 fn unlimited(scene: &Scene) -> Vec<String> {
     let actuators = scene.world().file().action.actuators.iter();
-    let free =
-        actuators.zip(&scene.actuators).filter(|(_, driven)| driven.limits.map(f64::is_finite) == [false; 2]);
+    let free = actuators
+        .zip(&scene.actuators)
+        .filter(|(_, driven)| driven.mocap.is_none() && driven.limits.map(f64::is_finite) == [false; 2]);
     free.map(|((element, actuator), _)| {
         let [low, high] = actuator.range;
         format!(
@@ -102,17 +103,20 @@ fn unrecorded_bodies(scene: &Scene) -> Option<String> {
     let recorded: BTreeSet<i32> = scene
         .posed
         .iter()
-        .map(|(of, id)| match of {
+        .map(|PosedObject { of, id, .. }| match of {
             Posed::Body => model.body_weldid()[*id],
             Posed::Site => model.body_weldid()[model.site_bodyid()[*id] as usize],
         })
         .collect();
+    let is_read = |joint: usize| {
+        let end = model.jnt_qposadr()[joint] as usize + if word(model, joint) == "free" { 3 } else { 0 };
+        scene.readings.iter().flatten().any(|reading| *reading == Reading::Orientation(end, 0))
+    };
     let mut joints = unplaced(scene);
-    joints.retain(|joint| !recorded.contains(&model.jnt_bodyid()[*joint]));
+    joints.retain(|joint| !recorded.contains(&model.jnt_bodyid()[*joint]) && !is_read(*joint));
     let names: Vec<String> = joints.into_iter().map(|joint| described(model, joint)).collect();
-    (!names.is_empty()).then(|| {
-        format!("no modality of poses records {}; body_positions and body_orientations can", listed(&names))
-    })
+    (!names.is_empty())
+        .then(|| format!("no modality records {}; body_positions and body_orientations can", listed(&names)))
 }
 
 /// The geoms that ball and free joints move and whose contacts are not sensed, if the contacts of others are.

@@ -3,13 +3,13 @@
 use super::SimulationError;
 use super::placement::check_start;
 use super::plan::EpisodePlan;
-use super::resolve::Reading;
-use super::scene::Scene;
+use super::resolve::{PosedObject, Reading};
+use super::scene::{Scene, read_state};
 use super::sensors::{MeanForces, instability, largest_kinds, sum_forces};
 use super::timing::Timing;
 use harness_spec::{Layout, Modality, Pose, Posed, Simulation};
 use mujoco_rs::prelude::*;
-use mujoco_rs::wrappers::fun::utility::mju_mat_2_quat;
+use mujoco_rs::wrappers::fun::utility::{mju_mat_2_quat, mju_mul_pose, mju_neg_pose};
 use std::sync::Arc;
 
 /// The simulation of one scene on one thread.
@@ -41,10 +41,11 @@ pub(super) struct Physics<'s> {
 pub(super) struct Instant {
     /// The scene's model, or a copy with the factors of variation that the episode drew.
     pub model: Arc<MjModel>,
-    /// Generalized positions at the instant. Those in MuJoCo's state are already one step further.
-    pub qpos: Vec<f64>,
-    /// Generalized positions at the sample before. At the first sample, they equal `qpos`.
-    pub qpos_before: Vec<f64>,
+    /// Generalized positions at the instant, followed by the positions of mocap bodies if the action moves some
+    /// ([`read_state`]). Those in MuJoCo's state are already one step further.
+    pub state: Vec<f64>,
+    /// The same at the sample before. At the first sample, it equals `state`.
+    pub state_before: Vec<f64>,
     /// Generalized velocities at the instant.
     pub qvel: Vec<f64>,
     pub setpoint: Vec<f64>,
@@ -62,7 +63,11 @@ pub(super) struct Instant {
 impl Instant {
     fn read(&self, reading: Reading) -> f32 {
         let value = match reading {
-            Reading::Position(index) => self.qpos[index],
+            Reading::Position(index) => self.state[index],
+            Reading::Orientation(first, index) => {
+                let sign = if self.state[first] < 0.0 { -1.0 } else { 1.0 };
+                sign * self.state[first + index]
+            }
             Reading::Velocity(index) => self.qvel[index],
             Reading::Pose(index, value) => self.poses[index][value],
             Reading::Force(index) => self.forces[index],
@@ -81,8 +86,9 @@ impl Instant {
 }
 
 /// Returns the pose of a body or a site. The orientation's w is not negative, which makes the quaternion unique.
-fn pose_of(data: &MjData<Arc<MjModel>>, of: Posed, id: usize) -> Pose {
-    let (place, turn) = match of {
+fn pose_of(data: &MjData<Arc<MjModel>>, object: PosedObject) -> Pose {
+    let PosedObject { of, id, relative_to } = object;
+    let (mut place, mut turn) = match of {
         Posed::Body => (data.xpos()[id], data.xquat()[id]),
         Posed::Site => {
             let mut turn = [0.0; 4];
@@ -90,6 +96,12 @@ fn pose_of(data: &MjData<Arc<MjModel>>, of: Posed, id: usize) -> Pose {
             (data.site_xpos()[id], turn)
         }
     };
+    if let Some(body) = relative_to {
+        let (mut origin, mut back) = ([0.0; 3], [0.0; 4]);
+        mju_neg_pose(&mut origin, &mut back, &data.xpos()[body], &data.xquat()[body]);
+        let (in_world, turned) = (place, turn);
+        mju_mul_pose(&mut place, &mut turn, &origin, &back, &in_world, &turned);
+    }
     let sign = if turn[0] < 0.0 { -1.0 } else { 1.0 };
     std::array::from_fn(|index| if index < 3 { place[index] } else { sign * turn[index - 3] })
 }
@@ -124,8 +136,8 @@ impl<'s> Physics<'s> {
         let elements = scene.actuators.len();
         let instant = Instant {
             model: scene.model.clone(),
-            qpos: scene.model.qpos0().to_vec(),
-            qpos_before: scene.model.qpos0().to_vec(),
+            state: scene.rest().to_vec(),
+            state_before: scene.rest().to_vec(),
             qvel: data.qvel().to_vec(),
             setpoint: vec![0.0; elements],
             poses: vec![Pose::default(); scene.posed.len()],
@@ -178,9 +190,11 @@ impl<'s> Physics<'s> {
             setpoint(self.step, &mut self.setpoint);
             self.command();
             if is_sample {
-                let before = if self.step == 0 { self.data.qpos() } else { &self.instant.qpos };
-                self.instant.qpos_before.copy_from_slice(before);
-                self.instant.qpos.copy_from_slice(self.data.qpos());
+                std::mem::swap(&mut self.instant.state_before, &mut self.instant.state);
+                read_state(&self.data, &mut self.instant.state);
+                if self.step == 0 {
+                    self.instant.state_before.copy_from_slice(&self.instant.state);
+                }
                 self.instant.qvel.copy_from_slice(self.data.qvel());
             }
             let is_read = is_sample || self.averages;
@@ -211,8 +225,8 @@ impl<'s> Physics<'s> {
                     largest_kinds(self.scene, kinds, data, found);
                 }
                 self.instant.sensors.copy_from_slice(data.sensordata());
-                for (pose, (of, id)) in self.instant.poses.iter_mut().zip(&self.scene.posed) {
-                    *pose = pose_of(data, *of, *id);
+                for (pose, object) in self.instant.poses.iter_mut().zip(&self.scene.posed) {
+                    *pose = pose_of(data, *object);
                 }
                 return Ok(());
             }
@@ -235,7 +249,8 @@ impl<'s> Physics<'s> {
     }
 
     /// Starts an episode: applies its factors of variation to the model, and sets the joints of position servos to the
-    /// start of the motion and the boxes to their poses, all at rest.
+    /// start of the motion and the boxes to their poses, all at rest. If the world names a keyframe, the joints have
+    /// its positions and velocities.
     pub fn start(&mut self, plan: &EpisodePlan) {
         (self.episode, self.step) = (plan.episode, 0);
         self.mean.clear();
@@ -244,13 +259,16 @@ impl<'s> Physics<'s> {
         for data in [&mut self.data].into_iter().chain(&mut self.sampled) {
             data.swap_model(self.instant.model.clone());
         }
-        self.data.reset();
         plan.setpoint(0, &mut self.setpoint);
+        match self.scene.keyframe {
+            Some(key) => self.data.reset_keyframe(key).expect("the scene has the keyframe"),
+            None => self.data.reset(),
+        }
         let qpos = self.data.qpos_mut();
-        for (driven, value) in self.scene.actuators.iter().zip(&self.setpoint) {
-            if let Some(index) = driven.qpos {
-                qpos[index] = *value;
-            }
+        // In a keyframe, the author of the model says where the joints are.
+        let driven = self.scene.actuators.iter().filter(|_| self.scene.keyframe.is_none());
+        for (driven, value) in driven.zip(&self.setpoint) {
+            driven.qpos.iter().for_each(|index| qpos[*index] = *value);
         }
         let boxes = self.scene.placements.iter().flat_map(|placement| &placement.boxes);
         for (body, pose) in boxes.zip(&plan.boxes) {
@@ -261,7 +279,13 @@ impl<'s> Physics<'s> {
     fn command(&mut self) {
         let ctrl = self.data.ctrl_mut();
         for (driven, value) in self.scene.actuators.iter().zip(&self.setpoint) {
-            ctrl[driven.actuator] = *value;
+            driven.actuators.iter().for_each(|actuator| ctrl[*actuator] = *value);
+        }
+        let places = self.data.mocap_pos_mut();
+        for (driven, value) in self.scene.actuators.iter().zip(&self.setpoint) {
+            if let Some((mocap, axis)) = driven.mocap {
+                places[mocap][axis] = *value;
+            }
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::SimulationError;
 use super::factors::FactorValues;
-use super::motion::Motion;
+use super::motion::Setpoints;
 use super::placement::place_boxes;
 use super::scene::Scene;
 use harness_spec::{Pose, Simulation};
@@ -19,7 +19,7 @@ pub struct EpisodePlan {
     pub boxes: Vec<Pose>,
     /// Values of the factors of variation that the spec turns on.
     pub factors: FactorValues,
-    motion: Motion,
+    setpoints: Setpoints,
 }
 
 impl EpisodePlan {
@@ -40,14 +40,21 @@ impl EpisodePlan {
     ) -> Result<Self, SimulationError> {
         let timing = scene.timing(spec)?;
         let mut rng = episode_stream(scene, spec.seed, index);
-        let motion = Motion::draw(&scene.ranges(spec), &scene.start(spec), spec, &timing, &mut rng);
+        let ranges = scene.ranges(spec);
+        let setpoints = match &scene.course {
+            Some(course) => Setpoints::through(course.episode(index), ranges.len(), &timing),
+            None => {
+                let motion = scene.world().file().action.motion;
+                Setpoints::draw(motion, &ranges, &scene.start(spec), spec, &timing, &mut rng)
+            }
+        };
         let boxes = place_boxes(scene, spec, &factors, index, &mut rng)?;
-        Ok(Self { episode: index, boxes, factors, motion })
+        Ok(Self { episode: index, boxes, factors, setpoints })
     }
 
     /// Writes the setpoints of the actuators during a simulation step, counted from the episode's start, to `setpoint`.
     pub fn setpoint(&self, step: usize, setpoint: &mut [f64]) {
-        self.motion.setpoint(step, setpoint);
+        self.setpoints.setpoint(step, setpoint);
     }
 }
 

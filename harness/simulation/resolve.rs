@@ -3,8 +3,8 @@
 use super::SimulationError;
 use super::standing::FreeBody;
 use harness_spec::{
-    Definition, Drawing, Element, Group, Kind, Layout, Modality, Percentage, Posed, Property, Source, World,
-    clearance_setting, matching, range_setting,
+    Axis, Definition, Drawing, Element, Group, Kind, Layout, Modality, Percentage, Posed, Property, Source,
+    World, clearance_setting, matching, range_setting,
 };
 use mujoco_rs::prelude::*;
 use std::collections::BTreeSet;
@@ -16,15 +16,27 @@ pub(super) struct Resolved {
     pub readings: Vec<Vec<Reading>>,
     pub cameras: Vec<SceneCamera>,
     pub flows: Vec<SceneFlow>,
-    pub posed: Vec<(Posed, usize)>,
+    pub posed: Vec<PosedObject>,
     pub actuators: Vec<Driven>,
     pub force_of_geom: Vec<Option<usize>>,
+    pub force_of_flex: Vec<Option<usize>>,
     pub forces: usize,
     pub contact_kinds: Vec<ContactKinds>,
     pub placements: Vec<Placement>,
     pub factors: Vec<SceneFactor>,
     pub view: Option<usize>,
     pub tip: Option<Tip>,
+    pub keyframe: Option<usize>,
+}
+
+/// A body or a site whose pose is sensed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct PosedObject {
+    pub of: Posed,
+    /// Index of the body or the site.
+    pub id: usize,
+    /// Index of the body in whose frame the pose is given; `None` for the world.
+    pub relative_to: Option<usize>,
 }
 
 /// The source of an element of a vector.
@@ -32,6 +44,9 @@ pub(super) struct Resolved {
 pub(super) enum Reading {
     /// Index into `qpos`.
     Position(usize),
+    /// A value of a quaternion in `qpos`: the index of its w, and of the value from there. The sign is that with which
+    /// w is not negative.
+    Orientation(usize, usize),
     /// Index into `qvel`.
     Velocity(usize),
     /// A value of one of the scene's poses: x, y and z, then w, x, y and z.
@@ -77,13 +92,16 @@ pub(super) struct Tip {
     pub geom: usize,
 }
 
-/// An actuator that is commanded.
+/// The actuators that get the setpoint of an element of the action, or the coordinate of a mocap body.
 #[derive(Debug, Clone)]
 pub(super) struct Driven {
-    /// Of a joint's position servo, the index into `qpos`: an episode starts with the joint at its setpoint.
-    pub qpos: Option<usize>,
-    pub actuator: usize,
-    /// Setpoints that the joint's and the actuator's limits allow.
+    /// Of joints' position servos, the indices into `qpos`: an episode starts with the joints at their setpoint.
+    pub qpos: Vec<usize>,
+    /// None if a mocap body is moved.
+    pub actuators: Vec<usize>,
+    /// The index of a mocap body among these bodies, and the coordinate that is moved.
+    pub mocap: Option<(usize, usize)>,
+    /// Setpoints that the limits of all actuators and their joints allow.
     pub limits: [f64; 2],
     /// The setting of a spec that has its range.
     pub setting: String,
@@ -168,6 +186,8 @@ const SITE: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_SITE, "site");
 const CAMERA: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_CAMERA, "camera");
 const LIGHT: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_LIGHT, "light");
 const ACTUATOR: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_ACTUATOR, "actuator");
+const FLEX: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_FLEX, "flex");
+const KEYFRAME: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_KEY, "keyframe");
 
 /// A column that both of two modalities have in the files of episodes, in which changes are not stored.
 fn shared_column(one: &Definition, other: &Definition) -> Option<String> {
@@ -214,6 +234,8 @@ pub(super) fn named(model: &MjModel, kind: MjtObjBase) -> Vec<(&str, usize)> {
         MjtObjBase::mjOBJ_CAMERA => model.ncam(),
         MjtObjBase::mjOBJ_LIGHT => model.nlight(),
         MjtObjBase::mjOBJ_SITE => model.nsite(),
+        MjtObjBase::mjOBJ_FLEX => model.nflex(),
+        MjtObjBase::mjOBJ_KEY => model.nkey(),
         _ => model.nactuator(),
     };
     let with_name = (0..count as usize).filter_map(|id| Some((model.id_to_name(kind, id)?, id)));
@@ -241,17 +263,19 @@ pub(super) struct Resolver<'a> {
     world: &'a World,
     model: &'a MjModel,
     force_of_geom: Vec<Option<usize>>,
+    force_of_flex: Vec<Option<usize>>,
     forces: usize,
     contact_kinds: Vec<ContactKinds>,
-    posed: Vec<(Posed, usize)>,
+    posed: Vec<PosedObject>,
     tip: Option<Tip>,
 }
 
 impl<'a> Resolver<'a> {
     pub fn new(world: &'a World, model: &'a MjModel) -> Self {
         let force_of_geom = vec![None; model.ngeom() as usize];
-        let contact_kinds = Vec::new();
-        Self { world, model, force_of_geom, forces: 0, contact_kinds, posed: Vec::new(), tip: None }
+        let force_of_flex = vec![None; model.nflex() as usize];
+        let (contact_kinds, posed) = (Vec::new(), Vec::new());
+        Self { world, model, force_of_geom, force_of_flex, forces: 0, contact_kinds, posed, tip: None }
     }
 
     pub fn resolve(mut self) -> Result<Resolved, SimulationError> {
@@ -312,6 +336,8 @@ impl<'a> Resolver<'a> {
         let (placements, factors) = (self.placements(&actuators)?, self.factors()?);
         let (definitions, readings): (Vec<Definition>, _) = modalities.into_iter().unzip();
         self.check_columns(&factors, &definitions)?;
+        let keyframe =
+            file.keyframe.as_deref().map(|name| self.find(KEYFRAME, name, "keyframe")).transpose()?;
         let view = cameras.first().map(|camera| camera.camera).or((self.model.ncam() > 0).then_some(0));
         Ok(Resolved {
             layout: Layout { modalities: definitions, regions: self.world.regions() },
@@ -321,12 +347,14 @@ impl<'a> Resolver<'a> {
             posed: self.posed,
             actuators,
             force_of_geom: self.force_of_geom,
+            force_of_flex: self.force_of_flex,
             forces: self.forces,
             contact_kinds: self.contact_kinds,
             placements,
             factors,
             view,
             tip: self.tip,
+            keyframe,
         })
     }
 
@@ -414,15 +442,11 @@ impl<'a> Resolver<'a> {
             }
             Source::JointPositions(patterns) => {
                 definition.meaning = "Position of joint".into();
-                self.joints(patterns, path, ["rad", "m"], Reading::Position, |model, id| {
-                    model.jnt_qposadr()[id]
-                })?
+                self.joints(patterns, path, JointValue::Position)?
             }
             Source::JointVelocities(patterns) => {
                 definition.meaning = "Velocity of joint".into();
-                self.joints(patterns, path, ["rad/s", "m/s"], Reading::Velocity, |model, id| {
-                    model.jnt_dofadr()[id]
-                })?
+                self.joints(patterns, path, JointValue::Velocity)?
             }
             Source::NormalForce { names, mean } => {
                 definition.meaning = match mean {
@@ -433,12 +457,18 @@ impl<'a> Resolver<'a> {
                 };
                 self.contact_forces(names, path, mean)?
             }
-            Source::Pose { names, of, orientation } => {
-                definition.meaning = match orientation {
-                    false => "Position in the world of".into(),
-                    true => "Orientation in the world of".into(),
+            Source::Pose { names, of, orientation, relative_to } => {
+                let what = if orientation { "Orientation" } else { "Position" };
+                definition.meaning = match relative_to {
+                    None => format!("{what} in the world of"),
+                    Some(body) => format!("{what} in the frame of {body} of"),
                 };
-                self.poses(names, path, of, orientation)?
+                let at = format!("modalities.{name}.relative_to");
+                let relative_to = relative_to.map(|body| self.find(BODY, body, &at)).transpose()?;
+                let values = self.poses(names, path, of, orientation, relative_to)?;
+                let object = if orientation { 4 } else { 3 };
+                definition.objects = sensing.set.then_some(values.len() / object);
+                values
             }
             Source::Sensor(patterns) => {
                 definition.meaning = "Value of sensor".into();
@@ -466,38 +496,26 @@ impl<'a> Resolver<'a> {
         Ok((definition, values.into_iter().map(|value| value.reading).collect()))
     }
 
+    /// Positions or velocities of joints. A hinge or a slide has one of each. A free joint has the position and the
+    /// velocity of its body, and it and a ball joint have a quaternion and an angular velocity.
     fn joints(
         &self,
         patterns: &[String],
         path: &str,
-        units: [&str; 2],
-        reading: fn(usize) -> Reading,
-        address: fn(&MjModel, usize) -> i32,
+        of: JointValue,
     ) -> Result<Vec<Sensed>, SimulationError> {
         let found = self.matches(JOINT, patterns, path)?;
-        let joint = |((name, id), element): ((&str, usize), String)| {
-            let unit = match self.model.jnt_type()[id] {
-                HINGE => units[0],
-                SLIDE => units[1],
-                other => return Err(self.fault(path, self.no_single_joint(name, id, other))),
-            };
-            let reading = reading(address(self.model, id) as usize);
-            Ok(Sensed { name: name.to_owned(), element, unit: unit.to_owned(), reading })
-        };
         let elements = short_names(patterns, &names_of(&found));
-        found.into_iter().zip(elements).map(joint).collect()
-    }
-
-    /// Why a ball or free joint can't be sensed as a joint, and what can be sensed instead.
-    fn no_single_joint(&self, name: &str, id: usize, kind: MjtJoint) -> String {
-        let (kind, keys) = match kind {
-            MjtJoint::mjJNT_FREE => ("free", "body_positions and body_orientations record"),
-            _ => ("ball", "body_orientations records"),
-        };
-        let body = self.model.jnt_bodyid()[id] as usize;
-        let body = self.model.id_to_name(MjtObjBase::mjOBJ_BODY, body).filter(|body| !body.is_empty());
-        let body = body.map_or("its body, which needs a name".into(), |body| format!("its body '{body}'"));
-        format!("joint '{name}' is a {kind} joint; only hinges and slides have one position; {keys} {body}")
+        let values = found.into_iter().zip(elements).flat_map(|((name, id), element)| {
+            let sensed = move |(end, unit, reading): (&str, &str, Reading)| Sensed {
+                name: format!("{name}{end}"),
+                element: format!("{element}{end}"),
+                unit: unit.to_owned(),
+                reading,
+            };
+            joint_values(self.model, id, of).into_iter().map(sensed)
+        });
+        Ok(values.collect())
     }
 
     /// Positions or orientations of bodies or sites.
@@ -507,6 +525,7 @@ impl<'a> Resolver<'a> {
         path: &str,
         of: Posed,
         orientation: bool,
+        relative_to: Option<usize>,
     ) -> Result<Vec<Sensed>, SimulationError> {
         let found = self.matches(if of == Posed::Body { BODY } else { SITE }, patterns, path)?;
         let (values, unit) = match orientation {
@@ -516,9 +535,10 @@ impl<'a> Resolver<'a> {
         let first = if orientation { 3 } else { 0 };
         let mut sensed = Vec::new();
         for (name, (_, id)) in short_names(patterns, &names_of(&found)).into_iter().zip(found) {
-            let known = self.posed.iter().position(|posed| *posed == (of, id));
+            let object = PosedObject { of, id, relative_to };
+            let known = self.posed.iter().position(|posed| *posed == object);
             let pose = known.unwrap_or_else(|| {
-                self.posed.push((of, id));
+                self.posed.push(object);
                 self.posed.len() - 1
             });
             sensed.extend(values.iter().enumerate().map(|(index, value)| Sensed {
@@ -605,14 +625,18 @@ impl<'a> Resolver<'a> {
         bodies.map_err(|_| error)?.into_iter().map(geoms_of).collect()
     }
 
-    /// Forces on geoms or, where no geom matches, on all geoms of each body.
+    /// Forces on geoms or, where no geom matches, on all geoms of each body, or on flexes.
     fn contact_forces(
         &mut self,
         patterns: &[String],
         path: &str,
         mean: bool,
     ) -> Result<Vec<Sensed>, SimulationError> {
-        let found = self.touchable(patterns, path)?;
+        let found = match (self.touchable(patterns, path), self.matches(FLEX, patterns, path)) {
+            (Ok(found), _) => found,
+            (Err(_), Ok(flexes)) => return Ok(self.flex_forces(patterns, flexes, mean)),
+            (Err(error), Err(_)) => return Err(error),
+        };
         let names: Vec<&str> = found.iter().map(|(name, _)| *name).collect();
         let elements = short_names(patterns, &names);
         let mut sensed = Vec::new();
@@ -640,13 +664,27 @@ impl<'a> Resolver<'a> {
         Ok(sensed)
     }
 
+    /// Forces on flexes.
+    fn flex_forces(&mut self, patterns: &[String], flexes: Vec<(&str, usize)>, mean: bool) -> Vec<Sensed> {
+        let elements = short_names(patterns, &names_of(&flexes));
+        let mut sensed = Vec::new();
+        for ((name, flex), element) in flexes.into_iter().zip(elements) {
+            let force = *self.force_of_flex[flex].get_or_insert_with(|| {
+                self.forces += 1;
+                self.forces - 1
+            });
+            let reading = if mean { Reading::MeanForce(force) } else { Reading::Force(force) };
+            sensed.push(Sensed { name: name.to_owned(), element, unit: "N".into(), reading });
+        }
+        sensed
+    }
+
     /// Why a body without geoms has no contact force.
     fn untouchable(&self, name: &str, body: usize) -> String {
         let of_flexes = self.model.flex_vertbodyid().iter().chain(self.model.flex_nodebodyid());
         if of_flexes.into_iter().any(|other| *other as usize == body) {
             return format!(
-                "body '{name}' is a part of a flex, and the forces on a flex can't be sensed; list the geoms that \
-                 touch it"
+                "body '{name}' is a part of a flex, of which only the force on the whole can be sensed; name the flex"
             );
         }
         format!("body '{name}' has no geom, so nothing can touch it")
@@ -690,14 +728,27 @@ impl<'a> Resolver<'a> {
         let mut driven = Vec::new();
         for (name, actuator) in self.world.file().action.actuators.iter() {
             let path = format!("action.actuators.{name}");
-            let own = if actuator.actuator.is_some() { format!("{path}.actuator") } else { path.clone() };
-            let id = self.find(ACTUATOR, actuator.actuator.as_deref().unwrap_or(name), &own)?;
-            if driven.iter().any(|other: &Driven| other.actuator == id) {
+            if let Some(body) = &actuator.mocap {
+                driven.push(self.mocap(name, actuator, body)?);
+                continue;
+            }
+            let own = match (&actuator.actuator, &actuator.actuators) {
+                (Some(_), _) => format!("{path}.actuator"),
+                (None, Some(_)) => format!("{path}.actuators"),
+                (None, None) => path.clone(),
+            };
+            let ids: Vec<usize> = match &actuator.actuators {
+                Some(names) => self.matches(ACTUATOR, names, &own)?.into_iter().map(|(_, id)| id).collect(),
+                None => vec![self.find(ACTUATOR, actuator.actuator.as_deref().unwrap_or(name), &own)?],
+            };
+            if driven.iter().any(|other: &Driven| other.actuators.iter().any(|id| ids.contains(id))) {
                 let message = "another element of the action drives the same actuator; leave one of them out";
                 return Err(self.fault(&own, message));
             }
-            let servo = servo(self.model, id);
-            let limits = limits(self.model, id);
+            let limits = ids.iter().map(|id| limits(self.model, *id));
+            let limits = limits.fold([f64::NEG_INFINITY, f64::INFINITY], |[low, high], own| {
+                [low.max(own[0]), high.min(own[1])]
+            });
             let [low, high] = actuator.range;
             if !within([low, high], limits) {
                 let [min, max] = limits;
@@ -705,10 +756,47 @@ impl<'a> Resolver<'a> {
                     format!("[{low}, {high}] must lie within [{min}, {max}], which the model allows");
                 return Err(self.fault(&format!("{path}.range"), message));
             }
-            let qpos = servo.map(|joint| self.model.jnt_qposadr()[joint] as usize);
-            driven.push(Driven { qpos, actuator: id, limits, setting: range_setting(name, actuator) });
+            let servos = ids.iter().filter_map(|id| servo(self.model, *id));
+            let qpos = servos.map(|joint| self.model.jnt_qposadr()[joint] as usize).collect();
+            let setting = range_setting(name, actuator);
+            driven.push(Driven { qpos, actuators: ids, mocap: None, limits, setting });
+        }
+        for (place, one) in driven.iter().enumerate() {
+            if one.mocap.is_some() && driven[..place].iter().any(|other| other.mocap == one.mocap) {
+                let (name, _) = &self.world.file().action.actuators.0[place];
+                let message =
+                    "another element of the action moves the same coordinate; leave one of them out";
+                return Err(self.fault(&format!("action.actuators.{name}.mocap"), message));
+            }
         }
         Ok(driven)
+    }
+
+    /// The coordinate of a mocap body that follows a setpoint.
+    fn mocap(
+        &self,
+        name: &str,
+        actuator: &harness_spec::Actuator,
+        body: &str,
+    ) -> Result<Driven, SimulationError> {
+        let path = format!("action.actuators.{name}.mocap");
+        let id = self.find(BODY, body, &path)?;
+        let Ok(mocap) = usize::try_from(self.model.body_mocapid()[id]) else {
+            let message = format!("body '{body}' is no mocap body; write mocap=\"true\" into its element");
+            return Err(self.fault(&path, message));
+        };
+        let axis = match actuator.axis {
+            Some(Axis::Y) => 1,
+            Some(Axis::Z) => 2,
+            _ => 0,
+        };
+        Ok(Driven {
+            qpos: Vec::new(),
+            actuators: Vec::new(),
+            mocap: Some((mocap, axis)),
+            limits: [f64::NEG_INFINITY, f64::INFINITY],
+            setting: range_setting(name, actuator),
+        })
     }
 
     fn placements(&self, actuators: &[Driven]) -> Result<Vec<Placement>, SimulationError> {
@@ -846,14 +934,16 @@ impl<'a> Resolver<'a> {
         let names: Vec<&str> = self.world.file().action.actuators.iter().map(|(name, _)| name).collect();
         let element = |name: &str| names.iter().position(|other| *other == name).unwrap_or_default();
         let elements = [element(&sector.rotation), element(&sector.extension)];
-        let [Some(rotation), Some(extension)] = elements.map(|element| actuators[element].qpos) else {
-            return Err(self.fault(&path, "rotation and extension must be position servos of joints"));
+        let [&[rotation], &[extension]] = elements.map(|element| actuators[element].qpos.as_slice()) else {
+            return Err(
+                self.fault(&path, "rotation and extension must each be the position servo of a joint")
+            );
         };
-        let joint = self.model.actuator_trnid()[actuators[elements[0]].actuator][0] as usize;
+        let joint = self.model.actuator_trnid()[actuators[elements[0]].actuators[0]][0] as usize;
         let mut data = MjData::new(self.model);
         let mut body_at = |turned: f64, extended: f64| {
             let qpos = data.qpos_mut();
-            actuators.iter().filter_map(|driven| driven.qpos).for_each(|index| qpos[index] = 0.0);
+            actuators.iter().flat_map(|driven| &driven.qpos).for_each(|index| qpos[*index] = 0.0);
             (qpos[rotation], qpos[extension]) = (turned, extended);
             data.kinematics();
             (data.xpos()[body], data.xanchor()[joint])
@@ -878,6 +968,38 @@ impl<'a> Resolver<'a> {
         }
         Ok(mount)
     }
+}
+
+/// What is sensed of a joint.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum JointValue {
+    Position,
+    Velocity,
+}
+
+/// Returns the end of the name, the unit and the source of each value of a joint.
+fn joint_values(model: &MjModel, joint: usize, of: JointValue) -> Vec<(&'static str, &'static str, Reading)> {
+    let (kind, is_position) = (model.jnt_type()[joint], of == JointValue::Position);
+    let first = if is_position { model.jnt_qposadr()[joint] } else { model.jnt_dofadr()[joint] } as usize;
+    let single: fn(usize) -> Reading = if is_position { Reading::Position } else { Reading::Velocity };
+    let (length, angle) = if is_position { ("m", "rad") } else { ("m/s", "rad/s") };
+    if kind == HINGE || kind == SLIDE {
+        return vec![("", if kind == HINGE { angle } else { length }, single(first))];
+    }
+    let moves = ["_x", "_y", "_z"].into_iter().filter(|_| kind == MjtJoint::mjJNT_FREE);
+    let mut values: Vec<_> = moves.zip(first..).map(|(end, index)| (end, length, single(index))).collect();
+    let turned = first + values.len();
+    match of {
+        JointValue::Position => values.extend(
+            (0..)
+                .zip(["_qw", "_qx", "_qy", "_qz"])
+                .map(|(index, end)| (end, "1", Reading::Orientation(turned, index))),
+        ),
+        JointValue::Velocity => values.extend(
+            ["_rx", "_ry", "_rz"].into_iter().zip(turned..).map(|(end, index)| (end, angle, single(index))),
+        ),
+    }
+    values
 }
 
 /// One element as it was found in the model.

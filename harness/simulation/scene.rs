@@ -1,15 +1,17 @@
 //! A scene: the compiled MuJoCo model of a world, with the names of the world file resolved.
 
+use super::course::Course;
 use super::load::{compile_error, load_file, load_text};
+use super::plugins::load_plugins;
 use super::resolve::{
-    ContactKinds, Driven, Placement, Reading, Resolver, SceneCamera, SceneFactor, SceneFlow, Tip, within,
+    ContactKinds, Driven, Placement, PosedObject, Reading, Resolver, SceneCamera, SceneFactor, SceneFlow, Tip, within,
 };
 use super::standing::GroundModel;
 use super::timing::Timing;
 use super::{MUJOCO_VERSION, SimulationError, mujoco_version};
 use harness_shared::seal::hex;
 use harness_spec::{
-    Actuator, Element, Layout, ModelFile, Posed, Property, Scenario, Simulation, Start, World,
+    Actuator, Element, Layout, Modality, ModelFile, Property, Scenario, Simulation, Start, World,
 };
 use mujoco_rs::prelude::*;
 use sha2::{Digest, Sha256};
@@ -24,6 +26,8 @@ pub struct Scene {
     world: Arc<World>,
     xml: String,
     model_sha256: String,
+    /// The recorded course that the setpoints follow, if there is one.
+    pub(super) course: Option<Course>,
     pub(super) model: Arc<MjModel>,
     layout: Arc<Layout>,
     /// For each modality of the layout, the sources of its elements; empty for images and differences.
@@ -31,10 +35,12 @@ pub struct Scene {
     pub(super) cameras: Vec<SceneCamera>,
     pub(super) flows: Vec<SceneFlow>,
     /// The bodies and sites whose poses are sensed, by their indices in the model.
-    pub(super) posed: Vec<(Posed, usize)>,
+    pub(super) posed: Vec<PosedObject>,
     pub(super) actuators: Vec<Driven>,
     /// For each geom, the index of the force to which its contacts are added.
     pub(super) force_of_geom: Vec<Option<usize>>,
+    /// The same for each flex.
+    pub(super) force_of_flex: Vec<Option<usize>>,
     /// Number of contact forces that are sensed.
     pub(super) forces: usize,
     /// Divisions of the contacts into kinds.
@@ -47,6 +53,10 @@ pub struct Scene {
     pub(super) view: Option<usize>,
     /// Body and geom of the last link whose contacts are sensed.
     pub(super) tip: Option<Tip>,
+    /// The keyframe from which episodes start, if the world names one.
+    pub(super) keyframe: Option<usize>,
+    /// The positions of the model at rest.
+    rest: Vec<f64>,
 }
 
 impl Scene {
@@ -85,7 +95,8 @@ impl Scene {
             Some(world) => world.ok().and_then(|world| Self::new(world).ok()),
         };
         let identity = |scene: &Self| {
-            (scene.world.identity(), scene.world.file().factors.clone(), scene.model_sha256.clone())
+            let course = scene.course_sha256().map(str::to_owned);
+            (scene.world.identity(), scene.world.file().factors.clone(), scene.model_sha256.clone(), course)
         };
         now.is_none_or(|now| identity(&now) != identity(self))
     }
@@ -117,9 +128,11 @@ impl Scene {
         static SCENES: Mutex<Vec<&'static Scene>> = Mutex::new(Vec::new());
         let scene = Self::new(world)?;
         let mut scenes = SCENES.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        let known = scenes
-            .iter()
-            .find(|known| known.world == scene.world && known.model_sha256 == scene.model_sha256);
+        let known = scenes.iter().find(|known| {
+            known.world == scene.world
+                && known.model_sha256 == scene.model_sha256
+                && known.course_sha256() == scene.course_sha256()
+        });
         if let Some(known) = known {
             return Ok(known);
         }
@@ -142,12 +155,15 @@ impl Scene {
             buffer.offheight = buffer.offheight.max(camera.size[0] as i32);
             buffer.offwidth = buffer.offwidth.max(camera.size[1] as i32);
         }
+        let course = Course::of(&world)?;
+        let rest = rest_of(&model, resolved.keyframe, &resolved.actuators);
         let ground = (!resolved.placements.is_empty()).then(|| GroundModel::new(&model));
         Ok(Self {
             name,
             world,
             xml,
             model_sha256,
+            course,
             model: Arc::new(model),
             layout: Arc::new(resolved.layout),
             readings: resolved.readings,
@@ -156,6 +172,7 @@ impl Scene {
             posed: resolved.posed,
             actuators: resolved.actuators,
             force_of_geom: resolved.force_of_geom,
+            force_of_flex: resolved.force_of_flex,
             forces: resolved.forces,
             contact_kinds: resolved.contact_kinds,
             placements: resolved.placements,
@@ -163,15 +180,20 @@ impl Scene {
             factors: resolved.factors,
             view: resolved.view,
             tip: resolved.tip,
+            keyframe: resolved.keyframe,
+            rest,
         })
     }
 
     /// Refuses settings that do not suit the model.
     ///
     /// # Errors
-    /// When a range exceeds the limits of joints or actuators, or a rate does not fit the model's time step.
+    /// When a range exceeds the limits of joints or actuators, a rate does not fit the model's time step, or a recorded
+    /// course does not have the samples of the episodes.
     pub fn check(&self, spec: &Simulation) -> Result<(), SimulationError> {
-        self.timing(spec).map(drop)
+        let timing = self.timing(spec)?;
+        let check = |course: &Course| course.check(spec, timing.samples, &self.ranges(spec));
+        self.course.as_ref().map_or(Ok(()), check)
     }
 
     /// Returns the time grid of an episode.
@@ -200,8 +222,22 @@ impl Scene {
         self.actuators.iter().zip(own).map(range).collect()
     }
 
-    /// Returns the setpoint at the start of every episode.
+    /// Returns the setpoint at the start of every episode: the controls of the keyframe or, without one, what the world
+    /// file says.
     pub(super) fn start(&self, spec: &Simulation) -> Vec<f64> {
+        if let Some(key) = self.keyframe {
+            let (controls, places) = (self.model.key_ctrl(), self.model.key_mpos());
+            let controls = &controls[key * self.model.nactuator() as usize..];
+            let places = &places[key * 3 * self.model.nmocap() as usize..];
+            let start = |([low, high], driven): ([f64; 2], &Driven)| {
+                let value = match driven.mocap {
+                    Some((mocap, axis)) => places[3 * mocap + axis],
+                    None => controls[driven.actuators[0]],
+                };
+                value.clamp(low, high)
+            };
+            return self.ranges(spec).into_iter().zip(&self.actuators).map(start).collect();
+        }
         let actuators = self.world.file().action.actuators.iter();
         let start = |([low, high], (_, actuator)): ([f64; 2], (&str, &Actuator))| match actuator.start {
             Start::Low => low,
@@ -257,19 +293,46 @@ impl Scene {
         &self.model_sha256
     }
 
+    /// Returns the SHA-256 of the recorded course that the setpoints follow; `None` without one.
+    pub fn course_sha256(&self) -> Option<&str> {
+        self.course.as_ref().map(Course::sha256)
+    }
+
+    /// Describes the recorded course in a few words; `None` without one.
+    pub fn course_summary(&self) -> Option<String> {
+        self.course.as_ref().map(Course::summary)
+    }
+
     /// Returns the duration of a simulation step, s.
     pub fn step_s(&self) -> f64 {
         self.model.opt().timestep
     }
 
-    /// Returns the generalized positions of the model's initial state (`qpos0`).
+    /// Returns the generalized positions of the world's keyframe or, without one, of the model's initial state
+    /// (`qpos0`). If the action moves mocap bodies, the positions of all mocap bodies follow.
     pub fn rest(&self) -> &[f64] {
-        self.model.qpos0()
+        &self.rest
     }
 
     /// Returns the number of bodies that an episode places.
     pub fn boxes(&self) -> usize {
         self.placements.iter().map(|placement| placement.boxes.len()).sum()
+    }
+
+    /// Returns the names of the model's cameras, in the model's order. A camera without a name is called `camera_` and
+    /// its number, counted from 0.
+    pub fn camera_names(&self) -> Vec<String> {
+        let name = |camera| self.model.id_to_name(MjtObjBase::mjOBJ_CAMERA, camera).unwrap_or_default();
+        let named = |camera| match name(camera) {
+            "" => format!("camera_{camera}"),
+            name => name.to_owned(),
+        };
+        (0..self.model.ncam() as usize).map(named).collect()
+    }
+
+    /// Returns the modalities that record a camera, in the order of the layout.
+    pub fn recorded_cameras(&self) -> impl Iterator<Item = Modality> {
+        self.cameras.iter().map(|camera| camera.modality)
     }
 
     /// Returns a geom's name for messages, or that of its body if it has none.
@@ -309,6 +372,36 @@ fn forget_assets() {
     unsafe { mujoco_rs::mujoco_c::mj_clearCache(mujoco_rs::mujoco_c::mj_getCache()) };
 }
 
+/// Writes the positions that determine where everything is to `state`, which has the length of [`Scene::rest`].
+pub(super) fn read_state(data: &MjData<Arc<MjModel>>, state: &mut [f64]) {
+    let (qpos, mocap) = state.split_at_mut(data.qpos().len());
+    qpos.copy_from_slice(data.qpos());
+    for (values, place) in mocap.chunks_exact_mut(3).zip(data.mocap_pos()) {
+        values.copy_from_slice(place);
+    }
+}
+
+/// Sets the positions that [`read_state`] wrote.
+pub(super) fn write_state(state: &[f64], data: &mut MjData<Arc<MjModel>>) {
+    let (qpos, mocap) = state.split_at(data.qpos().len());
+    data.qpos_mut().copy_from_slice(qpos);
+    for (place, values) in data.mocap_pos_mut().iter_mut().zip(mocap.chunks_exact(3)) {
+        place.copy_from_slice(values);
+    }
+}
+
+/// Returns the positions in which a model rests: those of a keyframe or of its initial state, followed by the positions
+/// of the mocap bodies if the action moves some.
+fn rest_of(model: &MjModel, keyframe: Option<usize>, actuators: &[Driven]) -> Vec<f64> {
+    let mut data = MjData::new(model);
+    if let Some(key) = keyframe {
+        data.reset_keyframe(key).expect("the keyframe was found in the model");
+    }
+    let moves_mocap = actuators.iter().any(|driven| driven.mocap.is_some());
+    let places = data.mocap_pos().iter().flatten().filter(|_| moves_mocap);
+    data.qpos().iter().chain(places).copied().collect()
+}
+
 fn digest(bytes: &[u8]) -> String {
     hex(&Sha256::digest(bytes))
 }
@@ -319,10 +412,11 @@ fn digest_of_model(name: &str, model: &MjModel) -> Result<String, SimulationErro
     Ok(digest(&bytes))
 }
 
-/// Checks the version of MuJoCo and silences its warnings. It must be called before MuJoCo is used.
+/// Checks the version of MuJoCo, silences its warnings and loads its plugins. It must be called before MuJoCo is used.
 pub(super) fn prepare() -> Result<(), SimulationError> {
     require_mujoco_version()?;
     silence_mujoco_warnings();
+    load_plugins();
     Ok(())
 }
 

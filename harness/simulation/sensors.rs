@@ -47,7 +47,11 @@ pub(super) fn largest_kinds(
 /// each contact of a sensed link. A contact between two links counts for both, and one within a link once.
 fn each_touch(scene: &Scene, data: &MjData<impl ModelType>, mut touch: impl FnMut(usize, i32, f64)) {
     for contact in data.contact() {
-        let links = contact.geom.map(|geom| scene.force_of_geom.get(geom as usize).copied().flatten());
+        // What is not a geom is a flex, and the other way round. The index of what it is not is negative.
+        let of = |forces: &[Option<usize>], id: i32| forces.get(usize::try_from(id).ok()?).copied().flatten();
+        let links = [0, 1].map(|side| {
+            of(&scene.force_of_geom, contact.geom[side]).or(of(&scene.force_of_flex, contact.flex[side]))
+        });
         if links == [None, None] {
             continue;
         }

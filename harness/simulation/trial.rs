@@ -159,7 +159,7 @@ impl Scene {
                 one.advance(|step, setpoint| own.setpoint(step, setpoint))?;
                 other.advance(|step, setpoint| changed.setpoint(step, setpoint))?;
                 let (one, other) = (&one.instant, &other.instant);
-                if one.qpos != other.qpos || one.forces != other.forces || one.sensors != other.sensors {
+                if one.state != other.state || one.forces != other.forces || one.sensors != other.sensors {
                     return Ok(true);
                 }
             }

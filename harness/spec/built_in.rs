@@ -1,8 +1,8 @@
 //! The specs that are part of the program, and how a file is found by its path or its name.
 
-use super::check::unknown;
 use super::error::SpecError;
-use super::parse;
+use super::text::read_text;
+use harness_yaml::unknown;
 use std::borrow::Cow;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -113,6 +113,6 @@ fn read(path: &Path) -> Result<YamlFile, SpecError> {
     Ok(YamlFile {
         label: path.display().to_string(),
         folder: path.parent().unwrap_or(Path::new("")).to_owned(),
-        text: parse::read(path)?.into(),
+        text: read_text(path)?.into(),
     })
 }

@@ -7,6 +7,9 @@ use std::collections::BTreeMap;
 /// The largest seed, 2^53 - 1. Every reader of JSON and Parquet represents integers up to this one exactly.
 pub const MAX_SEED: u64 = (1 << 53) - 1;
 
+/// Regular expression of a policy's name and version.
+const POLICY: &str = "^[A-Za-z_][A-Za-z0-9_]{0,63}@[A-Za-z0-9_.+-]{1,64}$";
+
 /// How episodes are simulated. A dataset's hash covers all of these settings except the number of episodes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
@@ -32,6 +35,12 @@ pub struct Simulation {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[schemars(extend("uniqueItems" = true))]
     pub factors: Vec<String>,
+    /// The policy that gives the setpoints instead of the world's motion, `NAME@VERSION`. Its episodes are collected
+    /// with `harness.collect(SPEC, policy=...)` in Python. The default is none.
+    // The default is not written, so that datasets from before this setting keep their names.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(regex(pattern = POLICY))]
+    pub policy: Option<String>,
     /// Values of the settings that the world defines, by name: the range of each actuator's setpoints, and the
     /// clearance of placed bodies. The default is the world's value.
     #[serde(flatten)]
@@ -51,8 +60,15 @@ pub enum Setting {
 
 impl Simulation {
     /// The settings that every world has.
-    pub(super) const KEYS: [&str; 6] =
-        ["seed", "episodes", "actuations_per_episode", "actuation_seconds", "sample_rate_hz", "factors"];
+    pub(super) const KEYS: [&str; 7] = [
+        "seed",
+        "episodes",
+        "actuations_per_episode",
+        "actuation_seconds",
+        "sample_rate_hz",
+        "factors",
+        "policy",
+    ];
 
     /// Returns the range of a world's setting; `None` if there is no such setting, or if it is a number.
     pub fn range(&self, setting: &str) -> Option<[f64; 2]> {
@@ -96,6 +112,7 @@ impl Default for Simulation {
             actuation_seconds: 1.0,
             sample_rate_hz: 10.0,
             factors: Vec::new(),
+            policy: None,
             world: BTreeMap::new(),
         }
     }

@@ -1,15 +1,18 @@
 //! Worlds: a YAML file beside an MJCF model that defines the modalities, the action and the random parts of an episode.
 
-use super::check::{allow_single_values, check_against, list_single, unknown};
-use super::error::{Problem, SpecError};
+use super::error::SpecError;
 use super::factor::Factor;
+use super::hints::HINTS;
 use super::modality::{CONTACT_KIND, Modality, NO_CONTACT, Percentage, Region, Scale};
-use super::name::{NAME, is_name};
 use super::origin::Scenario;
-use super::parse::{self, Node, shorten};
 use super::scaling::Scaling;
 use super::simulation::{self, Setting, Simulation};
+use super::text::read_text;
 use super::values::{ascending, globs};
+use harness_yaml::{
+    NAME, Node, Problem, Value, allow_single_values, check_against, is_name, list_single, parse, shorten,
+    unknown,
+};
 use schemars::JsonSchema;
 use serde::de::{Deserializer, MapAccess, Visitor};
 use serde::ser::{SerializeMap, Serializer};
@@ -101,6 +104,11 @@ pub struct WorldFile {
     /// The modalities that are recorded at each sample, by name.
     #[schemars(with = "BTreeMap<String, Sensing>")]
     pub modalities: Ordered<Sensing>,
+    /// The keyframe of the MJCF from which episodes start: its positions, velocities and activations. The setpoints
+    /// start at its controls, within their ranges.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "text")]
+    pub keyframe: Option<String>,
     /// The actuators and their random moves.
     pub action: Acting,
     /// Bodies that each episode places at random. Each entry has a name for a group of bodies.
@@ -125,11 +133,13 @@ pub struct WorldFile {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sensing {
-    /// Angles (rad) of hinges and positions (m) of slides.
+    /// Angles (rad) of hinges and positions (m) of slides. A ball joint has a unit quaternion qw, qx, qy, qz with qw at
+    /// least 0, and a free joint has x, y and z (m) before it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub joint_positions: Option<Vec<String>>,
-    /// Velocities (rad/s, m/s) of hinges and slides.
+    /// Velocities (rad/s, m/s) of hinges and slides. A ball joint has the angular velocity rx, ry, rz in the frame of
+    /// its body, and a free joint has the velocity x, y, z in the world before it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub joint_velocities: Option<Vec<String>>,
@@ -149,7 +159,14 @@ pub struct Sensing {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub site_orientations: Option<Vec<String>>,
-    /// The normal force of all contacts of each geom, or of each body's geoms, N.
+    /// A body in whose frame the positions and orientations of bodies and sites are given. The default is the world.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "text")]
+    pub relative_to: Option<String>,
+    /// `true` if the bodies or sites are a set of objects: networks treat them alike, whatever their order.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub set: bool,
+    /// The normal force of all contacts of each geom, of each body's geoms, or of each flex, N.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub normal_force: Option<Vec<String>>,
@@ -223,7 +240,7 @@ pub enum Interval {
     Sample,
 }
 
-/// The action: random moves of actuators.
+/// The action: how actuators move.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Acting {
@@ -231,9 +248,39 @@ pub struct Acting {
     #[serde(default = "second")]
     #[schemars(range(max = 60.0), extend("exclusiveMinimum" = 0.0))]
     pub seconds: f64,
+    /// How the setpoints of a dataset's episodes move.
+    // The default is not written, so that datasets from before this key keep their names.
+    #[serde(default, skip_serializing_if = "Motion::is_default")]
+    pub motion: Motion,
+    /// Path of a CSV file with a recorded course, relative to this file's folder. It has a column for each element of
+    /// the action and a row for each sample, and may have a column `episode`. It replaces the motion.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "text")]
+    pub course: Option<String>,
     /// The elements of the action, by name.
     #[schemars(with = "BTreeMap<String, Actuator>")]
     pub actuators: Ordered<Actuator>,
+}
+
+/// How setpoints move. Each episode draws its own motion, and each element moves independently of the others.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Motion {
+    /// Smooth moves between setpoints that are drawn uniformly from the range.
+    #[default]
+    RandomSetpoints,
+    /// Smooth moves between the setpoints of a random walk. A step is drawn uniformly from plus and minus 30 % of the
+    /// range, and is reflected at the ends of the range.
+    RandomWalk,
+    /// A sinusoid within the range, with an amplitude of 25 to 50 % of the range and 0.1 to 0.45 periods in the
+    /// duration of a move, both drawn uniformly. The setpoint reaches it smoothly during the first move.
+    Sinusoids,
+}
+
+impl Motion {
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 /// An actuator that receives commands.
@@ -244,6 +291,18 @@ pub struct Actuator {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "text")]
     pub actuator: Option<String>,
+    /// Names of several actuators in the MJCF that get the same setpoint.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "globs")]
+    pub actuators: Option<Vec<String>>,
+    /// Name of a mocap body in the MJCF. Its coordinate `axis` follows the setpoint, and no actuator does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "text")]
+    pub mocap: Option<String>,
+    /// The coordinate of the mocap body, in the world, m.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "axis")]
+    pub axis: Option<Axis>,
     /// Unit of the actuator's control.
     #[serde(default)]
     pub unit: String,
@@ -252,6 +311,35 @@ pub struct Actuator {
     /// The setpoint at an episode's start.
     #[serde(default)]
     pub start: Start,
+}
+
+impl Actuator {
+    /// Refuses keys that can't be combined. The error is the message.
+    fn check(&self) -> Result<(), &'static str> {
+        match (&self.actuator, &self.actuators, &self.mocap, self.axis) {
+            (Some(_), Some(_), ..) => {
+                Err("'actuators' names several, and 'actuator' one; leave one of them out")
+            }
+            (Some(_), _, Some(_), _) | (_, Some(_), Some(_), _) => {
+                Err("'mocap' moves a body without an actuator; leave one of them out")
+            }
+            (.., Some(_), None) => Err("'mocap' needs an 'axis': x, y or z"),
+            (.., None, Some(_)) => Err("only a 'mocap' has an 'axis'"),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A coordinate in the world.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Axis {
+    /// The first coordinate.
+    X,
+    /// The second coordinate.
+    Y,
+    /// The third coordinate, upwards in most models.
+    Z,
 }
 
 /// The place in an actuator's range where the setpoint starts.
@@ -318,7 +406,7 @@ fn second() -> f64 {
 
 /// The schemas of the values of optional keys. Without them, the schemas would also allow `null`.
 mod plain {
-    use super::{Interval, MAX_IMAGE_SIDE, Percentage, Scale, Sector, globs};
+    use super::{Axis, Interval, MAX_IMAGE_SIDE, Percentage, Scale, Sector, globs};
     use schemars::{Schema, SchemaGenerator, json_schema};
 
     pub fn groups(generator: &mut SchemaGenerator) -> Schema {
@@ -355,11 +443,14 @@ mod plain {
     pub fn percentage(generator: &mut SchemaGenerator) -> Schema {
         generator.subschema_for::<Percentage>()
     }
+    pub fn axis(generator: &mut SchemaGenerator) -> Schema {
+        generator.subschema_for::<Axis>()
+    }
     pub fn sector(generator: &mut SchemaGenerator) -> Schema {
         generator.subschema_for::<Sector>()
     }
 }
-use plain::{averaged, groups, limit, number, percentage, rectangle, scale, sector, size, text};
+use plain::{averaged, axis, groups, limit, number, percentage, rectangle, scale, sector, size, text};
 
 /// The schema of a world file.
 static SCHEMA: LazyLock<Json> = LazyLock::new(|| schemars::schema_for!(WorldFile).to_value());
@@ -386,6 +477,8 @@ pub enum Source<'a> {
         of: Posed,
         /// Whether the values are orientations (unit quaternions w, x, y, z) rather than positions (m).
         orientation: bool,
+        /// Name of the body in whose frame they are given; `None` for the world.
+        relative_to: Option<&'a str>,
     },
     /// Normal contact forces, N.
     NormalForce {
@@ -457,11 +550,12 @@ impl Sensing {
         self.sources().next().unwrap_or(Source::Sensor(&[]))
     }
 
-    fn sources(&self) -> impl Iterator<Item = Source<'_>> {
+    fn sources<'a>(&'a self) -> impl Iterator<Item = Source<'a>> {
         let (mean, size) = (self.average_over.is_some(), self.size.unwrap_or([1, 1]));
-        fn pose(names: &Option<Vec<String>>, of: Posed, orientation: bool) -> Option<Source<'_>> {
-            names.as_deref().map(|names| Source::Pose { names, of, orientation })
-        }
+        let relative_to = self.relative_to.as_deref();
+        let pose = |names: &'a Option<Vec<String>>, of, orientation| {
+            names.as_deref().map(|names| Source::Pose { names, of, orientation, relative_to })
+        };
         let limit = self.limit_pixels.unwrap_or(FLOW_LIMIT);
         let sources = [
             self.joint_positions.as_deref().map(Source::JointPositions),
@@ -589,7 +683,7 @@ impl World {
         let label = path.display().to_string();
         let name = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
         let unreadable = |message: String| SpecError::Unreadable { path: label.clone(), message };
-        let text = parse::read(path)?;
+        let text = read_text(path)?;
         if !is_name(name) {
             return Err(unreadable(format!(
                 "a world is named after its file, and can't be named '{}'; use lower-case letters, digits and '_', a \
@@ -618,21 +712,21 @@ impl World {
     /// Returns the first fault, with its line and column.
     pub fn parse(label: &str, folder: Option<PathBuf>, name: &str, text: &str) -> Result<World, SpecError> {
         let parsed = || -> Result<(WorldFile, Node), Problem> {
-            let mut tree = parse::parse(text)?;
-            if matches!(tree.value, parse::Value::Null) {
+            let mut tree = parse(text)?;
+            if matches!(tree.value, Value::Null) {
                 return Err(Problem::new(
-                    &tree.origin,
+                    &tree.place,
                     "the file is empty; `harness world new MODEL.xml` writes one",
                 ));
             }
             list_single(&SCHEMA, &mut tree);
-            check_against(&SCHEMA, &tree)?;
+            check_against(&SCHEMA, &tree, &HINTS)?;
             let file: WorldFile = serde_json::from_value(tree.to_json())
-                .map_err(|error| Problem::new(&tree.origin, error.to_string()))?;
-            check(&file).map_err(|(path, message)| Problem::new(tree.origin_of(&path), message))?;
+                .map_err(|error| Problem::new(&tree.place, error.to_string()))?;
+            check(&file).map_err(|(path, message)| Problem::new(tree.place_of(&path), message))?;
             Ok((file, tree))
         };
-        let (file, tree) = parsed().map_err(|problem| problem.in_file(label))?;
+        let (file, tree) = parsed().map_err(|problem| SpecError::of(problem, label))?;
         let scenario = Scenario::new(name).ok_or_else(|| SpecError::Unreadable {
             path: label.to_owned(),
             message: format!("'{}' can't name a world", shorten(name)),
@@ -678,9 +772,14 @@ impl World {
         }
     }
 
+    /// Returns the place of the recorded course that the world's action follows; `None` if its setpoints are random.
+    pub fn course(&self) -> Option<PathBuf> {
+        self.file.action.course.as_ref().map(|path| self.folder.clone().unwrap_or_default().join(path))
+    }
+
     /// Returns an error that points to the value at a dotted path of the world file.
     pub fn fault(&self, path: &str, message: impl Into<String>) -> SpecError {
-        Problem::new(self.tree.origin_of(path), message).in_file(&self.label)
+        SpecError::of(Problem::new(self.tree.place_of(path), message), &self.label)
     }
 
     /// Returns the parts of the world file that define the content of its datasets, besides the model and the settings.
@@ -842,12 +941,19 @@ fn check(file: &WorldFile) -> Result<(), (String, String)> {
             (if key.is_empty() { format!("modalities.{name}") } else { at(key) }, message)
         })?;
     }
+    if file.action.course.is_some() && !file.action.motion.is_default() {
+        return Err((
+            "action.motion".into(),
+            "a recorded course replaces the motion; leave one of them out".into(),
+        ));
+    }
     if file.action.actuators.is_empty() {
         return Err(("action.actuators".into(), "a world without actuators has no action".into()));
     }
     for (name, actuator) in file.action.actuators.iter() {
         named("an element of the action", name)
             .map_err(|message| (format!("action.actuators.{name}"), message))?;
+        actuator.check().map_err(|message| (format!("action.actuators.{name}"), message.into()))?;
         ascending(actuator.range).map_err(|message| (format!("action.actuators.{name}.range"), message))?;
     }
     for (name, placing) in file.placement.iter() {
@@ -915,6 +1021,12 @@ fn modality<'a>(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), (
     }
     if sensing.unit.is_some() && sensing.sensor.is_none() {
         return misplaced("unit", "a sensor");
+    }
+    let is_pose = matches!(sensing.source(), Source::Pose { .. });
+    for (key, is_given) in [("relative_to", sensing.relative_to.is_some()), ("set", sensing.set)] {
+        if is_given && !is_pose {
+            return misplaced(key, "a pose of bodies or sites");
+        }
     }
     if let Some(of) = &sensing.difference_of {
         let sources: Vec<&str> =
