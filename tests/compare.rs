@@ -385,7 +385,7 @@ fn a_table_of_text_has_no_empty_column() {
 }
 
 #[test]
-fn variants_are_sorted_by_their_numbers() {
+fn variants_are_in_the_order_of_the_spec() {
     let results = fresh("compare_variants");
     let settings =
         ["scenarios=[empty]", "tasks=[prediction]", "latent=[16,2]", "vary={network.hidden: [[16], [8]]}"];
@@ -395,9 +395,129 @@ fn variants_are_sorted_by_their_numbers() {
     let (header, _) = markdown(&printed);
     let places = ["hidden=8", "hidden=16"]
         .map(|name| header.iter().position(|title| title.replace(['[', ']'], "") == name).expect(&printed));
-    assert!(places[0] < places[1], "{printed}");
+    assert!(places[1] < places[0], "{printed}");
     let listed = succeed(&results, &["ls"]);
     assert!(listed.find("empty-z2-").unwrap() < listed.find("empty-z16-").unwrap(), "{listed}");
+}
+
+/// The means of R2 of the networks over all runs, by variant. The runs have one output.
+fn by_variant(results: &Path) -> BTreeMap<String, f64> {
+    let sql = "select variant, avg(value) as value from metrics where model = 'network' and metric = 'r2' and index is \
+               null and direction is null group by variant";
+    let rows = query(results, sql);
+    rows.iter()
+        .map(|row| (row["variant"].as_str().unwrap().to_owned(), row["value"].as_f64().unwrap()))
+        .collect()
+}
+
+/// The arguments that compare two metrics of the networks of the experiment `smoke` as Markdown.
+const OF_NETWORKS: [&str; 8] =
+    ["compare", "smoke", "--models", "network", "--metrics", "r2,rmse", "--format", "markdown"];
+
+#[test]
+fn an_ablation_of_the_input_is_one_table() {
+    let results = fresh("compare_ablation");
+    // Without an image a network has no convolutions, and its inputs have other scales. Neither is a difference.
+    let inputs =
+        "vary={input: [[vision], [vision, proprioception], [proprioception]], simulation.seed: [0, 1]}";
+    let settings =
+        ["scenarios=[empty]", "tasks=[prediction]", "output=[proprioception]", "seeds=[0,1]", inputs];
+    succeed(&results, &[&["run", SMOKE], &settings[..]].concat());
+    let printed = succeed(&results, &OF_NETWORKS);
+    let (header, rows) = markdown(&printed);
+    assert_eq!(header[1..], ["vision", "proprioception + vision", "proprioception"], "{printed}");
+    assert_eq!(rows.iter().map(|row| row[0]).collect::<Vec<_>>(), ["R2", "RMSE (rad)"], "{printed}");
+    let means = by_variant(&results);
+    for (cell, variant) in rows[0][1..].iter().zip(["vision", "vision+proprioception", "proprioception"]) {
+        let mean = format!("{:.3}", means[&format!("input={variant}")]);
+        assert!(cell.trim_matches('*').starts_with(&mean), "{cell} of {variant}, not {mean}");
+    }
+    assert!(printed.contains("over 2 datasets (4 runs)"), "{printed}");
+    assert_eq!(succeed(&results, &[&OF_NETWORKS[..], &["--by", "input"]].concat()), printed);
+    let by_variant = succeed(&results, &[&OF_NETWORKS[..], &["--by", "variant"]].concat());
+    assert_eq!(by_variant, printed);
+
+    let path = |name: &str| results.join(name).display().to_string();
+    for name in ["plot.svg", "plot.csv"] {
+        succeed(&results, &["plot", "smoke", "--x", "input", "--y", "r2", "--output", &path(name)]);
+    }
+    let svg = std::fs::read_to_string(path("plot.svg")).unwrap();
+    let places = ["vision", "proprioception + vision", "proprioception"]
+        .map(|name| svg.find(&format!("aria-label=\"{name}\"")).unwrap_or_else(|| panic!("no {name}")));
+    assert!(places.is_sorted(), "{places:?}");
+    let csv = std::fs::read_to_string(path("plot.csv")).unwrap();
+    assert!(csv.lines().next().unwrap().contains(",settings,input,task,"), "{csv}");
+    assert_eq!(csv.lines().count(), 1 + 3);
+}
+
+#[test]
+fn roles_and_inputs_without_one_modality_have_short_names() {
+    let results = fresh("compare_roles");
+    std::fs::create_dir_all(&results).unwrap();
+    let spec = |name: &str, more: &str| {
+        let smoke = std::fs::read_to_string(SMOKE).unwrap();
+        let kept = smoke.lines().filter(|line| !line.starts_with("name:") && !line.starts_with("output:"));
+        let path = results.join(format!("{name}.yaml"));
+        let text = kept.collect::<Vec<_>>().join("\n");
+        std::fs::write(&path, format!("name: {name}\noutput: [contact_force]\n{text}\n{more}")).unwrap();
+        let path = path.display().to_string();
+        let settings = ["scenarios=[empty]", "tasks=[prediction]", "training.epochs=1"];
+        succeed(&results, &[&["run", &path][..], &settings].concat());
+    };
+    let header = |name: &str, by: &[&str]| -> Vec<String> {
+        let arguments =
+            ["compare", name, "--models", "network", "--metrics", "r2,rmse", "--format", "markdown"];
+        let printed = succeed(&results, &[&arguments[..], by].concat());
+        let header = printed.lines().next().unwrap().split('|').map(|cell| cell.trim().to_owned());
+        header.filter(|cell| !cell.is_empty()).collect()
+    };
+    spec("roles", "roles: {touch: {input: [contact_force]}, no_touch: {input: [proprioception]}}\n");
+    assert_eq!(header("roles", &[]), ["touch", "no_touch"]);
+    assert_eq!(header("roles", &["--by", "input"]), ["contact_force", "proprioception"]);
+    spec(
+        "each",
+        "vary:\n  input: [[vision, arm, proprioception], [arm, proprioception], [vision, proprioception]]\n",
+    );
+    assert_eq!(header("each", &[]), ["all inputs", "without vision", "without arm"]);
+    assert_eq!(header("each", &["--by", "input"]), ["all inputs", "without vision", "without arm"]);
+}
+
+#[test]
+fn means_are_told_apart_by_any_varied_setting() {
+    let results = fresh("compare_settings_of_variants");
+    let settings = ["scenarios=[empty]", "tasks=[prediction]", "output=[proprioception]"];
+    let varied = "vary={network.hidden: [[16], [8]], training.epochs: [2, 1]}";
+    succeed(&results, &[&["run", SMOKE, varied], &settings[..]].concat());
+    let means = by_variant(&results);
+    for key in ["network.hidden", "hidden"] {
+        let printed = succeed(&results, &[&OF_NETWORKS[..], &["--by", key]].concat());
+        let (header, rows) = markdown(&printed);
+        assert_eq!(header[2..], ["hidden=16", "hidden=8"], "{printed}");
+        let rows: Vec<_> = rows.into_iter().filter(|row| row[1] == "R2").collect();
+        assert_eq!(
+            rows.iter().map(|row| row[0]).collect::<Vec<_>>(),
+            ["training.epochs=1", "training.epochs=2"]
+        );
+        for (row, epochs) in rows.iter().zip([1, 2]) {
+            for (cell, hidden) in row[2..].iter().zip([16, 8]) {
+                let mean = means[&format!("hidden={hidden},epochs={epochs}")];
+                assert_eq!(cell.trim_matches('*'), format!("{mean:.3}"), "{printed}");
+            }
+        }
+    }
+    let refused = finish(&mut harness(&results, &[&OF_NETWORKS[..], &["--by", "hiden"]].concat()));
+    assert!(
+        refused.stderr.starts_with("error: invalid value 'hiden' for '--by <KEY>'"),
+        "{}",
+        refused.stderr
+    );
+    // A setting that no variant names is never hidden, even if each value of the key has one value of it.
+    succeed(
+        &results,
+        &[&["run", SMOKE, "vary={network.hidden: [[4]]}", "training.batch_size=32"], &settings[..]].concat(),
+    );
+    let printed = succeed(&results, &[&OF_NETWORKS[..], &["--by", "hidden"]].concat());
+    assert!(printed.contains("training.batch_size=32"), "{printed}");
 }
 
 #[test]
@@ -473,7 +593,7 @@ fn a_comparison_of_nothing_is_refused() {
             &["compare", SMOKE],
             "error: 'experiments/smoke.yaml' has no finished runs; did you mean 'smoke'? Those that have: smoke\n",
         ),
-        (&RESULTS, &["compare", "--metrics", "r3"], "error: invalid value 'r3' for '--metrics <METRIC>'"),
+        (&RESULTS, &["compare", "--metrics", "r3"], "error: there is no metric 'r3'; the metrics are smape,"),
         (
             &RESULTS,
             &["compare", "--task", "reconstruction", "--metrics", "wmape"],

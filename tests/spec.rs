@@ -83,6 +83,7 @@ fn what_is_left_out_gets_its_default() {
             average: 1,
             fusion: Fusion::Early,
             memory: Memory::None,
+            memory_samples: 5,
         },
         simulation: World::paper(Scenario::CLUTTERED).simulation(),
         split: Split::default(),
@@ -198,8 +199,9 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         (
             "training:\n  bacth_size: 5\n",
             "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
-             learning_rate, schedule, warmup_epochs, weight_decay, clip_norm, batch_size, epochs, last_epoch, \
-             patience, stop, kl_weight, losses, loss_weights, dropout, precision, tiles, device",
+             learning_rate, schedule, warmup_epochs, weight_decay, clip_norm, batch_size, \
+             rollout_stride, epochs, last_epoch, patience, stop, kl_weight, losses, loss_weights, dropout, \
+             precision, tiles, device",
         ),
         (
             "split: {holdout: 0.1}\n",
@@ -950,9 +952,10 @@ fn each_combination_of_what_varies_must_be_possible() {
             "vary:\n  simulation.seeds: [0, 1]\n",
             "spec.yaml:8:3: unknown key 'simulation.seeds' in 'vary'; did you mean 'simulation.seed'? Allowed: \
              simulation.seed, simulation.episodes, simulation.actuations_per_episode, simulation.actuation_seconds, \
-             simulation.sample_rate_hz, simulation.factors, simulation.rotation_range_rad, simulation.lift_range_m, \
-             simulation.extension_range_m, simulation.box_clearance_m, simulation.pillar_clearance_m, \
-             simulation.front_range_n, simulation.back_range_n, simulation.left_range_n, simulation.right_range_n",
+             simulation.sample_rate_hz, simulation.factors, simulation.policy, simulation.rotation_range_rad, \
+             simulation.lift_range_m, simulation.extension_range_m, simulation.box_clearance_m, \
+             simulation.pillar_clearance_m, simulation.front_range_n, simulation.back_range_n, \
+             simulation.left_range_n, simulation.right_range_n",
         ),
         (
             "vary:\n  seeds: [0, 1]\n",
@@ -1047,6 +1050,57 @@ fn an_ablation_of_images_keeps_the_convolutions_of_its_spec() {
 }
 
 #[test]
+fn an_ablation_leaves_out_one_modality_after_the_other() {
+    let text = base_with("input: [contact_force, proprioception, arm]");
+    let ablation = format!("{text}vary: {{input: {{without: each}}}}\n");
+    let list = "[contact_force, proprioception, arm], [proprioception, arm], [contact_force, arm], \
+                [contact_force, proprioception]";
+    let listed = load(&format!("{text}vary: {{input: [{list}]}}\n"));
+    assert_eq!(load(&ablation), listed);
+    assert_eq!(load_with(&text, &["vary={input: {without: each}}"], false).unwrap(), listed);
+    let quick =
+        load_with(format!("{text}quick: {{vary: {{input: {{without: each}}}}}}\n"), &[], true).unwrap();
+    assert_eq!(quick.vary, listed.vary);
+    // The command of a run names only its own input, in the order of the spec.
+    let runs = listed.runs();
+    assert_eq!(runs[2].variant, "input=proprioception+arm");
+    let own = runs[2].own_override("vary={input: {without: each}}");
+    assert_eq!(own, "vary={\"input\":[[\"proprioception\",\"arm\"]]}");
+    assert_eq!(load_with(&text, &[&own], false).unwrap().runs()[0], runs[2]);
+    // As everywhere, an input that is given alone is used alone.
+    let alone = load_with(&ablation, &["input=[arm, contact_force]"], false).unwrap();
+    assert_eq!(alone.runs()[0].variant, "input=arm+contact_force");
+    assert_eq!(alone.runs().len(), 4);
+}
+
+#[test]
+fn an_ablation_that_leaves_nothing_out_is_refused() {
+    let form = "spec.yaml:8:10: 'vary.input': expected a list of inputs, or {without: each} for the input and the \
+                input without each of its modalities";
+    assert_refused(&[("vary:\n  input: {without: arm}\n", form), ("vary:\n  input: {with: each}\n", form)]);
+    let single = base_with("input: arm") + "vary: {input: {without: each}}\n";
+    let said = refusal(single);
+    assert!(
+        said.contains("'vary.input': the input has a single modality, so none can be left out"),
+        "{said}"
+    );
+}
+
+#[test]
+fn roles_keep_the_order_of_the_spec() {
+    let text = format!("{BASE}roles: {{touch: {{}}, arm: {{input: arm}}, both: {{input: [arm, vision]}}}}\n");
+    let text = text.replace("single_to_multi", "multi_to_multi").replace("[empty, cluttered]", "empty");
+    let variants = |experiment: &spec::Experiment| -> Vec<String> {
+        let mut variants: Vec<String> = experiment.runs().iter().map(|run| run.variant.clone()).collect();
+        variants.dedup();
+        variants
+    };
+    let experiment = load(&text);
+    assert_eq!(variants(&experiment), ["role=touch", "role=arm", "role=both"]);
+    assert_eq!(variants(&load(&experiment.to_yaml())), variants(&experiment));
+}
+
+#[test]
 fn values_that_make_the_same_runs_are_refused() {
     assert_refused(&[
         (
@@ -1123,7 +1177,7 @@ fn each_reading_changes_one_choice_for_every_role_and_dataset() {
     let runs = load(&readings()).runs();
     let labels: Vec<String> = runs.iter().map(|run| run.label()).collect();
     let expected = ["base", "target", "long"].into_iter().flat_map(|reading| {
-        [("large", 4), ("small", 2)].into_iter().flat_map(move |(role, latent)| {
+        [("small", 2), ("large", 4)].into_iter().flat_map(move |(role, latent)| {
             ["", "-data5"].map(|data| format!("empty-z{latent}-reading={reading},role={role}{data}-seed0"))
         })
     });
@@ -1370,6 +1424,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
         average: if has_frame { *[1, 2, 4].choose(random).unwrap() } else { 1 },
         fusion: *Fusion::ALL.choose(random).unwrap(),
         memory: Memory::None,
+        memory_samples: 5,
     };
     let mut range = || {
         let (a, b): (f64, f64) = (random.random_range(-3.0..3.0), random.random_range(-3.0..3.0));
@@ -1398,6 +1453,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             actuations_per_episode: random.random_range(6..=100),
             actuation_seconds: f64::from(random.random_range(1..=20)) / 10.0,
             sample_rate_hz: *[10.0, 20.0, 100.0].choose(random).unwrap(),
+            policy: None,
             factors: Vec::new(),
             world: [
                 ("rotation_range_rad".to_owned(), Setting::Range(ranges[0])),
@@ -1419,6 +1475,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             weight_decay: *[0.0, 0.01, 1.0].choose(random).unwrap(),
             clip_norm: *[None, Some(0.5), Some(10.0)].choose(random).unwrap(),
             batch_size: random.random_range(1..=4096),
+            rollout_stride: *[1, 10].choose(random).unwrap(),
             epochs: random.random_range(2..=1000),
             last_epoch: if random.random() { None } else { Some(1) },
             patience: if random.random() { Some(random.random_range(1..=100)) } else { None },

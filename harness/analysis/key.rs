@@ -1,5 +1,8 @@
 //! The keys by which means are told apart.
 
+use harness_spec::{intern, varied_setting};
+use std::str::FromStr;
+
 /// A key by which means are told apart.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Key {
@@ -13,21 +16,41 @@ pub enum Key {
     Variant,
     /// The other settings in which the runs of an experiment differ.
     Settings,
+    /// The number of samples from the present to the predicted one.
+    Horizon,
     /// The task.
     Task,
     /// The predicted modality.
     Modality,
+    /// One setting of a spec, such as `input`, by its dotted key.
+    Setting(&'static str),
+}
+
+impl FromStr for Key {
+    type Err = String;
+
+    /// Reads the name of a key, or the key of a setting. A setting can be given without its section, as in the column
+    /// `variant`, if no other setting has the same name.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let named = Self::ALL.into_iter().find(|key| key.name() == text);
+        named.or_else(|| Some(Self::Setting(intern(&varied_setting(text)?)))).ok_or_else(|| {
+            let allowed = Self::ALL.map(Self::name).join(", ");
+            format!(
+                "there is no key '{text}'; allowed: {allowed}, or a setting, such as input or network.hidden"
+            )
+        })
+    }
 }
 
 impl Key {
-    /// All keys, those of runs first.
-    pub const ALL: [Key; 7] = {
+    /// All keys except settings, those of columns first.
+    pub const ALL: [Key; 8] = {
         use Key::*;
-        [Experiment, Scenario, Latent, Variant, Settings, Task, Modality]
+        [Experiment, Scenario, Latent, Variant, Settings, Horizon, Task, Modality]
     };
 
-    /// The keys of runs: all but those of what a run predicts.
-    pub const OF_RUNS: [Key; 5] = *Self::ALL.first_chunk().unwrap();
+    /// The keys that can distinguish columns of a comparison: those of runs, and the horizon.
+    pub const OF_COLUMNS: [Key; 6] = *Self::ALL.first_chunk().unwrap();
 
     /// The key's name on the command line, and in tables.
     pub fn name(self) -> &'static str {
@@ -37,8 +60,18 @@ impl Key {
             Key::Latent => "latent",
             Key::Variant => "variant",
             Key::Settings => "settings",
+            Key::Horizon => "horizon",
             Key::Task => "task",
             Key::Modality => "modality",
+            Key::Setting(key) => key,
+        }
+    }
+
+    /// The dotted key of the setting, if the key is one.
+    pub fn setting(self) -> Option<&'static str> {
+        match self {
+            Key::Setting(key) => Some(key),
+            _ => None,
         }
     }
 
@@ -50,8 +83,10 @@ impl Key {
             Key::Latent => "The size of the latent state",
             Key::Variant => "The settings that an experiment varies",
             Key::Settings => "The other settings in which the runs of an experiment differ",
+            Key::Horizon => "The number of samples from the present to the predicted one",
             Key::Task => "Prediction or reconstruction",
             Key::Modality => "The predicted modality",
+            Key::Setting(_) => "A setting of a spec",
         }
     }
 }

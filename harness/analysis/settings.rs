@@ -13,7 +13,8 @@ pub(super) const DATASET: &str = "dataset";
 const REVISION: &str = "revision";
 /// The keys in which the runs of an experiment may always differ.
 const OF_CELLS: [&str; 4] = ["scenario", "latent", "seed", "simulation.seed"];
-const VARIANT: &str = "variant";
+/// The key of the settings that an experiment varies.
+pub(super) const VARIANT: &str = "variant";
 /// The name of an external model, which only runs of external models have.
 const MODEL: &str = "model";
 /// The sections and the list of a spec about what a run trains.
@@ -22,6 +23,8 @@ const OF_NETWORKS: [&str; 3] = ["network.", "training.", "tasks"];
 const SIMULATION: &str = "simulation.";
 /// The sections of a spec with settings for each modality that a run uses.
 const OF_MODALITIES: [&str; 3] = ["training.loss_weights.", "training.losses.", "scaling."];
+/// The settings of a spec that have an effect only on images.
+const OF_IMAGES: [&str; 2] = ["network.channels", "network.average"];
 /// The lists of a spec whose order has no meaning.
 const UNORDERED: [&str; 3] = ["input", "output", "simulation.factors"];
 /// The value of a setting that a run does not have.
@@ -30,13 +33,18 @@ const UNSET: &str = "unset";
 /// The settings of a run: texts by dotted keys, such as `64` for `training.batch_size`.
 pub(super) type Settings = BTreeMap<String, String>;
 
-/// All settings of a run, also the defaults that its record does not store.
+/// All settings of a run, also the defaults that its record does not store. Those that have no effect without images
+/// are left out of a run without images.
 pub(super) fn of(record: &RunRecord) -> Settings {
     let mut settings = Settings::from([(DATASET.to_owned(), record.dataset.clone())]);
     if let Some(revision) = record.revision() {
         settings.insert(REVISION.to_owned(), revision.to_string());
     }
     settings.extend(texts(&record.spec.complete(&record.layout)));
+    let is_image = |modality| record.layout.get(modality).is_none_or(|definition| definition.is_image());
+    if !record.spec.modalities().into_iter().any(is_image) {
+        OF_IMAGES.iter().for_each(|key| drop(settings.remove(*key)));
+    }
     settings
 }
 
@@ -100,10 +108,10 @@ impl fmt::Display for Difference {
 /// The settings in which the runs of one experiment differ, without scenario, latent size and seeds.
 ///
 /// Some settings are compared only between runs that have them: those of the simulation, which runs on imported data
-/// lack, those of a network, which external models lack, and the scaling, losses and loss weights of modalities, which
-/// runs that do not use the modality lack. Datasets of different scenarios or simulation settings are no difference.
-/// Two datasets with the same scenario and simulation settings are one, because then the world, its model or MuJoCo
-/// differs.
+/// lack, those of a network, which external models lack, the scaling, losses and loss weights of modalities, which runs
+/// that do not use the modality lack, and those of convolutions, which runs without images lack. Datasets of different
+/// scenarios or simulation settings are no difference. Two datasets with the same scenario and simulation settings are
+/// one, because then the world, its model or MuJoCo differs.
 pub(super) fn differences(runs: &[&Settings]) -> Vec<Difference> {
     let mut values: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
     let keys: BTreeSet<&str> = runs.iter().flat_map(|run| run.keys()).map(String::as_str).collect();
@@ -137,7 +145,10 @@ fn concerned<'a>(runs: &[&'a Settings], key: &str) -> impl Iterator<Item = &'a S
 pub(super) fn concerns(run: &Settings, key: &str) -> bool {
     match key {
         key if key.starts_with(SIMULATION) => is_simulated(run),
-        key if key == MODEL || OF_MODALITIES.iter().any(|section| key.starts_with(section)) => {
+        key if key == MODEL
+            || OF_IMAGES.contains(&key)
+            || OF_MODALITIES.iter().any(|section| key.starts_with(section)) =>
+        {
             run.contains_key(key)
         }
         key if OF_NETWORKS.iter().any(|section| key.starts_with(section)) => !run.contains_key(MODEL),

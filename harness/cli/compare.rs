@@ -9,7 +9,7 @@ use super::table::width;
 use anyhow::Result;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
-use harness::analysis::{Analysis, Interval, Key, Mean, Of, Setting, replicates_of};
+use harness::analysis::{Analysis, Interval, Key, Label, Labels, Mean, Of, Setting, replicates_of};
 use harness::judge::models::{self, NETWORK};
 use harness::metrics::Metric;
 use harness::numbers::Natural;
@@ -23,13 +23,19 @@ pub struct Compare {
     /// Experiments to compare, as `harness ls` names them [default: all]
     #[arg(value_name = "EXPERIMENT")]
     experiments: Vec<String>,
-    /// The keys that distinguish the columns, separated by commas. All other keys distinguish rows or tables
-    #[arg(long, value_name = "KEY", value_delimiter = ',', default_value = "latent", value_parser = key(&Key::OF_RUNS))]
+    /// The keys that distinguish the columns, separated by commas: those below, or settings, such as input or
+    /// network.hidden. All other keys distinguish rows or tables [default: latent, or variant if the runs of one
+    /// experiment have several variants and one latent size]
+    #[arg(long, value_name = "KEY", value_delimiter = ',', value_parser = key(&Key::OF_COLUMNS))]
     by: Vec<Key>,
-    /// The metrics, separated by commas: r2, rmse, mae, smape, wmape, relative_error, or relative_error_REGION for the
-    /// pixels of a region, such as finger
-    #[arg(long, value_name = "METRIC", value_delimiter = ',', default_value = "smape,wmape,r2,relative_error",
-          value_parser = metric)]
+    /// The metrics, separated by commas: r2, rmse, mae, smape, wmape, relative_error, relative_error_REGION for the
+    /// pixels of a region, such as finger, skill over persistence, or skill_horizon, up to which the skill is positive
+    #[arg(
+        long,
+        value_name = "METRIC",
+        value_delimiter = ',',
+        default_value = "smape,wmape,r2,relative_error"
+    )]
     metrics: Vec<String>,
     /// The network and the baselines, separated by commas
     #[arg(long, value_name = "MODEL", value_delimiter = ',', default_value = "network,persistence,ridge,training_mean",
@@ -45,9 +51,12 @@ pub struct Compare {
     to: Destination,
 }
 
-/// Parses the name of a metric.
-fn metric(name: &str) -> Result<String, String> {
-    name.parse().map(|metric: Metric| metric.name().to_owned())
+/// A note about skill horizons.
+const LAST_HORIZON: &str = "a skill horizon that is the last horizon of the runs is a lower bound";
+
+/// A note about horizons, given the number of samples per second.
+fn of_samples(rate_hz: f64) -> String {
+    format!("horizons in samples of {} s", 1.0 / rate_hz)
 }
 
 /// The reason why there is nothing to compare.
@@ -56,6 +65,16 @@ pub enum CompareError {
     /// No run has the requested metrics. The field is a command that lists those that runs have.
     #[error("no run has these metrics for this task and model; `{0}` lists those that runs have")]
     Empty(String),
+    /// A metric is none of the harness, and no run has it as a metric of the user.
+    #[error("there is no metric '{wanted}'; {allowed}{}", own.iter().map(|own| format!(", {own}")).collect::<String>())]
+    Metric {
+        /// The name.
+        wanted: String,
+        /// The metrics of the harness, in words.
+        allowed: String,
+        /// The metrics that users added to runs.
+        own: BTreeSet<String>,
+    },
     /// There are no finished runs. The field is a command that makes some.
     #[error("there are no finished runs to compare; `{0}` makes some")]
     Nothing(String),
@@ -69,12 +88,17 @@ impl Compare {
         if analysis.experiments().next().is_none() {
             return Err(CompareError::Nothing(registry.command("run single_to_multi")).into());
         }
+        let mut all = analysis.means_by(&self.by)?;
+        if self.has(Metric::SkillHorizon) {
+            all.extend(analysis.skill_horizons_by(&self.by)?);
+        }
+        self.check_metrics(&all)?;
         let is_wanted = |mean: &Mean| {
             self.metrics.contains(&mean.of.metric)
                 && self.models.contains(&mean.of.model)
                 && self.task.as_ref().is_none_or(|task| task == mean.of.task.name())
         };
-        let means: Vec<Mean> = analysis.means()?.into_iter().filter(is_wanted).collect();
+        let means: Vec<Mean> = all.into_iter().filter(is_wanted).collect();
         if means.is_empty() {
             let list = "query \"select distinct experiment, task, model, modality, metric from metrics\"";
             return Err(CompareError::Empty(registry.command(list)).into());
@@ -88,10 +112,47 @@ impl Compare {
                 return data.write(&mut Mean::frame(&means)?, "mean");
             }
         };
-        let mut comparison = Comparison::new(means.iter(), &self.by, &self.metrics);
+        let labels = Labels::new(&analysis, &self.by);
+        let by = if self.by.is_empty() { vec![usual(&means, &labels)] } else { self.by };
+        let mut comparison = Comparison::new(means.iter(), &by, &self.metrics, &labels);
+        if by.contains(&Key::Horizon) {
+            comparison.notes.extend(analysis.sample_rate_hz().map(of_samples));
+        }
+        if means.iter().any(|mean| mean.of.metric == Metric::SkillHorizon.name()) {
+            comparison.notes.push(LAST_HORIZON.to_owned());
+        }
         comparison.notes.extend(analysis.notes().iter().cloned());
         print!("{}", comparison.sheet(style).render(style, width()));
         Ok(ExitCode::from(DONE))
+    }
+
+    /// Whether this metric is wanted.
+    fn has(&self, metric: Metric) -> bool {
+        self.metrics.iter().any(|name| name == metric.name())
+    }
+
+    /// Returns an error if a metric is none of the harness, and no run has it.
+    fn check_metrics(&self, means: &[Mean]) -> Result<(), CompareError> {
+        for wanted in &self.metrics {
+            let Err(allowed) = wanted.parse::<Metric>() else { continue };
+            let names = means.iter().map(|mean| &mean.of.metric);
+            let own: BTreeSet<String> = names.filter(|name| Metric::named(name).is_none()).cloned().collect();
+            if !own.contains(wanted) {
+                return Err(CompareError::Metric { wanted: wanted.clone(), allowed, own });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The key that distinguishes columns if none is given.
+fn usual(means: &[Mean], labels: &Labels) -> Key {
+    let experiments: BTreeSet<&str> = means.iter().map(|mean| mean.of.experiment.as_str()).collect();
+    let sizes: BTreeSet<usize> = means.iter().filter_map(|mean| mean.of.latent).collect();
+    if labels.has_variants() && experiments.len() == 1 && sizes.len() < 2 {
+        Key::Variant
+    } else {
+        Key::Latent
     }
 }
 
@@ -101,34 +162,54 @@ struct Place {
     experiment: Option<String>,
     scenario: Option<Origin>,
     latent: Option<usize>,
-    variant: Option<Natural>,
+    variant: Option<Label>,
+    values: Vec<(&'static str, Label)>,
     settings: Option<Natural>,
+    horizon: Option<usize>,
 }
 
 impl Place {
-    fn of(of: &Of, has: impl Fn(Key) -> bool) -> Self {
+    fn of(of: &Of, labels: &Labels, has: impl Fn(Key) -> bool) -> Self {
+        let values = of.values.iter().filter(|(key, _)| has(Key::Setting(key)));
         Self {
             experiment: has(Key::Experiment).then(|| of.experiment.clone()),
             scenario: has(Key::Scenario).then(|| of.scenario.clone()),
             latent: of.latent.filter(|_| has(Key::Latent)),
-            variant: has(Key::Variant).then(|| Natural::new(&of.variant)),
+            variant: has(Key::Variant).then(|| labels.variant(&of.variant)),
+            values: values.map(|(key, value)| (*key, labels.value(key, value))).collect(),
             settings: has(Key::Settings).then(|| Natural::new(&of.settings)),
+            horizon: of.horizon.filter(|_| has(Key::Horizon)),
         }
     }
 
     /// A text for each key, empty if it has no value. In text, each of the trials in `legend` has its number only, and
     /// there are spaces at which lines can be broken.
-    fn words(&self, style: Style, legend: &BTreeMap<String, String>) -> [String; 5] {
+    fn words(&self, style: Style, legend: &BTreeMap<String, String>) -> Vec<String> {
         let scenario = self.scenario.as_ref().map(|scenario| scenario.name().to_owned());
         let latent = self.latent.map(|latent| format!("latent {latent}"));
-        let text = |natural: &Natural| natural.text().to_owned();
-        let (mut variant, mut settings) = (self.variant.as_ref().map(text), self.settings.as_ref().map(text));
+        let mut variant = self.variant.as_ref().map(|label| label.text().to_owned());
+        let mut settings = self.settings.as_ref().map(|settings| settings.text().to_owned());
         if style == Style::Text {
-            let short = |variant: &str| Some(trial(variant)?.0).filter(|name| legend.contains_key(name));
-            variant = variant.map(|variant| short(&variant).unwrap_or(variant).replace(',', ", "));
+            let short = |variant: String| match trial(&variant) {
+                Some((name, _)) => if legend.contains_key(&name) { name } else { variant }.replace(',', ", "),
+                None => variant,
+            };
+            variant = variant.map(short);
             settings = settings.map(|settings| with_training(&settings));
         }
-        [self.experiment.clone(), scenario, latent, variant, settings].map(Option::unwrap_or_default)
+        let before = [self.experiment.clone(), scenario, latent, variant].map(Option::unwrap_or_default);
+        let values = self.values.iter().map(|(key, label)| with_key(key, label.text()));
+        let horizon = self.horizon.map(|horizon| format!("horizon {horizon}"));
+        before.into_iter().chain(values).chain([settings, horizon].map(Option::unwrap_or_default)).collect()
+    }
+}
+
+/// The value of a setting with the name of the setting, as in a variant: `hidden=64`. Modalities say that they are an
+/// input.
+fn with_key(key: &str, value: &str) -> String {
+    match key.split_once('.').map_or(key, |(_section, name)| name) {
+        "input" => value.to_owned(),
+        name => format!("{name}={value}"),
     }
 }
 
@@ -211,14 +292,19 @@ struct Comparison<'a> {
 }
 
 impl<'a> Comparison<'a> {
-    fn new(means: impl Iterator<Item = &'a Mean>, by: &[Key], metrics: &'a [String]) -> Self {
+    fn new(
+        means: impl Iterator<Item = &'a Mean>,
+        by: &[Key],
+        metrics: &'a [String],
+        labels: &Labels,
+    ) -> Self {
         // An external model is a column beside the networks on the same data.
         let variants_are_rows = !by.contains(&Key::Variant);
         let subject = |of: &Of| Subject {
             task: of.task,
             place: Place {
-                variant: variants_are_rows.then(|| Natural::new(model_parts(&of.variant).0)),
-                ..Place::of(of, |key| !by.contains(&key))
+                variant: variants_are_rows.then(|| labels.variant(model_parts(&of.variant).0)),
+                ..Place::of(of, labels, |key| !by.contains(&key))
             },
             modality: of.modality,
             direction: of.direction.clone(),
@@ -230,7 +316,7 @@ impl<'a> Comparison<'a> {
                 .1
                 .filter(|_| variants_are_rows && of.model == NETWORK)
                 .map(str::to_owned),
-            place: Place::of(of, |key| by.contains(&key)),
+            place: Place::of(of, labels, |key| by.contains(&key)),
         };
         let mut comparison =
             Self { metrics, units: BTreeMap::new(), values: BTreeMap::new(), notes: Vec::new() };

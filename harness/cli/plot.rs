@@ -3,15 +3,15 @@
 use super::DONE;
 use super::table::shown;
 use anyhow::Result;
-use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::{Arg, Args, Command};
 use harness::analysis::{Analysis, Key, Setting};
 use harness::figures::{Format, Plot as Drawn};
 use harness::judge::models::{self, NETWORK};
-use harness::metrics::Metric;
 use harness::numbers::counted;
 use harness::registry::Registry;
 use harness::spec::Task;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -20,12 +20,12 @@ pub struct Plot {
     /// Experiments to plot, as `harness ls` names them [default: all]
     #[arg(value_name = "EXPERIMENT")]
     experiments: Vec<String>,
-    /// The key along the horizontal axis
+    /// The key along the horizontal axis: one of those below, or a setting, such as input or network.hidden
     #[arg(long, value_name = "KEY", value_parser = key(&Key::ALL))]
     x: Key,
-    /// The metric along the vertical axis
+    /// The metric along the vertical axis: one of the harness, or one of your own
     #[arg(long, value_name = "METRIC")]
-    y: Metric,
+    y: String,
     /// The keys that distinguish series
     #[arg(long, value_name = "KEY", value_delimiter = ',', value_parser = key(&Key::ALL))]
     by: Vec<Key>,
@@ -51,10 +51,32 @@ pub struct Plot {
     output: (PathBuf, Format),
 }
 
-/// A parser for names of these keys, whose error lists them.
+/// A parser for names of these keys, whose error lists them, and for the keys of settings.
 pub fn key(allowed: &'static [Key]) -> impl TypedValueParser<Value = Key> {
-    PossibleValuesParser::new(allowed.iter().map(|key| PossibleValue::new(key.name()).help(key.meaning())))
-        .try_map(|name| Key::ALL.into_iter().find(|key| key.name() == name).ok_or("no such key"))
+    KeyParser(allowed)
+}
+
+#[derive(Clone)]
+struct KeyParser(&'static [Key]);
+
+impl KeyParser {
+    fn named(&self) -> impl Iterator<Item = PossibleValue> + use<> {
+        self.0.iter().map(|key| PossibleValue::new(key.name()).help(key.meaning()))
+    }
+}
+
+impl TypedValueParser for KeyParser {
+    type Value = Key;
+
+    fn parse_ref(&self, command: &Command, arg: Option<&Arg>, value: &OsStr) -> Result<Key, clap::Error> {
+        let key = value.to_str().and_then(|text| text.parse::<Key>().ok());
+        let named = PossibleValuesParser::new(self.named()).try_map(|name| name.parse());
+        key.filter(|key| key.setting().is_some()).map_or_else(|| named.parse_ref(command, arg, value), Ok)
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        Some(Box::new(self.named()))
+    }
 }
 
 /// A parser for names of tasks, whose error lists all names.

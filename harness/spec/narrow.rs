@@ -3,6 +3,7 @@
 use super::cells::{DATASET_SEED, named};
 use super::origin::Origin;
 use super::run::RunSpec;
+use serde_json::{Value as Json, json};
 use std::collections::BTreeMap;
 
 impl RunSpec {
@@ -31,9 +32,13 @@ impl RunSpec {
 
     /// Returns the override of `vary` with only this run's values.
     fn own_variant(&self, varied: &str) -> Option<String> {
-        let mut varied: BTreeMap<String, Vec<serde_json::Value>> = serde_yaml::from_str(varied).ok()?;
+        let mut varied: BTreeMap<String, Json> = serde_yaml::from_str(varied).ok()?;
         for (key, values) in &mut varied {
-            let is_own = |value: &serde_json::Value| match key.as_str() {
+            if values.is_object() {
+                *values = json!([self.varied_input()?]);
+            }
+            let values = values.as_array_mut()?;
+            let is_own = |value: &Json| match key.as_str() {
                 DATASET_SEED => value.as_u64() == Some(self.dataset_seed()),
                 _ => self.variant.split(',').any(|own| own == named(key, value)),
             };
@@ -43,5 +48,10 @@ impl RunSpec {
             }
         }
         Some(format!("vary={}", serde_json::to_string(&varied).ok()?))
+    }
+    /// Returns the input that the run's variant names, in the order of the spec.
+    fn varied_input(&self) -> Option<Vec<&str>> {
+        let input = self.variant.split(',').find_map(|part| part.strip_prefix("input="))?;
+        Some(input.split('+').collect())
     }
 }

@@ -1,7 +1,7 @@
 //! Searches: which trials a spec expands to, how their settings are distributed, and which searches are refused.
 
 use super::{BASE, ROOT, base_with, load, load_with, refusal};
-use harness_spec::{Candidates, Experiment, Halving, Method, Search, Task, Trial, sobol};
+use harness_spec::{Candidates, Experiment, Halving, Method, SOBOL_DIMENSIONS, Search, Task, Trial, sobol};
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -43,14 +43,14 @@ fn variants(experiment: &Experiment) -> Vec<String> {
 fn sobol_points_are_those_of_scipy() {
     let output = std::process::Command::new(format!("{ROOT}/.venv/bin/python"))
         .arg(format!("{ROOT}/tests/python/reference_sobol.py"))
-        .args(["1024", "32"])
+        .args(["1024", &SOBOL_DIMENSIONS.to_string()])
         .output()
         .expect("the virtual environment of the tests is there: `make test` sets it up");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let expected: Vec<Vec<u32>> = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(expected.len(), 1024);
     for (point, expected) in (0..).zip(expected) {
-        let found: Vec<u32> = (0..32).map(|dimension| sobol(point, dimension)).collect();
+        let found: Vec<u32> = (0..SOBOL_DIMENSIONS).map(|dimension| sobol(point, dimension)).collect();
         assert_eq!(found, expected, "point {point}");
     }
 }
@@ -147,7 +147,7 @@ fn random_values_have_the_quantiles_of_their_distribution() {
 /// first two coordinates with that area has one (a (0, k, 2)-net, which the shift preserves).
 #[test]
 fn a_sobol_search_covers_its_space_evenly() {
-    let keys: Vec<String> = (0..32).map(|index| format!("x{index:02}")).collect();
+    let keys: Vec<String> = (0..SOBOL_DIMENSIONS).map(|index| format!("x{index:02}")).collect();
     let space: Vec<(&str, Candidates)> =
         keys.iter().map(|key| (key.as_str(), Candidates::Uniform([0.0, 1.0]))).collect();
     let trials = search(Method::Sobol, 64, &space).draw();
@@ -314,7 +314,7 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
             rate,
             "simulation.episodes: {integer: [4, 8]}",
             "spec.yaml:13:5: unknown key 'simulation.episodes' in 'search.space'. Allowed: input, action, \
-             network.preset,",
+             network.…, training.…",
         ),
         (
             rate,
@@ -480,7 +480,7 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
 fn a_sobol_sequence_has_a_dimension_for_every_drawn_setting() {
     let schema = harness_spec::schema();
     let settings = schema["$defs"]["Search"]["properties"]["space"]["properties"].as_object().unwrap();
-    assert!((20..=32).contains(&settings.len()), "{}", settings.len());
+    assert!((20..=SOBOL_DIMENSIONS).contains(&settings.len()), "{}", settings.len());
 }
 
 #[test]
