@@ -542,3 +542,17 @@ fn contact_forces_are_summed_up_link_by_link() {
     assert_eq!(links[0], untouched);
     assert_eq!(by_link(&[], JOINTS)[0], Contact { samples: 0, ..untouched });
 }
+
+#[test]
+fn the_skill_is_one_minus_the_ratio_of_squared_errors() {
+    use harness_metrics::skill::{skill, skill_horizon};
+    // 1 - 1 / 4, and 1 - 9 / 4.
+    assert_eq!([skill(1.0, 2.0), skill(2.0, 2.0), skill(3.0, 2.0)], [Some(0.75), Some(0.0), Some(-1.25)]);
+    assert_eq!([skill(0.0, 2.0), skill(1.0, 0.0)], [Some(1.0), None]);
+    let skills = [(1, 0.5), (2, 0.1), (5, 0.0), (10, 0.3)];
+    assert_eq!([skill_horizon(skills), skill_horizon(skills.into_iter().take(2))], [2, 2]);
+    assert_eq!([skill_horizon(skills.into_iter().skip(2)), skill_horizon([])], [0, 0]);
+    for metric in Metric::DERIVED {
+        assert_eq!((Metric::named(metric.name()), metric.higher_is_better()), (Some(metric), true));
+    }
+}

@@ -13,9 +13,12 @@
 
 mod interval;
 mod key;
+mod labels;
 mod means;
+mod rows;
 mod seen;
 mod settings;
+mod skill;
 mod subset;
 
 pub use harness_judge::models;
@@ -23,6 +26,7 @@ pub use interval::{
     Estimate, Interval, LEVEL, holm, interval, intervals, mean_interval, replicates, unpaired_replicates,
 };
 pub use key::Key;
+pub use labels::{Label, Labels};
 pub use means::{Mean, Of, compare, replicates_of};
 pub use settings::{Difference, Setting, all_settings, differing, has_settings};
 pub use subset::Subset;
@@ -37,7 +41,7 @@ use harness_tables::schema::Table;
 use polars::prelude::*;
 use rayon::prelude::*;
 use seen::Seen;
-use settings::{DATASET, Settings};
+use settings::{DATASET, Settings, VARIANT};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -157,6 +161,11 @@ impl Run {
     /// Path of the run's folder.
     pub fn folder(&self) -> &Path {
         &self.folder
+    }
+
+    /// The run's value of a setting, also if it is a default that its record does not store.
+    pub(crate) fn setting(&self, key: &str) -> &str {
+        settings::value(&self.settings, key)
     }
 
     fn recorded(&self) -> (PathBuf, RunRecord) {
@@ -295,6 +304,15 @@ impl Analysis {
         self.experiments.get(experiment).map_or(&[], |experiment| &experiment.runs)
     }
 
+    /// The number of samples per second of all runs that count. `None` if it differs, or if some runs use imported
+    /// data.
+    pub fn sample_rate_hz(&self) -> Option<f64> {
+        let mut runs = self.experiments.values().flat_map(|experiment| &experiment.runs);
+        let rate = |run: &Run| Some(run.record.spec.simulation.as_ref()?.sample_rate_hz);
+        let first = rate(runs.next()?)?;
+        runs.all(|run| rate(run) == Some(first)).then_some(first)
+    }
+
     /// Messages about runs that were left out, such as `left out: 3 runs of an older method`.
     pub fn notes(&self) -> &[String] {
         &self.notes
@@ -372,6 +390,25 @@ impl Analysis {
     pub fn settings(&self, run: &Run) -> String {
         let differences = self.experiments.get(&run.record.experiment).map_or(&[][..], |of| &of.differences);
         named(differences.iter().filter(|difference| !difference.in_variant), run)
+    }
+
+    /// The settings of a run in which its experiment's runs differ, apart from those with these keys and those that
+    /// follow from them. A setting follows from others if a variant names it, and if all runs with the same values of
+    /// the others have the same value.
+    fn settings_apart_from(&self, run: &Run, keys: &[&'static str]) -> String {
+        let Some(of) = self.experiments.get(&run.record.experiment) else { return String::new() };
+        let others =
+            of.differences.iter().filter(|one| one.key != VARIANT && !keys.contains(&one.key.as_str()));
+        let (varied, mut shown): (Vec<&Difference>, Vec<&Difference>) =
+            others.partition(|one| one.in_variant);
+        for difference in varied {
+            let known: Vec<&str> =
+                keys.iter().copied().chain(shown.iter().map(|difference| difference.key.as_str())).collect();
+            if !of.follows(&difference.key, &known) {
+                shown.push(difference);
+            }
+        }
+        named(shown.into_iter(), run)
     }
 
     /// Announces queries, so that each table is read once for all of them, and only the rows that they see are kept in
@@ -524,6 +561,17 @@ impl Experiment {
                 run.record.run.clone(),
             )
         });
+    }
+
+    /// Whether all runs with the same values of some settings have the same value of another one.
+    fn follows(&self, key: &str, from: &[&str]) -> bool {
+        let mut values: BTreeMap<Vec<&str>, &str> = BTreeMap::new();
+        let concerned = self.runs.iter().filter(|run| settings::concerns(&run.settings, key));
+        concerned.map(|run| &run.settings).all(|run| {
+            let own = settings::value(run, key);
+            let others = from.iter().map(|key| settings::value(run, key)).collect();
+            *values.entry(others).or_insert(own) == own
+        })
     }
 
     /// Values of the differing settings that select the most runs. If several values select equally many, those of the

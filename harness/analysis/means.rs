@@ -1,12 +1,15 @@
 //! Means of metrics over datasets and seeds.
 
-use super::{Analysis, AnalysisError, Interval, Run, Setting, interval};
+use super::rows::Row;
+use super::skill::{skill_horizons, skills};
+use super::{Analysis, AnalysisError, Interval, Key, Run, Setting, interval};
 use harness_catalog::{OVERALL, QueryError, rows};
 use harness_judge::models::NETWORK;
+use harness_metrics::Metric;
 use harness_registry::Registry;
-use harness_spec::{Modality, Origin, Task};
+use harness_spec::{Modality, Origin, Task, model_parts};
+use harness_tables::schema::{GIVEN, HORIZON, Table};
 use polars::prelude::{Column, DataFrame, PolarsResult};
-use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// The mean of a metric for the networks of a group of runs, or for a baseline. The metric is computed over all joints,
@@ -36,6 +39,11 @@ pub struct Of {
     pub variant: String,
     /// The other settings in which the experiment's runs differ; see [`Analysis::settings`].
     pub settings: String,
+    /// The values of the settings by which means are told apart; see [`Analysis::means_by`].
+    pub values: BTreeMap<&'static str, String>,
+    /// Number of samples from the present to the predicted one; 0 for a reconstruction. `None` if [`Key::Horizon`] does
+    /// not tell means apart, and for a skill horizon.
+    pub horizon: Option<usize>,
     /// Size of the latent state; `None` for a baseline and an external model, which have none.
     pub latent: Option<usize>,
     /// The task that is evaluated.
@@ -73,7 +81,8 @@ impl Of {
 }
 
 impl Mean {
-    /// Converts means to a table with one row for each mean.
+    /// Converts means to a table with one row for each mean. Settings by which they are told apart are columns, and the
+    /// horizon is one if they are told apart by it.
     ///
     /// # Errors
     /// When Polars can't build the table, for which no reason is known.
@@ -87,7 +96,12 @@ impl Mean {
         let count = |name: &str, of: &dyn Fn(&Mean) -> Option<i64>| {
             Column::new(name.into(), means.iter().map(of).collect::<Vec<_>>())
         };
-        let columns = vec![
+        let keys: BTreeSet<&str> = means.iter().flat_map(|mean| mean.of.values.keys().copied()).collect();
+        let value = |key: &str| {
+            let values = means.iter().map(|mean| mean.of.values.get(key).cloned());
+            Column::new(key.into(), values.collect::<Vec<_>>())
+        };
+        let mut columns = vec![
             text("experiment", &|mean| mean.of.experiment.clone()),
             text("scenario", &|mean| mean.of.scenario.to_string()),
             count("latent", &|mean| mean.of.latent.map(|latent| latent as i64)),
@@ -108,6 +122,10 @@ impl Mean {
             number("low", &|mean| mean.interval.bounds.map(|(low, _)| low)),
             number("high", &|mean| mean.interval.bounds.map(|(_, high)| high)),
         ];
+        let horizon = means.iter().any(|mean| mean.of.horizon.is_some());
+        let horizon = horizon.then(|| count(HORIZON, &|mean| mean.of.horizon.map(|horizon| horizon as i64)));
+        let before = columns.iter().position(|column| column.name() == "task").unwrap_or_default();
+        columns.splice(before..before, keys.into_iter().map(value).chain(horizon));
         DataFrame::new(means.len(), columns)
     }
 }
@@ -134,18 +152,9 @@ pub fn replicates_of<'a>(means: impl IntoIterator<Item = &'a Mean>) -> Option<St
     (!over.is_empty()).then(|| over.join(" or "))
 }
 
-/// A row of the metrics table.
-#[derive(Deserialize)]
-struct Row {
-    experiment: String,
-    run: String,
-    task: Task,
-    model: String,
-    modality: Modality,
-    direction: Option<String>,
-    metric: String,
-    value: f64,
-    unit: String,
+/// The part of a variant that names an external model; empty for a network.
+fn model_of(variant: &str) -> String {
+    model_parts(variant).1.map_or_else(String::new, |model| format!("model={model}"))
 }
 
 /// The unit of a mean, and for each run's position the seed of its dataset and the value.
@@ -153,35 +162,85 @@ type Values = (String, BTreeMap<usize, (u64, f64)>);
 
 impl Analysis {
     /// The means of all metrics of whole modalities (see [`OVERALL`]), for each group of runs that count, and for the
-    /// baselines.
+    /// baselines. The skill is one of the metrics.
     ///
     /// # Errors
     /// When a table is damaged.
     pub fn means(&self) -> Result<Vec<Mean>, QueryError> {
+        self.means_by(&[])
+    }
+
+    /// Like [`Analysis::means`], with means told apart by the settings among `keys`, and by the horizon if it is one of
+    /// them. Without [`Key::Horizon`], the means are those of the next sample.
+    ///
+    /// With settings among the keys, the variant is empty except for the name of an external model, unless it is a key
+    /// too. What else the runs of an experiment differ in is in the other settings.
+    ///
+    /// # Errors
+    /// When a table is damaged.
+    pub fn means_by(&self, keys: &[Key]) -> Result<Vec<Mean>, QueryError> {
+        let of = if keys.contains(&Key::Horizon) { Table::AllMetrics } else { Table::Metrics };
+        let mut rows = self.rows(of, "")?;
+        rows.extend(skills(&rows));
+        Ok(self.means_of(rows, keys))
+    }
+
+    /// The means of the skill horizon, for each group of runs that count, and for the baselines. `keys` tell them apart
+    /// as in [`Analysis::means_by`].
+    ///
+    /// # Errors
+    /// When a table is damaged.
+    pub fn skill_horizons_by(&self, keys: &[Key]) -> Result<Vec<Mean>, QueryError> {
+        let errors = self.rows(Table::AllMetrics, &format!("and metric = '{}'", Metric::Rmse.name()))?;
+        Ok(self.means_of(skill_horizons(&skills(&errors)), keys))
+    }
+
+    /// The rows of a table of metrics that judge whole modalities. `and` is a further condition in SQL. Rows of models
+    /// that got only some inputs are left out.
+    fn rows(&self, of: Table, and: &str) -> Result<Vec<Row>, QueryError> {
         let experiments: Vec<&str> = self.experiments().collect();
+        let (horizon, usual) = match of.usual() {
+            Some(_) => (format!(", {HORIZON}"), format!("and {GIVEN} is null")),
+            None => Default::default(),
+        };
         let mut answer = self.query(
             &experiments,
             &format!(
-                "select experiment, run, task, model, modality, direction, metric, value, unit from metrics \
-                 where {OVERALL} and value is not null"
+                "select experiment, run, task, model, modality, direction, metric, value, unit{horizon} from {} \
+                 where {OVERALL} and value is not null {usual} {and}",
+                of.name()
             ),
         )?;
+        rows(&mut answer)
+    }
+
+    /// The means of the values in `all`.
+    fn means_of(&self, all: Vec<Row>, keys: &[Key]) -> Vec<Mean> {
+        let asked: Vec<&'static str> = keys.iter().copied().filter_map(Key::setting).collect();
+        let has_variants = asked.is_empty() || keys.contains(&Key::Variant);
         // A baseline's value is taken from the first run of a dataset. All runs of a group repeat it, up to rounding.
-        let runs = experiments.iter().flat_map(|experiment| self.runs(experiment));
-        let runs: Vec<(&Run, String)> = runs.map(|run| (run, self.settings(run))).collect();
+        let runs = self.experiments().flat_map(|experiment| self.runs(experiment));
+        let settings = |run| match has_variants {
+            true => self.settings(run),
+            false => self.settings_apart_from(run, &asked),
+        };
+        let runs: Vec<(&Run, String)> = runs.map(|run| (run, settings(run))).collect();
         let name = |run: &Run| (run.record.experiment.clone(), run.record.run.clone());
         let places: HashMap<(String, String), usize> =
             runs.iter().enumerate().map(|(place, (run, _))| (name(run), place)).collect();
         let mut found: BTreeMap<Of, Values> = BTreeMap::new();
-        for row in rows::<Row>(&mut answer)? {
+        let mut seeds: BTreeSet<(Of, u64, u64)> = BTreeSet::new();
+        for row in all {
             let Some(&place) = places.get(&(row.experiment, row.run)) else { continue };
             let (run, settings) = &runs[place];
             let spec = &run.record.spec;
             let of = Of {
                 experiment: run.record.experiment.clone(),
                 scenario: spec.scenario.clone(),
-                variant: spec.variant.clone(),
+                variant: if has_variants { spec.variant.clone() } else { model_of(&spec.variant) },
                 settings: settings.clone(),
+                values: asked.iter().map(|key| (*key, run.setting(key).to_owned())).collect(),
+                horizon: row.horizon,
                 latent: spec.latent().filter(|_| row.model == NETWORK),
                 task: row.task,
                 modality: row.modality,
@@ -189,6 +248,13 @@ impl Analysis {
                 metric: row.metric,
                 model: row.model,
             };
+            // Two variants with the same settings repeat a run.
+            let is_repeated = !has_variants
+                && of.model == NETWORK
+                && !seeds.insert((of.clone(), spec.dataset_seed(), spec.seed));
+            if is_repeated {
+                continue;
+            }
             let (_, values) = found.entry(of).or_insert_with(|| (row.unit, BTreeMap::new()));
             values.insert(place, (spec.dataset_seed(), row.value));
         }
@@ -203,6 +269,6 @@ impl Analysis {
             let values = values.into_iter().map(|(_, value)| value).collect();
             Some(Mean { of, unit, values, datasets, interval })
         };
-        Ok(found.into_iter().filter_map(mean).collect())
+        found.into_iter().filter_map(mean).collect()
     }
 }

@@ -55,6 +55,9 @@ impl<'de> Deserialize<'de> for ClaimMetric {
         let metric = name
             .parse::<Metric>()
             .map_err(|allowed| D::Error::custom(format!("'{name}' is no metric; {allowed}")))?;
+        if Metric::DERIVED.contains(&metric) {
+            return Err(D::Error::custom(format!("'{name}' is in no table; use one that is, such as r2")));
+        }
         Ok(Self(metric))
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! [`series`] has the formulas. [`Evaluation`] applies those that suit a modality to its joints, links or pixels.
 //! [`parts`] finds the pixels that show parts of the robot. [`baselines`] predicts without a network. [`contact`]
-//! summarizes forces. [`epoch`] is what training logs.
+//! summarizes forces. [`skill`] compares with persistence, horizon by horizon. [`epoch`] is what training logs.
 //!
 //! Everything accumulates batch by batch in f64, so a test set of frames need not fit in memory.
 
@@ -12,6 +12,7 @@ pub mod epoch;
 mod error;
 pub mod parts;
 pub mod series;
+pub mod skill;
 
 pub use error::MetricsError;
 use error::{check_finite, check_samples, rows};
@@ -77,14 +78,21 @@ pub enum Metric {
     /// prediction. An image difference is compared with no change. Other images are compared with the mean of each
     /// pixel over the test samples, which is the best constant image.
     RelativeError,
+    /// Skill score: 1 minus the mean squared error relative to that of persistence; see [`skill::skill`].
+    Skill,
+    /// The largest horizon up to which the skill is positive, in samples; see [`skill::skill_horizon`].
+    SkillHorizon,
     /// Another metric over a region: over the pixels that show the region before or after the change, or over the
     /// contacts of one kind. It holds the other metric and the whole name, such as `r2_ground`.
     Regional(&'static Metric, &'static str),
 }
 
 impl Metric {
-    /// The metrics that do not belong to a region.
-    const GENERAL: [Metric; 6] = {
+    /// The metrics that no table has, because they follow from the RMSE of a model and that of persistence.
+    pub const DERIVED: [Metric; 2] = [Metric::Skill, Metric::SkillHorizon];
+
+    /// The metrics of the tables that do not belong to a region.
+    pub const GENERAL: [Metric; 6] = {
         use Metric::*;
         [Smape, Wmape, R2, Rmse, Mae, RelativeError]
     };
@@ -100,7 +108,7 @@ impl Metric {
     /// Returns the metric with this name, if there is one.
     pub fn named(name: &str) -> Option<Self> {
         let general = || Self::GENERAL.into_iter();
-        general().find(|metric| metric.name() == name).or_else(|| {
+        general().chain(Self::DERIVED).find(|metric| metric.name() == name).or_else(|| {
             let regional = |metric: Self| {
                 let region = name.strip_prefix(metric.name())?.strip_prefix('_')?;
                 Modality::new(region).map(|_| metric.in_region(region))
@@ -126,7 +134,7 @@ impl Metric {
     pub fn higher_is_better(self) -> bool {
         match self {
             Metric::Regional(metric, _) => metric.higher_is_better(),
-            metric => metric == Metric::R2,
+            metric => matches!(metric, Metric::R2 | Metric::Skill | Metric::SkillHorizon),
         }
     }
 
@@ -139,6 +147,8 @@ impl Metric {
             Metric::Rmse => "rmse",
             Metric::Mae => "mae",
             Metric::RelativeError => RELATIVE_ERROR,
+            Metric::Skill => "skill",
+            Metric::SkillHorizon => "skill_horizon",
             Metric::Regional(_, name) => name,
         }
     }
@@ -148,7 +158,8 @@ impl FromStr for Metric {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {
-        let names = Self::GENERAL.map(Self::name).join(", ");
+        let names =
+            Self::GENERAL.into_iter().chain(Self::DERIVED).map(Self::name).collect::<Vec<_>>().join(", ");
         Self::named(name).ok_or_else(|| {
             format!(
                 "the metrics are {names}, relative_error_REGION of a world's regions, as relative_error_finger, and \
@@ -345,6 +356,7 @@ impl Evaluation {
             Metric::Smape | Metric::Wmape => "%".into(),
             Metric::Rmse | Metric::Mae => self.definition.unit_of(elements).unwrap_or_default().into(),
             Metric::R2 | Metric::RelativeError | Metric::Regional(..) => "1".into(),
+            Metric::Skill | Metric::SkillHorizon => "1".into(),
         }
     }
 
@@ -360,6 +372,8 @@ impl Evaluation {
                 series::error_relative_to_zero(series)
             }
             Metric::RelativeError => series::error_relative_to_mean(series),
+            // They need the error of persistence.
+            Metric::Skill | Metric::SkillHorizon => None,
             Metric::Regional(metric, _) => self.value(*metric, series),
         }
     }

@@ -7,7 +7,7 @@ pub mod schema;
 pub use lazy::{asked_columns, asked_rows, lazily, scan};
 pub use predicted::{PREDICTED_COLUMNS, PredictedRow, PredictedRows, read_predicted};
 
-use harness_shared::files::WriteError;
+use harness_shared::files::{WriteError, write_bytes};
 use harness_shared::seal;
 use polars::prelude::*;
 use schema::{Column, Kind};
@@ -69,10 +69,18 @@ where
 /// When the table has other columns, or the file can't be written.
 pub fn write_table(
     path: &Path,
-    mut table: DataFrame,
+    table: DataFrame,
     columns: &[Column],
     stamp: &Stamp,
 ) -> Result<(), TableError> {
+    Ok(write_bytes(path, &sealed_table(table, columns, stamp)?)?)
+}
+
+/// Returns the bytes of the file that [`write_table`] writes.
+///
+/// # Errors
+/// When the table has other columns.
+pub fn sealed_table(mut table: DataFrame, columns: &[Column], stamp: &Stamp) -> Result<Vec<u8>, TableError> {
     let expected: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
     let found: Vec<&str> = table.get_column_names().into_iter().map(|name| name.as_str()).collect();
     if found != expected {
@@ -90,7 +98,8 @@ pub fn write_table(
         // Several threads write tables at the same time, so more threads for each table would only compete.
         .set_parallel(false)
         .finish(&mut table)?;
-    Ok(seal::write(path, bytes)?)
+    seal::seal(&mut bytes).map_err(|error| PolarsError::ComputeError(error.to_string().into()))?;
+    Ok(bytes)
 }
 
 /// The metadata of a file, without its rows.
