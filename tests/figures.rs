@@ -170,7 +170,7 @@ fn every_svg_is_whole_self_contained_and_within_its_page() {
     }
 }
 
-fn assert_whole(svg: &str, name: &str) {
+pub fn assert_whole(svg: &str, name: &str) {
     let document = roxmltree::Document::parse(svg).unwrap();
     // The SVG must need no font and no other file.
     assert!(!document.descendants().any(|node| node.has_tag_name("text")));
@@ -594,6 +594,73 @@ fn missing_runs_are_named_with_the_command_and_others_are_drawn() {
     let unknown = figures(&["regresion"]);
     assert_eq!(unknown.code, 2);
     assert!(unknown.stderr.contains("'regression'"), "{}", unknown.stderr);
+}
+
+#[test]
+fn figures_of_any_robot_are_drawn_and_the_others_say_why() {
+    let (results, _) = &*crate::report::PENDULUM_PAGE;
+    let out = fresh("figures_pendulum");
+    let arguments = ["figures", "--experiment", "pendulum", "--output", out.to_str().unwrap()];
+    let answer = finish(&mut harness(results, &arguments));
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    let drawn = [
+        Figure::PredictiveArch,
+        Figure::ForcesDataset,
+        Figure::PredictionResults,
+        Figure::PropriovisionToVision,
+        Figure::Regression,
+    ];
+    for figure in Figure::ALL {
+        let name = figure.name();
+        let is_drawn = drawn.contains(&figure);
+        assert_eq!(answer.stdout.contains(&format!("{name} ")), is_drawn, "{name}: {}", answer.stdout);
+        assert_eq!(answer.stderr.contains(&format!("{name} ")), !is_drawn, "{name}: {}", answer.stderr);
+        if is_drawn {
+            let svg = String::from_utf8(read(&out, figure, "svg")).unwrap();
+            assert_whole(&svg, name);
+            assert!(!svg.contains("finger"), "{name}");
+        }
+    }
+    for reason in ["the paper's scene", "`harness render` draws any world", "the readings of the paper"] {
+        assert!(answer.stderr.contains(reason), "{reason}: {}", answer.stderr);
+    }
+
+    // The numbers are those of queries.
+    let registry = Registry::new(results);
+    let table = |figure: Figure| {
+        let path = out.join(format!("{}.csv", figure.name()));
+        CsvReader::new(fs::File::open(path).unwrap()).finish().unwrap()
+    };
+    let forces = table(Figure::ForcesDataset);
+    let sql = "select index, max(contacts) as contacts, max(samples) as samples from forces \
+               where modality = 'contact_force' and episode is null group by index order by index";
+    let expected = query(&registry, sql).unwrap();
+    assert_eq!((forces.height(), expected.height()), (2, 2), "the cart and the rod");
+    for row in 0..2 {
+        let share =
+            100.0 * real(&expected, "contacts", row).unwrap() / real(&expected, "samples", row).unwrap();
+        assert!((real(&forces, "contact_percent", row).unwrap() - share).abs() < 1e-9, "{row}");
+    }
+    let points = table(Figure::Regression);
+    let sql = "select predicted from predictions where modality = 'contact_force' and index = 1 and seed = 0 \
+               and latent = 4 order by episode, sample";
+    let stored = query(&registry, sql).unwrap();
+    let is_of =
+        |row: &usize| real(&points, "latent", *row) == Some(4.0) && real(&points, "index", *row) == Some(1.0);
+    let shown: Vec<f64> =
+        (0..points.height()).filter(is_of).filter_map(|row| real(&points, "predicted", row)).collect();
+    assert_eq!(shown.len(), stored.height());
+    for (row, shown) in shown.iter().enumerate() {
+        // The CSV file has the digits that tell numbers of single precision apart.
+        let stored = real(&stored, "predicted", row).unwrap();
+        assert!((shown - stored).abs() <= 1e-6 * stored.abs(), "{row}: {shown} {stored}");
+    }
+    let unknown = finish(&mut harness(results, &["figures", "--experiment", "pendulm"]));
+    assert!(
+        unknown.code != 0 && unknown.stderr.contains("'pendulm' has no finished runs"),
+        "{}",
+        unknown.stderr
+    );
 }
 
 #[test]

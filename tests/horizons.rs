@@ -1,13 +1,21 @@
 //! Rows of further horizons, and of models that got only some inputs: where they are, and that nothing else sees them.
 
-use crate::common::{SMOKE, copy_folder, finish, fresh, harness, succeed};
+use crate::common::{SMOKE, copy_folder, finish, fresh, harness, in_chromium, succeed};
+use crate::figures::assert_whole;
+use harness::analysis::{LEVEL, mean_interval};
+use harness::experiment::rollout;
 use harness::schema::{GIVEN, HORIZON, Table};
+use harness::spec::Modality;
 use harness::tables::{Stamp, TableFile, write_table};
 use harness::{catalog, registry::Registry, seal};
+use image::AnimationDecoder;
+use image::codecs::gif::GifDecoder;
 use polars::prelude::*;
 use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
 /// Commands whose answers must not depend on further rows. `{}` is a folder of their own.
 const COMMANDS: [&[&str]; 17] = [
@@ -42,6 +50,24 @@ const COMMANDS: [&[&str]; 17] = [
     &["figures", "readings", "--output", "{}/figures", "--format", "svg"],
     &["report", "--output", "{}/report.html"],
 ];
+
+/// The arguments that make runs of vectors, with two seeds, which predict four samples ahead.
+const RUN: [&str; 8] = [
+    "run",
+    SMOKE,
+    "input=[proprioception]",
+    "output=[proprioception, contact_force]",
+    "scenarios=[empty]",
+    "window.horizon=4",
+    "window.context=2",
+    "seeds=[0,1]",
+];
+
+static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
+    let results = fresh("horizons_run");
+    succeed(&results, &RUN);
+    results
+});
 
 /// The folders of all runs below a results folder.
 fn runs(results: &Path) -> Vec<PathBuf> {
@@ -90,7 +116,10 @@ fn answer(results: &Path, command: &[&str]) -> (i32, String, Vec<(String, Vec<u8
     let arguments: Vec<String> = command.iter().map(|argument| argument.replace("{}", place)).collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let answer = finish(&mut harness(results, &arguments));
-    let plain = |text: String| text.replace(place, "").replace(results.to_str().unwrap(), "");
+    // The page escapes paths.
+    let escaped = results.to_str().unwrap().replace('/', "&#x2f;");
+    let plain =
+        |text: String| text.replace(place, "").replace(results.to_str().unwrap(), "").replace(&escaped, "");
     let written = glob::glob(&format!("{place}/**/*.*")).unwrap().map(Result::unwrap);
     let written = written.filter(|path| path.is_file()).map(|path| {
         let text = String::from_utf8_lossy(&fs::read(&path).unwrap()).into_owned();
@@ -141,11 +170,8 @@ fn further_rows_change_no_other_answer() {
 
 #[test]
 fn a_run_with_a_horizon_is_judged_at_each_distance() {
-    let results = fresh("horizons_run");
-    let vectors = ["input=[proprioception]", "output=[proprioception, contact_force]", "scenarios=[empty]"];
-    let run = [&["run", SMOKE], &vectors[..], &["window.horizon=4", "window.context=2"]].concat();
-    succeed(&results, &run);
-    let registry = Registry::new(&results);
+    let results = &*RESULTS;
+    let registry = Registry::new(results);
     let rows = |sql: &str| catalog::query(&registry, sql).unwrap();
     let horizons = rows("select distinct task, horizon from all_metrics order by task, horizon");
     assert_eq!(horizons.height(), 4);
@@ -172,12 +198,339 @@ fn a_run_with_a_horizon_is_judged_at_each_distance() {
                       where a.horizon = 1 and b.horizon = 4",
     );
     assert_eq!(pairs.column("most").unwrap().get(0).unwrap().try_extract::<f64>().unwrap(), 0.0);
-    assert!(succeed(&results, &["verify"]).contains("all files are intact"));
-    assert!(succeed(&results, &[&run[..], &["--dry-run"]].concat()).contains("done"));
+    assert!(succeed(results, &["verify"]).contains("all files are intact"));
+    assert!(succeed(results, &[&RUN[..], &["--dry-run"]].concat()).contains("done"));
     let published = fresh("horizons_published");
-    succeed(&results, &["publish", "smoke", "--output", published.to_str().unwrap()]);
+    succeed(results, &["publish", "smoke", "--output", published.to_str().unwrap()]);
     let count = "select count(*) from all_metrics where horizon = 4";
-    assert_eq!(succeed(&results, &["query", count]), succeed(&published, &["query", count]));
-    let refused = finish(&mut harness(&results, &["run", SMOKE, "window.horizon=2"]));
+    assert_eq!(succeed(results, &["query", count]), succeed(&published, &["query", count]));
+    let refused = finish(&mut harness(results, &["run", SMOKE, "window.horizon=2"]));
     assert!(refused.code == 2 && refused.stderr.contains("add it to the output"), "{}", refused.stderr);
+}
+
+/// The numbers of a file of comma-separated values, and the texts beside them.
+fn csv(path: &Path) -> DataFrame {
+    CsvReader::new(fs::File::open(path).unwrap()).finish().unwrap()
+}
+
+fn number(table: &DataFrame, column: &str, row: usize) -> Option<f64> {
+    let value = table.column(column).unwrap().get(row).unwrap();
+    (!value.is_null()).then(|| value.try_extract::<f64>().unwrap())
+}
+
+fn text(table: &DataFrame, column: &str, row: usize) -> String {
+    table.column(column).unwrap().get(row).unwrap().str_value().into_owned()
+}
+
+/// The means of a comparison, as they are written to a file.
+fn compared(results: &Path, arguments: &[&str]) -> DataFrame {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("means.csv");
+    succeed(results, &[&["compare", "smoke"], arguments, &["--output", path.to_str().unwrap()]].concat());
+    csv(&path)
+}
+
+/// The skill by model, modality and horizon, of each run, from the squared errors in the tables.
+fn skills() -> BTreeMap<(String, String, i64), Vec<f64>> {
+    let rows = catalog::query(
+        &Registry::new(&*RESULTS),
+        "select run, model, modality, horizon, value from all_metrics \
+         where metric = 'rmse' and task = 'prediction' and index is null and direction is null order by run",
+    );
+    let rows = rows.unwrap();
+    let key = |row, model: &str| {
+        let horizon = number(&rows, "horizon", row).unwrap() as i64;
+        (text(&rows, "run", row), model.to_owned(), text(&rows, "modality", row), horizon)
+    };
+    let error = |row| number(&rows, "value", row).unwrap().powi(2);
+    let errors: BTreeMap<_, f64> =
+        (0..rows.height()).map(|row| (key(row, &text(&rows, "model", row)), error(row))).collect();
+    let mut skills: BTreeMap<_, Vec<f64>> = BTreeMap::new();
+    for ((run, model, modality, horizon), error) in &errors {
+        if model != "persistence" {
+            let own = (run.clone(), "persistence".to_owned(), modality.clone(), *horizon);
+            let skill = 1.0 - error / errors[&own];
+            skills.entry((model.clone(), modality.clone(), *horizon)).or_default().push(skill);
+        }
+    }
+    skills
+}
+
+#[test]
+fn the_skill_compares_squared_errors_with_persistence() {
+    let found = compared(&RESULTS, &["--by", "horizon", "--metrics", "skill"]);
+    let expected = skills();
+    // Three models beside persistence, two modalities, three horizons.
+    assert_eq!((found.height(), expected.len()), (18, 18));
+    for row in 0..found.height() {
+        let horizon = number(&found, "horizon", row).unwrap() as i64;
+        let (model, modality) = (text(&found, "model", row), text(&found, "modality", row));
+        let values = &expected[&(model.clone(), modality, horizon)];
+        // A baseline has one value for each dataset.
+        let values = if model == "network" { &values[..] } else { &values[..1] };
+        let interval = mean_interval(values, LEVEL).unwrap();
+        let close = |found: Option<f64>, expected: Option<f64>| match (found, expected) {
+            (Some(found), Some(expected)) => (found - expected).abs() < 1e-9,
+            (found, expected) => found == expected,
+        };
+        assert!(close(number(&found, "mean", row), Some(interval.mean)), "{row}: {values:?}");
+        assert!(close(number(&found, "low", row), interval.bounds.map(|(low, _)| low)), "{row}: {values:?}");
+    }
+    // Without the horizon, the means are those of the next sample.
+    let next = compared(&RESULTS, &["--metrics", "skill"]);
+    assert!(next.column("horizon").is_err());
+    let of_next: Vec<usize> =
+        (0..found.height()).filter(|row| number(&found, "horizon", *row) == Some(1.0)).collect();
+    let means = |table: &DataFrame, rows: &[usize]| -> Vec<Option<f64>> {
+        rows.iter().map(|row| number(table, "mean", *row)).collect()
+    };
+    assert_eq!(means(&next, &(0..6).collect::<Vec<_>>()), means(&found, &of_next));
+}
+
+#[test]
+fn the_skill_horizon_ends_before_the_first_skill_below_0() {
+    // Ridge regression adds the increments to the arm's position, and the network is hardly trained.
+    let results = fresh("horizons_arm");
+    let settings =
+        ["input=[arm]", "output=[arm]", "scenarios=[empty]", "tasks=[prediction]", "window.horizon=4"];
+    succeed(&results, &[&["run", SMOKE], &settings[..]].concat());
+    let skills = compared(&results, &["--by", "horizon", "--metrics", "skill"]);
+    let of = |table: &DataFrame, row| (text(table, "model", row), text(table, "direction", row));
+    let mut expected: BTreeMap<(String, String), BTreeMap<i64, f64>> = BTreeMap::new();
+    for row in 0..skills.height() {
+        let horizon = number(&skills, "horizon", row).unwrap() as i64;
+        let skill = number(&skills, "mean", row).unwrap();
+        expected.entry(of(&skills, row)).or_default().insert(horizon, skill);
+    }
+    let found = compared(&results, &["--metrics", "skill_horizon"]);
+    // Three models, and elements in m and in rad.
+    assert_eq!((found.height(), expected.len()), (6, 6));
+    for row in 0..found.height() {
+        let by_horizon = &expected[&of(&found, row)];
+        let last = by_horizon.iter().take_while(|(_, skill)| **skill > 0.0).last();
+        let last = last.map_or(0, |(horizon, _)| *horizon);
+        assert_eq!(number(&found, "mean", row), Some(last as f64), "{by_horizon:?}");
+        assert_eq!(text(&found, "unit", row), "samples");
+        match text(&found, "model", row).as_str() {
+            "ridge" => assert_eq!(last, 4),
+            _ => assert!(last < 4, "{by_horizon:?}"),
+        }
+    }
+    let printed = succeed(&results, &["compare", "smoke", "--metrics", "skill_horizon", "--by", "horizon"]);
+    assert!(printed.contains("lower bound") && printed.contains("4.0"), "{printed}");
+    fs::remove_dir_all(&results).unwrap();
+}
+
+#[test]
+fn horizons_are_columns_of_a_comparison() {
+    let ask = ["compare", "smoke", "--metrics", "r2", "--models", "network", "--task", "prediction"];
+    let as_markdown = ["--format", "markdown"];
+    let usual = succeed(&RESULTS, &[&ask[..], &as_markdown].concat());
+    let by_horizon = succeed(&RESULTS, &[&ask[..], &as_markdown, &["--by", "horizon"]].concat());
+    let cells = |line: &str| line.split('|').map(|cell| cell.trim().replace('*', "")).collect::<Vec<_>>();
+    let table = |text: &str| text.lines().filter(|line| line.starts_with('|')).map(cells).collect::<Vec<_>>();
+    let (usual, table) = (table(&usual), table(&by_horizon));
+    assert_eq!(table[0], ["", "", "horizon 1", "horizon 2", "horizon 4", ""]);
+    assert_eq!(usual[0], ["", "", "latent 4", ""]);
+    // The first column is that of the default view.
+    let first = |table: &[Vec<String>]| table[2..].iter().map(|row| row[..3].to_vec()).collect::<Vec<_>>();
+    assert_eq!(first(&table), first(&usual));
+    assert!(by_horizon.contains("horizons in samples of 0.1 s"), "{by_horizon}");
+    // A reconstruction is 0 samples ahead.
+    let all = compared(&RESULTS, &["--by", "horizon", "--metrics", "r2"]);
+    let of_task = |task: &str| {
+        let rows = (0..all.height()).filter(|row| text(&all, "task", *row) == task);
+        rows.map(|row| number(&all, "horizon", row).unwrap() as i64).collect::<BTreeSet<_>>()
+    };
+    assert_eq!((of_task("prediction"), of_task("reconstruction")), ([1, 2, 4].into(), [0].into()));
+}
+
+#[test]
+fn a_metric_is_plotted_over_the_horizon() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let plot = |name: &str| {
+        let path = path(name).display().to_string();
+        let ask = ["plot", "smoke", "--x", "horizon", "--y", "skill", "--by", "modality", "--output", &path];
+        succeed(&RESULTS, &ask);
+    };
+    plot("plot.csv");
+    let (found, expected) = (csv(&path("plot.csv")), skills());
+    assert_eq!(found.height(), 2 * 3);
+    for row in 0..found.height() {
+        let horizon = number(&found, "horizon", row).unwrap() as i64;
+        let values = &expected[&("network".to_owned(), text(&found, "modality", row), horizon)];
+        let mean = values.iter().sum::<f64>() / 2.0;
+        assert!((number(&found, "mean", row).unwrap() - mean).abs() < 1e-9, "{row}");
+    }
+    plot("plot.svg");
+    let svg = fs::read_to_string(path("plot.svg")).unwrap();
+    for text in ["horizon (samples)", "1", "2", "4", "skill", "contact_force"] {
+        assert!(svg.contains(&format!("aria-label=\"{text}\"")), "no {text}");
+    }
+}
+
+#[test]
+fn the_figure_shows_error_and_skill_over_seconds() {
+    let out = fresh("horizons_figure");
+    let draw = |more: &[&str]| {
+        let ask = ["figures", "horizon", "--experiment", "smoke", "--output", out.to_str().unwrap()];
+        succeed(&RESULTS, &[&ask[..], more].concat());
+        csv(&out.join("horizon.csv"))
+    };
+    let (found, expected) = (draw(&[]), skills());
+    // The error of four models and the skill of three, at three horizons.
+    assert_eq!(found.height(), (4 + 3) * 3);
+    for row in 0..found.height() {
+        assert_eq!(text(&found, "modality", row), "contact_force");
+        let horizon = number(&found, "horizon", row).unwrap();
+        assert_eq!(number(&found, "horizon_seconds", row), Some(horizon / 10.0));
+        if text(&found, "metric", row) == "skill" {
+            let key = (text(&found, "model", row), "contact_force".to_owned(), horizon as i64);
+            let values = &expected[&key];
+            let values = if key.0 == "network" { &values[..] } else { &values[..1] };
+            let mean = values.iter().sum::<f64>() / values.len() as f64;
+            assert!((number(&found, "mean", row).unwrap() - mean).abs() < 1e-9, "{key:?}");
+        }
+    }
+    let svg = fs::read_to_string(out.join("horizon.svg")).unwrap();
+    assert_whole(&svg, "horizon");
+    for text in ["horizon (s)", "0.1", "0.2", "0.4", "contact force, R2", "contact force, skill", "empty"] {
+        assert!(svg.contains(&format!("aria-label=\"{text}\"")), "no {text}");
+    }
+    let angles = draw(&["--modality", "proprioception"]);
+    assert!((0..angles.height()).all(|row| text(&angles, "modality", row) == "proprioception"));
+    let refused = |results: &Path, more: &[&str]| {
+        let ask = ["figures", "horizon", "--output", out.to_str().unwrap()];
+        let answer = finish(&mut harness(results, &[&ask[..], more].concat()));
+        assert_ne!(answer.code, 0);
+        answer.stderr
+    };
+    let unknown = refused(&RESULTS, &["--experiment", "smoke", "--modality", "vision"]);
+    assert!(unknown.contains("available: contact_force, proprioception"), "{unknown}");
+    let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
+    let one = refused(&reference, &["--experiment", "senses"]);
+    assert!(one.contains("the runs of senses predict only the next sample"), "{one}");
+    let none = refused(&reference, &[]);
+    assert!(none.contains("has no finished runs of memory; make them with `"), "{none}");
+}
+
+#[test]
+fn an_episode_is_predicted_as_in_the_tables_and_further() {
+    let registry = Registry::new(&*RESULTS);
+    let run = "smoke/empty-z4-seed0";
+    let found = rollout(&registry, run, None, 4).unwrap();
+    // Of four episodes, the last one is for the test.
+    assert_eq!((found.episode, found.samples.len()), (3, 30));
+    // The context is two samples.
+    assert_eq!(found.present.len(), 30 - 1 - 4);
+    for (modality, values) in &found.predicted {
+        let stored = catalog::query(
+            &registry,
+            &format!(
+                "select predicted from all_predictions where run like 'empty-z4-seed0-%' and horizon = 4 \
+                 and modality = '{modality}' order by episode, sample, index"
+            ),
+        );
+        let stored = stored.unwrap();
+        assert_eq!(stored.height(), values.len(), "{modality}");
+        for (row, value) in values.iter().enumerate() {
+            let stored = number(&stored, "predicted", row).unwrap() as f32;
+            assert!(
+                (stored - value).abs() <= 1e-5 * value.abs().max(1.0),
+                "{modality} {row}: {stored} {value}"
+            );
+        }
+    }
+    let further = rollout(&registry, run, Some(0), 7).unwrap();
+    assert_eq!((further.episode, further.present.len()), (0, 30 - 1 - 7));
+    let force = &further.predicted[&Modality::CONTACT_FORCE];
+    assert_eq!(force.len(), further.present.len() * 20);
+    assert!(force.iter().all(|value| value.is_finite()));
+}
+
+#[test]
+fn a_clip_shows_recorded_and_predicted_values_side_by_side() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (clip, picture) = (path("clip.gif"), path("picture.png"));
+    let render = ["render", "smoke/empty-z4-seed0", "--horizon", "3", "--output"];
+    succeed(&RESULTS, &[&render[..], &[&clip, "--samples", "5"]].concat());
+    let bytes = std::io::BufReader::new(fs::File::open(&clip).unwrap());
+    let frames = GifDecoder::new(bytes).unwrap().into_frames().collect_frames().unwrap();
+    assert_eq!(frames.len(), 5);
+    assert!(frames.iter().all(|frame| frame.delay().numer_denom_ms() == (100, 1)), "10 Hz");
+    assert!(frames.iter().all(|frame| frame.buffer().width() == 964));
+    assert!(frames[0].buffer() != frames[4].buffer());
+    // The first predicted sample is the one after the context of two and the horizon.
+    succeed(&RESULTS, &[&render[..], &[&picture, "--episode", "3", "--sample", "10"]].concat());
+    let drawn = image::open(&picture).unwrap().into_rgb8();
+    let has = |color: [u8; 3]| drawn.pixels().any(|pixel| pixel.0 == color);
+    assert!(has([0x00, 0x72, 0xb2]) && has([0xd5, 0x5e, 0x00]), "bars of both colors");
+    let refused = |more: &[&str]| {
+        let answer = finish(&mut harness(&RESULTS, &[&render[..], &[&clip], more].concat()));
+        assert_eq!(answer.code, 2, "{}", answer.stderr);
+        answer.stderr
+    };
+    let late = refused(&["--episode", "3", "--sample", "30"]);
+    assert!(late.contains("samples 4 to 29 of the episode are predicted 3 samples ahead"), "{late}");
+    let episode = refused(&["--episode", "4"]);
+    assert!(episode.contains("there is no episode 4") && episode.contains("4 episodes"), "{episode}");
+    let long = ["render", "smoke/empty-z4-seed0", "--output", &clip, "--horizon", "29"];
+    let long = finish(&mut harness(&RESULTS, &long)).stderr;
+    assert!(long.contains("too few for a context of 2 and a horizon of 29"), "{long}");
+}
+
+#[test]
+fn the_clip_of_a_run_that_predicts_images_has_them_too() {
+    let results = fresh("horizons_images");
+    succeed(&results, &["run", SMOKE, "scenarios=[empty]", "tasks=[prediction]", "training.epochs=1"]);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("picture.png").display().to_string();
+    let render = ["render", "smoke/empty", "--output", &path, "--horizon"];
+    succeed(&results, &[&render[..], &["1"]].concat());
+    let (_, height) = image::image_dimensions(&path).unwrap();
+    let vectors = folder.path().join("vectors.png").display().to_string();
+    succeed(&RESULTS, &["render", "smoke/empty-z4-seed0", "--output", &vectors, "--horizon", "1"]);
+    // A row of pictures with the recorded and the predicted change of the image.
+    assert!(height > image::image_dimensions(&vectors).unwrap().1 + 400, "{height}");
+    let refused = finish(&mut harness(&results, &[&render[..], &["2"]].concat()));
+    assert_eq!(refused.code, 2);
+    assert!(refused.stderr.contains("lack its input 'vision'; use --horizon 1"), "{}", refused.stderr);
+    fs::remove_dir_all(&results).unwrap();
+}
+
+#[test]
+fn the_report_shows_curves_over_the_horizon_in_chromium() {
+    let page = RESULTS.join("horizons.html");
+    succeed(&RESULTS, &["report", "smoke", "--output", page.to_str().unwrap()]);
+    let html = fs::read_to_string(&page).unwrap();
+    let data = html.split_once("id=\"data\">").unwrap().1.split_once("</script>").unwrap().0;
+    let data: Value = serde_json::from_str(data).unwrap();
+    let curves = data["horizon"].as_array().unwrap();
+    let is_skill = |curve: &&Value| curve["metric"] == "skill" && curve["modality"] == "contact_force";
+    let names: Vec<&str> =
+        curves.iter().filter(is_skill).map(|curve| curve["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["network", "ridge", "training mean"]);
+    let skills = skills();
+    for curve in curves.iter().filter(is_skill) {
+        let model = curve["model"].as_str().unwrap();
+        for (point, horizon) in curve["points"].as_array().unwrap().iter().zip([1, 2, 4]) {
+            let values = &skills[&(model.to_owned(), "contact_force".to_owned(), horizon)];
+            let mean = values.iter().sum::<f64>() / values.len() as f64;
+            assert_eq!(point[0], horizon as f64);
+            assert!((point[1].as_f64().unwrap() - mean).abs() <= 1e-4 * mean.abs(), "{model} {horizon}");
+        }
+    }
+    if let Some((well, said)) = in_chromium("read_page.py", &[&page, &RESULTS], &["--horizon"]) {
+        assert!(well && said.contains("the page reads well"), "{said}");
+    }
+}
+
+#[test]
+fn the_live_page_shows_curves_over_the_horizon_in_chromium() {
+    let program = Path::new(env!("CARGO_BIN_EXE_harness"));
+    if let Some((well, said)) = in_chromium("use_serve.py", &[program, &RESULTS], &["--horizon"]) {
+        assert!(well && said.contains("the page works"), "{said}");
+    }
 }

@@ -121,6 +121,24 @@ class Legend {
   }
 }
 
+// --- Horizons ---
+
+/** The place of a horizon on its axis, which is logarithmic. */
+const horizonPlace = (horizon) => Math.log10(horizon);
+
+/** The axis of horizons in samples, of which each takes some seconds, if that is known. */
+function horizonAxis(horizons, seconds) {
+  const known = seconds !== null && seconds !== undefined;
+  const places = horizons.map(horizonPlace);
+  const margin = 0.04 * (places.at(-1) - places[0]);
+  return {
+    label: known ? "horizon (s)" : "horizon (samples)",
+    low: places[0] - margin,
+    high: places.at(-1) + margin,
+    ticks: horizons.map((horizon) => ({ at: horizonPlace(horizon), text: shown(known ? horizon * seconds : horizon) })),
+  };
+}
+
 // --- Charts ---
 
 /** Says what the pointer, the fingers and the keys do. */

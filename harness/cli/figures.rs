@@ -9,7 +9,7 @@ use clap::builder::TypedValueParser;
 use harness::analysis::{Analysis, Selection, Setting};
 use harness::experiment::describe;
 use harness::figures::source::{Experiments, Source};
-use harness::figures::{Figure, Format};
+use harness::figures::{Drawing, Figure, FigureError, Format};
 use harness::registry::Registry;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -28,12 +28,19 @@ pub struct Figures {
     /// Draw the quick runs (`harness run … --quick`)
     #[arg(long)]
     quick: bool,
+    /// Draw what the figures show of this experiment, of any robot, instead of the paper's experiments
+    #[arg(long, value_name = "EXPERIMENT", conflicts_with_all = ["single", "multi", "quick"])]
+    experiment: Option<String>,
     /// Draw this experiment instead of single_to_multi, for example single_to_multi_best
     #[arg(long, value_name = "EXPERIMENT")]
     single: Option<String>,
     /// Draw this experiment instead of multi_to_multi, for example multi_to_multi_best
     #[arg(long, value_name = "EXPERIMENT")]
     multi: Option<String>,
+    /// The modality that `horizon` shows, or the part of it with one unit, for example "joints in rad" [default:
+    /// contact_force, or the first modality where it is not predicted]
+    #[arg(long, value_name = "NAME")]
+    modality: Option<String>,
     /// Use only runs with this setting, for example training.epochs=200; may be given several times
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
@@ -53,29 +60,39 @@ fn format() -> impl TypedValueParser<Value = Format> {
 impl Figures {
     /// Draws the figures. If none is named, figures without runs that they can show are skipped without a failure.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        if let Some(experiment) = &self.experiment {
+            let analysis = Analysis::finished(registry, std::slice::from_ref(experiment), &self.settings)?;
+            for note in analysis.notes() {
+                eprintln!("{note}");
+            }
+            return self.draw(|figure| figure.render_of(&analysis, experiment, self.modality.clone()));
+        }
         let paper = Experiments::of_the_paper(self.quick);
         let experiments = Experiments {
-            single_to_multi: self.single.unwrap_or(paper.single_to_multi),
-            multi_to_multi: self.multi.unwrap_or(paper.multi_to_multi),
-            readings: paper.readings,
+            single_to_multi: self.single.clone().unwrap_or_else(|| paper.single_to_multi.clone()),
+            multi_to_multi: self.multi.clone().unwrap_or_else(|| paper.multi_to_multi.clone()),
+            ..paper
         };
-        let names: Vec<String> =
-            experiments.names().into_iter().chain([experiments.readings.clone()]).collect();
-        let (settings, trained) = (self.settings, names.clone());
+        let names = experiments.all();
+        let (settings, trained) = (self.settings.clone(), names.clone());
         let selection = Selection { experiments: names, settings, simulated: true, trained };
         let analysis = Analysis::new(registry, &selection)?;
         for note in analysis.notes() {
             eprintln!("{note}");
         }
-        let source = Source::new(&analysis, experiments);
+        let source = Source::new(&analysis, experiments).showing(self.modality.clone());
+        self.draw(|figure| figure.render(&source))
+    }
+
+    /// Draws and saves the wanted figures, and says for each of the others why it is not drawn.
+    fn draw(&self, render: impl Fn(Figure) -> Result<Drawing, FigureError>) -> Result<ExitCode> {
         let named = !self.names.is_empty();
-        let wanted = if named { self.names } else { Figure::ALL.to_vec() };
-        let formats = if self.formats.is_empty() { Format::ALL.to_vec() } else { self.formats };
+        let wanted = if named { self.names.clone() } else { Figure::ALL.to_vec() };
+        let formats = if self.formats.is_empty() { Format::ALL.to_vec() } else { self.formats.clone() };
         let (mut drawn, mut failed) = (0, false);
         for figure in wanted {
-            let saved = figure
-                .render(&source)
-                .and_then(|drawing| drawing.save(&self.output, figure.name(), &formats));
+            let saved =
+                render(figure).and_then(|drawing| drawing.save(&self.output, figure.name(), &formats));
             match saved {
                 Ok(()) => {
                     drawn += 1;

@@ -1,11 +1,11 @@
-//! Figure of contacts and contact forces: how often each link of the finger is touched, how hard, and the distribution
-//! of the force over all samples.
+//! Figure of contacts and contact forces: how often each link is touched, how hard, and the distribution of the force
+//! over all samples. It shows the finger in both scenarios, or the links of any robot.
 
 use super::axes::{Panel, Scale, color_legend, color_of, remarks};
-use super::page::{COLUMN, Mark, Page, Point, Stroke, Type, WHITE};
-use super::source::{Source, Study, integers, reals, texts};
+use super::page::{BLUE, COLUMN, GREEN, Mark, Page, Point, Stroke, Type, VERMILION, WHITE, WINE};
+use super::source::{Runs, Source, Study, integers, reals, texts};
 use super::{Drawing, FigureError};
-use harness_spec::{Modality, Scenario};
+use harness_spec::{Definition, Modality, Scenario};
 use polars::prelude::*;
 use std::collections::BTreeMap;
 
@@ -17,6 +17,15 @@ const BETWEEN: f64 = 12.0;
 const FEWEST: f64 = 20.0;
 /// The links in panel c, by their distance from the tip in links.
 const FROM_TIP: [usize; 5] = [0, 1, 7, 12, 14];
+/// Largest number of links in panel c if there is no finger. They are the ones that are touched most often.
+const MOST_TOUCHED: usize = 5;
+/// Largest number of scenarios of any robot.
+const SCENARIOS: usize = 4;
+/// The colors of the scenarios of any robot.
+const COLORS: [&str; SCENARIOS] = [BLUE, VERMILION, GREEN, WINE];
+/// The most letters of all names of links that fit below the panels.
+const MOST_LETTERS: usize = 40;
+
 /// For each quantile of the table, the share of the samples in contact whose force is larger.
 const MORE_THAN: [f64; 5] = [0.95, 0.75, 0.5, 0.25, 0.05];
 
@@ -27,6 +36,23 @@ pub const SQL: &str = "select scenario, dataset_seed, index as link, modality, '
     max(max) as max from forces join runs using (experiment, run, scenario, latent) \
     where modality = 'contact_force' and episode is null \
     group by scenario, dataset_seed, index, modality order by scenario, link";
+
+/// A scenario's links.
+struct OfScenario {
+    name: String,
+    color: &'static str,
+    links: Vec<Link>,
+}
+
+/// What the links are called.
+struct Names {
+    /// The name of each link; empty where there is no room for it.
+    ticks: Vec<String>,
+    /// The label of the axis of all links.
+    axis: String,
+    /// Whether the links are those of the finger.
+    is_finger: bool,
+}
 
 /// The forces on a link in a scenario's dataset, N.
 struct Link {
@@ -47,23 +73,78 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
         .runs(Study::SingleToMulti)
         .or_else(|error| source.runs(Study::MultiToMulti).map_err(|_| error))?;
     let data = of_first_datasets(runs.query(SQL)?)?;
-    let scenarios = by_scenario(&data)?;
+    let scenarios = Scenario::PAPER.map(|scenario| (scenario.name().to_owned(), color_of(scenario)));
     let count = runs.layout()[Modality::CONTACT_FORCE].width();
+    let name = |link: usize| if link.is_multiple_of(2) { link.to_string() } else { String::new() };
+    let names = Names {
+        ticks: (0..count).map(name).collect(),
+        axis: format!("link of the finger, 0 at the base, {} at the tip", count - 1),
+        is_finger: true,
+    };
+    draw(data, scenarios.into(), &names, "Contacts and contact forces by link of the finger")
+}
 
-    let mut page = Page::new(COLUMN, 378.0, "Contacts and contact forces by link of the finger");
-    let entries: Vec<_> =
-        scenarios.iter().map(|(scenario, _)| (color_of(*scenario), scenario.name())).collect();
+/// Draws the first force of any robot.
+///
+/// # Errors
+/// When the runs record no contact forces, or a table can't be read.
+pub fn render_of(runs: &Runs) -> Result<Drawing, FigureError> {
+    let force = runs.layout().modalities.iter().find(|definition| definition.is_force());
+    let force = force.ok_or_else(|| runs.no_rows())?;
+    let sql = SQL.replace("modality = 'contact_force'", &format!("modality = '{}'", force.name));
+    let data = of_first_datasets(runs.query(&sql)?)?;
+    let mut scenarios: Vec<String> = texts(&data, "scenario")?;
+    scenarios.dedup();
+    let scenarios: Vec<_> = scenarios.into_iter().zip(COLORS).collect();
+    let title = format!("Contacts and contact forces: {}", force.name.name().replace('_', " "));
+    draw(data, scenarios, &Names::of(force), &title)
+}
+
+impl Names {
+    fn of(force: &Definition) -> Self {
+        let names: Vec<String> =
+            force.elements().iter().map(|element| element.name.replace('_', " ")).collect();
+        let what = force.name.name().replace('_', " ");
+        match names.iter().map(String::len).sum::<usize>() <= MOST_LETTERS {
+            true => Self { ticks: names, axis: format!("element of {what}"), is_finger: false },
+            false => {
+                // Of many numbers, there is room for every k-th.
+                let every = names.len().div_ceil(12);
+                let name =
+                    |link: usize| if link.is_multiple_of(every) { link.to_string() } else { String::new() };
+                let axis = format!("element of {what}, 0: {}", names[0]);
+                Self { ticks: (0..names.len()).map(name).collect(), axis, is_finger: false }
+            }
+        }
+    }
+}
+
+fn draw(
+    data: DataFrame,
+    scenarios: Vec<(String, &'static str)>,
+    names: &Names,
+    title: &str,
+) -> Result<Drawing, FigureError> {
+    let scenarios = by_scenario(&data, scenarios)?;
+    let mut page = Page::new(COLUMN, 378.0, title);
+    let entries: Vec<_> = scenarios.iter().map(|of| (of.color, of.name.as_str())).collect();
     color_legend(&mut page, COLUMN / 2.0, 9.0, &entries);
     let often = Panel { left: LEFT, top: 26.0, width: WIDTH, height: 58.0 };
     let hard = Panel { top: often.bottom() + 22.0, height: 92.0, ..often };
-    how_often(&mut page, &often, &scenarios, count);
+    how_often(&mut page, &often, &scenarios, names);
     let forces = least_and_most(&scenarios);
-    how_hard(&mut page, &hard, &scenarios, count, forces);
-    let all = Panel { top: hard.bottom() + 46.0, height: 84.0, width: (WIDTH - BETWEEN) / 2.0, ..often };
+    how_hard(&mut page, &hard, &scenarios, names, forces);
+    let panels = scenarios.len().max(2) as f64;
+    let all = Panel {
+        top: hard.bottom() + 46.0,
+        height: 84.0,
+        width: (WIDTH - BETWEEN * (panels - 1.0)) / panels,
+        ..often
+    };
     all.heading(&mut page, "c", "all samples, zeros included");
     for (place, of_scenario) in scenarios.iter().enumerate() {
         let panel = Panel { left: LEFT + place as f64 * (all.width + BETWEEN), ..all };
-        over_all_samples(&mut page, &panel, of_scenario, count, forces, place == 0);
+        over_all_samples(&mut page, &panel, of_scenario, names, forces, place == 0);
     }
     let lines = [
         "b: boxes: quartiles, median; lines: 5 to 95 %; dots: largest force;",
@@ -87,8 +168,11 @@ fn of_first_datasets(rows: DataFrame) -> Result<DataFrame, FigureError> {
     Ok(rows.filter(&BooleanChunked::from_iter_values("is_first".into(), is_first))?)
 }
 
-/// The links of each of the paper's scenarios that has rows.
-fn by_scenario(rows: &DataFrame) -> Result<Vec<(Scenario, Vec<Link>)>, FigureError> {
+/// The links of each of these scenarios that has rows.
+fn by_scenario(
+    rows: &DataFrame,
+    wanted: Vec<(String, &'static str)>,
+) -> Result<Vec<OfScenario>, FigureError> {
     let (scenarios, links) = (texts(rows, "scenario")?, integers(rows, "link")?);
     let column = |name: &str| reals(rows, name);
     let (samples, contacts, mean) = (column("samples")?, column("contacts")?, column("mean")?);
@@ -105,11 +189,11 @@ fn by_scenario(rows: &DataFrame) -> Result<Vec<(Scenario, Vec<Link>)>, FigureErr
         },
         max: max[row],
     };
-    let of = |scenario: Scenario| {
-        let own = (0..rows.height()).filter(|row| scenarios[*row] == scenario.name());
-        (scenario, own.map(link).collect::<Vec<_>>())
+    let of = |(name, color): (String, &'static str)| {
+        let own = (0..rows.height()).filter(|row| scenarios[*row] == name);
+        OfScenario { links: own.map(link).collect(), name, color }
     };
-    Ok(Scenario::PAPER.into_iter().map(of).filter(|(_, links)| !links.is_empty()).collect())
+    Ok(wanted.into_iter().map(of).filter(|of| !of.links.is_empty()).collect())
 }
 
 /// Whether a link has enough samples in contact to show its quantiles.
@@ -118,8 +202,8 @@ fn is_touched(link: &&Link) -> bool {
 }
 
 /// The least and the largest force that is shown, N.
-fn least_and_most(scenarios: &[(Scenario, Vec<Link>)]) -> [f64; 2] {
-    let shown = || scenarios.iter().flat_map(|(_, links)| links).filter(is_touched);
+fn least_and_most(scenarios: &[OfScenario]) -> [f64; 2] {
+    let shown = || scenarios.iter().flat_map(|of| &of.links).filter(is_touched);
     let least = shown().filter_map(|link| Some(link.quantiles?[0])).fold(0.1, f64::min);
     [least, shown().filter_map(|link| link.max).fold(1.0, f64::max)]
 }
@@ -131,33 +215,28 @@ fn place_of(panel: &Panel, link: &Link, count: usize, scenario: usize, scenarios
     [panel.left + (link.index as f64 + 0.5) * slot + aside, slot * 0.38]
 }
 
-fn how_often(page: &mut Page, panel: &Panel, scenarios: &[(Scenario, Vec<Link>)], count: usize) {
+fn how_often(page: &mut Page, panel: &Panel, scenarios: &[OfScenario], names: &Names) {
+    let count = names.ticks.len();
     let share = |link: &Link| 100.0 * link.contacts / link.samples;
-    let most = scenarios.iter().flat_map(|(_, links)| links).map(share).fold(1.0, f64::max);
+    let most = scenarios.iter().flat_map(|of| &of.links).map(share).fold(1.0, f64::max);
     let scale = Scale::linear(0.0, most, 4, panel.upwards());
     panel.left_axis(page, &scale, Some("samples in contact (%)"));
-    for (place, (scenario, links)) in scenarios.iter().enumerate() {
+    for (place, OfScenario { color, links, .. }) in scenarios.iter().enumerate() {
         for link in links {
             let [x, bar] = place_of(panel, link, count, place, scenarios.len());
             let y = scale.at(share(link));
-            page.rectangle([x - bar / 2.0, y], [bar, panel.bottom() - y], 0.0, color_of(*scenario), None);
+            page.rectangle([x - bar / 2.0, y], [bar, panel.bottom() - y], 0.0, color, None);
         }
     }
     panel.bottom_names(page, &panel.slots(count), &vec![String::new(); count], "");
     panel.heading(page, "a", "how often a link is touched");
 }
 
-fn how_hard(
-    page: &mut Page,
-    panel: &Panel,
-    scenarios: &[(Scenario, Vec<Link>)],
-    count: usize,
-    forces: [f64; 2],
-) {
+fn how_hard(page: &mut Page, panel: &Panel, scenarios: &[OfScenario], names: &Names, forces: [f64; 2]) {
+    let count = names.ticks.len();
     let scale = Scale::logarithmic(forces[0], forces[1], panel.upwards());
     panel.left_axis(page, &scale, Some("force in contact (N)"));
-    for (place, (scenario, links)) in scenarios.iter().enumerate() {
-        let color = color_of(*scenario);
+    for (place, OfScenario { color, links, .. }) in scenarios.iter().enumerate() {
         for link in links.iter().filter(is_touched) {
             let [x, bar] = place_of(panel, link, count, place, scenarios.len());
             let (Some(quantiles), Some(max)) = (link.quantiles, link.max) else { continue };
@@ -168,10 +247,7 @@ fn how_hard(
             page.mark(Mark::Disc, [x, scale.at(max)], 0.9, color, false);
         }
     }
-    let name = |link: usize| if link.is_multiple_of(2) { link.to_string() } else { String::new() };
-    let names: Vec<String> = (0..count).map(name).collect();
-    let label = format!("link of the finger, 0 at the base, {} at the tip", count - 1);
-    panel.bottom_names(page, &panel.slots(count), &names, &label);
+    panel.bottom_names(page, &panel.slots(count), &names.ticks, &names.axis);
     panel.heading(page, "b", "how hard, while it is touched");
 }
 
@@ -180,8 +256,8 @@ fn how_hard(
 fn over_all_samples(
     page: &mut Page,
     panel: &Panel,
-    (scenario, links): &(Scenario, Vec<Link>),
-    count: usize,
+    OfScenario { color, links, .. }: &OfScenario,
+    names: &Names,
     forces: [f64; 2],
     first: bool,
 ) {
@@ -191,8 +267,14 @@ fn over_all_samples(
     let y = Scale::logarithmic(100.0 / samples, 100.0, panel.upwards());
     panel.left_axis(page, &y, first.then_some("samples with ≥ force (%)"));
     panel.bottom_axis(page, &x, Some("force (N)"));
-    let color = color_of(*scenario);
-    let is_shown = |link: &&Link| FROM_TIP.iter().any(|from_tip| link.index + from_tip + 1 == count);
+    let color = *color;
+    let mut often: Vec<&Link> = links.iter().collect();
+    often.sort_by(|a, b| b.contacts.total_cmp(&a.contacts).then(a.index.cmp(&b.index)));
+    let shown: Vec<usize> = match names.is_finger {
+        true => FROM_TIP.iter().filter_map(|from_tip| names.ticks.len().checked_sub(from_tip + 1)).collect(),
+        false => often.iter().take(MOST_TOUCHED).map(|link| link.index).collect(),
+    };
+    let is_shown = |link: &&Link| shown.contains(&link.index);
     for link in links.iter().filter(is_touched).filter(is_shown) {
         let (Some(quantiles), Some(max)) = (link.quantiles, link.max) else { continue };
         let share = |part: f64| 100.0 * part * link.contacts / link.samples;

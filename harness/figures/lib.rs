@@ -1,4 +1,5 @@
-//! Draws the paper's nine figures, and one figure about the readings of the paper, from the tables of finished runs.
+//! Draws the paper's nine figures, one about the readings of the paper, and one about predictions further ahead, from
+//! the tables of finished runs.
 //!
 //! Each figure has a file of its own, which makes a [`Drawing`]: a [`page::Page`] and the numbers on it. `simulation`
 //! renders the scenes. The diagrams show the parameters of the networks that `learning` builds. All other numbers come
@@ -7,10 +8,13 @@
 
 mod anatomy;
 mod axes;
+mod clouds;
 mod curves;
 mod diagram;
 mod forces_dataset;
+mod horizon;
 mod information_loss_arch;
+mod moment;
 pub mod page;
 mod plot;
 mod prediction_results;
@@ -25,11 +29,13 @@ mod task;
 mod text;
 
 pub use forces_dataset::SQL as FORCES_SQL;
-use harness_analysis::Mixed;
+use harness_analysis::{Analysis, Mixed};
 use harness_catalog::{QueryError, save};
 use harness_learning::LearningError;
 use harness_shared::files::{WriteError, write_bytes};
 use harness_simulation::SimulationError;
+use harness_spec::Task;
+pub use moment::{Bars, Moment};
 use page::Page;
 pub use plot::Plot;
 use polars::prelude::{DataFrame, PolarsError};
@@ -113,6 +119,22 @@ pub enum FigureError {
     /// A query can't be answered, or the numbers can't be saved.
     #[error(transparent)]
     Query(#[from] QueryError),
+    /// The figure shows only the paper's robot or its experiments.
+    #[error("it shows {shows}; {instead}")]
+    OnlyPaper {
+        /// What the figure shows.
+        shows: &'static str,
+        /// What shows the same of any robot.
+        instead: &'static str,
+    },
+    /// The runs of an experiment predict only the next sample.
+    #[error(
+        "the runs of {experiment} predict only the next sample; runs with another `window.horizon` predict more"
+    )]
+    OneHorizon {
+        /// The experiment's name.
+        experiment: String,
+    },
     /// A column of a table is missing or has an unexpected type, or a table can't be built.
     #[error("a table has unexpected columns or values: {0}")]
     Table(#[from] PolarsError),
@@ -141,11 +163,18 @@ fn finished(experiments: &[String]) -> String {
 impl FigureError {
     /// Whether nothing failed, but there is nothing to draw: runs or rows of their tables are missing.
     pub fn has_nothing_to_draw(&self) -> bool {
-        matches!(self, Self::NoRuns { .. } | Self::NoRows { .. })
+        matches!(
+            self,
+            Self::NoRuns { .. }
+                | Self::NoRows { .. }
+                | Self::OnlyPaper { .. }
+                | Self::NoMeans { .. }
+                | Self::OneHorizon { .. }
+        )
     }
 }
 
-/// A figure of the paper, or the figure about its readings.
+/// A figure of the paper, or one of the others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Figure {
     /// The finger pressed on the ground among movable boxes.
@@ -168,6 +197,8 @@ pub enum Figure {
     Regression,
     /// The gain by vision under each reading of the paper. The paper has no such figure.
     Readings,
+    /// Error and skill over the horizon. The paper has no such figure.
+    Horizon,
 }
 
 /// A file format in which a figure is saved.
@@ -214,8 +245,8 @@ pub struct Drawing {
 }
 
 impl Figure {
-    /// The paper's figures in the paper's order, then [`Figure::Readings`].
-    pub const ALL: [Figure; 10] = [
+    /// The paper's figures in the paper's order, then the others.
+    pub const ALL: [Figure; 11] = [
         Figure::Task,
         Figure::PredictiveArch,
         Figure::InformationLossArch,
@@ -226,9 +257,10 @@ impl Figure {
         Figure::ReconstructionPerformance,
         Figure::Regression,
         Figure::Readings,
+        Figure::Horizon,
     ];
 
-    /// The paper's figures in the paper's order: all of [`Figure::ALL`] but the last.
+    /// The paper's figures in the paper's order: the first ones of [`Figure::ALL`].
     pub const OF_THE_PAPER: [Figure; 9] = *Self::ALL.first_chunk().unwrap();
 
     /// The name in files and on the command line. It is the figure's label in the paper.
@@ -244,6 +276,7 @@ impl Figure {
             Figure::ReconstructionPerformance => "reconstruction_performance",
             Figure::Regression => "regression",
             Figure::Readings => "readings",
+            Figure::Horizon => "horizon",
         }
     }
 
@@ -262,6 +295,7 @@ impl Figure {
             }
             Figure::Regression => "prediction over reference at the fingertip",
             Figure::Readings => "what vision adds under each reading of the paper",
+            Figure::Horizon => "error and skill of predictions over the horizon",
         }
     }
 
@@ -287,6 +321,43 @@ impl Figure {
             Figure::ReconstructionPerformance => reconstruction_performance::render(source),
             Figure::Regression => regression::render(source),
             Figure::Readings => readings::render(source),
+            Figure::Horizon => horizon::render(source),
+        }
+    }
+}
+
+impl Figure {
+    /// Draws what the figure shows for an experiment of any robot. `modality` is that of [`Figure::Horizon`]; see
+    /// [`Source::showing`].
+    ///
+    /// # Errors
+    /// When the figure shows only the paper's robot, when the experiment's runs have nothing for it
+    /// ([`FigureError::has_nothing_to_draw`] in both cases), or when a table can't be read or a picture made.
+    pub fn render_of(
+        self,
+        analysis: &Analysis,
+        experiment: &str,
+        modality: Option<String>,
+    ) -> Result<Drawing, FigureError> {
+        let source = Source::new(analysis, source::Experiments::all_of(experiment)).showing(modality);
+        let runs = || source.runs_of(experiment);
+        match self {
+            Figure::Task | Figure::SimEnv => Err(FigureError::OnlyPaper {
+                shows: "the paper's scene",
+                instead: "`harness render` draws any world",
+            }),
+            Figure::Readings => Err(FigureError::OnlyPaper {
+                shows: "the readings of the paper",
+                instead: "`harness compare` shows the settings in which runs differ",
+            }),
+            Figure::PredictiveArch => predictive_arch::render(&source),
+            Figure::InformationLossArch => information_loss_arch::render(&source),
+            Figure::ForcesDataset => forces_dataset::render_of(&runs()?),
+            Figure::PredictionResults => Plot::over_latent(Task::Prediction).draw(analysis),
+            Figure::PropriovisionToVision => propriovision_to_vision::render_of(&runs()?),
+            Figure::ReconstructionPerformance => Plot::over_latent(Task::Reconstruction).draw(analysis),
+            Figure::Regression => clouds::render(&runs()?),
+            Figure::Horizon => horizon::render(&source),
         }
     }
 }

@@ -404,22 +404,33 @@ impl Page {
     /// # Errors
     /// When the document isn't valid SVG, has no size, or the PNG can't be encoded.
     pub fn png(svg: &str) -> Result<Vec<u8>, FigureError> {
+        let picture = Self::picture_of(svg, PNG_SCALE)?;
+        let rgb: Vec<[u8; 3]> = picture.pixels().map(|pixel| pixel.0).collect();
+        encoded([picture.width(), picture.height()], &rgb)
+            .map_err(|error| FigureError::Picture(error.to_string()))
+    }
+
+    /// Renders the SVG document `svg` with `scale` pixels per point.
+    ///
+    /// # Errors
+    /// When the document isn't valid SVG, or has no size.
+    pub fn picture_of(svg: &str, scale: f32) -> Result<RgbImage, FigureError> {
         let failed = |reason: String| FigureError::Picture(reason);
         let tree = usvg::Tree::from_str(svg, &usvg::Options::default())
             .map_err(|error| failed(error.to_string()))?;
+        // usvg has 96 units per inch.
+        let scale = 0.75 * scale;
         let [width, height] =
-            [tree.size().width(), tree.size().height()].map(|side| (side * 0.75 * PNG_SCALE).round() as u32);
+            [tree.size().width(), tree.size().height()].map(|side| (side * scale).round() as u32);
         let mut pixels =
             tiny_skia::Pixmap::new(width, height).ok_or_else(|| failed("the page has no size".into()))?;
         // The page may cover the last row or column only in part.
         pixels.fill(tiny_skia::Color::WHITE);
-        // usvg has 96 units per inch.
-        let scale = 0.75 * PNG_SCALE;
         resvg::render(&tree, tiny_skia::Transform::from_scale(scale, scale), &mut pixels.as_mut());
         // The page is opaque, so the alpha channel can be dropped.
-        let rgb: Vec<[u8; 3]> =
-            pixels.pixels().iter().map(|pixel| [pixel.red(), pixel.green(), pixel.blue()]).collect();
-        encoded([width, height], &rgb).map_err(|error| failed(error.to_string()))
+        let rgb =
+            pixels.pixels().iter().flat_map(|pixel| [pixel.red(), pixel.green(), pixel.blue()]).collect();
+        RgbImage::from_raw(width, height, rgb).ok_or_else(|| failed("the page has no size".into()))
     }
 }
 

@@ -4,10 +4,10 @@
 use super::axes::{Look, Panel, Scale, legend, remarks};
 use super::page::{BLACK, BLUE, COLUMN, GRAY, GREEN, Mark, PALE, Page, Stroke, Type, VERMILION, WINE};
 use super::{Drawing, FigureError};
-use harness_analysis::models::NETWORK;
-use harness_analysis::{Analysis, Interval, Key, Mean, Of, replicates_of};
+use harness_analysis::models::{NETWORK, PERSISTENCE};
+use harness_analysis::{Analysis, Interval, Key, Label, Labels, Mean, Of, replicates_of};
 use harness_metrics::{Metric, label};
-use harness_shared::numbers::{Natural, rounded};
+use harness_shared::numbers::rounded;
 use harness_spec::Task;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -23,9 +23,9 @@ const MARKS: [Mark; 2] = [Mark::Disc, Mark::Square];
 /// The points of baselines, which have dashed lines.
 const BASELINE_MARKS: [Mark; 3] = [Mark::Diamond, Mark::Triangle, Mark::Cross];
 /// The most series that can be told apart.
-const MOST_SERIES: usize = 2 * COLORS.len();
+pub(super) const MOST_SERIES: usize = 2 * COLORS.len();
 /// The most panels.
-const MOST_PANELS: usize = 8;
+pub(super) const MOST_PANELS: usize = 8;
 /// Height of a row of names, points.
 const ROW: f64 = 8.0;
 /// Part of a slot's width over which the points of its series are spread.
@@ -41,7 +41,7 @@ pub struct Plot {
     /// The key along the horizontal axis.
     pub x: Key,
     /// The metric along the vertical axis.
-    pub y: Metric,
+    pub y: String,
     /// The keys that distinguish series.
     pub by: Vec<Key>,
     /// The key that distinguishes panels.
@@ -55,17 +55,19 @@ pub struct Plot {
 }
 
 /// The values of a key that occur, in order.
-type Values = Vec<Natural>;
+pub(super) type Values = Vec<Label>;
 
 /// The networks with the same values of the keys `by`, or a baseline.
-struct Series<'a> {
-    name: String,
-    look: Look,
+pub(super) struct Series<'a> {
+    /// Its name in the legend.
+    pub name: String,
+    /// How it looks.
+    pub look: Look,
     spots: Vec<Spot<'a>>,
 }
 
 /// A mean, and where it is drawn.
-struct Spot<'a> {
+pub(super) struct Spot<'a> {
     panel: usize,
     /// Its position along the horizontal axis.
     slot: usize,
@@ -73,6 +75,20 @@ struct Spot<'a> {
 }
 
 impl Plot {
+    /// The plot of R² over the latent size, by modality, with a panel for each scenario. Beside the networks, it shows
+    /// persistence alone, so that six modalities have room.
+    pub(crate) fn over_latent(task: Task) -> Self {
+        Self {
+            x: Key::Latent,
+            y: Metric::R2.name().to_owned(),
+            by: vec![Key::Modality],
+            facet: Some(Key::Scenario),
+            task: Some(task),
+            modality: None,
+            models: vec![NETWORK.to_owned(), PERSISTENCE.to_owned()],
+        }
+    }
+
     /// Draws the means of an analysis.
     ///
     /// # Errors
@@ -80,19 +96,24 @@ impl Plot {
     /// many series or panels.
     pub fn draw(&self, analysis: &Analysis) -> Result<Drawing, FigureError> {
         let shown = |of: &Of| self.models.contains(&of.model) && self.has_task(of.task);
-        let all: Vec<Mean> = analysis.means()?.into_iter().filter(|mean| shown(&mean.of)).collect();
+        let keys: Vec<Key> = [self.x].into_iter().chain(self.by.iter().copied()).chain(self.facet).collect();
+        let means = match self.y == Metric::SkillHorizon.name() {
+            true => analysis.skill_horizons_by(&keys)?,
+            false => analysis.means_by(&keys)?,
+        };
+        let all: Vec<Mean> = means.into_iter().filter(|mean| shown(&mean.of)).collect();
         let has_modality = |of: &Of| {
             let is_named = |name: &String| of.modality.name() == name || of.predicted() == *name;
             self.modality.as_ref().is_none_or(is_named)
         };
-        let is_shown = |mean: &&Mean| mean.of.metric == self.y.name() && has_modality(&mean.of);
+        let is_shown = |mean: &&Mean| mean.of.metric == self.y && has_modality(&mean.of);
         let means: Vec<Mean> = all.iter().filter(is_shown).cloned().collect();
         if means.is_empty() {
             let there = all.iter().map(|mean| format!("{} of {}", mean.of.metric, mean.of.predicted()));
             let there: BTreeSet<String> = there.collect();
             return Err(FigureError::NoMeans { there: there.into_iter().collect() });
         }
-        self.draw_means(&means)
+        self.draw_means(&means, &Labels::new(analysis, &keys))
     }
 
     /// Whether the plot distinguishes the values of a key.
@@ -108,10 +129,10 @@ impl Plot {
     }
 
     /// The label of the vertical axis.
-    fn label(&self, means: &[Mean]) -> String {
+    pub(super) fn label(&self, means: &[Mean]) -> String {
         let units: BTreeSet<&str> = means.iter().map(|mean| mean.unit.as_str()).collect();
         // Without a unit if the values have several.
-        let label = label(self.y.name(), if units.len() == 1 { &means[0].unit } else { "1" });
+        let label = label(&self.y, if units.len() == 1 { &means[0].unit } else { "1" });
         let modalities: BTreeSet<String> = means.iter().map(|mean| mean.of.predicted()).collect();
         match modalities.first() {
             Some(modality) if modalities.len() == 1 => format!("{}, {label}", modality.replace('_', " ")),
@@ -120,9 +141,9 @@ impl Plot {
     }
 
     /// Returns an error if the means differ in a key that the plot does not show.
-    fn check(&self, means: &[Mean]) -> Result<(), FigureError> {
+    pub(super) fn check(&self, means: &[Mean], labels: &Labels) -> Result<(), FigureError> {
         for key in Key::ALL.into_iter().filter(|key| !self.distinguishes(*key)) {
-            let values = values(key, means);
+            let values = values(key, means, labels);
             if values.len() > 1 {
                 let values: Vec<String> = values.iter().map(|value| value.text().to_owned()).collect();
                 return Err(FigureError::Ambiguous { key: key.name(), values });
@@ -133,10 +154,16 @@ impl Plot {
 
     /// The series of all means: first those of the networks, then those of each baseline. The series of a baseline with
     /// the same points are one.
-    fn series<'a>(&self, means: &'a [Mean], panels: &Values, slots: &Values) -> Vec<Series<'a>> {
-        let panels_of = |of: &Of| self.facet.map_or(0..1, |key| places(key, of, panels));
+    pub(super) fn series<'a>(
+        &self,
+        means: &'a [Mean],
+        panels: &Values,
+        slots: &Values,
+        labels: &Labels,
+    ) -> Vec<Series<'a>> {
+        let panels_of = |of: &Of| self.facet.map_or(0..1, |key| places(key, of, panels, labels));
         let spots_of = |mean: &'a Mean| {
-            let across = move || places(self.x, &mean.of, slots);
+            let across = move || places(self.x, &mean.of, slots, labels);
             let spots = |panel| across().map(move |slot| Spot { panel, slot, value: &mean.interval });
             panels_of(&mean.of).flat_map(spots).collect::<Vec<_>>()
         };
@@ -144,7 +171,7 @@ impl Plot {
         let mut baselines: BTreeMap<(&str, Values), Vec<Spot>> = BTreeMap::new();
         for mean in means {
             let keys = self.by.iter().filter(|key| !is_every_value(**key, &mean.of));
-            let by: Values = keys.map(|key| value(*key, &mean.of)).collect();
+            let by: Values = keys.map(|key| value(*key, &mean.of, labels)).collect();
             let spots = if mean.of.model == NETWORK {
                 networks.entry(by).or_default()
             } else {
@@ -174,12 +201,12 @@ impl Plot {
         series
     }
 
-    fn draw_means(&self, means: &[Mean]) -> Result<Drawing, FigureError> {
-        self.check(means)?;
+    fn draw_means(&self, means: &[Mean], labels: &Labels) -> Result<Drawing, FigureError> {
+        self.check(means, labels)?;
         let label = self.label(means);
-        let panels = self.facet.map_or(vec![Natural::new("")], |key| values(key, means));
-        let slots = values(self.x, means);
-        let all = self.series(means, &panels, &slots);
+        let panels = self.facet.map_or(vec![Label::from(String::new())], |key| values(key, means, labels));
+        let slots = values(self.x, means, labels);
+        let all = self.series(means, &panels, &slots, labels);
         if all.len() > MOST_SERIES || panels.len() > MOST_PANELS {
             return Err(FigureError::TooMany { series: all.len(), panels: panels.len() });
         }
@@ -201,7 +228,7 @@ impl Plot {
         let bottom = top + rows as f64 * (HEIGHT + below);
         let height = bottom + 4.0 + 8.5 * (notes.len() as f64 - 1.0);
 
-        let mut page = Page::new(COLUMN, height, &format!("{label} over {}", self.x.name()));
+        let mut page = Page::new(COLUMN, height, &format!("{label} over {}", name_of(self.x)));
         for (row, entries) in legends.iter().enumerate() {
             legend(&mut page, COLUMN / 2.0, 9.0 + 9.0 * row as f64, entries);
         }
@@ -228,27 +255,24 @@ impl Plot {
                     page.line([x, panel.top], [x, panel.bottom()], Stroke::new(PALE, 0.5));
                 }
             }
-            for (order, series) in all.iter().enumerate() {
-                let aside =
-                    (order as f64 - (all.len() as f64 - 1.0) / 2.0) * SPREAD * slot / all.len() as f64;
-                let here = series.spots.iter().filter(|spot| spot.panel == place);
-                let mut points: Vec<(f64, &Interval)> =
-                    here.map(|spot| (centers[spot.slot] + aside, spot.value)).collect();
-                points.sort_by(|a, b| a.0.total_cmp(&b.0));
-                let within = points.iter().filter(|(_, value)| scale.clamp(value.mean) == value.mean);
-                let path: Vec<_> = within.map(|(x, value)| [*x, scale.at(value.mean)]).collect();
-                series.look.path(&mut page, &path);
-                for (x, value) in points {
-                    point(&mut page, series.look, x, &scale, value);
-                }
-            }
+            let across = |order: usize, place: usize| {
+                let aside = order as f64 - (all.len() as f64 - 1.0) / 2.0;
+                centers[place] + aside * SPREAD * slot / all.len() as f64
+            };
+            draw(&mut page, &all, place, &scale, across);
         }
         remarks(&mut page, bottom, notes);
         Ok(Drawing { page, data: Mean::frame(means)? })
     }
 
     /// The means beyond the axis, in words. A baseline that is at every latent size is named once.
-    fn beyond(&self, all: &[Series], panels: &Values, slots: &Values, scale: &Scale) -> Vec<String> {
+    pub(super) fn beyond(
+        &self,
+        all: &[Series],
+        panels: &Values,
+        slots: &Values,
+        scale: &Scale,
+    ) -> Vec<String> {
         let mut named = Vec::new();
         for series in all {
             for spot in series.spots.iter().filter(|spot| scale.clamp(spot.value.mean) != spot.value.mean) {
@@ -270,7 +294,7 @@ impl Plot {
     /// Writes the names along the horizontal axis, in several rows if they are long.
     fn name(&self, page: &mut Page, panel: &Panel, slots: &[f64], names: &[String], rows: usize) {
         if rows == 1 {
-            return panel.bottom_names(page, slots, names, self.x.name());
+            return panel.bottom_names(page, slots, names, name_of(self.x));
         }
         let none = vec![String::new(); names.len()];
         panel.bottom_names(page, slots, &none, "");
@@ -280,42 +304,77 @@ impl Plot {
             page.text(name, [x, panel.bottom() + 8.7 + ROW * (place % rows) as f64], Type::SMALL);
         }
         let y = panel.bottom() + 17.7 + ROW * (rows as f64 - 1.0);
-        page.text(self.x.name(), [panel.left + panel.width / 2.0, y], Type::LABEL);
+        page.text(name_of(self.x), [panel.left + panel.width / 2.0, y], Type::LABEL);
+    }
+}
+
+/// Draws the points of all series in the panel at `place`, and the lines between them. `across` returns the horizontal
+/// position, in points, for the number of a series and a slot.
+pub(super) fn draw(
+    page: &mut Page,
+    all: &[Series],
+    place: usize,
+    scale: &Scale,
+    across: impl Fn(usize, usize) -> f64,
+) {
+    for (order, series) in all.iter().enumerate() {
+        let here = series.spots.iter().filter(|spot| spot.panel == place);
+        let mut points: Vec<(f64, &Interval)> =
+            here.map(|spot| (across(order, spot.slot), spot.value)).collect();
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let within = points.iter().filter(|(_, value)| scale.clamp(value.mean) == value.mean);
+        let path: Vec<_> = within.map(|(x, value)| [*x, scale.at(value.mean)]).collect();
+        series.look.path(page, &path);
+        for (x, value) in points {
+            point(page, series.look, x, scale, value);
+        }
     }
 }
 
 /// A mean's value of a key.
-fn value(key: Key, of: &Of) -> Natural {
+fn value(key: Key, of: &Of, labels: &Labels) -> Label {
     let text = match key {
         Key::Latent => of.latent.unwrap_or_default().to_string(),
         Key::Experiment => of.experiment.clone(),
         Key::Scenario => of.scenario.name().to_owned(),
-        Key::Variant => of.variant.clone(),
+        Key::Variant if !of.variant.is_empty() => return labels.variant(&of.variant),
+        Key::Variant => String::new(),
+        Key::Setting(key) => return labels.value(key, of.values.get(key).map_or("", String::as_str)),
         Key::Settings => of.settings.clone(),
+        Key::Horizon => of.horizon.map_or_else(String::new, |horizon| horizon.to_string()),
         Key::Task => of.task.name().to_owned(),
         Key::Modality => of.predicted(),
     };
-    Natural::new(if text.is_empty() { "none".into() } else { text })
+    Label::from(if text.is_empty() { "none".into() } else { text })
 }
 
-/// The values of a key that occur. A baseline has none of the latent size.
-fn values(key: Key, means: &[Mean]) -> Values {
+/// The values of a key that occur. A baseline has none of the latent size, and a skill horizon none of the horizon.
+pub(super) fn values(key: Key, means: &[Mean], labels: &Labels) -> Values {
     let own = means.iter().filter(|mean| !is_every_value(key, &mean.of));
-    let found: BTreeSet<Natural> = own.map(|mean| value(key, &mean.of)).collect();
-    if found.is_empty() { vec![Natural::new("none")] } else { found.into_iter().collect() }
+    let found: BTreeSet<Label> = own.map(|mean| value(key, &mean.of, labels)).collect();
+    if found.is_empty() { vec![Label::from("none".to_owned())] } else { found.into_iter().collect() }
+}
+
+/// The name of a key along an axis.
+fn name_of(key: Key) -> &'static str {
+    if key == Key::Horizon { "horizon (samples)" } else { key.name() }
 }
 
 /// Whether a mean belongs to every value of a key, as a baseline belongs to every latent size.
 fn is_every_value(key: Key, of: &Of) -> bool {
-    key == Key::Latent && of.latent.is_none()
+    match key {
+        Key::Latent => of.latent.is_none(),
+        Key::Horizon => of.horizon.is_none(),
+        _ => false,
+    }
 }
 
 /// The positions of a mean among the values of a key.
-fn places(key: Key, of: &Of, values: &Values) -> Range<usize> {
+fn places(key: Key, of: &Of, values: &Values, labels: &Labels) -> Range<usize> {
     if is_every_value(key, of) {
         return 0..values.len();
     }
-    let own = value(key, of);
+    let own = value(key, of, labels);
     let place = values.iter().position(|value| *value == own).unwrap_or_default();
     place..place + 1
 }
@@ -373,17 +432,17 @@ fn look(place: usize) -> Look {
 }
 
 /// The name of a series.
-fn words(values: &[Natural]) -> String {
-    plain(&values.iter().map(Natural::text).collect::<Vec<_>>().join(", "))
+fn words(values: &[Label]) -> String {
+    plain(&values.iter().map(Label::text).collect::<Vec<_>>().join(", "))
 }
 
 /// A text without the characters that a page reads as markup.
-fn plain(text: &str) -> String {
+pub(super) fn plain(text: &str) -> String {
     text.replace(['*', '{', '}', '^'], "")
 }
 
 /// Divides the entries of a legend into rows that fit the page.
-fn rows_of<'a>(entries: &[(Look, &'a str)]) -> Vec<Vec<(Look, &'a str)>> {
+pub(super) fn rows_of<'a>(entries: &[(Look, &'a str)]) -> Vec<Vec<(Look, &'a str)>> {
     let mut rows: Vec<Vec<(Look, &str)>> = Vec::new();
     let mut taken = f64::INFINITY;
     for entry in entries {
@@ -408,7 +467,7 @@ fn rows_of_names(names: &[String], slot: f64) -> usize {
 
 /// The range of the vertical axis. It includes the mean of every network but outliers. An interval or a baseline may be
 /// cut if it is farther from these means than twice their range.
-fn range(means: &[Mean]) -> [f64; 2] {
+pub(super) fn range(means: &[Mean]) -> [f64; 2] {
     let networks: Vec<&Mean> = means.iter().filter(|mean| mean.of.model == NETWORK).collect();
     let chosen = if networks.is_empty() { means.iter().collect() } else { networks };
     let [low, high] = without_outliers(chosen.iter().map(|mean| mean.interval.mean).collect());
@@ -445,7 +504,7 @@ fn without_outliers(mut values: Vec<f64>) -> [f64; 2] {
 }
 
 /// The remarks below a plot: what the bars are, and the means beyond the axis.
-fn notes(means: &[Mean], beyond: &[String], scale: &Scale) -> Vec<String> {
+pub(super) fn notes(means: &[Mean], beyond: &[String], scale: &Scale) -> Vec<String> {
     let networks: Vec<&Mean> = means.iter().filter(|mean| mean.of.model == NETWORK).collect();
     let is_cut = means
         .iter()

@@ -1,4 +1,5 @@
-//! Figure of the predicted change of the camera's picture beside the reference, in each scenario.
+//! Figure of the predicted change of the camera's picture beside the reference, in each scenario. For any robot, it
+//! shows the first change of an image that is predicted.
 
 use super::axes::{mean_words, remarks};
 use super::page::{COLUMN, GRAY, Page, Stroke, Type};
@@ -61,8 +62,24 @@ struct Block {
 
 /// Draws the figure.
 pub fn render(source: &Source) -> Result<Drawing, FigureError> {
-    let runs = source.runs(Study::MultiToMulti)?;
-    let blocks = blocks(&runs)?;
+    draw(&source.runs(Study::MultiToMulti)?, Modality::FRAME_DIFFERENCE, Modality::VISION)
+}
+
+/// Draws the first change of an image that any robot's networks predict.
+///
+/// # Errors
+/// When the runs predict no change of an image, or a table can't be read.
+pub fn render_of(runs: &Runs) -> Result<Drawing, FigureError> {
+    let mut outputs = runs.all[0].record.spec.output.iter().filter_map(|output| runs.layout().get(*output));
+    let change =
+        outputs.find_map(|output| Some((output.name, output.difference_of.filter(|_| output.is_image())?)));
+    let (change, camera) = change.ok_or_else(|| runs.no_rows())?;
+    draw(runs, change, camera)
+}
+
+/// Draws the change `image` of a camera's picture.
+fn draw(runs: &Runs, image: Modality, camera: Modality) -> Result<Drawing, FigureError> {
+    let blocks = blocks(runs, image, camera)?;
     let width = blocks.iter().map(Block::width).fold(f64::INFINITY, f64::min);
     let height: f64 = blocks.iter().map(|block| block.height(width)).sum();
     let mut page = Page::new(COLUMN, height + 60.0, "Predicted change of the camera's picture");
@@ -161,30 +178,36 @@ impl Block {
 }
 
 /// The blocks of the runs' scenarios, in the order of the runs.
-fn blocks(runs: &Runs) -> Result<Vec<Block>, FigureError> {
+fn blocks(runs: &Runs, image: Modality, camera: Modality) -> Result<Vec<Block>, FigureError> {
     let mut scenarios: Vec<String> =
         runs.all.iter().map(|run| run.record.spec.scenario.name().to_owned()).collect();
     scenarios.dedup();
     let block = |scenario: String| {
-        let size = picture_size(runs, &scenario);
-        let (trials, errors) = (trials(runs, &scenario, size)?, errors(runs, &scenario)?);
+        let size = picture_size(runs, &scenario, image);
+        let trials = trials(runs, &scenario, size, [image, camera])?;
+        let errors = errors(runs, &scenario, image)?;
         Ok(Block { scenario, size, trials, errors })
     };
     scenarios.into_iter().map(block).collect()
 }
 
-/// Numbers of rows and columns of a scenario's frame difference, pixels.
-fn picture_size(runs: &Runs, scenario: &str) -> [usize; 2] {
+/// Numbers of rows and columns of an image in a scenario, pixels.
+fn picture_size(runs: &Runs, scenario: &str, image: Modality) -> [usize; 2] {
     let of_scenario = runs.all.iter().filter(|run| run.record.spec.scenario.name() == scenario);
-    let mut sizes = of_scenario.filter_map(|run| run.record.layout.get(Modality::FRAME_DIFFERENCE)?.size());
+    let mut sizes = of_scenario.filter_map(|run| run.record.layout.get(image)?.size());
     sizes.next_back().unwrap_or_default()
 }
 
-fn trials(runs: &Runs, scenario: &str, size: [usize; 2]) -> Result<Vec<Trial>, FigureError> {
+fn trials(
+    runs: &Runs,
+    scenario: &str,
+    size: [usize; 2],
+    [image, camera]: [Modality; 2],
+) -> Result<Vec<Trial>, FigureError> {
     let place = format!("scenario = '{scenario}'");
     let rows = runs.query_first_seeds(&format!(
         "select latent, episode, sample, motion, reference, predicted from frames where {place} \
-         and task = 'prediction' and modality = 'frame_difference' order by motion, episode, sample, latent"
+         and task = 'prediction' and modality = '{image}' order by motion, episode, sample, latent"
     ))?;
     let (latents, episodes, samples) =
         (integers(&rows, "latent")?, integers(&rows, "episode")?, integers(&rows, "sample")?);
@@ -213,7 +236,7 @@ fn trials(runs: &Runs, scenario: &str, size: [usize; 2]) -> Result<Vec<Trial>, F
     // Only runs with reconstruction have the picture before the change.
     let seen = runs.query_first_seeds(&format!(
         "select episode, sample, reference from frames where {place} and task = 'reconstruction' \
-         and modality = 'vision' order by latent"
+         and modality = '{camera}' order by latent"
     ));
     match seen {
         Err(error) if error.has_nothing_to_draw() => {}
@@ -243,11 +266,11 @@ fn change(bytes: Option<&[u8]>, [rows, columns]: [usize; 2]) -> Result<Vec<f32>,
 }
 
 /// Squared error of the frame difference relative to that of predicting no change, by latent size.
-fn errors(runs: &Runs, scenario: &str) -> Result<BTreeMap<i64, Interval>, FigureError> {
+fn errors(runs: &Runs, scenario: &str, image: Modality) -> Result<BTreeMap<i64, Interval>, FigureError> {
     let rows = runs.query(&format!(
         "select latent, dataset_seed, value from metrics join runs using (experiment, run, scenario, latent) \
          where scenario = '{scenario}' and task = 'prediction' \
-         and modality = 'frame_difference' and model = 'network' and metric = 'relative_error'"
+         and modality = '{image}' and model = 'network' and metric = 'relative_error'"
     ))?;
     let latents = integers(&rows, "latent")?;
     Ok(intervals(

@@ -52,6 +52,8 @@ pub struct Experiments {
     pub multi_to_multi: String,
     /// The experiment with the readings of the paper. It has runs of both studies.
     pub readings: String,
+    /// The experiment whose runs predict several samples ahead.
+    pub horizons: String,
 }
 
 impl Experiments {
@@ -62,7 +64,14 @@ impl Experiments {
             single_to_multi: name(Study::SingleToMulti.name()),
             multi_to_multi: name(Study::MultiToMulti.name()),
             readings: name("readings"),
+            horizons: name("memory"),
         }
+    }
+
+    /// One experiment for all figures.
+    pub fn all_of(experiment: &str) -> Self {
+        let named = || experiment.to_owned();
+        Self { single_to_multi: named(), multi_to_multi: named(), readings: named(), horizons: named() }
     }
 
     /// The name of a study's experiment.
@@ -77,12 +86,18 @@ impl Experiments {
     pub fn names(&self) -> [String; 2] {
         Study::BOTH.map(|study| self.of(study).to_owned())
     }
+
+    /// The names of all experiments.
+    pub fn all(&self) -> Vec<String> {
+        self.names().into_iter().chain([self.readings.clone(), self.horizons.clone()]).collect()
+    }
 }
 
 /// The runs that an analysis selects, grouped by study.
 pub struct Source<'a> {
-    analysis: &'a Analysis,
-    experiments: Experiments,
+    pub(super) analysis: &'a Analysis,
+    pub(super) experiments: Experiments,
+    pub(super) modality: Option<String>,
 }
 
 /// The runs of a study. They differ only in scenario, latent size and seed.
@@ -98,7 +113,13 @@ impl<'a> Source<'a> {
     /// A source of figures. The analysis must have all runs of `experiments` on simulated data, and no other runs of
     /// these experiments.
     pub fn new(analysis: &'a Analysis, experiments: Experiments) -> Self {
-        Self { analysis, experiments }
+        Self { analysis, experiments, modality: None }
+    }
+
+    /// The same source, from which the figure over the horizon shows this modality, or its elements with one unit
+    /// (`joints in rad`). `None` for the contact force or, where it is not predicted, the first modality.
+    pub fn showing(self, modality: Option<String>) -> Self {
+        Self { modality, ..self }
     }
 
     /// The runs of a study.
@@ -146,7 +167,7 @@ impl<'a> Source<'a> {
     }
 }
 
-fn no_runs(analysis: &Analysis, experiment: &str) -> FigureError {
+pub(super) fn no_runs(analysis: &Analysis, experiment: &str) -> FigureError {
     FigureError::NoRuns {
         experiment: experiment.to_owned(),
         root: analysis.root().to_owned(),
@@ -203,7 +224,7 @@ impl<'a> Runs<'a> {
     }
 
     /// The error that the runs have nothing for a figure.
-    pub(crate) fn no_rows(&self) -> FigureError {
+    pub fn no_rows(&self) -> FigureError {
         no_rows(self.analysis, &self.experiment)
     }
 

@@ -1,0 +1,157 @@
+//! What a run's network predicts along an episode, some samples ahead.
+
+use super::model::{ModelError, applied, finished, load_network};
+use candle_core::Device;
+use harness_dataset::{AnyDataset, DatasetError};
+use harness_judge::{BATCH, JudgeError, Predictor};
+use harness_learning::LearningError;
+use harness_learning::data::NormalizedData;
+use harness_learning::network::Parameters;
+use harness_learning::predict::TrainedNetwork;
+use harness_learning::random::{Random, Stream};
+use harness_registry::{Registry, RunRecord};
+use harness_samples::{Sample, Samples};
+use harness_shared::numbers::counted;
+use harness_spec::{Division, Memory, Modality, Task, Window};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// Why there are no predictions along an episode.
+#[derive(Debug, thiserror::Error)]
+pub enum RolloutError {
+    /// The network can't be loaded.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// The dataset is not there.
+    #[error("the dataset of {run} is not there: {} is missing; run the experiment again to collect it", path.display())]
+    NoDataset {
+        /// Id of the run.
+        run: String,
+        /// Path of the dataset's folder.
+        path: PathBuf,
+    },
+    /// The episode can't be read.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// The network can't be applied.
+    #[error(transparent)]
+    Judge(#[from] JudgeError),
+    /// The dataset has too few episodes.
+    #[error("there is no episode {episode}: the dataset of {run} has {}", counted(*episodes as usize, "episode"))]
+    NoEpisode {
+        /// Id of the run.
+        run: String,
+        /// The asked episode.
+        episode: u32,
+        /// The number of episodes.
+        episodes: u32,
+    },
+    /// The episode has no window of this length.
+    #[error(
+        "episode {episode} has {}, too few for a context of {} and a horizon of {}",
+        counted(*samples, "sample"), window.context, window.horizon
+    )]
+    TooShort {
+        /// The episode.
+        episode: u32,
+        /// The number of its samples.
+        samples: usize,
+        /// The window.
+        window: Window,
+    },
+    /// The network has no memory and does not predict all of its inputs.
+    #[error(
+        "the network of {run} has no memory, so it predicts further than one sample from its own predictions, and \
+         these lack its input '{lacking}'; use --horizon 1, or a run that predicts it"
+    )]
+    NoFeedback {
+        /// Id of the run.
+        run: String,
+        /// The input that it does not predict.
+        lacking: Modality,
+    },
+}
+
+/// An episode, and what a network predicts along it.
+pub struct Rollout {
+    /// The run's record.
+    pub record: RunRecord,
+    /// The episode of the dataset.
+    pub episode: u32,
+    /// Number of samples from the present to the predicted one.
+    pub horizon: usize,
+    /// The samples of the episode alone.
+    pub samples: Arc<Samples>,
+    /// The present samples, in their order.
+    pub present: Vec<Sample>,
+    /// The predicted values of each modality, `[present, width]`, in physical units; images channel by channel.
+    pub predicted: BTreeMap<Modality, Vec<f32>>,
+}
+
+/// Predicts an episode with the network of the finished run whose id, or `experiment/id`, begins with `wanted`. Each
+/// sample is predicted from those until `horizon` samples before it, and from the recorded actions after these.
+///
+/// # Arguments
+/// * `episode`: the episode of the dataset; `None` for the first one that the run was tested on, if its data are split
+///   by episode, and the last one otherwise
+/// * `horizon`: number of samples, which may be larger than in training; at least 1
+///
+/// # Errors
+/// When there is no such run, network or episode, the episode is too short, or the network can't predict so far.
+pub fn rollout(
+    registry: &Registry,
+    wanted: &str,
+    episode: Option<u32>,
+    horizon: usize,
+) -> Result<Rollout, RolloutError> {
+    let (folder, record, trained) = finished(registry, wanted)?;
+    let spec = &record.spec;
+    let lacking = spec.input.iter().find(|modality| !spec.output.contains(modality));
+    if let Some(&lacking) = lacking.filter(|_| horizon > 1 && trained.network.memory == Memory::None) {
+        return Err(RolloutError::NoFeedback { run: record.run, lacking });
+    }
+    let task = Task::Prediction;
+    let mut parameters = Parameters::new();
+    let mut random = Random::new(spec.seed, Stream::Parameters(task));
+    let network = applied(&record, &trained, task).network(&mut parameters, &mut random, &Device::Cpu);
+    let network = network.map_err(|error| ModelError::from(LearningError::from(error)))?;
+    let normalizers = load_network(&folder.checkpoint(task), &parameters)?;
+
+    let path = registry.datasets().join(&record.dataset);
+    if !path.is_dir() {
+        return Err(RolloutError::NoDataset { run: record.run, path });
+    }
+    let dataset = AnyDataset::at(&path)?;
+    let episodes = spec.simulation.as_ref().map_or(dataset.episodes(), |simulation| simulation.episodes);
+    let tested = spec.split.counts(episodes as usize).filter(|_| spec.split.by == Division::Episode);
+    let usual = episodes.saturating_sub(tested.map_or(1, |counts| counts.test as u32));
+    let episode = episode.unwrap_or(usual);
+    if episode >= episodes {
+        return Err(RolloutError::NoEpisode { run: record.run, episode, episodes });
+    }
+    let data = NormalizedData {
+        samples: Arc::new(dataset.load_episode(episode)?),
+        normalizers: Arc::new(normalizers),
+        action: spec.action,
+        device: Device::Cpu,
+    };
+    let window = Window { horizon, ..spec.window };
+    let present = data.samples.windows(window.judged());
+    if present.is_empty() {
+        return Err(RolloutError::TooShort { episode, samples: data.samples.len(), window });
+    }
+    let (network, input, output) = (network.detached(), &spec.input[..], &spec.output[..]);
+    let trained = TrainedNetwork { data: &data, network, input, output, window };
+    let mut predicted: BTreeMap<Modality, Vec<f32>> = BTreeMap::new();
+    for at in present.chunks(BATCH) {
+        trained.predict(at, &mut |found| {
+            if found.horizon == horizon {
+                predicted.entry(found.modality).or_default().extend(&found.values);
+            }
+            Ok(())
+        })?;
+    }
+    let samples = data.samples.clone();
+    Ok(Rollout { record, episode, horizon, samples, present, predicted })
+}

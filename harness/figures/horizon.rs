@@ -1,0 +1,183 @@
+//! Figure of the error and the skill of predictions over the horizon, for any robot: a column of panels for each
+//! scenario, and a row for each of both metrics.
+
+use super::axes::{Look, Panel, Scale, legend, remarks};
+use super::page::{COLUMN, GRAY, Page, Stroke};
+use super::plot::{MOST_PANELS, MOST_SERIES, Plot, Values, draw, notes, plain, range, rows_of, values};
+use super::source::{Source, no_runs};
+use super::{Drawing, FigureError};
+use harness_analysis::{Key, Label, Labels, Mean, models};
+use harness_metrics::Metric;
+use harness_spec::{Modality, Task};
+use polars::prelude::*;
+use std::collections::BTreeSet;
+
+/// Height of a panel, points.
+const HEIGHT: f64 = 96.0;
+/// Space below a panel of the upper and the lower row, points.
+const BELOW: [f64; 2] = [18.0, 26.0];
+const LEFT: f64 = 36.0;
+/// Space between the columns of panels, points.
+const GAP: f64 = 12.0;
+/// Space between the edges of a panel and the first and the last horizon, points.
+const MARGIN: f64 = 9.0;
+/// Part of the least distance between two horizons over which the points of a horizon are spread.
+const SPREAD: f64 = 0.5;
+
+/// Draws the figure.
+///
+/// # Errors
+/// When there are no runs, they predict only the next sample or not the modality, there are too many series, or a table
+/// can't be read.
+pub fn render(source: &Source) -> Result<Drawing, FigureError> {
+    let (analysis, experiment) = (source.analysis, source.experiments.horizons.as_str());
+    if analysis.runs(experiment).is_empty() {
+        return Err(no_runs(analysis, experiment));
+    }
+    let of_experiment = |mean: &Mean| mean.of.experiment == experiment && mean.of.task == Task::Prediction;
+    let all: Vec<Mean> = analysis.means_by(&[Key::Horizon])?.into_iter().filter(of_experiment).collect();
+    let horizons: BTreeSet<usize> = all.iter().filter_map(|mean| mean.of.horizon).collect();
+    if horizons.len() < 2 {
+        return Err(FigureError::OneHorizon { experiment: experiment.to_owned() });
+    }
+    let there: BTreeSet<String> = all.iter().map(|mean| mean.of.predicted()).collect();
+    let force = Modality::CONTACT_FORCE.name();
+    let usual = there.iter().find(|name| *name == force).or(there.first()).map_or(force, String::as_str);
+    let modality = source.modality.as_deref().unwrap_or(usual);
+    let is_shown = |mean: &Mean| mean.of.predicted() == modality || mean.of.modality.name() == modality;
+    let shown: Vec<Mean> = all.into_iter().filter(is_shown).collect();
+    let has = |metric: Metric| shown.iter().any(|mean| mean.of.metric == metric.name());
+    let error = if has(Metric::R2) { Metric::R2 } else { Metric::RelativeError };
+    if !has(error) {
+        return Err(FigureError::NoMeans { there: there.into_iter().collect() });
+    }
+    let labels = Labels::new(analysis, &[]);
+    let differ = |key: &Key| values(*key, &shown, &labels).len() > 1;
+    let by: Vec<Key> = [Key::Latent, Key::Variant, Key::Settings].into_iter().filter(differ).collect();
+    let rows = [error, Metric::Skill].map(|metric| {
+        let plot = Plot {
+            x: Key::Horizon,
+            y: metric.name().to_owned(),
+            by: by.clone(),
+            facet: Some(Key::Scenario),
+            task: Some(Task::Prediction),
+            modality: Some(modality.to_owned()),
+            models: models::ALL.map(str::to_owned).to_vec(),
+        };
+        let means = shown.iter().filter(|mean| mean.of.metric == metric.name()).cloned().collect();
+        Row { plot, means }
+    });
+    let seconds = analysis.sample_rate_hz().map(|rate| 1.0 / rate);
+    draw_rows(&rows, &labels, &horizons.into_iter().collect::<Vec<_>>(), seconds)
+}
+
+/// A row of panels, which shows one metric.
+struct Row {
+    plot: Plot,
+    means: Vec<Mean>,
+}
+
+/// Draws the rows. `horizons` are in samples, of which each takes `seconds`, if that is known.
+fn draw_rows(
+    rows: &[Row; 2],
+    labels: &Labels,
+    horizons: &[usize],
+    seconds: Option<f64>,
+) -> Result<Drawing, FigureError> {
+    let [errors, skills] = rows;
+    let panels = values(Key::Scenario, &errors.means, labels);
+    let slots = values(Key::Horizon, &errors.means, labels);
+    errors.plot.check(&errors.means, labels)?;
+    let all = [errors, skills].map(|row| row.plot.series(&row.means, &panels, &slots, labels));
+    if all[0].len() > MOST_SERIES || 2 * panels.len() > MOST_PANELS {
+        return Err(FigureError::TooMany { series: all[0].len(), panels: 2 * panels.len() });
+    }
+    let entries: Vec<(Look, &str)> = all[0].iter().map(|one| (one.look, one.name.as_str())).collect();
+    let legends = rows_of(&entries);
+    let scales = rows.each_ref().map(|row| {
+        let [low, high] = range(&row.means);
+        // The skill of persistence is 0, and that of a perfect prediction is 1.
+        let is_skill = row.plot.y == Metric::Skill.name();
+        let [low, high] = if is_skill { [low.min(0.0), high.clamp(0.0, 1.0)] } else { [low, high] };
+        move |ends| Scale::linear(low, high, 5, ends)
+    });
+    let time = |horizon: usize| seconds.map_or(horizon as f64, |seconds| horizon as f64 * seconds);
+    let names: Vec<String> = horizons.iter().map(|horizon| short(time(*horizon))).collect();
+    let unit = if seconds.is_some() { "s" } else { "samples" };
+    let named: Values = names.iter().map(|name| Label::from(format!("{name} {unit}"))).collect();
+    let beyond =
+        |place: usize| rows[place].plot.beyond(&all[place], &panels, &named, &scales[place]([0.0, 1.0]));
+    let remarked = notes(&errors.means, &[beyond(0), beyond(1)].concat(), &scales[0]([0.0, 1.0]));
+
+    let width = (COLUMN - LEFT - 4.0 - GAP * (panels.len() as f64 - 1.0)) / panels.len() as f64;
+    let top = 20.0 + 9.0 * legends.len() as f64;
+    let bottom = top + 2.0 * HEIGHT + BELOW.iter().sum::<f64>();
+    let height = bottom + 8.0 + 8.5 * remarked.len() as f64;
+    let mut page = Page::new(COLUMN, height, "Error and skill of predictions over the horizon");
+    for (row, entries) in legends.iter().enumerate() {
+        legend(&mut page, COLUMN / 2.0, 9.0 + 9.0 * row as f64, entries);
+    }
+    for (row, of_row) in rows.iter().enumerate() {
+        let label = of_row.plot.label(&of_row.means);
+        for (place, scenario) in panels.iter().enumerate() {
+            let panel = Panel {
+                left: LEFT + place as f64 * (width + GAP),
+                top: top + row as f64 * (HEIGHT + BELOW[0]),
+                width,
+                height: HEIGHT,
+            };
+            let scale = scales[row](panel.upwards());
+            panel.left_axis(&mut page, &scale, (place == 0).then_some(label.as_str()));
+            let centers = centers(&panel, horizons);
+            if row == 0 {
+                panel.heading(
+                    &mut page,
+                    &char::from(b'a' + place as u8).to_string(),
+                    &plain(scenario.text()),
+                );
+                panel.bottom_names(&mut page, &centers, &vec![String::new(); names.len()], "");
+            } else {
+                panel.bottom_names(&mut page, &centers, &names, &format!("horizon ({unit})"));
+                let zero = scale.at(0.0);
+                page.line([panel.left, zero], [panel.right(), zero], Stroke::new(GRAY, 0.8));
+            }
+            let least = centers.windows(2).map(|pair| pair[1] - pair[0]).fold(f64::INFINITY, f64::min);
+            let apart = (SPREAD * least).min(2.0 * MARGIN) / all[row].len() as f64;
+            let across = |order: usize, slot: usize| {
+                centers[slot] + (order as f64 - (all[row].len() as f64 - 1.0) / 2.0) * apart
+            };
+            draw(&mut page, &all[row], place, &scale, across);
+        }
+    }
+    let persistence =
+        "skill: 1 \u{2212} squared error / that of persistence; gray line: persistence".to_owned();
+    remarks(&mut page, bottom + 4.0, [persistence].into_iter().chain(remarked));
+    Ok(Drawing { page, data: data(rows, seconds)? })
+}
+
+/// The positions of horizons in a panel, on a logarithmic axis, points.
+fn centers(panel: &Panel, horizons: &[usize]) -> Vec<f64> {
+    let logarithm = |horizon: &usize| (*horizon as f64).ln();
+    let (first, last) = (horizons.first().map_or(0.0, logarithm), horizons.last().map_or(1.0, logarithm));
+    let room = panel.width - 2.0 * MARGIN;
+    let at = |horizon: &usize| panel.left + MARGIN + room * (logarithm(horizon) - first) / (last - first);
+    horizons.iter().map(at).collect()
+}
+
+/// A time with as many digits as it needs, at most three decimals.
+fn short(seconds: f64) -> String {
+    let text = format!("{seconds:.3}");
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// The rows of the CSV file: the means, with the horizon in seconds too.
+fn data(rows: &[Row; 2], seconds: Option<f64>) -> Result<DataFrame, FigureError> {
+    let means: Vec<Mean> = rows.iter().flat_map(|row| row.means.iter().cloned()).collect();
+    let mut data = Mean::frame(&means)?;
+    let times = data.column(Key::Horizon.name())?.cast(&DataType::Float64)? * seconds.unwrap_or(f64::NAN);
+    let place = data.get_column_index(Key::Horizon.name()).unwrap_or_default();
+    if seconds.is_some() {
+        data.insert_column(place + 1, times.with_name("horizon_seconds".into()))?;
+    }
+    Ok(data)
+}
