@@ -42,7 +42,8 @@ static PAGE: LazyLock<String> = LazyLock::new(|| page(&RESULTS, "report.html", &
 fn page(results: &Path, name: &str, more: &[&str]) -> String {
     let out = results.join(name);
     let said = succeed(results, &[&["report", "--output", out.to_str().unwrap()][..], more].concat());
-    assert!(said.contains(name) && said.trim_end().ends_with(" MB"), "{said}");
+    let has_size = [" MB", " kB"].iter().any(|unit| said.trim_end().ends_with(unit));
+    assert!(said.contains(name) && has_size, "{said}");
     fs::read_to_string(out).unwrap()
 }
 
@@ -519,11 +520,164 @@ fn a_report_of_another_world_has_what_there_is() {
     let settings = ["scenarios=[tendon]", "seeds=[0]", "tasks=[prediction]"];
     succeed(&results, &[&["run", SMOKE][..], &settings].concat());
     let page = page_without_pictures(&results, "report.html", &["smoke"]);
-    let sections: Vec<&str> =
-        page.split("<section id=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
-    // There are no clips of this world, and no claims and figures about it.
-    assert_eq!(sections, ["joints", "regression", "training", "runs"]);
+    // There are no claims and figures about this world. Without an OpenGL driver, the scene says why it is missing.
+    let expected =
+        ["scenes", "modalities", "metrics", "joints", "regression", "course", "images", "training", "runs"];
+    assert_eq!(sections(&page), expected);
     assert_eq!(experiments_in(&data(&page), "training", "experiment"), BTreeSet::from(["smoke".to_owned()]));
+}
+
+fn sections(page: &str) -> Vec<&str> {
+    page.split("<section id=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect()
+}
+
+/// A cart with a pendulum. Its joints have two units, so they are judged by unit.
+const PENDULUM: &str = r#"<mujoco><option timestep="0.005"/>
+  <visual><quality shadowsize="0" offsamples="0"/></visual><worldbody>
+  <light pos="0 -1 2"/><geom name="floor" type="plane" size="2 2 .1" rgba=".8 .8 .7 1"/>
+  <geom name="wall" type="box" pos=".15 0 .35" size=".02 .2 .35" rgba=".3 .4 .7 1"/>
+  <camera name="side" pos="0 -1.6 .7" xyaxes="1 0 0 0 0 1"/>
+  <body name="cart" pos="0 0 .8"><joint name="slide" type="slide" axis="1 0 0" range="-.5 .5" damping="2"/>
+    <geom name="cart" type="box" size=".06 .05 .03" mass="1"/>
+    <body name="rod"><joint name="swing" axis="0 1 0" damping=".02"/>
+      <geom name="rod" type="capsule" fromto="0 0 0 0 0 -.4" size=".02" mass=".2" rgba=".8 .4 .2 1"/></body></body>
+  </worldbody><actuator><position name="push" joint="slide" kp="200" ctrlrange="-.4 .4"/></actuator></mujoco>"#;
+
+/// Runs in a world with a pendulum, and the page of all results.
+pub static PENDULUM_PAGE: LazyLock<(PathBuf, String)> = LazyLock::new(|| {
+    let results = folder("report_pendulum");
+    let path = |name: &str| results.join(name).display().to_string();
+    fs::write(path("pendulum.xml"), PENDULUM).unwrap();
+    succeed(&results, &["world", "new", &path("pendulum.xml")]);
+    let spec = "name: pendulum\nscenarios: [pendulum.yaml]\ninput: [joints, camera_0]\n\
+                output: [joints, contact_force, camera_0_difference]\nlatent: [2, 4]\nseeds: [0, 1]\n\
+                network: {preset: multi_to_multi, hidden: [8], channels: [2]}\n\
+                simulation: {episodes: 4, actuations_per_episode: 2}\ntasks: [prediction]\n\
+                training: {epochs: 2, batch_size: 16}\n";
+    fs::write(path("spec.yaml"), spec).unwrap();
+    succeed(&results, &["run", &path("spec.yaml")]);
+    let page = page(&results, "report.html", &[]);
+    (results, page)
+});
+
+#[test]
+fn a_page_about_another_robot_has_every_part_and_no_finger() {
+    let (results, page) = &*PENDULUM_PAGE;
+    let expected =
+        ["scenes", "modalities", "metrics", "joints", "regression", "course", "images", "training", "runs"];
+    assert_eq!(sections(page), expected);
+    let (text, script) = page.split_once("<script type").unwrap();
+    let said = text.split_once("</style>").unwrap().1.to_lowercase();
+    for word in ["finger", "flexion", "paper", "claim"] {
+        assert!(!said.contains(word), "{word}: {said}");
+    }
+    let parts = between(&said, "<main>", "</main>");
+    assert!(!parts.contains("class=\"absent\""), "{parts}");
+    assert!(!script.split("</script>").next().unwrap().contains("finger"));
+    assert_eq!(between(page, "<h1>", "</h1>"), "pendulum");
+    // The picture of the world, and what each sample records.
+    assert_eq!(page.matches("<figure class=\"clip\"").count(), 1);
+    assert_eq!(data(page)["clips"][0]["frames"].as_array().unwrap().len(), 20, "two seconds at 10 Hz");
+    let modalities = between(page, "<section id=\"modalities\">", "</section>");
+    for row in [
+        "<th scope=\"row\">joints</th><td>2 values</td><td class=\"elements\">slide in m; swing in rad</td>\
+         <td>input, output</td>",
+        "<th scope=\"row\">camera_0</th><td>image of 64 × 64 pixels</td>",
+        "<th scope=\"row\">setpoint</th><td>1 value</td><td class=\"elements\">push</td><td>action</td>",
+    ] {
+        assert!(modalities.contains(row), "{row}: {modalities}");
+    }
+    // Named or not, the page is the same.
+    assert!(*page == self::page(results, "named.html", &["pendulum"]));
+}
+
+#[test]
+fn the_tables_and_courses_of_any_robot_are_those_of_queries() {
+    let (results, page) = &*PENDULUM_PAGE;
+    let registry = Registry::new(results);
+    let value = |sql: &str| -> Vec<f64> {
+        let found = query(&registry, sql).unwrap();
+        let column = found.columns().last().unwrap().cast(&DataType::Float64).unwrap();
+        column.f64().unwrap().iter().flatten().collect()
+    };
+    let rows = between(page, "<section id=\"metrics\">", "</section>");
+    assert!(
+        rows.contains("<th scope=\"col\">network, z = 2</th><th scope=\"col\">network, z = 4</th>"),
+        "{rows}"
+    );
+    for baseline in ["persistence", "ridge", "training mean"] {
+        assert!(rows.contains(&format!("<th scope=\"col\">{baseline}</th>")), "{baseline}");
+    }
+    let row = between(rows, "<th scope=\"row\">joints in rad</th><td>R2 ↑</td>", "</tr>");
+    let cells: Vec<String> =
+        row.split("<td>").skip(1).map(|cell| cell.replace("<b>", "").replace("</b>", "")).collect();
+    let of = |model: &str, latent: u32| {
+        let sql = format!(
+            "select value from metrics where modality = 'joints' and direction = 'in rad' and metric = 'r2' \
+             and index is null and model = '{model}' and latent = {latent} order by seed"
+        );
+        let values = value(&sql);
+        assert_eq!(values.len(), 2, "{sql}");
+        values.iter().sum::<f64>() / 2.0
+    };
+    // The columns of the networks come first, then the baselines in alphabetical order.
+    let expected = [of("network", 2), of("network", 4), of("persistence", 2)];
+    for (cell, expected) in cells.iter().zip(expected) {
+        assert!(cell.starts_with(&harness::numbers::rounded(expected)), "{cell} {expected}");
+    }
+    let data = data(page);
+    let courses = data["course"].as_array().unwrap();
+    // The elements of joints have several units, so only the two forces have predictions, of two networks each.
+    assert!(!courses.is_empty());
+    for course in courses {
+        let text = |key: &str| course[key].as_str().unwrap();
+        let place = format!(
+            "modality = '{}' and index = {} and latent = {} and seed = 0 and episode = {} and task = 'prediction'",
+            text("modality"),
+            course["index"],
+            course["latent"],
+            course["episode"]
+        );
+        for (at, column) in [(1, "reference"), (2, "predicted")] {
+            let stored = value(&format!("select {column} from predictions where {place} order by sample"));
+            let shown: Vec<f64> = course["points"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|point| point[at].as_f64().unwrap())
+                .collect();
+            assert_eq!(shown.len(), stored.len(), "{place}");
+            for (shown, stored) in shown.iter().zip(&stored) {
+                assert!((shown - stored).abs() <= 1e-4 * stored.abs(), "{place}: {shown} {stored}");
+            }
+        }
+        assert_eq!((course["seconds"].as_f64(), text("unit")), (Some(0.1), "N"));
+    }
+    // Each of the five stored samples has a reference and a prediction of each network.
+    let images = between(page, "<section id=\"images\">", "</section>");
+    assert_eq!(images.matches("<img src=\"data:image/png;base64,").count(), 5 * 3);
+}
+
+#[test]
+fn a_page_of_a_world_that_is_gone_says_so() {
+    let (results, _) = &*PENDULUM_PAGE;
+    let copy = folder("report_gone");
+    fs::remove_dir_all(&copy).unwrap();
+    let copied = std::process::Command::new("cp").arg("-r").arg(results).arg(&copy).status().unwrap();
+    assert!(copied.success());
+    // The runs' records have the path of the world file, which is that of the first folder.
+    let run =
+        fs::read_dir(copy.join("runs/pendulum")).unwrap().flatten().map(|run| run.path().join("run.json"));
+    for path in run.filter(|path| path.exists()) {
+        let mut record: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+        record["provenance"]["world_file"] = "/nowhere/pendulum.yaml".into();
+        record[seal::KEY] = seal::BLANK.into();
+        seal::write(&path, format!("{record:#}\n").into_bytes()).unwrap();
+    }
+    let page = page(&copy, "gone.html", &["pendulum"]);
+    let scenes = between(&page, "<section id=\"scenes\">", "</section>");
+    assert!(scenes.contains("The world pendulum could not be filmed: "), "{scenes}");
+    assert!(page.contains("<section id=\"metrics\">"));
 }
 
 #[test]
@@ -534,7 +688,7 @@ fn what_is_not_predicted_is_named_without_a_command() {
     let page = page_without_pictures(&results, "report.html", &["images"]);
     let reason = "The finished runs of images (scenarios: cluttered, empty; tasks: prediction; outputs: \
                   frame_difference) have no rows for this part.";
-    for section in ["joints", "regression"] {
+    for section in ["joints", "regression", "course"] {
         let part = between(&page, &format!("<section id=\"{section}\">"), "</section>");
         assert!(part.contains(reason), "{part}");
     }

@@ -1,15 +1,20 @@
 //! Renders a short clip of each scene.
 
+use super::Asked;
 use super::cache::cached;
+use super::subjects::is_of_the_paper;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
+use harness_analysis::Analysis;
 use harness_figures::FigureError;
 use harness_shared::progress::Progress;
-use harness_simulation::{Scene, SceneRenderer, replay};
-use harness_spec::{Scenario, Simulation};
+use harness_simulation::{EpisodePlan, Scene, SceneRenderer, SimulationError, replay};
+use harness_spec::{Layout, Origin, Scenario, Simulation, World};
 use image::RgbImage;
 use image::codecs::jpeg::JpegEncoder;
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+use std::sync::Arc;
 
 /// Width and height of a clip's pictures, pixels.
 const SIZE: [u32; 2] = [640, 400];
@@ -21,12 +26,66 @@ const BLOCK: u32 = 16;
 /// Number of samples in a clip. They are five actuations.
 const SAMPLES: usize = 50;
 
-/// The episode of a scenario's clip and the clip's first sample. Both are chosen so that the finger is pressed on
-/// something.
-fn take(scenario: Scenario) -> (u32, usize) {
-    match scenario {
-        Scenario::EMPTY => (0, 20),
-        _ => (7, 60),
+/// Number of samples in a clip of another world, whose speed of rendering is unknown.
+const FEW_SAMPLES: usize = 30;
+
+/// A world that is filmed.
+pub struct Shot {
+    /// The world's name.
+    pub scenario: Scenario,
+    /// The world's file; `None` for a built-in world.
+    file: Option<PathBuf>,
+    /// The settings of the simulation.
+    simulation: Simulation,
+    /// The modalities of the runs' samples; `None` for a scene of the paper, which needs no runs.
+    layout: Option<Arc<Layout>>,
+}
+
+impl Shot {
+    /// A scene of the paper.
+    pub fn of_the_paper(scenario: Scenario) -> Self {
+        Self { scenario, file: None, simulation: Simulation::default(), layout: None }
+    }
+
+    /// The worlds of the asked experiments that are none of the paper's scenes.
+    pub fn others(analysis: &Analysis, asked: &Asked) -> Vec<Self> {
+        let mut shots: Vec<Self> = Vec::new();
+        for run in asked.experiments.iter().flat_map(|name| analysis.runs(name)) {
+            let record = &run.record;
+            let Origin::Simulated(scenario) = record.spec.scenario else { continue };
+            let Some(simulation) = record.spec.simulation.clone() else { continue };
+            let file = record.provenance.world_file.clone();
+            let is_known = |shot: &Shot| shot.scenario == scenario && shot.file == file;
+            if !is_of_the_paper(&record.spec.scenario) && !shots.iter().any(is_known) {
+                shots.push(Self { scenario, file, simulation, layout: Some(record.layout.clone()) });
+            }
+        }
+        shots
+    }
+
+    /// Compiles the world.
+    fn scene(&self) -> Result<Scene, FigureError> {
+        let world = match &self.file {
+            Some(file) => World::load(file),
+            None => World::find(self.scenario.name()),
+        };
+        let scene = Scene::new(world.map_err(SimulationError::from)?)?;
+        let is_changed =
+            self.layout.as_ref().is_some_and(|layout| *layout != scene.layout_of(&self.simulation));
+        match is_changed {
+            true => Err(FigureError::Picture("its modalities have changed since the runs".into())),
+            false => Ok(scene),
+        }
+    }
+
+    /// The episode, its first sample and the number of samples of the clip. Those of the paper's scenes are chosen so
+    /// that the finger is pressed on something.
+    fn take(&self) -> (u32, usize, usize) {
+        match (&self.layout, self.scenario) {
+            (Some(_), _) => (0, 0, FEW_SAMPLES.min(self.simulation.samples_per_episode())),
+            (None, Scenario::EMPTY) => (0, 20, SAMPLES),
+            (None, _) => (7, 60, SAMPLES),
+        }
     }
 }
 
@@ -35,6 +94,10 @@ fn take(scenario: Scenario) -> (u32, usize) {
 pub struct Clip {
     /// The scene's scenario.
     pub scenario: Scenario,
+    /// Whether it is one of the paper's scenes.
+    pub is_of_the_paper: bool,
+    /// The description of the world.
+    pub description: String,
     /// The episode that the clip shows.
     pub episode: u32,
     /// The first and the last sample that the clip shows.
@@ -68,30 +131,31 @@ struct Frame {
     picture: String,
 }
 
-/// Returns a clip of each of these scenarios of the paper. A clip that isn't in the cache is simulated and rendered.
+/// Films a world. The clips of the paper's scenes are kept in the cache.
 ///
 /// # Errors
-/// When a scene can't be simulated or rendered.
-pub fn film(scenarios: &[Scenario], progress: &dyn Progress) -> Result<Vec<(Clip, Frames)>, FigureError> {
-    let film = |scenario: &Scenario| {
-        cached(&format!("clip-{scenario}"), || {
-            progress.begin(&format!("filming {scenario}"), SAMPLES as u64, "frames");
-            let clip = clip(*scenario, progress);
-            progress.end();
-            clip
-        })
+/// When the world can't be read, simulated or rendered.
+pub fn film(shot: &Shot, progress: &dyn Progress) -> Result<(Clip, Frames), FigureError> {
+    let film = || {
+        progress.begin(&format!("filming {}", shot.scenario), shot.take().2 as u64, "frames");
+        let clip = clip(shot, progress);
+        progress.end();
+        clip
     };
-    scenarios.iter().map(film).collect()
+    match shot.layout {
+        None => cached(&format!("clip-{}", shot.scenario), film),
+        Some(_) => film(),
+    }
 }
 
-fn clip(scenario: Scenario, progress: &dyn Progress) -> Result<(Clip, Frames), FigureError> {
-    let (episode, first) = take(scenario);
-    let simulation = Simulation::default();
-    let scene = Scene::paper(scenario)?;
+fn clip(shot: &Shot, progress: &dyn Progress) -> Result<(Clip, Frames), FigureError> {
+    let ((episode, first, count), scenario) = (shot.take(), shot.scenario);
+    let (scene, simulation) = (shot.scene()?, &shot.simulation);
     let mut renderer = SceneRenderer::new(&scene, SIZE[0], SIZE[1])?;
-    let states = replay(&scene, &simulation, episode)?;
-    let mut pictures = Vec::with_capacity(SAMPLES);
-    for state in states.iter().skip(first).take(SAMPLES) {
+    renderer.vary(&EpisodePlan::draw(&scene, simulation, episode)?.factors);
+    let states = replay(&scene, simulation, episode)?;
+    let mut pictures = Vec::with_capacity(count);
+    for state in states.iter().skip(first).take(count) {
         pictures.push(renderer.render(state)?);
         progress.advance(1);
     }
@@ -99,7 +163,9 @@ fn clip(scenario: Scenario, progress: &dyn Progress) -> Result<(Clip, Frames), F
     let frames: Vec<Frame> =
         pictures.iter().map(|picture| Frame::new(picture, &pictures[0])).collect::<Result<_, _>>()?;
     let samples = (first, first + frames.len() - 1);
-    let clip = Clip { scenario, episode, samples, width: SIZE[0], height: SIZE[1], still };
+    let is_of_the_paper = shot.layout.is_none();
+    let (description, [width, height]) = (scene.world().description().to_owned(), SIZE);
+    let clip = Clip { scenario, is_of_the_paper, description, episode, samples, width, height, still };
     Ok((clip, Frames { scenario, first, seconds: 1.0 / simulation.sample_rate_hz, frames }))
 }
 

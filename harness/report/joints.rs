@@ -1,4 +1,4 @@
-//! Collects how well each joint's angle and each link's contact force is predicted.
+//! Collects how well each element of a vector is predicted, such as the angle of a joint or the force on a link.
 
 use super::subjects::{Subject, direction_of, of_each};
 use super::{Absent, Asked, short};
@@ -8,7 +8,7 @@ use harness_catalog::rows;
 use harness_figures::FigureError;
 use harness_figures::source::{Runs, Source};
 use harness_metrics::Direction;
-use harness_spec::{Definition, Modality, Scenario, Task};
+use harness_spec::{Definition, Modality, Origin, Task};
 use polars::prelude::{DataType, IntoLazy, col};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -23,11 +23,14 @@ pub struct Series {
     of: Of,
     /// The datasets or seeds that the means are over: `one seed`, `3 seeds` or `3 datasets`.
     over: String,
-    /// The direction of each joint or link.
+    /// The names of the elements.
+    elements: Vec<String>,
+    /// The direction of each joint or link, if it is one of the paper's two.
     directions: Vec<Option<&'static str>>,
-    /// The value of each joint or link. `None` if the metric isn't defined there.
+    /// The value of each element. `None` if the metric isn't defined there.
     values: Vec<Option<Value>>,
-    /// The value over all joints or links of a direction (keys `fe` and `aa`), or over all of them (`all`).
+    /// The value over all elements of a group (keys such as `fe` and `aa`) or unit (`in rad`), or over all of them
+    /// (`all`).
     overall: BTreeMap<String, Value>,
 }
 
@@ -37,7 +40,7 @@ struct Of {
     task: Task,
     modality: Modality,
     metric: String,
-    scenario: Scenario,
+    scenario: Origin,
     /// The networks' latent size. `None` for a baseline.
     latent: Option<u64>,
     /// The name of the study or experiment.
@@ -54,7 +57,7 @@ struct Row {
     task: Task,
     modality: Modality,
     metric: String,
-    scenario: Scenario,
+    scenario: Origin,
     latent: u64,
     model: String,
     unit: String,
@@ -68,9 +71,9 @@ type Replicate = (u64, f64);
 /// A value's place in its series.
 #[derive(PartialEq, Eq, PartialOrd, Ord)]
 enum Place {
-    /// The joint or link of this index.
+    /// The element of this index.
     Joint(usize),
-    /// All joints or links of the direction `fe` or `aa`, or `all` of them.
+    /// All elements of a group or unit, or `all` of them.
     Overall(String),
 }
 
@@ -83,23 +86,32 @@ pub fn series(
     subjects: &[Subject],
     asked: &Asked,
 ) -> Result<(Vec<Series>, BTreeSet<Absent>), FigureError> {
-    of_each(source, subjects, asked, of_subject)
+    let sql = if asked.experiments.is_empty() { SQL } else { ALL_SQL };
+    of_each(source, subjects, asked, |runs, subject| of_subject(runs, subject, sql))
 }
 
-/// The query on the metrics table.
+/// The query on the metrics table for the rows of every modality.
+pub const ALL_SQL: &str = "select task, modality, metric, scenario, latent, model, unit, direction, index, \
+    dataset_seed, value from metrics join runs using (experiment, run, scenario, latent) \
+    where model in ('network', 'persistence', 'ridge')";
+
+/// The query on the metrics table for the rows of the paper's joints and links.
 pub const SQL: &str = "select task, modality, metric, scenario, latent, model, unit, direction, index, dataset_seed, \
     value from metrics join runs using (experiment, run, scenario, latent) \
     where modality in ('proprioception', 'contact_force') and model in ('network', 'persistence', 'ridge')";
 
-fn of_subject(runs: &Runs, subject: &Subject) -> Result<Vec<Series>, FigureError> {
+fn of_subject(runs: &Runs, subject: &Subject, sql: &str) -> Result<Vec<Series>, FigureError> {
     let keys =
         ["task", "modality", "metric", "scenario", "latent", "model", "unit", "direction", "index"].map(col);
     let values = [col("dataset_seed").cast(DataType::UInt64), col("value")];
-    let mut groups = runs.query(SQL)?.lazy().group_by_stable(keys).agg(values).collect()?;
+    let mut groups = runs.query(sql)?.lazy().group_by_stable(keys).agg(values).collect()?;
     let [datasets, values] = [groups.drop_in_place("dataset_seed")?, groups.drop_in_place("value")?];
     let (datasets, values) = (datasets.list()?, values.list()?);
     let mut all: BTreeMap<Of, BTreeMap<Place, Vec<Replicate>>> = BTreeMap::new();
     for (group, row) in rows::<Row>(&mut groups)?.into_iter().enumerate() {
+        if !subject.modalities.contains(&row.modality) {
+            continue;
+        }
         let is_network = row.model == NETWORK;
         let of = Of {
             task: row.task,
@@ -127,14 +139,23 @@ fn of_subject(runs: &Runs, subject: &Subject) -> Result<Vec<Series>, FigureError
             found.dedup_by_key(|(dataset, _)| *dataset);
         }
     }
+    if all.is_empty() {
+        return Err(runs.no_rows());
+    }
     let series = |(of, places): (Of, _)| {
-        let definition = &runs.layout()[of.modality];
-        Series::new(of, definition, places)
+        let mut of_scenario = runs.all.iter().filter(|run| run.record.spec.scenario == of.scenario);
+        let definition = of_scenario.find_map(|run| run.record.layout.get(of.modality))?;
+        Some(Series::new(of, definition, places))
     };
-    Ok(all.into_iter().map(series).collect())
+    Ok(all.into_iter().filter_map(series).collect())
 }
 
 impl Series {
+    /// Whether the elements are the joints or links of a finger.
+    pub fn is_of_finger(&self) -> bool {
+        self.directions.iter().any(Option::is_some)
+    }
+
     fn new(of: Of, definition: &Definition, places: BTreeMap<Place, Vec<Replicate>>) -> Self {
         let width = definition.width();
         let directions = (0..width).map(|joint| direction_of(definition, joint).map(Direction::name));
@@ -144,6 +165,7 @@ impl Series {
         let mut series = Self {
             of,
             over: String::new(),
+            elements: definition.elements().iter().map(|element| element.name.clone()).collect(),
             directions: directions.collect(),
             values: vec![None; width],
             overall: BTreeMap::new(),

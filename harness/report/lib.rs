@@ -1,8 +1,9 @@
 //! Makes the report: an HTML page with scenes, claims, readings, figures, charts, training curves and runs.
 //!
-//! The page is about all results, or about some experiments ([`Asked`]). It is one self-contained HTML document, so it
-//! can be opened from a disk and sent by mail. Where runs are missing, the page names the command that makes them. The
-//! same tables give the same bytes.
+//! The page is about all results, or about some experiments ([`Asked`]). A page of some experiments has parts that
+//! know any robot: what it senses, its metrics beside baselines, predictions along an episode, and images. It is one
+//! self-contained HTML document, so it can be opened from a disk and sent by mail. Where runs are missing, the page
+//! names the command that makes them. The same tables give the same bytes.
 //!
 //! `page.html` is the template. minijinja escapes every value in it that isn't marked as `safe`. `page.css` and
 //! `page.js` are inserted unchanged, after the style and the script of the charts. A content security policy lets
@@ -10,8 +11,14 @@
 
 mod cache;
 mod clips;
+mod course;
 mod figures;
+mod horizon;
+mod images;
 mod joints;
+mod means;
+mod modalities;
+mod predictions;
 mod readings;
 mod regression;
 mod runs;
@@ -21,15 +28,16 @@ mod verdicts;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
+use clips::Shot;
 use harness_analysis::{Analysis, AnalysisError, Selection, Setting, has_settings};
 use harness_catalog::QueryError;
 use harness_claims::{self as claims, Claim, ClaimsError};
 use harness_figures::source::{Experiments, Source};
 use harness_figures::{FORCES_SQL, FigureError};
-use harness_registry::{Registry, RunRecord};
+use harness_registry::{Registry, RunRecord, Status, quoted};
 use harness_shared::progress::Progress;
 use harness_simulation::SimulationError;
-use harness_spec::{Experiment, QUICK};
+use harness_spec::{Experiment, QUICK, Scenario};
 use minijinja::value::Serde;
 use minijinja::{Environment, UndefinedBehavior};
 use serde::Serialize;
@@ -126,10 +134,15 @@ pub struct Asked {
 }
 
 impl Asked {
-    /// The same without repeated names of experiments.
-    fn without_repetitions(&self) -> Self {
+    /// The same without repeated names of experiments. If there is no name and no run is in a scene of the paper, the
+    /// page is about all experiments in other worlds, because it would have nothing about the paper.
+    fn resolved(&self, others: &Others) -> Self {
         let mut known = BTreeSet::new();
-        let experiments = self.experiments.iter().filter(|name| known.insert(*name)).cloned().collect();
+        let mut experiments: Vec<String> =
+            self.experiments.iter().filter(|name| known.insert(*name)).cloned().collect();
+        if experiments.is_empty() && !others.is_beside_the_paper {
+            experiments.extend(others.experiments.iter().cloned());
+        }
         Self { experiments, ..self.clone() }
     }
 
@@ -187,6 +200,37 @@ impl Asked {
     }
 }
 
+/// The experiments in other worlds than the paper's scenes.
+struct Others {
+    /// The experiments whose finished runs are all in other worlds.
+    experiments: BTreeSet<String>,
+    /// Whether other finished runs are in a scene of the paper.
+    is_beside_the_paper: bool,
+}
+
+impl Others {
+    fn of(registry: &Registry) -> Self {
+        let is_done = |record: &RunRecord| record.status == Status::Done;
+        let (own, others): (Vec<RunRecord>, Vec<RunRecord>) = registry
+            .records()
+            .into_iter()
+            .filter(is_done)
+            .partition(|record| subjects::is_of_the_paper(&record.spec.scenario));
+        let own: BTreeSet<String> = own.into_iter().map(|record| record.experiment).collect();
+        let others = others.into_iter().map(|record| record.experiment);
+        Self {
+            experiments: others.filter(|name| !own.contains(name)).collect(),
+            is_beside_the_paper: !own.is_empty(),
+        }
+    }
+
+    /// The command that makes the page of these experiments, if there are any.
+    fn command(&self, registry: &Registry) -> Option<String> {
+        let names = quoted(self.experiments.iter().map(String::as_str));
+        (!self.experiments.is_empty()).then(|| registry.command(&format!("report {names}")))
+    }
+}
+
 /// The values that the page's template uses.
 #[derive(Serialize)]
 struct Page {
@@ -204,7 +248,17 @@ struct Page {
     commands: BTreeSet<String>,
     /// Notes about runs that were left out, and about runs whose settings differ.
     remarks: Vec<String>,
-    clips: Part<Vec<clips::Clip>>,
+    clips: Vec<Part<clips::Clip>>,
+    /// On a page of all results, the command that makes the page of the experiments in other worlds.
+    others: Option<String>,
+    /// What the worlds of the asked experiments sense.
+    worlds: Vec<modalities::World>,
+    /// The metrics of the asked experiments.
+    means: Vec<means::Table>,
+    images: Vec<images::Images>,
+    images_absent: BTreeSet<Absent>,
+    /// Why predictions along an episode are missing.
+    course_absent: BTreeSet<Absent>,
     verdicts: verdicts::Verdicts,
     /// `None` if the page is not about the experiment of the readings.
     readings: Option<Part<readings::Readings>>,
@@ -224,6 +278,10 @@ struct Page {
 struct Has {
     scenes: bool,
     joints: bool,
+    /// Whether elements are the joints and links of a finger.
+    finger: bool,
+    course: bool,
+    horizon: bool,
     regression: bool,
     training: bool,
 }
@@ -234,6 +292,8 @@ struct Data {
     clips: Vec<clips::Frames>,
     joints: Vec<joints::Series>,
     regression: Vec<regression::Cloud>,
+    course: Vec<course::Course>,
+    horizon: Vec<horizon::Curve>,
     training: Vec<training::Curves>,
 }
 
@@ -256,7 +316,8 @@ pub fn page(
     asked: &Asked,
     progress: &dyn Progress,
 ) -> Result<String, ReportError> {
-    let asked = &asked.without_repetitions();
+    let others = Others::of(registry);
+    let asked = &asked.resolved(&others);
     let (all_claims, claims): (Vec<&Claim>, _) = (claims.iter().collect(), asked.claims(claims));
     let quick = asked.is_quick();
     let analysis = asked.analysis(registry, &claims, readings)?;
@@ -271,22 +332,23 @@ pub fn page(
         false => None,
     };
     let experiments = runs::experiments(registry, asked);
-    let (clips, frames) = match part(clips::film(&scenarios, progress), asked)? {
-        Part::Absent(absent) => (Part::Absent(absent), Vec::new()),
-        Part::There(filmed) => {
-            let (clips, frames) = filmed.into_iter().unzip();
-            (Part::There(clips), frames)
-        }
-    };
+    let (clips, frames) = clips(&scenarios, &analysis, asked, progress)?;
     let (joints, joints_absent) = joints::series(&source, &subjects, asked)?;
     let (regression, regression_absent) = regression::clouds(&source, &subjects, asked)?;
-    let data = Data { clips: frames, joints, regression, training: training::curves(registry, asked)? };
+    let ((course, course_absent), (images, images_absent)) = match asked.experiments.is_empty() {
+        true => Default::default(),
+        false => (course::courses(&source, &subjects, asked)?, images::images(&source, &subjects, asked)?),
+    };
+    let means = means::tables(&analysis, asked)?;
+    let horizon = horizon::curves(&analysis, asked)?;
+    let training = training::curves(registry, asked)?;
+    let data = Data { clips: frames, joints, regression, course, horizon, training };
 
     let undrawn = figures.iter().filter_map(|figure| match &figure.svg {
         Part::Absent(absent) => Some(absent),
         Part::There(_) => None,
     });
-    let absent = undrawn.chain(&joints_absent).chain(&regression_absent);
+    let absent = undrawn.chain(&joints_absent).chain(&regression_absent).chain(&course_absent);
     let commands =
         absent.filter_map(|absent| absent.command.clone()).chain(verdicts.commands.clone()).collect();
     let page = Page {
@@ -300,12 +362,21 @@ pub fn page(
         commands,
         remarks: analysis.notes().iter().chain(&verdicts.mixed).map(|text| sentence(text)).collect(),
         has: Has {
-            scenes: !scenarios.is_empty(),
+            scenes: !clips.is_empty(),
             joints: !data.joints.is_empty(),
+            finger: data.joints.iter().any(joints::Series::is_of_finger),
+            course: !data.course.is_empty(),
+            horizon: !data.horizon.is_empty(),
             regression: !data.regression.is_empty(),
             training: !data.training.is_empty(),
         },
         clips,
+        others: others.command(registry).filter(|_| asked.experiments.is_empty()),
+        worlds: modalities::worlds(&analysis, asked),
+        means,
+        images,
+        images_absent,
+        course_absent,
         verdicts,
         readings,
         figures,
@@ -315,6 +386,43 @@ pub fn page(
         data: script_safe(&serde_json::to_string(&data)?),
     };
     Ok(render(&page)?)
+}
+
+/// Films the scenes of the paper that the page is about, and the other worlds of the asked experiments. A world that
+/// can't be filmed becomes [`Part::Absent`]. Without an OpenGL driver, one part says so.
+fn clips(
+    scenarios: &[Scenario],
+    analysis: &Analysis,
+    asked: &Asked,
+    progress: &dyn Progress,
+) -> Result<(Vec<Part<clips::Clip>>, Vec<clips::Frames>), FigureError> {
+    let own = scenarios.iter().map(|scenario| Shot::of_the_paper(*scenario));
+    let (mut clips, mut frames, mut absent) = (Vec::new(), Vec::new(), BTreeSet::new());
+    for shot in own {
+        match part(clips::film(&shot, progress), asked)? {
+            Part::Absent(reason) => drop(absent.insert(reason)),
+            Part::There((clip, pictures)) => {
+                clips.push(Part::There(clip));
+                frames.push(pictures);
+            }
+        }
+    }
+    for shot in Shot::others(analysis, asked) {
+        match part(clips::film(&shot, progress), asked) {
+            Ok(Part::Absent(reason)) => drop(absent.insert(reason)),
+            Ok(Part::There((clip, pictures))) => {
+                clips.push(Part::There(clip));
+                frames.push(pictures);
+            }
+            // The world's files may be gone, or have changed since the runs.
+            Err(error) => {
+                let reason = format!("The world {} could not be filmed: {error}.", shot.scenario);
+                absent.insert(Absent { reason, command: None });
+            }
+        }
+    }
+    clips.extend(absent.into_iter().map(Part::Absent));
+    Ok((clips, frames))
 }
 
 fn render(page: &Page) -> Result<String, minijinja::Error> {

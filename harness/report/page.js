@@ -95,7 +95,8 @@ class Choices {
       field.place.hidden = field.unless?.(chosen) ?? false;
       if (field.place.hidden) continue;
       field.offered = field.values ?? distinct(left.map((row) => row[field.key]).filter((value) => value !== null));
-      const wanted = [field.chosen, field.first].find((value) => field.offered.includes(value)) ?? field.offered[0];
+      const first = typeof field.first === "function" ? field.first(left) : field.first;
+      const wanted = [field.chosen, first].find((value) => field.offered.includes(value)) ?? field.offered[0];
       const words = field.words ?? String;
       const option = (value) => new Option(words(value), value, false, value === wanted);
       field.select.replaceChildren(...field.offered.map(option));
@@ -105,6 +106,15 @@ class Choices {
     }
     this.changed(chosen, left);
   }
+}
+
+/** The element of the row whose values differ most, such as the link that is touched most. */
+function liveliest(rows, valuesOf) {
+  const spread = (row) => {
+    const values = valuesOf(row);
+    return values.reduce((a, b) => Math.max(a, b), -Infinity) - values.reduce((a, b) => Math.min(a, b), Infinity);
+  };
+  return rows.reduce((most, row) => (spread(row) > spread(most) ? row : most), rows[0])?.element;
 }
 
 /** Adds a chart that says how it is used. */
@@ -125,7 +135,7 @@ const withUnit = (words, unit) => (unit === "1" ? words : `${words} (${unit})`);
 const overWords = (over) => (over === "one seed" ? over : `mean over ${over} [95 % interval]`);
 /** The shapes of the marks in each direction. Each is for as many studies as there are colors. */
 const SHAPES = [{ fe: "disc", aa: "square" }, { fe: "diamond", aa: "diamond" }, { fe: "bar", aa: "bar" }];
-const allStudies = distinct(data.joints.map((row) => row.study));
+const allStudies = distinct([...data.joints, ...data.course].map((row) => row.study));
 
 /** The color of a study's networks, or of its ridge regression, which has another one if there are enough. */
 function colorOf(study, isRidge = false) {
@@ -136,7 +146,7 @@ function colorOf(study, isRidge = false) {
 /** The shape of a study's marks. Studies of the same color have different ones. */
 function shapeOf(study, direction) {
   const round = Math.floor(allStudies.indexOf(study) / COLORS.length);
-  return SHAPES[round % SHAPES.length][direction];
+  return SHAPES[round % SHAPES.length][direction ?? "fe"];
 }
 
 // --- By joint and link ---
@@ -153,7 +163,7 @@ function lookOf(row, direction) {
   };
   const [words, color] = looks[row.model];
   return {
-    name: `${words}, ${DIRECTIONS[direction]}`,
+    name: direction === null ? words : `${words}, ${DIRECTIONS[direction]}`,
     entry: words,
     color,
     dash: row.model !== "network" ? "dotted" : lateral ? "dashed" : undefined,
@@ -200,9 +210,8 @@ function jointSeries(rows, directions) {
   return rows.flatMap((row) => directions.map((direction) => {
     const places = row.values.map((value, joint) => ({ value, joint }));
     const some = places.filter(({ value, joint }) => value && row.directions[joint] === direction);
-    const part = row.modality === "proprioception" ? "joint" : "link";
     const cell = row.latent === null ? "" : `, latent size ${row.latent}`;
-    const says = (joint) => `${part} ${joint}${cell}`;
+    const says = (joint) => `${elementWords(row, joint)}${cell}`;
     const points = some.map(({ value, joint }) => valuePoint(joint, value, row, says(joint)));
     return { ...lookOf(row, direction), points };
   })).filter((series) => series.points.length > 0);
@@ -213,7 +222,8 @@ function latentSeries(rows, directions, latents) {
   const lines = new Map();
   for (const row of rows) {
     for (const direction of directions) {
-      const value = row.overall[direction];
+      // Elements of different units have a value for each unit, and none for all of them.
+      const value = direction === null ? row.overall.all ?? row.overall[`in ${row.unit}`] ?? Object.values(row.overall)[0] : row.overall[direction];
       if (!value) continue;
       const look = lookOf(row, direction);
       // Studies on different data have different baselines of the same name.
@@ -236,33 +246,66 @@ function sharedLatent(rows) {
   return latents.reduce((best, latent) => (studies(latent) > studies(best) ? latent : best), latents[0]);
 }
 
+/** Whether a row is about the joints or links of a finger, which have directions. */
+const isOfFinger = (row) => row.directions.some((direction) => direction !== null);
+
+/** The name of a row's element: the number of a finger's joint or link, or the element's own name. */
+function elementWords(row, index) {
+  if (!isOfFinger(row)) return spaced(row.elements[index]);
+  return `${row.modality === "proprioception" ? "joint" : "link"} ${index}`;
+}
+
+/** The most elements whose names fit below a chart, and the most letters of all of them. */
+const [MOST_NAMES, MOST_LETTERS] = [8, 60];
+
+/** The horizontal axis of a row's elements: by their numbers, or by their names if these fit. */
+function elementAxis(row) {
+  const last = row.values.length - 1;
+  const range = { low: -0.5, high: last + 0.5 };
+  const names = isOfFinger(row) ? [] : row.elements.map(spaced);
+  const fit = names.length > 0 && names.length <= MOST_NAMES && names.join("").length <= MOST_LETTERS;
+  const ticks = row.values.map((_, index) => ({ at: index, text: fit ? names[index] : String(index) }));
+  if (!isOfFinger(row)) return { label: fit ? "element" : "element, by number", ticks, ...range };
+  const part = row.modality === "proprioception" ? "joint" : "link";
+  return { label: `${part}, 0 at the base, ${last} at the tip`, ticks, ...range };
+}
+
 function showJoints(place) {
   let chart;
-  const over = { joint: "joint or link", latent: "latent size" };
+  const over = { joint: data.joints.some(isOfFinger) ? "joint or link" : "element", latent: "latent size" };
+  const unitsOf = (chosen) => {
+    const alike = ["task", "modality", "metric"];
+    return distinct(data.joints.filter((row) => alike.every((key) => row[key] === chosen[key])).map((row) => row.unit));
+  };
+  const hasDirections = (chosen) => data.joints.some((row) => row.modality === chosen.modality && isOfFinger(row));
   const fields = [
     { key: "task", label: "Task" },
     { key: "modality", label: "Of", words: modalityWords },
     { key: "metric", label: "Metric", first: "r2", words: (name) => METRICS[name] ?? spaced(name) },
+    { key: "unit", label: "Unit", unless: (chosen) => unitsOf(chosen).length < 2 },
     { key: "scenario", label: "Scenario", first: "cluttered" },
-    { key: "direction", label: "Direction", values: [BOTH, "fe", "aa"], words: (name) => DIRECTIONS[name] ?? name },
+    {
+      key: "direction", label: "Direction", values: [BOTH, "fe", "aa"], words: (name) => DIRECTIONS[name] ?? name,
+      unless: (chosen) => !hasDirections(chosen),
+    },
     { key: "over", label: "Over", values: Object.keys(over), words: (name) => over[name] },
     { key: "latent", label: "Latent size", first: sharedLatent(data.joints), unless: (chosen) => chosen.over === "latent" },
   ];
   new Choices(place, data.joints, fields, (chosen, left) => {
     chart ??= addChart(place);
-    const directions = chosen.direction === BOTH ? Object.keys(DIRECTIONS) : [chosen.direction];
-    const alike = data.joints.filter((row) => ["task", "modality", "metric", "scenario"].every((key) => row[key] === chosen[key]));
+    const both = { [BOTH]: Object.keys(DIRECTIONS), undefined: [null] };
+    const directions = both[chosen.direction] ?? [chosen.direction];
+    const keys = ["task", "modality", "metric", "unit", "scenario"].filter((key) => chosen[key] !== undefined);
+    const alike = data.joints.filter((row) => keys.every((key) => row[key] === chosen[key]));
     const latents = distinct(alike.map((row) => row.latent).filter((latent) => latent !== null));
     const byLatent = chosen.over === "latent";
     const rows = withoutTwins(byLatent ? alike : left);
     const series = byLatent ? latentSeries(rows, directions, latents) : jointSeries(rows, directions);
-    const part = chosen.modality === "proprioception" ? "joint" : "link";
-    const last = Math.max(...left.map((row) => row.values.length)) - 1;
-    const joints = Array.from({ length: last + 1 }, (_, joint) => ({ at: joint, text: String(joint) }));
+    const longest = left.reduce((most, row) => (row.values.length > most.values.length ? row : most), left[0]);
     const x = byLatent
       ? { label: "latent size", low: -0.4, high: latents.length - 0.6, ticks: latents.map((latent, at) => ({ at, text: String(latent) })) }
-      : { label: `${part}, 0 at the base, ${last} at the tip`, low: -0.5, high: last + 0.5, ticks: joints };
-    chart.show({ title: "Predictions by joint and link", x, y: valueAxis(rows, series), series });
+      : elementAxis(longest);
+    chart.show({ title: "Predictions by element", x, y: valueAxis(rows, series), series });
   });
 }
 
@@ -271,19 +314,29 @@ function showJoints(place) {
 function showRegression(place) {
   let chart;
   const inputs = new Map(data.regression.map((cloud) => [cloud.study, cloud.input]));
+  const hasDirections = (chosen) => data.regression.some((cloud) => cloud.modality === chosen.modality && cloud.direction !== null);
   const fields = [
     { key: "modality", label: "Of", words: modalityWords },
-    { key: "study", label: "Predicted", words: (study) => inputs.get(study) },
+    { key: "study", label: "Predicted", words: (study) => inputs.get(study), unless: () => inputs.size < 2 },
     { key: "scenario", label: "Scenario", first: "cluttered" },
     { key: "latent", label: "Latent size", first: sharedLatent(data.regression) },
-    { key: "direction", label: "Direction", values: [BOTH, "fe", "aa"], words: (name) => DIRECTIONS[name] ?? name },
+    {
+      key: "direction", label: "Direction", values: [BOTH, "fe", "aa"], words: (name) => DIRECTIONS[name] ?? name,
+      unless: (chosen) => !hasDirections(chosen),
+    },
+    {
+      key: "element", label: "Element", words: spaced, unless: hasDirections,
+      first: (left) => liveliest(left, (cloud) => cloud.points.map((point) => point[2])),
+    },
   ];
   new Choices(place, data.regression, fields, (chosen, left) => {
     chart ??= addChart(place);
-    const clouds = left.filter((cloud) => chosen.direction === BOTH || cloud.direction === chosen.direction);
+    const clouds = left.filter((cloud) => [undefined, BOTH, cloud.direction].includes(chosen.direction));
     const series = clouds.map((cloud) => cloudSeries(cloud));
     // All clouds of a modality and scenario have the same axes, so that they can be compared.
-    const alike = data.regression.filter((cloud) => ["modality", "scenario"].every((key) => cloud[key] === chosen[key]));
+    // Without directions, each element has axes of its own.
+    const keys = ["modality", "scenario", "element"].filter((key) => chosen[key] !== undefined);
+    const alike = data.regression.filter((cloud) => keys.every((key) => cloud[key] === chosen[key]));
     const values = alike.flatMap((cloud) => cloud.points.flatMap(([, , reference, predicted]) => [reference, predicted]));
     const [low, high] = [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))];
     const margin = (high - low) * 0.04 || 1;
@@ -295,6 +348,7 @@ function showRegression(place) {
 function cloudSeries(cloud) {
   const { direction } = cloud;
   const part = cloud.modality === "proprioception" ? "joint" : "link";
+  const name = direction === null ? spaced(cloud.element) : `${part} ${cloud.index}, ${DIRECTIONS[direction]}`;
   const r2 = cloud.r2 ? `, R\u00b2 ${interval(...cloud.r2)}` : "";
   // Points are sorted by reference, so that the arrow keys move from left to right.
   const samples = [...cloud.points].sort((a, b) => a[2] - b[2]);
@@ -308,12 +362,108 @@ function cloudSeries(cloud) {
     ],
   }));
   return {
-    name: `${part} ${cloud.index}, ${DIRECTIONS[direction]}${r2}`,
-    color: direction === "fe" ? "third" : "fourth",
+    name: `${name}${r2}`,
+    color: direction === "aa" ? "fourth" : "third",
     alpha: 0.5,
-    kind: direction === "fe" ? "dot" : "square",
+    kind: direction === "aa" ? "square" : "dot",
     points,
   };
+}
+
+// --- Over time ---
+
+function showCourse(place) {
+  let chart;
+  const inputs = new Map(data.course.map((course) => [course.study, course.input]));
+  const fields = [
+    { key: "study", label: "Predicted", words: (study) => inputs.get(study), unless: () => inputs.size < 2 },
+    { key: "modality", label: "Of", words: modalityWords },
+    { key: "scenario", label: "Scenario" },
+    { key: "latent", label: "Latent size" },
+    {
+      key: "element", label: "Element", words: spaced,
+      first: (left) => liveliest(left, (course) => course.points.map((point) => point[1])),
+    },
+  ];
+  new Choices(place, data.course, fields, (chosen, [course]) => {
+    chart ??= addChart(place);
+    const at = (sample) => (course.seconds === null ? sample : sample * course.seconds);
+    const time = (sample) => (course.seconds === null ? `sample ${sample}` : `sample ${sample}, ${shown(at(sample))} s`);
+    const unit = course.unit === "" || course.unit === "1" ? "" : ` ${course.unit}`;
+    const line = (column, words, look) => ({
+      name: words,
+      line: true,
+      points: course.points.map((point) => ({
+        x: at(point[0]),
+        y: point[column],
+        says: [time(point[0]), `${words} ${shown(point[column])}${unit}`, `episode ${course.episode}, seed ${course.seed}`],
+      })),
+      ...look,
+    });
+    const ends = [course.points[0][0], course.points[course.points.length - 1][0]].map(at);
+    const values = course.points.flatMap(([, reference, predicted]) => [reference, predicted]);
+    const [low, high] = [Math.min(...values), Math.max(...values)];
+    const margin = (high - low) * 0.06 || 1;
+    chart.show({
+      title: "Prediction along an episode",
+      x: { label: course.seconds === null ? "sample" : "time since the episode's start (s)", low: ends[0], high: ends[1] },
+      y: { label: withUnit(spaced(course.element), course.unit || "1"), low: low - margin, high: high + margin },
+      series: [
+        line(1, "recorded", { color: "first" }),
+        line(2, "predicted", { color: "second", dash: "dashed" }),
+      ],
+    });
+  });
+}
+
+// --- Over the horizon ---
+
+function showHorizon(place) {
+  let chart;
+  const studies = distinct(data.horizon.map((curve) => curve.study));
+  const scenarios = distinct(data.horizon.map((curve) => curve.scenario));
+  const fields = [
+    { key: "study", label: "Experiment", unless: () => studies.length < 2 },
+    { key: "modality", label: "Of", first: "contact_force", words: modalityWords },
+    { key: "metric", label: "Metric", first: "r2", words: (name) => METRICS[name] ?? spaced(name) },
+    { key: "scenario", label: "Scenario", unless: () => scenarios.length < 2 },
+  ];
+  new Choices(place, data.horizon, fields, (chosen, curves) => {
+    chart ??= addChart(place);
+    const { seconds, metric, unit } = curves[0];
+    const horizons = distinct(curves.flatMap((curve) => curve.points.map(([horizon]) => horizon)));
+    const series = curves.map((curve, index) => horizonSeries(curve, index));
+    const { label, ...range } = valueAxis([{ metric, unit }], series);
+    const y = metric === "skill" ? { label, ...skillRange(series) } : { label, ...range };
+    chart.show({ title: "Metric over the horizon", x: horizonAxis(horizons, seconds), y, series });
+  });
+}
+
+function horizonSeries(curve, index) {
+  const isBaseline = curve.model !== "network";
+  const unit = curve.unit === "1" ? "" : ` ${curve.unit}`;
+  const ahead = (horizon) => (curve.seconds === null ? `${horizon} samples ahead` : `${shown(horizon * curve.seconds)} s ahead`);
+  const points = curve.points.map(([horizon, mean, ...bounds]) => ({
+    x: horizonPlace(horizon),
+    y: mean,
+    bounds: bounds.length ? bounds : undefined,
+    says: [ahead(horizon), `${METRICS[curve.metric] ?? spaced(curve.metric)} ${interval(mean, ...bounds)}${unit}`, overWords(curve.over)],
+  }));
+  return {
+    name: curve.name,
+    color: curve.model === "persistence" ? "faint" : COLORS[index % COLORS.length],
+    dash: isBaseline ? "dotted" : undefined,
+    kind: isBaseline ? "diamond" : "disc",
+    line: true,
+    behind: isBaseline,
+    points,
+  };
+}
+
+/** The ends of an axis of skills: 0, which is persistence, to at most 1, and at least the skills of networks above -1. */
+function skillRange(series) {
+  const ends = series.filter((one) => !one.behind).flatMap((one) => one.points.map((point) => point.y));
+  return { low: Math.max(-1, Math.floor(Math.min(0, ...ends) * 10) / 10), high: 1 };
 }
 
 // --- Training ---
@@ -405,13 +555,16 @@ function endWords(splits) {
 
 // --- The page ---
 
-const parts = { "joints-chart": showJoints, "regression-chart": showRegression, "training-chart": showTraining };
+const parts = {
+  "joints-chart": showJoints,
+  "regression-chart": showRegression,
+  "course-chart": showCourse,
+  "horizon-chart": showHorizon,
+  "training-chart": showTraining,
+};
 for (const [id, show] of Object.entries(parts)) {
   const place = document.getElementById(id);
   if (place) show(place);
 }
-for (const clip of data.clips) {
-  const figure = document.querySelector(`.clip[data-scenario="${clip.scenario}"]`);
-  if (figure) new Clip(figure, clip);
-}
+document.querySelectorAll(".clip").forEach((figure, place) => new Clip(figure, data.clips[place]));
 }

@@ -15,6 +15,8 @@ pub struct Subject {
     experiment: String,
     /// What tells its networks from those of the other subjects, in words.
     pub words: String,
+    /// The vectors whose predictions are shown.
+    pub modalities: BTreeSet<Modality>,
 }
 
 /// The experiments that stand for the paper's two in figures. On a page of some experiments, a study whose own
@@ -35,10 +37,11 @@ pub fn roles(analysis: &Analysis, asked: &Asked) -> Experiments {
         like.map_or(own, String::as_str).to_owned()
     };
     let [single_to_multi, multi_to_multi] = Study::BOTH.map(role);
-    Experiments { single_to_multi, multi_to_multi, readings: paper.readings.clone() }
+    Experiments { single_to_multi, multi_to_multi, ..paper }
 }
 
-/// The experiments whose predictions are shown: the paper's two, or those of the asked ones that have the finger.
+/// The experiments whose predictions are shown: the asked ones with all their vectors, or the paper's two with joint
+/// angles and contact forces.
 pub fn subjects(analysis: &Analysis, asked: &Asked, roles: &Experiments) -> Vec<Subject> {
     let named: Vec<(&str, &str)> = match asked.experiments.is_empty() {
         true => Study::BOTH.map(|study| (study.name(), roles.of(study))).into(),
@@ -48,13 +51,28 @@ pub fn subjects(analysis: &Analysis, asked: &Asked, roles: &Experiments) -> Vec<
         [run, ..] if asked.experiments.len() < 2 => input_words(&run.record.spec.input),
         _ => experiment.to_owned(),
     };
-    let shown = named.into_iter().filter(|(_, experiment)| has_finger(analysis, experiment));
+    let modalities = |experiment: &str| match asked.experiments.is_empty() {
+        true => BTreeSet::from([Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE]),
+        false => analysis.runs(experiment).iter().flat_map(vectors).collect(),
+    };
+    // The paper's parts compare finger with finger.
+    let is_shown = |experiment: &str| !asked.experiments.is_empty() || has_finger(analysis, experiment);
+    let shown = named.into_iter().filter(|(_, experiment)| is_shown(experiment));
     let subject = |(name, experiment): (&str, &str)| Subject {
         name: name.to_owned(),
         experiment: experiment.to_owned(),
         words: words(experiment),
+        modalities: modalities(experiment),
     };
     shown.map(subject).collect()
+}
+
+/// The vectors that a run predicts.
+fn vectors(run: &Run) -> Vec<Modality> {
+    let is_vector = |modality: &&Modality| {
+        run.record.layout.get(**modality).is_some_and(|definition| !definition.is_image())
+    };
+    run.record.spec.output.iter().filter(is_vector).copied().collect()
 }
 
 /// The scenarios of the paper that the runs of the asked experiments are in.
@@ -68,7 +86,8 @@ pub fn scenarios(analysis: &Analysis, asked: &Asked) -> Vec<Scenario> {
         .collect()
 }
 
-fn is_of_the_paper(scenario: &Origin) -> bool {
+/// Whether a scenario is one of the paper's two.
+pub fn is_of_the_paper(scenario: &Origin) -> bool {
     matches!(scenario, Origin::Simulated(scenario) if Scenario::PAPER.contains(scenario))
 }
 

@@ -602,6 +602,29 @@ def read_hostile(page: Page):
     page.check_quiet()
 
 
+def read_horizon(page: Page, results: Path):
+    """The curves over the horizon are those of the tables, on a desktop and on a phone."""
+    tables = [table(results, name) for name in ["metrics", "further_metrics"]]
+    rows = pd.concat([tables[0].assign(horizon=1), tables[1]])
+    rows = rows[(rows.task == "prediction") & rows["index"].isna() & rows.direction.isna() & (rows.model == "network")]
+    for size in [DESKTOP, PHONE]:
+        page.open(size)
+        for modality in ["contact_force", "proprioception"]:
+            page.choose("horizon", "Of", modality)
+            page.choose("horizon", "Metric", "r2")
+            points = page.points("horizon")
+            values = rows[(rows.modality == modality) & (rows.metric == "r2")].groupby("horizon").value.mean()
+            assert len(points) == len(values) == 3, points
+            for said, (horizon, value) in zip(points, values.items()):
+                assert said.startswith("network\n") and f"{number(str(horizon / 10)):g} s ahead" in said, said
+                assert abs(number(re.search(r"R² (\S+)", said)[1]) - value) <= 1e-3 * max(1, abs(value)), (said, value)
+            page.choose("horizon", "Metric", "skill")
+            assert page.series("horizon") == ["network", "ridge", "training mean"]
+        assert page.run("return document.documentElement.scrollWidth <= innerWidth"), size
+        page.shoot(f"horizon-{size[0]}", "#horizon")
+    page.check_quiet()
+
+
 def read_quiet(page: Page):
     pages_tab = page.browser.current_window_handle
     page.browser.switch_to.window(page.browsers_tab)
@@ -619,6 +642,7 @@ def main():
         parser.add_argument(name)
     parser.add_argument("--hostile", action="store_true")
     parser.add_argument("--quiet", action="store_true")
+    parser.add_argument("--horizon", action="store_true")
     parser.add_argument("--screenshots", type=Path)
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
@@ -629,6 +653,8 @@ def main():
                 read_hostile(page)
             elif arguments.quiet:
                 read_quiet(page)
+            elif arguments.horizon:
+                read_horizon(page, arguments.results)
             else:
                 tables = [table(arguments.results, name) for name in ["metrics", "predictions", "epochs"]]
                 read_on_desktop(page, *tables)
